@@ -1,0 +1,215 @@
+"""The small interface that every driver has: open, close, enable, disable, write, read."""
+
+from __future__ import annotations
+
+import abc
+import importlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..exceptions import DriverError, MissingExtraError
+from ..robot import Robot
+
+Array = NDArray[np.float64]
+MODES = ('tension', 'pull')
+SOURCES = ('load_cell', 'current', 'command')
+# backend -> (module, class, package that may be missing, extra that installs it)
+BACKENDS = {
+    'mock': ('mock', 'MockDriver', '', ''),
+    'dynamixel': ('dynamixel.driver', 'DynamixelDriver', 'dynamixel_sdk', 'dynamixel'),
+    'serial': ('serial', 'SerialDriver', 'serial', 'serial'),
+}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """
+    Something that is wrong now; it is gone from the next reading when its cause is gone.
+
+    Parameters
+    ----------
+    code : str
+        Short and stable, for programs: `silent`, `port`, `overload`, `overheating`, `voltage`,
+        `watchdog`, `encoder`, `limit`, ...
+    message : str
+        One line for a person: what, where, what to do.
+    hardware : bool
+        The motor itself reports the error: its torque goes off at once, without a ramp.
+    inputs : tuple of str
+        The inputs it concerns; empty means all of them.
+
+    """
+
+    code: str
+    message: str
+    hardware: bool = False
+    inputs: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Reading:
+    """
+    What the motors say at one moment.
+
+    Parameters
+    ----------
+    time : float
+        `time.monotonic()` of the answer [s].
+    pulls : ndarray, shape (m,) [m]
+        Wire pull per input, positive = shorter = pulled; nan where nothing answered.
+    tensions : ndarray, shape (m,) [N]
+        Tension per input; nan where it is not observable.
+    source : str
+        Where the tension comes from: `load_cell`, `current` or `command`.
+    tension_sd : ndarray, shape (m,) [N], optional
+        Standard uncertainty of the tensions, None where nobody has stated one.
+    faults : tuple of Fault
+        What is wrong now.
+
+    """
+
+    time: float
+    pulls: Array
+    tensions: Array
+    source: str
+    tension_sd: Array | None = None
+    faults: tuple[Fault, ...] = ()
+
+
+class Driver(abc.ABC):
+    """
+    Motors behind the inputs of one robot.
+
+    The life of a driver is open, enable, (write, read) many times, disable, close; one thread uses
+    it. Faults of the running hardware never raise: `read` reports them, in bounded time, and
+    tries by itself to get a lost connection back. A driver that gets it back starts from the
+    measured state. Misuse (not open, wrong shape, not finite) raises `DriverError`.
+
+    Attributes
+    ----------
+    robot : Robot
+        The robot whose inputs are driven.
+    inputs : tuple of str, length m
+        Names of what can be commanded, in the robot's order.
+    mode : str
+        `tension` [N] or `pull` [m]: what `write` takes.
+    limits : ndarray, shape (m, 2)
+        Lowest and highest command per input, in the unit of the mode.
+    rates : ndarray, shape (m,)
+        Largest change of the command per second, in the unit of the mode.
+
+    """
+
+    robot: Robot
+    inputs: tuple[str, ...]
+    mode: str
+    limits: Array
+    rates: Array
+
+    @abc.abstractmethod
+    def open(self) -> None:
+        """Open the port and shake hands; torque stays off. Raise DriverError when it fails."""
+
+    @abc.abstractmethod
+    def close(self) -> None:
+        """Give the port back; never raises, may be called twice. Torque is left as it is."""
+
+    @abc.abstractmethod
+    def enable(self) -> None:
+        """Torque on, holding the measured state: no jump. Raise DriverError when refused."""
+
+    @abc.abstractmethod
+    def disable(self, inputs: Sequence[str] = ()) -> None:
+        """Torque off at once for the named inputs, or all. Never raises: `read` tells faults."""
+
+    @abc.abstractmethod
+    def write(self, command: Array) -> None:
+        """Command every input, shape (m,) [N] or [m], kept within limits and rates."""
+
+    @abc.abstractmethod
+    def read(self) -> Reading:
+        """Return the present state and faults; inputs that do not answer are nan."""
+
+    def reboot(self, inputs: Sequence[str] = ()) -> None:
+        """Restart the named motors, or all, after a hardware error; leaves torque off."""
+        raise DriverError(f'{type(self).__name__}: reboot: this kind of motor has no reboot')
+
+    def describe(self) -> dict[str, str]:
+        """Return facts for diagnostics: names and values as text, with units."""
+        return {}
+
+    def checked(self, command: Array) -> Array:
+        """Return the command as an array; refuse a wrong shape or a value that is not finite."""
+        values = np.asarray(command, dtype=float)
+        if values.shape != (len(self.inputs),):
+            raise DriverError(
+                f'{type(self).__name__}: write: expected {len(self.inputs)} values for '
+                f'{", ".join(self.inputs)}, got shape {values.shape}'
+            )
+        if not np.all(np.isfinite(values)):
+            bad = ', '.join(n for n, v in zip(self.inputs, values, strict=True)
+                            if not np.isfinite(v))
+            raise DriverError(f'{type(self).__name__}: write: expected finite values, got '
+                              f'nan or inf for {bad}; nothing was sent')
+        return values
+
+    def __enter__(self) -> Self:
+        """Open the driver."""
+        self.open()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        """Torque off, then close."""
+        self.disable()
+        self.close()
+
+
+def make_driver(backend: str, robot: Robot, config: Mapping[str, Any], *, mode: str = 'tension',
+                source: str = 'driver', **parts: Any) -> Driver:
+    """
+    Make a driver that is not open yet; imports only the chosen backend.
+
+    Parameters
+    ----------
+    backend : str
+        `mock`, `dynamixel` or `serial`.
+    robot : Robot
+        Gives the inputs and the tension limits.
+    config : mapping
+        What the backend's configuration file says (its document in docs/).
+    mode : str
+        `tension` or `pull`.
+    source : str
+        Names the configuration in messages, usually its path.
+    **parts
+        Objects that a backend needs besides: the mock takes `plant`.
+
+    Raises
+    ------
+    DriverError
+        Unknown backend or mode, or a configuration the backend refuses.
+    MissingExtraError
+        The backend's package is not installed.
+
+    """
+    if backend not in BACKENDS:
+        raise DriverError(f'{source}: backend: expected one of {", ".join(BACKENDS)}, '
+                          f'got {backend!r}')
+    if mode not in MODES:
+        raise DriverError(f'{source}: command_mode: expected one of {", ".join(MODES)}, '
+                          f'got {mode!r}')
+    module, name, package, extra = BACKENDS[backend]
+    try:
+        kind = getattr(importlib.import_module(f'.{module}', __package__), name)
+    except ModuleNotFoundError as error:
+        if error.name and error.name.split('.')[0] in (package, 'serial') and package:
+            raise MissingExtraError(error.name, extra) from None
+        raise
+    driver: Driver = kind.from_config(robot, config, mode=mode, source=source, **parts)
+    return driver
