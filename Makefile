@@ -1,0 +1,24 @@
+# Every target sets up .venv by itself; ARGS is passed on: make test ARGS="-k robot -x"
+RUN := tools/bootstrap.sh
+ARGS :=
+
+.PHONY: help venv test lint format
+.SILENT:
+
+help: ## list the targets
+	grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+
+venv: ## set up .venv and nothing else
+	$(RUN)
+
+test: ## the fast tests
+	$(RUN) python -m pytest -n 2 --dist loadfile $(ARGS)
+
+lint: ## ruff and mypy
+	$(RUN) ruff check $(ARGS)
+	$(RUN) ruff format --check
+	$(RUN) mypy
+
+format: ## let ruff format and mend what it can
+	$(RUN) ruff check --fix-only --quiet
+	$(RUN) ruff format

@@ -1,0 +1,106 @@
+"""
+Installation, for colcon and for pip.
+
+The version comes from package.xml, the list of executables from tendon_robot_ros/cli/main.py.
+"""
+
+import os
+import sys
+import xml.etree.ElementTree as ElementTree
+from glob import glob
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+
+from tendon_robot_ros.cli.main import COMMANDS  # noqa: E402
+
+NAME = 'tendon_robot_ros'
+PACKAGE_XML = ElementTree.parse(HERE / 'package.xml').getroot()
+
+EXTRAS = {
+    'viewer': ['viser>=1.0'],
+    'report': ['plotly>=5.18'],
+    'bags': ['rosbags>=0.10'],
+    'dynamixel': ['dynamixel-sdk>=3.7'],
+    'serial': ['pyserial>=3.5'],
+    # ROS 2 Jazzy for machines without it; where ROS is sourced, leave this one out
+    'ros': [
+        'ros-jazzy-rclpy[fastrtps]',
+        'ros-jazzy-diagnostic-msgs',
+        'ros-jazzy-geometry-msgs',
+        'ros-jazzy-sensor-msgs',
+        'ros-jazzy-std-msgs',
+        'ros-jazzy-std-srvs',
+        'ros-jazzy-trajectory-msgs',
+        'ros-jazzy-visualization-msgs',
+    ],
+    'test': ['hypothesis>=6.98', 'pytest>=7.4,<8.4', 'pytest-xdist>=3.4'],
+    # the newest pytest and setuptools that colcon still works with
+    'colcon': [
+        'colcon-bash',
+        'colcon-core',
+        'colcon-output',
+        'colcon-package-selection',
+        'colcon-parallel-executor',
+        'colcon-python-setup-py',
+        'colcon-ros',
+        'colcon-test-result',
+        'pytest<8.4',
+        'setuptools<80',
+    ],
+    'dev': ['mypy>=1.11', 'ruff>=0.8', 'types-PyYAML', 'types-tqdm'],
+}
+
+
+def executables() -> list[str]:
+    """
+    List the console scripts: every command for ROS, one for pip.
+
+    colcon puts them into lib/tendon_robot_ros, where only `ros2 run` looks. pip would put them
+    on the PATH, where `add` or ImageMagick's `compare` belong to others.
+    """
+    if 'setuptools.build_meta' in sys.modules:  # pip
+        return [f'{NAME} = {NAME}.__main__:main']
+    return [f'{name} = {NAME}.cli.main:run_named' for name in COMMANDS]
+
+
+def shared_files() -> list[tuple[str, list[str]]]:
+    """List the files that go to share/tendon_robot_ros, folder by folder."""
+    share = f'share/{NAME}'
+    files = [
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (share, ['package.xml']),
+    ]
+    for top in ('config', 'launch', 'data'):
+        for folder, _, _ in os.walk(top):
+            found = [path for path in glob(f'{folder}/*') if os.path.isfile(path)]
+            files.append((f'{share}/{folder}', sorted(found)))
+    return files
+
+
+setup(
+    name=NAME,
+    version=PACKAGE_XML.findtext('version'),
+    description=' '.join(PACKAGE_XML.findtext('description', '').split()),
+    license=PACKAGE_XML.findtext('license'),
+    maintainer=PACKAGE_XML.findtext('maintainer'),
+    maintainer_email=PACKAGE_XML.find('maintainer').get('email'),
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    package_data={'': ['py.typed', '*.css', '*.html', '*.js']},
+    data_files=shared_files(),
+    python_requires='>=3.12',
+    install_requires=[
+        'matplotlib>=3.6',
+        'numba>=0.59',
+        'numpy>=1.26',
+        'pyyaml>=6.0',
+        'scipy>=1.11',
+        'tqdm>=4.66',
+    ],
+    extras_require=EXTRAS,
+    entry_points={'console_scripts': executables()},
+    zip_safe=True,
+)

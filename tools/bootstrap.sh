@@ -1,0 +1,121 @@
+#!/bin/sh
+# Make .venv with everything this package needs, then run a command in it.
+#
+#   tools/bootstrap.sh [COMMAND [ARGUMENTS...]]
+#
+# The interpreter is $PYTHON if set, else that of a sourced ROS 2 Jazzy (whose packages are then
+# used), else a Python 3.12 on PATH, under pyenv or under uv; without ROS its wheels are installed.
+# A second run installs nothing, unless the files named in `recipe` have changed. VENV chooses
+# another folder.
+set -eu
+
+here=$(cd "$(dirname "$0")/.." && pwd)
+venv=${VENV:-$here/.venv}
+stamp=$venv/installed-for
+extras='viewer,report,bags,dynamixel,serial,test,colcon,dev'
+
+say() { printf '%s\n' "$*" >&2; }
+
+# The ROS wheels start Python anew with a library path of their own; what another environment's
+# wheels have left behind would load the wrong libraries.
+if [ -n "${_ROS_WHEELS_BOOTSTRAP_COMPLETE:-}" ]; then
+    unset _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
+fi
+
+# Another ROS distribution is built for another Python.
+if [ -n "${ROS_DISTRO:-}" ] && [ "$ROS_DISTRO" != jazzy ]; then
+    say "ROS 2 $ROS_DISTRO is sourced; it is left aside, this package uses Jazzy"
+    unset ROS_DISTRO PYTHONPATH AMENT_PREFIX_PATH LD_LIBRARY_PATH
+fi
+
+# Print the real path of $1 if it is a Python 3.12 that runs: a shim of pyenv may not.
+probe() {
+    "$1" -I -S -c '
+import sys
+if sys.version_info[:2] != (3, 12):
+    sys.exit(1)
+print(sys._base_executable)' </dev/null 2>/dev/null
+}
+
+find_python() {
+    if [ -n "${PYTHON:-}" ]; then
+        probe "$PYTHON" && return
+        say "PYTHON=$PYTHON is not a Python 3.12 that runs"
+        return 1
+    fi
+    for name in python3.12 python3 python; do
+        probe "$name" && return
+    done
+    for path in "${PYENV_ROOT:-$HOME/.pyenv}"/versions/3.12*/bin/python; do
+        probe "$path" && return
+    done
+    probe "$(uv python find --no-project 3.12 2>/dev/null)" && return
+    say 'no Python 3.12 found on PATH, under pyenv or under uv; install one, for example:'
+    say '  sudo apt install python3.12-venv   (Ubuntu 24.04)'
+    say '  uv python install 3.12             (any Linux, https://docs.astral.sh/uv)'
+    say '  pyenv install 3.12                 (any Linux, https://github.com/pyenv/pyenv)'
+    return 1
+}
+
+sourced_ros() {
+    [ "${ROS_DISTRO:-}" = jazzy ] && "$1" -c 'import rclpy' </dev/null 2>/dev/null
+}
+
+# Everything that an installation depends on, as one hash.
+recipe() {
+    {
+        printf '%s\n' "$python" "$kind" "$here" "${PIP_CONSTRAINT:-}"
+        cat setup.py setup.cfg package.xml tools/bootstrap.sh
+    } | cksum
+}
+
+make_venv() {
+    if [ ! -f "$stamp" ]; then
+        rm -rf "$venv" # none yet, or half made
+        if ! "$python" -m venv $site "$venv"; then
+            rm -rf "$venv"
+            say "$python cannot make environments; on Ubuntu: sudo apt install python3.12-venv"
+            return 1
+        fi
+    fi
+    rm -f "$stamp"
+    # -qq: warnings about the machine's own pip settings help nobody here
+    "$venv/bin/python" -m pip install -qq --disable-pip-version-check -e ".[$extras]" >&2 || {
+        say "pip could not install into $venv; see the lines above"
+        return 1
+    }
+    # Any program of this environment finds the ROS wheels, however it is started.
+    if [ "$kind" = wheels ]; then
+        echo 'import os, sys; os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)' \
+            >"$("$venv/bin/python" -c 'import site; print(site.getsitepackages()[0])')/ament_prefix.pth"
+    fi
+    recipe >"$stamp"
+}
+
+cd "$here"
+python=$(find_python)
+if sourced_ros "$python"; then
+    kind=sourced site=--system-site-packages
+else
+    kind=wheels site='' extras="$extras,ros"
+    export AMENT_PREFIX_PATH="$venv"
+    if [ "$(uname -sm)" != 'Linux x86_64' ]; then
+        say "ROS 2 comes as wheels for x86-64 Linux only; on $(uname -sm), source ROS 2 Jazzy first"
+        exit 1
+    fi
+fi
+
+mkdir -p "$venv"
+exec 9>"$venv.lock"
+! command -v flock >/dev/null || flock 9
+if [ "$(recipe)" != "$(cat "$stamp" 2>/dev/null)" ]; then
+    say "setting up $venv with $python ($kind ROS 2), once; this takes a minute or two"
+    make_venv
+fi
+exec 9>&-
+
+[ $# -gt 0 ] || exit 0
+PATH=$venv/bin:$PATH
+VIRTUAL_ENV=$venv
+export PATH VIRTUAL_ENV
+exec "$@"
