@@ -2,6 +2,18 @@
 
 from __future__ import annotations
 
+import reprlib
+
+_SHORT = reprlib.Repr()  # a file may hold a value of any size; a message may not
+_SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 120
+_SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = 8
+_SHORT.maxlevel = 3
+
+
+def short(value: object) -> str:
+    """Show a value in a message: its `repr`, cut where it gets long."""
+    return _SHORT.repr(value)
+
 
 class TendonRobotError(Exception):
     """Base of every error that the command line prints as one line."""
@@ -13,7 +25,7 @@ class RobotDescriptionError(TendonRobotError):
     def __init__(self, source: str, key: str, expected: str, got: object) -> None:
         """Say which file and key, what was expected and what came."""
         self.source, self.key, self.expected, self.got = source, key, expected, got
-        super().__init__(f'{source}: {key}: expected {expected}, got {got!r}')
+        super().__init__(f'{source}: {key}: expected {expected}, got {short(got)}')
 
 
 class EffectError(TendonRobotError):

@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from .exceptions import InputError, RobotDescriptionError
-from .robot_checks import Reader
+from .robot_checks import parse_yaml, Reader
 
 TOLERANCES = ('bending_stiffness', 'friction_coefficient', 'tension_gain', 'position', 'rotation')
 EffectValues = dict[str, float | tuple[float, ...]]
@@ -132,10 +132,9 @@ def load_robot(path: str | Path) -> Robot:
 def parse_robot(text: str, source: str = 'robot') -> Robot:
     """Read a robot description from YAML text; `source` names it in messages."""
     try:
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        problem = ' '.join(str(error).split())
-        raise RobotDescriptionError(source, 'file', 'valid YAML', problem) from None
+        content = parse_yaml(text)
+    except ValueError as error:
+        raise RobotDescriptionError(source, 'file', 'valid YAML', str(error)) from None
     return _robot(Reader(source, '', content))
 
 

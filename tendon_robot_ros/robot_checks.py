@@ -4,9 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Self
 
-from .exceptions import RobotDescriptionError
+import yaml
+
+from .exceptions import RobotDescriptionError, TendonRobotError
+
+
+def parse_yaml(text: str) -> Any:
+    """
+    Read YAML text into plain values; nothing in it is ever executed.
+
+    Raises
+    ------
+    ValueError
+        With the reason on one line.
+
+    """
+    try:
+        return yaml.safe_load(text)
+    except RecursionError:
+        raise ValueError('brackets nested too deeply') from None
+    except (yaml.YAMLError, ValueError) as error:  # a date such as 2000-99-99 is a ValueError
+        raise ValueError(' '.join(str(error).split())) from None
 
 
 class Reader:
@@ -18,11 +38,11 @@ class Reader:
         if content is None:
             content = {}
         if not isinstance(content, dict):
-            raise RobotDescriptionError(source, path or 'file', 'keys with values', content)
+            raise self.error('', 'keys with values', content)
         self.content: dict[str, Any] = content
 
-    def error(self, key: str, expected: str, got: object) -> RobotDescriptionError:
-        """Build the error for a key of this mapping."""
+    def error(self, key: str, expected: str, got: object) -> TendonRobotError:
+        """Build the error for a key of this mapping; a reader of other files overrides it."""
         return RobotDescriptionError(self.source, self._where(key), expected, got)
 
     def has(self, key: str) -> bool:
@@ -35,23 +55,23 @@ class Reader:
             if key not in known:
                 raise self.error(str(key), 'one of ' + ', '.join(known), str(key))
 
-    def child(self, key: str, optional: bool = False) -> Reader:
+    def child(self, key: str, optional: bool = False) -> Self:
         """Open the mapping below a key."""
         if optional and not self.has(key):
-            return Reader(self.source, self._where(key), {})
-        return Reader(self.source, self._where(key), self.content.get(key))
+            return type(self)(self.source, self._where(key), {})
+        return type(self)(self.source, self._where(key), self.content.get(key))
 
     def mapping(self, key: str) -> dict[str, Any]:
         """Return the mapping below a key, empty when absent."""
         return self.child(key, optional=True).content
 
-    def items(self, key: str) -> Iterator[Reader]:
+    def items(self, key: str) -> Iterator[Self]:
         """Open each entry of a list."""
         value = self.content.get(key)
         if not isinstance(value, list) or not value:
             raise self.error(key, 'a list with at least one entry', value)
         for index, item in enumerate(value):
-            yield Reader(self.source, f'{self._where(key)}[{index}]', item)
+            yield type(self)(self.source, f'{self._where(key)}[{index}]', item)
 
     def unique(self, key: str, names: list[str]) -> None:
         """Refuse a name that stands twice."""
@@ -152,4 +172,4 @@ class Reader:
         return float(value)
 
     def _where(self, key: str) -> str:
-        return f'{self.path}.{key}' if self.path else key
+        return '.'.join(filter(None, (self.path, key))) or 'file'
