@@ -102,5 +102,5 @@ setup(
     ],
     extras_require=EXTRAS,
     entry_points={'console_scripts': executables()},
-    zip_safe=True,
+    zip_safe=False,
 )

@@ -2,6 +2,7 @@
 # Make .venv with everything this package needs, then run a command in it.
 #
 #   tools/bootstrap.sh [COMMAND [ARGUMENTS...]]
+#   tools/bootstrap.sh --find        only say which interpreter it would take
 #
 # The interpreter is $PYTHON if set, else that of a sourced ROS 2 Jazzy (whose packages are then
 # used), else a Python 3.12 on PATH, under pyenv or under uv; without ROS its wheels are installed.
@@ -28,13 +29,14 @@ if [ -n "${ROS_DISTRO:-}" ] && [ "$ROS_DISTRO" != jazzy ]; then
     unset ROS_DISTRO PYTHONPATH AMENT_PREFIX_PATH LD_LIBRARY_PATH
 fi
 
-# Print the real path of $1 if it is a Python 3.12 that runs: a shim of pyenv may not.
+# Print the path of $1 if it is a Python 3.12 that runs, which a shim of pyenv may not; for the
+# Python of an environment, the path of the one behind it.
 probe() {
     "$1" -I -S -c '
-import sys
+import os, sys
 if sys.version_info[:2] != (3, 12):
     sys.exit(1)
-print(sys._base_executable)' </dev/null 2>/dev/null
+print(os.path.realpath(sys._base_executable))' </dev/null 2>/dev/null
 }
 
 find_python() {
@@ -49,6 +51,7 @@ find_python() {
     for path in "${PYENV_ROOT:-$HOME/.pyenv}"/versions/3.12*/bin/python; do
         probe "$path" && return
     done
+    # a project is of no interest here, and its environment may be the one to repair
     probe "$(uv python find --no-project 3.12 2>/dev/null)" && return
     say 'no Python 3.12 found on PATH, under pyenv or under uv; install one, for example:'
     say '  sudo apt install python3.12-venv   (Ubuntu 24.04)'
@@ -61,17 +64,20 @@ sourced_ros() {
     [ "${ROS_DISTRO:-}" = jazzy ] && "$1" -c 'import rclpy' </dev/null 2>/dev/null
 }
 
-# Everything that an installation depends on, as one hash.
+# Everything that an installation depends on: where and with what, then the sum of the rest.
 recipe() {
-    {
-        printf '%s\n' "$python" "$kind" "$here" "${PIP_CONSTRAINT:-}"
-        cat setup.py setup.cfg package.xml tools/bootstrap.sh
-    } | cksum
+    echo "$python $kind $venv"
+    { echo "${PIP_CONSTRAINT:-}" && cat setup.py setup.cfg package.xml tools/bootstrap.sh; } | cksum
+}
+
+can_be_kept() {
+    "$venv/bin/python" -I -S -c '' >/dev/null 2>&1 &&
+        [ "$(recipe | head -n 1)" = "$(head -n 1 "$stamp" 2>/dev/null)" ]
 }
 
 make_venv() {
-    if [ ! -f "$stamp" ]; then
-        rm -rf "$venv" # none yet, or half made
+    if ! can_be_kept; then
+        rm -rf "$venv" # none yet, half made, or made elsewhere
         if ! "$python" -m venv $site "$venv"; then
             rm -rf "$venv"
             say "$python cannot make environments; on Ubuntu: sudo apt install python3.12-venv"
@@ -94,6 +100,10 @@ make_venv() {
 
 cd "$here"
 python=$(find_python)
+if [ "${1:-}" = --find ]; then
+    echo "$python"
+    exit
+fi
 if sourced_ros "$python"; then
     kind=sourced site=--system-site-packages
 else
@@ -105,10 +115,9 @@ else
     fi
 fi
 
-mkdir -p "$venv"
 exec 9>"$venv.lock"
 ! command -v flock >/dev/null || flock 9
-if [ "$(recipe)" != "$(cat "$stamp" 2>/dev/null)" ]; then
+if ! can_be_kept || [ "$(recipe)" != "$(cat "$stamp")" ]; then
     say "setting up $venv with $python ($kind ROS 2), once; this takes a minute or two"
     make_venv
 fi

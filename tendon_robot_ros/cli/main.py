@@ -27,10 +27,8 @@ from ..exceptions import InputError, MissingExtraError, TendonRobotError
 COMMANDS: dict[str, str] = {}
 
 PROGRAM = 'python -m tendon_robot_ros'
-NODE_OPTIONS = (
-    'usage: {program} [--ros-args [-p PARAMETER:=VALUE ...] [--params-file FILE] '
-    '[-r FROM:=TO ...]]'
-)
+PACKAGE = Path(__file__).parents[1]
+NODE_OPTIONS = '[--ros-args [-p PARAMETER:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
 
 
 class Parser(argparse.ArgumentParser):
@@ -54,74 +52,91 @@ class Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command that the arguments name; return the exit code."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if not arguments or arguments[0] in ('-h', '--help'):
-        print(overview())
-        return 0
-    return _guarded(arguments[0], arguments[1:], f'{PROGRAM} {arguments[0]}')
+    name, *arguments = (sys.argv[1:] if argv is None else argv) or ['--help']
+    return _guarded(name, arguments, f'{PROGRAM} {name}')
 
 
 def run_named() -> int:
     """Run the command after which this executable is named (``ros2 run``, ``ros2 launch``)."""
-    name = Path(sys.argv[0]).stem
+    name = Path(sys.argv[0]).name
     return _guarded(name, sys.argv[1:], name)
-
-
-def overview() -> str:
-    """List the commands with one line each."""
-    width = max((len(name) for name in COMMANDS), default=0)
-    lines = [f'  {name:{width}}  {_documentation(COMMANDS[name])[0]}' for name in COMMANDS]
-    return '\n'.join([f'usage: {PROGRAM} COMMAND [ARGUMENTS]', '', 'commands:', *lines])
 
 
 def _guarded(name: str, arguments: list[str], program: str) -> int:
     """Run a command; a known error becomes one line and exit code 1."""
     try:
-        return _run(name, arguments, program)
-    except TendonRobotError as error:
-        message = str(error)
+        code = _run(name, arguments, program)
+        sys.stdout.flush()
     except BrokenPipeError:  # the reader, such as head, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except OSError as error:
-        message = f'{error.filename}: {error.strerror}' if error.filename else str(error)
     except KeyboardInterrupt:
         return 130
-    print('error:', ' '.join(message.split()), file=sys.stderr)
-    return 1
+    except (TendonRobotError, OSError) as error:
+        print('error:', ' '.join(_message(error).split()), file=sys.stderr)
+        return 1
+    return code
+
+
+def _message(error: Exception) -> str:
+    if isinstance(error, OSError) and error.filename:
+        return f'{error.filename}: {error.strerror}'
+    return str(error)
 
 
 def _run(name: str, arguments: list[str], program: str) -> int:
+    if name in ('-h', '--help'):
+        print(_overview())
+        return 0
     module_name = COMMANDS.get(name)
     if module_name is None:
         near = difflib.get_close_matches(name, COMMANDS, n=1)
         hint = f'did you mean {near[0]}? ' if near else ''
         raise InputError(f'no command {name!r}; {hint}known: {", ".join(COMMANDS)}')
-    summary, details = _documentation(module_name)
     if '.nodes.' in module_name:
-        return _run_node(module_name, arguments, program, f'{summary}\n\n{details}')
+        return _run_node(module_name, arguments, program)
     module = importlib.import_module(module_name)
-    parser = Parser(prog=program, description=f'{summary}\n\n{details}')
+    parser = Parser(prog=program, description=_documentation(module_name))
     module.add_arguments(parser)
     return int(module.run(parser.parse_args(arguments)))
 
 
-def _run_node(module_name: str, arguments: list[str], program: str, description: str) -> int:
-    if any(option in arguments for option in ('-h', '--help')):
-        print(f'{NODE_OPTIONS.format(program=program)}\n\n{description}')
+def _run_node(module_name: str, arguments: list[str], program: str) -> int:
+    if '-h' in arguments or '--help' in arguments:
+        print(f'usage: {program} {NODE_OPTIONS}\n\n{_documentation(module_name)}')
         return 0
     if importlib.util.find_spec('rclpy') is None:
         raise MissingExtraError('rclpy', 'ros')
     # the wheels of rclpy find their middleware through this; a sourced ROS has set it
     os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
-    return int(importlib.import_module(module_name).main(arguments) or 0)
+    return int(importlib.import_module(module_name).main(arguments))
 
 
-def _documentation(module_name: str) -> tuple[str, str]:
-    """Read HELP and the docstring of a module without importing it."""
-    path = Path(__file__).parents[1].joinpath(*module_name.split('.')[1:]).with_suffix('.py')
-    tree = ast.parse(path.read_text(encoding='utf-8'))
-    for node in tree.body:
+def _overview() -> str:
+    """List the commands with one line each."""
+    width = max((len(name) for name in COMMANDS), default=0)
+    lines = [f'  {name:{width}}  {_help_line(COMMANDS[name])}' for name in COMMANDS]
+    return '\n'.join([f'usage: {PROGRAM} COMMAND [ARGUMENTS]', '', 'commands:', *lines])
+
+
+def _source(module_name: str) -> Path:
+    """Find the file of a command's module without importing the packages around it."""
+    return PACKAGE.joinpath(*module_name.split('.')[1:]).with_suffix('.py')
+
+
+def _tree(module_name: str) -> ast.Module:
+    return ast.parse(_source(module_name).read_text(encoding='utf-8'))
+
+
+def _help_line(module_name: str) -> str:
+    """Read HELP from the source of a command's module."""
+    for node in _tree(module_name).body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == 'HELP':
-            return ast.literal_eval(node.value), ast.get_docstring(tree) or ''
-    raise AssertionError(f'{path} defines no HELP')
+            return str(ast.literal_eval(node.value))
+    raise AssertionError(f'{module_name} defines no HELP')
+
+
+def _documentation(module_name: str) -> str:
+    """Join HELP and the docstring of a command's module."""
+    details = ast.get_docstring(_tree(module_name)) or ''
+    return f'{_help_line(module_name)}\n\n{details}'

@@ -1,0 +1,24 @@
+"""What every test gets: a ROS domain of its own, and no graphical display."""
+
+import fcntl
+import os
+import tempfile
+from pathlib import Path
+
+
+def own_domain():
+    """Take a ROS domain that no other test process on this machine has, until this one ends."""
+    for domain in range(1, 102):
+        try:
+            lock = (Path(tempfile.gettempdir()) / f'tendon_robot_ros_domain_{domain}').open('w')
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:  # taken, perhaps by another user
+            continue
+        return domain, lock
+    raise RuntimeError('all 101 ROS domains are taken by other test processes')
+
+
+DOMAIN, LOCK = own_domain()
+os.environ['ROS_DOMAIN_ID'] = str(DOMAIN)
+os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+os.environ['MPLBACKEND'] = 'Agg'

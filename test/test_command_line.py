@@ -1,0 +1,116 @@
+"""Every command answers; a user's mistake is one line on stderr and exit code 1."""
+
+import subprocess
+import sys
+
+import pytest
+
+from tendon_robot_ros.cli import main as command_line
+from tendon_robot_ros.cli.main import COMMANDS, Parser, main
+from tendon_robot_ros.exceptions import InputError
+
+MOVE = """
+'''What it moves, and where to.'''
+HELP = 'move the tip'
+
+
+def add_arguments(parser):
+    parser.add_argument('--to')
+    parser.add_argument('--from-file')
+
+
+def run(args):
+    if args.from_file:
+        open(args.from_file)
+    print(args.to)
+    return 0
+"""
+
+
+@pytest.fixture
+def move(monkeypatch, tmp_path):
+    """Give the package one more command, in a file as any other."""
+    (tmp_path / 'move.py').write_text(MOVE)
+    monkeypatch.setattr(command_line, '_source', lambda module: tmp_path / 'move.py')
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(COMMANDS, 'move', 'move')
+    monkeypatch.delitem(sys.modules, 'move', raising=False)
+
+
+def python_m(*arguments):
+    return subprocess.run(
+        [sys.executable, '-m', 'tendon_robot_ros', *arguments], capture_output=True, text=True
+    )
+
+
+@pytest.mark.parametrize('name', COMMANDS)
+def test_every_command_explains_itself(name):
+    run = python_m(name, '--help')
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.startswith(f'usage: python -m tendon_robot_ros {name}')
+    assert 'Traceback' not in run.stderr
+
+
+def test_every_module_with_a_command_is_in_the_table():
+    files = [*command_line.PACKAGE.glob('cli/*.py'), *command_line.PACKAGE.glob('nodes/*.py')]
+    commands = {path for path in files if '\nHELP = ' in path.read_text()}
+    assert commands == {command_line._source(module) for module in COMMANDS.values()}
+
+
+def test_without_arguments_the_commands_are_listed(capsys, move):
+    assert main([]) == 0
+    assert '\n  move ' in (out := capsys.readouterr().out)
+    assert out.splitlines()[-1].endswith('  move the tip')
+
+
+def test_an_executable_runs_the_command_it_is_named_after(capsys, monkeypatch, move):
+    monkeypatch.setattr(sys, 'argv', ['/opt/ws/lib/tendon_robot_ros/move', '--to', 'base'])
+    assert command_line.run_named() == 0
+    assert capsys.readouterr().out == 'base\n'
+
+
+def test_a_vector_may_begin_with_a_minus(capsys, move):
+    assert main(['move', '--to', '-0.1,0,0.2']) == 0
+    assert capsys.readouterr().out == '-0.1,0,0.2\n'
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'message'),
+    [
+        (['mvoe'], "no command 'mvoe'; did you mean move? known: "),
+        (['move', '--tow', '1'], 'unrecognized arguments: --tow 1; see '),
+        (['move', '--to'], 'argument --to: expected one argument; see '),
+        (['move', '--from-file', 'no.yaml'], 'no.yaml: No such file or directory'),
+    ],
+)
+def test_a_mistake_is_one_line(arguments, message, capsys, move):
+    assert main(arguments) == 1
+    out, err = capsys.readouterr()
+    assert out == ''
+    assert err.startswith(f'error: {message}')
+    assert err.count('\n') == 1
+
+
+def test_a_node_without_ros_says_what_to_install(capsys, monkeypatch, move):
+    monkeypatch.setitem(COMMANDS, 'move', 'tendon_robot_ros.nodes.move')
+    monkeypatch.setattr('importlib.util.find_spec', lambda name: None)
+    assert main(['move']) == 1
+    assert capsys.readouterr().err == (
+        'error: rclpy is not installed; type: python -m pip install "tendon_robot_ros[ros]"\n'
+    )
+
+
+def test_the_parser_refuses_abbreviations():
+    parser = Parser(prog='x', description='')
+    parser.add_argument('--position')
+    with pytest.raises(InputError, match='--pos'):
+        parser.parse_args(['--pos', '1'])
+
+
+def test_a_reader_that_has_seen_enough_is_no_error():
+    run = subprocess.run(
+        ['bash', '-o', 'pipefail', '-c', f'{sys.executable} -m tendon_robot_ros | true'],
+        capture_output=True,
+        text=True,
+    )
+    assert (run.returncode, run.stderr) == (0, '')
