@@ -1,0 +1,170 @@
+"""
+Control tables of the supported servos, as data.
+
+Addresses, sizes, units and limits are those of the e-manual's page of each motor; torque per
+ampere is the printed stall torque over stall current at the recommended voltage. The X series
+shares its addresses; only units, limits and defaults differ.
+
+References
+----------
+ROBOTIS e-Manual, https://emanual.robotis.com/docs/en/dxl/x/ (one page per motor).
+
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+TICKS_PER_TURN = 4096
+RPM_PER_COUNT = 0.229  # [rev/min], present and goal velocity
+VOLT_PER_COUNT = 0.1  # [V]
+WATCHDOG_UNIT = 0.020  # [s], address 98
+WATCHDOG_TRIPPED = 255  # -1 as an unsigned byte
+HIGHEST_POSITION = 1_048_575  # [ticks], 256 turns in the multi-turn modes
+
+CURRENT_MODE, EXTENDED_MODE, CURRENT_POSITION_MODE = 0, 4, 5  # operating mode, address 11
+
+
+@dataclass(frozen=True)
+class Register:
+    """A value of the control table: where it is and how many bytes it has."""
+
+    address: int
+    size: int
+    signed: bool = False
+
+
+REGISTERS = {
+    'model_number': Register(0, 2),
+    'firmware_version': Register(6, 1),
+    'id': Register(7, 1),
+    'baud_rate': Register(8, 1),
+    'return_delay_time': Register(9, 1),
+    'drive_mode': Register(10, 1),
+    'operating_mode': Register(11, 1),
+    'homing_offset': Register(20, 4, signed=True),
+    'temperature_limit': Register(31, 1),
+    'max_voltage_limit': Register(32, 2),
+    'min_voltage_limit': Register(34, 2),
+    'current_limit': Register(38, 2),
+    'shutdown': Register(63, 1),
+    'torque_enable': Register(64, 1),
+    'led': Register(65, 1),
+    'status_return_level': Register(68, 1),
+    'hardware_error_status': Register(70, 1),
+    'bus_watchdog': Register(98, 1),
+    'goal_pwm': Register(100, 2, signed=True),
+    'goal_current': Register(102, 2, signed=True),
+    'goal_velocity': Register(104, 4, signed=True),
+    'profile_acceleration': Register(108, 4),
+    'profile_velocity': Register(112, 4),
+    'goal_position': Register(116, 4, signed=True),
+    'moving': Register(122, 1),
+    'present_current': Register(126, 2, signed=True),
+    'present_velocity': Register(128, 4, signed=True),
+    'present_position': Register(132, 4, signed=True),
+    'present_input_voltage': Register(144, 2),
+    'present_temperature': Register(146, 1),
+}
+
+# bit of address 70 -> code and what a person reads
+HARDWARE_ERRORS = {
+    0x01: ('voltage', 'input voltage outside its limits'),
+    0x04: ('overheating', 'motor too hot'),
+    0x08: ('encoder', 'motor encoder broken'),
+    0x10: ('shock', 'electrical shock, or too little power to run the motor'),
+    0x20: ('overload', 'load above the maximum output for too long'),
+}
+
+BAUD_RATES = {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000,
+              6: 4_000_000}
+
+
+@dataclass(frozen=True)
+class Model:
+    """
+    What differs from motor to motor.
+
+    Parameters
+    ----------
+    name : str
+    number : int
+        Model number, address 0.
+    current_unit : float
+        One count of current [A].
+    current_limit : int
+        Default and largest current limit [counts].
+    torque_per_ampere : float
+        Stall torque over stall current [N·m/A], before any calibration.
+    stall_torque : float
+        [N·m] at the recommended voltage.
+    no_load_speed : float
+        [rad/s] at the recommended voltage.
+    friction_current : float
+        Current before the gear moves [A]. 0.13 A is measured for the XM430-W350; for the others
+        the same share of the stall current is assumed, until a calibration replaces it.
+    voltage : tuple of float
+        Lowest and highest recommended input voltage [V].
+    temperature_limit : int
+        Default shutdown temperature [°C].
+    fast_read_firmware : int
+        First firmware with the fast sync read.
+    shutdown : int
+        Default of address 63: which hardware errors switch the torque off.
+    current_at_supply : bool
+        The current is measured at the power input and not at the motor.
+
+    """
+
+    name: str
+    number: int
+    current_unit: float
+    current_limit: int
+    torque_per_ampere: float
+    stall_torque: float
+    no_load_speed: float
+    friction_current: float
+    voltage: tuple[float, float]
+    temperature_limit: int
+    fast_read_firmware: int
+    shutdown: int
+    current_at_supply: bool = False
+
+
+_FRICTION_SHARE = 0.13 / 2.3  # of the stall current; measured on an XM430-W350
+_RPM = 0.10471975511965977  # [rad/s]
+
+
+def _model(name: str, number: int, unit: float, limit: int, stall: tuple[float, float],
+           rpm: float, volts: tuple[float, float], celsius: int, firmware: int,
+           shutdown: int) -> Model:
+    torque, current = stall
+    return Model(name, number, unit, limit, torque / current, torque, rpm * _RPM,
+                 _FRICTION_SHARE * current, volts, celsius, firmware, shutdown,
+                 current_at_supply=name.startswith('XC330'))
+
+
+MODELS = {
+    model.name: model for model in (
+        # name, number, [A], limit, stall ([N·m], [A]), [rev/min], [V], [°C], firmware, shutdown
+        _model('XM430-W210', 1030, 2.69e-3, 1193, (3.0, 2.3), 77, (10.0, 14.8), 80, 45, 52),
+        _model('XM430-W350', 1020, 2.69e-3, 1193, (4.1, 2.3), 46, (10.0, 14.8), 80, 45, 52),
+        _model('XL330-M077', 1190, 1e-3, 1750, (0.215, 1.47), 383, (3.7, 6.0), 70, 46, 53),
+        _model('XL330-M288', 1200, 1e-3, 1750, (0.52, 1.47), 103, (3.7, 6.0), 70, 46, 53),
+        _model('XC330-T181', 1210, 1e-3, 910, (0.76, 0.80), 104, (6.5, 12.0), 70, 46, 52),
+        _model('XC330-T288', 1220, 1e-3, 910, (0.92, 0.80), 65, (6.5, 12.0), 70, 46, 52),
+        _model('XC330-M181', 1230, 1e-3, 2352, (0.60, 1.80), 129, (3.7, 6.0), 70, 46, 52),
+        _model('XC330-M288', 1240, 1e-3, 2352, (0.93, 1.80), 81, (3.7, 6.0), 70, 46, 52),
+    )
+}
+MODEL_NAMES = {model.number: model.name for model in MODELS.values()}
+
+
+def decode(register: Register, data: bytes) -> int:
+    """Read the value of a register from its little-endian bytes."""
+    return int.from_bytes(data, 'little', signed=register.signed)
+
+
+def encode(register: Register, value: int) -> bytes:
+    """Write the value of a register as little-endian bytes."""
+    return value.to_bytes(register.size, 'little', signed=register.signed)
