@@ -1,0 +1,282 @@
+"""
+What may reach the motors: limits, rates, the release ramp, the stop latch. No clock, no threads.
+
+The driver node asks it once per cycle. However wrong the commands are, what comes out stays within
+the limits, changes no faster than the rates, and goes to pretension when commands stay away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..exceptions import DriverError
+from .interface import MODES, Reading
+from .limits import approach, bounded
+
+Array = NDArray[np.float64]
+OFF, FOLLOWING, RELEASING, RELEASED, LIMP = 'off', 'following', 'releasing', 'released', 'limp'
+LONGEST_CYCLE = 0.05  # [s]; after a stall the command does not catch up in one step
+
+
+@dataclass(frozen=True)
+class SafetyRules:
+    """
+    Limits of a robot's commands.
+
+    Parameters
+    ----------
+    inputs : tuple of str, length m
+    mode : str
+        `tension` [N] or `pull` [m]: the unit of everything below.
+    limits : ndarray, shape (m, 2)
+    rates : ndarray, shape (m,)
+        Largest change per second while following.
+    rest : ndarray, shape (m,)
+        Where a release goes: pretension, or the wire pulls of the straight arm.
+    release_rate : float
+        Largest change per second while releasing.
+    command_timeout : float
+        Silence after which the arm is released [s].
+    release_to : str
+        `pretension`: hold there; `limp`: then torque off.
+    tension_limits : tuple of float
+        In pull mode: a wire tighter than the second pays out, one slacker than half the first
+        pays out no further [N]. Needs an observed tension.
+
+    """
+
+    inputs: tuple[str, ...]
+    mode: str
+    limits: Array
+    rates: Array
+    rest: Array
+    release_rate: float
+    command_timeout: float = 0.1
+    release_to: str = 'pretension'
+    tension_limits: tuple[float, float] = (0.0, np.inf)
+
+    def __post_init__(self) -> None:
+        """Refuse rules that cannot be held."""
+        m = len(self.inputs)
+        shapes = [np.shape(a) for a in (self.limits, self.rates, self.rest)]
+        if shapes != [(m, 2), (m,), (m,)]:
+            raise DriverError(f'safety rules: expected values for {m} inputs, got shapes {shapes}')
+        if self.mode not in MODES or self.release_to not in ('pretension', 'limp'):
+            raise DriverError(
+                f'safety rules: unknown mode or release_to: {self.mode!r}, {self.release_to!r}'
+            )
+        if not np.all(self.limits[:, 0] < self.limits[:, 1]):
+            raise DriverError(f'safety rules: limits: lowest >= highest: {self.limits.tolist()}')
+        if not np.all((self.rest >= self.limits[:, 0]) & (self.rest <= self.limits[:, 1])):
+            raise DriverError(
+                f'safety rules: rest {self.rest.tolist()} is outside the limits '
+                f'{self.limits.tolist()}'
+            )
+        positive = [*self.rates, self.release_rate, self.command_timeout]
+        if not (np.all(np.isfinite(positive)) and min(positive) > 0.0):
+            raise DriverError('safety rules: rates and command_timeout must be > 0 and finite')
+
+
+@dataclass(frozen=True)
+class Decision:
+    """
+    What to do in this cycle.
+
+    Parameters
+    ----------
+    command : ndarray, shape (m,)
+        What to write.
+    off : tuple of str
+        Inputs whose torque must be off.
+    state : str
+        `off`, `following`, `releasing`, `released` (at rest, holding) or `limp`.
+    reasons : tuple of str
+        Why it does not follow, one sentence each.
+    clipped : tuple of str
+        Inputs whose command was outside the limits.
+
+    """
+
+    command: Array
+    off: tuple[str, ...]
+    state: str
+    reasons: tuple[str, ...] = ()
+    clipped: tuple[str, ...] = ()
+
+
+@dataclass
+class Supervisor:
+    """The state between two cycles; all times are monotonic seconds given by the caller."""
+
+    rules: SafetyRules
+    state: str = OFF
+    _output: Array = field(init=False)
+    _asked: Array | None = None  # last usable command
+    _asked_at: float = -np.inf
+    _now: float = -np.inf
+    _clipped: tuple[str, ...] = ()
+    _stops: dict[str, str] = field(default_factory=dict)  # latched: key -> sentence
+    _lasting: dict[str, str] = field(default_factory=dict)  # causes that are there now
+    _tripped: set[str] = field(default_factory=set)  # inputs with a latched hardware error
+    _faulty: bool = False
+
+    def __post_init__(self) -> None:
+        """Start at rest, off."""
+        self._output = self.rules.rest.copy()
+
+    def start(self, now: float, reading: Reading) -> None:
+        """
+        Begin at the measured state, after torque on: no jump.
+
+        Raises
+        ------
+        DriverError
+            Pull mode, and a wire pull is not measured.
+
+        """
+        if self.rules.mode == 'pull' and not np.all(np.isfinite(reading.pulls)):
+            missing = [
+                n
+                for n, p in zip(self.rules.inputs, reading.pulls, strict=True)
+                if not np.isfinite(p)
+            ]
+            raise DriverError(f'cannot start: no wire pull measured for {", ".join(missing)}')
+        self._output = self._measured(reading, np.zeros(len(self.rules.inputs)))
+        self._asked, self._asked_at, self._now = None, now, now
+        self._clipped = ()
+        self.state = FOLLOWING
+
+    def stop(self, key: str, reason: str, lasting: bool = False) -> None:
+        """Latch a stop; while its cause is lasting, `reset` is refused."""
+        self._stops[key] = reason
+        if lasting:
+            self._lasting[key] = reason
+
+    def cause_gone(self, key: str) -> None:
+        """Say that the cause of a stop is gone; the stop stays latched until `reset`."""
+        self._lasting.pop(key, None)
+
+    def reset(self) -> None:
+        """
+        Clear the latched stops; the arm then waits for a new command.
+
+        Raises
+        ------
+        DriverError
+            A cause is still there.
+
+        """
+        if self._lasting:
+            raise DriverError('reset refused: ' + '; '.join(self._lasting.values()))
+        self._stops.clear()
+        self._tripped.clear()
+        self._asked = None
+
+    @property
+    def stopped(self) -> bool:
+        """Whether a stop is latched."""
+        return bool(self._stops)
+
+    def step(self, now: float, command: Array | None, reading: Reading) -> Decision:
+        """
+        Decide one cycle.
+
+        Parameters
+        ----------
+        now : float
+            Monotonic time [s].
+        command : ndarray, shape (m,), optional
+            A command that came since the last cycle; values that are not finite count as none.
+        reading : Reading
+            What the motors last said.
+
+        """
+        passed = now - self._now
+        passed = min(max(passed, 0.0), LONGEST_CYCLE) if np.isfinite(passed) else 0.0
+        self._now = max(now, self._now) if np.isfinite(now) else self._now
+        self._accept(command)
+        reasons = self._watch(reading) + list(self._stops.values())
+        if self.state == OFF:
+            return Decision(self._output.copy(), self.rules.inputs, OFF, tuple(reasons))
+        silence = self._now - self._asked_at
+        if silence > self.rules.command_timeout:
+            reasons.append(f'no command for {self.rules.command_timeout:g} s')
+        if not reasons:
+            self.state = FOLLOWING
+            goal = self._output if self._asked is None else self._asked
+            self._move(goal, self.rules.rates * passed, reading)
+        else:
+            self._release(passed, reading)
+        off = (
+            self.rules.inputs
+            if self.state == LIMP
+            else tuple(name for name in self.rules.inputs if name in self._tripped)
+        )
+        return Decision(
+            self._output.copy(), off, self.state, tuple(dict.fromkeys(reasons)), self._clipped
+        )
+
+    def _accept(self, command: Array | None) -> None:
+        """Take a command, clipped to the limits."""
+        if command is None or not np.all(np.isfinite(command)):
+            return
+        self._asked = bounded(command, self.rules.limits)
+        self._asked_at = self._now
+        outside = np.abs(command - self._asked) > 1e-9
+        self._clipped = tuple(
+            name for name, bad in zip(self.rules.inputs, outside, strict=True) if bad
+        )
+
+    def _watch(self, reading: Reading) -> list[str]:
+        """Latch hardware errors; after a lost connection begin again at the measured state."""
+        reasons = [fault.message for fault in reading.faults]
+        self._lasting.pop('hardware', None)
+        for fault in reading.faults:
+            if fault.hardware:
+                self._tripped.update(fault.inputs or self.rules.inputs)
+                self.stop('hardware', fault.message, lasting=True)
+        if self._faulty and not reading.faults and self.state not in (OFF, LIMP):
+            self._output = self._measured(reading, self._output)
+        self._faulty = bool(reading.faults)
+        return reasons
+
+    def _release(self, passed: float, reading: Reading) -> None:
+        if self.state == LIMP:
+            return
+        before = self._output
+        step = np.full(len(self.rules.inputs), self.rules.release_rate * passed)
+        self._move(self.rules.rest, step, reading)
+        arrived = np.allclose(self._output, self.rules.rest, atol=1e-12)
+        held = passed > 0.0 and np.array_equal(before, self._output)
+        self.state = RELEASING
+        if arrived or held:
+            self.state = LIMP if self.rules.release_to == 'limp' else RELEASED
+
+    def _move(self, goal: Array, step: Array, reading: Reading) -> None:
+        """Approach a goal; in pull mode never tighten a tight wire nor pay out a slack one."""
+        reached = approach(self._output, goal, step)
+        if self.rules.mode == 'pull':
+            low, high = self.rules.tension_limits
+            tension = reading.tensions
+            reached = np.where(tension > high, np.minimum(reached, self._output - step), reached)
+            slack = tension < 0.5 * low
+            reached = np.where(slack, np.maximum(reached, self._output), reached)
+            lowest = np.minimum(self._output, self.rules.limits[:, 0])
+            reached = np.maximum(reached, lowest)
+        self._output = reached
+
+    def _measured(self, reading: Reading, unknown: Array) -> Array:
+        """Where the motors are now, as a command; `unknown` where that is not observable."""
+        measured = reading.tensions if self.rules.mode == 'tension' else reading.pulls
+        known = np.where(np.isfinite(measured), measured, unknown)
+        if self.rules.mode == 'tension':
+            return np.clip(known, 0.0, self.rules.limits[:, 1])
+        return known
+
+
+def with_rates(rules: SafetyRules, rates: Array, release_rate: float) -> SafetyRules:
+    """Return the same rules with other rates (they may change at run time)."""
+    return replace(rules, rates=np.asarray(rates, dtype=float), release_rate=release_rate)

@@ -1,0 +1,252 @@
+"""Whatever comes in, what reaches the motors stays within limits and rates, and ends safe."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tendon_robot_ros.drivers import Fault, Reading
+from tendon_robot_ros.drivers.limits import approach
+from tendon_robot_ros.drivers.supervisor import LONGEST_CYCLE, SafetyRules, Supervisor
+from tendon_robot_ros.exceptions import DriverError
+
+INPUTS = ('left', 'right')
+LOW, HIGH, RATE, RELEASE = 0.1, 5.0, 8.0, 4.0
+CYCLE = 0.005
+
+
+def rules(mode='tension', **changes):
+    limits = [[LOW, HIGH]] * 2 if mode == 'tension' else [[-0.01, 0.02]] * 2
+    known = {
+        'inputs': INPUTS,
+        'mode': mode,
+        'limits': np.array(limits),
+        'rates': np.full(2, RATE if mode == 'tension' else 0.02),
+        'rest': np.full(2, LOW if mode == 'tension' else 0.0),
+        'release_rate': RELEASE if mode == 'tension' else 0.01,
+        'tension_limits': (LOW, HIGH),
+    }
+    return SafetyRules(**{**known, **changes})
+
+
+def reading(tensions=(LOW, LOW), pulls=(0.0, 0.0), faults=()):
+    return Reading(0.0, np.array(pulls), np.array(tensions), 'load_cell', None, tuple(faults))
+
+
+def started(mode='tension', first=None, **changes):
+    supervisor = Supervisor(rules(mode, **changes))
+    supervisor.start(0.0, first or reading())
+    return supervisor
+
+
+def run(supervisor, start, seconds, command=None, state=None):
+    """Step with the same command every cycle; return the last decision and the time."""
+    decision, now = None, start
+    for _ in range(round(seconds / CYCLE)):
+        now += CYCLE
+        decision = supervisor.step(now, command, state or reading())
+    return decision, now
+
+
+numbers = st.floats(allow_nan=True, allow_infinity=True)
+commands = st.none() | st.tuples(numbers, numbers)
+readings = st.builds(
+    reading,
+    st.tuples(numbers, numbers),
+    st.tuples(numbers, numbers),
+    st.lists(st.builds(Fault, st.just('x'), st.just('x'), st.booleans()), max_size=1),
+)
+events = st.lists(
+    st.tuples(
+        st.floats(-1.0, 2.0) | st.just(np.nan),
+        commands,
+        readings,
+        st.sampled_from(['', '', '', 'stop', 'lasting', 'gone', 'reset']),
+    ),
+    max_size=40,
+)
+
+
+def disturb(supervisor, event):
+    if event == 'stop':
+        supervisor.stop('button', 'button pressed')
+    elif event == 'lasting':
+        supervisor.stop('topic', 'stop topic says so', lasting=True)
+    elif event == 'gone':
+        supervisor.cause_gone('topic')
+    elif event == 'reset':
+        try:
+            supervisor.reset()
+        except DriverError:
+            pass
+
+
+@settings(deadline=None)
+@given(mode=st.sampled_from(['tension', 'pull']), first=readings, sequence=events)
+def test_no_sequence_of_inputs_breaks_limits_or_rates(mode, first, sequence):
+    supervisor = Supervisor(rules(mode))
+    try:
+        supervisor.start(0.0, first)
+    except DriverError:
+        return
+    limits, rate = supervisor.rules.limits, supervisor.rules.rates[0]
+    before, faulty = supervisor.step(0.0, None, reading()).command, False
+    now = 0.0
+    for passed, command, state, event in sequence:
+        disturb(supervisor, event)
+        now += passed
+        asked = None if command is None else np.array(command)
+        out = supervisor.step(now, asked, state).command
+        assert np.all(np.isfinite(out))
+        begins_again = faulty and not state.faults
+        if not begins_again:
+            assert np.all(np.abs(out - before) <= rate * LONGEST_CYCLE * (1 + 1e-9))
+            assert np.all(out >= np.minimum(before, limits[:, 0]) - 1e-12)
+            assert np.all(out <= np.maximum(before, limits[:, 1]) + 1e-12)
+        if mode == 'tension':
+            assert np.all((out >= 0.0) & (out <= HIGH))
+        before, faulty = out, bool(state.faults)
+        now = now if np.isfinite(now) else 0.0
+
+
+@given(st.lists(st.tuples(*[st.floats(-10, 10)] * 2), min_size=1), st.floats(0.0, 3.0))
+def test_approach_moves_straight_and_at_most_by_the_step(goals, step):
+    current = np.zeros(2)
+    for goal in goals:
+        after = approach(current, np.array(goal), np.full(2, step))
+        assert np.all(np.abs(after - current) <= step * (1 + 1e-12) + 1e-15)
+        way, done = np.array(goal) - current, after - current
+        assert abs(way[0] * done[1] - way[1] * done[0]) < 1e-9
+        current = after
+
+
+def test_a_command_is_followed_at_the_rate():
+    decision, _ = run(started(), 0.0, 0.1, np.array([2.0, LOW]))
+    assert decision.state == 'following'
+    assert decision.command == pytest.approx([LOW + 0.1 * RATE, LOW])
+    assert decision.reasons == ()
+
+
+def test_a_command_outside_the_limits_is_clipped_and_named():
+    decision, _ = run(started(), 0.0, 2.0, np.array([99.0, -1.0]))
+    assert decision.command == pytest.approx([HIGH, LOW])
+    assert decision.clipped == INPUTS
+
+
+def test_silence_releases_to_pretension_and_a_new_command_is_followed_again():
+    supervisor = started()
+    _, now = run(supervisor, 0.0, 1.0, np.array([3.0, 1.0]))
+    decision, now = run(supervisor, now, 0.2)
+    assert decision.state == 'releasing'
+    assert decision.reasons == ('no command for 0.1 s',)
+    decision, now = run(supervisor, now, 1.0)
+    assert decision.state == 'released'
+    assert decision.command == pytest.approx([LOW, LOW])
+    assert decision.off == ()
+    decision, _ = run(supervisor, now, 1.0, np.array([3.0, 1.0]))
+    assert decision.command == pytest.approx([3.0, 1.0])
+
+
+def test_a_release_changes_tension_no_faster_than_the_release_rate():
+    supervisor = started(first=reading((4.0, 2.0)))
+    decision, now = run(supervisor, 0.0, 0.105)
+    before = decision.command
+    decision, _ = run(supervisor, now, 0.1)
+    assert before[0] - decision.command[0] == pytest.approx(RELEASE * 0.1)
+
+
+def test_release_to_limp_switches_torque_off_at_the_end_only():
+    supervisor = started(first=reading((1.0, 1.0)), release_to='limp')
+    decision, now = run(supervisor, 0.0, 0.2)
+    assert decision.off == ()
+    decision, now = run(supervisor, now, 0.5)
+    assert decision.state == 'limp'
+    assert decision.off == INPUTS
+    decision = supervisor.step(now + CYCLE, np.array([1.0, 1.0]), reading())
+    assert decision.state == 'following'
+    assert decision.off == ()
+
+
+def test_a_stop_latches_and_reset_waits_for_a_new_command():
+    supervisor = started()
+    command = np.array([3.0, 1.0])
+    _, now = run(supervisor, 0.0, 1.0, command)
+    supervisor.stop('button', 'stop was called')
+    decision, now = run(supervisor, now, 2.0, command)
+    assert decision.state == 'released'
+    assert decision.reasons == ('stop was called',)
+    supervisor.reset()
+    decision, now = run(supervisor, now, 0.05)
+    assert decision.command == pytest.approx([LOW, LOW])
+    decision, _ = run(supervisor, now, 1.0, command)
+    assert decision.command == pytest.approx(command)
+
+
+def test_reset_is_refused_while_the_cause_lasts():
+    supervisor = started()
+    supervisor.stop('topic', 'topic stop says true', lasting=True)
+    with pytest.raises(DriverError, match='reset refused: topic stop says true'):
+        supervisor.reset()
+    supervisor.cause_gone('topic')
+    assert supervisor.stopped
+    supervisor.reset()
+    assert not supervisor.stopped
+
+
+def test_a_hardware_error_takes_torque_from_that_motor_only_and_releases_the_others():
+    supervisor = started(first=reading((2.0, 2.0)))
+    bad = reading((2.0, 2.0), faults=[Fault('overload', 'motor 1: overload', True, ('left',))])
+    command = np.array([2.0, 2.0])
+    decision = supervisor.step(CYCLE, command, bad)
+    assert decision.off == ('left',)
+    decision, now = run(supervisor, CYCLE, 1.0, command, bad)
+    assert decision.off == ('left',)
+    assert decision.command == pytest.approx([LOW, LOW])
+    with pytest.raises(DriverError, match='motor 1: overload'):
+        supervisor.reset()
+    decision, now = run(supervisor, now, 0.1, command)
+    assert decision.off == ('left',)
+    supervisor.reset()
+    decision, _ = run(supervisor, now, 0.1, command)
+    assert decision.off == ()
+    assert decision.state == 'following'
+
+
+def test_after_a_lost_connection_it_begins_again_at_the_measured_state():
+    supervisor = started()
+    command = np.array([3.0, 3.0])
+    _, now = run(supervisor, 0.0, 1.0, command)
+    lost = reading((np.nan, np.nan), faults=[Fault('port', 'the port is gone')])
+    decision, now = run(supervisor, now, 0.1, command, lost)
+    assert decision.reasons == ('the port is gone',)
+    decision = supervisor.step(now + CYCLE, command, reading((1.0, 1.0)))
+    assert decision.command == pytest.approx([1.0 + RATE * CYCLE] * 2)
+
+
+def test_in_pull_mode_a_tight_wire_pays_out_and_a_slack_one_does_not():
+    supervisor = started('pull', reading(pulls=(0.005, 0.005)))
+    command = np.array([0.010, 0.0])
+    decision, _ = run(supervisor, 0.0, 0.1, command, reading((HIGH + 1, 0.0)))
+    assert decision.command[0] < 0.005
+    assert decision.command[1] == 0.005
+
+
+def test_pull_mode_does_not_start_without_a_measured_pull():
+    with pytest.raises(DriverError, match='no wire pull measured for right'):
+        started('pull', reading(pulls=(0.0, np.nan)))
+
+
+@pytest.mark.parametrize(
+    'changes',
+    [
+        {'limits': np.array([[1.0, 0.5]] * 2)},
+        {'rates': np.array([0.0, 1.0])},
+        {'rest': np.array([0.0, 1.0])},
+        {'command_timeout': np.inf},
+        {'release_to': 'nowhere'},
+        {'rates': np.ones(3)},
+    ],
+)
+def test_rules_that_cannot_be_held_are_refused(changes):
+    with pytest.raises(DriverError, match='safety rules'):
+        rules(**changes)
