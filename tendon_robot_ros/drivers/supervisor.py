@@ -7,104 +7,19 @@ the limits, changes no faster than the rates, and goes to pretension when comman
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..exceptions import DriverError
-from .interface import MODES, Reading
+from .interface import Reading
 from .limits import approach, bounded
+from .safety import Decision, SafetyRules
 
 Array = NDArray[np.float64]
 OFF, FOLLOWING, RELEASING, RELEASED, LIMP = 'off', 'following', 'releasing', 'released', 'limp'
 LONGEST_CYCLE = 0.05  # [s]; after a stall the command does not catch up in one step
-
-
-@dataclass(frozen=True)
-class SafetyRules:
-    """
-    Limits of a robot's commands.
-
-    Parameters
-    ----------
-    inputs : tuple of str, length m
-    mode : str
-        `tension` [N] or `pull` [m]: the unit of everything below.
-    limits : ndarray, shape (m, 2)
-    rates : ndarray, shape (m,)
-        Largest change per second while following.
-    rest : ndarray, shape (m,)
-        Where a release goes: pretension, or the wire pulls of the straight arm.
-    release_rate : float
-        Largest change per second while releasing.
-    command_timeout : float
-        Silence after which the arm is released [s].
-    release_to : str
-        `pretension`: hold there; `limp`: then torque off.
-    tension_limits : tuple of float
-        In pull mode: a wire tighter than the second pays out, one slacker than half the first
-        pays out no further [N]. Needs an observed tension.
-
-    """
-
-    inputs: tuple[str, ...]
-    mode: str
-    limits: Array
-    rates: Array
-    rest: Array
-    release_rate: float
-    command_timeout: float = 0.1
-    release_to: str = 'pretension'
-    tension_limits: tuple[float, float] = (0.0, np.inf)
-
-    def __post_init__(self) -> None:
-        """Refuse rules that cannot be held."""
-        m = len(self.inputs)
-        shapes = [np.shape(a) for a in (self.limits, self.rates, self.rest)]
-        if shapes != [(m, 2), (m,), (m,)]:
-            raise DriverError(f'safety rules: expected values for {m} inputs, got shapes {shapes}')
-        if self.mode not in MODES or self.release_to not in ('pretension', 'limp'):
-            raise DriverError(
-                f'safety rules: unknown mode or release_to: {self.mode!r}, {self.release_to!r}'
-            )
-        if not np.all(self.limits[:, 0] < self.limits[:, 1]):
-            raise DriverError(f'safety rules: limits: lowest >= highest: {self.limits.tolist()}')
-        if not np.all((self.rest >= self.limits[:, 0]) & (self.rest <= self.limits[:, 1])):
-            raise DriverError(
-                f'safety rules: rest {self.rest.tolist()} is outside the limits '
-                f'{self.limits.tolist()}'
-            )
-        positive = [*self.rates, self.release_rate, self.command_timeout]
-        if not (np.all(np.isfinite(positive)) and min(positive) > 0.0):
-            raise DriverError('safety rules: rates and command_timeout must be > 0 and finite')
-
-
-@dataclass(frozen=True)
-class Decision:
-    """
-    What to do in this cycle.
-
-    Parameters
-    ----------
-    command : ndarray, shape (m,)
-        What to write.
-    off : tuple of str
-        Inputs whose torque must be off.
-    state : str
-        `off`, `following`, `releasing`, `released` (at rest, holding) or `limp`.
-    reasons : tuple of str
-        Why it does not follow, one sentence each.
-    clipped : tuple of str
-        Inputs whose command was outside the limits.
-
-    """
-
-    command: Array
-    off: tuple[str, ...]
-    state: str
-    reasons: tuple[str, ...] = ()
-    clipped: tuple[str, ...] = ()
 
 
 @dataclass
@@ -275,8 +190,3 @@ class Supervisor:
         if self.rules.mode == 'tension':
             return np.clip(known, 0.0, self.rules.limits[:, 1])
         return known
-
-
-def with_rates(rules: SafetyRules, rates: Array, release_rate: float) -> SafetyRules:
-    """Return the same rules with other rates (they may change at run time)."""
-    return replace(rules, rates=np.asarray(rates, dtype=float), release_rate=release_rate)
