@@ -42,7 +42,7 @@ def run_installed(installed, *command):
 
 
 def test_ros2_run_finds_every_command(installed):
-    executables = sorted(path.name for path in (installed / 'lib/tendon_robot_ros').iterdir())
+    executables = sorted(path.name for path in (installed / 'lib/tendon_robot_ros').glob('*'))
     assert executables == sorted(COMMANDS)
 
 

@@ -40,10 +40,8 @@ def test_setup_takes_name_version_and_licence_from_package_xml():
 
 def test_every_command_becomes_an_executable(tmp_path):
     setup_py('egg_info', '--egg-base', str(tmp_path))
-    (entry_points,) = tmp_path.glob('*/entry_points.txt')
-    scripts = re.findall(
-        r'^(\S+) = tendon_robot_ros\.cli\.main:run_named$', entry_points.read_text(), re.M
-    )
+    entry_points = ''.join(path.read_text() for path in tmp_path.glob('*/entry_points.txt'))
+    scripts = re.findall(r'^(\S+) = tendon_robot_ros.cli.main:run_named$', entry_points, re.M)
     assert sorted(scripts) == sorted(COMMANDS)
 
 
