@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from .exceptions import InputError, RobotDescriptionError
-from .robot_checks import parse_yaml, Reader
+from .robot_checks import Reader, parse_yaml
 
 TOLERANCES = ('bending_stiffness', 'friction_coefficient', 'tension_gain', 'position', 'rotation')
 EffectValues = dict[str, float | tuple[float, ...]]

@@ -1,0 +1,208 @@
+"""Measured postures as frozen arrays; a missing value is NaN (SI units)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..exceptions import DataSetError, InputError
+from ..robot import Robot
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Vector = tuple[float, float, float]
+
+INPUTS = ('tension', 'displacement')
+PATHS = ('from_straight', 'sequence')
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A tracked point of the arm."""
+
+    name: str
+    arc_length: float  # [m] from the base along the straight backbone
+    offset: Vector = (0.0, 0.0, 0.0)  # [m] in the frame at that arc length
+
+
+def default_markers(robot: Robot) -> tuple[Marker, ...]:
+    """Return one marker per cell, named '1' to 'n', at the cell's distal end."""
+    lengths = np.repeat([s.cell_length for s in robot.sections], [s.cells for s in robot.sections])
+    return tuple(Marker(str(i + 1), float(s)) for i, s in enumerate(np.cumsum(lengths)))
+
+
+def listing(names: Iterable[str]) -> str:
+    """List names in a message; a long list is cut in the middle."""
+    known = list(names)
+    return ', '.join(known if len(known) <= 12 else [*known[:6], '...', *known[-3:]]) or 'none'
+
+
+@dataclass(frozen=True, eq=False)
+class DataSet:
+    """
+    Postures of a robot, what was commanded and where its markers were.
+
+    P postures, Q trials, J markers, m inputs. In a `sequence` every trial replays all postures in
+    order, so a posture without any measurement may stand between others; `from_straight` each
+    posture has at least one. The trials of a posture need not be the first ones: use `mask`.
+    """
+
+    name: str  # the folder, as the user wrote it
+    robot: Robot
+    markers: tuple[Marker, ...]  # (J,)
+    postures: tuple[str, ...]  # (P,)
+    inputs: FloatArray  # (P, m) [N] or [m], columns as robot.inputs; NaN = slack
+    positions: FloatArray  # (P, Q, J, 3) [m], base frame
+    orientations: FloatArray | None = None  # (P, Q, J, 4) [1], quaternion x y z w
+    trial_inputs: FloatArray | None = None  # (P, Q, m) where they were measured per trial
+    trial_names: tuple[str, ...] = ()  # (Q,), by default '0' to 'Q-1'
+    input: str = 'tension'  # or 'displacement'
+    path: str = 'from_straight'  # or 'sequence'
+    gravity: Vector | None = None  # [m/s²], base frame; None = the file does not say
+    position_noise: float | None = None  # [m], 1 sd per coordinate
+    setting_noise: float = 0.0  # [1], relative 1 sd per tendon, shared by a posture's trials
+    trial_noise: float = 0.0  # [1], relative 1 sd per tendon and trial
+    accuracy: float | None = None  # [m], the error the user can live with
+    robot_path: Path | None = None  # the description's file
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only and refuse shapes that do not fit each other."""
+        P, m, J = len(self.postures), len(self.robot.inputs), len(self.markers)
+        Q = np.shape(self.positions)[1] if np.ndim(self.positions) == 4 else 0
+        if not self.trial_names:
+            object.__setattr__(self, 'trial_names', tuple(str(q) for q in range(Q)))
+        shapes = {'inputs': (P, m), 'positions': (P, Q, J, 3), 'orientations': (P, Q, J, 4),
+                  'trial_inputs': (P, Q, m)}
+        for key, shape in shapes.items():
+            if getattr(self, key) is None:
+                continue
+            array = np.array(getattr(self, key), dtype=float)
+            if array.shape != shape:
+                raise DataSetError(f'{self.name}: {key}', f'has shape {array.shape}',
+                                   f'expected {shape} from postures, trials, markers and inputs')
+            array.setflags(write=False)
+            object.__setattr__(self, key, array)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the columns of `inputs`."""
+        return self.robot.inputs
+
+    @cached_property
+    def mask(self) -> BoolArray:
+        """Tell which marker was seen in which trial, (P, Q, J)."""
+        return np.isfinite(self.positions).all(axis=3)
+
+    @cached_property
+    def trial_mask(self) -> BoolArray:
+        """Tell which trial saw at least one marker, (P, Q)."""
+        return self.mask.any(axis=2)
+
+    @cached_property
+    def trials(self) -> NDArray[np.int64]:
+        """Number of trials that saw at least one marker, (P,)."""
+        return self.trial_mask.sum(axis=1)
+
+    @cached_property
+    def counts(self) -> NDArray[np.int64]:
+        """Number of trials that saw the marker, (P, J)."""
+        return self.mask.sum(axis=1)
+
+    @cached_property
+    def mean(self) -> FloatArray:
+        """Mean position over the trials that saw the marker, (P, J, 3) [m]; NaN without any."""
+        total = np.where(self.mask[..., None], self.positions, 0.0).sum(axis=1)
+        counts = self.counts[..., None]
+        return np.where(counts > 0, total / np.maximum(counts, 1), np.nan)
+
+    @cached_property
+    def inputs_by_trial(self) -> FloatArray:
+        """Inputs of every trial, (P, Q, m) [N] or [m]: the measured ones, else the posture's."""
+        if self.trial_inputs is not None:
+            return self.trial_inputs
+        P, Q = self.positions.shape[:2]
+        return np.broadcast_to(self.inputs[:, None, :], (P, Q, self.inputs.shape[1]))
+
+    @cached_property
+    def arc_lengths(self) -> FloatArray:
+        """Arc length of every marker, (J,) [m]."""
+        return np.array([marker.arc_length for marker in self.markers])
+
+    @cached_property
+    def offsets(self) -> FloatArray:
+        """Offset of every marker in the frame at its arc length, (J, 3) [m]."""
+        return np.array([marker.offset for marker in self.markers]).reshape(-1, 3)
+
+    def gravity_for(self, robot: Robot) -> Vector | None:
+        """Return the gravity [m/s²] that acted: the data set's, else the robot's, else None."""
+        return self.gravity if self.gravity is not None else robot.gravity
+
+    def select(self, postures: Iterable[str]) -> DataSet:
+        """
+        Return the data set with these postures only, in the order of the file.
+
+        A sequence keeps the postures in between, because the arm remembers them, but without
+        their measurements.
+
+        Raises
+        ------
+        InputError
+            A posture is unknown, or none is named.
+
+        """
+        wanted = set(postures)
+        unknown = wanted.difference(self.postures)
+        if unknown or not wanted:
+            problem = f'no posture {min(unknown)!r}' if unknown else 'no posture is selected'
+            raise InputError(f'{self.name}: {problem}; known: {listing(self.postures)}')
+        chosen = np.array([posture in wanted for posture in self.postures])
+        if self.path == 'from_straight':
+            return self._rows(np.flatnonzero(chosen))
+        part = self._rows(np.arange(np.flatnonzero(chosen)[-1] + 1))
+        hidden = ~chosen[: len(part.postures), None, None, None]
+        seen = part.orientations
+        return replace(
+            part, positions=np.where(hidden, np.nan, part.positions),
+            orientations=None if seen is None else np.where(hidden, np.nan, seen),
+        )
+
+    def hold_out(self, share: float = 0.25, seed: int = 0) -> tuple[DataSet, DataSet]:
+        """
+        Split into postures to fit and postures to check, drawn at random.
+
+        Parameters
+        ----------
+        share : float
+            Share of the measured postures that the second data set gets, at least one.
+        seed : int
+            The same seed draws the same postures.
+
+        Raises
+        ------
+        InputError
+            There are fewer than two measured postures, or the share is not between 0 and 1.
+
+        """
+        measured = [name for name, n in zip(self.postures, self.trials, strict=True) if n]
+        if len(measured) < 2 or not 0.0 < share < 1.0:
+            raise InputError(f'{self.name}: cannot hold out a share of {share:g} of '
+                             f'{len(measured)} measured postures; both parts need at least one')
+        size = min(max(round(share * len(measured)), 1), len(measured) - 1)
+        drawn = np.random.default_rng(seed).permutation(len(measured))[:size]
+        check = {measured[i] for i in drawn}
+        return self.select(set(measured) - check), self.select(check)
+
+    def _rows(self, rows: NDArray[np.intp]) -> DataSet:
+        def part(array: FloatArray | None) -> FloatArray | None:
+            return None if array is None else array[rows]
+
+        return replace(
+            self, postures=tuple(self.postures[i] for i in rows), inputs=self.inputs[rows],
+            positions=self.positions[rows], orientations=part(self.orientations),
+            trial_inputs=part(self.trial_inputs),
+        )
