@@ -36,8 +36,11 @@ def new_folder(folder: Path, replaceable: tuple[str, ...] = ()) -> Iterator[Path
         folder.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f'.{folder.name}-', dir=folder.parent))
     except OSError as error:
-        raise DataSetError(str(folder), f'cannot be written ({error.strerror})',
-                           'name a place where you may write') from None
+        raise DataSetError(
+            str(folder),
+            f'cannot be written ({error.strerror})',
+            'name a place where you may write',
+        ) from None
     try:
         filled = temporary / 'new'
         filled.mkdir()
@@ -47,8 +50,11 @@ def new_folder(folder: Path, replaceable: tuple[str, ...] = ()) -> Iterator[Path
             folder.rename(temporary / 'old')
         filled.rename(folder)
     except OSError as error:
-        raise DataSetError(str(folder), f'cannot be written ({error.strerror})',
-                           'make room there or name another place') from None
+        raise DataSetError(
+            str(folder),
+            f'cannot be written ({error.strerror})',
+            'make room there or name another place',
+        ) from None
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
@@ -76,5 +82,6 @@ def _check(folder: Path, replaceable: tuple[str, ...]) -> None:
         raise DataSetError(str(folder), 'is a file', 'name a folder')
     for name in sorted(entry.name for entry in folder.iterdir()):
         if name not in replaceable:
-            raise DataSetError(str(folder), f'is not empty, it holds {name}',
-                               'name a new folder or empty it')
+            raise DataSetError(
+                str(folder), f'is not empty, it holds {name}', 'name a new folder or empty it'
+            )

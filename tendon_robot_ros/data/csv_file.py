@@ -44,11 +44,13 @@ class CsvFile:
         except UnicodeDecodeError:
             raise self._encoding() from None
         except OSError as error:
-            raise DataSetError(str(path), f'cannot be read ({error.strerror})',
-                               'a data set needs this file') from None
+            raise DataSetError(
+                str(path), f'cannot be read ({error.strerror})', 'a data set needs this file'
+            ) from None
         if not line.strip():
-            raise DataSetError(str(path), 'has no header',
-                               f'start it with the line {",".join(required)}')
+            raise DataSetError(
+                str(path), 'has no header', f'start it with the line {",".join(required)}'
+            )
         if '\0' in line:
             raise self._encoding()
         self.header = self._header(line, required, known)
@@ -110,21 +112,24 @@ class CsvFile:
                 raise self.error(int(empty.argmax()) + 2, f'{key} is empty', f'write a {key}')
         if repeated := table.repeated():
             row, first = repeated
-            raise self.error(row + 2, f'{table.name(row)} stands in row {first + 2} too',
-                             'remove one of them')
+            raise self.error(
+                row + 2, f'{table.name(row)} stands in row {first + 2} too', 'remove one of them'
+            )
 
     def _header(self, line: str, required: Sequence[str], known: Sequence[str]) -> list[str]:
         for mark, name in ((';', 'semicolons'), ('\t', 'tabs')):
             if mark in line and ',' not in line:
-                raise self.error(1, f'columns are separated by {name}',
-                                 'export with commas between columns and points in numbers')
+                raise self.error(
+                    1,
+                    f'columns are separated by {name}',
+                    'export with commas between columns and points in numbers',
+                )
         header = [cell.strip(' "\n') for cell in line.split(',')]
         for name in header:
             if header.count(name) > 1:
                 raise self.error(1, f'column {name!r} stands twice', 'keep one of them')
             if name not in known:
-                raise self.error(1, f'column {short(name)} is unknown',
-                                 f'known: {listing(known)}')
+                raise self.error(1, f'column {short(name)} is unknown', f'known: {listing(known)}')
         for name in required:
             if name not in header:
                 raise self.error(1, f'column {name!r} is missing', 'add it to the header')
@@ -140,15 +145,19 @@ class CsvFile:
             rows = []
         if len(rows) != len(lines):
             place = next((i for i, line in enumerate(lines) if line.count('"') % 2), 0)
-            raise self.error(row + place, 'a quotation mark is not closed',
-                             'close it on the same line or remove it')
+            raise self.error(
+                row + place,
+                'a quotation mark is not closed',
+                'close it on the same line or remove it',
+            )
         numbers = [key for key in self.header if dtype[key].kind == 'f']
         block = np.empty(len(rows), dtype)
         for place, cells in enumerate(rows):
             self._check_width(cells, row + place)
             block[place] = tuple(
                 self._float(cell.strip(), key, row + place) if key in numbers else cell
-                for key, cell in zip(self.header, cells, strict=True))
+                for key, cell in zip(self.header, cells, strict=True)
+            )
         return block
 
     def _check_width(self, cells: list[str], row: int) -> None:
@@ -156,8 +165,11 @@ class CsvFile:
             raise self.error(row, 'the line is empty', 'remove it')
         if len(cells) != len(self.header):
             raise self.error(
-                row, f'{len(cells)} cells under {len(self.header)} columns', 'write every column '
-                '(an empty cell where a value is missing) and points, not commas, in numbers')
+                row,
+                f'{len(cells)} cells under {len(self.header)} columns',
+                'write every column '
+                '(an empty cell where a value is missing) and points, not commas, in numbers',
+            )
 
     def _float(self, cell: str, key: str, row: int) -> float:
         if not cell:

@@ -76,15 +76,22 @@ class DataSet:
         Q = np.shape(self.positions)[1] if np.ndim(self.positions) == 4 else 0
         if not self.trial_names:
             object.__setattr__(self, 'trial_names', tuple(str(q) for q in range(Q)))
-        shapes = {'inputs': (P, m), 'positions': (P, Q, J, 3), 'orientations': (P, Q, J, 4),
-                  'trial_inputs': (P, Q, m)}
+        shapes = {
+            'inputs': (P, m),
+            'positions': (P, Q, J, 3),
+            'orientations': (P, Q, J, 4),
+            'trial_inputs': (P, Q, m),
+        }
         for key, shape in shapes.items():
             if getattr(self, key) is None:
                 continue
             array = np.array(getattr(self, key), dtype=float)
             if array.shape != shape:
-                raise DataSetError(f'{self.name}: {key}', f'has shape {array.shape}',
-                                   f'expected {shape} from postures, trials, markers and inputs')
+                raise DataSetError(
+                    f'{self.name}: {key}',
+                    f'has shape {array.shape}',
+                    f'expected {shape} from postures, trials, markers and inputs',
+                )
             array.setflags(write=False)
             object.__setattr__(self, key, array)
 
@@ -167,7 +174,8 @@ class DataSet:
         hidden = ~chosen[: len(part.postures), None, None, None]
         seen = part.orientations
         return replace(
-            part, positions=np.where(hidden, np.nan, part.positions),
+            part,
+            positions=np.where(hidden, np.nan, part.positions),
             orientations=None if seen is None else np.where(hidden, np.nan, seen),
         )
 
@@ -190,8 +198,10 @@ class DataSet:
         """
         measured = [name for name, n in zip(self.postures, self.trials, strict=True) if n]
         if len(measured) < 2 or not 0.0 < share < 1.0:
-            raise InputError(f'{self.name}: cannot hold out a share of {share:g} of '
-                             f'{len(measured)} measured postures; both parts need at least one')
+            raise InputError(
+                f'{self.name}: cannot hold out a share of {share:g} of '
+                f'{len(measured)} measured postures; both parts need at least one'
+            )
         size = min(max(round(share * len(measured)), 1), len(measured) - 1)
         drawn = np.random.default_rng(seed).permutation(len(measured))[:size]
         check = {measured[i] for i in drawn}
@@ -202,7 +212,10 @@ class DataSet:
             return None if array is None else array[rows]
 
         return replace(
-            self, postures=tuple(self.postures[i] for i in rows), inputs=self.inputs[rows],
-            positions=self.positions[rows], orientations=part(self.orientations),
+            self,
+            postures=tuple(self.postures[i] for i in rows),
+            inputs=self.inputs[rows],
+            positions=self.positions[rows],
+            orientations=part(self.orientations),
             trial_inputs=part(self.trial_inputs),
         )

@@ -14,8 +14,16 @@ from ..robot import Robot, load_robot
 from ..robot_checks import Reader, parse_yaml
 from .dataset import INPUTS, PATHS, DataSet, Marker, Vector, default_markers
 
-KEYS = ('robot', 'input', 'path', 'gravity', 'position_noise', 'tension_noise', 'accuracy',
-        'markers')
+KEYS = (
+    'robot',
+    'input',
+    'path',
+    'gravity',
+    'position_noise',
+    'tension_noise',
+    'accuracy',
+    'markers',
+)
 LARGEST_GRAVITY = 30.0  # [m/s²]; Jupiter has 25
 
 
@@ -24,8 +32,9 @@ class Fields(Reader):
 
     def error(self, key: str, expected: str, got: object) -> DataSetError:
         """Build the error for a key."""
-        return DataSetError(f'{self.source}: {self._where(key)}', f'got {short(got)}',
-                            f'expected {expected}')
+        return DataSetError(
+            f'{self.source}: {self._where(key)}', f'got {short(got)}', f'expected {expected}'
+        )
 
     def label(self, key: str) -> str:
         """Return a name; a whole number will do, because markers are often counted."""
@@ -86,8 +95,11 @@ def find_robot(fields: Fields, folder: Path) -> Robot:
     """
     path = folder / fields.label('robot') if fields.has('robot') else folder / 'robot.yaml'
     if not path.is_file():
-        raise DataSetError(f'{fields.source}: robot', f'no file {path}',
-                           'put the robot description there or correct the path')
+        raise DataSetError(
+            f'{fields.source}: robot',
+            f'no file {path}',
+            'put the robot description there or correct the path',
+        )
     return load_robot(path)
 
 
@@ -108,7 +120,8 @@ def describe(fields: Fields, robot: Robot) -> Description:
         path=fields.choice('path', PATHS, default='from_straight'),
         gravity=_gravity(fields) if fields.has('gravity') else None,
         position_noise=fields.distance('position_noise', robot.length / 10),
-        setting_noise=_relative(noise, 'setting'), trial_noise=_relative(noise, 'trial'),
+        setting_noise=_relative(noise, 'setting'),
+        trial_noise=_relative(noise, 'trial'),
         accuracy=fields.distance('accuracy', robot.length),
         markers=_markers(fields, robot) if fields.has('markers') else None,
     )
@@ -132,8 +145,9 @@ def _markers(fields: Fields, robot: Robot) -> tuple[Marker, ...]:
         arc_length = item.number('arc_length', 0.0, robot.length + 1e-9, 'm')
         offset = item.vector('offset', 3) if item.has('offset') else (0.0, 0.0, 0.0)
         if max(map(abs, offset)) > 3.0 * robot.length:
-            raise item.error('offset', 'at most three robot lengths [m] (is it in mm?)',
-                             list(offset))
+            raise item.error(
+                'offset', 'at most three robot lengths [m] (is it in mm?)', list(offset)
+            )
         markers.append(Marker(item.label('name'), arc_length, offset))
     fields.unique('markers', [marker.name for marker in markers])
     return tuple(markers)
@@ -153,8 +167,9 @@ def dump_description(dataset: DataSet, robot: str = 'robot.yaml') -> str:
         content['accuracy'] = dataset.accuracy
     if dataset.markers != default_markers(dataset.robot):
         content['markers'] = [_plain(marker) for marker in dataset.markers]
-    return str(yaml.safe_dump(content, sort_keys=False, default_flow_style=None,
-                              allow_unicode=True))
+    return str(
+        yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    )
 
 
 def _plain(marker: Marker) -> Mapping[str, Any]:

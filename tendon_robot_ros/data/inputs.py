@@ -54,9 +54,12 @@ class Commands:
         mixed = (pulled > 0) & (pulled < rows)
         if mixed.any():
             row = int(np.argmax((slack & mixed[posture]).any(axis=1)))
-            raise self.file.error(row + 2, 'a tendon is slack here and pulled in other trials of '
-                                  f'posture {self.postures[posture[row]]!r}',
-                                  'give postures of different inputs different names')
+            raise self.file.error(
+                row + 2,
+                'a tendon is slack here and pulled in other trials of '
+                f'posture {self.postures[posture[row]]!r}',
+                'give postures of different inputs different names',
+            )
         return np.where(pulled > 0, total / np.maximum(pulled, 1), np.nan)
 
     def by_trial(self, trials: tuple[str, ...]) -> FloatArray | None:
@@ -103,12 +106,21 @@ def _check(file: CsvFile, values: FloatArray, robot: Robot, kind: str) -> None:
             raise file.error(int(row) + 2, text, remedy)
 
     if kind == 'displacement':
-        refuse(np.abs(values) > robot.length, '{name} is pulled by {value:g} m, but the robot is '
-               f'only {robot.length:g} m long', 'write metres (is it in mm?)')
+        refuse(
+            np.abs(values) > robot.length,
+            f'{{name}} is pulled by {{value:g}} m, but the robot is only {robot.length:g} m long',
+            'write metres (is it in mm?)',
+        )
         return
     limit = robot.tension_limits[1]
-    refuse(np.isnan(values), '{name} is empty', 'write 0 for a slack tendon (an empty cell means '
-           'slack only with input: displacement)')
+    refuse(
+        np.isnan(values),
+        '{name} is empty',
+        'write 0 for a slack tendon (an empty cell means slack only with input: displacement)',
+    )
     refuse(values < 0.0, '{name} is {value:g} N', 'a tendon cannot push: write 0 or more')
-    refuse(values > STRONGEST * limit, '{name} is {value:g} N, but tension_limits end at '
-           f'{limit:g} N', 'write newtons (is it in g or mN?)')
+    refuse(
+        values > STRONGEST * limit,
+        f'{{name}} is {{value:g}} N, but tension_limits end at {limit:g} N',
+        'write newtons (is it in g or mN?)',
+    )

@@ -44,21 +44,32 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
     markers = said.markers or default_markers(robot)
     names = tuple(marker.name for marker in markers)
     commands = read_inputs(folder / 'inputs.csv', robot, said.input)
-    shapes = read_shapes(folder / 'shapes.csv', robot, names, commands,
-                         said.path == 'sequence')
+    shapes = read_shapes(folder / 'shapes.csv', robot, names, commands, said.path == 'sequence')
     seen = np.isfinite(shapes.positions[..., 0]).any(axis=(0, 1))
     if said.markers and not seen.all():
-        raise DataSetError(f'{path}: markers', f'{names[int(seen.argmin())]!r} was never seen in '
-                           'shapes.csv', 'correct the name or remove the marker')
+        raise DataSetError(
+            f'{path}: markers',
+            f'{names[int(seen.argmin())]!r} was never seen in shapes.csv',
+            'correct the name or remove the marker',
+        )
     turned = shapes.orientations
     return DataSet(
-        name=str(folder), robot=robot, robot_path=Path(robot.source),
+        name=str(folder),
+        robot=robot,
+        robot_path=Path(robot.source),
         markers=tuple(marker for marker, one in zip(markers, seen, strict=True) if one),
-        postures=commands.postures, inputs=commands.by_posture(), trial_names=shapes.trials,
-        trial_inputs=commands.by_trial(shapes.trials), positions=shapes.positions[:, :, seen],
+        postures=commands.postures,
+        inputs=commands.by_posture(),
+        trial_names=shapes.trials,
+        trial_inputs=commands.by_trial(shapes.trials),
+        positions=shapes.positions[:, :, seen],
         orientations=None if turned is None else turned[:, :, seen],
-        input=said.input, path=said.path, gravity=said.gravity, accuracy=said.accuracy,
-        position_noise=said.position_noise, setting_noise=said.setting_noise,
+        input=said.input,
+        path=said.path,
+        gravity=said.gravity,
+        accuracy=said.accuracy,
+        position_noise=said.position_noise,
+        setting_noise=said.setting_noise,
         trial_noise=said.trial_noise,
     )
 
@@ -69,5 +80,6 @@ def _read_text(path: Path) -> str:
     except UnicodeDecodeError:
         raise DataSetError(str(path), 'is no UTF-8 text', 'save it as UTF-8') from None
     except OSError as error:
-        raise DataSetError(str(path), f'cannot be read ({error.strerror})',
-                           'name a folder that holds a data set') from None
+        raise DataSetError(
+            str(path), f'cannot be read ({error.strerror})', 'name a folder that holds a data set'
+        ) from None

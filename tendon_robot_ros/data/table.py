@@ -22,8 +22,9 @@ class Table:
 
     def name(self, row: int, *keys: str) -> str:
         """Say which row of the table this is, by its names (in all name columns by default)."""
-        return ', '.join(f'{key} {self.labels[key][self.codes[key][row]]!r}'
-                         for key in keys or self.labels)
+        return ', '.join(
+            f'{key} {self.labels[key][self.codes[key][row]]!r}' for key in keys or self.labels
+        )
 
     def repeated(self) -> tuple[int, int] | None:
         """Return the first row whose names stood in an earlier row, and that row."""

@@ -40,8 +40,11 @@ def save_dataset(dataset: DataSet, folder: str | Path, overwrite: bool = False) 
     unmeasured = dataset.trials == 0
     if unmeasured.all() or (unmeasured.any() and dataset.path == 'from_straight'):
         posture = dataset.postures[int(unmeasured.argmax())]
-        raise DataSetError(f'{dataset.name}: posture {posture!r}',
-                           'has no measurement to write', 'select the measured postures')
+        raise DataSetError(
+            f'{dataset.name}: posture {posture!r}',
+            'has no measurement to write',
+            'select the measured postures',
+        )
     dataset = _without_unseen(dataset)
     with new_folder(Path(folder), FILES if overwrite else ()) as new:
         (new / 'dataset.yaml').write_text(dump_description(dataset), encoding='utf-8')
@@ -57,7 +60,8 @@ def _without_unseen(dataset: DataSet) -> DataSet:
         return dataset
     turned = dataset.orientations
     return replace(
-        dataset, markers=tuple(m for m, one in zip(dataset.markers, seen, strict=True) if one),
+        dataset,
+        markers=tuple(m for m, one in zip(dataset.markers, seen, strict=True) if one),
         positions=dataset.positions[:, :, seen],
         orientations=None if turned is None else turned[:, :, seen],
     )
@@ -84,8 +88,11 @@ def _input_rows(dataset: DataSet) -> Iterator[Iterable[object]]:
         measured = dataset.trial_mask[p] if dataset.path == 'from_straight' else ...
         for q in range(len(dataset.trial_names)):
             if measured is ... or measured[q]:
-                yield (posture, dataset.trial_names[q],
-                       *_cells(dataset.trial_inputs[p, q].tolist()))
+                yield (
+                    posture,
+                    dataset.trial_names[q],
+                    *_cells(dataset.trial_inputs[p, q].tolist()),
+                )
 
 
 def _shape_rows(dataset: DataSet) -> Iterator[Iterable[object]]:
