@@ -2,7 +2,7 @@
 RUN := tools/bootstrap.sh
 ARGS :=
 
-.PHONY: help venv test lint format
+.PHONY: help venv test test-oldest lint format
 .SILENT:
 
 help: ## list the targets
@@ -13,6 +13,10 @@ venv: ## set up .venv and nothing else
 
 test: ## the fast tests
 	$(RUN) python -m pytest -n 2 --dist loadfile $(ARGS)
+
+test-oldest: ## the same with the oldest numpy, scipy and numba that setup.py allows
+	VENV=$(CURDIR)/.venv-oldest PIP_CONSTRAINT=tools/oldest.txt \
+		$(RUN) python -m pytest -n 2 --dist loadfile $(ARGS)
 
 lint: ## ruff and mypy
 	$(RUN) ruff check $(ARGS)

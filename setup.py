@@ -51,7 +51,7 @@ EXTRAS = {
         'pytest<8.4',
         'setuptools<80',
     ],
-    'dev': ['mypy>=1.11', 'ruff>=0.8', 'types-PyYAML', 'types-tqdm'],
+    'dev': ['mypy>=2.4,<3', 'ruff>=0.17,<0.18', 'types-PyYAML', 'types-tqdm'],
 }
 
 
