@@ -152,6 +152,13 @@ def test_a_sourced_jazzy_is_used_in_an_environment_of_its_own(pretend):
     assert result.stdout == '/opt/ros/jazzy\n'
 
 
+def test_a_sourced_jazzy_needs_a_python_that_imports_rclpy(pretend):
+    result, installed = pretend('true', ROS_DISTRO='jazzy')
+    assert result.returncode != 0
+    assert result.stderr.startswith('no Python 3.12 that imports rclpy found on PATH')
+    assert installed == []
+
+
 def test_another_distribution_is_left_aside(pretend):
     result, _ = pretend(
         'sh',

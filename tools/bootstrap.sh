@@ -39,29 +39,37 @@ if sys.version_info[:2] != (3, 12):
 print(os.path.realpath(sys._base_executable))' </dev/null 2>/dev/null
 }
 
-find_python() {
-    if [ -n "${PYTHON:-}" ]; then
-        probe "$PYTHON" && return
-        say "PYTHON=$PYTHON is not a Python 3.12 that runs"
-        return 1
-    fi
-    for name in python3.12 python3 python; do
-        probe "$name" && return
-    done
-    for path in "${PYENV_ROOT:-$HOME/.pyenv}"/versions/3.12*/bin/python; do
-        probe "$path" && return
-    done
-    # a project is of no interest here, and its environment may be the one to repair
-    probe "$(uv python find --no-project 3.12 2>/dev/null)" && return
-    say 'no Python 3.12 found on PATH, under pyenv or under uv; install one, for example:'
-    say '  sudo apt install python3.12-venv   (Ubuntu 24.04)'
-    say '  uv python install 3.12             (any Linux, https://docs.astral.sh/uv)'
-    say '  pyenv install 3.12                 (any Linux, https://github.com/pyenv/pyenv)'
-    return 1
+# Print the path of $1 if it will do: where ROS is sourced, it must also know ROS.
+accept() {
+    path=$(probe "$1") || return 1
+    [ "$kind" = wheels ] || "$path" -c 'import rclpy' </dev/null >/dev/null 2>&1 || return 1
+    echo "$path"
 }
 
-sourced_ros() {
-    [ "${ROS_DISTRO:-}" = jazzy ] && "$1" -c 'import rclpy' </dev/null 2>/dev/null
+find_python() {
+    if [ -n "${PYTHON:-}" ]; then
+        accept "$PYTHON" && return
+        say "PYTHON=$PYTHON is not a Python 3.12 that runs${needs_ros}"
+        return 1
+    fi
+    for name in python3.12 python3 python ${needs_ros:+/usr/bin/python3}; do
+        accept "$name" && return
+    done
+    for path in "${PYENV_ROOT:-$HOME/.pyenv}"/versions/3.12*/bin/python; do
+        accept "$path" && return
+    done
+    # a project is of no interest here, and its environment may be the one to repair
+    accept "$(uv python find --no-project 3.12 2>/dev/null)" && return
+    say "no Python 3.12${needs_ros} found on PATH, under pyenv or under uv; install one, for example:"
+    if [ "$kind" = sourced ]; then
+        say '  sudo apt install ros-jazzy-ros-base python3.12-venv   (Ubuntu 24.04)'
+        say 'or work in a terminal that has not sourced ROS 2'
+    else
+        say '  sudo apt install python3.12-venv   (Ubuntu 24.04)'
+        say '  uv python install 3.12             (any Linux, https://docs.astral.sh/uv)'
+        say '  pyenv install 3.12                 (any Linux, https://github.com/pyenv/pyenv)'
+    fi
+    return 1
 }
 
 # Everything that an installation depends on: where and with what, then the sum of the rest.
@@ -99,15 +107,17 @@ make_venv() {
 }
 
 cd "$here"
+kind=wheels site='' needs_ros=''
+if [ "${ROS_DISTRO:-}" = jazzy ]; then
+    kind=sourced site=--system-site-packages needs_ros=' that imports rclpy'
+fi
 python=$(find_python)
 if [ "${1:-}" = --find ]; then
     echo "$python"
     exit
 fi
-if sourced_ros "$python"; then
-    kind=sourced site=--system-site-packages
-else
-    kind=wheels site='' extras="$extras,ros"
+if [ "$kind" = wheels ]; then
+    extras="$extras,ros"
     export AMENT_PREFIX_PATH="$venv"
     if [ "$(uname -sm)" != 'Linux x86_64' ]; then
         say "ROS 2 comes as wheels for x86-64 Linux only; on $(uname -sm), source ROS 2 Jazzy first"
