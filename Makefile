@@ -15,7 +15,7 @@ test: ## the fast tests
 	$(RUN) python -m pytest -n 2 --dist loadfile $(ARGS)
 
 test-oldest: ## the same with the oldest numpy, scipy and numba that setup.py allows
-	VENV=$(CURDIR)/.venv-oldest PIP_CONSTRAINT=tools/oldest.txt \
+	VENV="$(CURDIR)/.venv-oldest" PIP_CONSTRAINT=tools/oldest.txt \
 		$(RUN) python -m pytest -n 2 --dist loadfile $(ARGS)
 
 lint: ## ruff and mypy

@@ -1,9 +1,13 @@
 """What every test gets: a ROS domain of its own, and no graphical display."""
 
 import fcntl
+import importlib.util
 import os
+import shutil
 import tempfile
 from pathlib import Path
+
+import pytest
 
 
 def own_domain():
@@ -22,3 +26,11 @@ DOMAIN, LOCK = own_domain()
 os.environ['ROS_DOMAIN_ID'] = str(DOMAIN)
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ['MPLBACKEND'] = 'Agg'
+
+
+def pytest_runtest_setup(item):
+    """Skip a test whose mark names what this machine does not have."""
+    if item.get_closest_marker('ros') and importlib.util.find_spec('rclpy') is None:
+        pytest.skip('rclpy is not installed')
+    if item.get_closest_marker('browser') and shutil.which('chromium') is None:
+        pytest.skip('chromium is not installed')

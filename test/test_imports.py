@@ -15,9 +15,10 @@ ALLOWED = {'__init__': set(), 'exceptions': set()}
 ALLOWED['robot'] = ALLOWED['effects'] = {'exceptions'}
 ALLOWED['data'] = ALLOWED['drivers'] = {'exceptions', 'robot'}
 ALLOWED['model'] = {'exceptions', 'robot', 'effects'}
+ALLOWED['control'] = ALLOWED['model'] | {'model', 'drivers'}
 ALLOWED['analysis'] = ALLOWED['model'] | {'model', 'data'}
 ALLOWED['report'] = ALLOWED['analysis'] | {'analysis'}
-ALLOWED['cli'] = ALLOWED['nodes'] = ALLOWED['report'] | {'report', 'drivers'}
+ALLOWED['cli'] = ALLOWED['nodes'] = ALLOWED['report'] | {'report', 'drivers', 'control'}
 ALLOWED['__main__'] = {'cli'}
 MODULES = files(f'{PACKAGE}/*.py')
 
