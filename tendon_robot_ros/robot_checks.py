@@ -25,6 +25,9 @@ def parse_yaml(text: str) -> Any:
         return yaml.safe_load(text)
     except RecursionError:
         raise ValueError('brackets nested too deeply') from None
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise ValueError(f'line {line}: {error.problem}') from None
     except (yaml.YAMLError, ValueError) as error:  # a date such as 2000-99-99 is a ValueError
         raise ValueError(' '.join(str(error).split())) from None
 

@@ -46,9 +46,7 @@ def new_folder(folder: Path, replaceable: tuple[str, ...] = ()) -> Iterator[Path
         filled.mkdir()
         yield filled
         _check(folder, replaceable)
-        if folder.exists():
-            folder.rename(temporary / 'old')
-        filled.rename(folder)
+        _replace(folder, filled, temporary / 'old')
     except OSError as error:
         raise DataSetError(
             str(folder),
@@ -67,6 +65,17 @@ def new_file(path: Path) -> Iterator[Path]:
         draft = Path(temporary) / path.name
         yield draft
         draft.replace(path)
+
+
+def _replace(folder: Path, filled: Path, old: Path) -> None:
+    if folder.exists():
+        folder.rename(old)
+    try:
+        filled.rename(folder)
+    except OSError:
+        if old.exists():
+            old.rename(folder)
+        raise
 
 
 def _parent(path: Path) -> Path:

@@ -27,9 +27,20 @@ Block = NDArray[np.void]  # rows of a CSV file: names as text, numbers as floats
 class CsvFile:
     """A CSV file with a header; remembers its path for messages."""
 
-    def __init__(self, path: Path, required: Sequence[str], known: Sequence[str]) -> None:
+    def __init__(
+        self, path: Path, required: Sequence[str], known: Sequence[str], missing: str
+    ) -> None:
         """
         Read and check the header.
+
+        Parameters
+        ----------
+        path : Path
+            The file.
+        required, known : sequence of str
+            Columns that there must be, and that there may be.
+        missing : str
+            What to do where somebody wrote nan, for the message.
 
         Raises
         ------
@@ -37,7 +48,7 @@ class CsvFile:
             The file is missing, empty or no CSV text, or its columns are not the known ones.
 
         """
-        self.path = path
+        self.path, self._missing = path, missing
         try:
             with path.open(encoding='utf-8-sig') as file:
                 line = file.readline()
@@ -45,11 +56,11 @@ class CsvFile:
             raise self._encoding() from None
         except OSError as error:
             raise DataSetError(
-                str(path), f'cannot be read ({error.strerror})', 'a data set needs this file'
+                str(path), f'cannot be read ({error.strerror})', 'every data set needs this file'
             ) from None
         if not line.strip():
             raise DataSetError(
-                str(path), 'has no header', f'start it with the line {",".join(required)}'
+                str(path), 'is empty', f'start it with the line {",".join(required)}'
             )
         if '\0' in line:
             raise self._encoding()
@@ -66,7 +77,7 @@ class CsvFile:
         Parameters
         ----------
         names, numbers : sequence of str
-            Columns to read as names and as numbers; the others are not converted.
+            Columns to read as names and as numbers: together all that the file has.
 
         Raises
         ------
@@ -125,11 +136,17 @@ class CsvFile:
                     'export with commas between columns and points in numbers',
                 )
         header = [cell.strip(' "\n') for cell in line.split(',')]
+        if not set(header) & set(required):
+            raise self.error(
+                1, 'this is no header', f'start the file with the line {",".join(required)}'
+            )
         for name in header:
             if header.count(name) > 1:
-                raise self.error(1, f'column {name!r} stands twice', 'keep one of them')
+                raise self.error(1, f'column {short(name)} stands twice', 'keep one of them')
             if name not in known:
-                raise self.error(1, f'column {short(name)} is unknown', f'known: {listing(known)}')
+                raise self.error(
+                    1, f'column {short(name)} is unknown', f'rename it to one of {listing(known)}'
+                )
         for name in required:
             if name not in header:
                 raise self.error(1, f'column {name!r} is missing', 'add it to the header')
@@ -146,9 +163,7 @@ class CsvFile:
         if len(rows) != len(lines):
             place = next((i for i, line in enumerate(lines) if line.count('"') % 2), 0)
             raise self.error(
-                row + place,
-                'a quotation mark is not closed',
-                'close it on the same line or remove it',
+                row + place, 'the quotation marks do not fit', 'remove all that are on this line'
             )
         numbers = [key for key in self.header if dtype[key].kind == 'f']
         block = np.empty(len(rows), dtype)
@@ -167,21 +182,19 @@ class CsvFile:
             raise self.error(
                 row,
                 f'{len(cells)} cells under {len(self.header)} columns',
-                'write every column '
-                '(an empty cell where a value is missing) and points, not commas, in numbers',
+                'write every column, missing values as empty cells, and points in numbers',
             )
 
     def _float(self, cell: str, key: str, row: int) -> float:
         if not cell:
             return math.nan
         remedy = 'write a number with a decimal point'
+        if cell.strip('+-').lower() in ('nan', 'inf', 'infinity', 'na', 'n/a', 'null', 'none'):
+            remedy = self._missing
         try:
             value = float(cell) if cell.isascii() and '_' not in cell else math.nan
         except ValueError:
             value = math.nan
-        else:
-            if cell.strip('+-').lower() in ('nan', 'inf', 'infinity'):
-                remedy = 'leave the cell empty where nothing was measured'
         if not math.isfinite(value):
             raise self.error(row, f'{key} is {short(cell)}', remedy)
         return value

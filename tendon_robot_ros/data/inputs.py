@@ -90,7 +90,8 @@ def read_inputs(path: Path, robot: Robot, kind: str) -> Commands:
         With row and remedy.
 
     """
-    file = CsvFile(path, ('posture', *robot.inputs), ('posture', 'trial', *robot.inputs))
+    required, known = ('posture', *robot.inputs), ('posture', 'trial', *robot.inputs)
+    file = CsvFile(path, required, known, 'write the value that was set')
     names = ('posture', 'trial') if 'trial' in file.header else ('posture',)
     table = file.read(names, robot.inputs)
     values = np.stack([table.numbers[name] for name in robot.inputs], axis=1)

@@ -81,5 +81,7 @@ def _read_text(path: Path) -> str:
         raise DataSetError(str(path), 'is no UTF-8 text', 'save it as UTF-8') from None
     except OSError as error:
         raise DataSetError(
-            str(path), f'cannot be read ({error.strerror})', 'name a folder that holds a data set'
+            str(path),
+            f'cannot be read ({error.strerror})',
+            'name a folder with dataset.yaml, inputs.csv and shapes.csv',
         ) from None

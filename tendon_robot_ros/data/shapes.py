@@ -58,7 +58,8 @@ def read_shapes(
 
     """
     required = (*KEYS, *POSITION)
-    file = CsvFile(path, required, (*required, *ORIENTATION))
+    missing = 'leave the cell empty where the marker was not seen'
+    file = CsvFile(path, required, (*required, *ORIENTATION), missing)
     turned = tuple(name for name in ORIENTATION if name in file.header)
     if turned and turned != ORIENTATION:
         raise file.error(
@@ -104,7 +105,7 @@ def _known(
     if (places < 0).any():
         row = int((places < 0).argmax())
         name = table.labels[key][table.codes[key][row]]
-        raise file.error(row + 2, f'{key} {name!r}: {problem}', f'known: {listing(known)}')
+        raise file.error(row + 2, f'{key} {name!r}: {problem}', f'use one of {listing(known)}')
     return places
 
 

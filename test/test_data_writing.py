@@ -1,0 +1,115 @@
+"""A data set is written whole or not at all, and never over anything else."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from measurements import LETTERS, TENTACLE, blind
+from numpy.testing import assert_array_equal
+from small_dataset import INPUTS, write
+
+from tendon_robot_ros.data import load_dataset, save_dataset
+from tendon_robot_ros.data import writing as module
+from tendon_robot_ros.exceptions import DataSetError
+
+FOLDERS = [TENTACLE, *(blind(letter) / 'check' for letter in LETTERS)]
+
+
+@pytest.fixture
+def small(tmp_path):
+    return load_dataset(write(tmp_path / 'small'))
+
+
+@pytest.mark.parametrize('folder', FOLDERS, ids=lambda path: path.parent.name)
+def test_a_copy_says_the_same(folder, tmp_path):
+    data = load_dataset(folder)
+    copy = load_dataset(save_dataset(data, tmp_path / 'copy'))
+    for field in dataclasses.fields(data):
+        if field.name not in ('name', 'robot', 'robot_path'):
+            assert_array_equal(getattr(copy, field.name), getattr(data, field.name), field.name)
+    assert dataclasses.replace(copy.robot, source='') == dataclasses.replace(data.robot, source='')
+
+
+def test_inputs_of_every_trial_and_orientations_are_written(tmp_path):
+    inputs = 'posture,trial,left,right\n0,0,0.001,\n0,1,0.002,\n1,0,0.003,0.1e-3\n'
+    shapes = (
+        'posture,trial,marker,x,y,z,qx,qy,qz,qw\n0,0,1,0,0,0.01,0,0,0,1\n0,1,1,0,0,0.01,,,,\n'
+        '1,0,1,0,0,0.01,1,0,0,0\n'
+    )
+    dataset = 'input: displacement\n'
+    data = load_dataset(write(tmp_path / 'a', dataset=dataset, inputs=inputs, shapes=shapes))
+    copy = load_dataset(save_dataset(data, tmp_path / 'b'))
+    for name in ('inputs', 'trial_inputs', 'positions', 'orientations', 'input'):
+        assert_array_equal(getattr(copy, name), getattr(data, name), name)
+
+
+def test_a_sequence_keeps_postures_without_a_measurement(tmp_path):
+    inputs = INPUTS.replace('1,1.0', 'turn,2,2\n1,1.0')
+    data = load_dataset(write(tmp_path / 'a', dataset='path: sequence', inputs=inputs))
+    copy = load_dataset(save_dataset(data, tmp_path / 'b'))
+    assert copy.postures == ('0', 'turn', '1')
+    assert_array_equal(copy.trials, data.trials)
+
+
+def test_markers_that_were_never_seen_are_not_declared(small, tmp_path):
+    part = small.select(['1'])
+    copy = load_dataset(save_dataset(part, tmp_path / 'part'))
+    assert [marker.name for marker in copy.markers] == ['1', '3']
+
+
+def test_a_folder_that_holds_anything_is_left_alone(small, tmp_path):
+    notes = tmp_path / 'notes.txt'
+    notes.write_text('mine')
+    with pytest.raises(DataSetError) as caught:
+        save_dataset(small, tmp_path, overwrite=True)
+    assert str(caught.value) == (
+        f'{tmp_path}: is not empty, it holds notes.txt; name a new folder or empty it'
+    )
+    assert notes.read_text() == 'mine'
+
+
+def test_a_data_set_is_replaced_only_when_told(small, tmp_path):
+    target = save_dataset(small, tmp_path / 'out')
+    with pytest.raises(DataSetError, match=r'is not empty, it holds dataset\.yaml; name a new'):
+        save_dataset(small.select(['1']), target)
+    assert load_dataset(target).postures == ('0', '1')
+    save_dataset(small.select(['1']), target, overwrite=True)
+    assert load_dataset(target).postures == ('1',)
+
+
+def test_an_empty_folder_and_missing_parents_are_fine(small, tmp_path):
+    (tmp_path / 'empty').mkdir()
+    save_dataset(small, tmp_path / 'empty')
+    save_dataset(small, tmp_path / 'a' / 'b')
+    assert load_dataset(tmp_path / 'a' / 'b').postures == ('0', '1')
+
+
+def test_nothing_is_left_behind_when_writing_fails(small, tmp_path, monkeypatch):
+    target = save_dataset(small, tmp_path / 'out')
+
+    def full(*_):
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(module, '_shape_rows', full)
+    for place in ('out', 'new'):
+        with pytest.raises(DataSetError) as caught:
+            save_dataset(small, tmp_path / place, overwrite=True)
+        assert str(caught.value) == (
+            f'{tmp_path / place}: cannot be written (No space left on device); make room there '
+            'or name another place'
+        )
+    assert load_dataset(target).postures == ('0', '1')
+    assert sorted(path.name for path in tmp_path.iterdir()) == ['out', 'small']
+
+
+def test_a_file_is_no_folder(small, tmp_path):
+    (tmp_path / 'file').write_text('')
+    with pytest.raises(DataSetError, match='file: is a file; name a folder'):
+        save_dataset(small, tmp_path / 'file')
+
+
+def test_what_could_not_be_read_back_is_not_written(small, tmp_path):
+    blind = dataclasses.replace(small, positions=np.full_like(small.positions, np.nan))
+    with pytest.raises(DataSetError, match="posture '0': has no measurement to write; select"):
+        save_dataset(blind, tmp_path / 'out')
+    assert not (tmp_path / 'out').exists()
