@@ -108,7 +108,7 @@ class Receiver:
     def feed(self, data: bytes) -> list[Instruction]:
         """Take bytes; return the instructions that are complete now."""
         self._buffer += data
-        found = []
+        found: list[Instruction] = []
         while True:
             start = self._buffer.find(HEADER)
             if start < 0:

@@ -1,0 +1,187 @@
+"""One servo as the driver knows it: what it said last, what it is allowed, what is wrong."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from ..interface import Fault
+from .config import Config
+from .tables import (
+    HARDWARE_ERRORS,
+    HIGHEST_POSITION,
+    REGISTERS,
+    VOLT_PER_COUNT,
+    Model,
+    decode,
+)
+from .wires import WireConfig
+
+STATE = (REGISTERS['present_current'].address, 10)  # current, velocity, position: 126 to 135
+HEALTH = (REGISTERS['present_input_voltage'].address, 3)  # voltage and temperature: 144 to 146
+
+
+@dataclass
+class Motor:
+    """
+    A servo and what is known of it.
+
+    Parameters
+    ----------
+    identity : int
+    wires : tuple of WireConfig
+        The inputs it winds.
+    mode : str
+        `tension` or `pull`.
+
+    Attributes
+    ----------
+    wanted : bool
+        Torque shall be on.
+    answers : bool
+        It answered when it was last asked.
+    errors : int
+        Hardware error status, address 70.
+    restarted, tripped : bool
+        It lost its power, or its torque was taken; its bus watchdog tripped.
+    ticks, current : int, optional
+        Last good reading, position in ticks and current in counts.
+    zero : float, optional
+        Ticks at which the pulls are zero, None while unknown.
+
+    """
+
+    identity: int
+    wires: tuple[WireConfig, ...]
+    mode: str
+    firmware: int = 0
+    wanted: bool = False
+    answers: bool = True
+    errors: int = 0
+    restarted: bool = False
+    tripped: bool = False
+    ticks: int | None = None
+    current: int | None = None
+    velocity: int = 0
+    zero: float | None = None
+    voltage: float | None = None
+    voltage_limits: tuple[float, float] = (0.0, math.inf)
+    temperature: float | None = None
+    hottest: float = math.inf
+    homing: tuple[int, tuple[int, int]] | None = None  # current [counts], position bounds
+
+    @property
+    def model(self) -> Model:
+        """Its model."""
+        return self.wires[0].model
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its inputs."""
+        return tuple(wire.name for wire in self.wires)
+
+    def __str__(self) -> str:
+        """Name it in messages."""
+        return f'{" and ".join(self.names)} (id {self.identity})'
+
+    def take(self, data: bytes) -> None:
+        """Take the ten bytes of its state."""
+        current, velocity = REGISTERS['present_current'], REGISTERS['present_velocity']
+        self.current = decode(current, data[0:2])
+        self.velocity = decode(velocity, data[2:6])
+        self.ticks = decode(REGISTERS['present_position'], data[6:10])
+
+    @property
+    def strongest(self) -> int:
+        """Largest current it may ever be given [counts]."""
+        amperes = []
+        for wire in self.wires:
+            lines = wire.calibration
+            line = lines.mean if self.mode == 'tension' else lines.wind
+            amperes.append(min(wire.current_limit, line.current(wire.tension_limit)))
+        return max(1, math.floor(min(amperes) / self.model.current_unit + 1e-9))
+
+    @property
+    def current_bounds(self) -> tuple[int, int]:
+        """Goal currents it may be given [counts]: in tension mode only those that wind."""
+        most = self.strongest if self.homing is None else min(self.homing[0], self.strongest)
+        if self.mode == 'tension' and self.homing is None and self.wires[0].spool.direction < 0:
+            return -most, 0
+        return 0, most
+
+    @property
+    def position_bounds(self) -> tuple[int, int]:
+        """Goal positions it may be given [ticks]; where it is, while the zero is unknown."""
+        if self.homing is not None:
+            return self.homing[1]
+        here = self.ticks or 0
+        if self.zero is None:
+            return here, here
+        low, high = -float(HIGHEST_POSITION), float(HIGHEST_POSITION)
+        for wire in self.wires:
+            ends = [self.zero + wire.spool.ticks(pull) if math.isfinite(pull)
+                    else math.copysign(HIGHEST_POSITION, pull) for pull in wire.pull_limits]
+            low, high = max(low, min(ends)), min(high, max(ends))
+        return math.ceil(low), math.floor(high)
+
+    def pull(self, wire: WireConfig) -> float:
+        """Return the pull of one of its wires [m], nan while unknown."""
+        if not self.answers or self.ticks is None or self.zero is None:
+            return math.nan
+        return wire.spool.pull(self.ticks - self.zero)
+
+    def tension(self, wire: WireConfig) -> float:
+        """Return the tension by current of its one wire [N], nan where not observable."""
+        if not self.answers or self.current is None or len(self.wires) > 1:
+            return math.nan
+        amperes = wire.spool.direction * self.current * self.model.current_unit
+        return wire.calibration.tension(amperes)
+
+    def goal(self, commands: list[float]) -> int:
+        """
+        Turn the commands of its wires into a goal: counts of current, or ticks.
+
+        The bounds are not applied here but where goals become bytes.
+        """
+        wire, command = self.wires[0], commands[0]
+        if self.mode == 'tension':
+            amperes = wire.calibration.current(command)
+            return wire.spool.direction * max(0, round(amperes / self.model.current_unit))
+        zero = self.ticks or 0 if self.zero is None else self.zero
+        way = sum(w.share * w.spool.ticks(c) for w, c in zip(self.wires, commands, strict=True))
+        return round(zero + way)
+
+    def faults(self, port: str) -> Iterator[Fault]:
+        """List what is wrong with it."""
+        if not self.answers:
+            yield Fault('silent', f'{port}: {self}: no answer; check its cable and the motor '
+                        'supply', inputs=self.names)
+        for bit, (code, words) in HARDWARE_ERRORS.items():
+            if self.errors & bit:
+                yield Fault(code, f'{port}: {self}: {words}; torque is off; remove the cause, '
+                            'then reboot it', hardware=True, inputs=self.names)
+        if self.restarted:
+            yield Fault('restarted', f'{port}: {self}: it lost its power or its torque was '
+                        'switched off; stays off until it is enabled again', hardware=True,
+                        inputs=self.names)
+        if self.tripped:
+            yield Fault('watchdog', f'{port}: {self}: its bus watchdog stopped it: no '
+                        'instruction came in time', inputs=self.names)
+        if self.temperature is not None and self.temperature >= self.hottest:
+            yield Fault('temperature', f'{port}: {self}: {self.temperature:.0f} °C, released '
+                        f'from {self.hottest:.0f} °C; let it cool', inputs=self.names)
+        low, high = self.voltage_limits
+        if self.voltage is not None and not low <= self.voltage <= high:
+            yield Fault('supply', f'{port}: {self}: supply {self.voltage:.1f} V, expected '
+                        f'{low:.1f} to {high:.1f} V', inputs=self.names)
+
+    def take_health(self, data: bytes) -> None:
+        """Take the three bytes of voltage and temperature."""
+        self.voltage = int.from_bytes(data[:2], 'little') * VOLT_PER_COUNT
+        self.temperature = float(data[2])
+
+
+def make_motors(config: Config, mode: str) -> dict[int, Motor]:
+    """Make the motors of a configuration: id to motor."""
+    return {i: Motor(i, config.on(i), mode) for i in config.ids}

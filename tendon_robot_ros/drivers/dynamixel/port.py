@@ -1,0 +1,161 @@
+"""
+The serial port: the SDK's port handler, opened for one process, waiting without burning a core.
+
+Only what the SDK leaves to its port handler is replaced: opening (exclusively), waiting for bytes
+(asleep instead of spinning), the clock (monotonic) and the time to wait for an answer (the SDK
+waits 34 ms whatever the adapter's latency is).
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import select
+import termios
+import time
+from pathlib import Path
+
+import serial
+from dynamixel_sdk import PortHandler
+
+from ...exceptions import DriverError
+
+UDEV_FILE = '/etc/udev/rules.d/99-usb-serial-latency.rules'
+UDEV_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
+LONGEST_LATENCY = 2  # [ms]
+# what an unplugged port raises: serial's error is an OSError, termios.error is none
+LOST = (OSError, termios.error)
+
+
+class Port(PortHandler):  # type: ignore[misc]
+    """The SDK's port handler for one process."""
+
+    def __init__(self, path: str, baud: int, answer_time: float) -> None:
+        """Take path, baud rate and the time to wait for an answer besides its bytes [s]."""
+        super().__init__(path)
+        self.is_open: bool = False
+        self.baudrate = baud
+        self.answer_time = 1000.0 * answer_time  # [ms]
+
+    def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
+        """Open the port so that no other process can."""
+        if self.is_open:
+            self.closePort()
+        self.ser = serial.Serial(port=self.port_name, baudrate=cflag_baud, timeout=0,
+                                 write_timeout=0.1, exclusive=True)
+        fcntl.ioctl(self.ser.fileno(), termios.TIOCEXCL)
+        self.is_open = True
+        self.ser.reset_input_buffer()
+        self.tx_time_per_byte = 10_000.0 / self.baudrate
+        return True
+
+    def closePort(self) -> None:  # noqa: N802
+        """Close for good; an unplugged port only becomes free again when it is closed."""
+        self.is_open = False
+        self.is_using = False
+        if self.ser is not None:
+            try:
+                self.ser.close()
+            except LOST:
+                pass
+
+    def getCurrentTime(self) -> float:  # noqa: N802
+        """Return a time that no clock adjustment moves [ms]."""
+        return 1000.0 * time.monotonic()
+
+    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
+        """Wait for the bytes of an answer and the adapter's latency."""
+        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + self.answer_time)
+
+    def readPort(self, length: int) -> bytes:  # noqa: N802
+        """Read up to `length` bytes; sleep until the first comes or the time is over."""
+        left = 0.001 * (self.packet_timeout - self.getTimeSinceStart())
+        if left > 0.0:
+            select.select([self.ser.fileno()], [], [], left)
+        return bytes(self.ser.read(length))
+
+
+def open_port(path: str, baud: int, answer_time: float) -> Port:
+    """
+    Open a port for this process alone.
+
+    Raises
+    ------
+    DriverError
+        It does not exist, is not allowed, or another process has it.
+
+    """
+    port = Port(path, baud, answer_time)
+    try:
+        if port.openPort():
+            return port
+        raise DriverError(f'{path}: baudrate: the SDK does not know {baud}')
+    except LOST as error:
+        port.closePort()
+        raise DriverError(_why_not(path, error)) from None
+
+
+def _why_not(path: str, error: BaseException) -> str:
+    code = getattr(error, 'errno', None)
+    if not os.path.exists(path):
+        return (f'{path}: no such port; is the adapter plugged in? '
+                f'found: {", ".join(present_ports()) or "no USB serial port"}')
+    if code == 13:
+        return (f'{path}: not allowed; type: sudo usermod -aG dialout $USER, '
+                'then log out and in again')
+    if code in (11, 16) or 'lock' in str(error):
+        return f'{path}: another process has the port{_holder(path)}; stop it first'
+    return f'{path}: cannot open: {error}'
+
+
+def _holder(path: str) -> str:
+    """Name the process that has the port open, where it may be seen."""
+    wanted = os.path.realpath(path)
+    for link in Path('/proc').glob('[0-9]*/fd/*'):
+        try:
+            if os.readlink(link) == wanted and int(link.parts[2]) != os.getpid():
+                command = Path('/proc', link.parts[2], 'cmdline').read_bytes()
+                name = command.replace(b'\0', b' ').decode(errors='replace').strip()
+                return f' (process {link.parts[2]}: {name[:60]})'
+        except OSError:
+            continue
+    return ''
+
+
+def present_ports() -> list[str]:
+    """List the USB serial ports, by the name that stays when they are plugged in again."""
+    by_id = sorted(str(path) for path in Path('/dev/serial/by-id').glob('*'))
+    return by_id or sorted(str(path) for path in Path('/dev').glob('ttyUSB*'))
+
+
+def latency(path: str, sysfs: str = '/sys') -> int | None:
+    """Read the adapter's latency timer [ms]; None where the port has none."""
+    name = os.path.basename(os.path.realpath(path))
+    if not re.fullmatch(r'tty\w+', name):
+        return None
+    file = Path(sysfs, 'class', 'tty', name, 'device', 'latency_timer')
+    try:
+        return int(file.read_text())
+    except (OSError, ValueError):
+        return None
+
+
+def check_latency(path: str, allow: bool, sysfs: str = '/sys') -> int | None:
+    """
+    Return the latency timer [ms], None where there is none.
+
+    Raises
+    ------
+    DriverError
+        The adapter holds answers back for longer than 2 ms and that is not allowed.
+
+    """
+    found = latency(path, sysfs)
+    if found is not None and found > LONGEST_LATENCY and not allow:
+        raise DriverError(
+            f"{path}: latency_timer: expected at most {LONGEST_LATENCY} ms, got {found} ms: every "
+            f"answer comes that late; type: echo '{UDEV_RULE}' | sudo tee {UDEV_FILE} && "
+            'sudo udevadm control --reload && sudo udevadm trigger --action=add '
+            '--subsystem-match=usb-serial (or set allow_latency: true)')
+    return found

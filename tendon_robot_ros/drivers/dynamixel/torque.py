@@ -1,0 +1,170 @@
+"""Torque on without a jump, torque off, and how a servo comes back after an interruption."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from ...exceptions import DriverError
+from .bus import Bus
+from .config import Config
+from .motor import STATE, Motor
+from .tables import (
+    CURRENT_MODE,
+    CURRENT_POSITION_MODE,
+    EXTENDED_MODE,
+    HARDWARE_ERRORS,
+    WATCHDOG_TRIPPED,
+    WATCHDOG_UNIT,
+)
+
+
+def watchdog_counts(config: Config) -> int:
+    """Return the value of address 98: at least one unit when it is on at all."""
+    return min(127, math.ceil(config.watchdog / WATCHDOG_UNIT - 1e-9))
+
+
+def operating_mode(config: Config, mode: str) -> int:
+    """Return the value of address 11."""
+    if mode == 'tension':
+        return CURRENT_MODE
+    return EXTENDED_MODE if config.operation == 'extended' else CURRENT_POSITION_MODE
+
+
+def must_write(bus: Bus, motor: Motor, name: str, value: int) -> None:
+    """Write a register, twice if need be; raise DriverError when the servo refuses."""
+    for _ in range(2):
+        problem = bus.write(motor.identity, name, value)
+        if problem is None:
+            return
+    raise DriverError(f'{bus.path}: {motor}: {name} = {value}: {problem}')
+
+
+def _settle(bus: Bus, motor: Motor, name: str, value: int) -> None:
+    """Write a register of the flash memory only when it differs: it wears."""
+    if bus.read(motor.identity, name) != value:
+        must_write(bus, motor, name, value)
+
+
+def read_state(bus: Bus, motors: Iterable[Motor]) -> None:
+    """Read current, velocity and position of several servos."""
+    asked = list(motors)
+    found = bus.block(*STATE, [motor.identity for motor in asked])
+    for motor in asked:
+        data = found.get(motor.identity)
+        motor.answers = data is not None
+        if data is not None:
+            motor.take(data)
+
+
+def torque_on(bus: Bus, motors: Iterable[Motor], mode: int, watchdog: int) -> None:
+    """
+    Switch the torque on where the motors are.
+
+    Parameters
+    ----------
+    bus : Bus
+    motors : iterable of Motor
+    mode : int
+        Operating mode, address 11.
+    watchdog : int
+        Address 98, in units of 20 ms; 0 = off.
+
+    Raises
+    ------
+    DriverError
+        A hardware error keeps it off, or a servo does not do as told.
+
+    """
+    chosen = list(motors)
+    for motor in chosen:
+        errors = bus.read(motor.identity, 'hardware_error_status')
+        if errors:
+            words = ', '.join(text for bit, (_, text) in HARDWARE_ERRORS.items() if errors & bit)
+            raise DriverError(f'{bus.path}: {motor}: {words}; remove the cause, then reboot it')
+        must_write(bus, motor, 'torque_enable', 0)
+        must_write(bus, motor, 'bus_watchdog', 0)
+        _settle(bus, motor, 'return_delay_time', 0)
+        _settle(bus, motor, 'operating_mode', mode)
+        _settle(bus, motor, 'current_limit', motor.strongest)
+    read_state(bus, chosen)
+    silent = [str(motor) for motor in chosen if not motor.answers]
+    if silent:
+        raise DriverError(f'{bus.path}: {", ".join(silent)}: no answer; check the cable')
+    hold(bus, chosen, mode)
+    for motor in chosen:
+        must_write(bus, motor, 'torque_enable', 1)
+        motor.wanted, motor.restarted, motor.tripped = True, False, False
+    hold(bus, chosen, mode)
+    for motor in chosen:
+        must_write(bus, motor, 'bus_watchdog', watchdog)
+
+
+def hold(bus: Bus, motors: Iterable[Motor], mode: int) -> None:
+    """Make the present state the goal: the measured current, or the measured position."""
+    chosen = [motor for motor in motors if motor.ticks is not None]
+    bounds = {motor.identity: motor.current_bounds for motor in chosen}
+    if mode == CURRENT_MODE:
+        present = {motor.identity: motor.current or 0 for motor in chosen}
+        bus.send_goals('goal_current', present, bounds)
+        return
+    if mode == CURRENT_POSITION_MODE:
+        most = {identity: high for identity, (_, high) in bounds.items()}
+        bus.send_goals('goal_current', most, bounds)
+    here = {motor.identity: motor.ticks or 0 for motor in chosen}
+    bus.send_goals('goal_position', here, {i: (ticks, ticks) for i, ticks in here.items()})
+
+
+def torque_off(bus: Bus, motors: Iterable[Motor]) -> None:
+    """Switch the torque off; a servo that does not answer is asked twice and then left."""
+    for motor in motors:
+        motor.wanted = motor.restarted = motor.tripped = False
+        for _ in range(2):
+            if bus.write(motor.identity, 'torque_enable', 0) is None:
+                break
+
+
+def come_back(bus: Bus, motor: Motor, mode: int, watchdog: int) -> bool:
+    """
+    Find out what a servo did while it could not be reached, and go on from where it is.
+
+    A servo that lost its power stays off: somebody may have used the switch in the motor supply.
+
+    Returns
+    -------
+    bool
+        Whether it answers again.
+
+    """
+    number = bus.ping(motor.identity)
+    values = [bus.read(motor.identity, name)
+              for name in ('torque_enable', 'bus_watchdog')] if number is not None else [None]
+    if number != motor.model.number or None in values:
+        motor.answers = False
+        return False
+    read_state(bus, [motor])
+    torque, dog = values
+    if not motor.wanted:
+        if torque:
+            torque_off(bus, [motor])
+    elif not torque or (watchdog and dog == 0):
+        lost_power(motor)
+        bus.write(motor.identity, 'torque_enable', 0)
+    else:
+        recover_watchdog(bus, motor, mode, watchdog, tripped=dog == WATCHDOG_TRIPPED)
+    return motor.answers
+
+
+def lost_power(motor: Motor) -> None:
+    """Note that a servo lost its torque without being told to; its turns are unknown now."""
+    motor.restarted, motor.wanted, motor.zero = True, False, None
+
+
+def recover_watchdog(bus: Bus, motor: Motor, mode: int, watchdog: int, tripped: bool) -> None:
+    """Clear a tripped watchdog, hold what is measured now, and arm it again."""
+    if tripped:
+        bus.write(motor.identity, 'bus_watchdog', 0)
+    hold(bus, [motor], mode)
+    if tripped:
+        bus.write(motor.identity, 'bus_watchdog', watchdog)
+    motor.tripped = False

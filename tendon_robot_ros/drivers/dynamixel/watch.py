@@ -1,0 +1,86 @@
+"""
+What is polled beside the state, one kind per cycle, whichever is most overdue.
+
+The alert bit of a status packet is hidden in group reads, so hardware errors are read from
+address 70. Whatever looks bad is read once more before anybody acts on it: a late answer of
+another read may look like it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from .bus import Bus
+from .motor import HEALTH, Motor
+from .tables import REGISTERS, WATCHDOG_TRIPPED
+from .torque import lost_power, recover_watchdog, torque_off
+
+
+@dataclass
+class Watch:
+    """The timetable of the polls."""
+
+    bus: Bus
+    mode: int  # operating mode, address 11
+    watchdog: int  # address 98
+    due: dict[str, float] = field(default_factory=dict)
+
+    def poll(self, motors: list[Motor], now: float) -> None:
+        """Do the most overdue poll, if any, for the servos that answer."""
+        late = {name: now - self.due.get(name, 0.0) for name in PERIODS}
+        name = max(late, key=lambda n: late[n] / PERIODS[n])
+        if late[name] < 0.0 or not motors:
+            return
+        self.due[name] = now + PERIODS[name]
+        if name == 'health':
+            for identity, data in self.bus.block(*HEALTH, [m.identity for m in motors]).items():
+                _by_id(motors, identity).take_health(data)
+            return
+        register = REGISTERS[name]
+        identities = [motor.identity for motor in motors]
+        found = self.bus.block(register.address, register.size, identities)
+        for identity, data in found.items():
+            LOOK[name](self, _by_id(motors, identity), data[0])
+
+    def confirmed(self, motor: Motor, name: str, value: int) -> bool:
+        """Read a suspicious value once more."""
+        return self.bus.read(motor.identity, name) == value
+
+    def errors(self, motor: Motor, value: int) -> None:
+        """Note hardware errors; torque goes off at once for that motor."""
+        if value == motor.errors or not self.confirmed(motor, 'hardware_error_status', value):
+            return
+        motor.errors = value
+        if value:
+            torque_off(self.bus, [motor])
+
+    def dog(self, motor: Motor, value: int) -> None:
+        """Notice a tripped watchdog, and a servo that has forgotten it."""
+        if not motor.wanted or value == self.watchdog:
+            return
+        if not self.confirmed(motor, 'bus_watchdog', value):
+            return
+        if value == WATCHDOG_TRIPPED:
+            recover_watchdog(self.bus, motor, self.mode, self.watchdog, tripped=True)
+            motor.tripped = True
+        elif value == 0:
+            lost_power(motor)
+            self.bus.write(motor.identity, 'torque_enable', 0)
+
+    def torque(self, motor: Motor, value: int) -> None:
+        """Notice torque that went off by itself."""
+        if motor.wanted and not value and self.confirmed(motor, 'torque_enable', 0):
+            lost_power(motor)
+
+
+PERIODS = {'hardware_error_status': 0.020, 'bus_watchdog': 0.060, 'torque_enable': 0.060,
+           'health': 0.250}  # [s]
+LOOK: dict[str, Callable[[Watch, Motor, int], None]] = {
+    'hardware_error_status': Watch.errors, 'bus_watchdog': Watch.dog,
+    'torque_enable': Watch.torque,
+}
+
+
+def _by_id(motors: list[Motor], identity: int) -> Motor:
+    return next(motor for motor in motors if motor.identity == identity)

@@ -1,0 +1,158 @@
+"""The wires of the configuration: motor, spool, limits and calibration of every input."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...exceptions import DriverError
+from ...robot import Robot
+from ...robot_checks import Reader, parse_yaml
+from .tables import MODELS, Model
+from .units import Calibration, Line, Resolution, Spool, from_data_sheet, resolution
+
+MOTOR_KEYS = ('id', 'model', 'spool_radius', 'direction', 'share', 'tension_limit',
+              'current_limit', 'pull_limits', 'calibration')
+
+
+class Fields(Reader):
+    """Checked reading of the configuration."""
+
+    def error(self, key: str, expected: str, got: object) -> DriverError:
+        """Build the error for a key."""
+        return DriverError(f'{self.source}: {self._where(key)}: expected {expected}, got {got!r}')
+
+    def value(self, key: str, default: float, low: float, high: float, unit: str) -> float:
+        """Return a number, or the default when absent."""
+        return self.number(key, low, high, unit) if self.has(key) else default
+
+    def flag(self, key: str) -> bool:
+        """Return true or false, false when absent."""
+        value = self.content.get(key, False)
+        if not isinstance(value, bool):
+            raise self.error(key, 'true or false', value)
+        return value
+
+
+@dataclass(frozen=True)
+class WireConfig:
+    """
+    One input: its motor, spool and limits.
+
+    Parameters
+    ----------
+    name : str
+    motor : int
+        Servo id.
+    model : Model
+    spool : Spool
+    share : float
+        Weight of this input in the position of a motor that several inputs share.
+    tension_limit : float
+        [N]
+    current_limit : float
+        [A]
+    pull_limits : tuple of float
+        [m]
+    calibration : Calibration
+    """
+
+    name: str
+    motor: int
+    model: Model
+    spool: Spool
+    share: float
+    tension_limit: float
+    current_limit: float
+    pull_limits: tuple[float, float]
+    calibration: Calibration
+
+    @property
+    def resolution(self) -> Resolution:
+        """How finely this motor sets this wire's tension."""
+        return resolution(self.calibration, self.model, self.tension_limit)
+
+
+def read_wires(top: Fields, robot: Robot, mode: str) -> tuple[WireConfig, ...]:
+    """Read the motor of every input of the robot."""
+    motors = top.child('motors')
+    motors.only(*robot.inputs)
+    lines = _calibrations(top)
+    missing = [name for name in robot.inputs if not motors.has(name)]
+    if missing:
+        raise top.error('motors', 'a motor for every input of the robot',
+                        f'none for {", ".join(missing)}')
+    sharing = [motors.child(name).content.get('id') for name in robot.inputs]
+    return tuple(_wire(top, motors.child(name), lines, robot, mode, sharing)
+                 for name in robot.inputs)
+
+
+def _wire(top: Fields, item: Fields, lines: Fields, robot: Robot, mode: str,
+          sharing: list[Any]) -> WireConfig:
+    item.only(*MOTOR_KEYS)
+    name = item.path.rpartition('.')[2]
+    identity = item.content.get('id')
+    if isinstance(identity, bool) or not isinstance(identity, int) or not 0 <= identity <= 252:
+        raise item.error('id', 'a whole number from 0 to 252', identity)
+    where = item if item.has('model') else top
+    model = MODELS[where.choice('model', tuple(MODELS))]
+    where = item if item.has('spool_radius') else top
+    spool = Spool(where.number('spool_radius', 5e-4, 0.2, 'm'), _direction(item))
+    if lines.has(name):
+        calibration = read_calibration(lines.child(name))
+    elif item.has('calibration'):
+        calibration = read_calibration(item.child('calibration'))
+    else:
+        calibration = from_data_sheet(model, spool.radius)
+    most = model.current_limit * model.current_unit
+    where = item if item.has('current_limit') else top
+    return WireConfig(
+        name=name, motor=identity, model=model, spool=spool,
+        share=item.value('share', 1.0 / sharing.count(identity), 0.0, 1.0, '1'),
+        tension_limit=item.value('tension_limit', robot.tension_limits[1], 1e-6,
+                                 robot.tension_limits[1], 'N'),
+        current_limit=where.value('current_limit', most, model.current_unit, most, 'A'),
+        pull_limits=_pull_limits(top, item, mode), calibration=calibration,
+    )
+
+
+def _direction(item: Fields) -> int:
+    value = item.content.get('direction', 1)
+    if value not in (1, -1):
+        raise item.error('direction', '1 (counter-clockwise winds) or -1', value)
+    return int(value)
+
+
+def _pull_limits(top: Fields, item: Fields, mode: str) -> tuple[float, float]:
+    where = item if item.has('pull_limits') else top
+    if not where.has('pull_limits') and mode == 'tension':
+        return (-math.inf, math.inf)
+    low, high = where.vector('pull_limits', 2)
+    if not -1.0 <= low < high <= 1.0:
+        raise where.error('pull_limits', '[lowest, highest] [m], lowest < highest', [low, high])
+    return low, high
+
+
+def _calibrations(top: Fields) -> Fields:
+    """Open the calibrations: a mapping, or the path of the file that `calibrate` wrote."""
+    value = top.content.get('calibration')
+    if isinstance(value, str):
+        file = Path(top.source).parent / value
+        try:
+            value = parse_yaml(file.read_text(encoding='utf-8'))
+        except (OSError, ValueError) as error:
+            raise top.error('calibration', 'a readable YAML file', f'{file}: {error}') from None
+        return Fields(str(file), '', value)
+    return Fields(top.source, 'calibration', value)
+
+
+def read_calibration(item: Fields) -> Calibration:
+    """Read the two lines of one motor: `wind` and `pay_out`, each [A, A/N]."""
+    wind, pay_out = (Line(*item.vector(key, 2)) for key in ('wind', 'pay_out'))
+    for key, line in (('wind', wind), ('pay_out', pay_out)):
+        if not 1e-6 < line.slope < 1e3:
+            raise item.error(key, '[intercept A, slope A/N] with a slope above 0', item.content)
+    return Calibration(wind, pay_out, measured=True, scatter=item.value('scatter', 0.0, 0.0, 10.0,
+                                                                        'A'))

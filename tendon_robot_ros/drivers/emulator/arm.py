@@ -1,0 +1,91 @@
+"""What the emulated servos pull on: wound wire in, wire tensions out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Arm(Protocol):
+    """Something with wires."""
+
+    def tensions(self, wound: Array, passed: float) -> Array:
+        """Return the tensions [N] for the wound wire, both shape (m,) [m], after `passed` s."""
+        ...
+
+
+class SpringArm:
+    """Independent linear springs: the simplest arm that has slack and tension."""
+
+    def __init__(self, stiffness: Array, slack: Array | None = None) -> None:
+        """Take stiffness [N/m] and slack [m] per wire, shape (m,)."""
+        self.stiffness = np.asarray(stiffness, dtype=float)
+        self.slack = np.zeros_like(self.stiffness) if slack is None else np.asarray(slack)
+
+    def tensions(self, wound: Array, passed: float) -> Array:
+        """Return stiffness times what is wound beyond the slack."""
+        return self.stiffness * np.maximum(0.0, wound - self.slack)
+
+
+class HangingWeights:
+    """A weight on every wire, for a calibration: constant tension once it is off the ground."""
+
+    def __init__(self, masses: Array, gravity: float = 9.80665, stiffness: float = 2e4) -> None:
+        """Take the masses [kg], shape (m,), gravity [m/s²] and the wire's stiffness [N/m]."""
+        self.weights = np.asarray(masses, dtype=float) * gravity
+        self.stiffness = stiffness
+
+    def tensions(self, wound: Array, passed: float) -> Array:
+        """Return the weight, or less while the wire only begins to lift it."""
+        return np.clip(self.stiffness * wound, 0.0, self.weights)
+
+
+class RelaxedArm:
+    """
+    An arm known by tensions -> pulls, turned round: tensions relax until the pulls fit.
+
+    The wire is a stiff spring in series: its tension is stiffness times (wound - pull of the arm).
+    A full solve per step would be slow; one call per period, each a part of the way, is quick
+    and settles on the same equilibrium.
+    """
+
+    def __init__(self, pulls: Callable[[Array], Array], inputs: int, highest: float,
+                 slack: float = 0.0, period: float = 0.005) -> None:
+        """
+        Take the arm.
+
+        Parameters
+        ----------
+        pulls : callable
+            Tensions, shape (m,) [N], to wire pulls, shape (m,) [m].
+        inputs : int
+            Number of wires m.
+        highest : float
+            Largest tension [N] the arm is asked for.
+        slack : float
+            Loose wire at the start [m].
+        period : float
+            Shortest time between two calls of `pulls` [s].
+
+        """
+        self.pulls, self.highest, self.slack, self.period = pulls, highest, slack, period
+        self._tensions = np.zeros(inputs)
+        self._pulls = pulls(self._tensions)
+        gains = pulls(np.full(inputs, 0.1 * highest)) - self._pulls
+        self._gain = 0.3 * 0.1 * highest / max(1e-5, float(np.max(np.abs(gains))))  # [N/m]
+        self._since = 0.0
+
+    def tensions(self, wound: Array, passed: float) -> Array:
+        """Return the present tensions [N]; every period they come nearer to equilibrium."""
+        self._since += passed
+        if self._since >= self.period:
+            self._since = 0.0
+            short = wound - self.slack - self._pulls
+            self._tensions = np.clip(self._tensions + self._gain * short, 0.0, self.highest)
+            self._pulls = self.pulls(self._tensions)
+        return self._tensions

@@ -1,0 +1,45 @@
+"""Faults of an emulated bus, switched on and off while it runs."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+
+@dataclass
+class Faults:
+    """
+    What is wrong with the bus at the moment.
+
+    Parameters
+    ----------
+    silent : set of int
+        Ids that neither hear nor answer.
+    spoilt, cut, doubled : int
+        How many of the next answers get a wrong CRC, lose their second half, come twice.
+    delay : float
+        Before every answer [s].
+    """
+
+    silent: set[int] = field(default_factory=set)
+    spoilt: int = 0
+    cut: int = 0
+    doubled: int = 0
+    delay: float = 0.0
+
+    def on_the_way(self, answer: bytes) -> bytes:
+        """Do to an answer what the bus does to it."""
+        if not answer:
+            return answer
+        if self.delay:
+            time.sleep(self.delay)
+        if self.spoilt:
+            self.spoilt -= 1
+            answer = answer[:-1] + bytes([answer[-1] ^ 0x5A])
+        if self.cut:
+            self.cut -= 1
+            answer = answer[:len(answer) // 2]
+        if self.doubled:
+            self.doubled -= 1
+            answer += answer
+        return answer
