@@ -1,26 +1,23 @@
 """The files of this package, for the tests that read them."""
 
 import ast
+import fnmatch
 import shutil
-import subprocess
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-NOT_OURS = shutil.ignore_patterns(
-    '.*', '__pycache__', '*.egg-info', 'build', 'install', 'log', 'results'
-)
+# what is made here, by tools and builds
+MADE = ('.git', '.venv*', '.*_cache', '.hypothesis', '__pycache__', '*.egg-info')
+MADE += ('build', 'install', 'log', 'results')
 
 
-def files(*patterns):
-    """Paths that git tracks or would track, relative to the root."""
-    listed = subprocess.run(
-        ['git', 'ls-files', '--cached', '--others', '--exclude-standard', '-z', '--', *patterns],
-        cwd=ROOT,
-        check=True,
-        capture_output=True,
-        text=True,
-    ).stdout
-    return [Path(name) for name in listed.split('\0') if name and (ROOT / name).is_file()]
+def files(pattern='*'):
+    """List the paths of the source tree, relative to its root, that match a pattern."""
+    found = []
+    for folder, folders, names in ROOT.walk():
+        folders[:] = [n for n in folders if not any(fnmatch.fnmatch(n, made) for made in MADE)]
+        found += [(folder / name).relative_to(ROOT) for name in names]
+    return sorted(path for path in found if fnmatch.fnmatch(str(path), pattern))
 
 
 def parse(path):
@@ -29,5 +26,5 @@ def parse(path):
 
 
 def copy_to(folder):
-    """Copy the package, without environments and builds."""
-    return Path(shutil.copytree(ROOT, folder, ignore=NOT_OURS))
+    """Copy the source tree."""
+    return Path(shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(*MADE)))
