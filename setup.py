@@ -23,7 +23,7 @@ PACKAGE_XML = ElementTree.parse(HERE / 'package.xml').getroot()
 EXTRAS = {
     'viewer': ['viser>=1.0'],
     'report': ['plotly>=5.18'],
-    'bags': ['rosbags>=0.10'],
+    'bags': ['rosbags>=0.11'],
     'dynamixel': ['dynamixel-sdk>=3.7'],
     'serial': ['pyserial>=3.5'],
     # ROS 2 Jazzy for machines without it; where ROS is sourced, leave this one out
