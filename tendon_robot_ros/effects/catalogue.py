@@ -1,0 +1,115 @@
+"""The catalogue of effects: the built-in ones, entry points, and files that the user names."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+from collections.abc import Iterable, Iterator
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from ..exceptions import EffectError
+from .effect import Effect
+
+# Order matters twice: laws of one stage apply in it, and exact twins are reported in it.
+BUILT_IN = (
+    'tendon_friction', 'eyelet_wrap', 'tendon_travel', 'friction_memory', 'straight_tendon',
+    'eyelet_clearance', 'hinge_friction', 'backbone_stiffness', 'section_stiffness',
+    'tendon_stiffness', 'nonlinear_stiffness', 'pre_curvature', 'gravity', 'tip_load',
+    'axial_compression', 'transmission_loss', 'tension_offset', 'moment_arm',
+    'tendon_elongation', 'base_misalignment',
+)
+ENTRY_POINT_GROUP = 'tendon_robot_ros.effects'
+_LAWS: dict[tuple[str, str], Effect] = {}  # (name, digest) -> effect, for the composed kernels
+
+
+class Catalogue:
+    """An ordered set of effects."""
+
+    def __init__(self, effects: Iterable[Effect], files: tuple[str, ...] = ()) -> None:
+        """Refuse names that stand twice."""
+        self.files = files
+        self._effects: dict[str, Effect] = {}
+        for effect in effects:
+            if effect.name in self._effects:
+                raise EffectError(f'effect {effect.name}: the name is taken; choose another')
+            self._effects[effect.name] = effect
+            _LAWS[effect.name, effect.digest] = effect
+
+    def __iter__(self) -> Iterator[Effect]:
+        """Iterate in catalogue order."""
+        return iter(self._effects.values())
+
+    def __contains__(self, name: object) -> bool:
+        """Tell whether an effect is known."""
+        return name in self._effects
+
+    def __getitem__(self, name: str) -> Effect:
+        """Return an effect by name; EffectError lists the known ones."""
+        if name not in self._effects:
+            raise EffectError(f'unknown effect {name!r}; known: {", ".join(self.names)} '
+                              '(name your own by its file)')
+        return self._effects[name]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in catalogue order."""
+        return tuple(self._effects)
+
+    @property
+    def digest(self) -> str:
+        """Key over names, order and sources of all effects."""
+        text = ' '.join(f'{effect.name}:{effect.digest}' for effect in self)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def without(self, *names: str) -> Catalogue:
+        """Return a catalogue that lacks some effects."""
+        return Catalogue((e for e in self if e.name not in names), self.files)
+
+
+def load_catalogue(files: Iterable[str | Path] = ()) -> Catalogue:
+    """
+    Load the built-in effects, those of installed packages, and the files that a user named.
+
+    Parameters
+    ----------
+    files : iterable of path
+        Python files, each with an `EFFECT`. They are executed: name only your own.
+
+    Raises
+    ------
+    EffectError
+        A file cannot be read, has no `EFFECT`, or uses a name that is taken.
+
+    """
+    effects = [importlib.import_module(f'{__package__}.{name}').EFFECT for name in BUILT_IN]
+    effects += [_checked(point.load(), point.value) for point in
+                sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name)]
+    named = tuple(str(Path(file).resolve()) for file in files)
+    return Catalogue(effects + [_from_file(Path(file)) for file in named], named)
+
+
+def registered(name: str, digest: str) -> Effect:
+    """Return the effect that a composed kernel was made from."""
+    return _LAWS[name, digest]
+
+
+def _checked(effect: object, where: str) -> Effect:
+    if not isinstance(effect, Effect):
+        raise EffectError(f'{where}: expected EFFECT = Effect(...), got {effect!r}')
+    return effect
+
+
+def _from_file(path: Path) -> Effect:
+    spec = importlib.util.spec_from_file_location(f'tendon_robot_effect_{path.stem}', path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise EffectError(f'{path}: expected a Python file with an EFFECT, got no such file')
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except EffectError:
+        raise
+    except Exception as error:  # whatever the user's file raises becomes one line
+        raise EffectError(f'{path}: {type(error).__name__}: {error}') from None
+    return _checked(getattr(module, 'EFFECT', None), str(path))

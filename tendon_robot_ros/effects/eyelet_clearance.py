@@ -1,0 +1,24 @@
+"""Play in the eyelets: every tendon lies on the inner side of its eyelet."""
+
+import math
+
+from .effect import Effect, Parameter
+
+
+def law(moment, total_tension, radius, clearance):
+    """
+    Add clearance S along the moment, smoothed where the moment vanishes.
+
+    |M| + clearance S |M| / sqrt(|M|^2 + (0.03 S r)^2), r the largest offset component [m].
+    """
+    smooth = 0.03 * total_tension * radius
+    size = math.sqrt(moment * moment + smooth * smooth)
+    if size == 0.0:
+        return moment
+    return moment + clearance * total_tension * moment / size
+
+
+EFFECT = Effect(
+    name='eyelet_clearance', title='tendons lie on the inner side of their eyelets',
+    stage='moment', law=law,
+    parameters=(Parameter('clearance', 'm', 0.0, 2e-3, 0.0, typical=2e-4),))

@@ -1,0 +1,13 @@
+"""The backbone stiffens (or softens) as it bends."""
+
+from .effect import Effect, Parameter
+
+
+def law(factor, bend_squared, cubic):
+    """Return 1 + cubic |theta'|^2, theta' from the rest bend: K theta' (1 + cubic |theta'|^2)."""
+    return factor + cubic * bend_squared
+
+
+EFFECT = Effect(
+    name='nonlinear_stiffness', title='the backbone stiffens as it bends', stage='growth', law=law,
+    parameters=(Parameter('cubic', '1/rad²', -0.5, 100.0, 0.0, typical=3.0),))

@@ -1,0 +1,14 @@
+"""The unloaded backbone is not straight."""
+
+from .effect import Effect, Parameter
+
+
+def law(rest_x, rest_y, angle_x, angle_y):
+    """Bend of every cell at rest [rad]."""
+    return rest_x + angle_x, rest_y + angle_y
+
+
+EFFECT = Effect(
+    name='pre_curvature', title='the unloaded backbone is curved', stage='rest', law=law,
+    parameters=(Parameter('angle_x', 'rad', -0.5, 0.5, 0.0, typical=0.01),
+                Parameter('angle_y', 'rad', -0.5, 0.5, 0.0, typical=0.01)))

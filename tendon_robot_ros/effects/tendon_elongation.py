@@ -1,0 +1,13 @@
+"""The tendons stretch: part of the wire pull does not reach the arm."""
+
+from .effect import Effect, Parameter
+
+
+def law(stretch, tension, length, compliance):
+    """Elongation of the tendon in a cell: strain per newton times tension times length."""
+    return stretch + compliance * tension * length
+
+
+EFFECT = Effect(
+    name='tendon_elongation', title='the tendons stretch', stage='stretch', law=law,
+    parameters=(Parameter('compliance', '1/N', 0.0, 0.1, 0.0, typical=2e-3),))

@@ -1,0 +1,13 @@
+"""Tendons resist bending, too (the paper's A7 ignores it)."""
+
+from .effect import Effect, Parameter
+
+
+def law(stiffness, tendons, per_tendon):
+    """Add the bending stiffness of every tendon that runs through the cell."""
+    return stiffness + per_tendon * tendons
+
+
+EFFECT = Effect(
+    name='tendon_stiffness', title='the tendons resist bending', stage='stiffness', law=law,
+    parameters=(Parameter('per_tendon', 'N·m/rad', 0.0, 0.1, 0.0, typical=5e-4),))

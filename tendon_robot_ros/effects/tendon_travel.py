@@ -1,0 +1,18 @@
+"""Friction opposes the real travel of the tendon, which all cells beyond the eyelet decide."""
+
+from .effect import Effect, Parameter
+
+
+def law(here, beyond, fraction):
+    """
+    Blend what this cell says with what all cells beyond the eyelet say.
+
+    Works alike on the travel [m] and on its sign [1]; replaces sgn(d) sgn(M) of eq. (10).
+    """
+    return (1.0 - fraction) * here + fraction * beyond
+
+
+EFFECT = Effect(
+    name='tendon_travel', title="friction opposes the tendon's real travel", stage='slide',
+    parameters=(Parameter('fraction', '1', 0.0, 1.0, 0.0, typical=1.0),), law=law,
+    acts_on='tendon_friction')

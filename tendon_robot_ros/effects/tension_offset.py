@@ -1,0 +1,15 @@
+"""Every pulled tendon carries a constant tension more (or less) than stated."""
+
+from .effect import Effect, Parameter
+
+
+def law(tension, offset):
+    """Return T + offset where T > 0, never below zero: a tendon cannot push."""
+    if tension > 0.0:
+        return max(tension + offset, 0.0)
+    return tension
+
+
+EFFECT = Effect(
+    name='tension_offset', title='the tension reading has an offset', stage='actuation', law=law,
+    parameters=(Parameter('offset', 'N', -2.0, 2.0, 0.0, typical=0.05),))

@@ -1,0 +1,15 @@
+"""A constant force at the tip."""
+
+from .effect import Effect, Parameter
+
+
+def law(x, y, z, force_x, force_y, force_z):
+    """Add a force in the base frame, whatever the posture."""
+    return x + force_x, y + force_y, z + force_z
+
+
+EFFECT = Effect(
+    name='tip_load', title='a constant force at the tip', stage='tip_load', law=law,
+    parameters=(Parameter('force_x', 'N', -5.0, 5.0, 0.0, typical=3e-3),
+                Parameter('force_y', 'N', -5.0, 5.0, 0.0, typical=3e-3),
+                Parameter('force_z', 'N', -5.0, 5.0, 0.0, typical=3e-3)))

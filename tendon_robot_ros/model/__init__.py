@@ -1,0 +1,1 @@
+"""The model: description and tensions to shape, and back."""

@@ -1,0 +1,135 @@
+"""The inverse: tensions for a target of the tip, within limits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from ..exceptions import InputError, NoEquilibriumError
+from .shape import Reach, Shape, finite
+
+if TYPE_CHECKING:
+    from .model import Model
+
+Floats = npt.NDArray[np.float64]
+POSITION_THRESHOLD = 1e-4  # [m]
+DIRECTION_THRESHOLD = np.deg2rad(0.2)  # [rad]
+FINE = 1e-12  # [m²] cost below which no further start is tried: 1 µm
+PREFERENCE = 1e-6  # [m/N] how little low tension counts
+
+
+def reach(model: Model, position: npt.ArrayLike | None = None,
+          direction: npt.ArrayLike | None = None, *, guess: Shape | None = None,
+          position_weight: float = 1.0, direction_weight: float | None = None,
+          starts: int = 12) -> Reach:
+    """
+    Find tensions within the limits that bring the tip to a target.
+
+    Parameters
+    ----------
+    position : (3,) [m], optional
+    direction : (3,), optional
+        Approach direction of the tip; its length and the roll about it are ignored.
+    guess : Shape, optional
+        The present state: tracking starts there and searches elsewhere only if it must.
+    position_weight : float [1]
+    direction_weight : float [m/rad], optional
+        Default: a fifth of the robot's length.
+    starts : int
+        How many starts a cold search may take.
+
+    Raises
+    ------
+    InputError
+        Neither position nor direction, or not finite.
+
+    """
+    target = _target(model, position, direction, position_weight, direction_weight)
+    best: tuple[float, Floats, Floats] | None = None
+    for inputs, bend in _starts(model, target, guess, starts):
+        cost, bends = _aim(model, inputs, bend, target, model.limits)
+        if best is None or cost < best[0]:
+            best = (cost, inputs, bends)
+        if cost < FINE:
+            break
+    assert best is not None
+    if not np.isfinite(best[0]):
+        raise NoEquilibriumError('any start of the search', model.implicit_effects, np.inf)
+    return _judge(model, target, *best)
+
+
+def _target(model: Model, position: npt.ArrayLike | None, direction: npt.ArrayLike | None,
+            position_weight: float, direction_weight: float | None) -> Floats:
+    if position is None and direction is None:
+        raise InputError('target: expected a position, a direction, or both, got neither')
+    target = np.zeros(8)
+    if position is not None:
+        target[:3], target[6] = finite('position', position, 3), position_weight
+    if direction is not None:
+        along = finite('direction', direction, 3)
+        size = float(np.linalg.norm(along))
+        if size < 1e-9:
+            raise InputError(f'direction: expected a vector of some length, got {along}')
+        weight = 0.2 * model.robot.length if direction_weight is None else direction_weight
+        target[3:6], target[7] = along / size, weight
+    return target
+
+
+def _starts(model: Model, target: Floats, guess: Shape | None,
+            count: int) -> Iterator[tuple[Floats, Floats]]:
+    """Yield tensions and bends to start from, most promising first; made only when needed."""
+    if guess is not None:
+        yield np.clip(guess.inputs, *model.limits.T), guess.bend
+    library = model.library
+    tips = np.concatenate([library.tip_position, library.tip_direction], axis=1)
+    miss = np.repeat(target[6:], 3) * (tips - target[:6])
+    for row in np.argsort((miss * miss).sum(axis=1))[:count]:
+        yield library.inputs[row].copy(), library.bend[row]
+
+
+def _aim(model: Model, inputs: Floats, bend: Floats, target: Floats,
+         limits: Floats) -> tuple[float, Floats]:
+    """Improve inputs in place; return the cost [m²] and the bends of the equilibrium."""
+    bends = np.array([bend, bend])
+    cost = model.arrays.part('inverse').aim(
+        model.arrays.chain, inputs, bends, target, np.ascontiguousarray(limits[:, 0]),
+        np.ascontiguousarray(limits[:, 1]), PREFERENCE, 60, model.arrays.fresh_memory(),
+        model.scratch())
+    return float(cost), bends[0]
+
+
+def _errors(shape: Shape, target: Floats) -> tuple[float, float]:
+    position = float(np.linalg.norm(shape.tip_position - target[:3])) if target[6] else 0.0
+    if not target[7]:
+        return position, 0.0
+    cross = float(np.linalg.norm(np.cross(shape.tip_direction, target[3:6])))
+    return position, float(np.arctan2(cross, shape.tip_direction @ target[3:6]))
+
+
+def _judge(model: Model, target: Floats, cost: float, inputs: Floats, bend: Floats) -> Reach:
+    shape = model.shape(inputs, bend)
+    position, direction = _errors(shape, target)
+    top = model.limits[:, 1]
+    at_limit = tuple(name for name, value, high in zip(model.inputs, inputs, top, strict=True)
+                     if value >= high - 1e-9)
+    status = 'reached'
+    if position > POSITION_THRESHOLD or direction > DIRECTION_THRESHOLD:
+        status = 'at_limit' if at_limit and _limits_bind(model, target, inputs, bend) else 'nearest'
+    return Reach(shape, position, direction, status, at_limit)
+
+
+def _limits_bind(model: Model, target: Floats, inputs: Floats, bend: Floats) -> bool:
+    """Tell whether the target would be reached with three times the tension."""
+    wide = model.limits * [1.0, 3.0]
+    more = inputs.copy()
+    cost, bends = _aim(model, more, bend, target, wide)
+    if not np.isfinite(cost):
+        return False
+    try:
+        errors = _errors(model.shape(more, bends), target)
+    except NoEquilibriumError:
+        return False
+    return errors[0] <= POSITION_THRESHOLD and errors[1] <= DIRECTION_THRESHOLD

@@ -1,0 +1,151 @@
+"""
+What the compiled functions pass to each other: addresses of arrays, never arrays.
+
+Numba counts references to arrays at every call, which costs more than the physics here; an
+address costs nothing. Whoever calls an entry keeps the arrays alive until it returns.
+"""
+
+from collections import namedtuple
+
+import numpy as np
+from numba import njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+compiled = njit(error_model='numpy', nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+
+def entry(*signature):
+    """Compile something that Python calls: cached, for one signature or as called."""
+    return njit(*signature, cache=True, error_model='numpy', nogil=True, no_cfunc_wrapper=True)
+
+
+# Chain: the robot and its effects; n cells, k tendons, m inputs; addresses of
+#   cells   (n, 6)    columns below, SI
+#   offset  (n, k, 2) tendon offsets [m]
+#   tendon  (k, 2)    int: cells that the tendon runs through, index of its input
+#   values  (rows, sections) effect parameters; on (effects,) uint8, which effects act
+#   gravity (3,)      [m/s²], base frame
+# radius: largest offset component [m]; step, settle: addresses of these two functions.
+Chain = namedtuple('Chain', 'n k m sections cells offset tendon values on gravity radius step '
+                            'settle')
+LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT = range(6)
+COLUMNS = 6
+
+# Memory: what friction remembers of the last posture: bend (n, 2) [rad], sign (n, k),
+# travel (n, k) [m], inputs (m,) [N]; one array, in this order.
+Memory = namedtuple('Memory', 'bend sign travel inputs')
+
+# Work: scratch of one posture. slip (2,): smoothing length [m], load scale [1].
+Work = namedtuple('Work', 'arms travel beyond load lengths tensions frames origins slip')
+
+SLIP_LENGTH = 2e-6  # [m] travel over which the sign of friction is smoothed
+
+WORD = types.int64
+CHAIN = types.NamedTuple((WORD,) * 10 + (types.float64, WORD, WORD), Chain)
+MEMORY = types.NamedUniTuple(WORD, 4, Memory)
+WORK = types.NamedUniTuple(WORD, 9, Work)
+STEP = types.void(CHAIN, WORD, WORD, WORK, MEMORY, WORD)
+SETTLE = types.float64(CHAIN, WORD, WORK, MEMORY, WORD)
+
+
+def _pointer_to(item):
+    kind = types.CPointer(item)
+
+    @intrinsic
+    def pointer(typing_context, address):
+        def generate(context, builder, _, arguments):
+            return builder.inttoptr(arguments[0], context.get_value_type(kind))
+        return kind(address), generate
+
+    return pointer
+
+
+def _function_at(signature):
+    """
+    Make a function that turns an address into something to call.
+
+    Numba optimises a function together with all that it calls, again at every level: with calls
+    by address at two places the kernel compiles several times faster and runs as fast.
+    """
+    kind = types.FunctionType(signature)
+
+    @intrinsic
+    def function(typing_context, address):
+        def generate(context, builder, _, arguments):
+            pointer = builder.inttoptr(arguments[0], cgutils.voidptr_t)
+            made = cgutils.create_struct_proxy(kind)(context, builder)
+            made.c_addr = pointer
+            made.py_addr = cgutils.get_null_value(made.py_addr.type)
+            made.jit_addr = pointer
+            return made._getvalue()
+        return kind(address), generate
+
+    return function
+
+
+floats = _pointer_to(types.float64)
+words = _pointer_to(types.int64)
+flags = _pointer_to(types.uint8)
+step_at = _function_at(STEP)
+settle_at = _function_at(SETTLE)
+
+
+def address_of(function):
+    """Return the address of an entry that was compiled for one explicit signature."""
+    (made,) = function.overloads.values()
+    return made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
+
+
+def memory_size(n, k, m):
+    """Floats that the friction memory takes."""
+    return 2 * n + 2 * n * k + m
+
+
+def work_size(n, k):
+    """Floats that the scratch of one posture takes."""
+    return 4 * n * k + 2 * n + n + n * k + 12 * (n + 1) + 2
+
+
+@compiled
+def address(array):
+    """Address of an array; whoever asks keeps the array alive."""
+    return np.int64(array.ctypes.data)
+
+
+@compiled
+def memory_in(chain, start):
+    """Friction memory in an array of `memory_size` floats; all zero is straight and slack."""
+    n, k = chain.n, chain.k
+    sign = start + 8 * 2 * n
+    travel = sign + 8 * n * k
+    return Memory(start, sign, travel, travel + 8 * n * k)
+
+
+@compiled
+def work_in(chain, start):
+    """Scratch in an array of `work_size` floats that starts as zeros."""
+    n, k = chain.n, chain.k
+    travel = start + 8 * 2 * n * k
+    beyond = travel + 8 * n * k
+    load = beyond + 8 * n * k
+    lengths = load + 8 * 2 * n
+    tensions = lengths + 8 * n
+    frames = tensions + 8 * n * k
+    origins = frames + 8 * 9 * (n + 1)
+    slip = floats(origins + 8 * 3 * (n + 1))
+    slip[0], slip[1] = SLIP_LENGTH, 1.0
+    return Work(start, travel, beyond, load, lengths, tensions, frames, origins,
+                origins + 8 * 3 * (n + 1))
+
+
+@compiled
+def section_of(chain, i):
+    """Index of the section that cell i belongs to."""
+    return int(floats(chain.cells)[COLUMNS * i + SECTION])
+
+
+@compiled
+def cell(chain, i, column):
+    """One column of cell i."""
+    return floats(chain.cells)[COLUMNS * i + column]

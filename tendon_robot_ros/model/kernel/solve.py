@@ -1,0 +1,235 @@
+"""Equilibrium: one sweep, else accelerated repetition, else Newton, else continuation."""
+
+import math
+
+import numpy as np
+
+from .layout import SETTLE, SLIP_LENGTH, address, compiled, entry, floats, step_at
+from .sweep import is_implicit
+
+TOLERANCE = 1e-10  # [rad] largest change of a bend at which a shape counts as settled
+DEPTH = 5  # guesses that the acceleration remembers
+
+
+@compiled
+def largest(values):
+    """Largest absolute entry; NaN counts as infinite."""
+    top = 0.0
+    for value in values:
+        if not abs(value) <= 1e6:
+            return math.inf
+        top = max(top, abs(value))
+    return top
+
+
+@compiled
+def solve_small(a, b, size):
+    """Solve a x = b in place for a small positive definite a (size, size) by Cholesky."""
+    for j in range(size):
+        for i in range(j):
+            a[j, j] -= a[j, i] * a[j, i]
+        a[j, j] = math.sqrt(max(a[j, j], 1e-300))
+        for r in range(j + 1, size):
+            for i in range(j):
+                a[r, j] -= a[r, i] * a[j, i]
+            a[r, j] /= a[j, j]
+    for j in range(size):
+        for i in range(j):
+            b[j] -= a[j, i] * b[i]
+        b[j] /= a[j, j]
+    for j in range(size - 1, -1, -1):
+        for i in range(j + 1, size):
+            b[j] -= a[i, j] * b[i]
+        b[j] /= a[j, j]
+
+
+@compiled
+def dot(a, b):
+    """Inner product."""
+    total = 0.0
+    for j in range(a.shape[0]):
+        total += a[j] * b[j]
+    return total
+
+
+@compiled
+def mix(x, f, steps, changes, used, gram, factor, weights):
+    """Anderson's next guess: x + f - (steps + changes) weights, weights from least squares."""
+    for p in range(used):
+        for q in range(p + 1):
+            factor[p, q] = gram[p, q]
+        factor[p, p] = gram[p, p] * (1.0 + 1e-14) + 1e-300
+        weights[p] = dot(changes[p], f)
+    solve_small(factor, weights, used)
+    for j in range(x.shape[0]):
+        move = f[j]
+        for p in range(used):
+            move -= weights[p] * (steps[p, j] + changes[p, j])
+        x[j] += move
+
+
+@compiled
+def repeat_sweeps(chain, inputs, x, work, past, most):
+    """Repeat sweeps from x (2n,), accelerated (Anderson 1965); return the last change [rad]."""
+    size = x.shape[0]
+    flat = np.empty(size)
+    f, old_x, old_f = np.empty(size), np.empty(size), np.empty(size)
+    steps, changes = np.empty((DEPTH, size)), np.empty((DEPTH, size))
+    gram, factor = np.empty((DEPTH, DEPTH)), np.empty((DEPTH, DEPTH))
+    weights = np.empty(DEPTH)
+    best = math.inf
+    for turn in range(most):
+        step_at(chain.step)(chain, inputs, address(x), work, past, address(flat))
+        for j in range(size):
+            f[j] = flat[j] - x[j]
+        change = largest(f)
+        if change < TOLERANCE:
+            x[:] = flat
+            return change
+        if change > 1e4 * best or change == math.inf:
+            return change
+        best = min(best, change)
+        if turn > 0:
+            slot = (turn - 1) % DEPTH
+            for j in range(size):
+                steps[slot, j] = x[j] - old_x[j]
+                changes[slot, j] = f[j] - old_f[j]
+            for p in range(min(turn, DEPTH)):
+                gram[slot, p] = gram[p, slot] = dot(changes[slot], changes[p])
+        old_x[:] = x
+        old_f[:] = f
+        mix(x, f, steps, changes, min(turn, DEPTH), gram, factor, weights)
+    return change
+
+
+@compiled
+def residual(chain, inputs, x, work, past, f):
+    """f (2n,) = x - sweep(x) [rad]; return its largest entry."""
+    step_at(chain.step)(chain, inputs, address(x), work, past, address(f))
+    for j in range(x.shape[0]):
+        f[j] = x[j] - f[j]
+    return largest(f)
+
+
+@compiled
+def is_planar(chain, x):
+    """Tell whether nothing bends the arm across x: half the unknowns are then zero."""
+    for j in range(1, x.shape[0], 2):
+        if x[j] != 0.0:
+            return False
+    return True
+
+
+@compiled
+def slopes(chain, inputs, x, f, work, past, stride, jacobian):
+    """Jacobian (q, q) of the residual at x by differences over the unknowns 0, stride, ..."""
+    size = x.shape[0]
+    moved = np.empty(size)
+    for c in range(size // stride):
+        j = c * stride
+        h = 1e-7
+        keep = x[j]
+        x[j] = keep + h
+        h = x[j] - keep
+        residual(chain, inputs, x, work, past, moved)
+        x[j] = keep
+        for r in range(size // stride):
+            jacobian[r, c] = (moved[r * stride] - f[r * stride]) / h
+
+
+@compiled
+def newton(chain, inputs, x, work, past, most):
+    """Newton on the bends x (2n,) with a line search; return the last residual [rad]."""
+    size = x.shape[0]
+    f, trial_f, trial = np.empty(size), np.empty(size), np.empty(size)
+    change = residual(chain, inputs, x, work, past, f)
+    stride = 2 if is_planar(chain, x) and is_planar(chain, f) else 1
+    jacobian = np.empty((size // stride, size // stride))
+    for _ in range(most):
+        if change < TOLERANCE or change == math.inf:
+            return change
+        slopes(chain, inputs, x, f, work, past, stride, jacobian)
+        if not np.isfinite(jacobian).all():
+            return math.inf
+        move = np.linalg.solve(jacobian + 1e-14 * np.eye(size // stride), f[::stride].copy())
+        if not np.isfinite(move).all():
+            return math.inf
+        share = min(1.0, 1.0 / max(largest(move), 1e-300))
+        better = False
+        for _ in range(12):
+            trial[:] = x
+            for j in range(size // stride):
+                trial[j * stride] -= share * move[j]
+            new = residual(chain, inputs, trial, work, past, trial_f)
+            if np.dot(trial_f, trial_f) < (1.0 - 1e-4 * share) * np.dot(f, f) or new < TOLERANCE:
+                better = True
+                break
+            share *= 0.5
+        if not better:
+            return change
+        x[:] = trial
+        f[:] = trial_f
+        change = new
+    return change
+
+
+@compiled
+def continuation(chain, inputs, x, work, past):
+    """Newton along a path: loads and the sharpness of friction grow together from none."""
+    slip = floats(work.slip)
+    x[:] = 0.0
+    done, stride = 0.0, 0.25
+    last = x.copy()
+    change = math.inf
+    for _ in range(60):
+        aim = min(1.0, done + stride)
+        slip[0] = SLIP_LENGTH * 10.0 ** (3.0 * (1.0 - aim))
+        slip[1] = aim
+        x[:] = last
+        change = newton(chain, inputs, x, work, past, 30)
+        if change < TOLERANCE:
+            if aim == 1.0:
+                slip[0], slip[1] = SLIP_LENGTH, 1.0
+                return change
+            done = aim
+            last[:] = x
+            stride = min(0.5, 1.6 * stride)
+        else:
+            stride *= 0.4
+            if stride < 1e-3:
+                break
+    slip[0], slip[1] = SLIP_LENGTH, 1.0
+    return max(change, 10.0 * TOLERANCE)
+
+
+@entry(SETTLE)
+def settle(chain, inputs, work, past, bend):
+    """
+    Find the equilibrium for input tensions (m,) [N] from the bends (n, 2) [rad] in `bend`.
+
+    Returns the last change [rad]: above `TOLERANCE` there is no equilibrium and the bends mean
+    nothing. work.tensions are those of the equilibrium.
+    """
+    size = 2 * chain.n
+    bends = floats(bend)
+    if not is_implicit(chain):
+        step_at(chain.step)(chain, inputs, bend, work, past, bend)
+        for j in range(size):
+            if not abs(bends[j]) < 1e6:
+                return math.inf
+        return 0.0
+    x = np.empty(size)
+    for j in range(size):
+        x[j] = bends[j]
+    change = repeat_sweeps(chain, inputs, x, work, past, 25)
+    if change >= TOLERANCE:
+        if change == math.inf:
+            for j in range(size):
+                x[j] = bends[j]
+        change = newton(chain, inputs, x, work, past, 20)
+    if change >= TOLERANCE:
+        change = continuation(chain, inputs, x, work, past)
+    step_at(chain.step)(chain, inputs, address(x), work, past, bend)
+    for j in range(size):
+        bends[j] = x[j]
+    return change

@@ -1,0 +1,238 @@
+"""The model of a robot: one object for prediction, control, fitting and the mock robot."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from ..effects import Catalogue, load_catalogue
+from ..exceptions import InputError, NoEquilibriumError
+from ..robot import Robot
+from .arrays import Arrays
+from .shape import Reach, Shape, ShapeBatch, finite
+
+Floats = npt.NDArray[np.float64]
+TOLERANCE = 1e-10  # [rad] as in the kernel
+THREADS = 2
+
+
+class Model:
+    """
+    A frictionless chain of cells plus the physical effects that a robot description lists.
+
+    PCCA is the chain alone; with `tendon_friction` it is the FKM of Kato et al. 2015.
+    """
+
+    def __init__(self, robot: Robot, catalogue: Catalogue | None = None) -> None:
+        """
+        Compile (or load from the cache) the kernel and read the robot.
+
+        Raises
+        ------
+        EffectError, RobotDescriptionError
+            An effect is not known, or a parameter is out of its bounds.
+
+        """
+        self.robot = robot
+        self.catalogue = catalogue or load_catalogue()
+        self.arrays = Arrays(robot, self.catalogue)
+        self.inputs = robot.inputs
+        self.limits: Floats = np.array([robot.tension_limits] * len(robot.inputs))
+        self._own = threading.local()
+
+    @property
+    def implicit(self) -> bool:
+        """Whether an effect acts that needs the shape itself."""
+        return bool(self.implicit_effects)
+
+    @property
+    def implicit_effects(self) -> tuple[str, ...]:
+        """Effects that act and need the shape."""
+        from ..effects import IMPLICIT_STAGES
+        friction = any(e.stage == 'eyelet' and self.acts(e.name) for e in self.catalogue)
+        return tuple(e.name for e in self.catalogue
+                     if e.stage in IMPLICIT_STAGES and self.acts(e.name)
+                     and (friction or e.acts_on is None))
+
+    def acts(self, effect: str) -> bool:
+        """Tell whether an effect is listed with a parameter off its neutral value."""
+        return bool(self.arrays.on[self.arrays.layout.index[effect]])
+
+    @property
+    def remembers(self) -> bool:
+        """Whether friction remembers the loading history."""
+        return any(e.stage == 'memory' and self.acts(e.name) for e in self.catalogue)
+
+    def tensions(self, given: Mapping[str, float] | Sequence[float] | Floats) -> Floats:
+        """
+        Return input tensions (m,) [N] from names or numbers; names left out are slack (0).
+
+        Raises
+        ------
+        InputError
+            Unknown names, or values that are negative or not finite.
+
+        """
+        if isinstance(given, Mapping):
+            unknown = [name for name in given if name not in self.inputs]
+            if unknown:
+                raise InputError(f'tensions: unknown {", ".join(map(repr, unknown))}; '
+                                 f'{self.robot.name} has {", ".join(self.inputs)}')
+            given = [given.get(name, 0.0) for name in self.inputs]
+        values = finite('tensions', given, len(self.inputs))
+        if (values < 0.0).any():
+            raise InputError(f'tensions: expected none below 0 N, got {values}')
+        return values
+
+    def shape(self, tensions: Mapping[str, float] | Sequence[float] | Floats,
+              guess: Floats | None = None, memory: Floats | None = None) -> Shape:
+        """
+        Return the shape under input tensions.
+
+        Parameters
+        ----------
+        tensions : mapping or (m,) [N]
+        guess : (n, 2) [rad], optional
+            Bends to start an implicit model from.
+        memory : optional
+            Friction memory of the posture before (`Shape.memory`); default: from straight.
+
+        Raises
+        ------
+        InputError, NoEquilibriumError
+
+        """
+        inputs = self.tensions(tensions)[None]
+        past = self.arrays.fresh_memory() if memory is None else memory.copy()
+        guesses = None if guess is None else np.asarray(guess, float)[None]
+        batch, changes = self.solve(inputs, guesses, past, carry=True)
+        self._refuse(inputs, changes)
+        return Shape(batch, past)
+
+    def shapes(self, tensions: npt.ArrayLike, guesses: Floats | None = None) -> ShapeBatch:
+        """
+        Return the shapes under input tensions (b, m) [N], each loaded from straight.
+
+        Raises
+        ------
+        InputError, NoEquilibriumError
+
+        """
+        inputs = self._batch(tensions)
+        batch, changes = self.solve(inputs, guesses)
+        self._refuse(inputs, changes)
+        return batch
+
+    def sequence(self, tensions: npt.ArrayLike, memory: Floats | None = None) -> ShapeBatch:
+        """Return the shapes (b) of postures one after the other; friction remembers."""
+        inputs = self._batch(tensions)
+        past = self.arrays.fresh_memory() if memory is None else memory
+        batch, changes = self.solve(inputs, None, past, carry=True)
+        self._refuse(inputs, changes)
+        return batch
+
+    def solve(self, inputs: Floats, guesses: Floats | None = None, memory: Floats | None = None,
+              carry: bool = False) -> tuple[ShapeBatch, Floats]:
+        """
+        Return the shapes under inputs (b, m) [N] and the last changes (b,) [rad].
+
+        A change above `TOLERANCE` marks a posture without equilibrium. `memory` moves on when
+        carried; batches of many postures that carry nothing use both cores.
+        """
+        b, chain = len(inputs), self.arrays.chain
+        n, k = chain.n, chain.k
+        bend = np.zeros((b, n, 2)) if guesses is None else np.array(guesses, order='C')
+        out = (bend, np.empty((b, n, k)), np.empty((b, n, 3, 3)), np.empty((b, n, 3)),
+               np.empty((b, k)), np.empty(b))
+        past = self.arrays.fresh_memory() if memory is None else memory
+        run = self.arrays.part('shape').postures
+
+        def part(rows: slice) -> None:
+            scratch = self.scratch() if rows.stop - rows.start == b else self.arrays.scratch()
+            run(chain, inputs[rows], *(array[rows] for array in out), past, scratch, int(carry))
+
+        if carry or b < 64:
+            part(slice(0, b))
+        else:
+            edges = np.linspace(0, b, THREADS + 1).astype(int)
+            with ThreadPoolExecutor(THREADS) as pool:
+                list(pool.map(part, map(slice, edges[:-1].tolist(), edges[1:].tolist())))
+        bend, tensions, frames, positions, tendon_pulls, changes = out
+        batch = ShapeBatch(inputs, bend, tensions, frames, positions, tendon_pulls,
+                           tendon_pulls @ self.shares.T, self._lengths, self._hinge)
+        return batch, changes
+
+    @cached_property
+    def shares(self) -> Floats:
+        """Share (m, k) of each tendon in the wire pull of its input."""
+        shares = np.zeros((len(self.inputs), len(self.robot.tendons)))
+        for j, members in enumerate(self.robot.input_tendons):
+            shares[j, list(members)] = 1.0 / len(members)
+        return shares
+
+    @cached_property
+    def library(self) -> ShapeBatch:
+        """Shapes all over the workspace, from which a cold search starts."""
+        from .library import workspace_library
+        return workspace_library(self)
+
+    @cached_property
+    def _lengths(self) -> Floats:
+        return np.ascontiguousarray(self.arrays.cells[:, 0])
+
+    @cached_property
+    def _hinge(self) -> npt.NDArray[np.bool_]:
+        return self.arrays.cells[:, 3] > 0.5
+
+    def scratch(self) -> Floats:
+        """Return this thread's scratch memory."""
+        if not hasattr(self._own, 'scratch'):
+            self._own.scratch = self.arrays.scratch()
+        memory: Floats = self._own.scratch
+        return memory
+
+    def measured(self, points: Floats) -> Floats:
+        """Move points (..., 3) [m] from the robot's base frame to the tracker's."""
+        moved = np.array(points, dtype=float, order='C')
+        if self.acts('base_misalignment') if 'base_misalignment' in self.catalogue else False:
+            self.arrays.part('shape').measured(self.arrays.chain, moved.reshape(-1, 3))
+        return moved
+
+    def jacobian(self, tensions: Mapping[str, float] | Sequence[float] | Floats) -> Floats:
+        """Return d (tip position [m], tip direction) / d tensions [N], (6, m)."""
+        from .derivatives import tip_jacobian
+        return tip_jacobian(self, self.tensions(tensions))
+
+    def reach(self, position: npt.ArrayLike | None = None,
+              direction: npt.ArrayLike | None = None, **options: object) -> Reach:
+        """Return tensions that bring the tip to a target; see `inverse.reach`."""
+        from .inverse import reach
+        return reach(self, position, direction, **options)  # type: ignore[arg-type]
+
+    def pull_shape(self, pulls: Mapping[str, float] | Sequence[float] | Floats,
+                   guess: Shape | None = None) -> Shape:
+        """Return the shape under wire pulls; see `pulls.pull_shape`."""
+        from .pulls import pull_shape
+        return pull_shape(self, pulls, guess)
+
+    def _batch(self, tensions: npt.ArrayLike) -> Floats:
+        inputs = np.ascontiguousarray(tensions, dtype=float)
+        if inputs.ndim != 2 or inputs.shape[1] != len(self.inputs):
+            raise InputError(f'tensions: expected (postures, {len(self.inputs)}) numbers for '
+                             f'{", ".join(self.inputs)}, got shape {inputs.shape}')
+        if not (np.isfinite(inputs).all() and (inputs >= 0.0).all()):
+            raise InputError('tensions: expected finite numbers not below 0 N')
+        return inputs
+
+    def _refuse(self, inputs: Floats, changes: Floats) -> None:
+        bad = np.flatnonzero(~(changes < TOLERANCE))
+        if len(bad):
+            named = ', '.join(f'{name} {value:g} N' for name, value
+                              in zip(self.inputs, inputs[bad[0]], strict=True))
+            where = f'posture {bad[0]} ({named})' if len(inputs) > 1 else named
+            raise NoEquilibriumError(where, self.implicit_effects, float(changes[bad[0]]))
