@@ -71,11 +71,11 @@ events = st.lists(
 
 def disturb(supervisor, event):
     if event == 'stop':
-        supervisor.stop('button', 'button pressed')
+        supervisor.latch.stop('button', 'button pressed')
     elif event == 'lasting':
-        supervisor.stop('topic', 'stop topic says so', lasting=True)
+        supervisor.latch.stop('topic', 'stop topic says so', lasting=True)
     elif event == 'gone':
-        supervisor.cause_gone('topic')
+        supervisor.latch.cause_gone('topic')
     elif event == 'reset':
         with contextlib.suppress(DriverError):
             supervisor.reset()
@@ -160,7 +160,7 @@ def test_a_stop_latches_and_reset_waits_for_a_new_command():
     supervisor = started()
     command = np.array([3.0, 1.0])
     _, now = run(supervisor, 0.0, 1.0, command)
-    supervisor.stop('button', 'stop was called')
+    supervisor.latch.stop('button', 'stop was called')
     decision, now = run(supervisor, now, 2.0, command)
     assert decision.state == 'released'
     assert decision.reasons == ('stop was called',)
@@ -173,13 +173,13 @@ def test_a_stop_latches_and_reset_waits_for_a_new_command():
 
 def test_reset_is_refused_while_the_cause_lasts():
     supervisor = started()
-    supervisor.stop('topic', 'topic stop says true', lasting=True)
+    supervisor.latch.stop('topic', 'topic stop says true', lasting=True)
     with pytest.raises(DriverError, match='reset refused: topic stop says true'):
         supervisor.reset()
-    supervisor.cause_gone('topic')
-    assert supervisor.stopped
+    supervisor.latch.cause_gone('topic')
+    assert supervisor.latch
     supervisor.reset()
-    assert not supervisor.stopped
+    assert not supervisor.latch
 
 
 def test_a_hardware_error_takes_torque_from_that_motor_only_and_releases_the_others():

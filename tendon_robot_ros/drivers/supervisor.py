@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..exceptions import DriverError
 from .interface import Reading
+from .latch import StopLatch
 from .limits import approach, bounded
 from .safety import Decision, SafetyRules
 
@@ -28,13 +29,12 @@ class Supervisor:
 
     rules: SafetyRules
     state: str = OFF
+    latch: StopLatch = field(default_factory=StopLatch)
     _output: Array = field(init=False)
     _asked: Array | None = None  # last usable command
     _asked_at: float = -np.inf
     _now: float = -np.inf
     _clipped: tuple[str, ...] = ()
-    _stops: dict[str, str] = field(default_factory=dict)  # latched: key -> sentence
-    _lasting: dict[str, str] = field(default_factory=dict)  # causes that are there now
     _tripped: set[str] = field(default_factory=set)  # inputs with a latched hardware error
     _faulty: bool = False
 
@@ -64,16 +64,6 @@ class Supervisor:
         self._clipped = ()
         self.state = FOLLOWING
 
-    def stop(self, key: str, reason: str, lasting: bool = False) -> None:
-        """Latch a stop; while its cause is lasting, `reset` is refused."""
-        self._stops[key] = reason
-        if lasting:
-            self._lasting[key] = reason
-
-    def cause_gone(self, key: str) -> None:
-        """Say that the cause of a stop is gone; the stop stays latched until `reset`."""
-        self._lasting.pop(key, None)
-
     def reset(self) -> None:
         """
         Clear the latched stops; the arm then waits for a new command.
@@ -84,16 +74,9 @@ class Supervisor:
             A cause is still there.
 
         """
-        if self._lasting:
-            raise DriverError('reset refused: ' + '; '.join(self._lasting.values()))
-        self._stops.clear()
+        self.latch.reset()
         self._tripped.clear()
         self._asked = None
-
-    @property
-    def stopped(self) -> bool:
-        """Whether a stop is latched."""
-        return bool(self._stops)
 
     def step(self, now: float, command: Array | None, reading: Reading) -> Decision:
         """
@@ -113,7 +96,7 @@ class Supervisor:
         passed = min(max(passed, 0.0), LONGEST_CYCLE) if np.isfinite(passed) else 0.0
         self._now = max(now, self._now) if np.isfinite(now) else self._now
         self._accept(command)
-        reasons = self._watch(reading) + list(self._stops.values())
+        reasons = self._watch(reading) + self.latch.reasons
         if self.state == OFF:
             return Decision(self._output.copy(), self.rules.inputs, OFF, tuple(reasons))
         silence = self._now - self._asked_at
@@ -148,11 +131,11 @@ class Supervisor:
     def _watch(self, reading: Reading) -> list[str]:
         """Latch hardware errors; after a lost connection begin again at the measured state."""
         reasons = [fault.message for fault in reading.faults]
-        self._lasting.pop('hardware', None)
+        self.latch.cause_gone('hardware')
         for fault in reading.faults:
             if fault.hardware:
                 self._tripped.update(fault.inputs or self.rules.inputs)
-                self.stop('hardware', fault.message, lasting=True)
+                self.latch.stop('hardware', fault.message, lasting=True)
         if self._faulty and not reading.faults and self.state not in (OFF, LIMP):
             self._output = self._measured(reading, self._output)
         self._faulty = bool(reading.faults)

@@ -1,0 +1,139 @@
+"""Checks of what comes in over topics; each refusal has a code for programs and a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..exceptions import InputError
+
+Array = NDArray[np.float64]
+
+
+class Refusal(InputError):
+    """A message is not used; `code` is short and stable."""
+
+    def __init__(self, code: str, message: str) -> None:
+        """Keep the code beside the sentence."""
+        self.code = code
+        super().__init__(message)
+
+
+def check_stamp(stamp: float, now: float, tolerance: float, what: str) -> None:
+    """
+    Refuse an old or a future stamp.
+
+    Parameters
+    ----------
+    stamp, now : float
+        Time in the message's header and of this node's clock [s]; a stamp of 0 means now.
+    tolerance : float
+        Largest difference [s].
+    what : str
+        Names the message.
+
+    """
+    if stamp == 0.0:
+        return
+    age = now - stamp
+    if age > tolerance:
+        raise Refusal(
+            'stale',
+            f'{what}: stamp is {age:.3g} s old, expected at most '
+            f'{tolerance:g} s; check clocks, or send stamp 0 for now',
+        )
+    if age < -tolerance:
+        raise Refusal(
+            'future',
+            f'{what}: stamp is {-age:.3g} s in the future, expected at most '
+            f'{tolerance:g} s; check clocks, or send stamp 0 for now',
+        )
+
+
+def check_frame(frame: str, known: Sequence[str], what: str) -> None:
+    """Refuse a frame other than the known ones."""
+    if frame not in known:
+        raise Refusal(
+            'frame',
+            f'{what}: frame {frame!r}, expected {" or ".join(map(repr, known))}'
+            ' (no transform between the two is known)',
+        )
+
+
+def finite(values: Sequence[float], what: str) -> Array:
+    """Return the values as an array; refuse nan and inf."""
+    array = np.array(values, dtype=float)
+    if not np.all(np.isfinite(array)):
+        raise Refusal('not_finite', f'{what}: expected finite numbers, got {array.tolist()}')
+    return array
+
+
+def position(values: Sequence[float], longest: float, what: str) -> Array:
+    """Return a position [m]; refuse one that is further away than any robot's tip could be."""
+    point = finite(values, what)
+    if np.linalg.norm(point) > longest:
+        raise Refusal(
+            'too_far',
+            f'{what}: {np.linalg.norm(point):.4g} m from the base, expected '
+            f'at most {longest:.4g} m; positions are in metres',
+        )
+    return point
+
+
+def direction(quaternion: Sequence[float], what: str) -> Array:
+    """
+    Return the +z axis of an orientation, its approach direction; roll is ignored.
+
+    Parameters
+    ----------
+    quaternion : sequence of 4 float
+        x, y, z, w; its norm may be off by 1 %.
+    what : str
+        Names the message.
+
+    """
+    x, y, z, w = finite(quaternion, what)
+    norm = float(np.sqrt(x * x + y * y + z * z + w * w))
+    if not 0.99 < norm < 1.01:
+        raise Refusal(
+            'quaternion',
+            f'{what}: orientation (x, y, z, w) has norm {norm:.4g}, '
+            'expected 1; for a position alone use the point topic',
+        )
+    x, y, z, w = np.array([x, y, z, w]) / norm
+    return np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+
+
+def by_name(
+    names: Sequence[str], values: Sequence[float], inputs: Sequence[str], what: str, quantity: str
+) -> Array:
+    """
+    Return the values of a joint message in the robot's order.
+
+    Parameters
+    ----------
+    names, values : sequence
+        As in the message.
+    inputs : sequence of str
+        The robot's inputs: every one of them must be there, once, and nothing else.
+    what, quantity : str
+        Name the message and its field.
+
+    """
+    unknown = [name for name in names if name not in inputs]
+    missing = [name for name in inputs if name not in names]
+    if unknown or missing or len(names) != len(inputs):
+        problem = (
+            f'unknown {", ".join(unknown)}'
+            if unknown
+            else (f'missing {", ".join(missing)}' if missing else 'a name stands twice')
+        )
+        raise Refusal('names', f'{what}: {problem}; expected {", ".join(inputs)}, once each')
+    if len(values) != len(names):
+        raise Refusal(
+            'length', f'{what}: expected {len(names)} values of {quantity}, got {len(values)}'
+        )
+    at = dict(zip(names, values, strict=True))
+    return np.array([at[name] for name in inputs], dtype=float)

@@ -1,0 +1,259 @@
+"""From targets to commands: one object, no clock, no threads, no ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..drivers.latch import StopLatch
+from ..drivers.limits import approach, bounded
+from ..exceptions import DriverError, InputError, NoEquilibriumError
+from .checks import Refusal
+from .heard import Heard
+from .jog import Jog, Twist
+from .settings import Output, Settings, Target
+
+if TYPE_CHECKING:
+    from ..model.model import Model
+    from ..model.shape import Reach, Shape
+
+Array = NDArray[np.float64]
+STARTS = 12  # of a cold search; a twist only goes on from where it is
+LONGEST_CYCLE = 0.05  # [s]; after a stall the command does not catch up in one step
+
+
+@dataclass
+class ControllerCore:
+    """The state between two cycles; all times are monotonic seconds given by the caller."""
+
+    model: Model
+    settings: Settings = field(default_factory=Settings)
+    target: Target | None = None
+    solution: Reach | None = None
+    command: Array | None = None  # (m,) [N], None until the driver was heard
+    driver_stopped: str = ''  # why the driver does not follow, as it says
+    refusal: Refusal | None = None  # of the last message, until one is accepted
+    no_equilibrium: str = ''
+    latch: StopLatch = field(default_factory=StopLatch)
+    _jog: Jog | None = None
+    _heard: Heard | None = None
+    _lost: bool = True
+    _stepped: float = -np.inf
+    _failing_since: float | None = None
+    _shape: Shape | None = None
+
+    def measured(self, now: float, tensions: Array, pulls: Array) -> None:
+        """Take what the driver measures, (m,) [N] and (m,) [m], nan where not observable."""
+        self._heard = Heard(tensions, pulls, now)
+
+    def aim(self, target: Target) -> None:
+        """
+        Take a set point; it stays until the next one.
+
+        Raises
+        ------
+        Refusal
+            The model finds no equilibrium for it, or a stop is latched.
+
+        """
+        self._require_running()
+        try:
+            solution = self._solve(target)
+        except (NoEquilibriumError, InputError) as error:
+            raise Refusal('no_equilibrium', f'target refused: {error}') from None
+        self.target, self.solution, self._jog = target, solution, None
+        self.refusal = None
+
+    def twist(self, now: float, twist: Twist) -> None:
+        """Take a velocity of the tip; it ends by itself after `twist_timeout`."""
+        self._require_running()
+        if self.command is None:
+            raise Refusal('no_driver', 'twist refused: no tendon states yet')
+        if self._jog is None:
+            self._jog = Jog.start(self._look(self.command))
+            self.target = self.solution = None
+        self._jog.take(now, twist)
+        self.refusal = None
+
+    def stop(self, key: str, reason: str, lasting: bool = False) -> None:
+        """Latch a stop and drop the target; while its cause is lasting, reset is refused."""
+        self.latch.stop(key, reason, lasting)
+        self._drop()
+
+    def reset(self) -> None:
+        """
+        Clear the stops; the arm stays where it is until a new target comes.
+
+        Raises
+        ------
+        DriverError
+            A cause is still there.
+
+        """
+        if self.driver_stopped:
+            raise DriverError(f'reset refused: the driver is stopped: {self.driver_stopped}')
+        self.latch.reset()
+        self._lost = True
+
+    def driver_says(self, stopped: str) -> None:
+        """Take why the driver does not follow, '' when it does."""
+        if stopped and not self.driver_stopped:
+            self._drop()
+        self.driver_stopped = stopped
+
+    @property
+    def jogging(self) -> bool:
+        """Whether a twist moves the tip."""
+        return self._jog is not None
+
+    @property
+    def moving(self) -> bool:
+        """Whether the command is still on its way."""
+        if self.solution is None or self.command is None:
+            return False
+        goal = bounded(self.solution.tensions, self.model.limits)
+        return not np.array_equal(self.command, goal)
+
+    def fresh(self, now: float) -> bool:
+        """Whether the driver was heard lately."""
+        heard = self._heard
+        return heard is not None and now - heard.time <= self.settings.state_timeout
+
+    def step(self, now: float) -> Output | None:
+        """
+        Return the command of this cycle, or None when there must be none.
+
+        None means that the driver will release the arm: a stop is latched, there has been no
+        equilibrium for `patience`, or the driver was never heard.
+        """
+        passed = min(max(now - self._stepped, 0.0), LONGEST_CYCLE)
+        self._stepped = now
+        if not self.fresh(now):
+            self._lost = True
+        elif self._lost or self.driver_stopped or self.command is None:
+            self._resync()
+        if self.latch or self.command is None:
+            return None
+        wanted = self.command
+        if self.fresh(now) and not self.driver_stopped:
+            wanted = self._advance(now, passed)
+        return self._output(now, wanted)
+
+    def predict(self, now: float) -> Shape | None:
+        """Return the arm as the model sees it: at measured tensions where observable."""
+        tensions = self.command
+        if self._heard is not None and self._heard.observed and self.fresh(now):
+            tensions = np.maximum(self._heard.tensions, 0.0)
+        return None if tensions is None else self._equilibrium(now, tensions)
+
+    def set_model(self, model: Model) -> None:
+        """
+        Change the model; tensions then move to its solution at `rate_limit`.
+
+        Raises
+        ------
+        InputError
+            It has other inputs.
+        NoEquilibriumError
+            It finds none at the present tensions, or for the target: the old one stays.
+
+        """
+        if model.inputs != self.model.inputs:
+            raise InputError(
+                f'the new model has the inputs {", ".join(model.inputs)}, expected '
+                f'{", ".join(self.model.inputs)}; restart the node to change them'
+            )
+        if self.command is not None:
+            model.shape(self.command)
+        solution = None if self.target is None else self._solve(self.target, model)
+        self.model, self.solution = model, solution
+        self._jog = self._shape = None
+
+    def _advance(self, now: float, passed: float) -> Array:
+        """Move the command towards where the target or the twist wants it, at the rate limit."""
+        assert self.command is not None
+        if self._jog is not None:
+            if self._jog.over(now, self.settings.twist_timeout):
+                self._jog = self.solution = None
+            else:
+                self._follow_twist(self._jog, passed)
+        goal = self.command if self.solution is None else self.solution.tensions
+        step = np.full(len(goal), self.settings.rate_limit * passed)
+        return approach(self.command, bounded(goal, self.model.limits), step)
+
+    def _follow_twist(self, jog: Jog, passed: float) -> None:
+        aim = jog.advance(passed, self.settings.hold_direction)
+        if aim is None:
+            return
+        try:
+            self.solution = self._solve(Target(*aim))
+        except (NoEquilibriumError, InputError) as error:
+            self._jog = None
+            self.refusal = Refusal('no_equilibrium', f'twist ended: {error}')
+        else:
+            jog.reached(self.solution.shape)
+
+    def _output(self, now: float, wanted: Array) -> Output | None:
+        pulls = None
+        if self.settings.pull_mode:
+            shape = self._equilibrium(now, wanted)
+            if shape is None:
+                wanted = self.command if self.command is not None else wanted
+                shape = self._shape
+            pulls = None if shape is None else shape.pulls
+        waited = 0.0 if self._failing_since is None else now - self._failing_since
+        if waited > self.settings.patience or (self.settings.pull_mode and pulls is None):
+            self._drop()
+            self._lost = True
+            self.refusal = Refusal('no_equilibrium', f'released: {self.no_equilibrium}')
+            return None
+        self.command = wanted
+        return Output(wanted.copy(), pulls)
+
+    def _equilibrium(self, now: float, tensions: Array) -> Shape | None:
+        try:
+            self._shape = self._look(tensions)
+        except (NoEquilibriumError, InputError) as error:
+            self.no_equilibrium = str(error)
+            if self._failing_since is None:
+                self._failing_since = now
+            return None
+        self.no_equilibrium, self._failing_since = '', None
+        return self._shape
+
+    def _look(self, tensions: Array) -> Shape:
+        guess = None if self._shape is None else self._shape.bend
+        return self.model.shape(tensions, guess=guess)
+
+    def _solve(self, target: Target, model: Model | None = None) -> Reach:
+        model = model or self.model
+        guess = self._shape if self.solution is None else self.solution.shape
+        if guess is not None and guess.bend.shape != (model.robot.cells, 2):
+            guess = None
+        return model.reach(
+            position=target.position,
+            direction=target.direction,
+            guess=guess,
+            direction_weight=self.settings.direction_weight or None,
+            starts=STARTS if self._jog is None else 0,
+        )
+
+    def _resync(self) -> None:
+        """Begin at the measured state."""
+        assert self._heard is not None
+        unknown = self.model.limits[:, 0] if self.command is None else self.command
+        tensions = self._heard.in_newtons(self.model, self._shape, unknown)
+        self.command = bounded(tensions, self.model.limits)
+        self._lost, self._jog = False, None
+
+    def _drop(self) -> None:
+        self.target = self.solution = self._jog = None
+
+    def _require_running(self) -> None:
+        if self.latch:
+            raise Refusal('stopped', f'stopped: {"; ".join(self.latch.reasons)}; call reset first')
+        if self.driver_stopped:
+            raise Refusal('driver_stopped', f'the driver does not follow: {self.driver_stopped}')

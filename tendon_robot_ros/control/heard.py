@@ -1,0 +1,40 @@
+"""What the driver last measured, and how long ago that was."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..exceptions import InputError, NoEquilibriumError
+
+if TYPE_CHECKING:
+    from ..model.model import Model
+    from ..model.shape import Shape
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Heard:
+    """Tensions (m,) [N] and wire pulls (m,) [m] as measured, nan where not observable."""
+
+    tensions: Array
+    pulls: Array
+    time: float  # monotonic [s]
+
+    @property
+    def observed(self) -> bool:
+        """Whether every tension was."""
+        return bool(np.all(np.isfinite(self.tensions)))
+
+    def in_newtons(self, model: Model, guess: Shape | None, unknown: Array) -> Array:
+        """Return the tensions; those of the wire pulls where tension is not observable."""
+        if self.observed:
+            return np.maximum(self.tensions, 0.0)
+        try:
+            return model.pull_shape(self.pulls, guess).inputs
+        except (NoEquilibriumError, InputError):
+            return unknown

@@ -1,0 +1,82 @@
+"""How the controller is, as a level, a code, a sentence and values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import degrees
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ..model.shape import Reach
+    from .core import ControllerCore
+
+OK, WARN, ERROR = 'ok', 'warn', 'error'
+
+
+@dataclass(frozen=True)
+class Report:
+    """The first thing that a person should know comes as level, code and message."""
+
+    level: str
+    code: str
+    message: str
+    values: dict[str, str]
+
+
+def report(core: ControllerCore, now: float) -> Report:
+    """Say how the controller is; codes are listed in docs/ros_interface.md."""
+    level, code, message = _condition(core, now)
+    values = {'moving': str(core.moving).lower()}
+    if core.solution is not None:
+        values.update(_solution(core.solution))
+    if core.command is not None:
+        values['tensions'] = ', '.join(
+            f'{name} {tension:.3f} N'
+            for name, tension in zip(core.model.inputs, core.command, strict=True)
+        )
+    return Report(level, code, message, values)
+
+
+def _condition(core: ControllerCore, now: float) -> tuple[str, str, str]:
+    if core.latch:
+        return ERROR, 'stopped', '; '.join(core.latch.reasons) + '; call reset to go on'
+    if core.driver_stopped:
+        return ERROR, 'driver_stopped', f'the driver does not follow: {core.driver_stopped}'
+    if not core.fresh(now):
+        if core.command is None:
+            return WARN, 'waiting', 'no tendon_states yet: is the driver running?'
+        timeout = core.settings.state_timeout
+        return ERROR, 'no_driver', f'no tendon_states for {timeout:g} s; holding the last command'
+    if core.no_equilibrium:
+        return ERROR, 'no_equilibrium', core.no_equilibrium
+    if core.refusal is not None:
+        return WARN, f'refused_{core.refusal.code}', str(core.refusal)
+    if core.jogging:
+        return OK, 'jogging', 'following a twist'
+    if core.solution is None:
+        return OK, 'holding', 'waiting for a target'
+    if core.moving:
+        return OK, 'moving', 'moving to the target'
+    return _arrived(core.solution)
+
+
+def _arrived(solution: Reach) -> tuple[str, str, str]:
+    error = f'{1e3 * solution.position_error:.2f} mm and {degrees(solution.direction_error):.2f}°'
+    if solution.status == 'reached':
+        return OK, 'reached', f'at the target within {error}, as the model sees it'
+    limits = ', '.join(solution.at_limit)
+    limits = f'; at its limit: {limits}' if limits else ''
+    return WARN, solution.status, f'as near as it can, {error} from the target{limits}'
+
+
+def _solution(solution: Reach) -> dict[str, str]:
+    finite = [solution.position_error, solution.direction_error]
+    position, direction = np.nan_to_num(finite)
+    return {
+        'solution': solution.status,
+        'position_error': f'{1e3 * position:.3f} mm',
+        'direction_error': f'{degrees(direction):.3f} deg',
+        'at_limit': ', '.join(solution.at_limit),
+    }

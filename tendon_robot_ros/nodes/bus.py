@@ -1,0 +1,179 @@
+"""The one thread that talks to the motors: supervisor, write, read, in a fixed cycle."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..drivers import Driver, Reading
+from ..drivers.safety import Decision
+from ..drivers.supervisor import FOLLOWING, LIMP, OFF, RELEASED, Supervisor
+from ..exceptions import DriverError
+
+Array = NDArray[np.float64]
+T = TypeVar('T')
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """What one cycle saw and did."""
+
+    reading: Reading
+    decision: Decision
+    duration: float  # [s] without the wait
+
+
+class Bus:
+    """
+    Runs a driver that is open.
+
+    Everything that touches driver or supervisor runs in this thread: `call` hands over a
+    function and waits for its result.
+    """
+
+    def __init__(
+        self,
+        driver: Driver,
+        supervisor: Supervisor,
+        period: float,
+        report: Callable[[Cycle], None],
+    ) -> None:
+        """Take what to run; `report` is called from the thread after every cycle."""
+        self.driver, self.supervisor = driver, supervisor
+        self._period, self._report = period, report
+        self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._command: Array | None = None
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name='bus', daemon=True)
+        self._off: tuple[str, ...] = driver.inputs
+        self._last: Reading | None = None
+        self.crashed: BaseException | None = None
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._thread.start()
+
+    def put(self, command: Array) -> None:
+        """Give the newest command, shape (m,); only the newest counts."""
+        self._command = command
+
+    def call(self, function: Callable[[], T], timeout: float = 5.0) -> T:
+        """Run a function in the thread; raise what it raises."""
+        result: Future[T] = Future()
+
+        def task() -> None:
+            try:
+                result.set_result(function())
+            except Exception as error:
+                result.set_exception(error)
+
+        self._calls.put(task)
+        try:
+            return result.result(timeout)
+        except TimeoutError:
+            raise DriverError(f'the bus did not answer within {timeout:g} s') from None
+
+    def activate(self) -> None:
+        """Torque on, from the measured state."""
+        self.call(self._enable)
+
+    def release(self, key: str, reason: str, timeout: float) -> bool:
+        """
+        Ramp to rest and wait for it.
+
+        Returns
+        -------
+        bool
+            Whether the arm is at rest; False after the timeout, or when the thread died.
+
+        """
+        deadline = time.monotonic() + timeout
+        self.call(lambda: self.supervisor.latch.stop(key, reason))
+        while time.monotonic() < deadline and self._thread.is_alive():
+            if self.supervisor.state in (RELEASED, LIMP, OFF):
+                return True
+            time.sleep(self._period)
+        return False
+
+    def close(self) -> None:
+        """End the thread, then close the driver."""
+        self._ending.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=2.0)
+        self.driver.close()
+
+    def _enable(self) -> None:
+        self.driver.enable()
+        self._last = self.driver.read()
+        self._off = ()
+        self.supervisor.start(time.monotonic(), self._last)
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        try:
+            self._last = self.driver.read()
+            while not self._ending.is_set():
+                self._cycle()
+                due = max(due + self._period, time.monotonic())
+                self._ending.wait(max(due - time.monotonic(), 0.0))
+        except Exception as error:
+            self.crashed = error
+            self._rescue()
+
+    def _cycle(self) -> None:
+        began = time.monotonic()
+        while not self._calls.empty():
+            self._calls.get()()
+        command, self._command = self._command, None
+        assert self._last is not None
+        decision = self.supervisor.step(began, command, self._last)
+        began_again = self._torque(decision)
+        if decision.state not in (OFF, LIMP) and not began_again:
+            self.driver.write(decision.command)
+        self._last = self.driver.read()
+        self._report(Cycle(self._last, decision, time.monotonic() - began))
+
+    def _torque(self, decision: Decision) -> bool:
+        """
+        Switch torque off where the decision says so, and on again where it may come back.
+
+        Returns
+        -------
+        bool
+            Whether torque came back: the command of this cycle is then void.
+
+        """
+        new = tuple(name for name in decision.off if name not in self._off)
+        if new:
+            self.driver.disable(new)
+            self._off += new
+        back = set(self._off) - set(decision.off)
+        if not back or decision.state != FOLLOWING:
+            return False
+        try:
+            self._enable()
+        except DriverError as error:
+            self.supervisor.latch.stop('enable', f'torque stays off: {error}')
+        return True
+
+    def _rescue(self) -> None:
+        """After an error nobody foresaw: ramp down if the driver still works, else torque off."""
+        try:
+            self.supervisor.latch.stop('crash', f'the driver process failed: {self.crashed}')
+            for _ in range(round(5.0 / self._period)):
+                decision = self.supervisor.step(time.monotonic(), None, self.driver.read())
+                if decision.state not in (OFF, LIMP):
+                    self.driver.write(decision.command)
+                if decision.state in (OFF, LIMP, RELEASED):
+                    return
+                time.sleep(self._period)
+        except Exception:
+            self.driver.disable()

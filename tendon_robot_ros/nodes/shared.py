@@ -1,0 +1,70 @@
+"""Finding the files that come with the package, and reading a robot from a path or from text."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ..exceptions import InputError
+from ..robot import Robot, load_robot, parse_robot
+
+PACKAGE = 'tendon_robot_ros'
+
+
+def shared_file(name: str) -> Path | None:
+    """
+    Find a file such as `config/driver.yaml`.
+
+    Looks in a source tree first, then where pip and colcon install shared files.
+    """
+    roots = [Path(__file__).resolve().parents[2]]
+    prefixes = [sys.prefix, *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
+    roots += [Path(prefix) / 'share' / PACKAGE for prefix in prefixes if prefix]
+    return next((root / name for root in roots if (root / name).is_file()), None)
+
+
+def read_robot(text: str) -> Robot:
+    """
+    Read a robot from a path, from the name of a robot in config/robots, or from YAML text.
+
+    Raises
+    ------
+    RobotDescriptionError
+        With file, key, what was expected and what came.
+    InputError
+        The text is empty.
+
+    """
+    if not text.strip():
+        raise InputError(
+            'expected a path, the name of a robot in config/robots or YAML text, got nothing'
+        )
+    if '\n' in text or ': ' in text:
+        return parse_robot(text, 'robot given as text')
+    own = shared_file(f'config/robots/{text}.yaml')
+    if own is not None and not Path(text).is_file():
+        return load_robot(own)
+    return load_robot(text)
+
+
+def read_mapping(text: str, what: str) -> dict[str, Any]:
+    """Read a configuration from a path or from YAML text; '' is empty."""
+    if text.strip() and '\n' not in text and ':' not in text:
+        try:
+            text = Path(text).read_text(encoding='utf-8')
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, 'strerror', None) or 'not a text file'
+            raise InputError(f'{what}: {text}: {reason}; expected a YAML file or text') from None
+    try:
+        content = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise InputError(f'{what}: not valid YAML: {" ".join(str(error).split())}') from None
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        raise InputError(f'{what}: expected keys with values, got {content!r}')
+    return content

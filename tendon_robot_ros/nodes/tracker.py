@@ -1,0 +1,61 @@
+"""A tracker for the mock arm: its tip and its shape as cameras would see them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseArray, PoseStamped
+from rclpy.node import Node
+from std_msgs.msg import Header
+
+from ..drivers.mock import MockDriver
+from ..exceptions import InputError
+from .messages import pose_array, pose_stamped, towards
+from .parameters import Parameters
+from .qos import STATE
+
+DEFAULTS = {'rate': 30.0, 'noise': 0.0, 'seed': 0}  # [Hz], [m] 1 sd
+
+
+class MockTracker:
+    """Publishes measured_tip and measured_shape: one marker at the end of every cell."""
+
+    def __init__(
+        self, node: Node, driver: MockDriver, config: Mapping[str, Any], parameters: Parameters
+    ) -> None:
+        """Begin to publish."""
+        for key in config:
+            if key not in DEFAULTS:
+                raise InputError(f'config: tracker: expected {", ".join(DEFAULTS)}, got {key!r}')
+        told = {**DEFAULTS, **config}
+        self._node, self._driver, self._noise = node, driver, float(told['noise'])
+        self._random = np.random.default_rng(told['seed'])
+        robot = driver.robot
+        self._frame = parameters['frame_prefix'] + (
+            parameters['base_frame'] or f'{robot.name}_base'
+        )
+        lengths = [section.cell_length for section in robot.sections for _ in range(section.cells)]
+        self._arc_lengths = np.cumsum(lengths)
+        self._tip = node.create_publisher(PoseStamped, 'measured_tip', STATE)
+        self._shape = node.create_publisher(PoseArray, 'measured_shape', STATE)
+        self._timer = node.create_timer(1.0 / float(told['rate']), self._publish)
+
+    def close(self) -> None:
+        """Stop to publish."""
+        for publisher in (self._tip, self._shape):
+            self._node.destroy_publisher(publisher)
+        self._node.destroy_timer(self._timer)
+
+    def _publish(self) -> None:
+        arm: Any = self._driver.truth
+        if arm is None:
+            return
+        header = Header(frame_id=self._frame, stamp=self._node.get_clock().now().to_msg())
+        n = len(self._arc_lengths)
+        positions = arm.markers(self._arc_lengths, np.zeros((n, 3)))
+        positions = positions + self._random.normal(0.0, self._noise, (n, 3))
+        rotations = np.tile(np.eye(3), (n, 1, 1))  # markers are points
+        self._shape.publish(pose_array(header, positions, rotations))
+        self._tip.publish(pose_stamped(header, positions[-1], towards(arm.tip_direction)))
