@@ -1,9 +1,12 @@
 """Robots, configurations and emulated servos for the tests of the Dynamixel driver."""
 
+import os
 import time
+from pathlib import Path
 
 import numpy as np
 
+from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.tables import MODELS
 from tendon_robot_ros.drivers.emulator.arm import SpringArm
 from tendon_robot_ros.drivers.emulator.line import Line
@@ -11,9 +14,13 @@ from tendon_robot_ros.drivers.emulator.rig import Rig, Wire
 from tendon_robot_ros.drivers.emulator.servo import Servo
 from tendon_robot_ros.robot import parse_robot
 
+HERE = Path(__file__).resolve().parent
 MODEL = 'XL330-M077'
 RADIUS = 0.02  # [m]
 STIFFNESS = 400.0  # [N/m]
+TENSION = np.array([2.0, 1.0, 0.5, 0.5])
+PULL = np.array([0.006, 0.003, 0.0, 0.0])
+SOON = 5.0  # [s], a generous end of every wait
 
 ROBOT = """
 name: four
@@ -33,12 +40,19 @@ def robot():
     return parse_robot(ROBOT, 'four.yaml')
 
 
-def config(port, **changes):
-    """Configuration of four small motors; `changes` go to the top level."""
-    motors = {name: {'id': i + 1, 'direction': 1 if i % 2 == 0 else -1}
-              for i, name in enumerate(robot().inputs)}
-    plain = {'port': port, 'model': MODEL, 'spool_radius': RADIUS, 'pull_limits': [-0.01, 0.03],
-             'motors': motors}
+def config(port, /, **changes):
+    """Make a configuration of four small motors; `changes` go to the top level."""
+    motors = {
+        name: {'id': i + 1, 'direction': 1 if i % 2 == 0 else -1}
+        for i, name in enumerate(robot().inputs)
+    }
+    plain = {
+        'port': port,
+        'model': MODEL,
+        'spool_radius': RADIUS,
+        'pull_limits': [-0.01, 0.03],
+        'motors': motors,
+    }
     return {**plain, **changes}
 
 
@@ -50,7 +64,21 @@ def line(model=MODEL, slack=0.004, stiffness=STIFFNESS, firmware=48, arm=None, i
         servo.refresh()
     wires = [Wire(i, RADIUS, 1 if k % 2 == 0 else -1) for k, i in enumerate(ids)]
     many = np.ones(len(ids))
-    return Line(Rig(servos, wires, arm or SpringArm(stiffness * many, slack * many)))
+    return started(Rig(servos, wires, arm or SpringArm(stiffness * many, slack * many)))
+
+
+def antagonists(slack):
+    """Two servos with two springs each, one on either side of the spool."""
+    servos = [Servo(MODELS[MODEL], i) for i in (1, 2)]
+    wires = [Wire(1, RADIUS), Wire(2, RADIUS), Wire(1, RADIUS, -1), Wire(2, RADIUS, -1)]
+    return started(Rig(servos, wires, SpringArm(np.full(4, STIFFNESS), np.full(4, slack))))
+
+
+def started(rig):
+    """Line with the servos; it remembers where they were at the start."""
+    made = Line(rig)
+    made.start_ticks = [servo.motion.ticks for servo in rig.servos.values()]
+    return made
 
 
 def cycle(driver, command, seconds, period=0.01, until=None):
@@ -68,3 +96,67 @@ def cycle(driver, command, seconds, period=0.01, until=None):
 
 def codes(reading):
     return {fault.code for fault in reading.faults}
+
+
+def environment():
+    """Environment of a child that imports this folder and the package."""
+    paths = [str(HERE), str(HERE.parent), os.environ.get('PYTHONPATH', '')]
+    return {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, paths))}
+
+
+def driver_for(line, mode='tension', **changes):
+    plain = config(line.port, home_speed=0.04, tension_rate=20.0, pull_rate=0.04, **changes)
+    return make_driver('dynamixel', robot(), plain, mode=mode, source='arm.yaml')
+
+
+def running(line, mode='tension', **changes):
+    driver = driver_for(line, mode, **changes)
+    driver.open()
+    driver.enable()
+    command = TENSION if mode == 'tension' else PULL
+    cycle(driver, command, 0.25)
+    return driver, command
+
+
+def arm_in(mode):
+    with line(slack=0.001) as made:
+        driver, command = running(made, mode)
+        yield driver, made, command
+        driver.close()
+
+
+def until(driver, command, wanted, seconds=SOON):
+    """Cycle until the reading is as wanted; return it."""
+    readings = cycle(driver, command, seconds, until=wanted)
+    assert wanted(readings[-1]), readings[-1]
+    return readings[-1]
+
+
+def healthy(reading):
+    return not reading.faults and np.isfinite(reading.pulls).all()
+
+
+def goals(line, name, since):
+    return {
+        i: [
+            value
+            for when, who, what, value in line.log
+            if who == i and what == name and when >= since
+        ]
+        for i in (1, 2, 3, 4)
+    }
+
+
+def steps_are_small(line, driver, since):
+    """Whether no goal jumped up further than the rates allow in 0.1 s, also across a fault."""
+    name = 'goal_current' if driver.mode == 'tension' else 'goal_position'
+    spool = driver.config.wires[0]
+    if driver.mode == 'tension':
+        most = 0.1 * driver.rates[0] * spool.calibration.mean.slope / spool.model.current_unit
+    else:
+        most = 0.1 * abs(spool.spool.ticks(driver.rates[0]))
+    return all(
+        np.diff(driver.motors[i].wires[0].spool.direction * np.array(values)).max(initial=0)
+        <= most + 2
+        for i, values in goals(line, name, since).items()
+    )

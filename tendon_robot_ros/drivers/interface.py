@@ -152,10 +152,13 @@ class Driver(abc.ABC):
                 f'{", ".join(self.inputs)}, got shape {values.shape}'
             )
         if not np.all(np.isfinite(values)):
-            bad = ', '.join(n for n, v in zip(self.inputs, values, strict=True)
-                            if not np.isfinite(v))
-            raise DriverError(f'{type(self).__name__}: write: expected finite values, got '
-                              f'nan or inf for {bad}; nothing was sent')
+            bad = ', '.join(
+                n for n, v in zip(self.inputs, values, strict=True) if not np.isfinite(v)
+            )
+            raise DriverError(
+                f'{type(self).__name__}: write: expected finite values, got '
+                f'nan or inf for {bad}; nothing was sent'
+            )
         return values
 
     def __enter__(self) -> Self:
@@ -163,15 +166,26 @@ class Driver(abc.ABC):
         self.open()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         """Torque off, then close."""
         self.disable()
         self.close()
 
 
-def make_driver(backend: str, robot: Robot, config: Mapping[str, Any], *, mode: str = 'tension',
-                source: str = 'driver', **parts: Any) -> Driver:
+def make_driver(
+    backend: str,
+    robot: Robot,
+    config: Mapping[str, Any],
+    *,
+    mode: str = 'tension',
+    source: str = 'driver',
+    **parts: Any,
+) -> Driver:
     """
     Make a driver that is not open yet; imports only the chosen backend.
 
@@ -199,11 +213,13 @@ def make_driver(backend: str, robot: Robot, config: Mapping[str, Any], *, mode: 
 
     """
     if backend not in BACKENDS:
-        raise DriverError(f'{source}: backend: expected one of {", ".join(BACKENDS)}, '
-                          f'got {backend!r}')
+        raise DriverError(
+            f'{source}: backend: expected one of {", ".join(BACKENDS)}, got {backend!r}'
+        )
     if mode not in MODES:
-        raise DriverError(f'{source}: command_mode: expected one of {", ".join(MODES)}, '
-                          f'got {mode!r}')
+        raise DriverError(
+            f'{source}: command_mode: expected one of {", ".join(MODES)}, got {mode!r}'
+        )
     module, name, package, extra = BACKENDS[backend]
     try:
         kind = getattr(importlib.import_module(f'.{module}', __package__), name)

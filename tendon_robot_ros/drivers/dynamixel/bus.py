@@ -120,19 +120,23 @@ class Bus:
             raise ValueError('goals are written by send_goals, which keeps them within bounds')
         register = REGISTERS[name]
         data = list(encode(register, value))
-        result, error = self._talk(lambda port: self._packets.writeTxRx(
-            port, identity, register.address, register.size, data))
+        result, error = self._talk(
+            lambda port: self._packets.writeTxRx(
+                port, identity, register.address, register.size, data
+            )
+        )
         if result != COMM_SUCCESS:
             self.failures['no or broken answer'] += 1
             return 'no answer'
-        return str(self._packets.getRxPacketError(error & 0x7F))[len('[RxPacketError] '):] or None
+        return str(self._packets.getRxPacketError(error & 0x7F))[len('[RxPacketError] ') :] or None
 
     def reboot(self, identity: int) -> None:
         """Restart a servo; it is silent for some tenths of a second."""
         self._talk(lambda port: self._packets.reboot(port, identity))
 
-    def send_goals(self, name: str, goals: Mapping[int, int],
-                   bounds: Mapping[int, tuple[int, int]]) -> None:
+    def send_goals(
+        self, name: str, goals: Mapping[int, int], bounds: Mapping[int, tuple[int, int]]
+    ) -> None:
         """
         Send goals to several servos at once: the one place where goals become bytes.
 
@@ -172,8 +176,9 @@ class Bus:
         singles = {i: self._read_bytes(i, address, length) for i in wanted}
         return {i: data for i, data in singles.items() if data is not None}
 
-    def _group(self, port: Port, address: int, length: int,
-               wanted: tuple[int, ...]) -> dict[int, bytes] | None:
+    def _group(
+        self, port: Port, address: int, length: int, wanted: tuple[int, ...]
+    ) -> dict[int, bytes] | None:
         reader = self._readers.get((address, length, wanted))
         if reader is None:
             reader = GroupSyncRead(port, self._packets, address, length)
@@ -193,7 +198,8 @@ class Bus:
         def ask(port: Port) -> tuple[Any, int, int]:
             try:
                 answer: tuple[Any, int, int] = self._packets.readTxRx(
-                    port, identity, address, length)
+                    port, identity, address, length
+                )
             except IndexError:
                 return None, 1, 0
             return answer

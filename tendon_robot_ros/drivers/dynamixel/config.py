@@ -14,10 +14,28 @@ from ..interface import Array
 from .tables import BAUD_RATES
 from .wires import Fields, WireConfig, read_wires
 
-KEYS = ('port', 'baudrate', 'model', 'spool_radius', 'watchdog', 'answer_time', 'tension_rate',
-        'pull_rate', 'pull_limits', 'current_limit', 'pull_operation', 'zero', 'home_tension',
-        'home_speed', 'home_travel', 'temperature_margin', 'allow_coarse', 'allow_latency',
-        'calibration', 'motors')
+KEYS = (
+    'port',
+    'baudrate',
+    'model',
+    'spool_radius',
+    'watchdog',
+    'answer_time',
+    'tension_rate',
+    'pull_rate',
+    'pull_limits',
+    'current_limit',
+    'pull_operation',
+    'zero',
+    'home_tension',
+    'home_speed',
+    'home_travel',
+    'temperature_margin',
+    'allow_coarse',
+    'allow_latency',
+    'calibration',
+    'motors',
+)
 OPERATIONS = ('current_based', 'extended')
 ZEROS = ('find', 'here')
 
@@ -68,17 +86,21 @@ def read_config(robot: Robot, content: Mapping[str, Any], mode: str, source: str
     zero = top.choice('zero', ZEROS, 'find' if mode == 'pull' else 'here')
     lowest = max(robot.tension_limits[0], 0.02 * robot.tension_limits[1])
     config = Config(
-        source=source, port=_port(top), baud=_baud(top),
+        source=source,
+        port=_port(top),
+        baud=_baud(top),
         watchdog=top.value('watchdog', 0.2, 0.0, 2.54, 's'),
         answer_time=top.value('answer_time', 0.012, 0.001, 0.1, 's'),
         tension_rate=top.value('tension_rate', 2.0 * robot.tension_limits[1], 1e-6, 1e4, 'N/s'),
         pull_rate=top.value('pull_rate', 0.02, 1e-6, 1.0, 'm/s'),
-        operation=top.choice('pull_operation', OPERATIONS, OPERATIONS[0]), zero=zero,
+        operation=top.choice('pull_operation', OPERATIONS, OPERATIONS[0]),
+        zero=zero,
         home_tension=top.value('home_tension', lowest, 1e-6, robot.tension_limits[1], 'N'),
         home_speed=top.value('home_speed', 0.005, 1e-5, 0.1, 'm/s'),
         home_travel=top.value('home_travel', 0.05, 1e-4, 1.0, 'm'),
         margin=top.value('temperature_margin', 5.0, 0.0, 50.0, '°C'),
-        allow_coarse=top.flag('allow_coarse'), allow_latency=top.flag('allow_latency'),
+        allow_coarse=top.flag('allow_coarse'),
+        allow_latency=top.flag('allow_latency'),
         wires=read_wires(top, robot, mode),
     )
     _check_sharing(top, config, mode)
@@ -97,7 +119,8 @@ def refuse_coarse(config: Config) -> None:
                 f'{config.source}: motors.{wire.name}: tension by current is too coarse: '
                 f'{wire.resolution}; wanted: at least 20 counts and at most 20 %; use '
                 'command_mode: pull, a larger spool or a lighter motor, calibrate it, or set '
-                'allow_coarse: true')
+                'allow_coarse: true'
+            )
 
 
 def _port(top: Fields) -> str:
@@ -119,13 +142,19 @@ def _check_sharing(top: Fields, config: Config, mode: str) -> None:
         wires = config.on(identity)
         names = ' and '.join(wire.name for wire in wires)
         if len(wires) > 1 and mode == 'tension':
-            raise top.error('motors', 'a motor of its own for every input in tension mode',
-                            f'id {identity} for {names}; use command_mode: pull')
+            raise top.error(
+                'motors',
+                'a motor of its own for every input in tension mode',
+                f'id {identity} for {names}; use command_mode: pull',
+            )
         if len({wire.model.name for wire in wires}) > 1:
             raise top.error('motors', f'one model for id {identity}', names)
         if abs(sum(wire.share for wire in wires) - 1.0) > 1e-6:
-            raise top.error('motors', f'shares of id {identity} that add up to 1',
-                            [wire.share for wire in wires])
+            raise top.error(
+                'motors',
+                f'shares of id {identity} that add up to 1',
+                [wire.share for wire in wires],
+            )
 
 
 def limits(config: Config, robot: Robot, mode: str) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ from ..interface import Array, Driver, Fault, Reading
 from ..limits import approach, bounded
 from .bus import Bus, PortLostError
 from .config import Config, limits, read_config
+from .facts import facts, reading
 from .handshake import shake_hands
 from .homing import find_slack
 from .motor import Motor, make_motors
@@ -61,12 +62,12 @@ class DynamixelDriver(Driver):
         self._goal = np.zeros(len(self.inputs))
         self._written = self._retried = time.monotonic()
         observable = config.allow_coarse or mode == 'tension'
-        self._observable = np.array([observable or not w.resolution.coarse
-                                     for w in config.wires])
+        self._observable = np.array([observable or not w.resolution.coarse for w in config.wires])
 
     @classmethod
-    def from_config(cls, robot: Robot, config: Mapping[str, Any], *, mode: str,
-                    source: str) -> Self:
+    def from_config(
+        cls, robot: Robot, config: Mapping[str, Any], *, mode: str, source: str
+    ) -> Self:
         """Make the driver from what its configuration file says."""
         return cls(robot, read_config(robot, config, mode, source), mode)
 
@@ -133,8 +134,13 @@ class DynamixelDriver(Driver):
         except PortLostError as error:
             raise DriverError(f'{error}: lost while rebooting') from None
         if waiting:
-            raise DriverError(f'{self.config.port}: no answer after the reboot: '
-                              f'{", ".join(map(str, waiting))}')
+            raise DriverError(
+                f'{self.config.port}: no answer after the reboot: {", ".join(map(str, waiting))}'
+            )
+
+    def describe(self) -> dict[str, str]:
+        """Return facts about bus and servos."""
+        return facts(self.bus, self.config, self.motors.values(), self._latency)
 
     def write(self, command: Array) -> None:
         """Command tensions [N] or pulls [m], shape (m,), kept within limits and rates."""
@@ -147,10 +153,12 @@ class DynamixelDriver(Driver):
         goals, bounds = {}, {}
         for identity, motor in self.motors.items():
             if motor.wanted:
-                goals[identity] = motor.goal([self._goal[self.inputs.index(n)]
-                                              for n in motor.names])
-                bounds[identity] = (motor.current_bounds if self.mode == 'tension'
-                                    else motor.position_bounds)
+                goals[identity] = motor.goal(
+                    [self._goal[self.inputs.index(n)] for n in motor.names]
+                )
+                bounds[identity] = (
+                    motor.current_bounds if self.mode == 'tension' else motor.position_bounds
+                )
         name = 'goal_current' if self.mode == 'tension' else 'goal_position'
         try:
             if self.bus.connected:
@@ -201,21 +209,13 @@ class DynamixelDriver(Driver):
         return True
 
     def _reading(self, now: float) -> Reading:
+        faults: tuple[Fault, ...] | None = None
         if not self.bus.connected:
             for motor in self.motors.values():
                 motor.answers = False
-            faults: tuple[Fault, ...] = (Fault(
-                'port', f'{self.config.port}: the port is gone; plug the adapter in again'),)
-        else:
-            faults = tuple(fault for motor in self.motors.values()
-                           for fault in motor.faults(self.config.port))
-        wires = [(self.motors[wire.motor], wire) for wire in self.config.wires]
-        pulls = np.array([motor.pull(wire) for motor, wire in wires])
-        tensions = np.where(self._observable,
-                            [motor.tension(wire) for motor, wire in wires], np.nan)
-        spread = np.array([wire.calibration.uncertainty(t) if np.isfinite(t) else np.nan
-                           for (_, wire), t in zip(wires, tensions.tolist(), strict=True)])
-        return Reading(now, pulls, tensions, 'current', spread, faults)
+            gone = f'{self.config.port}: the port is gone; plug the adapter in again'
+            faults = (Fault('port', gone),)
+        return reading(self.config, self.motors, self._observable, now, faults)
 
     def _start_from_measured(self, motors: list[Motor]) -> None:
         """Let the next command begin at what these motors measure."""
@@ -234,10 +234,12 @@ class DynamixelDriver(Driver):
     def _chosen(self, inputs: Sequence[str]) -> list[Motor]:
         unknown = [name for name in inputs if name not in self.inputs]
         if unknown:
-            raise DriverError(f'expected inputs of {", ".join(self.inputs)}, got '
-                              f'{", ".join(unknown)}')
-        return [motor for motor in self.motors.values()
-                if not inputs or set(inputs) & set(motor.names)]
+            raise DriverError(
+                f'expected inputs of {", ".join(self.inputs)}, got {", ".join(unknown)}'
+            )
+        return [
+            motor for motor in self.motors.values() if not inputs or set(inputs) & set(motor.names)
+        ]
 
     def _must_be_open(self, what: str) -> None:
         if not self._is_open:

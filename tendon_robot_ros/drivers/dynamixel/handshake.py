@@ -6,10 +6,10 @@ from ...exceptions import DriverError
 from .bus import Bus, PortLostError
 from .config import Config
 from .motor import Motor
-from .tables import BAUD_RATES, MODEL_NAMES, VOLT_PER_COUNT
+from .tables import MODEL_NAMES, VOLT_PER_COUNT
 
 REVERSE, TORQUE_BY_GOAL = 0x01, 0x08  # bits of the drive mode, address 10
-OTHER_RATES = (57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
+OTHER_RATES = (57600, 1_000_000)  # as delivered, and what most people set
 
 
 def shake_hands(bus: Bus, config: Config, motors: dict[int, Motor]) -> None:
@@ -29,8 +29,10 @@ def shake_hands(bus: Bus, config: Config, motors: dict[int, Motor]) -> None:
     for motor in motors.values():
         motor.firmware = _ask(bus, motor, 'firmware_version')
         _check_settings(bus, config, motor)
-        low, high = (VOLT_PER_COUNT * _ask(bus, motor, name)
-                     for name in ('min_voltage_limit', 'max_voltage_limit'))
+        low, high = (
+            VOLT_PER_COUNT * _ask(bus, motor, name)
+            for name in ('min_voltage_limit', 'max_voltage_limit')
+        )
         motor.voltage_limits = (low, high)
         motor.hottest = _ask(bus, motor, 'temperature_limit') - config.margin
         motor.errors = _ask(bus, motor, 'hardware_error_status')
@@ -53,25 +55,33 @@ def _check_settings(bus: Bus, config: Config, motor: Motor) -> None:
         raise DriverError(
             f'{bus.path}: {motor}: drive mode (address 10): expected normal direction and no '
             f'"torque on by goal update", got {drive_mode:#04x}; write 0, and use direction: -1 '
-            f'in {config.source}')
+            f'in {config.source}'
+        )
     offset = _ask(bus, motor, 'homing_offset')
     if offset:
         raise DriverError(
             f'{bus.path}: {motor}: homing offset (address 20): expected 0, got {offset}: with '
-            'some firmwares a tripped bus watchdog then makes the motor run; write 0')
+            'some firmwares a tripped bus watchdog then makes the motor run; write 0'
+        )
     if _ask(bus, motor, 'status_return_level') != 2:
         raise DriverError(f'{bus.path}: {motor}: status return level (address 68): expected 2')
 
 
 def describe(found: dict[int, int]) -> str:
     """List ids and models."""
-    return ', '.join(f'{i}: {MODEL_NAMES.get(number, f"model number {number}")}'
-                     for i, number in sorted(found.items())) or 'none'
+    return (
+        ', '.join(
+            f'{i}: {MODEL_NAMES.get(number, f"model number {number}")}'
+            for i, number in sorted(found.items())
+        )
+        or 'none'
+    )
 
 
 def _difference(bus: Bus, motors: dict[int, Motor], found: dict[int, int | None]) -> str:
-    expected = ', '.join(f'{i}: {m.model.name} ({" and ".join(m.names)})'
-                         for i, m in motors.items())
+    expected = ', '.join(
+        f'{i}: {m.model.name} ({" and ".join(m.names)})' for i, m in motors.items()
+    )
     present = {i: number for i, number in found.items() if number is not None}
     present |= bus.everyone()
     parts = []
@@ -79,17 +89,19 @@ def _difference(bus: Bus, motors: dict[int, Motor], found: dict[int, int | None]
         name = MODEL_NAMES.get(number, f'model number {number}')
         firmware = bus.read(identity, 'firmware_version')
         parts.append(f'{identity}: {name} firmware {firmware}')
-    text = (f'{bus.path}: servos at {bus.baud} baud: expected {expected}; '
-            f'found {", ".join(parts) or "none"}')
+    text = (
+        f'{bus.path}: servos at {bus.baud} baud: expected {expected}; '
+        f'found {", ".join(parts) or "none"}'
+    )
     if set(motors) <= set(present):
         return f'{text}; correct the models or ids'
     return f'{text}; {_elsewhere(bus)}check cable, motor supply, ids and baud rate'
 
 
 def _elsewhere(bus: Bus) -> str:
-    """Look for servos at other baud rates; new ones come with 57600."""
+    """Look for servos at other baud rates, a second each."""
     for baud in OTHER_RATES:
-        if baud == bus.baud or baud not in BAUD_RATES.values():
+        if baud == bus.baud:
             continue
         other = Bus(bus.path, baud, bus.answer_time)
         bus.close()

@@ -40,17 +40,20 @@ class Search:
     done: bool = False
 
     @property
-    def radius(self) -> float:
-        """Of the spool [m]."""
-        return self.motor.wires[0].spool.radius
+    def middle(self) -> float | None:
+        """Ticks of the zero, once all wires have been found."""
+        if len(self.stalls) < len(self.motor.wires):
+            return None
+        return sum(self.stalls) / len(self.stalls)
 
     def ticks(self, length: float) -> float:
         """Turn a length of wire [m] into ticks."""
-        return length / (self.radius * 2.0 * math.pi) * TICKS_PER_TURN
+        return abs(self.motor.wires[0].spool.ticks(length))
 
 
-def find_slack(bus: Bus, config: Config, motors: list[Motor],
-               cancelled: Callable[[], bool]) -> None:
+def find_slack(
+    bus: Bus, config: Config, motors: list[Motor], cancelled: Callable[[], bool]
+) -> None:
     """
     Wind the slack up and set the zero of every motor; torque is off afterwards.
 
@@ -71,12 +74,12 @@ def find_slack(bus: Bus, config: Config, motors: list[Motor],
                 raise DriverError(f'{bus.path}: looking for slack took too long; torque is off')
             _cycle(bus, config, searches)
             time.sleep(PERIOD)
+        for search in searches:
+            search.motor.zero = search.middle
     finally:
         torque_off(bus, motors)
         for motor in motors:
             motor.homing = None
-    for search in searches:
-        search.motor.zero = sum(search.stalls) / len(search.stalls)
 
 
 def _prepare(bus: Bus, config: Config, motors: list[Motor]) -> list[Search]:
@@ -103,11 +106,16 @@ def _cycle(bus: Bus, config: Config, searches: list[Search]) -> None:
     for search in searches:
         if not search.motor.answers:
             raise DriverError(f'{bus.path}: {search.motor}: no answer while looking for slack')
-        if not search.done:
-            (_back_off if search.backing else _wind)(config, search, now)
+        if search.backing:
+            _back_off(config, search, now)
+        elif search.middle is not None:
+            _return(config, search, search.middle)
+        else:
+            _wind(config, search, now)
     goals = {s.motor.identity: round(s.goal) for s in searches}
-    bus.send_goals('goal_position', goals,
-                   {s.motor.identity: s.motor.position_bounds for s in searches})
+    bus.send_goals(
+        'goal_position', goals, {s.motor.identity: s.motor.position_bounds for s in searches}
+    )
 
 
 def _back_off(config: Config, search: Search, now: float) -> None:
@@ -124,7 +132,8 @@ def _back_off(config: Config, search: Search, now: float) -> None:
         amperes = (search.motor.homing or (0, (0, 0)))[0] * search.motor.model.current_unit
         raise DriverError(
             f'{config.port}: {search.motor}: does not turn with {amperes:.3f} A; calibrate it, '
-            f'or raise home_tension (now {config.home_tension:g} N); torque is off')
+            f'or raise home_tension (now {config.home_tension:g} N); torque is off'
+        )
 
 
 def _wind(config: Config, search: Search, now: float) -> None:
@@ -144,13 +153,18 @@ def _wind(config: Config, search: Search, now: float) -> None:
         raise DriverError(
             f'{config.port}: {motor}: no resistance within home_travel = '
             f'{config.home_travel:g} m; is the wire on its spool, is direction right? torque is '
-            'off')
+            'off'
+        )
 
 
 def _stalled(search: Search, ticks: int) -> None:
     search.stalls += (ticks,)
     search.goal, search.still_since = float(ticks), None
-    if len(search.stalls) < len(search.motor.wires):
-        search.way = -search.way
-    else:
-        search.done = True
+    search.way = -search.way
+
+
+def _return(config: Config, search: Search, middle: float) -> None:
+    """Go to the zero: a motor with two wires comes back half-way."""
+    step = search.ticks(config.home_speed * PERIOD)
+    search.goal += max(-step, min(step, middle - search.goal))
+    search.done = abs((search.motor.ticks or 0) - middle) < search.ticks(LAG)

@@ -120,8 +120,12 @@ class Motor:
             return here, here
         low, high = -float(HIGHEST_POSITION), float(HIGHEST_POSITION)
         for wire in self.wires:
-            ends = [self.zero + wire.spool.ticks(pull) if math.isfinite(pull)
-                    else math.copysign(HIGHEST_POSITION, pull) for pull in wire.pull_limits]
+            ends = [
+                self.zero + wire.spool.ticks(pull)
+                if math.isfinite(pull)
+                else math.copysign(HIGHEST_POSITION, pull)
+                for pull in wire.pull_limits
+            ]
             low, high = max(low, min(ends)), min(high, max(ends))
         return math.ceil(low), math.floor(high)
 
@@ -155,26 +159,47 @@ class Motor:
     def faults(self, port: str) -> Iterator[Fault]:
         """List what is wrong with it."""
         if not self.answers:
-            yield Fault('silent', f'{port}: {self}: no answer; check its cable and the motor '
-                        'supply', inputs=self.names)
+            yield Fault(
+                'silent',
+                f'{port}: {self}: no answer; check its cable and the motor supply',
+                inputs=self.names,
+            )
         for bit, (code, words) in HARDWARE_ERRORS.items():
             if self.errors & bit:
-                yield Fault(code, f'{port}: {self}: {words}; torque is off; remove the cause, '
-                            'then reboot it', hardware=True, inputs=self.names)
+                yield Fault(
+                    code,
+                    f'{port}: {self}: {words}; torque is off; remove the cause, then reboot it',
+                    hardware=True,
+                    inputs=self.names,
+                )
         if self.restarted:
-            yield Fault('restarted', f'{port}: {self}: it lost its power or its torque was '
-                        'switched off; stays off until it is enabled again', hardware=True,
-                        inputs=self.names)
+            yield Fault(
+                'restarted',
+                f'{port}: {self}: it lost its power or its torque was '
+                'switched off; stays off until it is enabled again',
+                hardware=True,
+                inputs=self.names,
+            )
         if self.tripped:
-            yield Fault('watchdog', f'{port}: {self}: its bus watchdog stopped it: no '
-                        'instruction came in time', inputs=self.names)
+            yield Fault(
+                'watchdog',
+                f'{port}: {self}: its bus watchdog stopped it: no instruction came in time',
+                inputs=self.names,
+            )
         if self.temperature is not None and self.temperature >= self.hottest:
-            yield Fault('temperature', f'{port}: {self}: {self.temperature:.0f} °C, released '
-                        f'from {self.hottest:.0f} °C; let it cool', inputs=self.names)
+            yield Fault(
+                'temperature',
+                f'{port}: {self}: {self.temperature:.0f} °C, released '
+                f'from {self.hottest:.0f} °C; let it cool',
+                inputs=self.names,
+            )
         low, high = self.voltage_limits
         if self.voltage is not None and not low <= self.voltage <= high:
-            yield Fault('supply', f'{port}: {self}: supply {self.voltage:.1f} V, expected '
-                        f'{low:.1f} to {high:.1f} V', inputs=self.names)
+            yield Fault(
+                'supply',
+                f'{port}: {self}: supply {self.voltage:.1f} V, expected {low:.1f} to {high:.1f} V',
+                inputs=self.names,
+            )
 
     def take_health(self, data: bytes) -> None:
         """Take the three bytes of voltage and temperature."""

@@ -42,8 +42,9 @@ class Port(PortHandler):  # type: ignore[misc]
         """Open the port so that no other process can."""
         if self.is_open:
             self.closePort()
-        self.ser = serial.Serial(port=self.port_name, baudrate=cflag_baud, timeout=0,
-                                 write_timeout=0.1, exclusive=True)
+        self.ser = serial.Serial(
+            port=self.port_name, baudrate=cflag_baud, timeout=0, write_timeout=0.1, exclusive=True
+        )
         fcntl.ioctl(self.ser.fileno(), termios.TIOCEXCL)
         self.is_open = True
         self.ser.reset_input_buffer()
@@ -99,11 +100,14 @@ def open_port(path: str, baud: int, answer_time: float) -> Port:
 def _why_not(path: str, error: BaseException) -> str:
     code = getattr(error, 'errno', None)
     if not os.path.exists(path):
-        return (f'{path}: no such port; is the adapter plugged in? '
-                f'found: {", ".join(present_ports()) or "no USB serial port"}')
+        return (
+            f'{path}: no such port; is the adapter plugged in? '
+            f'found: {", ".join(present_ports()) or "no USB serial port"}'
+        )
     if code == 13:
-        return (f'{path}: not allowed; type: sudo usermod -aG dialout $USER, '
-                'then log out and in again')
+        return (
+            f'{path}: not allowed; type: sudo usermod -aG dialout $USER, then log out and in again'
+        )
     if code in (11, 16) or 'lock' in str(error):
         return f'{path}: another process has the port{_holder(path)}; stop it first'
     return f'{path}: cannot open: {error}'
@@ -154,8 +158,9 @@ def check_latency(path: str, allow: bool, sysfs: str = '/sys') -> int | None:
     found = latency(path, sysfs)
     if found is not None and found > LONGEST_LATENCY and not allow:
         raise DriverError(
-            f"{path}: latency_timer: expected at most {LONGEST_LATENCY} ms, got {found} ms: every "
+            f'{path}: latency_timer: expected at most {LONGEST_LATENCY} ms, got {found} ms: every '
             f"answer comes that late; type: echo '{UDEV_RULE}' | sudo tee {UDEV_FILE} && "
             'sudo udevadm control --reload && sudo udevadm trigger --action=add '
-            '--subsystem-match=usb-serial (or set allow_latency: true)')
+            '--subsystem-match=usb-serial (or set allow_latency: true)'
+        )
     return found

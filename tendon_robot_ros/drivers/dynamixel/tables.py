@@ -76,8 +76,7 @@ HARDWARE_ERRORS = {
     0x20: ('overload', 'load above the maximum output for too long'),
 }
 
-BAUD_RATES = {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000,
-              6: 4_000_000}
+BAUD_RATES = {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
 
 
 @dataclass(frozen=True)
@@ -135,17 +134,39 @@ _FRICTION_SHARE = 0.13 / 2.3  # of the stall current; measured on an XM430-W350
 _RPM = 0.10471975511965977  # [rad/s]
 
 
-def _model(name: str, number: int, unit: float, limit: int, stall: tuple[float, float],
-           rpm: float, volts: tuple[float, float], celsius: int, firmware: int,
-           shutdown: int) -> Model:
+def _model(
+    name: str,
+    number: int,
+    unit: float,
+    limit: int,
+    stall: tuple[float, float],
+    rpm: float,
+    volts: tuple[float, float],
+    celsius: int,
+    firmware: int,
+    shutdown: int,
+) -> Model:
     torque, current = stall
-    return Model(name, number, unit, limit, torque / current, torque, rpm * _RPM,
-                 _FRICTION_SHARE * current, volts, celsius, firmware, shutdown,
-                 current_at_supply=name.startswith('XC330'))
+    return Model(
+        name,
+        number,
+        unit,
+        limit,
+        torque / current,
+        torque,
+        rpm * _RPM,
+        _FRICTION_SHARE * current,
+        volts,
+        celsius,
+        firmware,
+        shutdown,
+        current_at_supply=name.startswith('XC330'),
+    )
 
 
 MODELS = {
-    model.name: model for model in (
+    model.name: model
+    for model in (
         # name, number, [A], limit, stall ([N·m], [A]), [rev/min], [V], [°C], firmware, shutdown
         _model('XM430-W210', 1030, 2.69e-3, 1193, (3.0, 2.3), 77, (10.0, 14.8), 80, 45, 52),
         _model('XM430-W350', 1020, 2.69e-3, 1193, (4.1, 2.3), 46, (10.0, 14.8), 80, 45, 52),

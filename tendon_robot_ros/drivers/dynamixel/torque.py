@@ -137,8 +137,11 @@ def come_back(bus: Bus, motor: Motor, mode: int, watchdog: int) -> bool:
 
     """
     number = bus.ping(motor.identity)
-    values = [bus.read(motor.identity, name)
-              for name in ('torque_enable', 'bus_watchdog')] if number is not None else [None]
+    values = (
+        [bus.read(motor.identity, name) for name in ('torque_enable', 'bus_watchdog')]
+        if number is not None
+        else [None]
+    )
     if number != motor.model.number or None in values:
         motor.answers = False
         return False

@@ -52,8 +52,10 @@ class Calibration:
     @property
     def mean(self) -> Line:
         """The line between the two."""
-        return Line(0.5 * (self.wind.intercept + self.pay_out.intercept),
-                    0.5 * (self.wind.slope + self.pay_out.slope))
+        return Line(
+            0.5 * (self.wind.intercept + self.pay_out.intercept),
+            0.5 * (self.wind.slope + self.pay_out.slope),
+        )
 
     def current(self, tension: float) -> float:
         """Return the current [A] that is between winding and paying out at a tension [N]."""
@@ -106,16 +108,19 @@ class Resolution:
 
     def __str__(self) -> str:
         """Say the numbers."""
-        return (f'one count of current is {self.newtons_per_count:.3g} N ({self.counts} counts '
-                f'up to {self.limit:g} N), the friction band is ±{self.band:.3g} N '
-                f'({100 * self.band / self.limit:.0f} % of the limit)')
+        return (
+            f'one count of current is {self.newtons_per_count:.3g} N ({self.counts} counts '
+            f'up to {self.limit:g} N), the friction band is ±{self.band:.3g} N '
+            f'({100 * self.band / self.limit:.0f} % of the limit)'
+        )
 
 
 def resolution(calibration: Calibration, model: Model, limit: float) -> Resolution:
     """Compute newtons per count and the friction band for a tension limit [N]."""
     per_count = model.current_unit / calibration.mean.slope
-    return Resolution(per_count, math.floor(limit / per_count + 1e-9),
-                      calibration.uncertainty(limit), limit)
+    return Resolution(
+        per_count, math.floor(limit / per_count + 1e-9), calibration.uncertainty(limit), limit
+    )
 
 
 @dataclass(frozen=True)

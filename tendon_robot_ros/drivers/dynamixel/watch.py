@@ -69,15 +69,22 @@ class Watch:
             self.bus.write(motor.identity, 'torque_enable', 0)
 
     def torque(self, motor: Motor, value: int) -> None:
-        """Notice torque that went off by itself."""
+        """Notice torque that went off by itself: by a hardware error, or with the power."""
         if motor.wanted and not value and self.confirmed(motor, 'torque_enable', 0):
-            lost_power(motor)
+            self.errors(motor, self.bus.read(motor.identity, 'hardware_error_status') or 0)
+            if not motor.errors:
+                lost_power(motor)
 
 
-PERIODS = {'hardware_error_status': 0.020, 'bus_watchdog': 0.060, 'torque_enable': 0.060,
-           'health': 0.250}  # [s]
+PERIODS = {
+    'hardware_error_status': 0.020,
+    'bus_watchdog': 0.060,
+    'torque_enable': 0.060,
+    'health': 0.250,
+}  # [s]
 LOOK: dict[str, Callable[[Watch, Motor, int], None]] = {
-    'hardware_error_status': Watch.errors, 'bus_watchdog': Watch.dog,
+    'hardware_error_status': Watch.errors,
+    'bus_watchdog': Watch.dog,
     'torque_enable': Watch.torque,
 }
 

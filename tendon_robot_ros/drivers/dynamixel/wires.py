@@ -13,8 +13,17 @@ from ...robot_checks import Reader, parse_yaml
 from .tables import MODELS, Model
 from .units import Calibration, Line, Resolution, Spool, from_data_sheet, resolution
 
-MOTOR_KEYS = ('id', 'model', 'spool_radius', 'direction', 'share', 'tension_limit',
-              'current_limit', 'pull_limits', 'calibration')
+MOTOR_KEYS = (
+    'id',
+    'model',
+    'spool_radius',
+    'direction',
+    'share',
+    'tension_limit',
+    'current_limit',
+    'pull_limits',
+    'calibration',
+)
 
 
 class Fields(Reader):
@@ -82,15 +91,18 @@ def read_wires(top: Fields, robot: Robot, mode: str) -> tuple[WireConfig, ...]:
     lines = _calibrations(top)
     missing = [name for name in robot.inputs if not motors.has(name)]
     if missing:
-        raise top.error('motors', 'a motor for every input of the robot',
-                        f'none for {", ".join(missing)}')
+        raise top.error(
+            'motors', 'a motor for every input of the robot', f'none for {", ".join(missing)}'
+        )
     sharing = [motors.child(name).content.get('id') for name in robot.inputs]
-    return tuple(_wire(top, motors.child(name), lines, robot, mode, sharing)
-                 for name in robot.inputs)
+    return tuple(
+        _wire(top, motors.child(name), lines, robot, mode, sharing) for name in robot.inputs
+    )
 
 
-def _wire(top: Fields, item: Fields, lines: Fields, robot: Robot, mode: str,
-          sharing: list[Any]) -> WireConfig:
+def _wire(
+    top: Fields, item: Fields, lines: Fields, robot: Robot, mode: str, sharing: list[Any]
+) -> WireConfig:
     item.only(*MOTOR_KEYS)
     name = item.path.rpartition('.')[2]
     identity = item.content.get('id')
@@ -109,12 +121,17 @@ def _wire(top: Fields, item: Fields, lines: Fields, robot: Robot, mode: str,
     most = model.current_limit * model.current_unit
     where = item if item.has('current_limit') else top
     return WireConfig(
-        name=name, motor=identity, model=model, spool=spool,
+        name=name,
+        motor=identity,
+        model=model,
+        spool=spool,
         share=item.value('share', 1.0 / sharing.count(identity), 0.0, 1.0, '1'),
-        tension_limit=item.value('tension_limit', robot.tension_limits[1], 1e-6,
-                                 robot.tension_limits[1], 'N'),
+        tension_limit=item.value(
+            'tension_limit', robot.tension_limits[1], 1e-6, robot.tension_limits[1], 'N'
+        ),
         current_limit=where.value('current_limit', most, model.current_unit, most, 'A'),
-        pull_limits=_pull_limits(top, item, mode), calibration=calibration,
+        pull_limits=_pull_limits(top, item, mode),
+        calibration=calibration,
     )
 
 
@@ -154,5 +171,6 @@ def read_calibration(item: Fields) -> Calibration:
     for key, line in (('wind', wind), ('pay_out', pay_out)):
         if not 1e-6 < line.slope < 1e3:
             raise item.error(key, '[intercept A, slope A/N] with a slope above 0', item.content)
-    return Calibration(wind, pay_out, measured=True, scatter=item.value('scatter', 0.0, 0.0, 10.0,
-                                                                        'A'))
+    return Calibration(
+        wind, pay_out, measured=True, scatter=item.value('scatter', 0.0, 0.0, 10.0, 'A')
+    )

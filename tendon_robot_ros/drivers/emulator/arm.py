@@ -54,8 +54,14 @@ class RelaxedArm:
     and settles on the same equilibrium.
     """
 
-    def __init__(self, pulls: Callable[[Array], Array], inputs: int, highest: float,
-                 slack: float = 0.0, period: float = 0.005) -> None:
+    def __init__(
+        self,
+        pulls: Callable[[Array], Array],
+        inputs: int,
+        highest: float,
+        slack: float = 0.0,
+        period: float = 0.005,
+    ) -> None:
         """
         Take the arm.
 

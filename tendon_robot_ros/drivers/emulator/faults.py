@@ -38,7 +38,7 @@ class Faults:
             answer = answer[:-1] + bytes([answer[-1] ^ 0x5A])
         if self.cut:
             self.cut -= 1
-            answer = answer[:len(answer) // 2]
+            answer = answer[: len(answer) // 2]
         if self.doubled:
             self.doubled -= 1
             answer += answer

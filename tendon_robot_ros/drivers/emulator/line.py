@@ -24,8 +24,10 @@ from .servo import INSTRUCTION_ERROR, Servo
 IDLE = 0.005  # [s] between two looks at the clock when nothing arrives
 BOOT_TIME = 0.3  # [s] in which a rebooting servo is silent
 GAP = 0.02  # [s] of silence that ends a broken packet
-WATCHED = {REGISTERS[name].address: name for name in
-           ('torque_enable', 'goal_current', 'goal_position', 'bus_watchdog')}
+WATCHED = {
+    REGISTERS[name].address: name
+    for name in ('torque_enable', 'goal_current', 'goal_position', 'bus_watchdog')
+}
 
 
 class Line:
@@ -37,7 +39,9 @@ class Line:
     rig : Rig
     faults : Faults
     log : deque of (time, id, register, value)
-        What was written to torque, goals and watchdog, `time.monotonic` [s].
+        What the servos accepted for torque, goals and watchdog, `time.monotonic` [s].
+    extremes : dict of (id, register) to (lowest, highest)
+        What was written to them, accepted or not.
 
     """
 
@@ -45,7 +49,7 @@ class Line:
         """Plug it in; `start` begins to answer."""
         self.rig, self.faults = rig, Faults()
         self.log: deque[tuple[float, int, str, int]] = deque(maxlen=200_000)
-        self.highest: dict[tuple[int, str], int] = {}
+        self.extremes: dict[tuple[int, str], tuple[int, int]] = {}
         self._folder = Path(tempfile.mkdtemp(prefix='tendon_robot_ros_'))
         self.port = str(self._folder / 'dynamixel')
         self._master: int | None = None
@@ -149,8 +153,10 @@ class Line:
         """Servos that hear and answer: with power, at the line's speed, not silenced."""
         speed = self._speed()
         return {
-            identity: servo for identity, servo in self.rig.servos.items()
-            if identity not in self.faults.silent and identity not in self._booting
+            identity: servo
+            for identity, servo in self.rig.servos.items()
+            if identity not in self.faults.silent
+            and identity not in self._booting
             and speed in (None, BAUD_RATES.get(servo.get('baud_rate')))
         }
 
@@ -203,16 +209,19 @@ class Line:
         for start in range(4, len(parameters) - length, length + 1):
             servo = servos.get(parameters[start])
             if servo is not None:
-                self._write(servo, address, parameters[start + 1:start + 1 + length])
+                self._write(servo, address, parameters[start + 1 : start + 1 + length])
 
     def _write(self, servo: Servo, address: int, data: bytes) -> int:
+        error = servo.write(address, data)
         name = WATCHED.get(address)
         if name is not None and len(data) == REGISTERS[name].size:
             value = int.from_bytes(data, 'little', signed=REGISTERS[name].signed)
-            self.log.append((time.monotonic(), servo.identity, name, value))
             key = (servo.identity, name)
-            self.highest[key] = max(value, self.highest.get(key, value))
-        return servo.write(address, data)
+            low, high = self.extremes.get(key, (value, value))
+            self.extremes[key] = (min(low, value), max(high, value))
+            if not error & 0x7F:
+                self.log.append((time.monotonic(), servo.identity, name, value))
+        return error
 
 
 def _address_and_length(parameters: bytes) -> tuple[int, int]:
@@ -234,5 +243,5 @@ def _sync_read(servos: dict[int, Servo], parameters: bytes, fast: bool) -> bytes
     old = [i for i, _, _ in parts if servos[i].firmware < servos[i].model.fast_read_firmware]
     if old or not parts:
         return b''
-    whole = packets.fast_status(parts + [(i, 0, bytes(length)) for i in wanted[len(parts):]])
-    return whole[:8 + sum(len(data) + 4 for _, _, data in parts)]
+    whole = packets.fast_status(parts + [(i, 0, bytes(length)) for i in wanted[len(parts) :]])
+    return whole[: 8 + sum(len(data) + 4 for _, _, data in parts)]

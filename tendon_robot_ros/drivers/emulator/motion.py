@@ -69,8 +69,9 @@ class Motion:
     def drive_position(self, goal: float, limit: float, load: float, step: float) -> None:
         """Turn towards an angle [rad] with at most the given current [A]."""
         way = goal - self.angle
-        wanted = max(-self.model.no_load_speed, min(self.model.no_load_speed,
-                                                    _POSITION_GAIN * way))
+        wanted = max(
+            -self.model.no_load_speed, min(self.model.no_load_speed, _POSITION_GAIN * way)
+        )
         friction = math.copysign(self.friction, wanted) if abs(way) > 0.5 * TICK else 0.0
         needed = (load + friction + self._damping * wanted) / self.model.torque_per_ampere
         if abs(needed) <= limit:
@@ -94,8 +95,9 @@ class Motion:
         self.angle += self.speed * step
 
 
-def drive(motion: Motion, mode: int, goals: tuple[float, float], limit: float, load: float,
-          step: float) -> None:
+def drive(
+    motion: Motion, mode: int, goals: tuple[float, float], limit: float, load: float, step: float
+) -> None:
     """
     Advance a motor whose torque is on.
 

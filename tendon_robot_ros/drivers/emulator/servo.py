@@ -20,9 +20,17 @@ DATA_RANGE, DATA_LENGTH, DATA_LIMIT, ACCESS = 0x04, 0x05, 0x06, 0x07
 ALERT = 0x80
 TABLE_END = 147
 EEPROM_END = 64
-READ_ONLY = ('model_number', 'firmware_version', 'hardware_error_status', 'moving',
-             'present_current', 'present_velocity', 'present_position', 'present_input_voltage',
-             'present_temperature')
+READ_ONLY = (
+    'model_number',
+    'firmware_version',
+    'hardware_error_status',
+    'moving',
+    'present_current',
+    'present_velocity',
+    'present_position',
+    'present_input_voltage',
+    'present_temperature',
+)
 GOALS = ('goal_pwm', 'goal_current', 'goal_velocity', 'goal_position')
 BY_ADDRESS = {register.address: name for name, register in REGISTERS.items()}
 
@@ -30,8 +38,9 @@ BY_ADDRESS = {register.address: name for name, register in REGISTERS.items()}
 class Servo:
     """A servo of one model with an id."""
 
-    def __init__(self, model: tables.Model, identity: int, baud: int = 1_000_000,
-                 firmware: int = 48) -> None:
+    def __init__(
+        self, model: tables.Model, identity: int, baud: int = 1_000_000, firmware: int = 48
+    ) -> None:
         """Switch the power on."""
         self.model, self.identity, self.firmware = model, identity, firmware
         self.motion = Motion(model)
@@ -39,10 +48,15 @@ class Servo:
         self.voltage = 0.5 * sum(model.voltage)  # [V]
         self._bytes = bytearray(TABLE_END)
         self._eeprom = {
-            'model_number': model.number, 'firmware_version': firmware, 'id': identity,
+            'model_number': model.number,
+            'firmware_version': firmware,
+            'id': identity,
             'baud_rate': next(k for k, v in tables.BAUD_RATES.items() if v == baud),
-            'return_delay_time': 250, 'operating_mode': 3, 'shutdown': model.shutdown,
-            'temperature_limit': model.temperature_limit, 'current_limit': model.current_limit,
+            'return_delay_time': 250,
+            'operating_mode': 3,
+            'shutdown': model.shutdown,
+            'temperature_limit': model.temperature_limit,
+            'current_limit': model.current_limit,
             'max_voltage_limit': round(10 * model.voltage[1]) + 12,
             'min_voltage_limit': round(10 * model.voltage[0]) - 5,
         }
@@ -64,13 +78,13 @@ class Servo:
         """Read a register by name."""
         register = REGISTERS[name]
         start = register.address
-        return tables.decode(register, bytes(self._bytes[start:start + register.size]))
+        return tables.decode(register, bytes(self._bytes[start : start + register.size]))
 
     def put(self, name: str, value: int) -> None:
         """Set a register by name, without any check: what the firmware itself does."""
         register = REGISTERS[name]
         start = register.address
-        self._bytes[start:start + register.size] = tables.encode(register, value)
+        self._bytes[start : start + register.size] = tables.encode(register, value)
 
     @property
     def torque(self) -> bool:
@@ -91,7 +105,7 @@ class Servo:
         """Answer a read: error byte and data."""
         if length < 1 or address + length > TABLE_END:
             return ACCESS | self.alert, b''
-        return self.alert, bytes(self._bytes[address:address + length])
+        return self.alert, bytes(self._bytes[address : address + length])
 
     def write(self, address: int, data: bytes) -> int:
         """Carry out a write; return the error byte."""
@@ -101,7 +115,7 @@ class Servo:
             if name is None or name in READ_ONLY:
                 return ACCESS | self.alert
             register = REGISTERS[name]
-            part = data[position:position + register.size]
+            part = data[position : position + register.size]
             if len(part) < register.size:
                 return DATA_LENGTH | self.alert
             error = self._write_one(name, register, tables.decode(register, part))
@@ -176,16 +190,23 @@ class Servo:
             return
         unit = self.model.current_unit
         angle = (self.get('goal_position') - self.get('homing_offset')) * TICK
-        drive(self.motion, self.get('operating_mode'), (self.get('goal_current') * unit, angle),
-              self.get('current_limit') * unit, load, step)
+        drive(
+            self.motion,
+            self.get('operating_mode'),
+            (self.get('goal_current') * unit, angle),
+            self.get('current_limit') * unit,
+            load,
+            step,
+        )
 
     def refresh(self) -> None:
         """Put what the sensors say into the table."""
         motion = self.motion
         self.put('present_position', motion.ticks + self.get('homing_offset'))
         self.put('present_current', round(motion.current / self.model.current_unit))
-        self.put('present_velocity',
-                 round(motion.speed / (2 * math.pi) * 60 / tables.RPM_PER_COUNT))
+        self.put(
+            'present_velocity', round(motion.speed / (2 * math.pi) * 60 / tables.RPM_PER_COUNT)
+        )
         self.put('present_temperature', round(self.temperature))
         self.put('present_input_voltage', round(self.voltage / tables.VOLT_PER_COUNT))
         self.put('moving', int(abs(motion.speed) > 0.01))

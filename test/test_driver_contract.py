@@ -1,0 +1,179 @@
+"""What every driver does, whatever is behind it."""
+
+import contextlib
+import importlib.util
+import time
+
+import emulated
+import numpy as np
+import pytest
+
+from tendon_robot_ros.drivers import Driver, Reading, make_driver
+from tendon_robot_ros.exceptions import DriverError
+
+MODES = ('tension', 'pull')
+
+
+class SpringPlant:
+    """Independent springs for the mock: pull = tension / stiffness."""
+
+    class State:
+        def __init__(self, tensions, pulls):
+            self.inputs, self.pulls = tensions, pulls
+
+    def respond(self, tensions):
+        tensions = np.asarray(tensions, dtype=float)
+        return self.State(tensions, tensions / emulated.STIFFNESS)
+
+    def respond_to_pulls(self, pulls):
+        pulls = np.nan_to_num(np.asarray(pulls, dtype=float))
+        return self.State(np.maximum(pulls, 0.0) * emulated.STIFFNESS, pulls)
+
+
+@contextlib.contextmanager
+def mock(mode):
+    yield make_driver('mock', emulated.robot(), {'lag': 0.005}, mode=mode, plant=SpringPlant())
+
+
+@contextlib.contextmanager
+def dynamixel(mode):
+    with emulated.line(slack=0.001) as line:
+        config = emulated.config(line.port, home_speed=0.04, tension_rate=20.0, pull_rate=0.08)
+        driver = make_driver('dynamixel', emulated.robot(), config, mode=mode)
+        try:
+            yield driver
+        finally:
+            driver.close()
+
+
+BACKENDS = {'mock': mock, 'dynamixel': dynamixel}
+if importlib.util.find_spec('dynamixel_sdk') is None:
+    del BACKENDS['dynamixel']
+
+
+@pytest.fixture(params=[(b, m) for b in BACKENDS for m in MODES], ids=' '.join)
+def closed(request):
+    backend, mode = request.param
+    with BACKENDS[backend](mode) as driver:
+        yield driver
+
+
+@pytest.fixture
+def driver(closed):
+    with closed:
+        closed.enable()
+        yield closed
+
+
+def middle(driver, part=0.3):
+    """Make a command within the limits, different for every input."""
+    low = np.maximum(driver.limits[:, 0], 0.0)
+    return low + part * (driver.limits[:, 1] - low) * np.linspace(0.4, 1.0, len(driver.inputs))
+
+
+def measured(driver, reading):
+    return reading.tensions if driver.mode == 'tension' else reading.pulls
+
+
+def settle(driver, command, seconds=2.0):
+    """Command until what is measured is near; return the last reading."""
+    close = 0.05 * np.max(np.abs(driver.limits))
+    return emulated.cycle(
+        driver,
+        command,
+        seconds,
+        until=lambda r: np.allclose(measured(driver, r), command, atol=close),
+    )[-1]
+
+
+def test_it_says_what_it_drives(closed):
+    assert isinstance(closed, Driver)
+    assert closed.inputs == emulated.robot().inputs
+    assert closed.mode in MODES
+    m = len(closed.inputs)
+    assert closed.limits.shape == (m, 2)
+    assert closed.rates.shape == (m,)
+    assert np.all(closed.limits[:, 0] < closed.limits[:, 1])
+
+
+def test_reading_before_opening_is_refused(closed):
+    with pytest.raises(DriverError, match=r'not open|closed'):
+        closed.read()
+
+
+def test_it_can_be_opened_closed_and_opened_again(closed):
+    for _ in range(2):
+        closed.open()
+        assert isinstance(closed.read(), Reading)
+        closed.close()
+        closed.close()
+
+
+def test_a_reading_has_a_monotonic_time_one_value_per_input_and_a_source(driver):
+    before = time.monotonic()
+    first, second = driver.read(), driver.read()
+    assert before <= first.time <= second.time <= time.monotonic()
+    assert first.pulls.shape == first.tensions.shape == (len(driver.inputs),)
+    assert first.source in ('load_cell', 'current', 'command')
+    assert first.faults == ()
+    assert first.tension_sd is None or np.all(first.tension_sd >= 0.0)
+
+
+def test_enabling_moves_nothing_and_may_be_repeated(driver):
+    before = driver.read()
+    driver.enable()
+    after = driver.read()
+    np.testing.assert_allclose(after.pulls, before.pulls, atol=5e-4)
+    assert not after.faults
+
+
+def test_a_command_is_reached(driver):
+    command = middle(driver)
+    reading = settle(driver, command)
+    close = 0.05 * np.max(np.abs(driver.limits))
+    np.testing.assert_allclose(measured(driver, reading), command, atol=close)
+
+
+def test_a_command_beyond_the_limits_stops_at_them(driver):
+    reading = settle(driver, 10.0 * driver.limits[:, 1], 0.6)
+    highest = driver.limits[:, 1] * 1.02 + 1e-4
+    assert np.all(measured(driver, reading) <= highest)
+
+
+@pytest.mark.parametrize('spoilt', [np.nan, np.inf, -np.inf])
+def test_a_command_that_is_not_finite_is_refused_by_name(driver, spoilt):
+    command = middle(driver)
+    command[1] = spoilt
+    with pytest.raises(DriverError, match=driver.inputs[1]):
+        driver.write(command)
+
+
+@pytest.mark.parametrize('shape', [(1,), (5,), (2, 2), ()])
+def test_a_command_of_the_wrong_shape_is_refused(driver, shape):
+    with pytest.raises(DriverError, match=str(len(driver.inputs))):
+        driver.write(np.zeros(shape))
+
+
+def test_disabling_lets_go_of_the_named_input_only(driver):
+    settle(driver, middle(driver))
+    driver.disable(driver.inputs[:1])
+    reading = emulated.cycle(driver, middle(driver), 0.3)[-1]
+    tensions = reading.tensions
+    assert not tensions[0] > 0.1 * tensions[3]
+    assert tensions[3] > 0.1
+
+
+def test_disabling_is_allowed_in_every_state(closed):
+    closed.disable()
+    closed.open()
+    closed.disable()
+    closed.enable()
+    closed.disable()
+    closed.disable()
+    assert isinstance(closed.read(), Reading)
+    closed.close()
+    closed.disable()
+
+
+def test_it_describes_itself_in_words(driver):
+    assert all(isinstance(k, str) and isinstance(v, str) for k, v in driver.describe().items())

@@ -1,0 +1,198 @@
+"""The emulated servo does what the manual says of the real one."""
+
+import math
+import os
+import time
+
+import emulated
+import numpy as np
+import pytest
+
+from tendon_robot_ros.drivers.dynamixel.tables import MODELS, REGISTERS
+from tendon_robot_ros.drivers.emulator import servo as servos
+from tendon_robot_ros.drivers.emulator.arm import HangingWeights, RelaxedArm, SpringArm
+from tendon_robot_ros.drivers.emulator.rig import Rig, Wire
+from tendon_robot_ros.drivers.emulator.servo import Servo
+
+pytest.importorskip('dynamixel_sdk')
+from tendon_robot_ros.drivers.dynamixel.bus import Bus
+
+
+@pytest.fixture
+def servo():
+    return Servo(MODELS['XM430-W350'], 1)
+
+
+def write(servo, name, value):
+    register = REGISTERS[name]
+    data = value.to_bytes(register.size, 'little', signed=register.signed)
+    return servo.write(register.address, data)
+
+
+def test_flash_memory_is_locked_while_torque_is_on(servo):
+    assert write(servo, 'operating_mode', 0) == 0
+    assert write(servo, 'torque_enable', 1) == 0
+    assert write(servo, 'operating_mode', 4) == servos.ACCESS
+
+
+def test_a_measured_value_cannot_be_written(servo):
+    assert write(servo, 'present_position', 5) == servos.ACCESS
+
+
+def test_a_value_written_in_part_is_refused(servo):
+    assert servo.write(REGISTERS['goal_position'].address, b'\1\0') == servos.DATA_LENGTH
+
+
+def test_reading_behind_the_table_is_refused(servo):
+    assert servo.read(140, 20) == (servos.ACCESS, b'')
+
+
+def test_a_goal_current_beyond_the_limit_is_refused(servo):
+    assert write(servo, 'current_limit', 100) == 0
+    assert write(servo, 'goal_current', 101) == servos.DATA_LIMIT
+    assert write(servo, 'goal_current', -100) == 0
+
+
+@pytest.mark.parametrize('mode', [0, 4, 5])
+def test_a_tripped_watchdog_stops_the_servo_and_locks_the_goals_until_zero_is_written(mode):
+    # e-Manual, "Bus Watchdog(98)": it stops, 98 becomes -1, goals give a Data Range Error
+    servo = Servo(MODELS['XM430-W350'], 1)
+    rig = Rig([servo], [Wire(1, 0.01)], SpringArm(np.array([0.0])))
+    goal, aim = ('goal_current', 300) if mode == 0 else ('goal_position', 100_000)
+    for name, value in [
+        ('operating_mode', mode),
+        ('torque_enable', 1),
+        ('bus_watchdog', 5),
+        (goal, aim),
+    ]:
+        assert write(servo, name, value) == 0
+    servo.heard()
+    rig.advance(0.09)
+    assert servo.motion.speed > 0.0
+    rig.advance(0.02)
+    assert servo.get('bus_watchdog') == 255
+    stopped = servo.get('present_position')
+    rig.advance(0.1)
+    assert servo.get('present_position') == stopped
+    assert write(servo, goal, 50) == servos.DATA_RANGE
+    assert servo.torque
+    assert write(servo, 'bus_watchdog', 0) == 0
+    assert write(servo, goal, aim) == 0
+    servo.heard()
+    rig.advance(0.05)
+    assert servo.motion.speed > 0.0
+
+
+def test_the_watchdog_rests_while_torque_is_off(servo):
+    write(servo, 'bus_watchdog', 1)
+    servo.protect(10.0)
+    assert servo.get('bus_watchdog') == 1
+
+
+@pytest.mark.parametrize(
+    ('bit', 'switches_off'),
+    [(0x20, True), (0x04, True), (0x10, True), (0x01, False), (0x08, False)],
+)
+def test_a_hardware_error_of_the_shutdown_mask_takes_the_torque_until_a_reboot(
+    servo, bit, switches_off
+):
+    write(servo, 'torque_enable', 1)
+    servo.fail(bit)
+    assert servo.torque != switches_off
+    assert write(servo, 'led', 1) == servos.ALERT
+    if switches_off:
+        assert write(servo, 'torque_enable', 1) == servos.RESULT_FAIL | servos.ALERT
+        servo.boot()
+        assert write(servo, 'torque_enable', 1) == 0
+
+
+def test_a_reboot_forgets_the_turns_but_not_the_place(servo):
+    servo.motion.angle = 5.25 * 2.0 * math.pi
+    servo.refresh()
+    assert servo.get('present_position') == 5.25 * 4096
+    servo.boot()
+    assert servo.get('present_position') == 1024
+
+
+def test_winding_needs_more_current_than_the_load_and_paying_out_less():
+    servo = Servo(MODELS['XM430-W350'], 1)
+    friction = servo.motion.friction
+    for torque, moves in [
+        (0.5 + 0.99 * friction, 0),
+        (0.5 + 1.01 * friction, 1),
+        (0.5 - 0.99 * friction, 0),
+        (0.5 - 1.01 * friction, -1),
+    ]:
+        servo.motion.speed = 0.0
+        servo.motion.drive_current(torque / servo.model.torque_per_ampere, 0.5, 1e-3)
+        assert np.sign(servo.motion.speed) == moves
+
+
+def test_a_hanging_weight_pulls_with_its_weight_once_it_is_lifted():
+    arm = HangingWeights(np.array([0.5, 0.2]))
+    np.testing.assert_allclose(arm.tensions(np.array([-0.1, 0.1]), 0.001), [0.0, 0.2 * 9.80665])
+
+
+def test_an_arm_known_from_tension_to_pull_settles_on_the_tension_of_a_pull():
+    compliance = np.array([[2.0, -1.0], [-1.0, 3.0]]) * 1e-3  # [m/N]
+    arm = RelaxedArm(lambda tensions: compliance @ tensions, 2, highest=10.0)
+    wound = compliance @ [3.0, 2.0]
+    for _ in range(4000):
+        tensions = arm.tensions(wound, 0.001)
+    np.testing.assert_allclose(tensions, [3.0, 2.0], rtol=0.02)
+
+
+@pytest.fixture
+def bus():
+    with emulated.line() as line:
+        bus = Bus(line.port, 1_000_000, 0.05)
+        bus.open()
+        yield bus, line
+        bus.close()
+
+
+@pytest.mark.parametrize('fast', [True, False])
+def test_the_sdk_pings_reads_and_writes_it(bus, fast):
+    bus, line = bus
+    bus.fast = fast
+    assert bus.everyone() == dict.fromkeys((1, 2, 3, 4), 1190)
+    assert bus.write(2, 'led', 1) is None
+    assert line.servo(2).get('led') == 1
+    assert 'not available' in bus.write(2, 'model_number', 1)
+    found = bus.block(126, 10, [3, 1])
+    assert int.from_bytes(found[3][6:], 'little') == line.servo(3).get('present_position')
+    bus.send_goals('goal_position', {1: -5, 4: 7}, {1: (-9, 9), 4: (-9, 9)})
+    time.sleep(0.05)
+    assert [line.servo(i).get('goal_position') for i in (1, 4)] == [-5, 7]
+
+
+def test_old_firmware_knows_no_fast_read():
+    with emulated.line(firmware=44) as line:
+        bus = Bus(line.port, 1_000_000, 0.02)
+        bus.open()
+        bus.fast = True
+        found = bus.block(126, 10, [1, 2])
+        bus.close()
+    assert set(found) == {1, 2}  # asked one by one
+    assert bus.failures['no or broken answer'] == 1
+
+
+@pytest.mark.parametrize('baud', [9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000])
+def test_it_answers_at_its_own_baud_rate_only(baud):
+    with emulated.line() as line:
+        code = {v: k for k, v in servos.tables.BAUD_RATES.items()}[baud]
+        line.servo(1).put('baud_rate', code)
+        answers = {}
+        for tried in (baud, 57600 if baud != 57600 else 1_000_000):
+            bus = Bus(line.port, tried, 0.02)
+            bus.open()
+            answers[tried] = bus.ping(1)
+            bus.close()
+    assert list(answers.values()) == [1190, None]
+
+
+def test_it_leaves_nothing_behind():
+    with emulated.line() as line:
+        port = line.port
+        assert os.path.exists(port)
+    assert not os.path.exists(os.path.dirname(port))

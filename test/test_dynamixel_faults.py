@@ -1,0 +1,213 @@
+"""Every fault of bus and servos, at the driver: what it says, what the motors get, recovery."""
+
+import subprocess
+import sys
+import time
+
+import emulated
+import numpy as np
+import pytest
+from emulated import arm_in, goals, healthy, steps_are_small, until
+
+from tendon_robot_ros.exceptions import DriverError
+
+pytest.importorskip('dynamixel_sdk')
+
+
+@pytest.fixture(params=['tension', 'pull'])
+def arm(request):
+    """Give a driver that follows a command, its emulated line and the command."""
+    yield from arm_in(request.param)
+
+
+@pytest.fixture
+def tense_arm():
+    """Give the same in tension mode only: for faults that do not care about the mode."""
+    yield from arm_in('tension')
+
+
+def test_a_silent_servo_is_named_the_others_go_on_and_it_comes_back(arm):
+    driver, line, command = arm
+    line.faults.silent.add(2)
+    reading = until(driver, command, lambda r: r.faults)
+    (fault,) = reading.faults
+    assert (fault.code, fault.hardware, fault.inputs) == ('silent', False, ('north',))
+    advice = 'check its cable and the motor supply'
+    assert fault.message == f'{line.port}: north (id 2): no answer; {advice}'
+    assert np.isnan(reading.pulls[1])
+    assert np.isfinite(reading.pulls[[0, 2, 3]]).all()
+    line.faults.silent.clear()
+    until(driver, command, healthy)
+    assert steps_are_small(line, driver, 0.0)
+
+
+def test_all_silent_is_no_lost_port(tense_arm):
+    driver, line, command = tense_arm
+    line.faults.silent.update({1, 2, 3, 4})
+    reading = until(driver, command, lambda r: len(r.faults) == 4)
+    assert emulated.codes(reading) == {'silent'}
+    line.faults.silent.clear()
+    until(driver, command, healthy)
+
+
+@pytest.mark.parametrize('what', ['spoilt', 'cut', 'doubled'])
+def test_a_few_broken_answers_are_asked_again_and_change_nothing(tense_arm, what):
+    driver, line, command = tense_arm
+    before = driver.read()
+    for _ in range(5):
+        setattr(line.faults, what, 1)
+        reading = emulated.cycle(driver, command, 0.03)[-1]
+        assert not reading.faults
+        np.testing.assert_allclose(reading.pulls, before.pulls, atol=1e-3)
+    assert (driver.bus.failures['no or broken answer'] > 0) == (what != 'doubled')
+
+
+def test_answers_that_stay_broken_are_a_silent_servo(tense_arm):
+    driver, line, command = tense_arm
+    line.faults.spoilt = 200
+    until(driver, command, lambda r: 'silent' in emulated.codes(r))
+    line.faults.spoilt = 0
+    until(driver, command, healthy)
+
+
+def test_a_pulled_plug_is_said_and_a_new_one_goes_on_from_where_the_arm_is(arm):
+    driver, line, command = arm
+    pulled = time.monotonic()
+    line.unplug()
+    reading = until(driver, command, lambda r: r.faults)
+    assert emulated.codes(reading) == {'port'}
+    assert reading.faults[0].message == f'{line.port}: the port is gone; plug the adapter in again'
+    assert np.isnan(reading.pulls).all()
+    emulated.cycle(driver, command, 0.5)  # the watchdogs trip meanwhile
+    assert all(servo.tripped for servo in line.rig.servos.values())
+    back = time.monotonic()
+    line.plug()
+    until(driver, command, healthy)
+    assert time.monotonic() - back < 2.0
+    emulated.cycle(driver, command, 0.4)
+    reading = driver.read()
+    value = reading.tensions if driver.mode == 'tension' else reading.pulls
+    np.testing.assert_allclose(value, command, atol=0.05 * max(command))
+    assert steps_are_small(line, driver, pulled)
+
+
+def test_a_quick_replug_is_noticed_without_a_trip(tense_arm):
+    driver, line, command = tense_arm
+    line.unplug()
+    line.plug()
+    until(driver, command, healthy)
+
+
+@pytest.mark.parametrize(
+    ('bit', 'code'),
+    [
+        (0x20, 'overload'),
+        (0x04, 'overheating'),
+        (0x01, 'voltage'),
+        (0x08, 'encoder'),
+        (0x10, 'shock'),
+    ],
+)
+def test_a_hardware_error_takes_the_torque_of_that_motor_only_until_a_reboot(tense_arm, bit, code):
+    driver, line, command = tense_arm
+    line.servo(3).fail(bit)
+    reading = until(driver, command, lambda r: r.faults)
+    (fault,) = reading.faults
+    assert (fault.code, fault.hardware, fault.inputs) == (code, True, ('west',))
+    assert 'torque is off; remove the cause, then reboot it' in fault.message
+    until(driver, command, lambda r: not line.servo(3).torque)
+    assert [line.servo(i).torque for i in (1, 2, 4)] == [True] * 3
+    with pytest.raises(DriverError, match=r'west \(id 3\): .*reboot'):
+        driver.enable()
+    driver.reboot(['west'])
+    assert not line.servo(3).torque
+    assert driver.read().faults == ()
+    driver.enable()
+    until(driver, command, healthy)
+    assert line.servo(3).torque
+
+
+def test_a_motor_that_gets_too_hot_is_released_before_it_shuts_down(tense_arm):
+    driver, line, command = tense_arm
+    line.servo(1).temperature = 66.0
+    reading = until(driver, command, lambda r: r.faults)
+    assert reading.faults[0].code == 'temperature'
+    assert not reading.faults[0].hardware
+    assert line.servo(1).torque
+    line.servo(1).temperature = 40.0
+    until(driver, command, healthy)
+
+
+def test_a_low_supply_is_an_error_of_every_motor(tense_arm):
+    driver, line, command = tense_arm
+    for servo in line.rig.servos.values():
+        servo.voltage = 2.9
+    reading = until(driver, command, lambda r: {'voltage', 'supply'} <= emulated.codes(r))
+    assert {name for fault in reading.faults for name in fault.inputs} == set(driver.inputs)
+
+
+def test_a_tripped_watchdog_is_said_once_and_goes_on_from_where_the_arm_is(arm):
+    driver, line, command = arm
+    time.sleep(0.5)  # this process is busy elsewhere
+    assert all(servo.tripped for servo in line.rig.servos.values())
+    reading = until(driver, command, lambda r: r.faults)
+    assert emulated.codes(reading) == {'watchdog'}
+    assert not any(fault.hardware for fault in reading.faults)
+    until(driver, command, healthy)
+    assert not any(servo.tripped for servo in line.rig.servos.values())
+    assert steps_are_small(line, driver, 0.0)
+
+
+def test_a_motor_that_lost_its_power_stays_off_until_it_is_enabled_again(arm):
+    driver, line, command = arm
+    line.rig.rebooted(4)  # somebody used the switch in the motor supply
+    reading = until(driver, command, lambda r: r.faults)
+    (fault,) = reading.faults
+    assert (fault.code, fault.hardware, fault.inputs) == ('restarted', True, ('south',))
+    assert np.isnan(reading.pulls[3])
+    emulated.cycle(driver, command, 0.2)
+    assert not line.servo(4).torque
+    driver.disable(['south'])
+    assert driver.read().faults == ()
+    driver.enable()
+    until(driver, command, healthy)
+
+
+def test_a_slow_bus_is_reported_and_recovered(tense_arm):
+    driver, line, command = tense_arm
+    line.faults.delay = 0.08
+    until(driver, command, lambda r: 'silent' in emulated.codes(r))
+    line.faults.delay = 0.0
+    until(driver, command, healthy)
+
+
+def test_a_second_process_is_kept_off_the_port(tense_arm):
+    driver, line, command = tense_arm
+    code = (
+        'import sys, emulated; from tendon_robot_ros.drivers import make_driver\n'
+        'd = make_driver("dynamixel", emulated.robot(), emulated.config(sys.argv[1]))\n'
+        'd.open()'
+    )
+    run = subprocess.run(
+        [sys.executable, '-c', code, line.port],
+        capture_output=True,
+        text=True,
+        cwd=emulated.HERE,
+        env=emulated.environment(),
+    )
+    assert 'DriverError' in run.stderr
+    assert f'{line.port}: another process has the port (process ' in run.stderr
+    assert healthy(until(driver, command, healthy))
+
+
+def test_nothing_was_ever_commanded_beyond_the_limits(arm):
+    driver, line, command = arm
+    emulated.cycle(driver, 100.0 * command, 0.6)
+    for motor in driver.motors.values():
+        low, high = motor.current_bounds if driver.mode == 'tension' else motor.position_bounds
+        name = 'goal_current' if driver.mode == 'tension' else 'goal_position'
+        sent = goals(line, name, 0.0)[motor.identity]
+        assert sent
+        assert low <= min(sent)
+        assert max(sent) <= high
+        assert line.servo(motor.identity).get('current_limit') == motor.strongest

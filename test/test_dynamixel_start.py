@@ -1,0 +1,179 @@
+"""Starting: who is on the bus, settings that are refused, the search for slack."""
+
+import time
+
+import emulated
+import numpy as np
+import pytest
+
+from tendon_robot_ros.drivers import make_driver
+from tendon_robot_ros.drivers.emulator.arm import SpringArm
+from tendon_robot_ros.exceptions import DriverError
+
+pytest.importorskip('dynamixel_sdk')
+
+
+def driver_for(line, mode='tension', **changes):
+    config = emulated.config(line.port, **{'home_speed': 0.04, **changes})
+    return make_driver('dynamixel', emulated.robot(), config, mode=mode, source='arm.yaml')
+
+
+def refused_open(driver):
+    with pytest.raises(DriverError) as caught:
+        driver.open()
+    with pytest.raises(DriverError, match='not open'):
+        driver.read()
+    return str(caught.value)
+
+
+def test_a_missing_servo_is_listed_with_those_that_are_there():
+    with emulated.line(ids=(1, 2, 3)) as line:
+        assert refused_open(driver_for(line, answer_time=0.004)).startswith(
+            f'{line.port}: servos at 1000000 baud: expected 1: XL330-M077 (east), 2: XL330-M077 '
+            '(north), 3: XL330-M077 (west), 4: XL330-M077 (south); found 1: XL330-M077 firmware '
+            '48, 2: XL330-M077 firmware 48, 3: XL330-M077 firmware 48; '
+        )
+
+
+def test_servos_at_another_baud_rate_are_found():
+    with emulated.line() as line:
+        for servo in line.rig.servos.values():
+            servo.put('baud_rate', 1)
+        message = refused_open(driver_for(line, answer_time=0.004))
+        assert 'found none; at 57600 baud: 1: XL330-M077, 2: XL330-M077, ' in message
+
+
+def test_another_model_is_refused_by_name():
+    with emulated.line(model='XC330-T288') as line:
+        message = refused_open(driver_for(line))
+        assert 'found 1: XC330-T288 firmware 48, ' in message
+        assert message.endswith('; correct the models or ids')
+
+
+@pytest.mark.parametrize(
+    ('name', 'value', 'words'),
+    [
+        ('drive_mode', 1, 'use direction: -1 in arm.yaml'),
+        ('drive_mode', 8, 'torque on by goal update'),
+        ('homing_offset', -7, 'homing offset (address 20): expected 0, got -7'),
+        ('status_return_level', 1, 'status return level (address 68): expected 2'),
+    ],
+)
+def test_settings_under_which_it_would_not_be_safe_are_refused(name, value, words):
+    with emulated.line() as line:
+        line.servo(2).put(name, value)
+        message = refused_open(driver_for(line))
+        assert words in message
+        assert 'north (id 2)' in message
+
+
+def test_a_port_that_is_not_there_is_said_with_those_that_are():
+    driver = make_driver('dynamixel', emulated.robot(), emulated.config('/dev/ttyUSB99'))
+    assert refused_open(driver).startswith(
+        '/dev/ttyUSB99: no such port; is the adapter plugged in? found: '
+    )
+
+
+def test_old_firmware_is_read_with_the_plain_sync_read():
+    with emulated.line(firmware=44) as line, driver_for(line) as driver:
+        assert driver.describe()['group read'] == 'sync read'
+        driver.enable()
+        reading = emulated.cycle(driver, np.full(4, 0.5), 0.2)[-1]
+        assert not reading.faults
+        assert np.isfinite(reading.pulls).all()
+
+
+def test_new_firmware_is_read_with_the_fast_sync_read():
+    with emulated.line() as line, driver_for(line) as driver:
+        assert driver.describe()['group read'] == 'fast sync read'
+
+
+def test_it_describes_resolution_calibration_and_servos_in_words():
+    with emulated.line() as line, driver_for(line) as driver:
+        said = driver.describe()
+        assert said['tension of east'].startswith('one count of current is 0.00731 N (683 counts')
+        assert said['tension of east'].endswith('data sheet, not calibrated')
+        assert said['east (id 1)'].startswith('XL330-M077 firmware 48, torque off')
+
+
+@pytest.mark.parametrize('mode', ['tension', 'pull'])
+def test_torque_comes_on_without_a_jump(mode):
+    with emulated.line(slack=0.0) as line, driver_for(line, mode, zero='here') as driver:
+        before = driver.read().pulls
+        driver.enable()
+        time.sleep(0.05)
+        np.testing.assert_allclose(driver.read().pulls, before, atol=2e-4)
+        assert [servo.torque for servo in line.rig.servos.values()] == [True] * 4
+        assert {servo.get('bus_watchdog') for servo in line.rig.servos.values()} == {10}
+
+
+def test_slack_is_wound_up_and_the_pull_is_zero_where_the_wires_begin_to_pull():
+    slack = np.array([0.001, 0.004, 0.0, 0.008])
+    arm = SpringArm(np.full(4, emulated.STIFFNESS), slack)
+    with emulated.line(arm=arm) as line, driver_for(line, 'pull') as driver:
+        assert np.isnan(driver.read().pulls).all()
+        driver.enable()
+        wires = [motor.wires[0] for motor in driver.motors.values()]
+        wound = np.array(
+            [
+                wire.spool.pull(motor.zero - start)
+                for motor, wire, start in zip(
+                    driver.motors.values(), wires, line.start_ticks, strict=True
+                )
+            ]
+        )
+        taut = slack + driver.config.home_tension / emulated.STIFFNESS
+        np.testing.assert_allclose(wound, taut, atol=2e-4)
+        np.testing.assert_allclose(driver.read().pulls, 0.0, atol=5e-4)
+        assert (
+            max(high for (_, name), (_, high) in line.extremes.items() if name == 'goal_current')
+            <= driver.motors[1].strongest
+        )
+
+
+def test_a_wire_that_never_pulls_is_refused_and_the_torque_is_off():
+    with emulated.line(slack=0.5) as line, driver_for(line, 'pull', home_travel=0.01) as driver:
+        with pytest.raises(DriverError, match=r'no resistance within home_travel = 0\.01 m'):
+            driver.enable()
+        assert not any(servo.torque for servo in line.rig.servos.values())
+
+
+def test_a_motor_that_does_not_turn_is_refused_and_the_torque_is_off():
+    with emulated.line() as line, driver_for(line, 'pull', home_tension=0.3) as driver:
+        stiff = line.servo(3).model.__class__(
+            **{**vars(line.servo(3).model), 'friction_current': 0.5}
+        )
+        line.servo(3).motion.model = stiff
+        with pytest.raises(DriverError, match=r'west \(id 3\): does not turn with 0\.1\d\d A'):
+            driver.enable()
+        assert not any(servo.torque for servo in line.rig.servos.values())
+
+
+def test_the_search_for_slack_can_be_cancelled():
+    with emulated.line(slack=0.02) as line, driver_for(line, 'pull') as driver:
+        end = time.monotonic() + 0.2
+        driver.cancelled = lambda: time.monotonic() > end
+        with pytest.raises(DriverError, match='cancelled; torque is off'):
+            driver.enable()
+        assert not any(servo.torque for servo in line.rig.servos.values())
+
+
+def test_two_tendons_on_one_motor_have_their_zero_half_way_between_their_slack():
+    motors = {
+        'east': {'id': 1},
+        'west': {'id': 1, 'direction': -1},
+        'north': {'id': 2},
+        'south': {'id': 2, 'direction': -1},
+    }
+    with emulated.antagonists(slack=0.003) as line:
+        driver = driver_for(line, 'pull', motors=motors)
+        with driver:
+            driver.enable()
+            np.testing.assert_allclose(driver.read().pulls, 0.0, atol=1.1e-3)
+            middle = [
+                m.zero - s for m, s in zip(driver.motors.values(), line.start_ticks, strict=True)
+            ]
+            np.testing.assert_allclose(middle, 0.0, atol=20)
+            emulated.cycle(driver, [0.006, 0.0, -0.006, 0.0], 0.6)
+            np.testing.assert_allclose(driver.read().pulls, [0.006, 0.0, -0.006, 0.0], atol=5e-4)
+            assert line.rig.tensions[0] == pytest.approx(0.003 * emulated.STIFFNESS, rel=0.1)
