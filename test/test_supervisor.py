@@ -1,6 +1,7 @@
 """Whatever comes in, what reaches the motors stays within limits and rates, and ends safe."""
 
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -218,6 +219,14 @@ def test_in_pull_mode_a_tight_wire_pays_out_and_a_slack_one_does_not():
     decision, _ = run(supervisor, 0.0, 0.1, command, reading((HIGH + 1, 0.0)))
     assert decision.command[0] < 0.005
     assert decision.command[1] == 0.005
+
+
+def test_in_pull_mode_a_tension_within_its_uncertainty_changes_nothing():
+    supervisor = started('pull', reading(pulls=(0.005, 0.005)))
+    doubtful = replace(reading((HIGH + 1, 0.0)), tension_sd=np.array([1.5, 0.5]))
+    decision, _ = run(supervisor, 0.0, 0.1, np.array([0.010, 0.0]), doubtful)
+    assert decision.command[0] > 0.005
+    assert decision.command[1] < 0.005
 
 
 def test_pull_mode_does_not_start_without_a_measured_pull():

@@ -158,9 +158,12 @@ class Supervisor:
         reached = approach(self._output, goal, step)
         if self.rules.mode == 'pull':
             low, high = self.rules.tension_limits
-            tension = reading.tensions
-            reached = np.where(tension > high, np.minimum(reached, self._output - step), reached)
-            slack = tension < 0.5 * low
+            tension, doubt = reading.tensions, 0.0
+            if reading.tension_sd is not None:  # a geared motor's current says little
+                doubt = np.nan_to_num(reading.tension_sd)
+            tight = tension - doubt > high
+            reached = np.where(tight, np.minimum(reached, self._output - step), reached)
+            slack = tension + doubt < 0.5 * low
             reached = np.where(slack, np.maximum(reached, self._output), reached)
             lowest = np.minimum(self._output, self.rules.limits[:, 0])
             reached = np.maximum(reached, lowest)
