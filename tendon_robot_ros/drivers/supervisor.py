@@ -158,7 +158,7 @@ class Supervisor:
         reached = approach(self._output, goal, step)
         if self.rules.mode == 'pull':
             low, high = self.rules.tension_limits
-            tension, doubt = reading.tensions, 0.0
+            tension, doubt = reading.tensions, np.zeros(len(step))
             if reading.tension_sd is not None:  # a geared motor's current says little
                 doubt = np.nan_to_num(reading.tension_sd)
             tight = tension - doubt > high
