@@ -24,7 +24,14 @@ from typing import NoReturn
 from ..exceptions import InputError, MissingExtraError, TendonRobotError
 
 # The one list of commands: `python -m`, `ros2 run` and setup.py all read it.
-COMMANDS: dict[str, str] = {}
+COMMANDS: dict[str, str] = {
+    'demo': 'tendon_robot_ros.nodes.demo',
+    'controller': 'tendon_robot_ros.nodes.controller',
+    'driver': 'tendon_robot_ros.nodes.driver',
+    'teleop': 'tendon_robot_ros.nodes.teleop',
+    'export-bag': 'tendon_robot_ros.cli.export_bag',
+    'import-bag': 'tendon_robot_ros.cli.import_bag',
+}
 
 PROGRAM = 'python -m tendon_robot_ros'
 PACKAGE = Path(__file__).parents[1]

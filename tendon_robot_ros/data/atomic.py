@@ -42,11 +42,11 @@ def new_folder(folder: Path, replaceable: tuple[str, ...] = ()) -> Iterator[Path
             'name a place where you may write',
         ) from None
     try:
-        filled = temporary / 'new'
+        filled = temporary / folder.name
         filled.mkdir()
         yield filled
         _check(folder, replaceable)
-        _replace(folder, filled, temporary / 'old')
+        _replace(folder, filled, temporary / f'{folder.name}.old')
     except OSError as error:
         raise DataSetError(
             str(folder),

@@ -62,6 +62,28 @@ class Description:
     markers: tuple[Marker, ...] | None  # None = one per cell
 
 
+def read_text(path: Path) -> str:
+    """
+    Read a dataset.yaml.
+
+    Raises
+    ------
+    DataSetError
+        There is none, or it is no UTF-8 text.
+
+    """
+    try:
+        return path.read_text(encoding='utf-8-sig')
+    except UnicodeDecodeError:
+        raise DataSetError(str(path), 'is no UTF-8 text', 'save it as UTF-8') from None
+    except OSError as error:
+        raise DataSetError(
+            str(path),
+            f'cannot be read ({error.strerror})',
+            'name a folder with dataset.yaml, inputs.csv and shapes.csv',
+        ) from None
+
+
 def read_fields(text: str, source: str) -> Fields:
     """
     Read the text of a dataset.yaml.

@@ -9,7 +9,7 @@ import numpy as np
 from ..exceptions import DataSetError
 from ..robot import Robot, load_robot
 from .dataset import DataSet, default_markers
-from .description import describe, find_robot, read_fields
+from .description import describe, find_robot, read_fields, read_text
 from .inputs import read_inputs
 from .shapes import read_shapes
 
@@ -35,7 +35,7 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
     """
     folder = Path(folder)
     path = folder / 'dataset.yaml'
-    fields = read_fields(_read_text(path), str(path))
+    fields = read_fields(read_text(path), str(path))
     if robot is None:
         robot = find_robot(fields, folder)
     elif not isinstance(robot, Robot):
@@ -72,16 +72,3 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
         setting_noise=said.setting_noise,
         trial_noise=said.trial_noise,
     )
-
-
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding='utf-8-sig')
-    except UnicodeDecodeError:
-        raise DataSetError(str(path), 'is no UTF-8 text', 'save it as UTF-8') from None
-    except OSError as error:
-        raise DataSetError(
-            str(path),
-            f'cannot be read ({error.strerror})',
-            'name a folder with dataset.yaml, inputs.csv and shapes.csv',
-        ) from None

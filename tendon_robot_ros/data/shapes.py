@@ -70,7 +70,7 @@ def read_shapes(
     table = file.read(KEYS, (*POSITION, *turned))
     xyz = np.stack([table.numbers[name] for name in POSITION], axis=1)
     _check_positions(file, xyz, robot)
-    trials = _trial_names((*table.labels['trial'], *(commands.trials or ())))
+    trials = sort_trials((*table.labels['trial'], *(commands.trials or ())))
     posture = _known(file, table, 'posture', commands.postures, 'inputs.csv has no such posture')
     marker = _known(file, table, 'marker', markers, 'dataset.yaml has no such marker')
     trial = table.translate('trial', trials)
@@ -127,7 +127,7 @@ def _check_positions(file: CsvFile, xyz: FloatArray, robot: Robot) -> None:
     )
 
 
-def _trial_names(names: tuple[str, ...]) -> tuple[str, ...]:
+def sort_trials(names: tuple[str, ...]) -> tuple[str, ...]:
     """Return each trial name once: numbers in order, others as they appear."""
     unique = tuple(dict.fromkeys(names))
     if all(name.isascii() and name.isdigit() and len(name) < 19 for name in unique):

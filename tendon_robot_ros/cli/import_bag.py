@@ -1,0 +1,122 @@
+"""
+Make a data set from a rosbag2 recording: wherever the arm stands still, it was measured.
+
+The recording holds the tendon states (sensor_msgs/JointState) and the shape: one
+geometry_msgs/PoseArray with a pose per marker, or one geometry_msgs/PoseStamped topic per marker.
+Still segments with the same inputs are trials of one posture. Look at the picture before you
+trust them.
+
+example: python -m tendon_robot_ros import-bag run.mcap --robot robot.yaml --output data/run
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from ..data import save_dataset
+from ..data.bag_import import import_bag
+from ..data.bag_picture import PICTURES, draw_segments, summary
+from ..data.bag_reader import Topics
+from ..data.description import read_text
+from ..data.stillness import Rule
+from ..exceptions import InputError
+
+NAME = 'import-bag'
+HELP = 'make a data set from a ROS 2 recording'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    rule, topics = Rule(), Topics()
+    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder, or .mcap or .db3 file')
+    parser.add_argument('--output', required=True, metavar='DIR', help='folder of the data set')
+    parser.add_argument('--overwrite', action='store_true', help='replace a data set in DIR')
+    parser.add_argument('--robot', help='robot description (default: the one in the recording)')
+    parser.add_argument(
+        '--description',
+        metavar='YAML',
+        help='a dataset.yaml that says input, path, gravity, markers (default: the one in the '
+        'recording, else tensions where they were observed and one marker per cell)',
+    )
+    parser.add_argument('--picture', metavar='PNG', help='draw the segments (.png, .svg, .pdf)')
+    parser.add_argument(
+        '--speed',
+        type=float,
+        default=rule.speed,
+        help=f'slower is still [m/s] (default: {rule.speed:g})',
+    )
+    parser.add_argument(
+        '--duration',
+        type=float,
+        default=rule.duration,
+        help=f'at least so long [s] (default: {rule.duration:g})',
+    )
+    parser.add_argument(
+        '--change',
+        type=float,
+        help='inputs that differ by more belong to different postures [N] or [m] (default: 1 %% '
+        'of the tension limit, 0.2 %% of the length)',
+    )
+    parser.add_argument(
+        '--rest',
+        type=float,
+        help='leave segments out whose inputs are all below this [N] or [m]',
+    )
+    parser.add_argument(
+        '--states-topic',
+        default=topics.states,
+        metavar='TOPIC',
+        help=f'sensor_msgs/JointState (default: {topics.states})',
+    )
+    parser.add_argument(
+        '--shape-topic',
+        default=topics.shape,
+        metavar='TOPIC',
+        help=f'geometry_msgs/PoseArray (default: {topics.shape})',
+    )
+    parser.add_argument(
+        '--marker',
+        action='append',
+        default=[],
+        metavar='NAME=TOPIC',
+        help='geometry_msgs/PoseStamped of one marker, instead of the shape; may be repeated',
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Import the recording."""
+    limits = args.speed, args.duration, 1.0 if args.change is None else args.change
+    if not all(0 < value < 1e4 for value in limits):
+        raise InputError('--speed [m/s], --duration [s] and --change [N] or [m] are above 0')
+    if args.picture and Path(args.picture).suffix not in PICTURES:
+        raise InputError(f'--picture {args.picture}: end the name with {", ".join(PICTURES)}')
+    description = None
+    if args.description:
+        description = read_text(Path(args.description))
+    imported = import_bag(
+        args.bag,
+        args.robot,
+        Rule(args.speed, args.duration, args.change),
+        Topics(args.states_topic, args.shape_topic, _markers(args.marker)),
+        description,
+        args.rest,
+    )
+    for line in imported.left_out:
+        print('left out:', line, file=sys.stderr)
+    print(summary(imported))
+    print(f'written: {save_dataset(imported.dataset, args.output, args.overwrite)}')
+    if args.picture:
+        print(f'picture: {draw_segments(imported, args.picture)}')
+    return 0
+
+
+def _markers(pairs: list[str]) -> dict[str, str]:
+    markers = {}
+    for pair in pairs:
+        name, _, topic = pair.partition('=')
+        if not name or not topic or name in markers:
+            raise InputError(f'--marker {pair}: write NAME=TOPIC, each name once')
+        markers[name] = topic
+    return markers

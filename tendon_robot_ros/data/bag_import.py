@@ -1,0 +1,182 @@
+"""A ROS 2 recording to a data set: every still segment is a measurement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..exceptions import DataSetError
+from ..robot import Robot, load_robot, parse_robot
+from .bag_reader import Recording, Topics, read_bag
+from .bag_writer import DESCRIPTION, ROBOT
+from .dataset import DataSet, FloatArray, Marker, default_markers, listing
+from .description import Description, describe, read_fields
+from .segments import Segment, assemble, find_segments
+from .stillness import Motion, Rule, motion
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A data set and where in the recording it comes from."""
+
+    dataset: DataSet
+    segments: tuple[Segment, ...]
+    motion: Motion
+    state_times: FloatArray  # (T,) [s]
+    inputs: FloatArray  # (T, m) [N] or [m]
+    rule: Rule
+    left_out: tuple[str, ...]  # one line about each measurement that could not be used
+
+
+def import_bag(
+    bag: str | Path,
+    robot: Robot | str | Path | None = None,
+    rule: Rule | None = None,
+    topics: Topics | None = None,
+    description: str | None = None,
+    rest: float | None = None,
+) -> Imported:
+    """
+    Make a data set from a recording.
+
+    Segments in which all inputs are the same within the rule's change are trials of one posture;
+    in a sequence every segment is a posture of its own. Where the recording says which posture
+    and trial a measurement is, as `export_bag` does, that holds.
+
+    Parameters
+    ----------
+    bag : str or Path
+        A rosbag2 folder, or a single .mcap or .db3 file.
+    robot : Robot or path, optional
+        By default the one that the recording holds.
+    rule : Rule, optional
+        When the arm counts as still.
+    topics : Topics, optional
+        Where the recording holds what.
+    description : str, optional
+        Text of a dataset.yaml, for example with the markers; by default the recording's.
+    rest : float, optional
+        [N] or [m] segments whose inputs all stay below are no measurements but the rest between.
+
+    Raises
+    ------
+    DataSetError
+        It is no recording, something in it is missing, or the arm never stands still.
+    MissingExtraError
+        The package rosbags is not installed.
+
+    """
+    recording = read_bag(bag, topics)
+    robot = _robot(recording, robot)
+    said = _describe(recording, robot, description)
+    markers = _markers(recording, robot, said)
+    inputs = _inputs(recording, robot, said.input)
+    rule = (rule or Rule()).fill(robot, said.input)
+    moved = motion(recording, inputs, rule)
+    sequence = said.path == 'sequence'
+    segments, left_out = find_segments(recording, inputs, moved, rule, sequence)
+    if rest is not None:
+        segments = [one for one in segments if (np.nan_to_num(one.inputs) >= rest).any()]
+    if not any(np.isfinite(one.positions).any() for one in segments):
+        raise _never_still(recording.name, moved, rule)
+    arrays = assemble(recording.name, segments)
+    dataset = DataSet(
+        name=recording.name,
+        robot=robot,
+        markers=markers,
+        postures=arrays.postures,
+        inputs=arrays.inputs,
+        trial_inputs=arrays.trial_inputs,
+        trial_names=arrays.trials,
+        positions=arrays.positions,
+        orientations=arrays.orientations,
+        input=said.input,
+        path=said.path,
+        gravity=said.gravity,
+        position_noise=said.position_noise,
+        setting_noise=said.setting_noise,
+        trial_noise=said.trial_noise,
+        accuracy=said.accuracy,
+    )
+    return Imported(
+        dataset, tuple(segments), moved, recording.state_times, inputs, rule, tuple(left_out)
+    )
+
+
+def _robot(recording: Recording, robot: Robot | str | Path | None) -> Robot:
+    if isinstance(robot, Robot):
+        return robot
+    if robot is not None:
+        return load_robot(robot)
+    if recording.robot is None:
+        raise DataSetError(
+            recording.name, 'it holds no robot description', 'name one with --robot robot.yaml'
+        )
+    return parse_robot(recording.robot, f'{recording.name}: {ROBOT}')
+
+
+def _describe(recording: Recording, robot: Robot, text: str | None) -> Description:
+    source = 'description' if text is not None else f'{recording.name}: {DESCRIPTION}'
+    text = recording.description if text is None else text
+    if text is None:  # a driver that observes no tension gives NaN
+        observed = np.isfinite(recording.inputs(robot.inputs, 'tension')).any()
+        text = f'input: {"tension" if observed else "displacement"}'
+    return describe(read_fields(text, source), robot)
+
+
+def _markers(recording: Recording, robot: Robot, said: Description) -> tuple[Marker, ...]:
+    """Return the marker of every pose, in the order of the recording."""
+    markers = said.markers or default_markers(robot)
+    names = recording.marker_names
+    if not names:
+        count = recording.tracks[0].positions.shape[1]
+        if count != len(markers):
+            raise DataSetError(
+                recording.name,
+                f'the shape has {count} poses, but there are {len(markers)} markers',
+                'list the markers in a dataset.yaml and name it with --description',
+            )
+        return markers
+    known = {marker.name: marker for marker in markers}
+    if said.markers is None:
+        known.setdefault('tip', Marker('tip', robot.length))
+    for name in names:
+        if name not in known:
+            raise DataSetError(
+                recording.name,
+                f'no marker {name!r} is described; known: {listing(known)}',
+                'list it in a dataset.yaml and name that with --description',
+            )
+    return tuple(known[name] for name in names)
+
+
+def _inputs(recording: Recording, robot: Robot, kind: str) -> FloatArray:
+    inputs = recording.inputs(robot.inputs, kind)
+    field = 'effort' if kind == 'tension' else 'position'
+    listed = {name for state in recording.states for name in state.name}
+    for name, column in zip(robot.inputs, inputs.T, strict=True):
+        if name not in listed:
+            raise DataSetError(
+                recording.name,
+                f'the tendon states do not name {name!r}; they name {listing(sorted(listed))}',
+                'use the robot description of the robot that was recorded',
+            )
+        if kind == 'tension' and not np.isfinite(column).any():
+            raise DataSetError(
+                recording.name,
+                f'the tension of {name!r} was not observed ({field} is empty or NaN)',
+                'say input: displacement in a dataset.yaml and name it with --description',
+            )
+    return inputs
+
+
+def _never_still(bag: str, moved: Motion, rule: Rule) -> DataSetError:
+    slowest = 1e3 * float(moved.speed.min(initial=np.inf))
+    return DataSetError(
+        bag,
+        f'the arm is never slower than {1e3 * rule.speed:g} mm/s for {rule.duration:g} s (at its '
+        f'slowest moment {slowest:.2g} mm/s)',
+        'allow a higher speed or a shorter duration',
+    )
