@@ -15,6 +15,7 @@ from .checks import Refusal
 from .heard import Heard
 from .jog import Jog, Twist
 from .settings import Output, Settings, Target
+from .tracking import ShapeTracker
 
 if TYPE_CHECKING:
     from ..model.model import Model
@@ -36,14 +37,16 @@ class ControllerCore:
     command: Array | None = None  # (m,) [N], None until the driver was heard
     driver_stopped: str = ''  # why the driver does not follow, as it says
     refusal: Refusal | None = None  # of the last message, until one is accepted
-    no_equilibrium: str = ''
     latch: StopLatch = field(default_factory=StopLatch)
     _jog: Jog | None = None
     _heard: Heard | None = None
     _lost: bool = True
     _stepped: float = -np.inf
-    _failing_since: float | None = None
-    _shape: Shape | None = None
+    _track: ShapeTracker = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Begin straight."""
+        self._track = ShapeTracker(self.model)
 
     def measured(self, now: float, tensions: Array, pulls: Array) -> None:
         """Take what the driver measures, (m,) [N] and (m,) [m], nan where not observable."""
@@ -73,7 +76,7 @@ class ControllerCore:
         if self.command is None:
             raise Refusal('no_driver', 'twist refused: no tendon states yet')
         if self._jog is None:
-            self._jog = Jog.start(self._look(self.command))
+            self._jog = Jog.start(self._track.look(self.command))
             self.target = self.solution = None
         self._jog.take(now, twist)
         self.refusal = None
@@ -105,6 +108,11 @@ class ControllerCore:
         self.driver_stopped = stopped
 
     @property
+    def no_equilibrium(self) -> str:
+        """Why the model has no shape now, '' when it has one."""
+        return self._track.problem
+
+    @property
     def jogging(self) -> bool:
         """Whether a twist moves the tip."""
         return self._jog is not None
@@ -119,15 +127,15 @@ class ControllerCore:
 
     def fresh(self, now: float) -> bool:
         """Whether the driver was heard lately."""
-        heard = self._heard
-        return heard is not None and now - heard.time <= self.settings.state_timeout
+        age = np.inf if self._heard is None else now - self._heard.time
+        return bool(age <= self.settings.state_timeout)
 
     def step(self, now: float) -> Output | None:
         """
-        Return the command of this cycle, or None when there must be none.
+        Return the command of this cycle, or None: then the driver releases the arm.
 
-        None means that the driver will release the arm: a stop is latched, there has been no
-        equilibrium for `patience`, or the driver was never heard.
+        That is when a stop is latched, there has been no equilibrium for `patience`, or the
+        driver was never heard.
         """
         passed = min(max(now - self._stepped, 0.0), LONGEST_CYCLE)
         self._stepped = now
@@ -147,7 +155,7 @@ class ControllerCore:
         tensions = self.command
         if self._heard is not None and self._heard.observed and self.fresh(now):
             tensions = np.maximum(self._heard.tensions, 0.0)
-        return None if tensions is None else self._equilibrium(now, tensions)
+        return None if tensions is None else self._track.follow(now, tensions)
 
     def set_model(self, model: Model) -> None:
         """
@@ -170,7 +178,7 @@ class ControllerCore:
             model.shape(self.command)
         solution = None if self.target is None else self._solve(self.target, model)
         self.model, self.solution = model, solution
-        self._jog = self._shape = None
+        self._jog, self._track = None, ShapeTracker(model)
 
     def _advance(self, now: float, passed: float) -> Array:
         """Move the command towards where the target or the twist wants it, at the rate limit."""
@@ -186,7 +194,8 @@ class ControllerCore:
 
     def _follow_twist(self, jog: Jog, passed: float) -> None:
         aim = jog.advance(passed, self.settings.hold_direction)
-        if aim is None:
+        if aim is None:  # a zero twist: stop where it is
+            self._jog = self.solution = None
             return
         try:
             self.solution = self._solve(Target(*aim))
@@ -199,39 +208,24 @@ class ControllerCore:
     def _output(self, now: float, wanted: Array) -> Output | None:
         pulls = None
         if self.settings.pull_mode:
-            shape = self._equilibrium(now, wanted)
+            shape = self._track.follow(now, wanted)
             if shape is None:
                 wanted = self.command if self.command is not None else wanted
-                shape = self._shape
+                shape = self._track.last
             pulls = None if shape is None else shape.pulls
-        waited = 0.0 if self._failing_since is None else now - self._failing_since
-        if waited > self.settings.patience or (self.settings.pull_mode and pulls is None):
+        failing = self._track.failing(now) > self.settings.patience
+        if failing or (self.settings.pull_mode and pulls is None):
             self._drop()
             self._lost = True
-            self.refusal = Refusal('no_equilibrium', f'released: {self.no_equilibrium}')
+            self.refusal = Refusal('no_equilibrium', f'released: {self._track.problem}')
             return None
         self.command = wanted
         return Output(wanted.copy(), pulls)
 
-    def _equilibrium(self, now: float, tensions: Array) -> Shape | None:
-        try:
-            self._shape = self._look(tensions)
-        except (NoEquilibriumError, InputError) as error:
-            self.no_equilibrium = str(error)
-            if self._failing_since is None:
-                self._failing_since = now
-            return None
-        self.no_equilibrium, self._failing_since = '', None
-        return self._shape
-
-    def _look(self, tensions: Array) -> Shape:
-        guess = None if self._shape is None else self._shape.bend
-        return self.model.shape(tensions, guess=guess)
-
     def _solve(self, target: Target, model: Model | None = None) -> Reach:
         model = model or self.model
-        guess = self._shape if self.solution is None else self.solution.shape
-        if guess is not None and guess.bend.shape != (model.robot.cells, 2):
+        guess = self._track.last if self.solution is None else self.solution.shape
+        if guess is not None and len(guess.bend) != model.robot.cells:
             guess = None
         return model.reach(
             position=target.position,
@@ -245,7 +239,7 @@ class ControllerCore:
         """Begin at the measured state."""
         assert self._heard is not None
         unknown = self.model.limits[:, 0] if self.command is None else self.command
-        tensions = self._heard.in_newtons(self.model, self._shape, unknown)
+        tensions = self._heard.in_newtons(self.model, self._track.last, unknown)
         self.command = bounded(tensions, self.model.limits)
         self._lost, self._jog = False, None
 

@@ -28,7 +28,12 @@ SPECS = (
         read_only=True,
         choices=('mock', 'dynamixel', 'serial'),
     ),
-    Spec('config', '', 'configuration of the backend: a path or YAML text', read_only=True),
+    Spec(
+        'config',
+        '',
+        'configuration of the backend: a path, the name of a file in config, or YAML text',
+        read_only=True,
+    ),
     Spec(
         'command_mode',
         'tension',
@@ -98,14 +103,23 @@ def make(robot: Robot, parameters: Parameters) -> tuple[Driver, dict[str, Any]]:
     source = text if text and '\n' not in text and ':' not in text else 'config'
     if backend != 'mock':
         return make_driver(backend, robot, config, mode=mode, source=source), {}
-    from ..model.plant import make_plant  # hardware drivers load no compiler
-
     tracker = config.pop('tracker', None) or {}
-    try:
-        plant = make_plant(robot, **(config.pop('plant', None) or {}))
-    except TypeError as error:
-        raise InputError(f'{source}: plant: {error}') from None
+    plant = _plant(robot, config.pop('plant', None) or {}, f'{source}: plant')
     return make_driver(backend, robot, config, mode=mode, source=source, plant=plant), tracker
+
+
+def _plant(robot: Robot, config: dict[str, Any], source: str) -> Any:
+    """Make the mock arm; imported here because drivers of hardware load no compiler."""
+    if config.pop('twin', False):
+        from .twin import Twin
+
+        return Twin(robot)
+    from ..model.plant import make_plant
+
+    try:
+        return make_plant(robot, **config)
+    except TypeError as error:
+        raise InputError(f'{source}: {error}') from None
 
 
 def rules(robot: Robot, driver: Driver, parameters: Parameters) -> SafetyRules:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ class Frames:
     def __init__(self, node: Node, base: str) -> None:
         """Listen to TF where tf2_ros is installed (the wheels of rclpy do not have it)."""
         self.base = base
-        self._buffer = None
+        self._buffer: Any = None
         if importlib.util.find_spec('tf2_ros') is not None:
             from tf2_ros import Buffer, TransformListener
 

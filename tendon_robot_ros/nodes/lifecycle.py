@@ -47,7 +47,7 @@ class ManagedNode(LifecycleNode):
     def running(self) -> bool:
         """Configure and activate when that is due."""
         due = self.phase != 'active' and time.monotonic() - self._tried >= RETRY
-        if self.parameters['autostart'] and due:
+        if self.parameters['autostart'] and due and self.ready():
             self._tried = time.monotonic()
             if self.phase == 'unconfigured':
                 self.trigger_configure()
@@ -61,6 +61,10 @@ class ManagedNode(LifecycleNode):
             self.trigger_deactivate()
         if self.phase == 'inactive':
             self.trigger_cleanup()
+
+    def ready(self) -> bool:
+        """Whether it makes sense to configure now."""
+        return True
 
     def configure(self) -> None:
         """Read what is needed, open what is needed."""

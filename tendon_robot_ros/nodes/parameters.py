@@ -50,7 +50,7 @@ class Spec:
         if not isinstance(value, kind):
             names = {bool: 'true or false', float: 'a number', str: 'text', list: 'a list of text'}
             raise InputError(f'{self.name}: expected {names[kind]}, got {value!r}')
-        if kind is float and not self.low <= value <= self.high:
+        if isinstance(value, float) and not self.low <= value <= self.high:
             raise InputError(
                 f'{self.name}: expected {self.low:g} to {self.high:g} {self.unit}, got {value:g}'
             )
@@ -83,6 +83,7 @@ class Parameters:
 
     def __init__(self, node: Node, specs: Sequence[Spec]) -> None:
         """Declare them; InputError when the node was started with an impossible one."""
+        self._node = node
         self._specs = {spec.name: spec for spec in specs}
         self._values: dict[str, Any] = {}
         self._hooks: dict[str, Callable[[Any], None]] = {}
@@ -112,6 +113,13 @@ class Parameters:
 
         """
         self._hooks, self._changed = hooks, changed
+
+    def put_back(self, name: str, value: Any) -> None:
+        """Set a parameter to a value it had, without asking the hooks."""
+        hook = self._hooks.pop(name, None)
+        self._node.set_parameters([Parameter(name, value=value)])
+        if hook is not None:
+            self._hooks[name] = hook
 
     def _set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         accepted = {}

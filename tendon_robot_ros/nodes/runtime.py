@@ -11,11 +11,12 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Protocol
 
 import rclpy
+import rclpy.utilities
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from ..exceptions import TendonRobotError
+from ..exceptions import InputError, TendonRobotError
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -37,7 +38,9 @@ class Ending:
 class Runnable(Protocol):
     """What `run` needs of a node."""
 
-    node: Node
+    @property
+    def node(self) -> Node:
+        """The node to spin."""
 
     def start(self) -> None:
         """Begin; called once before the first spin."""
@@ -61,14 +64,17 @@ def ros(arguments: Sequence[str]) -> Iterator[Ending]:
 
     """
     ending = Ending()
-    rclpy.init(args=['node', *arguments], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=['node', *arguments], signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # RCLError, UnknownROSArgsError: what a person typed
+        raise InputError(f'ROS arguments: {str(error).split(", at /")[0]}') from None
     before = {number: signal.signal(number, ending) for number in SIGNALS}
     try:
         yield ending
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-        rclpy.try_shutdown()
+        rclpy.utilities.try_shutdown()
 
 
 def run(make: Callable[[], Runnable], arguments: Sequence[str]) -> int:

@@ -52,7 +52,10 @@ def read_robot(text: str) -> Robot:
 
 
 def read_mapping(text: str, what: str) -> dict[str, Any]:
-    """Read a configuration from a path or from YAML text; '' is empty."""
+    """Read a configuration: a path, the name of a file in config, or YAML text; '' is empty."""
+    own = shared_file(f'config/{text}.yaml')
+    if own is not None and not Path(text).is_file():
+        text = str(own)
     if text.strip() and '\n' not in text and ':' not in text:
         try:
             text = Path(text).read_text(encoding='utf-8')

@@ -16,15 +16,16 @@ OK, WARN, ERROR, STALE = (
     DiagnosticStatus.ERROR,
     DiagnosticStatus.STALE,
 )
+LEVELS = {'ok': OK, 'warn': WARN, 'error': ERROR}
 PERIOD = 1.0  # [s] at least so often
-SHORTEST = 0.1  # [s] values that change all the time are sent no more often than this
+SHORTEST = 0.5  # [s] values that change all the time are sent no more often than this
 
 
 class Status:
     """
     Publishes a level, a sentence, a code and values.
 
-    A new level or code goes out at once and into the log; changed values go out at most ten times
+    A new level or code goes out at once and into the log; changed values go out at most twice
     a second, and everything at least once a second.
     """
 

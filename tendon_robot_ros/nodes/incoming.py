@@ -1,0 +1,84 @@
+"""What comes in over the controller's topics, checked and brought into the base frame."""
+
+from __future__ import annotations
+
+import numpy as np
+from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
+from numpy.typing import NDArray
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+
+from ..control import Refusal, Target, Twist
+from ..control.checks import by_name, check_frame, check_stamp, direction, finite, position
+from ..model.model import Model
+from .frames import Frames
+from .messages import seconds
+from .parameters import Parameters
+
+Array = NDArray[np.float64]
+
+
+class Incoming:
+    """Turns messages into targets, twists and states; raises `Refusal`."""
+
+    def __init__(self, node: Node, parameters: Parameters, model: Model) -> None:
+        """Name the frames after the robot."""
+        prefix, robot = parameters['frame_prefix'], model.robot
+        self.base = prefix + (parameters['base_frame'] or f'{robot.name}_base')
+        self.tip = prefix + (parameters['tip_frame'] or f'{robot.name}_tip')
+        self._node, self._parameters, self._model = node, parameters, model
+        self._frames = Frames(node, self.base)
+        self._farthest = 1.5 * robot.length  # [m]
+
+    def pose(self, message: PoseStamped) -> Target:
+        """Return a target with position and approach direction (+z of the orientation)."""
+        rotation, shift = self._header(message.header, 'target_pose')
+        p, q = message.pose.position, message.pose.orientation
+        along = direction([q.x, q.y, q.z, q.w], 'target_pose')
+        place = rotation @ finite([p.x, p.y, p.z], 'target_pose') + shift
+        return Target(position(place.tolist(), self._farthest, 'target_pose'), rotation @ along)
+
+    def point(self, message: PointStamped) -> Target:
+        """Return a target with a position alone."""
+        rotation, shift = self._header(message.header, 'target_point')
+        p = message.point
+        place = rotation @ finite([p.x, p.y, p.z], 'target_point') + shift
+        return Target(position(place.tolist(), self._farthest, 'target_point'))
+
+    def twist(self, message: TwistStamped) -> Twist:
+        """Return a velocity, in the axes of base or tip."""
+        self._stamp(message.header, 'delta_twist')
+        check_frame(message.header.frame_id, [self.base, self.tip], 'delta_twist')
+        linear, angular = message.twist.linear, message.twist.angular
+        values = finite(
+            [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z], 'delta_twist'
+        )
+        if np.abs(values[:3]).max() > 1.0 or np.abs(values[3:]).max() > 10.0:
+            raise Refusal(
+                'too_fast',
+                f'delta_twist: expected at most 1 m/s and 10 rad/s, got {values.tolist()}',
+            )
+        return Twist(values[:3], values[3:], message.header.frame_id == self.tip)
+
+    def states(self, message: JointState) -> tuple[Array, Array]:
+        """Return tensions [N] and wire pulls [m]; nan where not observable."""
+        self._stamp(message.header, 'tendon_states')
+        inputs, names = self._model.inputs, message.name
+        found = []
+        for quantity, values in (('effort', message.effort), ('position', message.position)):
+            values = values or [np.nan] * len(names)
+            found.append(by_name(names, values, inputs, 'tendon_states', quantity))
+            if np.isinf(found[-1]).any():
+                raise Refusal('not_finite', f'tendon_states: {quantity} is infinite')
+        if np.isnan(found).all():
+            raise Refusal('not_finite', 'tendon_states: neither effort nor position is a number')
+        return found[0], found[1]
+
+    def _header(self, header: Header, what: str) -> tuple[Array, Array]:
+        self._stamp(header, what)
+        return self._frames.to_base(header.frame_id, what)
+
+    def _stamp(self, header: Header, what: str) -> None:
+        now = 1e-9 * self._node.get_clock().now().nanoseconds
+        check_stamp(seconds(header.stamp), now, self._parameters['stamp_tolerance'], what)
