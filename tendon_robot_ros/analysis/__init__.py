@@ -1,0 +1,1 @@
+"""From measurements to the missing effect: compare, fit, diagnose, add, simulate."""

@@ -1,0 +1,164 @@
+"""Patterns without physics that compete with the effects: is the cause outside the catalogue?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import optimize
+
+from .fit import Fit, Fitter
+from .predict import Point
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """A pattern fitted on top of a fit."""
+
+    name: str  # 'soft_cell', 'taper', 'gain_per_posture', 'rotation_per_posture'
+    chi2: float
+    parameters: int
+    cell: int = 0  # 1-based, of a soft cell
+    size: float = 0.0  # soft cell: bend over the bend it should have; taper: change tip - base
+    values: tuple[float, ...] = ()  # one per posture [1] or [rad]
+
+    @property
+    def score(self) -> float:
+        """Chi² plus twice the number of parameters."""
+        return self.chi2 + 2.0 * self.parameters
+
+
+class Rivals:
+    """Fits the patterns on top of a settled fit, its parameters staying where they are."""
+
+    def __init__(self, fitter: Fitter, fit: Fit) -> None:
+        """Keep the fit and its whitened residual."""
+        self.fitter, self.fit = fitter, fit
+        self.point: Point = fit.point
+        self.r = fitter.whitener.white(fitter.measured - fit.markers)
+        self.prior = fit.chi2 - float(self.r @ self.r)
+        self.extra = fit.rank
+        self.owners = fitter.whitener.owners
+
+    def all(self) -> list[Pattern]:
+        """Fit all patterns; those without equilibrium drop out."""
+        found = [self.soft_cell(), self.taper(), self.gain_per_posture(),
+                 self.rotation_per_posture()]
+        return [pattern for pattern in found if pattern is not None]
+
+    def white(self, markers: Floats) -> Floats:
+        """Whitened residual for predicted markers."""
+        return self.fitter.whitener.white(self.fitter.measured - markers)
+
+    def _stiff(self, factor: Floats) -> Floats | None:
+        markers = self.fitter.predictor.markers(self.point, stiffness=factor)
+        return None if markers is None else self.white(markers)
+
+    def soft_cell(self) -> Pattern | None:
+        """One cell with its own stiffness: where, and how soft."""
+        n = self.fitter.predictor.model.arrays.chain.n
+        gains, guesses = np.zeros(n), np.zeros(n)
+        for i in range(n):
+            moved = self._stiff(np.where(np.arange(n) == i, 0.98, 1.0))
+            if moved is None:
+                continue
+            slope = (moved - self.r) / -np.log(0.98)
+            size = float(slope @ slope)
+            if size > 1e-12:
+                guesses[i] = -(slope @ self.r) / size
+                gains[i] = (slope @ self.r) ** 2 / size
+        best: Pattern | None = None
+        for i in np.argsort(-gains)[:3]:
+            pattern = self._one_cell(int(i), float(guesses[i]), n)
+            if best is None or pattern.chi2 < best.chi2:
+                best = pattern
+        return best
+
+    def _one_cell(self, i: int, guess: float, n: int) -> Pattern:
+        def cost(softness: float) -> float:
+            white = self._stiff(np.where(np.arange(n) == i, np.exp(-softness), 1.0))
+            return np.inf if white is None else float(white @ white)
+        guess = float(np.clip(guess, -1.5, 1.5))
+        reach = max(abs(guess), 0.05)
+        found = optimize.minimize_scalar(cost, bounds=(guess - 1.5 * reach, guess + 3.0 * reach),
+                                         method='bounded', options={'xatol': 1e-3, 'maxiter': 18})
+        return Pattern('soft_cell', float(found.fun) + self.prior, self.extra + 2, i + 1,
+                       float(np.exp(found.x)))
+
+    def taper(self) -> Pattern | None:
+        """Stiffness that changes linearly from base to tip, mean and slope free."""
+        n = self.fitter.predictor.model.arrays.chain.n
+        along = np.linspace(-1.0, 1.0, n)
+        values = np.zeros(2)
+        r = self.r
+        for _ in range(6):
+            here = np.exp(values[0] + values[1] * along)
+            columns = []
+            for shape in (np.ones(n), along):
+                moved = self._stiff(here * np.exp(0.01 * shape))
+                if moved is None:
+                    return None
+                columns.append((moved - r) / 0.01)
+            slopes = np.array(columns).T
+            step = -np.linalg.lstsq(slopes, r, rcond=None)[0]
+            moved = self._stiff(np.exp(values[0] + step[0] + (values[1] + step[1]) * along))
+            if moved is None or moved @ moved >= r @ r:
+                break
+            gain = float(r @ r - moved @ moved)
+            values, r = values + step, moved
+            if gain < 0.1:
+                break
+        return Pattern('taper', float(r @ r) + self.prior, self.extra + 2,
+                       size=float(np.exp(values[0] + values[1]) / np.exp(values[0] - values[1])
+                                  - 1.0))
+
+    def gain_per_posture(self) -> Pattern | None:
+        """Every posture with its own factor on the inputs."""
+        inputs = self.fitter.predictor.inputs
+        gains = np.ones(len(inputs))
+        r = self.r
+        for _ in range(6):
+            moved = self.fitter.predictor.markers(self.point, inputs * (gains + 1e-3)[:, None])
+            if moved is None:
+                return None
+            slope = (self.white(moved) - r) / 1e-3
+            step = np.array([self._own(slope, r, p) for p in range(len(inputs))])
+            trial = np.clip(gains + np.clip(step, -0.3, 0.3), 0.2, 3.0)
+            markers = self.fitter.predictor.markers(self.point, inputs * trial[:, None])
+            if markers is None:
+                break
+            new = self.white(markers)
+            if new @ new >= r @ r:
+                break
+            gain = float(r @ r - new @ new)
+            gains, r = trial, new
+            if gain < 0.1:
+                break
+        return Pattern('gain_per_posture', float(r @ r) + self.prior, self.extra + len(inputs),
+                       values=tuple((gains - 1.0).tolist()))
+
+    def _own(self, slope: Floats, r: Floats, p: int) -> float:
+        rows = self.owners == p
+        size = float(slope[rows] @ slope[rows])
+        return -float(slope[rows] @ r[rows]) / size if size > 1e-12 else 0.0
+
+    def rotation_per_posture(self) -> Pattern:
+        """Every posture rotated about the base by its own small rotation vector."""
+        markers, zero = self.fit.markers, np.zeros_like(self.fit.markers)
+        columns = [self.fitter.whitener.white(np.cross(axis, markers)) for axis in np.eye(3)]
+        r, angles, parameters = self.r.copy(), [], 0
+        for p in range(len(zero)):
+            rows = self.owners == p
+            slopes = np.array([column[rows] for column in columns]).T
+            if not rows.any():
+                angles.append(0.0)
+                continue
+            turn, _, rank, _ = np.linalg.lstsq(slopes, r[rows], rcond=1e-6)
+            r[rows] -= slopes @ turn
+            angles.append(float(np.linalg.norm(turn)))
+            parameters += int(rank)
+        return Pattern('rotation_per_posture', float(r @ r) + self.prior,
+                       self.extra + parameters, values=tuple(angles))

@@ -1,0 +1,143 @@
+"""From fits to the rows and numbers of a result: values with intervals, shares, errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import stats
+
+from .candidates import Ranked
+from .fit import Fit
+from .noise import rms
+from .result import CandidateRow, EffectFinding, Value
+from .session import SINGLE
+
+if TYPE_CHECKING:
+    from .diagnose import Evidence
+
+CORRELATED = 0.98
+
+
+def explained_share(base: Fit, fit: Fit) -> float:
+    """1 - (chi²_c - nu_c) / (chi²_0 - nu_0), clipped to [0, 1]."""
+    excess = base.chi2 - base.freedom
+    if excess <= 0.0:
+        return 0.0
+    return float(np.clip(1.0 - (fit.chi2 - fit.freedom) / excess, 0.0, 1.0))
+
+
+def values_of(fit: Fit, scale: float = 1.0) -> dict[str, dict[str, Value]]:
+    """Values with 95 % intervals by effect; `scale` widens them (chi² over freedom)."""
+    quantile = float(stats.norm.ppf(0.975)) * np.sqrt(scale)
+    spread = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    found: dict[str, dict[str, Value]] = {}
+    for i, free in enumerate(fit.frees):
+        value, half = float(fit.values[i]), float(quantile * spread[i])
+        low = max(value - half, free.parameter.low)
+        high = min(value + half, free.parameter.high)
+        found.setdefault(free.effect, {})[free.key] = Value(
+            value, low, high, free.parameter.unit, _note(fit, i, half))
+    return found
+
+
+def _note(fit: Fit, i: int, half: float) -> str:
+    parameter = fit.frees[i].parameter
+    if not half < (parameter.high - parameter.low):
+        return 'not determined by these postures'
+    if fit.values[i] in (parameter.low, parameter.high):
+        return 'at its bound'
+    spread = np.sqrt(np.diag(fit.covariance))
+    for j in range(len(fit.frees)):
+        if j != i and np.isfinite(spread[j]) and spread[i] * spread[j] > 0.0:
+            if abs(fit.covariance[i, j]) > CORRELATED * spread[i] * spread[j]:
+                return f'correlated with {fit.frees[j].key}'
+    return ''
+
+
+def finding(found: Evidence, ranked: Ranked) -> list[EffectFinding]:
+    """Return the effects of a candidate, with what they explain together."""
+    values = values_of(ranked.fit, found.scale)
+    share = explained_share(found.base, ranked.fit)
+    return [EffectFinding(name, values[name], share, name in found.session.robot.effects)
+            for name in ranked.candidate.names]
+
+
+def rows_of(found: Evidence, chosen: Sequence[Ranked],
+            together: Sequence[str]) -> tuple[CandidateRow, ...]:
+    """Return the candidate table, best first."""
+    ranked = list(found.singles)
+    ranked += [r for r in chosen if r not in ranked]
+    return tuple(_row(found, r, chosen, together) for r in sorted(ranked, key=lambda r: r.score))
+
+
+def _row(found: Evidence, ranked: Ranked, chosen: Sequence[Ranked],
+         together: Sequence[str]) -> CandidateRow:
+    fit, session = ranked.fit, found.session
+    if ranked in chosen:
+        status = 'best'
+    elif ranked.candidate.label in together:
+        status = 'cannot be told apart'
+    elif ranked.probability > SINGLE:
+        status = 'adequate, less likely'
+    else:
+        status = 'rejected'
+    values = {f'{effect}.{key}' if len(ranked.candidate.names) > 1 else key: value
+              for effect, items in values_of(fit, found.scale).items()
+              for key, value in items.items()}
+    error = rms(session.dataset.mean - fit.markers)
+    inflate = np.sqrt(max(ranked.held_out, 1e-12) / max(fit.chi2, 1e-12))
+    return CandidateRow(ranked.candidate.label, values, fit.chi2, fit.freedom, ranked.probability,
+                        explained_share(found.base, fit), error, float(error * inflate), status,
+                        ranked.candidate.present)
+
+
+def details_of(found: Evidence, chosen: Sequence[Ranked], verdict: str) -> dict[str, Any]:
+    """Numbers that reports print beside the verdict."""
+    session, base = found.session, found.base
+    noise = session.noise
+    assert noise is not None
+    details: dict[str, Any] = {
+        'robot': session.robot.name, 'data': session.dataset.name,
+        'postures': int((session.dataset.trials > 0).sum()),
+        'trials': int(session.dataset.trials.sum()), 'markers': len(session.dataset.markers),
+        'noise': {'position': noise.position, 'trial': noise.trial, 'setting': noise.setting,
+                  'source': noise.source},
+        'tolerances': dict(session.robot.tolerances), 'moved': base.pulls,
+        'base': {'chi2': base.chi2, 'freedom': base.freedom,
+                 'probability': base.probability(session.freedom)},
+        'relative_to_remainder': found.scale if verdict == 'outside_catalogue' else None,
+        'accuracy': session.accuracy if session.use_accuracy else None,
+    }
+    if found.rival is not None:
+        details['rival'] = {'name': found.rival.name, 'chi2': found.rival.chi2,
+                            'parameters': found.rival.parameters}
+    details['next_best'] = _next_best(found, chosen)
+    if verdict == 'adequate':
+        details['detectable'] = smallest_seen(found)
+    return details
+
+
+def _next_best(found: Evidence, chosen: Sequence[Ranked]) -> dict[str, Any] | None:
+    others = [r for r in found.singles if r not in chosen]
+    if not chosen or not others:
+        return None
+    other = min(others, key=lambda r: r.score)
+    return {'name': other.candidate.label,
+            'log10_likelihood_ratio': (other.score - chosen[0].score) / (2.0 * np.log(10.0))}
+
+
+def smallest_seen(found: Evidence) -> dict[str, dict[str, Any]]:
+    """Smallest size of each single-parameter effect that these postures would have shown."""
+    from .diagnose import ALPHA
+    count = max(len(found.singles), 1)
+    threshold = np.sqrt(stats.chi2.isf(2.0 * ALPHA / count, 1)) + stats.norm.ppf(0.8)
+    seen = {}
+    for ranked in found.singles:
+        if len(ranked.fit.frees) == 1 and not ranked.candidate.present:
+            spread = np.sqrt(ranked.fit.covariance[0, 0])
+            if np.isfinite(spread):
+                seen[ranked.candidate.label] = {'size': float(threshold * spread),
+                                                'unit': ranked.fit.frees[0].parameter.unit}
+    return seen

@@ -1,0 +1,184 @@
+"""One diagnosis at work: noise, weights, base fit, and the fits of all candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from ..data import DataSet
+from ..effects import Catalogue
+from ..robot import Robot
+from .candidates import (CONTAINS, Candidate, Ranked, candidates_of, gain_probability, is_tested,
+                         nuisances_of)
+from .fit import Fit, Fitter
+from .noise import Noise, Whitener, estimate_noise, input_slopes
+from .predict import Point, Predictor
+
+SINGLE, SEVERAL = 0.001, 0.01  # p-values above which one effect, or several, are adequate
+APART = 9.21  # chi² + 2 k within which candidates cannot be told apart
+TIE = 0.5  # chi² + 2 k below which the order of the catalogue decides
+Progress = Callable[[str, int, int], None]
+
+
+class Session:
+    """Fits of one data set and description; weights move to the best candidate's fit."""
+
+    def __init__(self, dataset: DataSet, robot: Robot, catalogue: Catalogue,
+                 workers: int = 2, progress: Progress | None = None) -> None:
+        """Build a predictor per worker."""
+        self.dataset, self.robot, self.catalogue = dataset, robot, catalogue
+        self.workers = max(1, workers)
+        self.progress = progress or (lambda what, done, total: None)
+        self.predictors = [Predictor(dataset, robot, catalogue) for _ in range(self.workers)]
+        self.predictor = self.predictors[0]
+        self.nuisances = nuisances_of(robot, catalogue, self.predictor)
+        self.candidates = candidates_of(robot, catalogue)
+        self.accuracy = dataset.accuracy or 0.0
+        self.use_accuracy = False
+        self.noise: Noise | None = None
+
+    def weigh(self, point: Point) -> bool:
+        """Estimate the noise and set the weights at a point; False: nothing tells the noise."""
+        slopes = input_slopes(self.predictor, point)
+        self.noise = estimate_noise(self.dataset, slopes)
+        if self.noise is None:
+            return False
+        self.whitener = Whitener(self.dataset, self.noise, slopes,
+                                 self.accuracy if self.use_accuracy else 0.0)
+        self.fitters = [Fitter(predictor, self.whitener, self.nuisances)
+                        for predictor in self.predictors]
+        return True
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom behind the noise."""
+        assert self.noise is not None
+        return self.noise.freedom
+
+    def rank(self, candidate: Candidate, fit: Fit) -> Ranked:
+        """Judge a fit."""
+        return Ranked(candidate, fit, fit.probability(self.freedom),
+                      fit.held_out(self.whitener.owners))
+
+    def fit_all(self, candidates: Sequence[Candidate], starts: dict[str, Point] | None = None,
+                what: str = 'effects') -> list[Ranked]:
+        """Fit candidates, spread over the workers; those without equilibrium drop out."""
+        found: list[Ranked | None] = [None] * len(candidates)
+        done = 0
+
+        def work(worker: int) -> None:
+            nonlocal done
+            for i in range(worker, len(candidates), self.workers):
+                candidate = candidates[i]
+                start = None if starts is None else starts.get(candidate.label)
+                try:
+                    fit = self.fitters[worker].fit(candidate.frees, start)
+                except (ArithmeticError, np.linalg.LinAlgError):
+                    continue
+                finally:
+                    done += 1
+                    self.progress(what, done, len(candidates))
+                found[i] = self.rank(candidate, fit)
+
+        if self.workers == 1 or len(candidates) == 1:
+            for worker in range(self.workers):
+                work(worker)
+        else:
+            with ThreadPoolExecutor(self.workers) as pool:
+                list(pool.map(work, range(self.workers)))
+        return [ranked for ranked in found if ranked is not None]
+
+    def base_fit(self) -> Fit:
+        """Fit the declared tolerances alone."""
+        return self.fitters[0].fit(())
+
+    def split_tested(self, point: Point) -> tuple[list[Candidate], list[Candidate]]:
+        """Split the candidates into those that these postures show at a point, and the rest."""
+        here = self.predictor.markers(point)
+        tested = [c for c in self.candidates if here is not None
+                  and is_tested(c, self.predictor, self.whitener, point, here)]
+        return tested, [c for c in self.candidates if c not in tested]
+
+    def luck(self, base: Fit, ranked: Ranked) -> float:
+        """Chance of a candidate's gain by luck."""
+        described = [self.predictor.value(free) for free in ranked.candidate.frees]
+        return gain_probability(base, ranked.fit, described)
+
+    def best(self, ranked: Sequence[Ranked]) -> Ranked:
+        """Return the best by score; within a tie the first of the catalogue."""
+        top = min(r.score for r in ranked)
+        return next(r for r in ranked if r.score <= top + TIE)
+
+
+def indistinct(ranked: Sequence[Ranked], best: Ranked, gate: float) -> list[Ranked]:
+    """
+    Return the adequate candidates that cannot be told apart from the best, best first.
+
+    A larger candidate that contains a smaller one of the class drops out.
+    """
+    near = [r for r in ranked if r is best
+            or (r.probability > gate and r.score <= best.score + APART)]
+    names = {r.candidate.names for r in near}
+    kept = [r for r in near if not any(
+        len(r.candidate.names) == 1 and (small,) in names
+        for small in CONTAINS.get(r.candidate.names[0], ()))]
+    kept = [r for r in kept if not any(
+        set(other.candidate.names) < set(r.candidate.names) for other in kept)]
+    return sorted(kept, key=lambda r: r is not best)
+
+
+def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
+    """
+    Search two or three effects that are adequate together: greedy, then pairs and swaps.
+
+    Returns the best combination found, adequate or not; None when nothing could be combined.
+    """
+    order = sorted(singles, key=lambda r: r.score)
+    current, best = order[0], None
+    for size in (2, 3):
+        found = _extended(session, current)
+        if not found:
+            break
+        if size == 2 and max(f.probability for f in found) <= SEVERAL:
+            found += _pairs(session, order[:7], {f.candidate.label for f in found})
+        top = min(found, key=lambda r: r.score)
+        if best is None or top.score < best.score:
+            best = top
+        current = top
+        if top.probability > SEVERAL:
+            break
+    return best
+
+
+def _extended(session: Session, current: Ranked) -> list[Ranked]:
+    """Fit the current effects with each other one that the postures show there."""
+    tested, _ = session.split_tested(current.fit.point)
+    have = set(current.candidate.names)
+    combined = [current.candidate.with_(c) for c in tested if not have & set(c.names)
+                and not _overlaps(c, have)]
+    starts = {c.label: current.fit.point for c in combined}
+    return session.fit_all(combined, starts, f'{len(have) + 1} effects')
+
+
+def _pairs(session: Session, order: Sequence[Ranked], known: set[str]) -> list[Ranked]:
+    """Fit the pairs among the best single effects that are not fitted yet."""
+    pairs, starts = [], {}
+    for i, first in enumerate(order):
+        for second in order[i + 1:]:
+            pair = first.candidate.with_(second.candidate)
+            names = set(pair.names)
+            if any(set(label.split(' + ')) == names for label in known) or _overlaps(
+                    second.candidate, set(first.candidate.names)):
+                continue
+            pairs.append(pair)
+            starts[pair.label] = first.fit.point
+    return session.fit_all(pairs, starts, 'pairs')
+
+
+def _overlaps(candidate: Candidate, have: set[str]) -> bool:
+    """Tell whether a candidate contains, or is contained in, one that is already there."""
+    name = candidate.names[0]
+    return bool(set(CONTAINS.get(name, ())) & have) or any(
+        name in CONTAINS.get(other, ()) for other in have)
