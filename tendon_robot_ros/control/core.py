@@ -76,7 +76,7 @@ class ControllerCore:
         if self.command is None:
             raise Refusal('no_driver', 'twist refused: no tendon states yet')
         if self._jog is None:
-            self._jog = Jog.start(self._track.look(self.command))
+            self._jog = Jog.start(self._track.begin(self.command))
             self.target = self.solution = None
         self._jog.take(now, twist)
         self.refusal = None
@@ -87,15 +87,7 @@ class ControllerCore:
         self._drop()
 
     def reset(self) -> None:
-        """
-        Clear the stops; the arm stays where it is until a new target comes.
-
-        Raises
-        ------
-        DriverError
-            A cause is still there.
-
-        """
+        """Clear the stops and wait for a new target; DriverError while a cause is there."""
         if self.driver_stopped:
             raise DriverError(f'reset refused: the driver is stopped: {self.driver_stopped}')
         self.latch.reset()
@@ -225,12 +217,11 @@ class ControllerCore:
     def _solve(self, target: Target, model: Model | None = None) -> Reach:
         model = model or self.model
         guess = self._track.last if self.solution is None else self.solution.shape
-        if guess is not None and len(guess.bend) != model.robot.cells:
-            guess = None
+        same = guess is not None and len(guess.bend) == model.robot.cells
         return model.reach(
             position=target.position,
             direction=target.direction,
-            guess=guess,
+            guess=guess if same else None,
             direction_weight=self.settings.direction_weight or None,
             starts=STARTS if self._jog is None else 0,
         )

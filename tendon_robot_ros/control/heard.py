@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from ..exceptions import InputError, NoEquilibriumError
 
@@ -34,7 +35,19 @@ class Heard:
         """Return the tensions; those of the wire pulls where tension is not observable."""
         if self.observed:
             return np.maximum(self.tensions, 0.0)
+        low, high = model.limits.T
         try:
-            return model.pull_shape(self.pulls, guess).inputs
+            shape = model.pull_shape(self.pulls, guess)
+            if np.all((shape.inputs >= low) & (shape.inputs <= high)):
+                return shape.inputs
+            # a slack tendon is below its limit: look for the same pulls within the limits
+            start = np.clip(shape.inputs, low + 1e-6, high - 1e-6)
+            found = least_squares(
+                lambda tensions: 1e3 * (model.shape(tensions).pulls - self.pulls),  # [mm]
+                start,
+                bounds=(low, high),
+                max_nfev=30,
+            )
         except (NoEquilibriumError, InputError):
             return unknown
+        return np.asarray(found.x, dtype=float)

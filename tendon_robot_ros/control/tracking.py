@@ -26,20 +26,22 @@ class ShapeTracker:
         self.problem = ''
         self._since: float | None = None
 
-    def look(self, tensions: Array) -> Shape:
+    def begin(self, tensions: Array) -> Shape:
         """Return the shape under tensions (m,) [N]; raise when there is none."""
-        return self.model.shape(tensions, guess=None if self.last is None else self.last.bend)
+        guess = None if self.last is None else self.last.bend
+        self.last = self.model.shape(tensions, guess=guess)
+        return self.last
 
     def follow(self, now: float, tensions: Array) -> Shape | None:
         """Return the shape, or None and remember since when there is none."""
         try:
-            self.last = self.look(tensions)
+            shape = self.begin(tensions)
         except (NoEquilibriumError, InputError) as error:
             self.problem = str(error)
             self._since = now if self._since is None else self._since
             return None
         self.problem, self._since = '', None
-        return self.last
+        return shape
 
     def failing(self, now: float) -> float:
         """Return for how long there has been none [s]."""
