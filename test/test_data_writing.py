@@ -70,7 +70,9 @@ def test_a_folder_that_holds_anything_is_left_alone(small, tmp_path):
 
 def test_a_data_set_is_replaced_only_when_told(small, tmp_path):
     target = save_dataset(small, tmp_path / 'out')
-    with pytest.raises(DataSetError, match=r'is not empty, it holds dataset\.yaml; name a new'):
+    with pytest.raises(
+        DataSetError, match='holds a data set already; name a new folder or allow --over'
+    ):
         save_dataset(small.select(['1']), target)
     assert load_dataset(target).postures == ('0', '1')
     save_dataset(small.select(['1']), target, overwrite=True)

@@ -30,14 +30,14 @@ def new_folder(folder: Path, replaceable: tuple[str, ...] = ()) -> Iterator[Path
         Something else is there, or nothing can be written there.
 
     """
-    folder = Path(os.path.abspath(folder))  # 'name/..' and '.' have no usable parent
-    _check(folder, replaceable)
+    shown, folder = folder, Path(os.path.abspath(folder))  # '.' and 'name/..' have no parent
+    _check(shown, replaceable)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f'.{folder.name}-', dir=folder.parent))
     except OSError as error:
         raise DataSetError(
-            str(folder),
+            str(shown),
             f'cannot be written ({error.strerror})',
             'name a place where you may write',
         ) from None
@@ -45,11 +45,11 @@ def new_folder(folder: Path, replaceable: tuple[str, ...] = ()) -> Iterator[Path
         filled = temporary / folder.name
         filled.mkdir()
         yield filled
-        _check(folder, replaceable)
+        _check(shown, replaceable)
         _replace(folder, filled, temporary / f'{folder.name}.old')
     except OSError as error:
         raise DataSetError(
-            str(folder),
+            str(shown),
             f'cannot be written ({error.strerror})',
             'make room there or name another place',
         ) from None

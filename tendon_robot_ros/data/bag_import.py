@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,9 @@ from .bag_reader import Recording, Topics, read_bag
 from .bag_writer import DESCRIPTION, ROBOT
 from .dataset import DataSet, FloatArray, Marker, default_markers, listing
 from .description import Description, describe, read_fields
+from .inputs import STRONGEST
 from .segments import Segment, assemble, find_segments
+from .shapes import FARTHEST
 from .stillness import Motion, Rule, motion
 
 
@@ -81,6 +83,7 @@ def import_bag(
         segments = [one for one in segments if (np.nan_to_num(one.inputs) >= rest).any()]
     if not any(np.isfinite(one.positions).any() for one in segments):
         raise _never_still(recording.name, moved, rule)
+    segments = _plausible(recording.name, segments, robot, said.input, rule)
     arrays = assemble(recording.name, segments)
     dataset = DataSet(
         name=recording.name,
@@ -170,6 +173,33 @@ def _inputs(recording: Recording, robot: Robot, kind: str) -> FloatArray:
                 'say input: displacement in a dataset.yaml and name it with --description',
             )
     return inputs
+
+
+def _plausible(
+    bag: str, segments: list[Segment], robot: Robot, kind: str, rule: Rule
+) -> list[Segment]:
+    """Refuse what is in another unit; what a load cell shows below zero at rest is zero."""
+    far = max(float(np.nan_to_num(np.abs(one.positions)).max()) for one in segments)
+    if far > FARTHEST * robot.length:
+        raise DataSetError(
+            bag,
+            f'a marker is {far:g} m away, but the robot is only {robot.length:g} m long',
+            'record metres in the base frame (are these mm?)',
+        )
+    inputs = np.nan_to_num([one.inputs for one in segments])
+    unit, limit = ('m', robot.length) if kind == 'displacement' else ('N', robot.tension_limits[1])
+    highest = limit if kind == 'displacement' else STRONGEST * limit
+    lowest = -limit if kind == 'displacement' else -(rule.change or 0.0)
+    for value in (inputs.min(), inputs.max()):
+        if not lowest <= value <= highest:
+            raise DataSetError(
+                bag,
+                f'a tendon has {value:g} {unit}, outside {lowest:g} to {highest:g} {unit}',
+                f'record {unit} (in the unit of the robot description)',
+            )
+    if kind == 'displacement':
+        return segments
+    return [replace(one, inputs=np.maximum(one.inputs, 0.0)) for one in segments]
 
 
 def _never_still(bag: str, moved: Motion, rule: Rule) -> DataSetError:

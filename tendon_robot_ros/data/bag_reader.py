@@ -59,7 +59,7 @@ class Recording:
     def inputs(self, names: tuple[str, ...], kind: str) -> FloatArray:
         """Return the inputs at `state_times`, (T, m) [N] or [m], NaN where not given."""
         column = 0 if kind == 'displacement' else 1
-        return np.array([joints_of(state, names)[column] for state in self.states])
+        return _sane(np.array([joints_of(state, names)[column] for state in self.states]))
 
 
 def read_bag(path: str | Path, topics: Topics | None = None) -> Recording:
@@ -171,7 +171,12 @@ def _track(bag: str, samples: list[tuple[float, Any]]) -> Track:
             f'the shape has {min(counts)} poses in one message and {max(counts)} in another',
             'publish every marker always, NaN where it is not seen',
         )
-    values = np.stack(poses)
+    values = _sane(np.stack(poses))
     missing = ~np.isfinite(values[..., :3]).all(axis=-1)
     values[missing] = np.nan
     return Track(np.array([time for time, _ in samples]), values[..., :3], values[..., 3:])
+
+
+def _sane(values: FloatArray) -> FloatArray:
+    """Return values with NaN for what is no measurement but would overflow in a sum."""
+    return np.where(np.abs(values) < 1e9, values, np.nan)

@@ -76,7 +76,7 @@ def find_segments(
             longest = max(inside, key=lambda part: part[1] - part[0])
             one = _average(recording, inputs, *longest)
         elif sequence:
-            one = _unseen(recording, inputs, begin, min(end, recording.state_times[-1]))
+            one = _unseen(recording, inputs, begin, end - 1e-6)
         else:
             left_out.append(f'posture {posture}, trial {trial}: the arm did not stand still')
             continue

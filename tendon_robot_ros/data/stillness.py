@@ -75,7 +75,7 @@ def motion(recording: Recording, inputs: FloatArray, rule: Rule) -> Motion:
             f'{end - start:.0f} s are too long to look for {rule.duration:g} s of stillness',
             'ask for a longer duration or import a part of the recording',
         )
-    times = np.arange(start, end + 1e-9, window / STEPS)
+    times = np.arange(start + window / 2, end - window / 2 + 1e-9, window / STEPS)
     squares = [_speeds(track, times, window) ** 2 for track in recording.tracks]
     together = np.concatenate(squares, axis=1)  # (G, J)
     seen = np.isfinite(together)
@@ -99,17 +99,19 @@ def still_stretches(
         Speed and change of inputs.
     rule : Rule
         What counts as still.
-    cuts : ndarray
-        (C,) [s] no segment goes across these times.
+    cuts : ndarray, optional
+        (C,) [s] where measurements begin and end, if that is known: no stretch goes across, and
+        one that is a little too short will do.
 
     """
+    shortest = rule.duration / 4 if len(cuts) else rule.duration / 2  # plus half a window per end
     still = (moved.speed < rule.speed) & (moved.change < (rule.change or np.inf))
     part = np.searchsorted(cuts, moved.times, side='right')
     run = np.cumsum(np.diff(still * (part + 1), prepend=0) != 0)  # counts up where a run begins
     found = []
     for number in np.unique(run[still]):
         begin, end = moved.times[np.flatnonzero(run == number)[[0, -1]]]
-        if end - begin + rule.duration / 2 >= rule.duration - 1e-9:  # half a window at each end
+        if end - begin >= shortest - 1e-9:
             found.append((float(begin), float(end)))
     return found
 

@@ -45,6 +45,10 @@ def save_dataset(dataset: DataSet, folder: str | Path, overwrite: bool = False) 
             'has no measurement to write',
             'select the measured postures',
         )
+    if not overwrite and (Path(folder) / 'dataset.yaml').is_file():
+        raise DataSetError(
+            str(folder), 'holds a data set already', 'name a new folder or allow --overwrite'
+        )
     dataset = _without_unseen(dataset)
     with new_folder(Path(folder), FILES if overwrite else ()) as new:
         (new / 'dataset.yaml').write_text(dump_description(dataset), encoding='utf-8')
