@@ -7,10 +7,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from .exceptions import InputError, RobotDescriptionError
 from .robot_checks import Reader, parse_yaml
+from .robot_writing import dump_robot
+
+__all__ = ['Robot', 'Section', 'Tendon', 'dump_robot', 'load_robot', 'parse_robot']
 
 TOLERANCES = ('bending_stiffness', 'friction_coefficient', 'tension_gain', 'position', 'rotation')
 EffectValues = dict[str, float | tuple[float, ...]]
@@ -139,8 +140,16 @@ def parse_robot(text: str, source: str = 'robot') -> Robot:
 
 
 def _robot(top: Reader) -> Robot:
-    top.only('name', 'sections', 'tendons', 'tension_limits', 'effects', 'gravity', 'tolerances',
-             'fitted')
+    top.only(
+        'name',
+        'sections',
+        'tendons',
+        'tension_limits',
+        'effects',
+        'gravity',
+        'tolerances',
+        'fitted',
+    )
     sections = tuple(_section(item) for item in top.items('sections'))
     top.unique('sections', [section.name for section in sections])
     names = tuple(section.name for section in sections)
@@ -151,10 +160,15 @@ def _robot(top: Reader) -> Robot:
         if tendon.name in groups:
             raise top.error('tendons', 'group names that are not tendon names', tendon.name)
     return Robot(
-        name=top.name('name'), sections=sections, tendons=tendons,
+        name=top.name('name'),
+        sections=sections,
+        tendons=tendons,
         tension_limits=top.limits('tension_limits'),
-        effects=_effects(top), gravity=top.vector('gravity', 3) if top.has('gravity') else None,
-        tolerances=_tolerances(top), fitted=dict(top.mapping('fitted')), source=top.source,
+        effects=_effects(top),
+        gravity=top.vector('gravity', 3) if top.has('gravity') else None,
+        tolerances=_tolerances(top),
+        fitted=dict(top.mapping('fitted')),
+        source=top.source,
     )
 
 
@@ -162,7 +176,8 @@ def _section(item: Reader) -> Section:
     item.only('name', 'cells', 'cell_length', 'bending_stiffness', 'mass_profile', 'bends_as')
     cells = item.count('cells')
     return Section(
-        name=item.name('name'), cells=cells,
+        name=item.name('name'),
+        cells=cells,
         cell_length=item.number('cell_length', low=1e-6, high=10.0, unit='m'),
         bending_stiffness=item.per_cell('bending_stiffness', cells, 'N·m/rad'),
         mass_profile=item.per_cell('mass_profile', cells, '1', default=1.0),
@@ -174,7 +189,10 @@ def _tendon(item: Reader, sections: tuple[str, ...]) -> Tendon:
     item.only('name', 'offset', 'section', 'group')
     base, end = item.offset('offset')
     return Tendon(
-        name=item.name('name'), base=base, end=end, section=item.choice('section', sections),
+        name=item.name('name'),
+        base=base,
+        end=end,
+        section=item.choice('section', sections),
         group=item.name('group') if item.has('group') else None,
     )
 
@@ -191,44 +209,3 @@ def _tolerances(top: Reader) -> dict[str, float]:
     tolerances = top.child('tolerances', optional=True)
     tolerances.only(*TOLERANCES)
     return {key: tolerances.number(key, low=0.0, high=1.0) for key in tolerances.content}
-
-
-def dump_robot(robot: Robot) -> str:
-    """Write a robot description as YAML text; `parse_robot` reads the same robot back."""
-    content: dict[str, Any] = {
-        'name': robot.name,
-        'sections': [_plain_section(section) for section in robot.sections],
-        'tendons': [_plain_tendon(tendon) for tendon in robot.tendons],
-        'tension_limits': list(robot.tension_limits),
-    }
-    if robot.gravity is not None:
-        content['gravity'] = list(robot.gravity)
-    if robot.tolerances:
-        content['tolerances'] = dict(robot.tolerances)
-    content['effects'] = {
-        name: {key: list(value) if isinstance(value, tuple) else value
-               for key, value in values.items()}
-        for name, values in robot.effects.items()
-    }
-    if robot.fitted:
-        content['fitted'] = robot.fitted
-    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True)
-
-
-def _plain_section(section: Section) -> dict[str, Any]:
-    def short(values: tuple[float, ...]) -> float | list[float]:
-        return values[0] if len(set(values)) == 1 else list(values)
-
-    plain = {'name': section.name, 'cells': section.cells, 'cell_length': section.cell_length,
-             'bending_stiffness': short(section.bending_stiffness)}
-    if set(section.mass_profile) != {1.0}:
-        plain['mass_profile'] = short(section.mass_profile)
-    return {**plain, 'bends_as': section.bends_as}
-
-
-def _plain_tendon(tendon: Tendon) -> dict[str, Any]:
-    straight = tendon.base == tendon.end
-    offset = list(tendon.base) if straight else {'base': list(tendon.base),
-                                                 'end': list(tendon.end)}
-    plain = {'name': tendon.name, 'offset': offset, 'section': tendon.section}
-    return plain if tendon.group is None else {**plain, 'group': tendon.group}

@@ -107,8 +107,9 @@ class Reader:
             raise self.error(key, 'a whole number from 1 to 10000', value)
         return value
 
-    def number(self, key: str, low: float = -math.inf, high: float = math.inf,
-               unit: str = '1') -> float:
+    def number(
+        self, key: str, low: float = -math.inf, high: float = math.inf, unit: str = '1'
+    ) -> float:
         """Return a finite number within bounds."""
         return self._number(key, self.content.get(key), low, high, unit)
 
@@ -116,8 +117,10 @@ class Reader:
         """Return one number, or a list of them."""
         value = self.content.get(key)
         if isinstance(value, list):
-            return tuple(self._number(f'{key}[{i}]', v, -math.inf, math.inf, 'SI')
-                         for i, v in enumerate(value))
+            return tuple(
+                self._number(f'{key}[{i}]', v, -math.inf, math.inf, 'SI')
+                for i, v in enumerate(value)
+            )
         return self._number(key, value, -math.inf, math.inf, 'SI')
 
     def vector(self, key: str, size: int) -> tuple[Any, ...]:
@@ -125,8 +128,9 @@ class Reader:
         value = self.content.get(key)
         if not isinstance(value, list) or len(value) != size:
             raise self.error(key, f'a list of {size} numbers', value)
-        return tuple(self._number(f'{key}[{i}]', v, -math.inf, math.inf, 'SI')
-                     for i, v in enumerate(value))
+        return tuple(
+            self._number(f'{key}[{i}]', v, -math.inf, math.inf, 'SI') for i, v in enumerate(value)
+        )
 
     def limits(self, key: str) -> tuple[float, float]:
         """Return [lowest, highest] tension, 0 <= lowest < highest [N]."""
@@ -135,14 +139,16 @@ class Reader:
             raise self.error(key, '[lowest, highest] with 0 <= lowest < highest [N]', [low, high])
         return low, high
 
-    def per_cell(self, key: str, cells: int, unit: str,
-                 default: float | None = None) -> tuple[float, ...]:
+    def per_cell(
+        self, key: str, cells: int, unit: str, default: float | None = None
+    ) -> tuple[float, ...]:
         """Return one positive value per cell from a number or a list."""
         value = self.content.get(key, default)
         values = value if isinstance(value, list) else [value] * cells
         if len(values) != cells:
-            raise self.error(key, f'one number or {cells} of them (one per cell)',
-                             f'{len(values)} numbers')
+            raise self.error(
+                key, f'one number or {cells} of them (one per cell)', f'{len(values)} numbers'
+            )
         return tuple(self._number(key, v, 1e-12, 1e6, unit) for v in values)
 
     def offset(self, key: str) -> tuple[tuple[float, float], tuple[float, float]]:

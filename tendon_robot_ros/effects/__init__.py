@@ -3,5 +3,12 @@
 from .catalogue import BUILT_IN, Catalogue, load_catalogue
 from .effect import IMPLICIT_STAGES, STAGES, Effect, Parameter
 
-__all__ = ['BUILT_IN', 'IMPLICIT_STAGES', 'STAGES', 'Catalogue', 'Effect', 'Parameter',
-           'load_catalogue']
+__all__ = [
+    'BUILT_IN',
+    'IMPLICIT_STAGES',
+    'STAGES',
+    'Catalogue',
+    'Effect',
+    'Parameter',
+    'load_catalogue',
+]

@@ -9,5 +9,9 @@ def law(scale, total_tension, compliance):
 
 
 EFFECT = Effect(
-    name='axial_compression', title='the tendons shorten the backbone', stage='length', law=law,
-    parameters=(Parameter('compliance', '1/N', 0.0, 0.1, 0.0, typical=3e-3),))
+    name='axial_compression',
+    title='the tendons shorten the backbone',
+    stage='length',
+    law=law,
+    parameters=(Parameter('compliance', '1/N', 0.0, 0.1, 0.0, typical=3e-3),),
+)

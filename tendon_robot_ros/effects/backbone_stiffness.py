@@ -9,6 +9,9 @@ def law(stiffness, tendons, relative_change):
 
 
 EFFECT = Effect(
-    name='backbone_stiffness', title='the backbone is stiffer or softer than described',
-    stage='stiffness', law=law,
-    parameters=(Parameter('relative_change', '1', -0.8, 4.0, 0.0, typical=0.1),))
+    name='backbone_stiffness',
+    title='the backbone is stiffer or softer than described',
+    stage='stiffness',
+    law=law,
+    parameters=(Parameter('relative_change', '1', -0.8, 4.0, 0.0, typical=0.1),),
+)

@@ -14,15 +14,20 @@ def law(x, y, z, shift_x, shift_y, shift_z, rotation_x, rotation_y, rotation_z):
         a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / (angle * angle)
     along = b * (rotation_x * x + rotation_y * y + rotation_z * z)
     c = math.cos(angle)
-    return (c * x + a * (rotation_y * z - rotation_z * y) + along * rotation_x + shift_x,
-            c * y + a * (rotation_z * x - rotation_x * z) + along * rotation_y + shift_y,
-            c * z + a * (rotation_x * y - rotation_y * x) + along * rotation_z + shift_z)
+    return (
+        c * x + a * (rotation_y * z - rotation_z * y) + along * rotation_x + shift_x,
+        c * y + a * (rotation_z * x - rotation_x * z) + along * rotation_y + shift_y,
+        c * z + a * (rotation_x * y - rotation_y * x) + along * rotation_z + shift_z,
+    )
 
 
 EFFECT = Effect(
-    name='base_misalignment', title="the tracker's frame is off the robot's base frame",
-    stage='measurement', law=law,
-    parameters=tuple(Parameter(f'shift_{axis}', 'm', -0.1, 0.1, 0.0, typical=1e-3)
-                     for axis in 'xyz')
-    + tuple(Parameter(f'rotation_{axis}', 'rad', -1.0, 1.0, 0.0, typical=1e-2)
-            for axis in 'xyz'))
+    name='base_misalignment',
+    title="the tracker's frame is off the robot's base frame",
+    stage='measurement',
+    law=law,
+    parameters=tuple(
+        Parameter(f'shift_{axis}', 'm', -0.1, 0.1, 0.0, typical=1e-3) for axis in 'xyz'
+    )
+    + tuple(Parameter(f'rotation_{axis}', 'rad', -1.0, 1.0, 0.0, typical=1e-2) for axis in 'xyz'),
+)

@@ -14,11 +14,26 @@ from .effect import Effect
 
 # Order matters twice: laws of one stage apply in it, and exact twins are reported in it.
 BUILT_IN = (
-    'tendon_friction', 'eyelet_wrap', 'tendon_travel', 'friction_memory', 'straight_tendon',
-    'eyelet_clearance', 'hinge_friction', 'backbone_stiffness', 'section_stiffness',
-    'tendon_stiffness', 'nonlinear_stiffness', 'pre_curvature', 'gravity', 'tip_load',
-    'axial_compression', 'transmission_loss', 'tension_offset', 'moment_arm',
-    'tendon_elongation', 'base_misalignment',
+    'tendon_friction',
+    'eyelet_wrap',
+    'tendon_travel',
+    'friction_memory',
+    'straight_tendon',
+    'eyelet_clearance',
+    'hinge_friction',
+    'backbone_stiffness',
+    'section_stiffness',
+    'tendon_stiffness',
+    'nonlinear_stiffness',
+    'pre_curvature',
+    'gravity',
+    'tip_load',
+    'axial_compression',
+    'transmission_loss',
+    'tension_offset',
+    'moment_arm',
+    'tendon_elongation',
+    'base_misalignment',
 )
 ENTRY_POINT_GROUP = 'tendon_robot_ros.effects'
 _LAWS: dict[tuple[str, str], Effect] = {}  # (name, digest) -> effect, for the composed kernels
@@ -48,8 +63,10 @@ class Catalogue:
     def __getitem__(self, name: str) -> Effect:
         """Return an effect by name; EffectError lists the known ones."""
         if name not in self._effects:
-            raise EffectError(f'unknown effect {name!r}; known: {", ".join(self.names)} '
-                              '(name your own by its file)')
+            raise EffectError(
+                f'unknown effect {name!r}; known: {", ".join(self.names)} '
+                '(name your own by its file)'
+            )
         return self._effects[name]
 
     @property
@@ -84,8 +101,10 @@ def load_catalogue(files: Iterable[str | Path] = ()) -> Catalogue:
 
     """
     effects = [importlib.import_module(f'{__package__}.{name}').EFFECT for name in BUILT_IN]
-    effects += [_checked(point.load(), point.value) for point in
-                sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name)]
+    effects += [
+        _checked(point.load(), point.value)
+        for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name)
+    ]
     named = tuple(str(Path(file).resolve()) for file in files)
     return Catalogue(effects + [_from_file(Path(file)) for file in named], named)
 

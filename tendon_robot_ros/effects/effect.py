@@ -18,11 +18,15 @@ STAGES: dict[str, tuple[str, str]] = {
     'stiffness': ('stiffness, tendons', 'bending stiffness of the cell [N·m/rad]'),
     'growth': ('factor, bend_squared', 'secant stiffness over initial stiffness [1]'),
     'rest': ('rest_x, rest_y', '(x, y) bend of the unloaded cell [rad]'),
-    'arm': ('travel, along, across, bend, sin_half, cos_half, radial, length, hinge',
-            '(travel [m], along [m], across [1]): path lost in a cell, its derivative by the '
-            'bend, and what multiplies the offset across the bend plane'),
-    'load': ('force_x, force_y, force_z, mass_length, gravity_x, gravity_y, gravity_z',
-             '(x, y, z) force at mid-cell, base frame [N]; mass_length = mass_profile L [m]'),
+    'arm': (
+        'travel, along, across, bend, sin_half, cos_half, radial, length, hinge',
+        '(travel [m], along [m], across [1]): path lost in a cell, its derivative by the '
+        'bend, and what multiplies the offset across the bend plane',
+    ),
+    'load': (
+        'force_x, force_y, force_z, mass_length, gravity_x, gravity_y, gravity_z',
+        '(x, y, z) force at mid-cell, base frame [N]; mass_length = mass_profile L [m]',
+    ),
     'tip_load': ('force_x, force_y, force_z', '(x, y, z) force at the tip, base frame [N]'),
     'moment': ('moment, total_tension, radius', 'size of the bending moment [N·m]'),
     'hold': ('moment, total_tension', 'size of the moment left after friction in the joint [N·m]'),
@@ -94,18 +98,22 @@ class Effect:
 
         """
         if self.stage not in STAGES:
-            raise EffectError(f'effect {self.name}: expected a stage of {", ".join(STAGES)}, '
-                              f'got {self.stage!r}')
+            raise EffectError(
+                f'effect {self.name}: expected a stage of {", ".join(STAGES)}, got {self.stage!r}'
+            )
         takes = len(inspect.signature(self.law).parameters)
         wanted = STAGES[self.stage][0].count(',') + 1 + len(self.parameters)
         if takes != wanted:
             raise EffectError(
                 f'effect {self.name}: its law takes {takes} arguments, expected {wanted}: '
-                f'{STAGES[self.stage][0]}, then {", ".join(p.name for p in self.parameters)}')
+                f'{STAGES[self.stage][0]}, then {", ".join(p.name for p in self.parameters)}'
+            )
         for parameter in self.parameters:
             if not parameter.low <= parameter.neutral <= parameter.high:
-                raise EffectError(f'effect {self.name}: {parameter.name}: expected low <= neutral '
-                                  f'<= high, got {parameter}')
+                raise EffectError(
+                    f'effect {self.name}: {parameter.name}: expected low <= neutral '
+                    f'<= high, got {parameter}'
+                )
         source = inspect.getsourcefile(self.law)
         with open(source or '', 'rb') as file:
             object.__setattr__(self, 'digest', hashlib.sha256(file.read()).hexdigest()[:16])

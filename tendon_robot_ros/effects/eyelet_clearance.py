@@ -19,6 +19,9 @@ def law(moment, total_tension, radius, clearance):
 
 
 EFFECT = Effect(
-    name='eyelet_clearance', title='tendons lie on the inner side of their eyelets',
-    stage='moment', law=law,
-    parameters=(Parameter('clearance', 'm', 0.0, 2e-3, 0.0, typical=2e-4),))
+    name='eyelet_clearance',
+    title='tendons lie on the inner side of their eyelets',
+    stage='moment',
+    law=law,
+    parameters=(Parameter('clearance', 'm', 0.0, 2e-3, 0.0, typical=2e-4),),
+)

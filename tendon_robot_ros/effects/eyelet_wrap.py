@@ -13,6 +13,10 @@ def law(turning, mean, fraction):
 
 
 EFFECT = Effect(
-    name='eyelet_wrap', title='eyelets turn the tendon by the mean of both bends', stage='wrap',
-    parameters=(Parameter('fraction', '1', 0.0, 1.0, 0.0, typical=1.0),), law=law,
-    acts_on='tendon_friction')
+    name='eyelet_wrap',
+    title='eyelets turn the tendon by the mean of both bends',
+    stage='wrap',
+    parameters=(Parameter('fraction', '1', 0.0, 1.0, 0.0, typical=1.0),),
+    law=law,
+    acts_on='tendon_friction',
+)

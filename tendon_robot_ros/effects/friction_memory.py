@@ -18,6 +18,11 @@ def law(sign, before, change, presliding_length):
 
 
 EFFECT = Effect(
-    name='friction_memory', title='friction keeps its direction until the tendon slides back',
-    stage='memory', always_on=True, acts_on='tendon_friction', law=law,
-    parameters=(Parameter('presliding_length', 'm', 1e-6, 2e-3, 1e-6, typical=1e-4),))
+    name='friction_memory',
+    title='friction keeps its direction until the tendon slides back',
+    stage='memory',
+    always_on=True,
+    acts_on='tendon_friction',
+    law=law,
+    parameters=(Parameter('presliding_length', 'm', 1e-6, 2e-3, 1e-6, typical=1e-4),),
+)

@@ -10,5 +10,9 @@ def law(force_x, force_y, force_z, mass_length, gravity_x, gravity_y, gravity_z,
 
 
 EFFECT = Effect(
-    name='gravity', title="the arm's own weight", stage='load', law=law,
-    parameters=(Parameter('linear_density', 'kg/m', 0.0, 20.0, 0.0, typical=0.05),))
+    name='gravity',
+    title="the arm's own weight",
+    stage='load',
+    law=law,
+    parameters=(Parameter('linear_density', 'kg/m', 0.0, 20.0, 0.0, typical=0.05),),
+)

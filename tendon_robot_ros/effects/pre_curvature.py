@@ -9,6 +9,12 @@ def law(rest_x, rest_y, angle_x, angle_y):
 
 
 EFFECT = Effect(
-    name='pre_curvature', title='the unloaded backbone is curved', stage='rest', law=law,
-    parameters=(Parameter('angle_x', 'rad', -0.5, 0.5, 0.0, typical=0.01),
-                Parameter('angle_y', 'rad', -0.5, 0.5, 0.0, typical=0.01)))
+    name='pre_curvature',
+    title='the unloaded backbone is curved',
+    stage='rest',
+    law=law,
+    parameters=(
+        Parameter('angle_x', 'rad', -0.5, 0.5, 0.0, typical=0.01),
+        Parameter('angle_y', 'rad', -0.5, 0.5, 0.0, typical=0.01),
+    ),
+)

@@ -9,7 +9,9 @@ def law(stiffness, tendons, relative_change):
 
 
 EFFECT = Effect(
-    name='section_stiffness', title='each section is stiffer or softer by its own amount',
-    stage='stiffness', law=law,
-    parameters=(Parameter('relative_change', '1', -0.8, 4.0, 0.0, typical=0.1,
-                          per_section=True),))
+    name='section_stiffness',
+    title='each section is stiffer or softer by its own amount',
+    stage='stiffness',
+    law=law,
+    parameters=(Parameter('relative_change', '1', -0.8, 4.0, 0.0, typical=0.1, per_section=True),),
+)

@@ -20,10 +20,17 @@ def law(travel, along, across, bend, sin_half, cos_half, radial, length, hinge, 
         lever = 0.5 * length * sin_half if hinge else length / bend * (sinc - cos_half)
     lost = lost_length + radial * sinc * bend
     arm = radial * cos_half + lever
-    return (travel + fraction * (lost - travel), along + fraction * (arm - along),
-            across + fraction * (sinc - across))
+    return (
+        travel + fraction * (lost - travel),
+        along + fraction * (arm - along),
+        across + fraction * (sinc - across),
+    )
 
 
 EFFECT = Effect(
-    name='straight_tendon', title='tendons run straight between eyelets', stage='arm',
-    parameters=(Parameter('fraction', '1', 0.0, 1.0, 0.0, typical=1.0),), law=law)
+    name='straight_tendon',
+    title='tendons run straight between eyelets',
+    stage='arm',
+    parameters=(Parameter('fraction', '1', 0.0, 1.0, 0.0, typical=1.0),),
+    law=law,
+)

@@ -9,5 +9,9 @@ def law(stretch, tension, length, compliance):
 
 
 EFFECT = Effect(
-    name='tendon_elongation', title='the tendons stretch', stage='stretch', law=law,
-    parameters=(Parameter('compliance', '1/N', 0.0, 0.1, 0.0, typical=2e-3),))
+    name='tendon_elongation',
+    title='the tendons stretch',
+    stage='stretch',
+    law=law,
+    parameters=(Parameter('compliance', '1/N', 0.0, 0.1, 0.0, typical=2e-3),),
+)

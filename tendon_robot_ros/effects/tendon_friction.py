@@ -14,5 +14,9 @@ def law(passed, turning, friction_coefficient):
 
 
 EFFECT = Effect(
-    name='tendon_friction', title='friction between tendons and eyelets', stage='eyelet',
-    parameters=(Parameter('friction_coefficient', '1', 0.0, 1.0, 0.0, typical=0.3),), law=law)
+    name='tendon_friction',
+    title='friction between tendons and eyelets',
+    stage='eyelet',
+    parameters=(Parameter('friction_coefficient', '1', 0.0, 1.0, 0.0, typical=0.3),),
+    law=law,
+)

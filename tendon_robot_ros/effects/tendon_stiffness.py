@@ -9,5 +9,9 @@ def law(stiffness, tendons, per_tendon):
 
 
 EFFECT = Effect(
-    name='tendon_stiffness', title='the tendons resist bending', stage='stiffness', law=law,
-    parameters=(Parameter('per_tendon', 'N·m/rad', 0.0, 0.1, 0.0, typical=5e-4),))
+    name='tendon_stiffness',
+    title='the tendons resist bending',
+    stage='stiffness',
+    law=law,
+    parameters=(Parameter('per_tendon', 'N·m/rad', 0.0, 0.1, 0.0, typical=5e-4),),
+)

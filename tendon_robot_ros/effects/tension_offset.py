@@ -11,5 +11,9 @@ def law(tension, offset):
 
 
 EFFECT = Effect(
-    name='tension_offset', title='the tension reading has an offset', stage='actuation', law=law,
-    parameters=(Parameter('offset', 'N', -2.0, 2.0, 0.0, typical=0.05),))
+    name='tension_offset',
+    title='the tension reading has an offset',
+    stage='actuation',
+    law=law,
+    parameters=(Parameter('offset', 'N', -2.0, 2.0, 0.0, typical=0.05),),
+)

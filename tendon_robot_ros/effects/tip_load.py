@@ -9,7 +9,13 @@ def law(x, y, z, force_x, force_y, force_z):
 
 
 EFFECT = Effect(
-    name='tip_load', title='a constant force at the tip', stage='tip_load', law=law,
-    parameters=(Parameter('force_x', 'N', -5.0, 5.0, 0.0, typical=3e-3),
-                Parameter('force_y', 'N', -5.0, 5.0, 0.0, typical=3e-3),
-                Parameter('force_z', 'N', -5.0, 5.0, 0.0, typical=3e-3)))
+    name='tip_load',
+    title='a constant force at the tip',
+    stage='tip_load',
+    law=law,
+    parameters=(
+        Parameter('force_x', 'N', -5.0, 5.0, 0.0, typical=3e-3),
+        Parameter('force_y', 'N', -5.0, 5.0, 0.0, typical=3e-3),
+        Parameter('force_z', 'N', -5.0, 5.0, 0.0, typical=3e-3),
+    ),
+)

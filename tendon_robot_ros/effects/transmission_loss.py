@@ -9,5 +9,9 @@ def law(tension, fraction):
 
 
 EFFECT = Effect(
-    name='transmission_loss', title='tension is lost before the base', stage='actuation', law=law,
-    parameters=(Parameter('fraction', '1', 0.0, 0.9, 0.0, typical=0.1),))
+    name='transmission_loss',
+    title='tension is lost before the base',
+    stage='actuation',
+    law=law,
+    parameters=(Parameter('fraction', '1', 0.0, 0.9, 0.0, typical=0.1),),
+)

@@ -27,8 +27,14 @@ class Arrays:
         self.cells = _cells(robot)
         self.offset = tendon_offsets(robot)
         self.tendon = np.array(
-            [[robot.tendon_cells[k], j] for k in range(len(robot.tendons))
-             for j, members in enumerate(robot.input_tendons) if k in members], dtype=np.int64)
+            [
+                [robot.tendon_cells[k], j]
+                for k in range(len(robot.tendons))
+                for j, members in enumerate(robot.input_tendons)
+                if k in members
+            ],
+            dtype=np.int64,
+        )
         self.gravity = np.array(robot.gravity or (0.0, 0.0, 0.0))
         self.values = np.empty((len(self.layout.rows), len(robot.sections)))
         self.on = np.zeros(len(self.layout.index), dtype=np.uint8)
@@ -71,14 +77,21 @@ class Arrays:
             parameter = known[key]
             many = isinstance(value, tuple)
             if many and (not parameter.per_section or len(value) != len(robot.sections)):
-                wanted = (f'{len(robot.sections)} numbers (one per section)'
-                          if parameter.per_section else 'one number')
+                wanted = (
+                    f'{len(robot.sections)} numbers (one per section)'
+                    if parameter.per_section
+                    else 'one number'
+                )
                 raise RobotDescriptionError(robot.source, where, wanted, list(value))
             for number in value if many else (value,):
                 if not parameter.low <= number <= parameter.high:
                     raise RobotDescriptionError(
-                        robot.source, where, f'a number from {parameter.low:g} to '
-                        f'{parameter.high:g} [{parameter.unit}]', number)
+                        robot.source,
+                        where,
+                        f'a number from {parameter.low:g} to '
+                        f'{parameter.high:g} [{parameter.unit}]',
+                        number,
+                    )
             self.values[self.layout.rows[name, key]] = value
         missing = [key for key in known if key not in values]
         if effect.always_on and missing:
@@ -90,20 +103,30 @@ class Arrays:
 
     def _chain(self) -> Any:
         lay = self.part('layout')
-        at = {key: getattr(self, key).ctypes.data
-              for key in ('cells', 'offset', 'tendon', 'values', 'on', 'gravity')}
+        at = {
+            key: getattr(self, key).ctypes.data
+            for key in ('cells', 'offset', 'tendon', 'values', 'on', 'gravity')
+        }
         robot = self.robot
         return lay.Chain(
-            n=robot.cells, k=len(robot.tendons), m=len(robot.inputs),
-            sections=len(robot.sections), radius=float(np.abs(self.offset).max()),
+            n=robot.cells,
+            k=len(robot.tendons),
+            m=len(robot.inputs),
+            sections=len(robot.sections),
+            radius=float(np.abs(self.offset).max()),
             step=lay.address_of(self.part('sweep').step),
-            settle=lay.address_of(self.part('solve').settle), **at)
+            settle=lay.address_of(self.part('solve').settle),
+            **at,
+        )
 
     def scratch(self) -> Floats:
         """Return scratch memory for one thread."""
         lay, chain = self.part('layout'), self.chain
-        return np.zeros(lay.work_size(chain.n, chain.k) + 2 * chain.n
-                        + lay.memory_size(chain.n, chain.k, chain.m))
+        return np.zeros(
+            lay.work_size(chain.n, chain.k)
+            + 2 * chain.n
+            + lay.memory_size(chain.n, chain.k, chain.m)
+        )
 
     def fresh_memory(self) -> Floats:
         """Return the friction memory of the straight, tension-free arm."""
@@ -112,13 +135,20 @@ class Arrays:
 
 
 def _cells(robot: Robot) -> Floats:
-    rows = []
+    rows: list[list[float]] = []
     for index, section in enumerate(robot.sections):
         for i in range(section.cells):
             present = sum(len(rows) < cells for cells in robot.tendon_cells)
-            rows.append([section.cell_length, section.bending_stiffness[i],
-                         section.mass_profile[i] * section.cell_length,
-                         float(section.bends_as == 'hinge'), float(index), float(present)])
+            rows.append(
+                [
+                    section.cell_length,
+                    section.bending_stiffness[i],
+                    section.mass_profile[i] * section.cell_length,
+                    float(section.bends_as == 'hinge'),
+                    float(index),
+                    float(present),
+                ]
+            )
     return np.array(rows)
 
 

@@ -31,22 +31,30 @@ class Layout:
 
 
 def layout(catalogue: Catalogue) -> Layout:
-    """Number the parameters and effects of a catalogue."""
+    """Give every parameter and effect of a catalogue its number."""
     names = [(effect.name, p.name) for effect in catalogue for p in effect.parameters]
-    return Layout({name: row for row, name in enumerate(names)},
-                  {effect.name: index for index, effect in enumerate(catalogue)})
+    return Layout(
+        {name: row for row, name in enumerate(names)},
+        {effect.name: index for index, effect in enumerate(catalogue)},
+    )
 
 
 def stages_source(catalogue: Catalogue) -> str:
     """Write the module in which each stage calls its laws one after the other."""
     where = layout(catalogue)
-    lines = ['"""Stages of a catalogue of effects; generated, do not edit."""', '',
-             'from tendon_robot_ros.effects.catalogue import registered', '',
-             'from .layout import compiled, flags, floats', '']
+    lines = [
+        '"""Stages of a catalogue of effects; generated, do not edit."""',
+        '',
+        'from tendon_robot_ros.effects.catalogue import registered',
+        '',
+        'from .layout import compiled, flags, floats',
+        '',
+    ]
     for effect in catalogue:
         number = where.index[effect.name]
-        lines.append(f"law_{number} = compiled("
-                     f'registered({effect.name!r}, {effect.digest!r}).law)')
+        lines.append(
+            f'law_{number} = compiled(registered({effect.name!r}, {effect.digest!r}).law)'
+        )
     for stage, (takes, _) in STAGES.items():
         arguments = takes.split(', ')
         changing = {'rest': 2, 'arm': 3, 'load': 3, 'tip_load': 3, 'measurement': 3}.get(stage, 1)
@@ -59,11 +67,14 @@ def stages_source(catalogue: Catalogue) -> str:
             rows = [where.rows[effect.name, p.name] for p in effect.parameters]
             parameters = ', '.join(f'values[{row} * chain.sections + section]' for row in rows)
             number = where.index[effect.name]
-            lines += [f'    if on[{number}] != 0:',
-                      f'        {value} = law_{number}({takes}, {parameters})']
+            lines += [
+                f'    if on[{number}] != 0:',
+                f'        {value} = law_{number}({takes}, {parameters})',
+            ]
         lines += [f'    return {value}', '', '', '@compiled', f'def {stage}_acts(chain):']
-        acts = ' or '.join(f'flags(chain.on)[{where.index[effect.name]}] != 0'
-                           for effect in members)
+        acts = ' or '.join(
+            f'flags(chain.on)[{where.index[effect.name]}] != 0' for effect in members
+        )
         lines.append(f'    return {acts or "False"}')
     return '\n'.join(lines) + '\n'
 
@@ -86,8 +97,11 @@ def cache_folder() -> Path:
                 return path
         except OSError:
             continue
-    warnings.warn('no writable cache folder: the model is compiled anew by every process; '
-                  'set NUMBA_CACHE_DIR to a writable folder', stacklevel=2)
+    warnings.warn(
+        'no writable cache folder: the model is compiled anew by every process; '
+        'set NUMBA_CACHE_DIR to a writable folder',
+        stacklevel=2,
+    )
     return Path(tempfile.mkdtemp(prefix='tendon_robot_ros_'))
 
 
@@ -115,7 +129,8 @@ def compose(catalogue: Catalogue) -> Callable[[str], ModuleType]:
         if not (folder / 'stages.py').is_file():
             _write(folder, stages_source(catalogue))
         spec = importlib.util.spec_from_file_location(
-            name, folder / '__init__.py', submodule_search_locations=[str(folder)])
+            name, folder / '__init__.py', submodule_search_locations=[str(folder)]
+        )
         assert spec is not None and spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         sys.modules[name] = module

@@ -28,4 +28,5 @@ def tip_jacobian(model: Model, tensions: Floats) -> Floats:
     both = model.shapes(np.concatenate([up, down]), np.tile(here.bend, (2 * m, 1, 1)))
     tips = np.concatenate([both.tip_position, both.tip_direction], axis=1)
     widths = (up - down).sum(axis=1)
-    return ((tips[:m] - tips[m:]) / widths[:, None]).T
+    slopes: Floats = (tips[:m] - tips[m:]) / widths[:, None]
+    return slopes.T

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..exceptions import InputError, NoEquilibriumError
-from .shape import Reach, Shape, finite
+from .inputs import finite
+from .shape import Reach, Shape
 
 if TYPE_CHECKING:
     from .model import Model
@@ -21,10 +22,16 @@ FINE = 1e-12  # [m²] cost below which no further start is tried: 1 µm
 PREFERENCE = 1e-6  # [m/N] how little low tension counts
 
 
-def reach(model: Model, position: npt.ArrayLike | None = None,
-          direction: npt.ArrayLike | None = None, *, guess: Shape | None = None,
-          position_weight: float = 1.0, direction_weight: float | None = None,
-          starts: int = 12) -> Reach:
+def reach(
+    model: Model,
+    position: npt.ArrayLike | None = None,
+    direction: npt.ArrayLike | None = None,
+    *,
+    guess: Shape | None = None,
+    position_weight: float = 1.0,
+    direction_weight: float | None = None,
+    starts: int = 12,
+) -> Reach:
     """
     Find tensions within the limits that bring the tip to a target.
 
@@ -61,8 +68,13 @@ def reach(model: Model, position: npt.ArrayLike | None = None,
     return _judge(model, target, *best)
 
 
-def _target(model: Model, position: npt.ArrayLike | None, direction: npt.ArrayLike | None,
-            position_weight: float, direction_weight: float | None) -> Floats:
+def _target(
+    model: Model,
+    position: npt.ArrayLike | None,
+    direction: npt.ArrayLike | None,
+    position_weight: float,
+    direction_weight: float | None,
+) -> Floats:
     if position is None and direction is None:
         raise InputError('target: expected a position, a direction, or both, got neither')
     target = np.zeros(8)
@@ -78,8 +90,9 @@ def _target(model: Model, position: npt.ArrayLike | None, direction: npt.ArrayLi
     return target
 
 
-def _starts(model: Model, target: Floats, guess: Shape | None,
-            count: int) -> Iterator[tuple[Floats, Floats]]:
+def _starts(
+    model: Model, target: Floats, guess: Shape | None, count: int
+) -> Iterator[tuple[Floats, Floats]]:
     """Yield tensions and bends to start from, most promising first; made only when needed."""
     if guess is not None:
         yield np.clip(guess.inputs, *model.limits.T), guess.bend
@@ -90,14 +103,23 @@ def _starts(model: Model, target: Floats, guess: Shape | None,
         yield library.inputs[row].copy(), library.bend[row]
 
 
-def _aim(model: Model, inputs: Floats, bend: Floats, target: Floats,
-         limits: Floats) -> tuple[float, Floats]:
+def _aim(
+    model: Model, inputs: Floats, bend: Floats, target: Floats, limits: Floats
+) -> tuple[float, Floats]:
     """Improve inputs in place; return the cost [m²] and the bends of the equilibrium."""
     bends = np.array([bend, bend])
     cost = model.arrays.part('inverse').aim(
-        model.arrays.chain, inputs, bends, target, np.ascontiguousarray(limits[:, 0]),
-        np.ascontiguousarray(limits[:, 1]), PREFERENCE, 60, model.arrays.fresh_memory(),
-        model.scratch())
+        model.arrays.chain,
+        inputs,
+        bends,
+        target,
+        np.ascontiguousarray(limits[:, 0]),
+        np.ascontiguousarray(limits[:, 1]),
+        PREFERENCE,
+        60,
+        model.arrays.fresh_memory(),
+        model.scratch(),
+    )
     return float(cost), bends[0]
 
 
@@ -113,11 +135,16 @@ def _judge(model: Model, target: Floats, cost: float, inputs: Floats, bend: Floa
     shape = model.shape(inputs, bend)
     position, direction = _errors(shape, target)
     top = model.limits[:, 1]
-    at_limit = tuple(name for name, value, high in zip(model.inputs, inputs, top, strict=True)
-                     if value >= high - 1e-9)
+    at_limit = tuple(
+        name
+        for name, value, high in zip(model.inputs, inputs, top, strict=True)
+        if value >= high - 1e-9
+    )
     status = 'reached'
     if position > POSITION_THRESHOLD or direction > DIRECTION_THRESHOLD:
-        status = 'at_limit' if at_limit and _limits_bind(model, target, inputs, bend) else 'nearest'
+        status = (
+            'at_limit' if at_limit and _limits_bind(model, target, inputs, bend) else 'nearest'
+        )
     return Reach(shape, position, direction, status, at_limit)
 
 

@@ -33,8 +33,21 @@ def workspace_library(model: Model) -> ShapeBatch:
     inputs = low + spread * (top - low)
     batch, changes = model.solve(inputs)
     good = changes < TOLERANCE
-    return replace(batch, **{name: getattr(batch, name)[good] for name in (
-        'inputs', 'bend', 'tendon_tensions', 'frames', 'positions', 'tendon_pulls', 'pulls')})
+    return replace(
+        batch,
+        **{
+            name: getattr(batch, name)[good]
+            for name in (
+                'inputs',
+                'bend',
+                'tendon_tensions',
+                'frames',
+                'positions',
+                'tendon_pulls',
+                'pulls',
+            )
+        },
+    )
 
 
 def _useful(model: Model) -> np.ndarray:
@@ -44,7 +57,9 @@ def _useful(model: Model) -> np.ndarray:
     sections = cells[:, 4].astype(int)
     useful = []
     for members in model.robot.input_tendons:
-        rate = max(sum(per_newton[sections == s, k].sum() for k in members)
-                   for s in range(len(model.robot.sections)))
+        rate = max(
+            sum(per_newton[sections == s, k].sum() for k in members)
+            for s in range(len(model.robot.sections))
+        )
         useful.append(FULL_BEND / rate)
     return np.array(useful)

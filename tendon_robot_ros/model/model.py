@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 
@@ -11,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ..effects import Catalogue, load_catalogue
-from ..exceptions import InputError, NoEquilibriumError
+from ..exceptions import NoEquilibriumError
 from ..robot import Robot
 from .arrays import Arrays
-from .shape import Reach, Shape, ShapeBatch, finite
+from .inputs import Given, tension_rows, tensions_of
+from .shape import Reach, Shape, ShapeBatch
 
 Floats = npt.NDArray[np.float64]
 TOLERANCE = 1e-10  # [rad] as in the kernel
@@ -54,10 +54,13 @@ class Model:
     def implicit_effects(self) -> tuple[str, ...]:
         """Effects that act and need the shape."""
         from ..effects import IMPLICIT_STAGES
+
         friction = any(e.stage == 'eyelet' and self.acts(e.name) for e in self.catalogue)
-        return tuple(e.name for e in self.catalogue
-                     if e.stage in IMPLICIT_STAGES and self.acts(e.name)
-                     and (friction or e.acts_on is None))
+        return tuple(
+            e.name
+            for e in self.catalogue
+            if e.stage in IMPLICIT_STAGES and self.acts(e.name) and (friction or e.acts_on is None)
+        )
 
     def acts(self, effect: str) -> bool:
         """Tell whether an effect is listed with a parameter off its neutral value."""
@@ -68,7 +71,7 @@ class Model:
         """Whether friction remembers the loading history."""
         return any(e.stage == 'memory' and self.acts(e.name) for e in self.catalogue)
 
-    def tensions(self, given: Mapping[str, float] | Sequence[float] | Floats) -> Floats:
+    def tensions(self, given: Given) -> Floats:
         """
         Return input tensions (m,) [N] from names or numbers; names left out are slack (0).
 
@@ -78,19 +81,14 @@ class Model:
             Unknown names, or values that are negative or not finite.
 
         """
-        if isinstance(given, Mapping):
-            unknown = [name for name in given if name not in self.inputs]
-            if unknown:
-                raise InputError(f'tensions: unknown {", ".join(map(repr, unknown))}; '
-                                 f'{self.robot.name} has {", ".join(self.inputs)}')
-            given = [given.get(name, 0.0) for name in self.inputs]
-        values = finite('tensions', given, len(self.inputs))
-        if (values < 0.0).any():
-            raise InputError(f'tensions: expected none below 0 N, got {values}')
-        return values
+        return tensions_of(self.robot, given)
 
-    def shape(self, tensions: Mapping[str, float] | Sequence[float] | Floats,
-              guess: Floats | None = None, memory: Floats | None = None) -> Shape:
+    def shape(
+        self,
+        tensions: Given,
+        guess: Floats | None = None,
+        memory: Floats | None = None,
+    ) -> Shape:
         """
         Return the shape under input tensions.
 
@@ -123,21 +121,26 @@ class Model:
         InputError, NoEquilibriumError
 
         """
-        inputs = self._batch(tensions)
+        inputs = tension_rows(self.robot, tensions)
         batch, changes = self.solve(inputs, guesses)
         self._refuse(inputs, changes)
         return batch
 
     def sequence(self, tensions: npt.ArrayLike, memory: Floats | None = None) -> ShapeBatch:
         """Return the shapes (b) of postures one after the other; friction remembers."""
-        inputs = self._batch(tensions)
+        inputs = tension_rows(self.robot, tensions)
         past = self.arrays.fresh_memory() if memory is None else memory
         batch, changes = self.solve(inputs, None, past, carry=True)
         self._refuse(inputs, changes)
         return batch
 
-    def solve(self, inputs: Floats, guesses: Floats | None = None, memory: Floats | None = None,
-              carry: bool = False) -> tuple[ShapeBatch, Floats]:
+    def solve(
+        self,
+        inputs: Floats,
+        guesses: Floats | None = None,
+        memory: Floats | None = None,
+        carry: bool = False,
+    ) -> tuple[ShapeBatch, Floats]:
         """
         Return the shapes under inputs (b, m) [N] and the last changes (b,) [rad].
 
@@ -147,8 +150,14 @@ class Model:
         b, chain = len(inputs), self.arrays.chain
         n, k = chain.n, chain.k
         bend = np.zeros((b, n, 2)) if guesses is None else np.array(guesses, order='C')
-        out = (bend, np.empty((b, n, k)), np.empty((b, n, 3, 3)), np.empty((b, n, 3)),
-               np.empty((b, k)), np.empty(b))
+        out = (
+            bend,
+            np.empty((b, n, k)),
+            np.empty((b, n, 3, 3)),
+            np.empty((b, n, 3)),
+            np.empty((b, k)),
+            np.empty(b),
+        )
         past = self.arrays.fresh_memory() if memory is None else memory
         run = self.arrays.part('shape').postures
 
@@ -163,8 +172,17 @@ class Model:
             with ThreadPoolExecutor(THREADS) as pool:
                 list(pool.map(part, map(slice, edges[:-1].tolist(), edges[1:].tolist())))
         bend, tensions, frames, positions, tendon_pulls, changes = out
-        batch = ShapeBatch(inputs, bend, tensions, frames, positions, tendon_pulls,
-                           tendon_pulls @ self.shares.T, self._lengths, self._hinge)
+        batch = ShapeBatch(
+            inputs,
+            bend,
+            tensions,
+            frames,
+            positions,
+            tendon_pulls,
+            tendon_pulls @ self.shares.T,
+            self._lengths,
+            self._hinge,
+        )
         return batch, changes
 
     @cached_property
@@ -179,6 +197,7 @@ class Model:
     def library(self) -> ShapeBatch:
         """Shapes all over the workspace, from which a cold search starts."""
         from .library import workspace_library
+
         return workspace_library(self)
 
     @cached_property
@@ -203,36 +222,35 @@ class Model:
             self.arrays.part('shape').measured(self.arrays.chain, moved.reshape(-1, 3))
         return moved
 
-    def jacobian(self, tensions: Mapping[str, float] | Sequence[float] | Floats) -> Floats:
+    def jacobian(self, tensions: Given) -> Floats:
         """Return d (tip position [m], tip direction) / d tensions [N], (6, m)."""
         from .derivatives import tip_jacobian
+
         return tip_jacobian(self, self.tensions(tensions))
 
-    def reach(self, position: npt.ArrayLike | None = None,
-              direction: npt.ArrayLike | None = None, **options: object) -> Reach:
+    def reach(
+        self,
+        position: npt.ArrayLike | None = None,
+        direction: npt.ArrayLike | None = None,
+        **options: object,
+    ) -> Reach:
         """Return tensions that bring the tip to a target; see `inverse.reach`."""
         from .inverse import reach
+
         return reach(self, position, direction, **options)  # type: ignore[arg-type]
 
-    def pull_shape(self, pulls: Mapping[str, float] | Sequence[float] | Floats,
-                   guess: Shape | None = None) -> Shape:
+    def pull_shape(self, pulls: Given, guess: Shape | None = None) -> Shape:
         """Return the shape under wire pulls; see `pulls.pull_shape`."""
         from .pulls import pull_shape
-        return pull_shape(self, pulls, guess)
 
-    def _batch(self, tensions: npt.ArrayLike) -> Floats:
-        inputs = np.ascontiguousarray(tensions, dtype=float)
-        if inputs.ndim != 2 or inputs.shape[1] != len(self.inputs):
-            raise InputError(f'tensions: expected (postures, {len(self.inputs)}) numbers for '
-                             f'{", ".join(self.inputs)}, got shape {inputs.shape}')
-        if not (np.isfinite(inputs).all() and (inputs >= 0.0).all()):
-            raise InputError('tensions: expected finite numbers not below 0 N')
-        return inputs
+        return pull_shape(self, pulls, guess)
 
     def _refuse(self, inputs: Floats, changes: Floats) -> None:
         bad = np.flatnonzero(~(changes < TOLERANCE))
         if len(bad):
-            named = ', '.join(f'{name} {value:g} N' for name, value
-                              in zip(self.inputs, inputs[bad[0]], strict=True))
+            named = ', '.join(
+                f'{name} {value:g} N'
+                for name, value in zip(self.inputs, inputs[bad[0]], strict=True)
+            )
             where = f'posture {bad[0]} ({named})' if len(inputs) > 1 else named
             raise NoEquilibriumError(where, self.implicit_effects, float(changes[bad[0]]))

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ..exceptions import InputError
-
 Floats = npt.NDArray[np.float64]
 
 
@@ -33,12 +31,14 @@ class ShapeBatch:
     @property
     def tip_position(self) -> Floats:
         """Tip positions (b, 3) [m]."""
-        return self.positions[:, -1]
+        tip: Floats = self.positions[:, -1]
+        return tip
 
     @property
     def tip_direction(self) -> Floats:
         """Approach directions (b, 3): +z of the last frame."""
-        return self.frames[:, -1, :, 2]
+        along: Floats = self.frames[:, -1, :, 2]
+        return along
 
     def markers(self, arc_length: Floats, offset: Floats) -> Floats:
         """
@@ -62,7 +62,13 @@ class ShapeBatch:
 
         """
         from .markers import place_markers
+
         return place_markers(self, np.asarray(arc_length, float), np.asarray(offset, float))
+
+
+def _only(rows: Floats) -> Floats:
+    row: Floats = rows[0]
+    return row
 
 
 @dataclass(frozen=True)
@@ -75,51 +81,51 @@ class Shape:
     @property
     def inputs(self) -> Floats:
         """Input tensions (m,) [N]."""
-        return self.batch.inputs[0]
+        return _only(self.batch.inputs)
 
     @property
     def bend(self) -> Floats:
         """Bends (n, 2) [rad]."""
-        return self.batch.bend[0]
+        return _only(self.batch.bend)
 
     @property
     def positions(self) -> Floats:
         """Distal ends of the cells (n, 3) [m]."""
-        return self.batch.positions[0]
+        return _only(self.batch.positions)
 
     @property
     def frames(self) -> Floats:
         """Frames at the distal ends of the cells (n, 3, 3)."""
-        return self.batch.frames[0]
+        return _only(self.batch.frames)
 
     @property
     def tendon_tensions(self) -> Floats:
         """Tension of every tendon in every cell (n, k) [N]."""
-        return self.batch.tendon_tensions[0]
+        return _only(self.batch.tendon_tensions)
 
     @property
     def pulls(self) -> Floats:
         """Wire pulls of the inputs (m,) [m]."""
-        return self.batch.pulls[0]
+        return _only(self.batch.pulls)
 
     @property
     def tendon_pulls(self) -> Floats:
         """Wire pulls of the tendons (k,) [m]."""
-        return self.batch.tendon_pulls[0]
+        return _only(self.batch.tendon_pulls)
 
     @property
     def tip_position(self) -> Floats:
         """Tip position (3,) [m]."""
-        return self.positions[-1]
+        return _only(self.batch.tip_position)
 
     @property
     def tip_direction(self) -> Floats:
         """Approach direction (3,)."""
-        return self.frames[-1, :, 2]
+        return _only(self.batch.tip_direction)
 
     def markers(self, arc_length: Floats, offset: Floats) -> Floats:
         """Place markers (j, 3) [m]; see `ShapeBatch.markers`."""
-        return self.batch.markers(arc_length, offset)[0]
+        return _only(self.batch.markers(arc_length, offset))
 
 
 @dataclass(frozen=True)
@@ -141,14 +147,3 @@ class Reach:
     def pulls(self) -> Floats:
         """Wire pulls (m,) [m] of that equilibrium."""
         return self.shape.pulls
-
-
-def finite(name: str, values: object, size: int) -> Floats:
-    """Return a vector of finite numbers; InputError says what came instead."""
-    try:
-        array = np.array(values, dtype=float).reshape(-1)
-    except (TypeError, ValueError):
-        raise InputError(f'{name}: expected {size} numbers, got {values!r}') from None
-    if array.shape != (size,) or not np.isfinite(array).all():
-        raise InputError(f'{name}: expected {size} finite numbers, got {np.asarray(values)}')
-    return array

@@ -3,8 +3,17 @@
 import math
 
 from .layout import HINGE, LENGTH, MASS, cell, compiled, floats, section_of, words
-from .stages import (arm, arm_acts, length, length_acts, load, load_acts, rest, tip_load,
-                     tip_load_acts)
+from .stages import (
+    arm,
+    arm_acts,
+    length,
+    length_acts,
+    load,
+    load_acts,
+    rest,
+    tip_load,
+    tip_load_acts,
+)
 
 
 @compiled
@@ -16,8 +25,12 @@ def cell_end(bend, cell_length, hinge):
         return half * s, half * (1.0 + c), half * c, -half * s
     if bend < 1e-3:
         b2 = bend * bend
-        return (cell_length * bend * (0.5 - b2 / 24.0), cell_length * (1.0 - b2 / 6.0),
-                cell_length * (0.5 - b2 / 8.0), cell_length * bend * (-1.0 / 3.0 + b2 / 30.0))
+        return (
+            cell_length * bend * (0.5 - b2 / 24.0),
+            cell_length * (1.0 - b2 / 6.0),
+            cell_length * (0.5 - b2 / 8.0),
+            cell_length * bend * (-1.0 / 3.0 + b2 / 30.0),
+        )
     s, c = math.sin(bend), math.cos(bend)
     across, along = cell_length * (1.0 - c) / bend, cell_length * s / bend
     return across, along, (cell_length * s - across) / bend, (cell_length * c - along) / bend
@@ -73,8 +86,9 @@ def chain_frames(chain, bend, work):
         ex, ey = across * bend_i[1], across * bend_i[2]
         for r in range(3):
             f = 9 * i + 3 * r
-            origins[3 * i + 3 + r] = (origins[3 * i + r] + frames[f] * ex + frames[f + 1] * ey
-                                      + frames[f + 2] * along)
+            origins[3 * i + 3 + r] = (
+                origins[3 * i + r] + frames[f] * ex + frames[f + 1] * ey + frames[f + 2] * along
+            )
         turn(work.frames + 72 * i, bend_i, work.frames + 72 * (i + 1))
 
 
@@ -101,8 +115,19 @@ def path_lost(chain, i, k, bend, ux, uy, sin_half, cos_half, scale):
     radial = scale * (offset[0] * ux + offset[1] * uy)
     if not arm_acts(chain):
         return radial * bend, radial, 1.0
-    return arm(radial * bend, radial, 1.0, bend, sin_half, cos_half, radial,
-               cell(chain, i, LENGTH), cell(chain, i, HINGE) > 0.5, chain, section_of(chain, i))
+    return arm(
+        radial * bend,
+        radial,
+        1.0,
+        bend,
+        sin_half,
+        cos_half,
+        radial,
+        cell(chain, i, LENGTH),
+        cell(chain, i, HINGE) > 0.5,
+        chain,
+        section_of(chain, i),
+    )
 
 
 @compiled
@@ -139,8 +164,11 @@ def loaded(chain):
 def local(frame, x, y, z):
     """Components in a frame of a vector in the base frame."""
     f = floats(frame)
-    return (f[0] * x + f[3] * y + f[6] * z, f[1] * x + f[4] * y + f[7] * z,
-            f[2] * x + f[5] * y + f[8] * z)
+    return (
+        f[0] * x + f[3] * y + f[6] * z,
+        f[1] * x + f[4] * y + f[7] * z,
+        f[2] * x + f[5] * y + f[8] * z,
+    )
 
 
 @compiled
@@ -163,8 +191,7 @@ def bend_moment(bx, by, frame, force, torque, rigid, cell_length, hinge):
     else:
         sinc, versine, rho_over = math.sin(a) / a, (1.0 - math.cos(a)) / a, rho / a
     along = (fx * ux + fy * uy) * rho_a + fz * zeta_a + rigid * (ty * ux - tx * uy)
-    across = ((fy * ux - fx * uy) * rho_over
-              + rigid * (-(tx * ux + ty * uy) * sinc + tz * versine))
+    across = (fy * ux - fx * uy) * rho_over + rigid * (-(tx * ux + ty * uy) * sinc + tz * versine)
     return along * ux - across * uy, along * uy + across * ux
 
 
@@ -172,8 +199,7 @@ def bend_moment(bx, by, frame, force, torque, rigid, cell_length, hinge):
 def weight(chain, i):
     """Force of the loads on cell i at its middle (x, y, z) [N]."""
     g = floats(chain.gravity)
-    return load(0.0, 0.0, 0.0, cell(chain, i, MASS), g[0], g[1], g[2], chain,
-                section_of(chain, i))
+    return load(0.0, 0.0, 0.0, cell(chain, i, MASS), g[0], g[1], g[2], chain, section_of(chain, i))
 
 
 @compiled

@@ -40,11 +40,12 @@ def cost_of(f, inputs, low, preference):
 
 @compiled
 def free_inputs(inputs, gradient, low, high, free):
-    """Number the inputs that may move: not at a limit that the gradient pushes against."""
+    """Find the inputs that may move: not at a limit that the gradient pushes against."""
     count = 0
     for j in range(inputs.shape[0]):
         pressed = (inputs[j] <= low[j] and gradient[j] > 0.0) or (
-            inputs[j] >= high[j] and gradient[j] < 0.0)
+            inputs[j] >= high[j] and gradient[j] < 0.0
+        )
         if not pressed:
             free[count] = j
             count += 1
@@ -80,9 +81,10 @@ def lower(jacobian, f, inputs, low, high, preference, damping, trial, normal, st
 
 
 @compiled
-def tip_jacobian(chain, inputs, high, work, past, now, bend, near, before, target, f, moved,
-                 jacobian):
-    """Derivative (6, m) of the weighted tip error by the inputs [m/N], by differences."""
+def tip_jacobian(
+    chain, inputs, high, work, past, now, bend, near, before, target, f, moved, jacobian
+):
+    """Fill the derivative (6, m) of the weighted tip error by the inputs [m/N], by differences."""
     for j in range(inputs.shape[0]):
         h = DIFFERENCE if inputs[j] + DIFFERENCE <= high[j] else -DIFFERENCE
         keep = inputs[j]
@@ -117,12 +119,17 @@ def aim(chain, inputs, bends, target, low, high, preference, most, past, scratch
     for _ in range(most):
         if not cost < math.inf:
             return cost
-        tip_jacobian(chain, inputs, high, work, then, now, bend, near, before, target, f, moved,
-                     jacobian)
+        tip_jacobian(
+            chain, inputs, high, work, then, now, bend, near, before, target, f, moved, jacobian
+        )
         gain = 0.0
         for _ in range(12):
-            if lower(jacobian, f, inputs, low, high, preference, damping, trial, normal, step,
-                     free) == 0:
+            if (
+                lower(
+                    jacobian, f, inputs, low, high, preference, damping, trial, normal, step, free
+                )
+                == 0
+            ):
                 return cost
             for i in range(2 * n):
                 floats(near)[i] = floats(bend)[i]

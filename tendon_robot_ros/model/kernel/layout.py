@@ -6,18 +6,21 @@ address costs nothing. Whoever calls an entry keeps the arrays alive until it re
 """
 
 from collections import namedtuple
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-compiled = njit(error_model='numpy', nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+jit: Any = partial(njit, error_model='numpy', nogil=True, no_cfunc_wrapper=True)
+compiled = jit(no_cpython_wrapper=True)
 
 
 def entry(*signature):
     """Compile something that Python calls: cached, for one signature or as called."""
-    return njit(*signature, cache=True, error_model='numpy', nogil=True, no_cfunc_wrapper=True)
+    return jit(*signature, cache=True)
 
 
 # Chain: the robot and its effects; n cells, k tendons, m inputs; addresses of
@@ -27,8 +30,9 @@ def entry(*signature):
 #   values  (rows, sections) effect parameters; on (effects,) uint8, which effects act
 #   gravity (3,)      [m/s²], base frame
 # radius: largest offset component [m]; step, settle: addresses of these two functions.
-Chain = namedtuple('Chain', 'n k m sections cells offset tendon values on gravity radius step '
-                            'settle')
+Chain = namedtuple(
+    'Chain', 'n k m sections cells offset tendon values on gravity radius step settle'
+)
 LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT = range(6)
 COLUMNS = 6
 
@@ -38,6 +42,10 @@ Memory = namedtuple('Memory', 'bend sign travel inputs')
 
 # Work: scratch of one posture. slip (2,): smoothing length [m], load scale [1].
 Work = namedtuple('Work', 'arms travel beyond load lengths tensions frames origins slip')
+
+# numba takes types of one name for one type, but each catalogue has a kernel of its own
+for _kind in (Chain, Memory, Work):
+    _kind.__name__ += '_' + __name__.partition('.')[0].rpartition('_')[2]
 
 SLIP_LENGTH = 2e-6  # [m] travel over which the sign of friction is smoothed
 
@@ -56,6 +64,7 @@ def _pointer_to(item):
     def pointer(typing_context, address):
         def generate(context, builder, _, arguments):
             return builder.inttoptr(arguments[0], context.get_value_type(kind))
+
         return kind(address), generate
 
     return pointer
@@ -79,6 +88,7 @@ def _function_at(signature):
             made.py_addr = cgutils.get_null_value(made.py_addr.type)
             made.jit_addr = pointer
             return made._getvalue()
+
         return kind(address), generate
 
     return function
@@ -135,8 +145,9 @@ def work_in(chain, start):
     origins = frames + 8 * 9 * (n + 1)
     slip = floats(origins + 8 * 3 * (n + 1))
     slip[0], slip[1] = SLIP_LENGTH, 1.0
-    return Work(start, travel, beyond, load, lengths, tensions, frames, origins,
-                origins + 8 * 3 * (n + 1))
+    return Work(
+        start, travel, beyond, load, lengths, tensions, frames, origins, origins + 8 * 3 * (n + 1)
+    )
 
 
 @compiled

@@ -22,7 +22,7 @@ def plus(a, b):
 
 @compiled
 def scaled(s, a):
-    """A triple times a number."""
+    """Return a triple times a number."""
     return s * a[0], s * a[1], s * a[2]
 
 
@@ -38,8 +38,11 @@ def middle_of(chain, i, bx, by, work):
     if a > 1e-300:
         x, y = across * bx / a, across * by / a
     f = floats(work.frames + 72 * i)
-    return (f[0] * x + f[1] * y + f[2] * along, f[3] * x + f[4] * y + f[5] * along,
-            f[6] * x + f[7] * y + f[8] * along)
+    return (
+        f[0] * x + f[1] * y + f[2] * along,
+        f[3] * x + f[4] * y + f[5] * along,
+        f[6] * x + f[7] * y + f[8] * along,
+    )
 
 
 @compiled
@@ -59,13 +62,17 @@ def load_moments(chain, bend, work):
         x, y = bend_moment(bx, by, frame, force, torque, 1.0, cell_length, hinge)
         own = scaled(scale, weight(chain, i))
         if hinge < 0.5:
-            ox, oy = bend_moment(0.5 * bx, 0.5 * by, frame, own, NONE, 0.0, 0.5 * cell_length,
-                                 hinge)
+            ox, oy = bend_moment(
+                0.5 * bx, 0.5 * by, frame, own, NONE, 0.0, 0.5 * cell_length, hinge
+            )
             x, y = x + 0.5 * ox, y + 0.5 * oy
         moments[2 * i], moments[2 * i + 1] = x, y
         at = 3 * i
-        reach = (origins[at + 3] - origins[at], origins[at + 4] - origins[at + 1],
-                 origins[at + 5] - origins[at + 2])
+        reach = (
+            origins[at + 3] - origins[at],
+            origins[at + 4] - origins[at + 1],
+            origins[at + 5] - origins[at + 2],
+        )
         torque = plus(torque, cross(reach, force))
         torque = plus(torque, cross(middle_of(chain, i, bx, by, work), own))
         force = plus(force, own)

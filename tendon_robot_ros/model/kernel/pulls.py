@@ -96,8 +96,7 @@ def pulled(chain, inputs, shares, target, bends, past, scratch, most):
             inputs[j] = keep + DIFFERENCE
             for i in range(2 * n):
                 floats(near)[i] = floats(bend)[i]
-            good = gaps(chain, inputs, shares, target, work, then, now, near, before, pulls,
-                        moved)
+            good = gaps(chain, inputs, shares, target, work, then, now, near, before, pulls, moved)
             inputs[j] = keep
             for r in range(m):
                 jacobian[r, j] = (moved[r] - f[r]) / DIFFERENCE if good else 0.0
@@ -106,8 +105,7 @@ def pulled(chain, inputs, shares, target, bends, past, scratch, most):
             taut_step(jacobian, f, inputs, target, damping, trial)
             for i in range(2 * n):
                 floats(near)[i] = floats(bend)[i]
-            good = gaps(chain, trial, shares, target, work, then, now, near, before, pulls,
-                        moved)
+            good = gaps(chain, trial, shares, target, work, then, now, near, before, pulls, moved)
             if good and violation(trial, target, moved) < wrong:
                 better = True
                 break

@@ -1,8 +1,19 @@
 """Everything a posture tells: bends, frames, wire pulls; friction memory; batches."""
 
 from .geometry import chain_frames, scale_lengths, tendon_travel
-from .layout import (LENGTH, address, cell, compiled, entry, floats, memory_in, section_of,
-                     settle_at, work_in, words)
+from .layout import (
+    LENGTH,
+    address,
+    cell,
+    compiled,
+    entry,
+    floats,
+    memory_in,
+    section_of,
+    settle_at,
+    words,
+    work_in,
+)
 from .solve import TOLERANCE
 from .stages import measurement, memory_acts, offset, stretch
 from .sweep import slip_direction
@@ -28,8 +39,7 @@ def remember(chain, inputs, bend, work, past, now):
     for k in range(chain.k):
         for i in range(tendon[2 * k] - 1):
             at = chain.k * i + k
-            sign[at], travel[at] = slip_direction(chain, work, past, i, k,
-                                                  floats(work.travel)[at])
+            sign[at], travel[at] = slip_direction(chain, work, past, i, k, floats(work.travel)[at])
 
 
 @compiled
@@ -91,14 +101,16 @@ def wire_pulls(chain, bend, work, pulls):
         total = 0.0
         for i in range(tendon[2 * k]):
             at = chain.k * i + k
-            total += travel[at] + stretch(0.0, tensions[at], cell(chain, i, LENGTH), chain,
-                                          section_of(chain, i))
+            total += travel[at] + stretch(
+                0.0, tensions[at], cell(chain, i, LENGTH), chain, section_of(chain, i)
+            )
         floats(pulls)[k] = total
 
 
 @entry()
-def postures(chain, inputs, bends, tensions, frames, origins, pulls, changes, past, scratch,
-             carry):
+def postures(
+    chain, inputs, bends, tensions, frames, origins, pulls, changes, past, scratch, carry
+):
     """
     Solve postures (b, m) [N] into bends (b, n, 2), which hold the guesses, and the rest.
 
@@ -112,8 +124,9 @@ def postures(chain, inputs, bends, tensions, frames, origins, pulls, changes, pa
     then = memory_in(chain, address(past))
     for b in range(inputs.shape[0]):
         bend = address(bends) + 16 * n * b
-        changes[b] = posture(chain, address(inputs) + 8 * chain.m * b, work, then, now, bend,
-                             before)
+        changes[b] = posture(
+            chain, address(inputs) + 8 * chain.m * b, work, then, now, bend, before
+        )
         if carry != 0:
             copy(now.bend, then.bend, 2 * n + 2 * n * k + chain.m)
         place(chain, bend, work)

@@ -2,12 +2,25 @@
 
 import math
 
+from .bending import bend_cell
 from .geometry import chain_frames, loaded, scale_lengths, tendon_travel
-from .layout import PRESENT, STEP, STIFFNESS, cell, compiled, entry, floats, section_of, words
+from .layout import STEP, compiled, entry, floats, section_of, words
 from .loads import load_moments
-from .stages import (actuation, arm_acts, eyelet, eyelet_acts, growth, growth_acts, hold,
-                     hold_acts, length_acts, memory, memory_acts, moment, moment_acts, offset,
-                     rest, slide, slide_acts, stiffness, wrap, wrap_acts)
+from .stages import (
+    actuation,
+    arm_acts,
+    eyelet,
+    eyelet_acts,
+    length_acts,
+    memory,
+    memory_acts,
+    offset,
+    rest,
+    slide,
+    slide_acts,
+    wrap,
+    wrap_acts,
+)
 
 
 @compiled
@@ -36,8 +49,9 @@ def slip_direction(chain, work, past, i, k, here):
     beyond = floats(work.beyond)[at] if slides else 0.0
     if memory_acts(chain):
         travel = slide(here, beyond, chain, section)
-        return memory(0.0, floats(past.sign)[at], travel - floats(past.travel)[at], chain,
-                      section), travel
+        return memory(
+            0.0, floats(past.sign)[at], travel - floats(past.travel)[at], chain, section
+        ), travel
     slip = floats(work.slip)[0]
     if slides:
         return slide(smooth_sign(here, slip), smooth_sign(beyond, slip), chain, section), beyond
@@ -46,12 +60,12 @@ def slip_direction(chain, work, past, i, k, here):
 
 @compiled
 def power(passed, s, inverse):
-    """passed ** s, without the power where s is saturated."""
+    """Return passed ** s, without the power where s is saturated."""
     if s == 1.0:
         return passed
     if s == -1.0:
         return inverse
-    return passed ** s
+    return passed**s
 
 
 @compiled
@@ -86,67 +100,6 @@ def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, scale):
 
 
 @compiled
-def cell_stiffness(chain, i, section):
-    """Bending stiffness of cell i with the tendons in it [N·m/rad]."""
-    return stiffness(cell(chain, i, STIFFNESS), cell(chain, i, PRESENT), chain, section)
-
-
-@compiled
-def elastic_moment(chain, i, bx, by):
-    """Moment (x, y) [N·m] that holds a bend against the backbone's elasticity."""
-    section = section_of(chain, i)
-    x0, y0 = rest(0.0, 0.0, chain, section)
-    x, y = bx - x0, by - y0
-    k = cell_stiffness(chain, i, section) * growth(1.0, x * x + y * y, chain, section)
-    return k * x, k * y
-
-
-@compiled
-def bend_of(chain, k, size, section):
-    """Solve K t growth(t²) = size for the bend t >= 0; NaN when there is none."""
-    t = size / k
-    if not growth_acts(chain):
-        return t
-    t = min(t, 1.0)
-    for _ in range(60):
-        g = growth(1.0, t * t, chain, section)
-        h = 1e-6 * (1.0 + t)
-        slope = (growth(1.0, (t + h) * (t + h), chain, section)
-                 - growth(1.0, (t - h) * (t - h), chain, section)) / (2.0 * h)
-        step = (k * t * g - size) / (k * (g + t * slope))
-        t -= step
-        if abs(step) < 1e-14 * (1.0 + t):
-            return t
-    return math.nan
-
-
-@compiled
-def bend_cell(chain, past, i, mx, my, total):
-    """Bend (x, y) of a cell under a moment [N·m] and the sum of tensions [N] that press it."""
-    section = section_of(chain, i)
-    size = math.sqrt(mx * mx + my * my)
-    if moment_acts(chain) and size > 0.0:
-        factor = moment(size, total, chain.radius, chain, section) / size
-        mx, my = mx * factor, my * factor
-    if hold_acts(chain):
-        hx, hy = 0.0, 0.0
-        if memory_acts(chain):
-            before = floats(past.bend + 16 * i)
-            hx, hy = elastic_moment(chain, i, before[0], before[1])
-        dx, dy = mx - hx, my - hy
-        size = math.sqrt(dx * dx + dy * dy)
-        if size > 0.0:
-            factor = hold(size, total, chain, section) / size
-            mx, my = hx + dx * factor, hy + dy * factor
-    size = math.sqrt(mx * mx + my * my)
-    x0, y0 = rest(0.0, 0.0, chain, section)
-    if size == 0.0:
-        return x0, y0
-    t = bend_of(chain, cell_stiffness(chain, i, section), size, section) / size
-    return x0 + t * mx, y0 + t * my
-
-
-@compiled
 def sweep(chain, inputs, guess, work, past, out):
     """
     Bends (n, 2) [rad] into `out` and work.tensions (n, k) [N] for input tensions (m,) [N].
@@ -157,7 +110,7 @@ def sweep(chain, inputs, guess, work, past, out):
     tensions, tendon, offsets = floats(work.tensions), words(chain.tendon), floats(chain.offset)
     load, bends, guesses = floats(work.load), floats(out), floats(guess)
     scale = offset(1.0, chain, 0)
-    straight = arm_acts(chain)
+    straight, loads = arm_acts(chain), loaded(chain)
     if straight:
         offsets = floats(work.arms)
     for k in range(chain.k):
@@ -173,13 +126,24 @@ def sweep(chain, inputs, guess, work, past, out):
                 my += t * offsets[2 * at + 1]
         if not straight:
             mx, my = mx * scale, my * scale
-        bx, by = bend_cell(chain, past, i, mx + load[2 * i], my + load[2 * i + 1], total)
+        if loads:  # else the scratch may still hold those of another model
+            mx, my = mx + load[2 * i], my + load[2 * i + 1]
+        bx, by = bend_cell(chain, past, i, mx, my, total)
         last_x, last_y = guesses[2 * i], guesses[2 * i + 1]
         bends[2 * i], bends[2 * i + 1] = bx, by
         if i + 1 < chain.n:
             # what this cell moved from its guess, its neighbour will have moved, too
-            pass_eyelet(chain, work, past, i, bx, by, guesses[2 * i + 2] + bx - last_x,
-                        guesses[2 * i + 3] + by - last_y, scale)
+            pass_eyelet(
+                chain,
+                work,
+                past,
+                i,
+                bx,
+                by,
+                guesses[2 * i + 2] + bx - last_x,
+                guesses[2 * i + 3] + by - last_y,
+                scale,
+            )
 
 
 @compiled
@@ -201,8 +165,17 @@ def prepare(chain, inputs, guess, work, past):
             for k in range(chain.k):
                 floats(work.tensions)[k] = actuation(floats(inputs)[tendon[2 * k + 1]], chain, 0)
             for i in range(chain.n - 1):
-                pass_eyelet(chain, work, past, i, guesses[2 * i], guesses[2 * i + 1],
-                            guesses[2 * i + 2], guesses[2 * i + 3], scale)
+                pass_eyelet(
+                    chain,
+                    work,
+                    past,
+                    i,
+                    guesses[2 * i],
+                    guesses[2 * i + 1],
+                    guesses[2 * i + 2],
+                    guesses[2 * i + 3],
+                    scale,
+                )
         scale_lengths(chain, work)
         chain_frames(chain, guess, work)
         load_moments(chain, guess, work)

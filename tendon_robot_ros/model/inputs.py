@@ -1,0 +1,104 @@
+"""What a caller commands: tensions and wire pulls, by name or in order, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from ..exceptions import InputError
+from ..robot import Robot
+
+Floats = npt.NDArray[np.float64]
+Given = Mapping[str, float] | Sequence[float] | Floats
+
+
+def tensions_of(robot: Robot, given: Given) -> Floats:
+    """
+    Return input tensions (m,) [N]; names left out are slack (0).
+
+    Raises
+    ------
+    InputError
+        Unknown names, or values that are negative or not finite.
+
+    """
+    values = finite('tensions', _ordered('tensions', robot, given, 0.0), len(robot.inputs))
+    if (values < 0.0).any():
+        raise InputError(f'tensions: expected none below 0 N, got {values}')
+    return values
+
+
+def tension_rows(robot: Robot, given: npt.ArrayLike) -> Floats:
+    """
+    Return input tensions of several postures (b, m) [N].
+
+    Raises
+    ------
+    InputError
+        Another shape, or values that are negative or not finite.
+
+    """
+    rows = np.ascontiguousarray(given, dtype=float)
+    if rows.ndim != 2 or rows.shape[1] != len(robot.inputs):
+        raise InputError(
+            f'tensions: expected (postures, {len(robot.inputs)}) numbers for '
+            f'{", ".join(robot.inputs)}, got shape {rows.shape}'
+        )
+    if not (np.isfinite(rows).all() and (rows >= 0.0).all()):
+        raise InputError('tensions: expected finite numbers not below 0 N')
+    return rows
+
+
+def wire_pulls(robot: Robot, given: Given) -> Floats:
+    """
+    Return wire pulls (m,) [m], NaN for slack; names left out are slack.
+
+    Raises
+    ------
+    InputError
+        Unknown names, or values that are no lengths.
+
+    """
+    ordered = _ordered('pulls', robot, given, np.nan)
+    try:
+        values = np.array(ordered, dtype=float).reshape(-1)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != (len(robot.inputs),) or np.isinf(values).any():
+        raise InputError(
+            f'pulls: expected {len(robot.inputs)} lengths [m] (blank: slack), got {given!r}'
+        )
+    return values
+
+
+def finite(name: str, values: object, size: int) -> Floats:
+    """
+    Return a vector of finite numbers.
+
+    Raises
+    ------
+    InputError
+        It has another size, or entries that are no finite numbers.
+
+    """
+    try:
+        array = np.array(values, dtype=float).reshape(-1)
+    except (TypeError, ValueError):
+        raise InputError(f'{name}: expected {size} numbers, got {values!r}') from None
+    if array.shape != (size,) or not np.isfinite(array).all():
+        raise InputError(f'{name}: expected {size} finite numbers, got {np.asarray(values)}')
+    return array
+
+
+def _ordered(what: str, robot: Robot, given: Given, absent: float) -> object:
+    if not isinstance(given, Mapping):
+        return given
+    unknown = [name for name in given if name not in robot.inputs]
+    if unknown:
+        raise InputError(
+            f'{what}: unknown {", ".join(map(repr, unknown))}; '
+            f'{robot.name} has {", ".join(robot.inputs)}'
+        )
+    return [given.get(name, absent) for name in robot.inputs]
