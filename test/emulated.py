@@ -56,13 +56,21 @@ def config(port, /, **changes):
     return {**plain, **changes}
 
 
-def line(model=MODEL, slack=0.004, stiffness=STIFFNESS, firmware=48, arm=None, ids=(1, 2, 3, 4)):
+def line(
+    model=MODEL,
+    slack=0.004,
+    stiffness=STIFFNESS,
+    firmware=48,
+    arm=None,
+    ids=(1, 2, 3, 4),
+    radius=RADIUS,
+):
     """Four servos that wind four springs, every second one the other way round."""
     servos = [Servo(MODELS[model], i, firmware=firmware) for i in ids]
     for i, servo in enumerate(servos):
         servo.motion.angle = 0.7 * i
         servo.refresh()
-    wires = [Wire(i, RADIUS, 1 if k % 2 == 0 else -1) for k, i in enumerate(ids)]
+    wires = [Wire(i, radius, 1 if k % 2 == 0 else -1) for k, i in enumerate(ids)]
     many = np.ones(len(ids))
     return started(Rig(servos, wires, arm or SpringArm(stiffness * many, slack * many)))
 
@@ -140,7 +148,7 @@ def goals(line, name, since):
     return {
         i: [
             value
-            for when, who, what, value in line.log
+            for when, who, what, value in line.responder.log
             if who == i and what == name and when >= since
         ]
         for i in (1, 2, 3, 4)

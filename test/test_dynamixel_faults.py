@@ -28,7 +28,7 @@ def tense_arm():
 
 def test_a_silent_servo_is_named_the_others_go_on_and_it_comes_back(arm):
     driver, line, command = arm
-    line.faults.silent.add(2)
+    line.responder.silent.add(2)
     reading = until(driver, command, lambda r: r.faults)
     (fault,) = reading.faults
     assert (fault.code, fault.hardware, fault.inputs) == ('silent', False, ('north',))
@@ -36,17 +36,17 @@ def test_a_silent_servo_is_named_the_others_go_on_and_it_comes_back(arm):
     assert fault.message == f'{line.port}: north (id 2): no answer; {advice}'
     assert np.isnan(reading.pulls[1])
     assert np.isfinite(reading.pulls[[0, 2, 3]]).all()
-    line.faults.silent.clear()
+    line.responder.silent.clear()
     until(driver, command, healthy)
     assert steps_are_small(line, driver, 0.0)
 
 
 def test_all_silent_is_no_lost_port(tense_arm):
     driver, line, command = tense_arm
-    line.faults.silent.update({1, 2, 3, 4})
+    line.responder.silent.update({1, 2, 3, 4})
     reading = until(driver, command, lambda r: len(r.faults) == 4)
     assert emulated.codes(reading) == {'silent'}
-    line.faults.silent.clear()
+    line.responder.silent.clear()
     until(driver, command, healthy)
 
 

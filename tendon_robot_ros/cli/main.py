@@ -29,8 +29,11 @@ COMMANDS: dict[str, str] = {
     'controller': 'tendon_robot_ros.nodes.controller',
     'driver': 'tendon_robot_ros.nodes.driver',
     'teleop': 'tendon_robot_ros.nodes.teleop',
+    'simulate': 'tendon_robot_ros.cli.simulate',
     'export-bag': 'tendon_robot_ros.cli.export_bag',
     'import-bag': 'tendon_robot_ros.cli.import_bag',
+    'emulate': 'tendon_robot_ros.cli.emulate',
+    'calibrate': 'tendon_robot_ros.cli.calibrate',
 }
 
 PROGRAM = 'python -m tendon_robot_ros'

@@ -79,7 +79,7 @@ def find_slack(
     finally:
         torque_off(bus, motors)
         for motor in motors:
-            motor.homing = None
+            motor.guided = None
 
 
 def _prepare(bus: Bus, config: Config, motors: list[Motor]) -> list[Search]:
@@ -94,7 +94,7 @@ def _prepare(bus: Bus, config: Config, motors: list[Motor]) -> list[Search]:
         reach = math.ceil(search.ticks(config.home_travel + 2.0 * BACK_OFF))
         amperes = max(w.calibration.wind.current(config.home_tension) for w in motor.wires)
         counts = max(1, math.ceil(amperes / motor.model.current_unit))
-        motor.homing = (counts, (motor.ticks - reach, motor.ticks + reach))
+        motor.guided = (counts, (motor.ticks - reach, motor.ticks + reach))
         searches.append(search)
     return searches
 
@@ -129,7 +129,7 @@ def _back_off(config: Config, search: Search, now: float) -> None:
         return
     search.still_since = search.still_since or now
     if now - search.still_since > 2.0:
-        amperes = (search.motor.homing or (0, (0, 0)))[0] * search.motor.model.current_unit
+        amperes = (search.motor.guided or (0, (0, 0)))[0] * search.motor.model.current_unit
         raise DriverError(
             f'{config.port}: {search.motor}: does not turn with {amperes:.3f} A; calibrate it, '
             f'or raise home_tension (now {config.home_tension:g} N); torque is off'

@@ -69,7 +69,7 @@ class Motor:
     voltage_limits: tuple[float, float] = (0.0, math.inf)
     temperature: float | None = None
     hottest: float = math.inf
-    homing: tuple[int, tuple[int, int]] | None = None  # current [counts], position bounds
+    guided: tuple[int, tuple[int, int]] | None = None  # while the driver itself moves it
 
     @property
     def model(self) -> Model:
@@ -105,16 +105,16 @@ class Motor:
     @property
     def current_bounds(self) -> tuple[int, int]:
         """Goal currents it may be given [counts]: in tension mode only those that wind."""
-        most = self.strongest if self.homing is None else min(self.homing[0], self.strongest)
-        if self.mode == 'tension' and self.homing is None and self.wires[0].spool.direction < 0:
+        most = self.strongest if self.guided is None else min(self.guided[0], self.strongest)
+        if self.mode == 'tension' and self.guided is None and self.wires[0].spool.direction < 0:
             return -most, 0
         return 0, most
 
     @property
     def position_bounds(self) -> tuple[int, int]:
         """Goal positions it may be given [ticks]; where it is, while the zero is unknown."""
-        if self.homing is not None:
-            return self.homing[1]
+        if self.guided is not None:
+            return self.guided[1]
         here = self.ticks or 0
         if self.zero is None:
             return here, here

@@ -137,3 +137,11 @@ class Spool:
     def ticks(self, pull: float) -> float:
         """Return the ticks that wind so much wire [m]."""
         return self.direction * pull / (self.radius * RADIANS_PER_TICK)
+
+
+def smallest_spool(model: Model, limit: float) -> float:
+    """Return the spool radius [m], in whole mm, from which the data sheet's motor is fine."""
+    friction = model.friction_current * model.torque_per_ampere  # [N·m]
+    count = model.current_unit * model.torque_per_ampere  # [N·m]
+    least = max(friction / (WIDEST_BAND * limit), FEWEST_COUNTS * count / limit)
+    return 1e-3 * math.ceil(1e3 * least + 0.5)

@@ -95,16 +95,14 @@ def read_wires(top: Fields, robot: Robot, mode: str) -> tuple[WireConfig, ...]:
             'motors', 'a motor for every input of the robot', f'none for {", ".join(missing)}'
         )
     sharing = [motors.child(name).content.get('id') for name in robot.inputs]
-    return tuple(
-        _wire(top, motors.child(name), lines, robot, mode, sharing) for name in robot.inputs
-    )
+    return tuple(_wire(top, name, lines, robot, mode, sharing) for name in robot.inputs)
 
 
 def _wire(
-    top: Fields, item: Fields, lines: Fields, robot: Robot, mode: str, sharing: list[Any]
+    top: Fields, name: str, lines: Fields, robot: Robot, mode: str, sharing: list[Any]
 ) -> WireConfig:
+    item = top.child('motors').child(name)
     item.only(*MOTOR_KEYS)
-    name = item.path.rpartition('.')[2]
     identity = item.content.get('id')
     if isinstance(identity, bool) or not isinstance(identity, int) or not 0 <= identity <= 252:
         raise item.error('id', 'a whole number from 0 to 252', identity)
@@ -112,12 +110,10 @@ def _wire(
     model = MODELS[where.choice('model', tuple(MODELS))]
     where = item if item.has('spool_radius') else top
     spool = Spool(where.number('spool_radius', 5e-4, 0.2, 'm'), _direction(item))
-    if lines.has(name):
-        calibration = read_calibration(lines.child(name))
-    elif item.has('calibration'):
-        calibration = read_calibration(item.child('calibration'))
-    else:
-        calibration = from_data_sheet(model, spool.radius)
+    calibration = from_data_sheet(model, spool.radius)
+    if lines.has(name) or item.has('calibration'):
+        found = lines.child(name) if lines.has(name) else item.child('calibration')
+        calibration = read_calibration(found, model, spool.radius)
     most = model.current_limit * model.current_unit
     where = item if item.has('current_limit') else top
     return WireConfig(
@@ -165,12 +161,17 @@ def _calibrations(top: Fields) -> Fields:
     return Fields(top.source, 'calibration', value)
 
 
-def read_calibration(item: Fields) -> Calibration:
-    """Read the two lines of one motor: `wind` and `pay_out`, each [A, A/N]."""
+def read_calibration(item: Fields, model: Model, radius: float) -> Calibration:
+    """Read the two lines of one motor, `wind` and `pay_out`, each [A, A/N]."""
     wind, pay_out = (Line(*item.vector(key, 2)) for key in ('wind', 'pay_out'))
     for key, line in (('wind', wind), ('pay_out', pay_out)):
         if not 1e-6 < line.slope < 1e3:
             raise item.error(key, '[intercept A, slope A/N] with a slope above 0', item.content)
-    return Calibration(
-        wind, pay_out, measured=True, scatter=item.value('scatter', 0.0, 0.0, 10.0, 'A')
-    )
+    if item.content.get('model', model.name) != model.name:
+        raise item.error('model', f'{model.name}: calibrate again', item.content['model'])
+    if abs(item.value('spool_radius', radius, 0.0, 1.0, 'm') / radius - 1.0) > 0.01:
+        raise item.error(
+            'spool_radius', f'{radius:g} m: calibrate again', item.content['spool_radius']
+        )
+    scatter = item.value('scatter', 0.0, 0.0, 10.0, 'A')
+    return Calibration(wind, pay_out, measured=True, scatter=scatter)

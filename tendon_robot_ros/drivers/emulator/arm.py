@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ...exceptions import TendonRobotError
 
 Array = NDArray[np.float64]
 
@@ -40,6 +43,12 @@ class HangingWeights:
         self.weights = np.asarray(masses, dtype=float) * gravity
         self.stiffness = stiffness
 
+        self.gravity = gravity
+
+    def hang(self, wire: int, mass: float) -> None:
+        """Hang another weight [kg] on a wire."""
+        self.weights[wire] = mass * self.gravity
+
     def tensions(self, wound: Array, passed: float) -> Array:
         """Return the weight, or less while the wire only begins to lift it."""
         return np.clip(self.stiffness * wound, 0.0, self.weights)
@@ -49,9 +58,9 @@ class RelaxedArm:
     """
     An arm known by tensions -> pulls, turned round: tensions relax until the pulls fit.
 
-    The wire is a stiff spring in series: its tension is stiffness times (wound - pull of the arm).
-    A full solve per step would be slow; one call per period, each a part of the way, is quick
-    and settles on the same equilibrium.
+    The wires stretch a little: wound = slack + pull of the arm + tension / wire stiffness. A full
+    solve per step would be slow; one call per period, with the compliance of the straight arm,
+    is quick and settles on the same equilibrium.
     """
 
     def __init__(
@@ -60,7 +69,7 @@ class RelaxedArm:
         inputs: int,
         highest: float,
         slack: float = 0.0,
-        period: float = 0.005,
+        period: float = 0.004,
     ) -> None:
         """
         Take the arm.
@@ -68,11 +77,12 @@ class RelaxedArm:
         Parameters
         ----------
         pulls : callable
-            Tensions, shape (m,) [N], to wire pulls, shape (m,) [m].
+            Tensions, shape (m,) [N], to wire pulls, shape (m,) [m]; may raise for tensions that
+            the arm cannot bear, which are then not taken.
         inputs : int
             Number of wires m.
         highest : float
-            Largest tension [N] the arm is asked for.
+            Largest tension [N] the arm is asked for; it stretches a wire by 1 mm.
         slack : float
             Loose wire at the start [m].
         period : float
@@ -82,8 +92,11 @@ class RelaxedArm:
         self.pulls, self.highest, self.slack, self.period = pulls, highest, slack, period
         self._tensions = np.zeros(inputs)
         self._pulls = pulls(self._tensions)
-        gains = pulls(np.full(inputs, 0.1 * highest)) - self._pulls
-        self._gain = 0.3 * 0.1 * highest / max(1e-5, float(np.max(np.abs(gains))))  # [N/m]
+        self._stretch = 1e-3 / highest  # [m/N]
+        probe = 0.1 * highest
+        columns = [pulls(probe * row) - self._pulls for row in np.eye(inputs)]
+        compliance = np.array(columns).T / probe + self._stretch * np.eye(inputs)
+        self._gain = 0.3 * np.linalg.inv(compliance)
         self._since = 0.0
 
     def tensions(self, wound: Array, passed: float) -> Array:
@@ -91,7 +104,9 @@ class RelaxedArm:
         self._since += passed
         if self._since >= self.period:
             self._since = 0.0
-            short = wound - self.slack - self._pulls
-            self._tensions = np.clip(self._tensions + self._gain * short, 0.0, self.highest)
-            self._pulls = self.pulls(self._tensions)
+            short = wound - self.slack - self._pulls - self._stretch * self._tensions
+            tried = np.clip(self._tensions + self._gain @ short, 0.0, self.highest)
+            with contextlib.suppress(TendonRobotError):
+                self._pulls = self.pulls(tried)
+                self._tensions = tried
         return self._tensions

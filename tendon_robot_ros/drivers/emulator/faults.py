@@ -1,27 +1,24 @@
-"""Faults of an emulated bus, switched on and off while it runs."""
+"""What an emulated bus does to the answers on it, switched on and off while it runs."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 
 @dataclass
 class Faults:
     """
-    What is wrong with the bus at the moment.
+    What is wrong with the answers at the moment.
 
     Parameters
     ----------
-    silent : set of int
-        Ids that neither hear nor answer.
     spoilt, cut, doubled : int
         How many of the next answers get a wrong CRC, lose their second half, come twice.
     delay : float
         Before every answer [s].
     """
 
-    silent: set[int] = field(default_factory=set)
     spoilt: int = 0
     cut: int = 0
     doubled: int = 0

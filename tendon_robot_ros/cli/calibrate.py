@@ -1,0 +1,177 @@
+"""
+Calibrate a motor: hang known weights, wind and pay out, fit two lines.
+
+For every weight the wire is wound up and paid out once at constant speed. The two lines, their
+standard errors and half the gap between them go to a YAML file that the driver's configuration
+names under `calibration`; a picture shows lines and currents.
+
+    calibrate dynamixel servos.yaml --robot arm.yaml --tendon left --weights 0.1 0.2 0.4
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from ..exceptions import InputError, MissingExtraError
+from ..robot import load_robot
+from ..robot_checks import parse_yaml
+
+if TYPE_CHECKING:
+    from ..drivers.dynamixel.bus import Bus
+    from ..drivers.dynamixel.calibration import Fit, Point
+    from ..drivers.dynamixel.motor import Motor
+
+NAME = 'calibrate'
+HELP = 'fit motor current to tension with known weights'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument('kind', choices=('dynamixel',))
+    parser.add_argument('config', help="the driver's configuration (YAML)")
+    parser.add_argument('--robot', required=True, help='robot description (YAML)')
+    parser.add_argument('--tendon', required=True, help='the input whose motor is calibrated')
+    parser.add_argument('--weights', required=True, nargs='+', type=float, metavar='KG')
+    parser.add_argument('--travel', type=float, default=0.02, metavar='M')
+    parser.add_argument('--speed', type=float, default=0.005, metavar='M/S')
+    parser.add_argument(
+        '--out',
+        metavar='FILE',
+        default='calibration.yaml',
+        help='lines of other tendons in it are kept (default %(default)s)',
+    )
+    parser.add_argument('--picture', metavar='FILE', help='default: beside OUT, as PNG')
+    parser.add_argument('--yes', action='store_true', help='do not wait for Enter')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, fit, write, say what was found."""
+    try:
+        from ..drivers.dynamixel import calibration
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(error.name or 'dynamixel_sdk', 'dynamixel') from None
+    if min(args.weights) <= 0.0 or max(args.weights) > 50.0:
+        raise InputError(f'--weights: expected masses from 0 to 50 kg, got {args.weights}')
+    if not (0.001 <= args.travel <= 1.0 and 1e-4 <= args.speed <= 0.2):
+        raise InputError('--travel, --speed: expected 0.001 to 1 m and 0.0001 to 0.2 m/s')
+    bus, motor, cap = _prepare(args, calibration.GRAVITY)
+    try:
+        points = [_weigh(args, bus, motor, mass, calibration) for mass in args.weights]
+    finally:
+        bus.close()
+    result = calibration.fit(points)
+    _write(Path(args.out), args.tendon, calibration.to_mapping(result, cap))
+    picture = Path(args.picture or f'{Path(args.out).with_suffix("")}_{args.tendon}.png')
+    draw(result, args.tendon, picture)
+    _say(result, args, picture)
+    return 0
+
+
+def _prepare(args: argparse.Namespace, gravity: float) -> tuple[Bus, Motor, Any]:
+    """Open the bus and find the motor; its current may lift twice the heaviest weight."""
+    from ..drivers.dynamixel.bus import Bus
+    from ..drivers.dynamixel.config import read_config
+    from ..drivers.dynamixel.handshake import shake_hands
+    from ..drivers.dynamixel.motor import Motor
+
+    robot = load_robot(args.robot)
+    content = parse_yaml(Path(args.config).read_text(encoding='utf-8'))
+    if not isinstance(content, dict):
+        raise InputError(f'{args.config}: expected keys with values, got {content!r}')
+    content = {**content, 'allow_coarse': True}
+    config = read_config(robot, content, 'tension', args.config)
+    wires = [wire for wire in config.wires if wire.name == args.tendon]
+    if not wires:
+        raise InputError(
+            f'--tendon: expected one of {", ".join(robot.inputs)}, got {args.tendon!r}'
+        )
+    wire = replace(wires[0], tension_limit=2.0 * gravity * max(args.weights))
+    motor = Motor(wire.motor, (wire,), 'pull')
+    bus = Bus(config.port, config.baud, config.answer_time)
+    bus.open()
+    shake_hands(bus, config, {wire.motor: motor})
+    return bus, motor, wire
+
+
+def _weigh(
+    args: argparse.Namespace, bus: Bus, motor: Motor, mass: float, calibration: Any
+) -> Point:
+    print(
+        f'hang {mass:g} kg on {args.tendon}: it stands on the ground, the wire is just taut; '
+        'keep hands away',
+        file=sys.stderr,
+    )
+    if not args.yes:
+        input('press Enter when ready ')
+    point: Point = calibration.measure(
+        bus, motor, mass * calibration.GRAVITY, args.travel, args.speed
+    )
+    print(
+        f'  {point.tension:.3f} N: winding {point.wind:.4f} A, paying out {point.pay_out:.4f} A',
+        file=sys.stderr,
+    )
+    return point
+
+
+def _write(path: Path, tendon: str, lines: dict[str, Any]) -> None:
+    """Put the lines of a tendon into the file, keep those of the others."""
+    content: dict[str, Any] = {}
+    if path.exists():
+        found = parse_yaml(path.read_text(encoding='utf-8'))
+        content = found if isinstance(found, dict) else {}
+    content[tendon] = lines
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
+    path.write_text(
+        '# tendon: [intercept A, slope A/N] of current over tension, written by '
+        f'calibrate\n{text}',
+        encoding='utf-8',
+    )
+
+
+def _say(result: Fit, args: argparse.Namespace, picture: Path) -> None:
+    lines = result.calibration
+    print(
+        f'{args.tendon}: winding I = {lines.wind.intercept:.4f} A + {lines.wind.slope:.4f} A/N T'
+    )
+    print(
+        f'{args.tendon}: paying out I = {lines.pay_out.intercept:.4f} A + '
+        f'{lines.pay_out.slope:.4f} A/N T'
+    )
+    print(f'half the gap: {result.half_gap:.3f} N: that is how well the current tells the tension')
+    print(f'written: {args.out}, {picture}')
+
+
+def draw(result: Fit, tendon: str, path: Path) -> None:
+    """Draw currents and lines over tension."""
+    import matplotlib
+
+    matplotlib.use('Agg')
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(6.0, 4.0), layout='constrained')
+    tensions = [point.tension for point in result.points]
+    ends = [0.0, 1.05 * max(tensions)]
+    for name, words, colour in (('wind', 'winding', 'C1'), ('pay_out', 'paying out', 'C0')):
+        line = getattr(result.calibration, name)
+        currents = [getattr(point, name) for point in result.points]
+        axes.plot(tensions, currents, 'o', color=colour, label=words)
+        axes.plot(ends, [line.current(t) for t in ends], color=colour)
+    mean = result.calibration.mean
+    axes.plot(
+        ends,
+        [mean.current(t) for t in ends],
+        '--',
+        color='0.5',
+        label=f'mean, ±{result.half_gap:.2g} N',
+    )
+    axes.set(xlabel='tension [N]', ylabel='current [A]', title=f'{tendon}: calibration')
+    axes.legend()
+    axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=150)
+    pyplot.close(figure)

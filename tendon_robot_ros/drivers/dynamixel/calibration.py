@@ -1,0 +1,194 @@
+"""
+Calibrate current against tension: hang known weights, wind them up, pay them out, fit two lines.
+
+A geared motor shows its friction with both signs: winding needs I = a_wind + b_wind T, paying out
+I = a_out + b_out T. Each line is fitted by least squares over the weights; the standard errors
+are those of the usual linear regression.
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...exceptions import DriverError, InputError
+from .bus import Bus, PortLostError
+from .motor import Motor
+from .tables import CURRENT_POSITION_MODE
+from .torque import read_state, torque_off, torque_on
+from .units import Calibration, Line
+from .wires import WireConfig
+
+GRAVITY = 9.80665  # [m/s²]
+PERIOD = 0.01  # [s]
+STEADY = (0.35, 0.9)  # part of the way in which the current counts
+FEWEST_WEIGHTS = 3
+FEWEST_SAMPLES = 5
+
+
+@dataclass(frozen=True)
+class Point:
+    """Currents with one weight on the wire: mean while winding and while paying out [A]."""
+
+    tension: float  # [N]
+    wind: float
+    pay_out: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """
+    Two fitted lines and how well they are known.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    errors : dict of str to tuple
+        Standard errors of intercept [A] and slope [A/N] of `wind` and `pay_out`.
+    points : tuple of Point
+    """
+
+    calibration: Calibration
+    errors: dict[str, tuple[float, float]]
+    points: tuple[Point, ...]
+
+    @property
+    def half_gap(self) -> float:
+        """Half the gap between the lines at the heaviest weight [N]."""
+        return self.calibration.uncertainty(max(point.tension for point in self.points))
+
+
+def fit(points: Sequence[Point]) -> Fit:
+    """
+    Fit the two lines.
+
+    Raises
+    ------
+    InputError
+        Fewer than three weights, or currents that do not grow with the weight.
+
+    """
+    tensions = np.array([point.tension for point in points])
+    if len(set(tensions.tolist())) < FEWEST_WEIGHTS:
+        raise InputError(
+            f'calibration: expected at least {FEWEST_WEIGHTS} different weights, '
+            f'got {len(set(tensions.tolist()))}'
+        )
+    lines, errors, spread = {}, {}, []
+    for name in ('wind', 'pay_out'):
+        currents = np.array([getattr(point, name) for point in points])
+        lines[name], errors[name], scatter = _line(tensions, currents)
+        spread.append(scatter)
+        if lines[name].slope <= 0.0:
+            raise InputError(
+                f'calibration: {name}: the current does not grow with the weight '
+                f'({lines[name].slope:.3g} A/N); does the weight hang free?'
+            )
+    calibration = Calibration(lines['wind'], lines['pay_out'], measured=True, scatter=max(spread))
+    return Fit(calibration, errors, tuple(points))
+
+
+def _line(x: np.ndarray, y: np.ndarray) -> tuple[Line, tuple[float, float], float]:
+    """Fit a line: the line, the standard errors of intercept and slope, and the scatter."""
+    slope, intercept = np.polyfit(x, y, 1)
+    rest = y - intercept - slope * x
+    scatter = math.sqrt(float(rest @ rest) / max(1, len(x) - 2))
+    spread = float(np.sum((x - x.mean()) ** 2))
+    errors = (
+        scatter * math.sqrt(1.0 / len(x) + x.mean() ** 2 / spread),
+        scatter / math.sqrt(spread),
+    )
+    return Line(float(intercept), float(slope)), errors, scatter
+
+
+def to_mapping(result: Fit, wire: WireConfig) -> dict[str, Any]:
+    """Return what is written to the calibration file for one tendon."""
+    lines = result.calibration
+    return {
+        'wind': [round(v, 7) for v in (lines.wind.intercept, lines.wind.slope)],
+        'wind_errors': [round(v, 7) for v in result.errors['wind']],
+        'pay_out': [round(v, 7) for v in (lines.pay_out.intercept, lines.pay_out.slope)],
+        'pay_out_errors': [round(v, 7) for v in result.errors['pay_out']],
+        'scatter': round(lines.scatter, 7),
+        'half_gap': round(result.half_gap, 4),
+        'model': wire.model.name,
+        'spool_radius': wire.spool.radius,
+        'tensions': [round(point.tension, 4) for point in result.points],
+        'date': datetime.date.today().isoformat(),
+    }
+
+
+def measure(bus: Bus, motor: Motor, tension: float, travel: float, speed: float) -> Point:
+    """
+    Wind a hanging weight up and let it down again; torque is off before and after.
+
+    Parameters
+    ----------
+    bus : Bus
+    motor : Motor
+        With one wire; the weight stands on the ground and the wire is just taut.
+    tension : float
+        Weight of what hangs [N].
+    travel, speed : float
+        How far [m] and how fast [m/s].
+
+    Raises
+    ------
+    DriverError
+        The motor does not answer, does not lift the weight, or does not follow.
+
+    """
+    wire = motor.wires[0]
+    read_state(bus, [motor])
+    if motor.ticks is None or not motor.answers:
+        raise DriverError(f'{bus.path}: {motor}: no answer; check the cable')
+    start = motor.ticks
+    end = start + round(wire.spool.ticks(travel))
+    slack = abs(end - start) // 4
+    motor.guided = (motor.strongest, (min(start, end) - slack, max(start, end) + slack))
+    try:
+        torque_on(bus, [motor], CURRENT_POSITION_MODE, watchdog=10)
+        up = _go(bus, motor, end, travel / speed)
+        down = _go(bus, motor, start, travel / speed)
+        torque_off(bus, [motor])
+    except PortLostError as error:
+        raise DriverError(f'{error}: lost while calibrating; the bus watchdog stops it') from None
+    except DriverError:
+        torque_off(bus, [motor])
+        raise
+    finally:
+        motor.guided = None
+    return Point(tension, up, down)
+
+
+def _go(bus: Bus, motor: Motor, end: int, duration: float) -> float:
+    """Turn to `end` at constant speed; return the mean current on the steady part [A]."""
+    start, began = motor.ticks or 0, time.monotonic()
+    bounds = {motor.identity: motor.position_bounds}
+    currents = []
+    wire = motor.wires[0]
+    while (part := (time.monotonic() - began) / duration) < 1.0:
+        goal = {motor.identity: round(start + part * (end - start))}
+        bus.send_goals('goal_position', goal, bounds)
+        time.sleep(PERIOD)
+        read_state(bus, [motor])
+        if not motor.answers:
+            raise DriverError(f'{bus.path}: {motor}: no answer while calibrating; torque is off')
+        if STEADY[0] < part < STEADY[1] and motor.current is not None:
+            currents.append(wire.spool.direction * motor.current * motor.model.current_unit)
+    if abs((motor.ticks or 0) - end) > 0.2 * abs(end - start):
+        raise DriverError(
+            f'{bus.path}: {motor}: does not follow; is the weight too heavy for '
+            f'{motor.strongest * motor.model.current_unit:.2f} A, or blocked?'
+        )
+    if len(currents) < FEWEST_SAMPLES:
+        raise DriverError(
+            f'{bus.path}: {motor}: only {len(currents)} readings; go slower or further'
+        )
+    return float(np.mean(currents))

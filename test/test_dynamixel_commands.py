@@ -1,0 +1,217 @@
+"""The commands emulate and calibrate, as a person runs them."""
+
+import json
+import subprocess
+import sys
+import threading
+
+import emulated
+import numpy as np
+import pytest
+import yaml
+
+from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.drivers import make_driver
+from tendon_robot_ros.drivers.dynamixel.calibration import Point, fit
+from tendon_robot_ros.drivers.dynamixel.config import read_config
+from tendon_robot_ros.drivers.emulator.arm import HangingWeights
+from tendon_robot_ros.drivers.emulator.commands import HELP, obey
+from tendon_robot_ros.exceptions import DriverError, InputError
+
+pytest.importorskip('dynamixel_sdk')
+
+
+class Emulator:
+    """The command emulate in a process of its own."""
+
+    def __init__(self, *arguments):
+        self.process = subprocess.Popen(
+            [sys.executable, '-m', 'tendon_robot_ros', 'emulate', 'dynamixel', *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=emulated.environment(),
+        )
+        self.port = self.process.stdout.readline().strip()
+
+    def say(self, text):
+        self.process.stdin.write(text + '\n')
+        self.process.stdin.flush()
+        return self.process.stdout.readline().strip()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.process.terminate()
+        self.process.communicate(timeout=10)
+
+
+@pytest.fixture
+def robot_file(tmp_path):
+    path = tmp_path / 'four.yaml'
+    path.write_text(emulated.ROBOT)
+    return str(path)
+
+
+def test_emulate_prints_a_port_that_the_driver_opens_and_obeys_its_input(tmp_path, robot_file):
+    config = tmp_path / 'servos.yaml'
+    with Emulator('--robot', robot_file, '--write-config', str(config)) as emulator:
+        content = yaml.safe_load(config.read_text())
+        assert content['port'] == emulator.port
+        with make_driver('dynamixel', emulated.robot(), content, source=str(config)) as driver:
+            driver.enable()
+            emulated.cycle(driver, [1.5, 0.2, 0.2, 0.2], 1.0)
+            state = json.loads(emulator.say('state'))
+            assert state['servos']['1']['torque_enable'] == 1
+            assert state['tensions'][0] > 0.5
+            assert emulator.say('silent 2') == 'ok'
+            reading = emulated.until(driver, [1.5, 0.2, 0.2, 0.2], lambda r: r.faults)
+            assert reading.faults[0].inputs == ('north',)
+        emulator.process.stdin.write('quit\n')
+        emulator.process.stdin.flush()
+        assert emulator.process.wait(10) == 0
+
+
+def test_emulate_ends_on_a_signal_and_takes_its_port_away(tmp_path, robot_file):
+    path = str(tmp_path / 'port')
+    with Emulator('--robot', robot_file, '--arm', 'springs', '--port', path) as emulator:
+        assert emulator.port == path
+        emulator.process.terminate()
+        assert emulator.process.wait(10) == 0
+    assert not (tmp_path / 'port').is_symlink()
+
+
+def test_every_word_of_the_emulators_help_is_known():
+    words = {'hear': '1', 'hot': '1 50', 'volts': '5', 'slow': '0', 'unplug': '0.01'}
+    listed = [
+        part.strip().split()[0]
+        for row in HELP.splitlines()[:-1]
+        for part in row.split('  ')[0].replace('|', ',').split(',')
+    ]
+    with emulated.line(arm=HangingWeights(np.zeros(4))) as line:
+        for word in listed:
+            values = {
+                'weight': '1 0.1',
+                'spoil': '0',
+                'cut': '0',
+                'double': '0',
+                'state': '',
+                'plug': '',
+                **words,
+            }.get(word, '1')
+            assert obey(line, f'{word} {values}')
+
+
+@pytest.mark.parametrize('text', ['jump', 'silent 9', 'hot 1', 'slow fast', 'weight 1 0.1'])
+def test_a_wrong_word_for_the_emulator_is_refused(text):
+    with emulated.line() as line, pytest.raises(InputError, match='type help'):
+        obey(line, text)
+
+
+MASSES = (0.5, 1.0, 2.0, 4.0)  # [kg]
+
+
+@pytest.fixture
+def scales(tmp_path, robot_file, monkeypatch):
+    """Give calibrate, run for a tendon; Enter hangs the next weight on its motor."""
+    arm = HangingWeights(np.zeros(4))
+    with emulated.line(model='XM430-W350', radius=0.01, arm=arm) as line:
+        config = tmp_path / 'servos.yaml'
+        config.write_text(
+            yaml.safe_dump(emulated.config(line.port, model='XM430-W350', spool_radius=0.01))
+        )
+
+        def calibrate(tendon, masses=MASSES, **hung):
+            pile = iter(hung.get('hung', masses))
+            place = emulated.robot().inputs.index(tendon)
+            monkeypatch.setattr('builtins.input', lambda _: arm.hang(place, next(pile)))
+            return main(
+                ['calibrate', 'dynamixel', str(config), '--robot', robot_file, '--tendon', tendon]
+                + ['--weights', *map(str, masses), '--out', str(tmp_path / 'lines.yaml')]
+                + ['--travel', '0.006', '--speed', '0.02']
+            )
+
+        yield calibrate, line, config
+
+
+def test_calibrate_finds_the_friction_and_the_torque_of_the_motor(scales, tmp_path, capsys):
+    calibrate, line, _ = scales
+    assert calibrate('east') == 0
+    said = capsys.readouterr().out
+    assert 'half the gap' in said
+    found = yaml.safe_load((tmp_path / 'lines.yaml').read_text())['east']
+    model = line.servo(1).model
+    slope = 0.01 / model.torque_per_ampere
+    np.testing.assert_allclose(found['wind'], [model.friction_current, slope], rtol=0.1)
+    np.testing.assert_allclose(found['pay_out'], [-model.friction_current, slope], rtol=0.1)
+    assert found['half_gap'] == pytest.approx(model.friction_current / slope, rel=0.1)
+    assert len(found['tensions']) == len(MASSES)
+    assert (tmp_path / 'lines_east.png').read_bytes().startswith(b'\x89PNG')
+    assert not any(servo.torque for servo in line.rig.servos.values())
+
+
+def test_calibrations_are_collected_in_one_file_that_the_driver_reads(scales, tmp_path):
+    calibrate, _, config = scales
+    assert calibrate('east') == calibrate('north') == 0  # north winds the other way round
+    content = {**yaml.safe_load(config.read_text()), 'calibration': 'lines.yaml'}
+    content['allow_coarse'] = True
+    wires = read_config(emulated.robot(), content, 'tension', str(config)).wires
+    assert [wire.calibration.measured for wire in wires] == [True, True, False, False]
+    other = {**content, 'spool_radius': 0.02}
+    with pytest.raises(DriverError, match=r'spool_radius: expected 0\.02 m: calibrate again'):
+        read_config(emulated.robot(), other, 'tension', str(config))
+
+
+def test_a_weight_that_is_too_heavy_is_refused_and_the_torque_is_off(scales, capsys):
+    calibrate, line, _ = scales
+    assert calibrate('east', hung=(40.0,) * 4) == 1
+    assert 'does not follow; is the weight too heavy' in capsys.readouterr().err
+    assert not line.servo(1).torque
+
+
+def test_a_port_lost_while_calibrating_is_one_line(scales, capsys):
+    calibrate, line, _ = scales
+    threading.Timer(0.4, line.unplug).start()
+    assert calibrate('east') == 1
+    assert 'lost while calibrating' in capsys.readouterr().err
+
+
+def test_two_lines_are_fitted_with_their_standard_errors():
+    points = [Point(t, 0.1 + 0.05 * t, -0.08 + 0.04 * t) for t in (1.0, 2.0, 4.0, 8.0)]
+    found = fit(points)
+    lines = found.calibration
+    assert (lines.wind.intercept, lines.wind.slope) == pytest.approx((0.1, 0.05))
+    assert (lines.pay_out.intercept, lines.pay_out.slope) == pytest.approx((-0.08, 0.04))
+    assert found.half_gap == pytest.approx(0.5 * (0.18 + 0.01 * 8.0) / 0.045)
+    assert found.errors['wind'] == pytest.approx((0.0, 0.0), abs=1e-12)
+
+
+def test_the_standard_errors_are_those_of_a_linear_regression():
+    random = np.random.default_rng(1)
+    tensions = np.linspace(1.0, 5.0, 9)
+    slopes, stated = [], []
+    for _ in range(400):
+        noise = random.normal(scale=0.01, size=9)
+        found = fit(
+            [Point(t, 0.1 + 0.05 * t + n, 0.04 * t) for t, n in zip(tensions, noise, strict=True)]
+        )
+        slopes.append(found.calibration.wind.slope)
+        stated.append(found.errors['wind'][1])
+    assert np.std(slopes) == pytest.approx(np.mean(stated), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ('points', 'words'),
+    [
+        (
+            [Point(1.0, 0.1, 0.0), Point(1.0, 0.1, 0.0), Point(2.0, 0.2, 0.1)],
+            'at least 3 different weights, got 2',
+        ),
+        ([Point(t, 0.1, 0.01 * t) for t in (1.0, 2.0, 3.0)], 'does not grow with the weight'),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused(points, words):
+    with pytest.raises(InputError, match=words):
+        fit(points)
