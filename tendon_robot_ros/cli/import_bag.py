@@ -29,7 +29,6 @@ HELP = 'make a data set from a ROS 2 recording'
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    rule, topics = Rule(), Topics()
     parser.add_argument('bag', metavar='BAG', help='rosbag2 folder, or .mcap or .db3 file')
     parser.add_argument('--output', required=True, metavar='DIR', help='folder of the data set')
     parser.add_argument('--overwrite', action='store_true', help='replace a data set in DIR')
@@ -41,6 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'recording, else tensions where they were observed and one marker per cell)',
     )
     parser.add_argument('--picture', metavar='PNG', help='draw the segments (.png, .svg, .pdf)')
+    _add_rule(parser, Rule())
+    _add_topics(parser, Topics())
+
+
+def _add_rule(parser: argparse.ArgumentParser, rule: Rule) -> None:
     parser.add_argument(
         '--speed',
         type=float,
@@ -64,6 +68,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         help='leave segments out whose inputs are all below this [N] or [m]',
     )
+
+
+def _add_topics(parser: argparse.ArgumentParser, topics: Topics) -> None:
     parser.add_argument(
         '--states-topic',
         default=topics.states,

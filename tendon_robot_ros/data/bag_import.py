@@ -77,16 +77,30 @@ def import_bag(
     inputs = _inputs(recording, robot, said.input)
     rule = (rule or Rule()).fill(robot, said.input)
     moved = motion(recording, inputs, rule)
-    sequence = said.path == 'sequence'
-    segments, left_out = find_segments(recording, inputs, moved, rule, sequence)
+    segments, left_out = find_segments(
+        recording, inputs, moved, rule, sequence=said.path == 'sequence'
+    )
     if rest is not None:
         segments = [one for one in segments if (np.nan_to_num(one.inputs) >= rest).any()]
     if not any(np.isfinite(one.positions).any() for one in segments):
         raise _never_still(recording.name, moved, rule)
     segments = _plausible(recording.name, segments, robot, said.input, rule)
-    arrays = assemble(recording.name, segments)
-    dataset = DataSet(
-        name=recording.name,
+    dataset = _dataset(recording.name, segments, robot, said, markers)
+    return Imported(
+        dataset, tuple(segments), moved, recording.state_times, inputs, rule, tuple(left_out)
+    )
+
+
+def _dataset(
+    bag: str,
+    segments: list[Segment],
+    robot: Robot,
+    said: Description,
+    markers: tuple[Marker, ...],
+) -> DataSet:
+    arrays = assemble(bag, segments)
+    return DataSet(
+        name=bag,
         robot=robot,
         markers=markers,
         postures=arrays.postures,
@@ -102,9 +116,6 @@ def import_bag(
         setting_noise=said.setting_noise,
         trial_noise=said.trial_noise,
         accuracy=said.accuracy,
-    )
-    return Imported(
-        dataset, tuple(segments), moved, recording.state_times, inputs, rule, tuple(left_out)
     )
 
 
