@@ -8,6 +8,8 @@ from .layout import SETTLE, SLIP_LENGTH, address, compiled, entry, floats, step_
 from .sweep import is_implicit
 
 TOLERANCE = 1e-10  # [rad] largest change of a bend at which a shape counts as settled
+DIFFERENCE = 3e-10  # [rad] step of the Jacobian
+WIDTHS = (1000.0, 100.0, 30.0, 10.0, 3.0, 1.0)  # of the smoothing of friction's sign, on the way
 DEPTH = 5  # guesses that the acceleration remembers
 
 
@@ -77,7 +79,7 @@ def repeat_sweeps(chain, inputs, x, work, past, most):
     steps, changes = np.empty((DEPTH, size)), np.empty((DEPTH, size))
     gram, factor = np.empty((DEPTH, DEPTH)), np.empty((DEPTH, DEPTH))
     weights = np.empty(DEPTH)
-    best = math.inf
+    best, first = math.inf, math.inf
     for turn in range(most):
         step_at(chain.step)(chain, inputs, address(x), work, past, address(flat))
         for j in range(size):
@@ -86,9 +88,11 @@ def repeat_sweeps(chain, inputs, x, work, past, most):
         if change < TOLERANCE:
             x[:] = flat
             return change
-        if change > 1e4 * best or change == math.inf:
-            return change
+        if change > 1e4 * best or change == math.inf or (turn == 9 and change > 1e-2 * first):
+            return change  # too slow: Newton is quicker from where it began
         best = min(best, change)
+        if turn == 0:
+            first = change
         if turn > 0:
             slot = (turn - 1) % DEPTH
             for j in range(size):
@@ -121,56 +125,98 @@ def is_planar(chain, x):
 
 
 @compiled
-def slopes(chain, inputs, x, f, work, past, stride, jacobian):
-    """Jacobian (q, q) of the residual at x by differences over the unknowns 0, stride, ..."""
-    size = x.shape[0]
-    moved = np.empty(size)
-    for c in range(size // stride):
-        j = c * stride
-        h = 1e-7
-        keep = x[j]
-        x[j] = keep + h
-        h = x[j] - keep
+def inverse_slopes(chain, inputs, x, f, work, past, stride, moved):
+    """
+    Inverse (q, q) of the residual's Jacobian at x over the unknowns 0, stride, ...
+
+    By differences so small that a tendon about to slip (2e-6 m) still counts as smooth.
+    """
+    count = x.shape[0] // stride
+    jacobian = np.empty((count, count))
+    for c in range(count):
+        keep = x[c * stride]
+        x[c * stride] = keep + DIFFERENCE
+        h = x[c * stride] - keep
         residual(chain, inputs, x, work, past, moved)
-        x[j] = keep
-        for r in range(size // stride):
+        x[c * stride] = keep
+        for r in range(count):
             jacobian[r, c] = (moved[r * stride] - f[r * stride]) / h
+    if not np.isfinite(jacobian).all():
+        return np.full((count, count), math.nan)
+    return np.linalg.inv(jacobian + 1e-13 * np.eye(count))
+
+
+@compiled
+def newton_step(chain, inputs, x, f, inverse, stride, work, past, trial, trial_f, halvings):
+    """Step x along -inverse f with a line search; return the largest residual, or -1."""
+    count = inverse.shape[0]
+    move = inverse @ np.ascontiguousarray(f[::stride])
+    before = dot(f, f)
+    share = min(1.0, 1.0 / max(largest(move), 1e-300))
+    for _ in range(halvings):
+        trial[:] = x
+        for j in range(count):
+            trial[j * stride] -= share * move[j]
+        change = residual(chain, inputs, trial, work, past, trial_f)
+        if dot(trial_f, trial_f) < (1.0 - 1e-4 * share) * before or change < TOLERANCE:
+            x[:] = trial
+            f[:] = trial_f
+            return change
+        share *= 0.5
+    return -1.0
 
 
 @compiled
 def newton(chain, inputs, x, work, past, most):
-    """Newton on the bends x (2n,) with a line search; return the last residual [rad]."""
+    """
+    Newton on the bends x (2n,) with a line search; return the last residual [rad].
+
+    A Jacobian serves as long as its steps shrink the residual fivefold.
+    """
     size = x.shape[0]
     f, trial_f, trial = np.empty(size), np.empty(size), np.empty(size)
     change = residual(chain, inputs, x, work, past, f)
     stride = 2 if is_planar(chain, x) and is_planar(chain, f) else 1
-    jacobian = np.empty((size // stride, size // stride))
+    inverse = np.empty((0, 0))
+    fresh, old = False, False
     for _ in range(most):
         if change < TOLERANCE or change == math.inf:
             return change
-        slopes(chain, inputs, x, f, work, past, stride, jacobian)
-        if not np.isfinite(jacobian).all():
-            return math.inf
-        move = np.linalg.solve(jacobian + 1e-14 * np.eye(size // stride), f[::stride].copy())
-        if not np.isfinite(move).all():
-            return math.inf
-        share = min(1.0, 1.0 / max(largest(move), 1e-300))
-        better = False
-        for _ in range(12):
-            trial[:] = x
-            for j in range(size // stride):
-                trial[j * stride] -= share * move[j]
-            new = residual(chain, inputs, trial, work, past, trial_f)
-            if np.dot(trial_f, trial_f) < (1.0 - 1e-4 * share) * np.dot(f, f) or new < TOLERANCE:
-                better = True
-                break
-            share *= 0.5
-        if not better:
-            return change
-        x[:] = trial
-        f[:] = trial_f
+        if not old:
+            inverse = inverse_slopes(chain, inputs, x, f, work, past, stride, trial_f)
+            if not np.isfinite(inverse).all():
+                return change
+        fresh = not old
+        new = newton_step(chain, inputs, x, f, inverse, stride, work, past, trial, trial_f,
+                          12 if fresh else 1)
+        if new < 0.0:
+            if fresh:
+                return change
+            old = False
+            continue
+        old = new < 0.2 * change
         change = new
     return change
+
+
+@compiled
+def sharpen(chain, inputs, x, work, past):
+    """Newton while the sign of friction sharpens from wide to its own width."""
+    slip = floats(work.slip)
+    before = np.empty(x.shape[0])
+    change = math.inf
+    x[:] = 0.0
+    for width in WIDTHS:
+        slip[0] = width * SLIP_LENGTH
+        before[:] = x
+        change = repeat_sweeps(chain, inputs, x, work, past, 25)
+        if not change < TOLERANCE:
+            x[:] = before
+            change = newton(chain, inputs, x, work, past, 15)
+        if not change < TOLERANCE:
+            break
+    slip[0] = SLIP_LENGTH
+    return change if change < TOLERANCE else max(change, 10.0 * TOLERANCE)
 
 
 @compiled
@@ -223,10 +269,11 @@ def settle(chain, inputs, work, past, bend):
         x[j] = bends[j]
     change = repeat_sweeps(chain, inputs, x, work, past, 25)
     if change >= TOLERANCE:
-        if change == math.inf:
-            for j in range(size):
-                x[j] = bends[j]
-        change = newton(chain, inputs, x, work, past, 20)
+        for j in range(size):
+            x[j] = bends[j]
+        change = newton(chain, inputs, x, work, past, 12)
+    if change >= TOLERANCE:
+        change = sharpen(chain, inputs, x, work, past)
     if change >= TOLERANCE:
         change = continuation(chain, inputs, x, work, past)
     step_at(chain.step)(chain, inputs, address(x), work, past, bend)
