@@ -28,6 +28,7 @@ from .markers import rotation
 from .model import Model
 from .plant_laws import plant_catalogue
 from .plant_robot import parts_per_cell, real_robot
+from .pulls import pull_shapes
 from .shape import Shape, ShapeBatch
 
 Floats = npt.NDArray[np.float64]
@@ -124,24 +125,8 @@ class Plant:
         if not displacement:
             solve = self.model.sequence if sequence else self.model.shapes
             return replace(solve(given), inputs=inputs)
-        if sequence and self.model.remembers:
-            raise InputError(
-                'friction_memory: a sequence of wire pulls cannot be simulated; give tensions'
-            )
-        batches = [self.model.pull_shape(row).batch for row in given]
-        joined = {
-            name: np.concatenate([getattr(batch, name) for batch in batches])
-            for name in (
-                'inputs',
-                'bend',
-                'tendon_tensions',
-                'frames',
-                'positions',
-                'tendon_pulls',
-                'pulls',
-            )
-        }
-        return replace(batches[0], **joined)
+        memory = self.model.arrays.fresh_memory() if sequence else None
+        return pull_shapes(self.model, given, memory=memory)
 
     def _gain(self, inputs: Floats, displacement: bool = False) -> Floats:
         if self.damage.gain == 0.0:

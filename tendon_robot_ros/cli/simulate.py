@@ -1,0 +1,176 @@
+"""
+Write a data set of a robot that does more than its description says.
+
+The description beside the measurements is ROBOT as it stands; the robot that is measured also has
+the hidden effects: names of the catalogue, or causes outside it (soft_cell, tether,
+stiffness_gradient, posture_gain, posture_rotation). Without parameters an effect has its typical
+size; a value per section is written a/b. The measured robot differs from every model a little:
+finer cells, the capstan's exponential, stiffness that scatters from cell to cell.
+
+example: python -m tendon_robot_ros simulate robot.yaml --output rehearsal
+    --hidden hinge_friction soft_cell:cell=7,factor=0.5 --noise position=1e-4
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..analysis.postures import default_postures
+from ..analysis.simulate import SimulatedNoise, simulate
+from ..data import DataSet, Marker, save_dataset
+from ..data.dataset import INPUTS, PATHS
+from ..data.inputs import read_inputs
+from ..effects import load_catalogue
+from ..exceptions import InputError
+from ..model.plant import Plant, make_plant
+from ..robot import Robot, load_robot
+
+HELP = 'write measurements of a robot with hidden effects, to rehearse with'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    usual = SimulatedNoise()
+    add = parser.add_argument
+    add('robot', metavar='ROBOT', help='robot description, as its owner believes it')
+    add('--hidden', nargs='+', action='extend', default=[], metavar='EFFECT[:NAME=VALUE,...]')
+    add('--output', required=True, metavar='DIR', help='folder of the data set')
+    add('--check', metavar='DIR', help='a second data set: other postures of the same robot')
+    add('--overwrite', action='store_true', help='replace data sets')
+    add('--postures', metavar='CSV', help='like inputs.csv (default: 12 that suit the robot)')
+    add(
+        '--count',
+        type=int,
+        metavar='N',
+        help='so many default postures (default: 12, 20 in a sequence; a check has half)',
+    )
+    add('--trials', type=int, default=5, metavar='N', help='trials of a posture (default: 5)')
+    add(
+        '--noise',
+        default='',
+        metavar='NAME=VALUE,...',
+        help='1 sd of: position [m], setting '
+        '(relative, shared by the trials of a posture), trial (relative); default: '
+        + ', '.join(f'{f.name}={getattr(usual, f.name):g}' for f in fields(usual)),
+    )
+    add('--undeclared', action='store_true', help='do not write the noise into dataset.yaml')
+    add('--input', choices=INPUTS, default='tension', help='what the motors set')
+    add('--path', choices=PATHS, default='from_straight', help='how postures are reached')
+    add('--gravity', metavar='X,Y,Z', help='[m/s²] in the base frame (default: as in ROBOT)')
+    add(
+        '--markers',
+        metavar='N|S,S,...',
+        help='so many, evenly spaced, or at these arc lengths [m] (default: one per cell)',
+    )
+    add(
+        '--scatter',
+        type=float,
+        default=0.02,
+        help="relative sd of the cells' stiffness (default: 0.02)",
+    )
+    add('--seed', type=int, default=0, help='another seed: another robot, other noise')
+    add('--effect-file', action='append', default=[], metavar='PY', help='your own effect')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the data sets."""
+    robot = load_robot(args.robot)
+    if args.gravity:
+        x, y, z = _numbers('gravity', args.gravity, 3)
+        robot = replace(robot, gravity=(x, y, z))
+    hidden = dict(map(_effect, args.hidden))
+    if 'gravity' in hidden and robot.gravity is None:
+        raise InputError(
+            'hidden gravity: ROBOT does not say where down is; give --gravity 0,0,9.81'
+        )
+    catalogue = load_catalogue(args.effect_file)
+    plant = make_plant(robot, hidden, scatter=args.scatter, seed=args.seed, catalogue=catalogue)
+    made = [(args.output, _measured(args, plant, 0))]
+    if args.check:
+        made.append((args.check, _measured(args, plant, 1)))
+    for folder, dataset in made:
+        save_dataset(dataset, folder, args.overwrite)
+        P, Q, J = dataset.positions.shape[:3]
+        print(f'written: {folder}: {P} postures x {Q} trials x {J} markers')
+    print(f'hidden:  {", ".join(args.hidden) or "nothing"}')
+    print(f'next:    python -m tendon_robot_ros compare {args.output}')
+    return 0
+
+
+def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:
+    """Measure the postures (0), or those of the check (1)."""
+    robot, names = plant.robot, tuple[str, ...]()
+    if args.postures and which == 0:
+        commands = read_inputs(Path(args.postures), robot, args.input)
+        inputs, names = commands.by_posture(), commands.postures
+    else:
+        count = args.count or (12 if args.path == 'from_straight' else 20)
+        inputs = default_postures(
+            robot, max(count // (1 + which), 1), which, args.input, args.path
+        )
+    return simulate(
+        plant,
+        inputs,
+        noise=_noise(args.noise),
+        trials=args.trials,
+        seed=2 * args.seed + which,
+        markers=_markers(args.markers, robot),
+        postures=names,
+        input=args.input,
+        path=args.path,
+        declare=not args.undeclared,
+    )
+
+
+def _effect(text: str) -> tuple[str, dict[str, float | tuple[float, ...]]]:
+    """Read EFFECT[:NAME=VALUE,...]."""
+    name, _, rest = text.partition(':')
+    values: dict[str, float | tuple[float, ...]] = {}
+    for key, value in _pairs(name, rest):
+        numbers = _numbers(f'{name}: {key}', value, None, '/')
+        values[key] = numbers if len(numbers) > 1 else numbers[0]
+    return name, values
+
+
+def _noise(text: str) -> SimulatedNoise:
+    known = [field.name for field in fields(SimulatedNoise)]
+    values: dict[str, float] = {}
+    for key, value in _pairs('noise', text):
+        if key not in known:
+            raise InputError(f'noise: expected {", ".join(known)}, got {key!r}')
+        (values[key],) = _numbers(f'noise: {key}', value, 1)
+    return SimulatedNoise(**values)
+
+
+def _markers(text: str | None, robot: Robot) -> tuple[Marker, ...] | None:
+    if not text:
+        return None
+    if text.isdigit() and int(text) > 0:
+        places = tuple(robot.length * (np.arange(int(text)) + 1.0) / int(text))
+    else:
+        places = _numbers('markers', text, None)
+    return tuple(Marker(str(i + 1), float(place)) for i, place in enumerate(places))
+
+
+def _pairs(what: str, text: str) -> list[tuple[str, str]]:
+    pairs = [part.partition('=') for part in text.split(',') if part]
+    for key, sign, value in pairs:
+        if not (key and sign and value):
+            raise InputError(f'{what}: expected NAME=VALUE,..., got {text!r}')
+    return [(key, value) for key, _, value in pairs]
+
+
+def _numbers(what: str, text: str, count: int | None, separator: str = ',') -> tuple[float, ...]:
+    try:
+        numbers = tuple(map(float, text.split(separator)))
+    except ValueError:
+        numbers = ()
+    if not numbers or not np.isfinite(numbers).all() or count not in (None, len(numbers)):
+        raise InputError(
+            f'{what}: expected {count or "one or more"} number{"s" * (count != 1)}, got {text!r}'
+        )
+    return numbers
