@@ -55,6 +55,7 @@ class Ranked:
     fit: Fit
     probability: float  # of so large a chi² if it is the truth
     held_out: float  # chi² of postures predicted from the others
+    trust: float  # probability of so much more than the fitted chi²
 
     @property
     def score(self) -> float:

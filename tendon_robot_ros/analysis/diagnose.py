@@ -18,7 +18,7 @@ from .remainder import remainder_text
 from .result import Diagnosis
 from .next_measurement import propose
 from .noise import rms
-from .session import APART, SEVERAL, SINGLE, Progress, Session, indistinct, several
+from .session import APART, SINGLE, Progress, Session, indistinct, several
 
 ALPHA = 0.005  # of the omnibus alarm and of the best candidate's alarm, each
 STRAY = 3.0  # declared sd that a quantity may move
@@ -120,7 +120,7 @@ def is_alarming(found: Evidence) -> bool:
         return True
     if found.best is None:
         return False
-    held = base.held_out(session.whitener.owners)
+    held, _ = base.held_out(session.whitener.owners)
     return any(session.luck(base, r) * len(found.singles) < ALPHA and r.held_out < held
                for r in found.singles)
 
@@ -130,16 +130,19 @@ def decide(found: Evidence) -> Diagnosis:
     session = found.session
     adequate = [r for r in found.singles if r.probability > SINGLE]
     if adequate:
-        best = session.best(adequate)
-        found.rival = _best_rival(found, best)
-        if found.rival is None:
-            return _named(found, indistinct(adequate, best, SINGLE))
-        return _outside(found, best)
+        group = indistinct(session, adequate, SINGLE)
+        found.rival = _best_rival(found, group[0])
+        return _outside(found, group[0]) if found.rival else _named(found, group)
     combined = several(session, found.singles) if found.singles else None
+    if combined is not None:  # the weights have moved
+        found.base = session.base_fit()
+        found.singles = session.fit_all([r.candidate for r in found.singles], {
+            r.candidate.label: r.fit.point for r in found.singles})
+        found.best = session.best(found.singles)
     candidates = [r for r in (combined, found.best) if r is not None]
     best_overall = min(candidates, key=lambda r: r.score) if candidates else None
     found.rival = _best_rival(found, best_overall)
-    if combined is not None and combined.probability > SEVERAL and found.rival is None:
+    if combined is not None and session.holds(combined) and found.rival is None:
         return _several(found, combined)
     return _outside(found, found.best)
 

@@ -86,18 +86,43 @@ class Fit:
             return float(stats.chi2.sf(self.chi2, self.freedom))
         return float(stats.f.sf(self.chi2 / self.freedom, self.freedom, noise_freedom))
 
-    def held_out(self, owners: npt.NDArray[np.int64]) -> float:
-        """Chi² of each posture as predicted from the others (exact for a linear model)."""
-        total = 0.0
-        count = len(owners)
+    def held_out(self, owners: npt.NDArray[np.int64]) -> tuple[float, float]:
+        """
+        Predict each posture from the others (exact for a linear model).
+
+        Returns
+        -------
+        chi2 : float
+            Chi² of the left-out postures.
+        probability : float
+            Chance of so much more than the fitted chi² if this model is true: small where single
+            postures bend the parameters to themselves.
+
+        """
+        total, weights = 0.0, []
         normal = self.jacobian.T @ self.jacobian
+        root = np.linalg.pinv(_cholesky(normal))
         for p in np.unique(owners):
             rows = np.flatnonzero(owners == p)
-            j, r = self.jacobian[:count][rows], self.residual[:count][rows]
+            j, r = self.jacobian[rows], self.residual[rows]
             step = np.linalg.pinv(normal - j.T @ j, rcond=1e-12, hermitian=True) @ (j.T @ r)
             left = r + j @ step
             total += float(left @ left)
-        return total
+            share = np.clip(np.linalg.eigvalsh(root @ (j.T @ j) @ root.T), 0.0, 0.999)
+            weights.append(1.0 / (1.0 - share) - (1.0 - share))
+        w = np.concatenate(weights) if weights else np.zeros(0)
+        if not w.sum() > 1e-9:
+            return total, 1.0
+        spread = float((w * w).sum() / w.sum())  # Satterthwaite: a scaled chi²
+        excess = total - float(self.residual[:len(owners)] @ self.residual[:len(owners)])
+        return total, float(stats.chi2.sf(excess / spread, w.sum() / spread))
+
+
+def _cholesky(normal: Floats) -> Floats:
+    """Lower factor of a normal matrix that may be singular."""
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    small = normal / np.outer(scale, scale) + 1e-12 * np.eye(len(normal))
+    return np.asarray(scale[:, None] * np.linalg.cholesky(small))
 
 
 def covariance_of(jacobian: Floats) -> Floats:
@@ -161,6 +186,7 @@ class Search:
         self.count = count
         self.damping = 1e-3
         self.slopes: Floats | None = None
+        self.bend: Floats | None = None  # of the best point: neighbours settle from there
 
     def described(self, free: Free) -> float:
         """Value in the description, moved inside the bounds."""
@@ -191,7 +217,7 @@ class Search:
     def residual(self, values: Floats) -> tuple[Floats, Floats] | None:
         """Whitened residual with prior rows, and the markers; None without equilibrium."""
         point = dict(zip(self.all, values.tolist(), strict=True))
-        markers = self.fitter.predictor.markers(point)
+        markers = self.fitter.predictor.markers(point, near=self.bend)
         if markers is None:
             return None
         white = self.fitter.whitener.white(self.fitter.measured - markers)
@@ -209,8 +235,10 @@ class Search:
             cost = float(found[0] @ found[0])
             if cost < best:
                 best, self.values, (self.r, self.markers) = cost, values, found
+                bend = self.fitter.predictor.bend
         if not np.isfinite(best):
             raise ArithmeticError('no start of the fit has an equilibrium')
+        self.bend = bend
 
     def derivative(self) -> Floats:
         """Jacobian (N + nuisances, q) of the residual by differences of the settled model."""
@@ -254,6 +282,7 @@ class Search:
             new = np.inf if found is None else float(found[0] @ found[0])
             if found is not None and new < cost:
                 self.values, (self.r, self.markers) = moved, found
+                self.bend = self.fitter.predictor.bend
                 self.slopes = None
                 self.damping = max(0.1 * self.damping, 1e-9)
                 return cost - new > 1e-3 + 1e-5 * new

@@ -60,6 +60,7 @@ class Predictor:
                                                arrays.cells.copy())
         self.inputs = mean_inputs(dataset)
         self._bend: Floats | None = None
+        self.bend: Floats | None = None  # of the last prediction
         self._tensions: Floats | None = None
 
     def value(self, free: Free) -> float:
@@ -68,7 +69,7 @@ class Predictor:
                                   free.section or 0])
 
     def markers(self, point: Point, inputs: Floats | None = None,
-                stiffness: Floats | None = None) -> Floats | None:
+                stiffness: Floats | None = None, near: Floats | None = None) -> Floats | None:
         """
         Predict marker positions (P, J, 3) [m]; None where a posture has no equilibrium.
 
@@ -80,6 +81,8 @@ class Predictor:
             Instead of the data set's.
         stiffness : (n,) [1], optional
             Factor on the bending stiffness of every cell.
+        near : (P, n, 2) [rad], optional
+            Bends to start from (`bend` of a neighbouring point); default: those as described.
 
         """
         arrays = self.model.arrays
@@ -89,18 +92,20 @@ class Predictor:
         for free, value in point.items():
             arrays.set(free.effect, free.parameter.name, free.section, value)
         given = self.inputs if inputs is None else inputs
-        shapes = self._pulled(given) if self.dataset.input == 'displacement' else self._pull(given)
+        shapes = self._pulled(given) if self.dataset.input == 'displacement' else self._pull(given, near)
         if shapes is None:
             return None
+        self.bend = shapes.bend
         placed = shapes.markers(self.dataset.arc_lengths, self.dataset.offsets)
         return self.model.measured(placed)
 
-    def _pull(self, inputs: Floats):  # type: ignore[no-untyped-def]
-        """Shapes under tensions, started from the first ones; None without equilibrium."""
+    def _pull(self, inputs: Floats, near: Floats | None):  # type: ignore[no-untyped-def]
+        """Shapes under tensions; None without equilibrium."""
         if self.model.remembers:
             return self._remembering(inputs)
-        batch, changes = self.model.solve(inputs, self._bend)
-        if self._bend is not None and not (changes < TOLERANCE).all():
+        guess = self._bend if near is None else near
+        batch, changes = self.model.solve(inputs, guess)
+        if guess is not None and not (changes < TOLERANCE).all():
             batch, changes = self.model.solve(inputs)
         if not (changes < TOLERANCE).all():
             return None

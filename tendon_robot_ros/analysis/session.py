@@ -18,6 +18,7 @@ from .predict import Point, Predictor
 
 SINGLE, SEVERAL = 0.001, 0.01  # p-values above which one effect, or several, are adequate
 APART = 9.21  # chi² + 2 k within which candidates cannot be told apart
+SAME = 0.5  # chi² below which two predictions are the same
 TIE = 0.5  # chi² + 2 k below which the order of the catalogue decides
 Progress = Callable[[str, int, int], None]
 
@@ -60,7 +61,7 @@ class Session:
     def rank(self, candidate: Candidate, fit: Fit) -> Ranked:
         """Judge a fit."""
         return Ranked(candidate, fit, fit.probability(self.freedom),
-                      fit.held_out(self.whitener.owners))
+                      *fit.held_out(self.whitener.owners))
 
     def fit_all(self, candidates: Sequence[Candidate], starts: dict[str, Point] | None = None,
                 what: str = 'effects') -> list[Ranked]:
@@ -90,6 +91,10 @@ class Session:
                 list(pool.map(work, range(self.workers)))
         return [ranked for ranked in found if ranked is not None]
 
+    def holds(self, ranked: Ranked) -> bool:
+        """Tell whether several effects are adequate, for left-out postures as well."""
+        return ranked.probability > SEVERAL and ranked.trust > SINGLE
+
     def base_fit(self) -> Fit:
         """Fit the declared tolerances alone."""
         return self.fitters[0].fit(())
@@ -112,21 +117,34 @@ class Session:
         return next(r for r in ranked if r.score <= top + TIE)
 
 
-def indistinct(ranked: Sequence[Ranked], best: Ranked, gate: float) -> list[Ranked]:
+def indistinct(session: Session, ranked: Sequence[Ranked], gate: float) -> list[Ranked]:
     """
-    Return the adequate candidates that cannot be told apart from the best, best first.
+    Return the adequate candidates that cannot be told apart, the best first.
 
-    A larger candidate that contains a smaller one of the class drops out.
+    Within chi² + 2 k of 9.21 of the best; a larger candidate that contains a smaller one of the
+    class drops out; among ties the first of the catalogue is best.
     """
-    near = [r for r in ranked if r is best
-            or (r.probability > gate and r.score <= best.score + APART)]
-    names = {r.candidate.names for r in near}
+    adequate = [r for r in ranked if r.probability > gate]
+    top = min(r.score for r in adequate)
+    near = [r for r in adequate if r.score <= top + APART]
     kept = [r for r in near if not any(
-        len(r.candidate.names) == 1 and (small,) in names
-        for small in CONTAINS.get(r.candidate.names[0], ()))]
-    kept = [r for r in kept if not any(
-        set(other.candidate.names) < set(r.candidate.names) for other in kept)]
+        small is not r and contains(session, r, small) for small in near)]
+    best = session.best(kept)
     return sorted(kept, key=lambda r: r is not best)
+
+
+def contains(session: Session, large: Ranked, small: Ranked) -> bool:
+    """Tell whether the larger candidate can predict just what the smaller one predicts here."""
+    if small.candidate.names[0] in CONTAINS.get(large.candidate.names[0], ()):
+        return True
+    if set(small.candidate.names) < set(large.candidate.names):
+        return True
+    if large.fit.rank <= small.fit.rank:
+        return False
+    fitter = Fitter(session.predictor, session.whitener, session.nuisances)
+    fitter.measured = small.fit.markers
+    mimic = fitter.fit(large.candidate.frees, large.fit.point)
+    return mimic.chi2 < SAME
 
 
 def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
@@ -136,20 +154,28 @@ def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
     Returns the best combination found, adequate or not; None when nothing could be combined.
     """
     order = sorted(singles, key=lambda r: r.score)
-    current, best = order[0], None
+    current: Ranked = order[0]
+    best: Ranked | None = None
     for size in (2, 3):
         found = _extended(session, current)
         if not found:
             break
-        if size == 2 and max(f.probability for f in found) <= SEVERAL:
+        if size == 2 and not any(session.holds(f) for f in found):
             found += _pairs(session, order[:7], {f.candidate.label for f in found})
-        top = min(found, key=lambda r: r.score)
-        if best is None or top.score < best.score:
-            best = top
-        current = top
-        if top.probability > SEVERAL:
-            break
+        current = best = min(found, key=lambda r: r.score)
+        if session.holds(best):
+            best = reweighed(session, best)
+            if session.holds(best):
+                break
     return best
+
+
+def reweighed(session: Session, ranked: Ranked) -> Ranked:
+    """Fit a candidate again with noise and weights taken at its own fit."""
+    for _ in range(2):
+        session.weigh(ranked.fit.point)
+        ranked = session.fit_all([ranked.candidate], {ranked.candidate.label: ranked.fit.point})[0]
+    return ranked
 
 
 def _extended(session: Session, current: Ranked) -> list[Ranked]:
