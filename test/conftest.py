@@ -34,3 +34,20 @@ def pytest_runtest_setup(item):
         pytest.skip('rclpy is not installed')
     if item.get_closest_marker('browser') and shutil.which('chromium') is None:
         pytest.skip('chromium is not installed')
+
+
+def pytest_configure(config):
+    """Compile the model once, before two workers would do it side by side."""
+    if hasattr(config, 'workerinput') or not config.getoption('numprocesses', None):
+        return
+    from tendon_robot_ros.effects import load_catalogue
+    from tendon_robot_ros.model.compose import is_compiled
+
+    if not is_compiled(load_catalogue()):
+        from tendon_robot_ros.control.loading import load
+        from tendon_robot_ros.robot import load_robot
+
+        load(
+            load_robot(Path(__file__).parents[1] / 'config/robots/kato_10_1.yaml'),
+            load_catalogue(),
+        )

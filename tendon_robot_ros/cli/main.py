@@ -26,6 +26,10 @@ from ..exceptions import InputError, MissingExtraError, TendonRobotError
 # The one list of commands: `python -m`, `ros2 run` and setup.py all read it.
 COMMANDS: dict[str, str] = {
     'demo': 'tendon_robot_ros.nodes.demo',
+    'new-robot': 'tendon_robot_ros.cli.new_robot',
+    'describe': 'tendon_robot_ros.cli.describe',
+    'shape': 'tendon_robot_ros.cli.shape',
+    'reach': 'tendon_robot_ros.cli.reach',
     'controller': 'tendon_robot_ros.nodes.controller',
     'driver': 'tendon_robot_ros.nodes.driver',
     'teleop': 'tendon_robot_ros.nodes.teleop',
