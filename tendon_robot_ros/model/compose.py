@@ -139,6 +139,12 @@ def compose(catalogue: Catalogue) -> Callable[[str], ModuleType]:
     return lambda part: importlib.import_module(f'{name}.{part}')
 
 
+def is_compiled(catalogue: Catalogue) -> bool:
+    """Tell whether machine code for a catalogue lies in the cache."""
+    folder = cache_folder() / f'tendon_robot_kernel_{kernel_key(catalogue)}'
+    return any(folder.rglob('*.nbc'))
+
+
 def _write(folder: Path, stages: str) -> None:
     """Write the package beside its place and move it there, so that no process sees half."""
     scratch = Path(tempfile.mkdtemp(dir=folder.parent, prefix='composing_'))

@@ -1,0 +1,113 @@
+"""
+Print what ROBOT is: its sections, tendons, limits, and the physical effects of its model.
+
+With --urdf print a URDF instead, for RViz and TF: two revolute joints per cell, `<name>_x` towards
+x and `<name>_y` towards y.
+
+example: python -m tendon_robot_ros describe config/robots/kato_10_1.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from ..robot import Robot, Section, load_robot
+from .options import columns
+
+NAME = 'describe'
+HELP = 'print a robot description, or a URDF of it'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument('robot', metavar='ROBOT', help='robot description (YAML)')
+    parser.add_argument('--urdf', action='store_true', help='print a URDF')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read and print."""
+    robot = load_robot(args.robot)
+    if args.urdf:
+        from ..robot_urdf import urdf
+
+        print(urdf(robot))
+    else:
+        print(description(robot))
+    return 0
+
+
+def description(robot: Robot) -> str:
+    """Return the description for a reader (mm)."""
+    low, high = robot.tension_limits
+    size = (
+        f'{_count(len(robot.sections), "section")}, {_count(robot.cells, "cell")}, '
+        f'{_count(len(robot.tendons), "tendon")}, {1e3 * robot.length:g} mm'
+    )
+    lines = [
+        f'robot {robot.name}: {size}',
+        f'model: {model_name(robot)}',
+        f'commanded: {", ".join(robot.inputs)}, {low:g} to {high:g} N each',
+    ]
+    if robot.gravity is not None:
+        lines.append(f'gravity: {", ".join(f"{g:g}" for g in robot.gravity)} m/s²')
+    lines += ['', _sections(robot), '', _tendons(robot)]
+    return '\n'.join([*lines, '', *_effects(robot)])
+
+
+def model_name(robot: Robot) -> str:
+    """Name the model after the effects that it lists."""
+    names = list(robot.effects)
+    if not names:
+        return 'PCCA (no effects)'
+    if names == ['tendon_friction']:
+        friction = robot.effects['tendon_friction'].get('friction_coefficient')
+        return f'FKM (tendon_friction, friction coefficient {friction})'
+    return ', '.join(names)
+
+
+def _count(number: int, what: str) -> str:
+    return f'{number} {what}{"" if number == 1 else "s"}'
+
+
+def _range(values: tuple[float, ...], scale: float = 1.0) -> str:
+    low, high = scale * min(values), scale * max(values)
+    return f'{low:g}' if low == high else f'{low:g} to {high:g}'
+
+
+def _sections(robot: Robot) -> str:
+    def row(section: Section) -> list[str]:
+        return [
+            section.name,
+            str(section.cells),
+            f'{1e3 * section.cell_length:g}',
+            _range(section.bending_stiffness),
+            section.bends_as,
+        ]
+
+    head = ['section', 'cells', 'cell [mm]', 'stiffness [N·m/rad]', 'bends as']
+    return columns([head, *map(row, robot.sections)])
+
+
+def _tendons(robot: Robot) -> str:
+    rows = [['tendon', 'offset x, y [mm]', 'ends in', 'pulled by']]
+    for tendon in robot.tendons:
+        base, end = (
+            '{:g}, {:g}'.format(*(1e3 * v for v in at)) for at in (tendon.base, tendon.end)
+        )
+        offset = base if base == end else f'{base} to {end}'
+        rows.append([tendon.name, offset, tendon.section, tendon.group or tendon.name])
+    return columns(rows)
+
+
+def _effects(robot: Robot) -> list[str]:
+    if not robot.effects:
+        return ['effects: none']
+    lines = ['effects:']
+    for name, values in robot.effects.items():
+        given = ', '.join(
+            f'{key} {", ".join(map(str, v)) if isinstance(v, tuple) else v}'
+            for key, v in values.items()
+        )
+        origin = ' (fitted)' if name in robot.fitted else ''
+        lines.append(f'  {name}: {given}{origin}')
+    return lines

@@ -1,0 +1,123 @@
+"""Arguments that several commands share, and where their results go."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..data.atomic import new_file
+from ..exceptions import InputError
+from ..robot import load_robot
+
+if TYPE_CHECKING:
+    from ..model.model import Model
+
+
+def add_robot(parser: argparse.ArgumentParser) -> None:
+    """Declare the robot description and the user's own effects."""
+    parser.add_argument('robot', metavar='ROBOT', help='robot description (YAML)')
+    parser.add_argument(
+        '--effect-file',
+        action='append',
+        default=[],
+        metavar='FILE',
+        help='Python file with an effect of your own (is executed; may be given several times)',
+    )
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Declare --json."""
+    parser.add_argument(
+        '--json',
+        nargs='?',
+        const='-',
+        metavar='OUT',
+        help='write the result as JSON to OUT; without OUT print it instead of the table',
+    )
+
+
+def load_model(args: argparse.Namespace) -> Model:
+    """Read the robot and make its model; the first one ever takes a while to compile."""
+    from ..effects import load_catalogue
+    from ..model.compose import is_compiled
+    from ..model.model import Model
+
+    robot, catalogue = load_robot(args.robot), load_catalogue(args.effect_file)
+    if not is_compiled(catalogue):
+        print('compiling the model (once)', file=sys.stderr)
+    return Model(robot, catalogue)
+
+
+def emit(args: argparse.Namespace, content: dict[str, Any], table: str) -> None:
+    """Print the table, or the content as JSON; write the content where --json says."""
+    text = json.dumps(content, indent=1, allow_nan=False)
+    if args.json == '-':
+        print(text)
+        return
+    if args.json is not None:
+        with new_file(Path(args.json)) as draft:
+            draft.write_text(text + '\n', encoding='utf-8')
+    print(table)
+
+
+def named_numbers(option: str, text: str, unit: str) -> dict[str, float]:
+    """
+    Read 'left=0.51,right=0'.
+
+    Raises
+    ------
+    InputError
+        It reads otherwise, or names something twice.
+
+    """
+    values: dict[str, float] = {}
+    for part in text.split(','):
+        name, equals, number = part.rpartition('=')
+        try:
+            value = float(number)
+        except ValueError:
+            equals = ''
+        if not equals or not name.strip():
+            raise InputError(
+                f'{option}: expected NAME=NUMBER,NAME=NUMBER in {unit}, got {part.strip()!r}'
+            )
+        if name.strip() in values:
+            raise InputError(f'{option}: {name.strip()!r} stands twice')
+        values[name.strip()] = value
+    return values
+
+
+def vector(option: str, text: str | None) -> list[float] | None:
+    """
+    Read 'x,y,z'.
+
+    Raises
+    ------
+    InputError
+        It is not three numbers.
+
+    """
+    if text is None:
+        return None
+    try:
+        values = [float(part) for part in text.split(',')]
+    except ValueError:
+        values = []
+    if len(values) != 3:
+        raise InputError(f'{option}: expected three numbers x,y,z, got {text!r}')
+    return values
+
+
+def columns(rows: list[list[str]]) -> str:
+    """Align rows of text in columns, the first to the left, all others to the right."""
+    widths = [max(len(row[c]) for row in rows if c < len(row)) for c in range(len(rows[0]))]
+    return '\n'.join(
+        '  '.join(
+            cell.ljust(width) if c == 0 else cell.rjust(width)
+            for c, (cell, width) in enumerate(zip(row, widths, strict=False))
+        ).rstrip()
+        for row in rows
+    )

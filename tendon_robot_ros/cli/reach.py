@@ -1,0 +1,77 @@
+"""
+Find tensions within ROBOT's limits for a target of the tip: position, direction, or both.
+
+The direction is the approach axis; roll about it is free. A target counts as reached within 0.1 mm
+and 0.2 degrees. Otherwise the nearest tip is given: `at_limit` if more tension would reach the
+target, else `nearest`.
+
+JSON: tensions {name: N} and pulls {name: m} of what can be commanded (tendons, or groups of
+them); tip {position, direction}; error {position in m, direction in rad}; status.
+
+example: python -m tendon_robot_ros reach config/robots/kato_10_1.yaml \
+    --position 0.06,0,0.15 --direction 1,0,0
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..exceptions import InputError
+from .options import add_json, add_robot, columns, emit, load_model, vector
+from .shape import tip_content, tip_line
+
+if TYPE_CHECKING:
+    from ..model.model import Model
+    from ..model.shape import Reach
+
+NAME = 'reach'
+HELP = 'find tensions for a target of the tip'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_robot(parser)
+    parser.add_argument('--position', metavar='X,Y,Z', help='of the tip [m], base frame')
+    parser.add_argument('--direction', metavar='X,Y,Z', help='of the tip; its length is ignored')
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Search and print."""
+    position = vector('--position', args.position)
+    direction = vector('--direction', args.direction)
+    if position is None and direction is None:
+        raise InputError('target: expected --position, --direction, or both, got neither')
+    model = load_model(args)
+    found = model.reach(position, direction)
+    emit(args, reach_content(model, found), _table(model, found))
+    return 0
+
+
+def reach_content(model: Model, found: Reach) -> dict[str, Any]:
+    """Return what the JSON holds (SI)."""
+    return {
+        'tensions': dict(zip(model.inputs, found.tensions.tolist(), strict=True)),
+        'pulls': dict(zip(model.inputs, found.pulls.tolist(), strict=True)),
+        'tip': tip_content(found.shape),
+        'error': {'position': found.position_error, 'direction': found.direction_error},
+        'status': found.status,
+    }
+
+
+def _table(model: Model, found: Reach) -> str:
+    limit = f' ({", ".join(found.at_limit)} at the limit)' if found.at_limit else ''
+    rows = [['input', 'tension [N]', 'wire pull [mm]']]
+    for name, tension, pull in zip(model.inputs, found.tensions, found.pulls, strict=True):
+        rows.append([name, f'{tension:.3f}', f'{1e3 * pull:.3f}'])
+    return '\n'.join(
+        [
+            f'{found.status}{limit}: off by {1e3 * found.position_error:.3f} mm, '
+            f'{np.degrees(found.direction_error):.3f}°',
+            tip_line(found.shape),
+            columns(rows),
+        ]
+    )

@@ -1,0 +1,106 @@
+"""A picture of a robot: its cross-section, and the postures that each input alone gives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..exceptions import NoEquilibriumError
+from ..model.model import Model
+
+Floats = npt.NDArray[np.float64]
+BEND = 0.5 * np.pi  # [rad] that a posture of the picture bends a section by, if it may
+COLOURS = ('#2f6fab', '#d9822b', '#3a9a5b', '#b0413e', '#7a5ca8', '#8a6d3b', '#c46fa4', '#5b6770')
+
+
+def draw_robot(model: Model, path: Path) -> None:
+    """Draw the robot into an image file."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 5), layout='constrained')
+    FigureCanvasAgg(figure)
+    spatial = bool(np.any(model.arrays.offset[..., 1]))
+    side = figure.add_subplot(1, 2, 1, projection='3d' if spatial else None)
+    _postures(side, model, spatial)
+    _cross_section(figure.add_subplot(1, 2, 2), model)
+    figure.suptitle(model.robot.name)
+    figure.savefig(path, dpi=120)
+
+
+def postures(model: Model) -> list[tuple[str, Floats]]:
+    """Return positions (n + 1, 3) [m] under each input alone, base included."""
+    low, high = model.limits.T
+    found = []
+    for j, name in enumerate(model.inputs):
+        tensions = low.copy()
+        tensions[j] = np.clip(_tension_for(model, j), low[j], high[j])
+        try:
+            shape = model.shape(tensions)
+        except NoEquilibriumError:  # the description may still lack a sensible load
+            continue
+        found.append((f'{name} {tensions[j]:.2g} N', _with_base(shape.positions)))
+    return found
+
+
+def _tension_for(model: Model, j: int) -> float:
+    """Tension [N] at which input j alone bends the section it ends in by `BEND` (PCCA)."""
+    cells, offset = model.arrays.cells, model.arrays.offset
+    members = model.robot.input_tendons[j]
+    last = max(model.robot.tendon_cells[k] for k in members) - 1
+    section = cells[:, 4] == cells[last, 4]
+    moment = np.linalg.norm(offset[:, members].sum(axis=1), axis=1)
+    rate = float((moment / cells[:, 1])[section].sum())
+    return BEND / rate if rate > 0.0 else 0.0
+
+
+def _with_base(positions: Floats) -> Floats:
+    return np.concatenate([np.zeros((1, 3)), positions])
+
+
+def _postures(axes: Any, model: Model, spatial: bool) -> None:
+    lengths = model.arrays.cells[:, 0]
+    straight = np.zeros((len(lengths) + 1, 3))
+    straight[1:, 2] = np.cumsum(lengths)
+    lines = [('straight', straight, '#999999')]
+    for j, (label, points) in enumerate(postures(model)):
+        lines.append((label, points, COLOURS[j % len(COLOURS)]))
+    for label, points, colour in lines:
+        x, y, z = 1e3 * points.T
+        along = (x, y, z) if spatial else (x, z)
+        axes.plot(*along, '.-', color=colour, label=label, markersize=4, linewidth=1.2)
+    axes.set_aspect('equal')
+    axes.set_xlabel('x [mm]')
+    if spatial:
+        axes.view_init(elev=22.0, azim=-42.0)  # no tendon of three or six hides another
+        axes.set_ylabel('y [mm]')
+        axes.set_zlabel('z [mm]')
+    else:
+        axes.set_ylabel('z [mm]')
+        axes.grid(alpha=0.3)
+    axes.set_title('each input alone, the others at their lower limit', fontsize=10)
+    axes.legend(fontsize=8)
+
+
+def _cross_section(axes: Any, model: Model) -> None:
+    robot = model.robot
+    colours = {section.name: COLOURS[i % len(COLOURS)] for i, section in enumerate(robot.sections)}
+    largest = 1e3 * float(np.abs(model.arrays.offset).max())
+    angle = np.linspace(0.0, 2.0 * np.pi, 100)
+    axes.plot(1.3 * largest * np.cos(angle), 1.3 * largest * np.sin(angle), color='#999999')
+    for tendon in robot.tendons:
+        x, y = 1e3 * np.array(tendon.base)
+        axes.plot(x, y, 'o', color=colours[tendon.section])
+        axes.annotate(tendon.name, (x, y), xytext=(5, 5), textcoords='offset points', fontsize=8)
+    for name, colour in colours.items():
+        axes.plot([], [], 'o', color=colour, label=f'ends in {name}')
+    axes.set_aspect('equal')
+    axes.set_xlim(-1.8 * largest, 1.8 * largest)
+    axes.set_xlabel('x [mm]')
+    axes.set_ylabel('y [mm]')
+    axes.grid(alpha=0.3)
+    axes.set_title('tendons at the base, seen against z', fontsize=10)
+    axes.legend(fontsize=8, loc='lower right')
