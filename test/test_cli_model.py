@@ -135,7 +135,10 @@ MISTAKES = [
         ['--pulls', 'dist_right=0.005,dist_left=0.002'],
         'pulls: no tensions give dist_left 2 mm, dist_right 5 mm together (off by ',
     ),
-    (['--tensions', 'dist_right=1', '--effect-file', 'no.py'], 'no.py: expected a Python file '),
+    (
+        ['--tensions', 'dist_right=1', '--effect-file', 'no.py'],
+        'no.py: expected a Python file with an EFFECT, got No such file',
+    ),
 ]
 
 

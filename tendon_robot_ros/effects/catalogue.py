@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import importlib.machinery
 import importlib.util
+import sys
 from collections.abc import Iterable, Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -121,14 +123,28 @@ def _checked(effect: object, where: str) -> Effect:
 
 
 def _from_file(path: Path) -> Effect:
-    spec = importlib.util.spec_from_file_location(f'tendon_robot_effect_{path.stem}', path)
-    if spec is None or spec.loader is None or not path.is_file():
-        raise EffectError(f'{path}: expected a Python file with an EFFECT, got no such file')
-    module = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
-    except EffectError:
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    except OSError as error:
+        raise EffectError(
+            f'{path}: expected a Python file with an EFFECT, got {error.strerror}'
+        ) from None
+    name = f'tendon_robot_effect_{digest}'  # compiled code is found again by this name
+    if name not in sys.modules:
+        _execute(path, name)
+    return _checked(getattr(sys.modules[name], 'EFFECT', None), str(path))
+
+
+def _execute(path: Path, name: str) -> None:
+    loader = importlib.machinery.SourceFileLoader(name, str(path))
+    spec = importlib.util.spec_from_loader(name, loader)
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        loader.exec_module(module)
+    except BaseException as error:  # whatever the user's file raises becomes one line
+        del sys.modules[name]
+        if isinstance(error, Exception) and not isinstance(error, EffectError):
+            raise EffectError(f'{path}: {type(error).__name__}: {error}') from None
         raise
-    except Exception as error:  # whatever the user's file raises becomes one line
-        raise EffectError(f'{path}: {type(error).__name__}: {error}') from None
-    return _checked(getattr(module, 'EFFECT', None), str(path))
