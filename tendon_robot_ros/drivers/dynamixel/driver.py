@@ -184,8 +184,10 @@ class DynamixelDriver(Driver):
         read_state(self.bus, there)
         self._watch.poll([motor for motor in there if motor.answers], now)
         self._start_from_measured([motor for motor in there if motor.tripped])
-        self._lost = [motor for motor in self.motors.values() if not motor.answers]
-        if self._lost and now - self._retried > RETRY:
+        before, self._lost = self._lost, [m for m in self.motors.values() if not m.answers]
+        if len(self._lost) > len(before):
+            self._retried = now  # say so first; looking for it costs time
+        elif self._lost and now - self._retried > RETRY:
             self._retried = now
             self._look_for_lost()
 
@@ -205,7 +207,7 @@ class DynamixelDriver(Driver):
         self._retried = now
         if not self.bus.reopen():
             return False
-        self._retried = -np.inf
+        self._retried, self._lost = -np.inf, list(self.motors.values())
         return True
 
     def _reading(self, now: float) -> Reading:

@@ -78,8 +78,8 @@ class Watch:
 
 PERIODS = {
     'hardware_error_status': 0.020,
-    'bus_watchdog': 0.060,
-    'torque_enable': 0.060,
+    'bus_watchdog': 0.045,
+    'torque_enable': 0.025,
     'health': 0.250,
 }  # [s]
 LOOK: dict[str, Callable[[Watch, Motor, int], None]] = {

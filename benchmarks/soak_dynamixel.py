@@ -1,0 +1,229 @@
+"""
+Run the Dynamixel driver at 100 Hz for a long time while the emulated bus keeps breaking.
+
+    python benchmarks/soak_dynamixel.py [--minutes 30] [--seed 1] [--mode tension] [--json FILE]
+
+Supervisor, bus thread and driver are those of the driver node; servos run in another process.
+Targets: it follows at least half the time; no limit is ever passed; nothing crashes; no thread,
+file descriptor or memory is lost.
+"""
+
+import argparse
+import collections
+import json
+import os
+import random
+import sys
+import threading
+import time
+
+import numpy as np
+from bench_dynamixel import rules
+from emulated_bus import Emulator
+
+from tendon_robot_ros.drivers.dynamixel.port import open_port
+from tendon_robot_ros.drivers.supervisor import FOLLOWING, Supervisor
+from tendon_robot_ros.exceptions import DriverError
+from tendon_robot_ros.nodes.bus import Bus
+
+PERIOD = 0.01  # [s]
+BETWEEN = 5.0  # [s] from fault to fault, on average
+NEAR = 0.1  # of the range of the command: what counts as following
+SETTLED = 20.0  # [s] before memory is looked at
+MORE_MEMORY = 20.0  # [MB] that may come and go
+
+
+def resident():
+    """Return the memory of this process [MB]."""
+    with open('/proc/self/statm', encoding='ascii') as file:
+        return int(file.read().split()[1]) * os.sysconf('SC_PAGE_SIZE') / 1e6
+
+
+def resources():
+    return {'threads': threading.active_count(), 'files': len(os.listdir('/proc/self/fd'))}
+
+
+class Breaker:
+    """Breaks something at random, and mends it."""
+
+    def __init__(self, emulator, bus, seed):
+        self.emulator, self.bus, self.random = emulator, bus, random.Random(seed)
+        self.done = collections.Counter()
+
+    def wait(self):
+        time.sleep(self.random.uniform(0.05, 1.5))
+
+    def strike(self):
+        name = self.random.choice(sorted(KINDS))
+        self.done[name] += 1
+        KINDS[name](self, self.random.randint(1, 4))
+
+    def for_a_while(self, broken, mended):
+        self.emulator.say(broken)
+        self.wait()
+        self.emulator.say(mended)
+
+    def second(self, _):
+        try:
+            open_port(self.emulator.port, 1_000_000, 0.01).closePort()
+        except DriverError:
+            return
+        raise AssertionError('a second user got the port')
+
+
+def _say(pattern):
+    return lambda breaker, i: breaker.emulator.say(
+        pattern.format(i=i, n=breaker.random.randint(1, 30))
+    )
+
+
+def _pair(broken, mended):
+    return lambda breaker, i: breaker.for_a_while(broken.format(i=i), mended.format(i=i))
+
+
+KINDS = {
+    'silent': _pair('silent {i}', 'hear {i}'),
+    'all silent': _pair('silent 1 2 3 4', 'hear 1 2 3 4'),
+    'spoilt': _say('spoil {n}'),
+    'cut': _say('cut {n}'),
+    'doubled': _say('double {n}'),
+    'slow': _pair('slow 0.03', 'slow 0'),
+    'unplugged': _pair('unplug', 'plug'),
+    'overload': _say('overload {i}'),
+    'overheating': _say('overheating {i}'),
+    'hot': _pair('hot {i} 67', 'hot {i} 30'),
+    'low voltage': _pair('volts 2.9', 'volts 5'),
+    'power lost': _say('restart {i}'),
+    'tripped': _say('trip {i}'),
+    'busy process': lambda breaker, i: breaker.bus.call(lambda: time.sleep(0.3)),
+    'second process': Breaker.second,
+}
+
+
+class Watcher:
+    """Counts the cycles in which the arm follows; plays the operator after a latched stop."""
+
+    def __init__(self, driver):
+        self.driver = driver
+        self.cycles = self.following = 0
+        self.command = self.wave(0.0)
+
+    def wave(self, now):
+        """Return tensions [N] about a quarter of the limit, or pulls [m] of antagonists."""
+        phase = 2.0 * np.pi * (0.2 * now + np.array([0.0, 0.0, 0.25, 0.25]))
+        if self.driver.mode == 'pull':
+            self.command = 0.008 * np.sin(phase) * np.array([1.0, -1.0, 1.0, -1.0])
+        else:
+            side = np.array([1.0, -1.0, 1.0, -1.0])
+            self.command = 0.25 * self.driver.limits[:, 1] * (1.0 + 0.15 * side * np.sin(phase))
+        return self.command
+
+    def __call__(self, cycle):
+        self.cycles += 1
+        reading = cycle.reading
+        measured = reading.tensions if self.driver.mode == 'tension' else reading.pulls
+        near = np.nanmax(np.abs(measured - self.command), initial=0.0)
+        near = near < NEAR * np.ptp(self.driver.limits[0]) and np.isfinite(measured).all()
+        self.following += bool(cycle.decision.state == FOLLOWING and near)
+
+
+def operate(bus):
+    """Do what a person does: reboot what reports an error, then reset."""
+    faults = bus._last.faults
+    broken = [n for f in faults if f.hardware and f.code != 'restarted' for n in f.inputs]
+    try:
+        if broken:
+            bus.call(lambda: bus.driver.reboot(broken))
+        bus.call(bus.supervisor.reset)
+    except DriverError:
+        pass  # the cause is still there
+
+
+def run(args):
+    with Emulator() as emulator:
+        driver = emulator.driver(args.mode)
+        before = resources()
+        driver.open()
+        watcher = Watcher(driver)
+        bus = Bus(driver, Supervisor(rules(driver)), PERIOD, watcher)
+        bus.start()
+        bus.call(lambda: None)
+        bus.call(bus._enable, 60.0)
+        breaker = Breaker(emulator, bus, args.seed)
+        begin = time.monotonic()
+        memory = []
+        strike = threading.Thread(target=lambda: None)
+        due = begin + breaker.random.expovariate(1.0 / BETWEEN)
+        while (now := time.monotonic()) < begin + 60.0 * args.minutes and bus.crashed is None:
+            bus.put(watcher.wave(now))
+            if now > due and not strike.is_alive():
+                strike = threading.Thread(target=breaker.strike)
+                strike.start()
+                due = now + breaker.random.expovariate(1.0 / BETWEEN)
+            if bus.supervisor.latch and watcher.cycles % 10 == 0:
+                operate(bus)
+            if now - begin > SETTLED and watcher.cycles % 100 == 0:
+                memory.append(resident())
+            time.sleep(PERIOD)
+        strike.join()
+        found = judge(emulator, bus, watcher, breaker, memory)
+        bus.close()
+        after = resources()
+        found['lost'] = {name: after[name] - before[name] for name in before}
+    return found
+
+
+def judge(emulator, bus, watcher, breaker, memory):
+    driver = bus.driver
+    name = 'goal_current' if driver.mode == 'tension' else 'goal_position'
+    beyond = []
+    for key, (low, high) in emulator.state()['extremes'].items():
+        identity, register = key.split()
+        motor = driver.motors[int(identity)]
+        least, most = (-motor.strongest, motor.strongest)
+        if register == 'goal_current' and not least <= low <= high <= most:
+            beyond.append(f'{key}: {low} to {high}')
+        if register == name == 'goal_position' and motor.zero is not None:
+            least, most = motor.position_bounds
+            slack = motor.wires[0].spool.ticks(driver.config.home_travel)
+            if not least - abs(slack) <= low <= high <= most + abs(slack):
+                beyond.append(f'{key}: {low} to {high}')
+    quarter = max(1, len(memory) // 4)
+    grown = np.median(memory[-quarter:]) - np.median(memory[:quarter]) if memory else 0.0
+    return {
+        'following': watcher.following / max(1, watcher.cycles),
+        'cycles': watcher.cycles,
+        'faults': dict(breaker.done),
+        'beyond limits': beyond,
+        'crashed': repr(bus.crashed) if bus.crashed else None,
+        'emulator crashed': emulator.process.poll() is not None,
+        'memory grown [MB]': float(grown),
+    }
+
+
+def main(arguments=None):
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    parser.add_argument('--minutes', type=float, default=30.0)
+    parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--mode', choices=('tension', 'pull'), default='tension')
+    parser.add_argument('--json', metavar='FILE')
+    args = parser.parse_args(arguments)
+    found = run(args)
+    text = json.dumps(found, indent=1)
+    print(text)
+    if args.json:
+        with open(args.json, 'w', encoding='utf-8') as file:
+            file.write(text)
+    good = (
+        found['following'] >= 0.5
+        and not found['beyond limits']
+        and not found['crashed']
+        and not found['emulator crashed']
+        and not any(found['lost'].values())
+        and found['memory grown [MB]'] < MORE_MEMORY
+    )
+    return 0 if good else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())
