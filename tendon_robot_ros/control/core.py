@@ -36,7 +36,7 @@ class ControllerCore:
     solution: Reach | None = None
     command: Array | None = None  # (m,) [N], None until the driver was heard
     driver_stopped: str = ''  # why the driver does not follow, as it says
-    refusal: Refusal | None = None  # of the last message, until one is accepted
+    refusals: dict[str, Refusal] = field(default_factory=dict)  # kind of message -> why the last
     latch: StopLatch = field(default_factory=StopLatch)
     _jog: Jog | None = None
     _heard: Heard | None = None
@@ -68,7 +68,6 @@ class ControllerCore:
         except (NoEquilibriumError, InputError) as error:
             raise Refusal('no_equilibrium', f'target refused: {error}') from None
         self.target, self.solution, self._jog = target, solution, None
-        self.refusal = None
 
     def twist(self, now: float, twist: Twist) -> None:
         """Take a velocity of the tip; it ends by itself after `twist_timeout`."""
@@ -79,7 +78,6 @@ class ControllerCore:
             self._jog = Jog.start(self._track.begin(self.command))
             self.target = self.solution = None
         self._jog.take(now, twist)
-        self.refusal = None
 
     def stop(self, key: str, reason: str, lasting: bool = False) -> None:
         """Latch a stop and drop the target; while its cause is lasting, reset is refused."""
@@ -193,7 +191,7 @@ class ControllerCore:
             self.solution = self._solve(Target(*aim))
         except (NoEquilibriumError, InputError) as error:
             self._jog = None
-            self.refusal = Refusal('no_equilibrium', f'twist ended: {error}')
+            self.refusals['target'] = Refusal('no_equilibrium', f'twist ended: {error}')
         else:
             jog.reached(self.solution.shape)
 
@@ -209,7 +207,8 @@ class ControllerCore:
         if failing or (self.settings.pull_mode and pulls is None):
             self._drop()
             self._lost = True
-            self.refusal = Refusal('no_equilibrium', f'released: {self._track.problem}')
+            problem = f'released: {self._track.problem}'
+            self.refusals['target'] = Refusal('no_equilibrium', problem)
             return None
         self.command = wanted
         return Output(wanted.copy(), pulls)

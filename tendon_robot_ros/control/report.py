@@ -29,6 +29,8 @@ def report(core: ControllerCore, now: float) -> Report:
     """Say how the controller is; codes are listed in docs/ros_interface.md."""
     level, code, message = _condition(core, now)
     values = {'moving': str(core.moving).lower()}
+    if core.target is not None:
+        values['target_stamp'] = core.target.stamp
     if core.solution is not None:
         values.update(_solution(core.solution))
     if core.command is not None:
@@ -51,8 +53,8 @@ def _condition(core: ControllerCore, now: float) -> tuple[str, str, str]:
         return ERROR, 'no_driver', f'no tendon_states for {timeout:g} s; holding the last command'
     if core.no_equilibrium:
         return ERROR, 'no_equilibrium', core.no_equilibrium
-    if core.refusal is not None:
-        return WARN, f'refused_{core.refusal.code}', str(core.refusal)
+    for refusal in core.refusals.values():
+        return WARN, f'refused_{refusal.code}', str(refusal)
     if core.jogging:
         return OK, 'jogging', 'following a twist'
     if core.solution is None:

@@ -29,6 +29,7 @@ class Target:
 
     position: Array | None = None
     direction: Array | None = None
+    stamp: str = ''  # as its sender gave it, to tell targets apart
 
 
 @dataclass(frozen=True)

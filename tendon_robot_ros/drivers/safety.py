@@ -35,8 +35,8 @@ class SafetyRules:
     release_to : str
         `pretension`: hold there; `limp`: then torque off.
     tension_limits : tuple of float
-        In pull mode: a wire tighter than the second pays out, one slacker than half the first
-        pays out no further [N]. Needs an observed tension.
+        In pull mode: a wire tighter than the second pays out [N]; a tension that is not
+        observed counts as none.
 
     """
 

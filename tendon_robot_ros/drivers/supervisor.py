@@ -154,17 +154,20 @@ class Supervisor:
             self.state = LIMP if self.rules.release_to == 'limp' else RELEASED
 
     def _move(self, goal: Array, step: Array, reading: Reading) -> None:
-        """Approach a goal; in pull mode never tighten a tight wire nor pay out a slack one."""
+        """
+        Approach a goal; in pull mode pay out a wire that is too tight.
+
+        A slack wire may be paid out further: the arm takes it up as the others bend it, and
+        holding it back would strain the wire against them.
+        """
         reached = approach(self._output, goal, step)
         if self.rules.mode == 'pull':
-            low, high = self.rules.tension_limits
+            high = self.rules.tension_limits[1]
             tension, doubt = reading.tensions, np.zeros(len(step))
             if reading.tension_sd is not None:  # a geared motor's current says little
                 doubt = np.nan_to_num(reading.tension_sd)
             tight = tension - doubt > high
             reached = np.where(tight, np.minimum(reached, self._output - step), reached)
-            slack = tension + doubt < 0.5 * low
-            reached = np.where(slack, np.maximum(reached, self._output), reached)
             lowest = np.minimum(self._output, self.rules.limits[:, 0])
             reached = np.maximum(reached, lowest)
         self._output = reached

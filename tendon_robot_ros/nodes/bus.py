@@ -20,6 +20,7 @@ from ..exceptions import DriverError
 
 Array = NDArray[np.float64]
 T = TypeVar('T')
+SETTLE = 0.1  # [s] that motors lag behind the end of the ramp
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,7 @@ class Bus:
         self.call(lambda: self.supervisor.latch.stop(key, reason))
         while time.monotonic() < deadline and self._thread.is_alive():
             if self.supervisor.state in (RELEASED, LIMP, OFF):
+                time.sleep(SETTLE)
                 return True
             time.sleep(self._period)
         return False

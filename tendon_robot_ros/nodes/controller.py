@@ -98,35 +98,37 @@ class ControllerNode(ManagedNode):
         self.status.say(LEVELS['error'], 'not_ready', message)
 
     def _pose(self, message: PoseStamped) -> None:
-        self._take(lambda core, incoming: core.aim(incoming.pose(message)))
+        self._take('target', lambda core, incoming: core.aim(incoming.pose(message)))
 
     def _point(self, message: PointStamped) -> None:
-        self._take(lambda core, incoming: core.aim(incoming.point(message)))
+        self._take('target', lambda core, incoming: core.aim(incoming.point(message)))
 
     def _twist(self, message: TwistStamped) -> None:
-        self._take(lambda core, incoming: core.twist(time.monotonic(), incoming.twist(message)))
+        def take(core: ControllerCore, incoming: Incoming) -> None:
+            core.twist(time.monotonic(), incoming.twist(message))
+
+        self._take('target', take)
 
     def _states(self, message: JointState) -> None:
         def take(core: ControllerCore, incoming: Incoming) -> None:
             core.measured(time.monotonic(), *incoming.states(message))
 
-        self._take(take, command=False)
+        self._take('states', take)
 
-    def _take(
-        self, action: Callable[[ControllerCore, Incoming], None], command: bool = True
-    ) -> None:
+    def _take(self, kind: str, action: Callable[[ControllerCore, Incoming], None]) -> None:
         """Use a message, and answer a target with a command at once; or say why not."""
-        if self.core is None or self._incoming is None:
-            return
-        if command and self.phase != 'active':
+        core, target = self.core, kind == 'target'
+        if core is None or self._incoming is None or (target and self.phase != 'active'):
             return
         began = time.monotonic()
         try:
-            action(self.core, self._incoming)
+            action(core, self._incoming)
         except Refusal as refusal:
-            self.core.refusal = refusal
+            core.refusals[kind] = refusal
             return
-        if command:
+        core.refusals.pop(kind, None)
+        if target:
+            core.refusals.pop('model', None)  # has been said
             self._cycle()
             self._latency = time.monotonic() - began
 
@@ -164,10 +166,10 @@ class ControllerNode(ManagedNode):
             core.set_model(model)
         except TendonRobotError as error:
             self._loading.refuse(str(error))
-            core.refusal = Refusal('model', f'the old model stays: {error}')
+            core.refusals['model'] = Refusal('model', f'the old model stays: {error}')
         else:
             self._loading.accept()
-            core.refusal = None
+            core.refusals.pop('model', None)
             self.get_logger().info(f'model loaded: {self._loading.note}')
 
     def _predict(self) -> None:

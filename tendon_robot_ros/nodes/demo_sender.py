@@ -74,12 +74,13 @@ class Sender(Node):
     def go(self, posture: Posture) -> Outcome:
         """Send a target and wait until the arm is still."""
         message = pose_stamped(self._header(), posture.position, towards(posture.direction))
-        self._changed, self._status = np.inf, {}
+        self._changed = np.inf
+        stamp = f'{message.header.stamp.sec}.{message.header.stamp.nanosec:09d}'
         self._tips.clear()
         sent = time.monotonic()
         self._targets.publish(message)
         self._wait(
-            lambda: self._status.get('code') in SETTLED and self._still(),
+            lambda: self._settled(stamp),
             10.0,
             f'the arm at {posture.name!r}',
         )
@@ -114,6 +115,10 @@ class Sender(Node):
                     f'says: {self._status.get("message", "nothing")}'
                 )
             self._executor.spin_once(timeout_sec=0.05)
+
+    def _settled(self, stamp: str) -> bool:
+        mine = self._status.get('target_stamp') == stamp
+        return mine and self._status['code'] in SETTLED and self._still()
 
     def _still(self) -> bool:
         now = time.monotonic()

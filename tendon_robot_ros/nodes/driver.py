@@ -173,7 +173,6 @@ class DriverNode(ManagedNode):
             'clipped': ', '.join(decision.clipped),
             'torque_off': ', '.join(decision.off),
             'faults': ', '.join(fault.code for fault in cycle.reading.faults),
-            'cycle': f'{1e3 * cycle.duration:.1f} ms',
             **bus.driver.describe(),
         }
         self.status.say(level, code, message, values)

@@ -14,6 +14,8 @@ from .lifecycle import AUTOSTART
 from .parameters import Parameters, Spec
 from .shared import read_mapping
 
+TWIN_COMPLIANCE, WIRE_COMPLIANCE = 1e-5, 1e-4  # [1/N] strain of a mock arm's wires
+
 SPECS = (
     Spec(
         'robot',
@@ -104,13 +106,18 @@ def make(robot: Robot, parameters: Parameters) -> tuple[Driver, dict[str, Any]]:
     if backend != 'mock':
         return make_driver(backend, robot, config, mode=mode, source=source), {}
     tracker = config.pop('tracker', None) or {}
-    plant = _plant(robot, config.pop('plant', None) or {}, f'{source}: plant')
+    plant = _plant(robot, mode, config.pop('plant', None) or {}, f'{source}: plant')
     return make_driver(backend, robot, config, mode=mode, source=source, plant=plant), tracker
 
 
-def _plant(robot: Robot, config: dict[str, Any], source: str) -> Any:
+def _plant(robot: Robot, mode: str, config: dict[str, Any], source: str) -> Any:
     """Make the mock arm; imported here because drivers of hardware load no compiler."""
-    if config.pop('twin', False):
+    twin = config.pop('twin', False)
+    if mode == 'pull' and 'tendon_elongation' not in robot.effects:
+        # stiff wires pull against each other without bound; theirs give a little
+        compliance = TWIN_COMPLIANCE if twin else WIRE_COMPLIANCE
+        robot = robot.with_effect('tendon_elongation', {'compliance': compliance})
+    if twin:
         from .twin import Twin
 
         return Twin(robot)

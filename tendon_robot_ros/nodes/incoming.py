@@ -37,14 +37,16 @@ class Incoming:
         p, q = message.pose.position, message.pose.orientation
         along = direction([q.x, q.y, q.z, q.w], 'target_pose')
         place = rotation @ finite([p.x, p.y, p.z], 'target_pose') + shift
-        return Target(position(place.tolist(), self._farthest, 'target_pose'), rotation @ along)
+        place = position(place.tolist(), self._farthest, 'target_pose')
+        return Target(place, rotation @ along, _text(message.header))
 
     def point(self, message: PointStamped) -> Target:
         """Return a target with a position alone."""
         rotation, shift = self._header(message.header, 'target_point')
         p = message.point
         place = rotation @ finite([p.x, p.y, p.z], 'target_point') + shift
-        return Target(position(place.tolist(), self._farthest, 'target_point'))
+        place = position(place.tolist(), self._farthest, 'target_point')
+        return Target(place, stamp=_text(message.header))
 
     def twist(self, message: TwistStamped) -> Twist:
         """Return a velocity, in the axes of base or tip."""
@@ -82,3 +84,7 @@ class Incoming:
     def _stamp(self, header: Header, what: str) -> None:
         now = 1e-9 * self._node.get_clock().now().nanoseconds
         check_stamp(seconds(header.stamp), now, self._parameters['stamp_tolerance'], what)
+
+
+def _text(header: Header) -> str:
+    return f'{header.stamp.sec}.{header.stamp.nanosec:09d}'

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..control.loading import Loader
-from ..exceptions import TendonRobotError
+from ..exceptions import InputError, TendonRobotError
 from ..model.model import Model
 from .parameters import Parameters
 from .shared import read_robot
@@ -18,6 +18,7 @@ class ModelLoading:
         self._loader: Loader | None = None
         self._problem: TendonRobotError | None = None
         self._in_use = ''
+        self._inputs: tuple[str, ...] = ()  # of the model in use
         self.asked = False  # another model, at run time
         self.note = ''
         self.restart()
@@ -31,6 +32,7 @@ class ModelLoading:
         """Load what the parameter says; `result` raises what is wrong with it."""
         self.cancel()
         self._problem, self._loader, self.asked = None, None, False
+        self._inputs = ()
         self._in_use = self._parameters['model']
         try:
             self._loader = self._begin(self._in_use)
@@ -40,6 +42,13 @@ class ModelLoading:
     def change(self, text: str) -> None:
         """Begin to load another model; raise what is wrong with its description."""
         loader = self._begin(text)
+        if self._inputs and loader.robot.inputs != self._inputs:
+            loader.cancel()
+            raise InputError(
+                f'the new model has the inputs {", ".join(loader.robot.inputs)}, '
+                f'expected {", ".join(self._inputs)}; restart the node to change '
+                'them'
+            )
         self.cancel()
         self._loader, self._problem, self.asked = loader, None, True
 
@@ -51,6 +60,7 @@ class ModelLoading:
             self.restart()  # the file may be right the next time
             raise problem
         model = loader.result()
+        self._inputs = self._inputs or model.inputs
         self.note = f'{loader.robot.name} ({", ".join(loader.robot.effects) or "PCCA"})'
         return model
 

@@ -18,15 +18,17 @@ OK, WARN, ERROR, STALE = (
 )
 LEVELS = {'ok': OK, 'warn': WARN, 'error': ERROR}
 PERIOD = 1.0  # [s] at least so often
-SHORTEST = 0.5  # [s] values that change all the time are sent no more often than this
+SHORTEST_NEWS = 0.02  # [s] news may come and go with every message
+LOG_PERIOD = 2.0  # [s] the same news is logged no more often than this
+SHORTEST = 0.1  # [s] values that change all the time are sent no more often than this
 
 
 class Status:
     """
     Publishes a level, a sentence, a code and values.
 
-    A new level or code goes out at once and into the log; changed values go out at most twice
-    a second, and everything at least once a second.
+    A new level or code goes out at once and into the log; changed values go out at most ten
+    times a second, and everything at least once a second.
     """
 
     def __init__(self, node: Node) -> None:
@@ -38,6 +40,7 @@ class Status:
         self._sent: DiagnosticStatus | None = None
         self._sent_at = 0.0
         self._key: tuple[bytes, str] | None = None
+        self._logged: dict[str, float] = {}
 
     def say(
         self, level: bytes, code: str, message: str, values: Mapping[str, str] | None = None
@@ -59,7 +62,7 @@ class Status:
         """
         now = time.monotonic()
         news = (level, code) != self._key
-        if not news and now - self._sent_at < SHORTEST:
+        if now - self._sent_at < (SHORTEST_NEWS if news else SHORTEST):
             return
         status = DiagnosticStatus(
             level=level,
@@ -73,8 +76,9 @@ class Status:
         )
         if not news and status == self._sent and now - self._sent_at < PERIOD:
             return
-        if news:
-            self._log(level, f'{code}: {message}' if message else code)
+        if news and now - self._logged.get(code, -LOG_PERIOD) >= LOG_PERIOD:
+            self._logged[code] = now
+            self._log(level, f'{code}: {message}')
         self._key, self._sent, self._sent_at = (level, code), status, now
         self._latched.publish(status)
         array = DiagnosticArray(status=[status])

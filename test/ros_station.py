@@ -1,0 +1,164 @@
+"""A node of the tests, and nodes of the package as processes of their own."""
+
+import os
+import sys
+import time
+
+os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from tendon_robot_ros.nodes.processes import NodeProcess
+from tendon_robot_ros.nodes.qos import COMMAND, LATCHED, LISTEN
+
+DISCOVERY = 10.0  # [s]
+INPUTS = ('prox_left', 'prox_right', 'dist_left', 'dist_right')
+SETTLED = ('reached', 'nearest', 'at_limit')
+LOW, HIGH = 0.1, 5.0  # [N]
+BASE = 'kato_10_1_base'
+
+
+class Station:
+    """Hears everything that controller and driver of a namespace say."""
+
+    def __init__(self, namespace):
+        if not rclpy.ok():
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        self.namespace = namespace
+        self.node = Node('station', namespace=namespace)
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        self.commands = self.hear(JointState, 'tendon_command', COMMAND)
+        self.states = self.hear(JointState, 'tendon_states')
+        self.tips = self.hear(PoseStamped, 'measured_tip')
+        self.controller = self.hear(DiagnosticStatus, 'controller/status', LATCHED)
+        self.driver = self.hear(DiagnosticStatus, 'driver/status', LATCHED)
+        self._publishers = {}
+
+    def hear(self, kind, topic, qos=LISTEN):
+        """Subscribe; return the list to which (time, message) is appended."""
+        heard = []
+        self.node.create_subscription(
+            kind, topic, lambda message: heard.append((time.monotonic(), message)), qos
+        )
+        return heard
+
+    def send(self, topic, message, qos=COMMAND):
+        """Publish once, as soon as somebody listens."""
+        key = topic, type(message)
+        if key not in self._publishers:
+            self._publishers[key] = self.node.create_publisher(type(message), topic, qos)
+        publisher = self._publishers[key]
+        self.until(lambda: publisher.get_subscription_count() > 0, f'a subscriber of {topic}')
+        publisher.publish(message)
+
+    def spin(self, seconds):
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            self.executor.spin_once(timeout_sec=left)
+
+    def until(self, condition, what, timeout=DISCOVERY):
+        end = time.monotonic() + timeout
+        while not condition():
+            said = [last(heard).message for heard in (self.controller, self.driver) if heard]
+            assert time.monotonic() < end, f'waited {timeout} s for {what}; statuses: {said}'
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def go(self, message, topic='controller/target_pose'):
+        """Send a target and wait until the mock arm is still there."""
+        message.header.stamp = self.node.get_clock().now().to_msg()
+        stamp = f'{message.header.stamp.sec}.{message.header.stamp.nanosec:09d}'
+        self.send(topic, message)
+
+        def arrived():
+            said = values(last(self.controller))
+            return said.get('target_stamp') == stamp and said['code'] in SETTLED
+
+        self.until(arrived, f'the arm at {message}')
+        self.until(lambda: self.states and self.tips, 'states and tips of the driver')
+        self.spin(0.3)
+
+    def until_code(self, heard, *codes, timeout=DISCOVERY):
+        self.until(lambda: heard and values(last(heard))['code'] in codes, f'{codes}', timeout)
+
+    def call(self, kind, name, request=None):
+        client = self.node.create_client(kind, name)
+        self.until(client.service_is_ready, f'service {name}')
+        future = client.call_async(request or kind.Request())
+        self.until(future.done, f'an answer of {name}')
+        self.node.destroy_client(client)
+        return future.result()
+
+    def trigger(self, name):
+        return self.call(Trigger, name)
+
+    def set(self, node, name, value):
+        """Set a parameter; return the result with its reason."""
+        kinds = {
+            str: ('STRING', 'string_value'),
+            float: ('DOUBLE', 'double_value'),
+            int: ('INTEGER', 'integer_value'),
+            bool: ('BOOL', 'bool_value'),
+        }
+        kind, field = kinds[type(value)]
+        given = ParameterValue(type=getattr(ParameterType, f'PARAMETER_{kind}'), **{field: value})
+        request = SetParametersAtomically.Request(parameters=[Parameter(name=name, value=given)])
+        return self.call(
+            SetParametersAtomically, f'{node}/set_parameters_atomically', request
+        ).result
+
+    def go_to_point(self, x, z):
+        self.go(point(x, z), 'controller/target_point')
+
+    def twist(self, x, frame=BASE):
+        message = TwistStamped()
+        message.header.frame_id = frame
+        message.twist.linear.x = float(x)
+        self.send('controller/delta_twist', message)
+
+    def tip(self):
+        p = last(self.tips).pose.position
+        return np.array([p.x, p.y, p.z])
+
+    def code(self):
+        return values(last(self.controller))['code']
+
+    def close(self):
+        self.executor.shutdown()
+        self.node.destroy_node()
+
+
+def point(x, z, frame=BASE):
+    message = PointStamped()
+    message.header.frame_id = frame
+    message.point.x, message.point.z = float(x), float(z)
+    return message
+
+
+def last(heard):
+    return heard[-1][1]
+
+
+def values(status):
+    return {item.key: item.value for item in status.values}
+
+
+def start(name, namespace, output, **parameters):
+    """Start a node as a process; its messages go to a file."""
+    defaults = {
+        'driver': {'robot': 'kato_10_1', 'config': 'mock_twin'},
+        'controller': {'model': 'kato_10_1'},
+    }
+    known = {**defaults[name], **parameters}
+    with open(output / f'{name}_{time.monotonic_ns()}.log', 'w', encoding='utf-8') as log:
+        return NodeProcess(name, known, namespace, log)

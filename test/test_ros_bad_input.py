@@ -1,0 +1,194 @@
+"""Bad input: a clear message each, nothing moves for it, and the node goes on."""
+
+import math
+from itertools import pairwise
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
+from ros_station import BASE, HIGH, LOW, Station, last, point, start, values
+from sensor_msgs.msg import JointState
+
+pytestmark = pytest.mark.ros
+SPACE = '/bad_input'
+
+
+@pytest.fixture(scope='module')
+def station(tmp_path_factory):
+    logs = tmp_path_factory.mktemp('logs')
+    with start('driver', SPACE, logs), start('controller', SPACE, logs):
+        station = Station(SPACE)
+        station.until_code(station.controller, 'holding', timeout=120.0)  # compiles when cold
+        station.go_to_point(0.06, 0.17)
+        yield station
+        station.close()
+
+
+def pose(**changes):
+    """Give a good pose with something changed."""
+    message = PoseStamped()
+    message.header.frame_id = changes.pop('frame', BASE)
+    message.header.stamp.sec = changes.pop('sec', 0)
+    message.pose.position.z = 0.2
+    for key, value in changes.items():
+        part = message.pose.position if key in 'xyz' else message.pose.orientation
+        setattr(part, key.removeprefix('q'), value)
+    return message
+
+
+def twist(**changes):
+    message = TwistStamped()
+    message.header.frame_id = changes.pop('frame', BASE)
+    message.twist.linear.x = changes.pop('x', 0.0)
+    return message
+
+
+BAD = [
+    (pose(x=math.nan), 'refused_not_finite', 'target_pose: expected finite numbers'),
+    (pose(z=math.inf), 'refused_not_finite', 'target_pose: expected finite numbers'),
+    (pose(x=60.0), 'refused_too_far', 'positions are in metres'),
+    (pose(qw=0.0), 'refused_quaternion', 'has norm 0, expected 1'),
+    (pose(qw=math.nan), 'refused_not_finite', 'target_pose: expected finite numbers'),
+    (pose(frame='map'), 'refused_frame', "frame 'map', expected 'kato_10_1_base'"),
+    (pose(frame=''), 'refused_frame', "frame '', expected 'kato_10_1_base'"),
+    (pose(sec=1000), 'refused_stale', 'send stamp 0 for now'),
+    (pose(sec=2**31 - 1), 'refused_future', 'in the future'),
+    (point(math.nan, 0.1), 'refused_not_finite', 'target_point: expected finite numbers'),
+    (point(0.0, 0.1, 'odom'), 'refused_frame', "frame 'odom'"),
+    (twist(x=math.inf), 'refused_not_finite', 'delta_twist: expected finite numbers'),
+    (twist(x=5.0), 'refused_too_fast', 'at most 1 m/s'),
+    (twist(frame='map'), 'refused_frame', "expected 'kato_10_1_base' or 'kato_10_1_tip'"),
+]
+TOPICS = {PoseStamped: 'target_pose', PointStamped: 'target_point', TwistStamped: 'delta_twist'}
+
+
+@pytest.mark.parametrize(('message', 'code', 'words'), BAD, ids=lambda value: str(value)[:20])
+def test_a_bad_target_is_refused_and_the_arm_stays(station, message, code, words):
+    before = station.tip()
+    station.send(f'controller/{TOPICS[type(message)]}', message)
+    station.until_code(station.controller, code)
+    assert words in last(station.controller).message
+    station.spin(0.1)
+    assert station.tip() == pytest.approx(before, abs=1e-6)
+    station.go_to_point(0.06, 0.17)
+
+
+def state(names, effort, position=None):
+    return JointState(name=names, effort=effort, position=position or [0.0] * len(names))
+
+
+GOOD = ['prox_left', 'prox_right', 'dist_left', 'dist_right']
+
+
+@pytest.mark.parametrize(
+    ('message', 'code', 'words'),
+    [
+        (state(['thumb'], [1.0]), 'refused_names', 'unknown thumb; expected prox_left'),
+        (state(GOOD[:2], [1.0, 1.0]), 'refused_names', 'missing dist_left, dist_right'),
+        (state(GOOD, [1.0] * 3), 'refused_length', 'expected 4 values of effort, got 3'),
+        (state(GOOD, [math.inf] * 4), 'refused_not_finite', 'effort is infinite'),
+        (state(GOOD, [math.nan] * 4, [math.nan] * 4), 'refused_not_finite', 'neither effort nor'),
+    ],
+    ids=lambda value: str(value)[:20],
+)
+def test_a_bad_state_is_refused_and_good_ones_go_on(station, message, code, words):
+    def refused():
+        station.send('tendon_states', message)
+        return values(last(station.controller))['code'] == code
+
+    station.until(refused, code)
+    assert words in last(station.controller).message
+    station.until_code(station.controller, 'reached')
+
+
+@pytest.mark.parametrize(
+    ('message', 'words'),
+    [
+        (state(['thumb'], [1.0]), 'tendon_command: unknown thumb'),
+        (state(GOOD, [math.nan] * 4), 'tendon_command: expected finite numbers'),
+        (state(GOOD, []), 'expected 4 values of effort, got 0'),
+    ],
+    ids=lambda value: str(value)[:20],
+)
+def test_a_bad_command_is_refused_by_the_driver(station, message, words):
+    station.driver.clear()
+
+    def refused():
+        station.send('tendon_command', message)
+        return any(words in said.message for _, said in station.driver)
+
+    station.until(refused, words)
+    station.until_code(station.driver, 'following')
+
+
+def test_a_command_outside_the_limits_is_clipped_and_said(station):
+    station.driver.clear()
+    before = len(station.states)
+
+    def clipped():
+        station.send('tendon_command', state(GOOD, [99.0, -5.0, 1.0, 1.0]))
+        return any('prox_left' in values(said).get('clipped', '') for _, said in station.driver)
+
+    station.until(clipped, 'the word clipped')
+    efforts = [message.effort.tolist() for _, message in station.states[before:]]
+    assert max(map(max, efforts)) <= HIGH
+    assert min(map(min, efforts)) >= LOW - 1e-9
+    station.go_to_point(0.06, 0.17)
+
+
+@pytest.mark.parametrize(
+    ('node', 'name', 'value', 'words'),
+    [
+        ('controller', 'rate_limit', -1.0, 'rate_limit'),
+        ('controller', 'rate_limit', 'fast', "rate_limit: expected a number, got 'fast'"),
+        ('controller', 'model', 'nowhere.yaml', 'nowhere.yaml: file: expected a readable YAML'),
+        ('controller', 'model', 'spatial_3', 'inputs one, two, three, expected prox_left'),
+        ('controller', 'model', 'name: x', 'sections: expected a list'),
+        ('driver', 'release_to', 'sleep', 'release_to: expected one of pretension, limp'),
+        ('driver', 'mock_fault', 'gremlin', 'expected one of silent, port'),
+        ('driver', 'rate', 100.0, 'read-only'),
+    ],
+)
+def test_a_bad_parameter_is_refused_with_its_reason(station, node, name, value, words):
+    result = station.set(node, name, value)
+    assert not result.successful
+    assert words in result.reason
+
+
+def test_a_whole_number_is_as_good_as_a_decimal_one(station):
+    assert station.set('controller', 'rate_limit', 10).successful
+
+
+def test_an_unknown_effect_is_refused_with_the_known_ones(station):
+    from tendon_robot_ros.nodes.shared import read_robot
+    from tendon_robot_ros.robot import dump_robot
+
+    robot = read_robot('kato_10_1').with_effect('magnetism', {'strength': 1.0})
+    result = station.set('controller', 'model', dump_robot(robot))
+    assert not result.successful
+    assert "unknown effect 'magnetism'; known: tendon_friction" in result.reason
+
+
+def test_another_model_is_taken_without_a_jump(station):
+    from tendon_robot_ros.nodes.shared import read_robot
+    from tendon_robot_ros.robot import dump_robot
+
+    station.go_to_point(0.06, 0.17)
+    station.commands.clear()
+    robot = read_robot('kato_10_1').with_effect('backbone_stiffness', {'relative_change': 0.2})
+    assert station.set('controller', 'model', dump_robot(robot)).successful
+    station.until(
+        lambda: 'backbone_stiffness' in values(last(station.controller))['model'],
+        'the new model',
+        timeout=60.0,
+    )
+    station.until_code(station.controller, 'reached')
+    efforts = [message.effort.tolist() for _, message in station.commands]
+    steps = [
+        max(abs(a - b) for a, b in zip(one, two, strict=True)) for one, two in pairwise(efforts)
+    ]
+    assert 0.0 < max(steps) <= 10.0 * 0.05  # [N/s] times the longest cycle
+    assert max(efforts[-1]) > 1.1 * max(efforts[0])
+    assert station.set('controller', 'model', 'kato_10_1').successful

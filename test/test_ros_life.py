@@ -1,0 +1,192 @@
+"""Starting, ending and killing nodes in any order: the arm ends safe, and the rest recovers."""
+
+import signal
+import time
+from itertools import pairwise
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from ros_station import LOW, Station, last, start, values
+
+from tendon_robot_ros.nodes.shared import read_robot
+from tendon_robot_ros.robot import dump_robot
+
+pytestmark = pytest.mark.ros
+FAR = (0.1, 0.1)  # [m] a posture with tension
+
+
+@pytest.fixture
+def space(request, tmp_path):
+    """Give a namespace of its own and a station in it, and end what was started."""
+    name = '/' + request.node.name.split('[')[0][:40]
+    station = Station(name)
+    started = []
+
+    def run(node, **parameters):
+        started.append(start(node, name, tmp_path, **parameters))
+        return started[-1]
+
+    station.run = run
+    yield station
+    for process in started:
+        process.end()
+    station.close()
+
+
+def moved(space, **driver):
+    """Start driver and controller and bend the arm."""
+    processes = space.run('driver', **driver), space.run('controller')
+    space.until_code(space.controller, 'holding', timeout=120.0)
+    space.go_to_point(*FAR)
+    assert max(last(space.states).effort) > 0.5
+    return processes
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_driver_after_a_ramp_to_pretension(space, number):
+    driver, _ = moved(space, release_rate=2.0)
+    space.states.clear()
+    driver.process.send_signal(number)
+    asked = time.monotonic()
+    space.until(lambda: driver.process.poll() is not None, 'the end of the driver')
+    assert driver.process.returncode == 0
+    efforts = [(at, max(message.effort)) for at, message in space.states if at > asked]
+    assert efforts[-1][1] == pytest.approx(LOW, abs=0.02)
+    drops = [(b[1] - a[1]) for a, b in pairwise(efforts)]
+    assert min(drops) > -0.2  # no jump: 2 N/s, a delayed message or two
+    assert efforts[-1][0] - efforts[0][0] > 0.2
+    space.until_code(space.controller, 'no_driver')
+
+
+def test_a_killed_controller_lets_the_arm_go_and_a_new_one_takes_over(space):
+    _, controller = moved(space)
+    controller.process.kill()
+    killed = time.monotonic()
+    space.until_code(space.driver, 'releasing', 'released')
+    assert time.monotonic() - killed < 1.0
+    space.until(lambda: max(last(space.states).effort) < LOW + 0.01, 'pretension')
+    space.run('controller')
+    space.until_code(space.driver, 'following')
+    space.go_to_point(*FAR)
+
+
+def test_a_killed_driver_halts_the_controller_until_there_is_a_new_one(space):
+    driver, _ = moved(space)
+    driver.process.kill()
+    space.until_code(space.controller, 'no_driver')
+    space.commands.clear()
+    space.spin(0.2)
+    held = [message.effort.tolist() for _, message in space.commands]
+    assert len(held) > 10
+    assert all(effort == held[0] for effort in held)
+    space.states.clear()
+    space.run('driver')
+    space.until(lambda: space.states and max(last(space.states).effort) > 0.5, 'the posture')
+    first = [max(message.effort) for _, message in space.states[:3]]
+    assert max(first) < 0.3  # it begins slack and is brought back at the rate limit
+    space.until_code(space.controller, 'reached', 'nearest', 'at_limit')
+
+
+def test_the_controller_may_come_first_and_waits(space):
+    space.run('controller')
+    space.until_code(space.controller, 'waiting', timeout=120.0)
+    assert not space.commands
+    space.run('driver')
+    space.until_code(space.controller, 'holding')
+
+
+def test_a_signal_ends_the_controller_and_the_driver_releases(space):
+    _, controller = moved(space)
+    assert controller.end() == 0
+    space.until_code(space.driver, 'releasing', 'released')
+    space.until(lambda: max(last(space.states).effort) < LOW + 0.01, 'pretension')
+
+
+def test_release_to_limp_switches_torque_off(space):
+    _, controller = moved(space, release_to='limp')
+    controller.end()
+    space.until_code(space.driver, 'limp')
+    assert values(last(space.driver))['torque_off'].count(',') == 3
+    space.until(lambda: max(last(space.states).effort) < 0.01, 'slack tendons')
+
+
+def change(space, node, transition):
+    request = ChangeState.Request(transition=Transition(id=transition))
+    return space.call(ChangeState, f'{node}/change_state', request).success
+
+
+def test_without_autostart_the_transitions_are_those_of_ros(space):
+    space.run('driver', autostart=False)
+    space.until_code(space.driver, 'unconfigured')
+    assert change(space, 'driver', Transition.TRANSITION_CONFIGURE)
+    space.until_code(space.driver, 'off')
+    assert change(space, 'driver', Transition.TRANSITION_ACTIVATE)
+    space.until_code(space.driver, 'following', 'releasing', 'released')
+    assert change(space, 'driver', Transition.TRANSITION_DEACTIVATE)
+    space.until_code(space.driver, 'stopped')
+    assert 'the node is not active' in last(space.driver).message
+    assert change(space, 'driver', Transition.TRANSITION_CLEANUP)
+    assert change(space, 'driver', Transition.TRANSITION_CONFIGURE)
+
+
+@pytest.mark.parametrize(
+    ('node', 'parameters', 'words'),
+    [
+        ('driver', {'robot': 'nowhere.yaml'}, 'nowhere.yaml: file: expected a readable YAML'),
+        ('driver', {'config': 'lags: 1'}, 'expected one of lag, tension_noise'),
+        ('controller', {'model': ''}, 'expected a path'),
+        ('controller', {'model': 'name: x'}, 'sections: expected a list'),
+    ],
+)
+def test_a_node_that_cannot_start_says_why_and_tries_again(space, node, parameters, words):
+    process = space.run(node, **parameters)
+    heard = getattr(space, node)
+    space.until_code(heard, 'not_ready')
+    assert words in last(heard).message
+    space.spin(2.5)
+    assert process.process.poll() is None
+
+
+def test_a_parameter_that_cannot_be_ends_the_process_with_one_line(tmp_path):
+    process = start('driver', '/bad_parameter', tmp_path, command_mode='telepathy')
+    assert process.process.wait(20.0) == 1
+    (log,) = tmp_path.glob('driver_*.log')
+    expected = "error: command_mode: expected one of tension, pull, got 'telepathy'\n"
+    assert log.read_text() == expected
+
+
+def test_two_robots_live_in_two_namespaces(tmp_path):
+    spaces = '/one', '/two'
+    processes = [
+        start(node, name, tmp_path) for name in spaces for node in ('driver', 'controller')
+    ]
+    stations = [Station(name) for name in spaces]
+    try:
+        for station in stations:
+            station.until_code(station.controller, 'holding', timeout=120.0)
+        stations[0].go_to_point(*FAR)
+        stations[1].spin(0.2)
+        assert max(last(stations[0].states).effort) > 0.5
+        assert max(last(stations[1].states).effort) == pytest.approx(LOW, abs=1e-3)
+    finally:
+        for process in processes:
+            process.process.send_signal(signal.SIGINT)
+        for process in processes:
+            process.end()
+        for station in stations:
+            station.close()
+
+
+def test_in_pull_mode_the_chain_reaches_a_target_too(space):
+    # how hard tendons pull against each other is in the stretch of the wires alone
+    elastic = read_robot('kato_10_1').with_effect('tendon_elongation', {'compliance': 1e-4})
+    space.run('driver', command_mode='pull', robot=dump_robot(elastic))
+    space.run('controller', command_mode='pull', model=dump_robot(elastic))
+    space.until_code(space.controller, 'holding', timeout=120.0)
+    space.go_to_point(0.06, 0.17)
+    assert len(last(space.commands).effort) == 0
+    assert space.tip() == pytest.approx([0.06, 0.0, 0.17], abs=5e-4)
