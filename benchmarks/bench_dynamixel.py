@@ -15,7 +15,7 @@ import threading
 import time
 
 import numpy as np
-from emulated_bus import Emulator, every
+from emulated_bus import driver_for, emulator, every
 from machine import machine
 
 from tendon_robot_ros.drivers.safety import SafetyRules
@@ -40,10 +40,10 @@ TARGETS = {
 }
 
 
-def cycles(emulator, seconds):
+def cycles(servos, seconds):
     """Write and read as fast as possible."""
     times = []
-    with emulator.driver() as driver:
+    with driver_for(servos) as driver:
         driver.enable()
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -76,9 +76,9 @@ def rules(driver):
     )
 
 
-def one_fault(emulator, broken, mended):
+def one_fault(servos, broken, mended):
     """Break something while following; return seconds until seen, until released, until mended."""
-    with emulator.driver() as driver:
+    with driver_for(servos) as driver:
         driver.enable()
         supervisor = Supervisor(rules(driver))
         reading = driver.read()
@@ -99,7 +99,7 @@ def one_fault(emulator, broken, mended):
 
         def breaking():
             state['at'] = time.monotonic()
-            emulator.say(broken)
+            servos.say(broken)
 
         thread = threading.Thread(target=breaking)
         thread.start()
@@ -110,7 +110,7 @@ def one_fault(emulator, broken, mended):
         if mended is not None:
             time.sleep(0.3)
             begin = time.monotonic()
-            emulator.say(mended)
+            servos.say(mended)
             back = run(5.0, lambda r, d: not r.faults) - begin
         else:
             driver.disable()
@@ -126,8 +126,8 @@ def main():
     args = parser.parse_args()
     load = os.getloadavg()[0]
     print(f'{machine()}, load {load:.1f} before the start', flush=True)
-    with Emulator() as emulator:
-        found = cycles(emulator, args.seconds)
+    with emulator() as servos:
+        found = cycles(servos, args.seconds)
         print(
             'write + read of four motors: {cycles_per_s:.0f} cycles/s, p50 {p50_ms:.2f} ms, '
             'p99 {p99_ms:.2f} ms, worst {worst_ms:.1f} ms'.format(**found),
@@ -135,7 +135,7 @@ def main():
         )
         seen, released = [], []
         for name, (broken, mended) in FAULTS.items():
-            trials = [one_fault(emulator, broken, mended) for _ in range(args.trials)]
+            trials = [one_fault(servos, broken, mended) for _ in range(args.trials)]
             first, second, back = zip(*trials, strict=True)
             seen += first
             released += second

@@ -19,7 +19,7 @@ import time
 
 import numpy as np
 from bench_dynamixel import rules
-from emulated_bus import Emulator
+from emulated_bus import driver_for, emulator
 
 from tendon_robot_ros.drivers.dynamixel.port import open_port
 from tendon_robot_ros.drivers.supervisor import FOLLOWING, Supervisor
@@ -46,8 +46,8 @@ def resources():
 class Breaker:
     """Breaks something at random, and mends it."""
 
-    def __init__(self, emulator, bus, seed):
-        self.emulator, self.bus, self.random = emulator, bus, random.Random(seed)
+    def __init__(self, servos, bus, seed):
+        self.servos, self.bus, self.random = servos, bus, random.Random(seed)
         self.done = collections.Counter()
 
     def wait(self):
@@ -59,20 +59,20 @@ class Breaker:
         KINDS[name](self, self.random.randint(1, 4))
 
     def for_a_while(self, broken, mended):
-        self.emulator.say(broken)
+        self.servos.say(broken)
         self.wait()
-        self.emulator.say(mended)
+        self.servos.say(mended)
 
     def second(self, _):
         try:
-            open_port(self.emulator.port, 1_000_000, 0.01).closePort()
+            open_port(self.servos.port, 1_000_000, 0.01).closePort()
         except DriverError:
             return
         raise AssertionError('a second user got the port')
 
 
 def _say(pattern):
-    return lambda breaker, i: breaker.emulator.say(
+    return lambda breaker, i: breaker.servos.say(
         pattern.format(i=i, n=breaker.random.randint(1, 30))
     )
 
@@ -140,8 +140,8 @@ def operate(bus):
 
 
 def run(args):
-    with Emulator() as emulator:
-        driver = emulator.driver(args.mode)
+    with emulator() as servos:
+        driver = driver_for(servos, args.mode)
         before = resources()
         driver.open()
         watcher = Watcher(driver)
@@ -149,7 +149,7 @@ def run(args):
         bus.start()
         bus.call(lambda: None)
         bus.call(bus._enable, 60.0)
-        breaker = Breaker(emulator, bus, args.seed)
+        breaker = Breaker(servos, bus, args.seed)
         begin = time.monotonic()
         memory = []
         strike = threading.Thread(target=lambda: None)
@@ -166,18 +166,18 @@ def run(args):
                 memory.append(resident())
             time.sleep(PERIOD)
         strike.join()
-        found = judge(emulator, bus, watcher, breaker, memory)
+        found = judge(servos, bus, watcher, breaker, memory)
         bus.close()
         after = resources()
         found['lost'] = {name: after[name] - before[name] for name in before}
     return found
 
 
-def judge(emulator, bus, watcher, breaker, memory):
+def judge(servos, bus, watcher, breaker, memory):
     driver = bus.driver
     name = 'goal_current' if driver.mode == 'tension' else 'goal_position'
     beyond = []
-    for key, (low, high) in emulator.state()['extremes'].items():
+    for key, (low, high) in servos.ask('state')['extremes'].items():
         identity, register = key.split()
         motor = driver.motors[int(identity)]
         least, most = (-motor.strongest, motor.strongest)
@@ -196,7 +196,7 @@ def judge(emulator, bus, watcher, breaker, memory):
         'faults': dict(breaker.done),
         'beyond limits': beyond,
         'crashed': repr(bus.crashed) if bus.crashed else None,
-        'emulator crashed': emulator.process.poll() is not None,
+        'emulator crashed': servos.process.poll() is not None,
         'memory grown [MB]': float(grown),
     }
 

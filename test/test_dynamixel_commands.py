@@ -1,8 +1,5 @@
 """The commands emulate and calibrate, as a person runs them."""
 
-import json
-import subprocess
-import sys
 import threading
 
 import emulated
@@ -16,36 +13,10 @@ from tendon_robot_ros.drivers.dynamixel.calibration import Point, fit
 from tendon_robot_ros.drivers.dynamixel.config import read_config
 from tendon_robot_ros.drivers.emulator.arm import HangingWeights
 from tendon_robot_ros.drivers.emulator.commands import HELP, obey
+from tendon_robot_ros.drivers.emulator.process import EmulatorProcess
 from tendon_robot_ros.exceptions import DriverError, InputError
 
 pytest.importorskip('dynamixel_sdk')
-
-
-class Emulator:
-    """The command emulate in a process of its own."""
-
-    def __init__(self, *arguments):
-        self.process = subprocess.Popen(
-            [sys.executable, '-m', 'tendon_robot_ros', 'emulate', 'dynamixel', *arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=emulated.environment(),
-        )
-        self.port = self.process.stdout.readline().strip()
-
-    def say(self, text):
-        self.process.stdin.write(text + '\n')
-        self.process.stdin.flush()
-        return self.process.stdout.readline().strip()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.process.terminate()
-        self.process.communicate(timeout=10)
 
 
 @pytest.fixture
@@ -55,28 +26,27 @@ def robot_file(tmp_path):
     return str(path)
 
 
-def test_emulate_prints_a_port_that_the_driver_opens_and_obeys_its_input(tmp_path, robot_file):
-    config = tmp_path / 'servos.yaml'
-    with Emulator('--robot', robot_file, '--write-config', str(config)) as emulator:
-        content = yaml.safe_load(config.read_text())
+def test_emulate_prints_a_port_that_the_driver_opens_and_obeys_its_input(robot_file):
+    with EmulatorProcess(robot_file) as emulator:
+        content = emulator.content()
         assert content['port'] == emulator.port
-        with make_driver('dynamixel', emulated.robot(), content, source=str(config)) as driver:
+        with make_driver('dynamixel', emulated.robot(), content, source='servos.yaml') as driver:
             driver.enable()
             emulated.cycle(driver, [1.5, 0.2, 0.2, 0.2], 1.0)
-            state = json.loads(emulator.say('state'))
+            state = emulator.ask('state')
             assert state['servos']['1']['torque_enable'] == 1
             assert state['tensions'][0] > 0.5
             assert emulator.say('silent 2') == 'ok'
             reading = emulated.until(driver, [1.5, 0.2, 0.2, 0.2], lambda r: r.faults)
             assert reading.faults[0].inputs == ('north',)
-        emulator.process.stdin.write('quit\n')
-        emulator.process.stdin.flush()
+        assert {name for _, _, name, _ in emulator.ask('log 9')} >= {'goal_current'}
+        emulator.say('quit')
         assert emulator.process.wait(10) == 0
 
 
 def test_emulate_ends_on_a_signal_and_takes_its_port_away(tmp_path, robot_file):
     path = str(tmp_path / 'port')
-    with Emulator('--robot', robot_file, '--arm', 'springs', '--port', path) as emulator:
+    with EmulatorProcess(robot_file, '--arm', 'springs', '--port', path) as emulator:
         assert emulator.port == path
         emulator.process.terminate()
         assert emulator.process.wait(10) == 0

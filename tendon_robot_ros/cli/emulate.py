@@ -66,6 +66,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('--port', metavar='PATH', help='where the port appears (default: made up)')
     parser.add_argument(
+        '--ends-with-input', action='store_true', help='end when the standard input ends'
+    )
+    parser.add_argument(
         '--write-config', metavar='FILE', help='write a configuration for the driver'
     )
 
@@ -92,7 +95,8 @@ def run(args: argparse.Namespace) -> int:
             'mm; type help for faults',
             file=sys.stderr,
         )
-        listener = threading.Thread(target=_listen, args=(line, ending), daemon=True)
+        more = (line, ending, args.ends_with_input)
+        listener = threading.Thread(target=_listen, args=more, daemon=True)
         listener.start()
         ending.wait()
     for number, handler in before.items():
@@ -100,8 +104,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _listen(line: Line, ending: threading.Event) -> None:
-    """Obey what comes in on the standard input; its end only means that nobody commands."""
+def _listen(line: Line, ending: threading.Event, to_the_end: bool) -> None:
+    """Obey what comes in on the standard input."""
     for text in sys.stdin:
         if not text.strip():
             continue
@@ -112,6 +116,8 @@ def _listen(line: Line, ending: threading.Event) -> None:
             print(obey(line, text), flush=True)
         except InputError as error:
             print(f'error: {error}', file=sys.stderr, flush=True)
+    if to_the_end:
+        ending.set()
 
 
 def _arm(args: argparse.Namespace, robot: Robot) -> Arm:

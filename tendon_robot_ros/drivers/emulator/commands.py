@@ -27,6 +27,7 @@ restart ID...         the motor loses its power for a moment
 trip ID...            its bus watchdog trips
 weight ID KG          hang a weight on it (only with --weights)
 state                 print what the servos and wires do, as JSON
+log SECONDS           print what they accepted lately, as JSON: [time, id, register, value]
 quit"""
 
 
@@ -115,6 +116,11 @@ def _state(line: Line, values: list[str]) -> str:
     return json.dumps(state(line))
 
 
+def _log(line: Line, values: list[str]) -> str:
+    begin = time.monotonic() - float(values[0])
+    return json.dumps([entry for entry in line.responder.log.copy() if entry[0] >= begin])
+
+
 def _help(line: Line, values: list[str]) -> str:
     return HELP
 
@@ -160,5 +166,6 @@ ACTIONS: dict[str, Callable[[Line, list[str]], str | None]] = {
     'trip': _trip,
     'weight': _weight,
     'state': _state,
+    'log': _log,
     'help': _help,
 }
