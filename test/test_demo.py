@@ -1,0 +1,72 @@
+"""The demo reaches its postures, draws them, ends by itself and leaves nothing behind."""
+
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+pytestmark = pytest.mark.ros
+ROOT = Path(__file__).parents[1]
+
+
+def children(namespace):
+    """List processes of a demo that still run."""
+    found = []
+    for path in Path('/proc').glob('[0-9]*/cmdline'):
+        try:
+            if namespace.encode() in path.read_bytes():
+                found.append(path.parent.name)
+        except OSError:
+            continue
+    return found
+
+
+def demo(folder):
+    return subprocess.Popen(
+        [sys.executable, '-m', 'tendon_robot_ros', 'demo'],
+        cwd=folder,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, 'PYTHONPATH': str(ROOT)},
+    )
+
+
+def test_the_demo_reaches_its_postures(tmp_path):
+    process = demo(tmp_path)
+    out, err = process.communicate(timeout=150)
+    assert process.returncode == 0, out + err
+    rows = {line[:20].strip(): line for line in out.splitlines()}
+    for name in (
+        'highest, 180° view',
+        'middle, 180° view',
+        'lowest, 180° view',
+        'S-shape, 45° view',
+    ):
+        miss = float(re.search(r'([\d.]+) mm', rows[name]).group(1))
+        assert miss < 0.5
+        assert ' reached ' in rows[name]
+    assert re.search(r'nearest|at_limit', rows['out of reach'])
+    assert (tmp_path / 'demo' / 'postures.png').stat().st_size > 10_000
+    assert children(f'/demo_{process.pid}') == []
+
+
+def test_an_interrupted_demo_leaves_no_processes(tmp_path):
+    process = demo(tmp_path)
+    namespace = f'/demo_{process.pid}'
+    end = time.monotonic() + 120
+    while len(children(namespace)) < 2 and time.monotonic() < end:
+        time.sleep(0.2)
+    assert len(children(namespace)) == 2
+    process.kill()  # it cannot tidy up: the kernel tells its children
+    process.communicate()
+    end = time.monotonic() + 10
+    while children(namespace) and time.monotonic() < end:
+        time.sleep(0.2)
+    assert children(namespace) == []
