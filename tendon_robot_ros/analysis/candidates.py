@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from ..data import DataSet
 from ..effects import Catalogue
@@ -14,6 +13,7 @@ from ..robot import Robot
 from .fit import Fit, Nuisance
 from .noise import Whitener
 from .predict import Free, Point, Predictor, free_parameters
+from .probability import chi2_sf
 
 # Quantity under `tolerances` -> the effect whose parameter says the same.
 TWINS = {
@@ -127,7 +127,7 @@ def gain_probability(base: Fit, fit: Fit, described: Sequence[float]) -> float:
     gain, rank = base.chi2 - fit.chi2, max(fit.rank, 1)
     if gain <= 0.0:
         return 1.0
-    probability = float(stats.chi2.sf(gain, rank))
+    probability = chi2_sf(gain, rank)
     one_sided = len(fit.frees) == 1 and described[0] in (fit.frees[0].parameter.low,
                                                          fit.frees[0].parameter.high)
     return 0.5 * probability if one_sided else probability

@@ -8,10 +8,10 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
 
 from .noise import Whitener
 from .predict import Free, Point, Predictor
+from .probability import chi2_sf, f_sf
 
 Floats = npt.NDArray[np.float64]
 
@@ -83,8 +83,8 @@ class Fit:
     def probability(self, noise_freedom: float) -> float:
         """Chance of so large a chi² if this model is true, the noise known that well."""
         if not np.isfinite(noise_freedom):
-            return float(stats.chi2.sf(self.chi2, self.freedom))
-        return float(stats.f.sf(self.chi2 / self.freedom, self.freedom, noise_freedom))
+            return chi2_sf(self.chi2, self.freedom)
+        return f_sf(self.chi2 / max(self.freedom, 1), self.freedom, noise_freedom)
 
     def held_out(self, owners: npt.NDArray[np.int64]) -> tuple[float, float]:
         """
@@ -115,7 +115,7 @@ class Fit:
             return total, 1.0
         spread = float((w * w).sum() / w.sum())  # Satterthwaite: a scaled chi²
         excess = total - float(self.residual[:len(owners)] @ self.residual[:len(owners)])
-        return total, float(stats.chi2.sf(excess / spread, w.sum() / spread))
+        return total, chi2_sf(excess / spread, float(w.sum()) / spread)
 
 
 def _cholesky(normal: Floats) -> Floats:

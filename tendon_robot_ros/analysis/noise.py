@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize
 
 from ..data import DataSet
 from .predict import Point, Predictor
+from .probability import minimum
 
 Floats = npt.NDArray[np.float64]
 ENOUGH = 30  # degrees of freedom within postures from which the trials tell the noise
@@ -112,25 +112,36 @@ def _measured_share(dataset: DataSet, p: int, seen: npt.NDArray[np.bool_], g: Fl
     return np.asarray(relative @ g.T)
 
 
-def _restricted_likelihood(parts: list[tuple[int, Floats, Floats, int, float]]) -> tuple[
-        float, float]:
-    """Maximise the likelihood of the deviations over the two standard deviations."""
-    freedom = sum(nu * count for nu, _, _, count, _ in parts)
-    start = np.log(np.sqrt(sum(rest for *_, rest in parts) / max(freedom, 1)) + 1e-12)
+def _restricted_likelihood(
+    parts: list[tuple[int, Floats, Floats, int, float]],
+) -> tuple[float, float]:
+    """
+    Maximise the likelihood of the deviations over the two standard deviations.
 
-    def cost(x: Floats) -> float:
-        pos, rel = np.exp(2.0 * x)
-        value = 0.0
-        for nu, s, along, count, rest in parts:
-            spread = pos + rel * s * s
-            value += nu * (np.log(spread).sum() + count * np.log(pos))
-            value += (along / spread).sum() + rest / pos
-        return float(value)
+    Only their ratio needs a search: given it, the position noise has a closed form.
+    """
+    count = sum(nu * (len(s) + rest) for nu, s, _, rest, _ in parts)
+    nus = np.concatenate([np.full(len(s), nu) for nu, s, *_ in parts])
+    sizes = np.concatenate([s for _, s, *_ in parts]) ** 2
+    along = np.concatenate([a for _, _, a, *_ in parts])
+    rest = sum(r for *_, r in parts)
+    largest = max(float(sizes.max(initial=0.0)), 1e-30)
 
-    best = optimize.minimize(cost, [start, np.log(0.003)], method='L-BFGS-B',
-                             bounds=[(start - 5.0, start + 5.0), (np.log(1e-6), np.log(0.3))])
-    position, trial = np.exp(best.x)
-    return float(position), float(trial) if trial > 2e-6 else 0.0
+    def position2(ratio: float) -> float:
+        return max((float((along / (1.0 + ratio * sizes)).sum()) + rest) / count, 1e-24)
+
+    def cost(log: float) -> float:
+        ratio = np.exp(log) / largest
+        return float((nus * np.log1p(ratio * sizes)).sum()) + count * np.log(position2(ratio))
+
+    grid = np.arange(-14.0, 21.0, 1.0)
+    best = grid[int(np.argmin([cost(log) for log in grid]))]
+    log, lowest = minimum(cost, best - 1.0, best + 1.0, 1e-3)
+    if best == grid[0] or lowest > count * np.log(position2(0.0)):
+        return float(np.sqrt(position2(0.0))), 0.0
+    ratio = np.exp(log) / largest
+    position = np.sqrt(position2(ratio))
+    return float(position), float(min(np.sqrt(ratio) * position, 0.3))
 
 
 class Whitener:

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize
 
 from .fit import Fit, Fitter
 from .predict import Point
+from .probability import minimum
 
 Floats = npt.NDArray[np.float64]
 
@@ -83,10 +83,9 @@ class Rivals:
             return np.inf if white is None else float(white @ white)
         guess = float(np.clip(guess, -1.5, 1.5))
         reach = max(abs(guess), 0.05)
-        found = optimize.minimize_scalar(cost, bounds=(guess - 1.5 * reach, guess + 3.0 * reach),
-                                         method='bounded', options={'xatol': 1e-3, 'maxiter': 18})
-        return Pattern('soft_cell', float(found.fun) + self.prior, self.extra + 2, i + 1,
-                       float(np.exp(found.x)))
+        softness, lowest = minimum(cost, guess - 1.5 * reach, guess + 3.0 * reach, 2e-3)
+        return Pattern('soft_cell', lowest + self.prior, self.extra + 2, i + 1,
+                       float(np.exp(softness)))
 
     def taper(self) -> Pattern | None:
         """Stiffness that changes linearly from base to tip, mean and slope free."""
@@ -104,6 +103,7 @@ class Rivals:
                 columns.append((moved - r) / 0.01)
             slopes = np.array(columns).T
             step = -np.linalg.lstsq(slopes, r, rcond=None)[0]
+            step = np.clip(step, -0.5, 0.5)
             moved = self._stiff(np.exp(values[0] + step[0] + (values[1] + step[1]) * along))
             if moved is None or moved @ moved >= r @ r:
                 break

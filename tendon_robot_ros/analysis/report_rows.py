@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import stats
 
 from .candidates import Ranked
 from .fit import Fit
 from .noise import rms
+from .probability import chi2_isf, normal_ppf
 from .result import CandidateRow, EffectFinding, Value
 from .session import SINGLE
 
@@ -30,7 +30,7 @@ def explained_share(base: Fit, fit: Fit) -> float:
 
 def values_of(fit: Fit, scale: float = 1.0) -> dict[str, dict[str, Value]]:
     """Values with 95 % intervals by effect; `scale` widens them (chi² over freedom)."""
-    quantile = float(stats.norm.ppf(0.975)) * np.sqrt(scale)
+    quantile = normal_ppf(0.975) * np.sqrt(scale)
     spread = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     found: dict[str, dict[str, Value]] = {}
     for i, free in enumerate(fit.frees):
@@ -132,7 +132,7 @@ def smallest_seen(found: Evidence) -> dict[str, dict[str, Any]]:
     """Smallest size of each single-parameter effect that these postures would have shown."""
     from .diagnose import ALPHA
     count = max(len(found.singles), 1)
-    threshold = np.sqrt(stats.chi2.isf(2.0 * ALPHA / count, 1)) + stats.norm.ppf(0.8)
+    threshold = np.sqrt(chi2_isf(2.0 * ALPHA / count, 1)) + normal_ppf(0.8)
     seen = {}
     for ranked in found.singles:
         if len(ranked.fit.frees) == 1 and not ranked.candidate.present:
