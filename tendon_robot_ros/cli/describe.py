@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import argparse
 
+from ..report.words import columns
 from ..robot import Robot, Section, load_robot
-from .options import columns
 
 NAME = 'describe'
 HELP = 'print a robot description, or a URDF of it'

@@ -33,6 +33,7 @@ COMMANDS: dict[str, str] = {
     'controller': 'tendon_robot_ros.nodes.controller',
     'driver': 'tendon_robot_ros.nodes.driver',
     'teleop': 'tendon_robot_ros.nodes.teleop',
+    'compare': 'tendon_robot_ros.cli.compare',
     'simulate': 'tendon_robot_ros.cli.simulate',
     'export-bag': 'tendon_robot_ros.cli.export_bag',
     'import-bag': 'tendon_robot_ros.cli.import_bag',

@@ -109,15 +109,3 @@ def vector(option: str, text: str | None) -> list[float] | None:
     if len(values) != 3:
         raise InputError(f'{option}: expected three numbers x,y,z, got {text!r}')
     return values
-
-
-def columns(rows: list[list[str]]) -> str:
-    """Align rows of text in columns, the first to the left, all others to the right."""
-    widths = [max(len(row[c]) for row in rows if c < len(row)) for c in range(len(rows[0]))]
-    return '\n'.join(
-        '  '.join(
-            cell.ljust(width) if c == 0 else cell.rjust(width)
-            for c, (cell, width) in enumerate(zip(row, widths, strict=False))
-        ).rstrip()
-        for row in rows
-    )

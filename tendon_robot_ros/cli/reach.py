@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..exceptions import InputError
-from .options import add_json, add_robot, columns, emit, load_model, vector
+from ..report.words import columns
+from .options import add_json, add_robot, emit, load_model, vector
 from .shape import tip_content, tip_line
 
 if TYPE_CHECKING:

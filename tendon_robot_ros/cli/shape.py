@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .options import add_json, add_robot, columns, emit, load_model, named_numbers
+from ..report.words import columns
+from .options import add_json, add_robot, emit, load_model, named_numbers
 
 if TYPE_CHECKING:
     from ..model.model import Model

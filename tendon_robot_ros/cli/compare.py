@@ -1,0 +1,88 @@
+"""
+Show how far a model is off, where, and how much of that is noise.
+
+Errors are distances between the model and the mean over the trials of a posture; the tip is the
+last marker. The noise floor is the rms that a perfect model would show, setting noise included.
+Without --model the description that the data set names is compared.
+
+JSON: models [{name, rms, tip_rms, max, per_marker_rms, per_posture}], noise_floor, paired_t, and
+all shapes; in m and rad.
+
+example: python -m tendon_robot_ros compare data/hinge_friction/fit --pcca
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from ..analysis.compare import compare
+from ..analysis.comparison_file import to_json
+from ..analysis.statistics import ERRORS
+from ..data import DataSet, load_dataset
+from ..effects import load_catalogue
+from ..exceptions import InputError
+from ..model.compose import is_compiled
+from ..report.comparison_text import sentences, table
+from ..robot import Robot, load_robot
+from .options import add_json, emit
+
+HELP = 'compare models with measurements'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument('data', metavar='DATA', help='data set (folder)')
+    parser.add_argument(
+        '--model',
+        nargs='+',
+        action='extend',
+        default=[],
+        metavar='ROBOT',
+        help='robot descriptions to compare (default: the one of the data set)',
+    )
+    parser.add_argument('--pcca', action='store_true', help='also the model without any effect')
+    parser.add_argument(
+        '--error',
+        choices=ERRORS,
+        default='ci',
+        help='what ± means: 95 %% t-interval of the mean (default), or its standard error',
+    )
+    add_json(parser)
+    parser.add_argument(
+        '--effect-file',
+        action='append',
+        default=[],
+        metavar='FILE',
+        help='Python file with an effect of your own (is executed; may be given several times)',
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare and print."""
+    dataset = load_dataset(args.data, args.model[0] if args.model else None)
+    catalogue = load_catalogue(args.effect_file)
+    if not is_compiled(catalogue):
+        print('compiling the model (once)', file=sys.stderr)
+    found = compare(dataset, _models(args, dataset), catalogue, args.error)
+    lines = [table(found), *sentences(found)]
+    emit(args, to_json(found), '\n'.join(lines))
+    return 0
+
+
+def _models(args: argparse.Namespace, dataset: DataSet) -> list[tuple[str, Robot]]:
+    """Name the models: by the robot, or by their files where robots have the same name."""
+    robots = [load_robot(path) for path in args.model] or [dataset.robot]
+    names = [robot.name for robot in robots]
+    if len(set(names)) < len(names):
+        names = [Path(path).stem for path in args.model]
+    if len(set(names)) < len(names):
+        names = list(args.model)
+    if len(set(names)) < len(names):
+        raise InputError(f'--model: expected different files, got {", ".join(names)}')
+    models = list(zip(names, robots, strict=True))
+    if args.pcca:
+        models.append(('PCCA', replace(dataset.robot, name='PCCA', effects={}, fitted={})))
+    return models

@@ -1,0 +1,132 @@
+"""What a comparison says in words and as a table."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..analysis.comparison import Comparison, ModelErrors
+from ..analysis.statistics import Estimate, PairedT
+from .words import PROGRAM, columns, commands, digits, mm, probability, times
+
+GOOD = 1.3  # times the noise floor: as good as the measurements can tell
+
+
+def table(comparison: Comparison) -> str:
+    """Return the table of all models."""
+    rows = [[size(comparison), 'rms', 'tip', 'worst', f'tip error ({error_name(comparison)})']]
+    for model in comparison.models:
+        tip = interval(model.tip_error(comparison.error))
+        rows.append([label(model), mm(model.rms), mm(model.tip_rms), mm(model.max), tip])
+    if comparison.noise_floor is not None:
+        rows.append(['noise floor (a perfect model)', mm(comparison.noise_floor), '', '', ''])
+    return columns(rows)
+
+
+def sentences(comparison: Comparison) -> list[str]:
+    """Return what to know: where the best model is worst, which model is better, what to do."""
+    best = comparison.best
+    lines = [f'worst: {worst(comparison, best)}']
+    lines += [paired(test) for test in comparison.paired_t if test.posture is None]
+    return [*lines, verdict(comparison)]
+
+
+def size(comparison: Comparison) -> str:
+    """Say how much was measured."""
+    measured = comparison.measured
+    fewest, most = int(measured.trials[measured.trials > 0].min()), int(measured.trials.max())
+    trials = f'{most}' if fewest == most else f'{fewest} to {most}'
+    P, J = int((measured.trials > 0).sum()), len(measured.markers)
+    parts = (P, 'posture'), (trials, 'trial'), (J, 'marker')
+    return ' x '.join(f'{n} {name}{"" if str(n) == "1" else "s"}' for n, name in parts)
+
+
+def error_name(comparison: Comparison) -> str:
+    """Name what stands behind a ±."""
+    return 'mean ± 95 %' if comparison.error == 'ci' else 'mean ± standard error'
+
+
+def label(model: ModelErrors) -> str:
+    """Name a model and what it is."""
+    what = kind(model.effects)
+    return what if model.name == what else f'{model.name} ({what})'
+
+
+def kind(effects: tuple[str, ...]) -> str:
+    """Say which model a list of effects makes, in the words of the paper."""
+    if not effects:
+        return 'PCCA'
+    if effects[0] != 'tendon_friction':
+        return 'PCCA + ' + (effects[0] if len(effects) == 1 else f'{len(effects)} effects')
+    more = effects[1:]
+    return 'FKM' + (
+        '' if not more else f' + {more[0] if len(more) == 1 else f"{len(more)} effects"}'
+    )
+
+
+def interval(value: Estimate) -> str:
+    """Show a mean and its interval in mm."""
+    if not np.isfinite(value.half):
+        return mm(value.mean)
+    half = digits(1e3 * value.half, 2)
+    places = len(half.partition('.')[2])
+    return f'{1e3 * value.mean:.{places}f} ± {half} mm'
+
+
+def marker_name(comparison: Comparison, marker: int) -> str:
+    """Name a marker: the cell whose end it is, or its name."""
+    what = 'cell' if comparison.measured.per_cell else 'marker'
+    return f'{what} {comparison.measured.markers[marker]}'
+
+
+def posture_name(comparison: Comparison, posture: int) -> str:
+    """Name a posture and what was commanded."""
+    measured = comparison.measured
+    inputs = dict(zip(measured.input_names, measured.inputs[posture].tolist(), strict=True))
+    return f'posture {measured.postures[posture]} ({commands(inputs, measured.input)})'
+
+
+def worst(comparison: Comparison, model: ModelErrors) -> str:
+    """Say where a model is worst and where its error begins."""
+    posture = comparison.worst_posture(model)
+    rms = mm(model.per_posture_rms[posture])
+    text = f'{posture_name(comparison, posture)}, rms {rms}'
+    marker = comparison.grows_from(model)
+    if marker is None:
+        return f'{text}.'
+    if marker == 0:
+        return f'{text}; the error is there from the first marker on.'
+    return f'{text}; the error grows from {marker_name(comparison, marker)} on.'
+
+
+def verdict(comparison: Comparison) -> str:
+    """Compare the best model with the repeatability, and say what to do next."""
+    best, floor = comparison.best, comparison.noise_floor
+    ask = f'Ask why: {PROGRAM} diagnose {comparison.measured.data}'
+    who = 'The model' if len(comparison.models) == 1 else f'The best model, {best.name},'
+    if floor is None:
+        return (
+            f'Nothing tells how well you can measure: record every posture at least three times, '
+            f'or write position_noise into dataset.yaml. {ask}'
+        )
+    ratio = best.rms / floor
+    if ratio < GOOD:
+        return (
+            f'{who} is as good as your measurements can tell: its error is {digits(ratio, 2)} '
+            'times your repeatability.'
+        )
+    return f'{who} is off by {times(ratio)} your repeatability. {ask}'
+
+
+def paired(test: PairedT) -> str:
+    """Say which of two models has the smaller tip error, and how sure that is."""
+    better, other = test.models if test.difference < 0.0 else test.models[::-1]
+    low, high = sorted((abs(test.low), abs(test.high)))
+    over = 'postures' if test.posture is None else f'trials of posture {test.posture}'
+    sure = probability(test.p)
+    pairs = f'paired t over {test.n} {over}, {sure}'
+    if test.low <= 0.0 <= test.high:
+        return f'tip error: {better} and {other} do not differ ({pairs})'
+    return (
+        f'tip error: {better} {mm(abs(test.difference))} less than {other} (95 %: '
+        f'{digits(1e3 * low, 3)} to {mm(high)}, {pairs})'
+    )

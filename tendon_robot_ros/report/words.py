@@ -1,0 +1,80 @@
+"""Numbers as people read them: millimetres, degrees, "six times", lists of names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+TIMES = ('no', 'one', 'two', 'three', 'four', 'five', 'six', 'seven', 'eight', 'nine', 'ten',
+         'eleven', 'twelve')  # fmt: skip
+PREFIXES = ((1e6, 'M'), (1e3, 'k'), (1.0, ''), (1e-3, 'm'), (1e-6, 'µ'), (1e-9, 'n'))
+PROGRAM = 'python -m tendon_robot_ros'
+
+
+def digits(value: float, count: int = 2) -> str:
+    """Show a number with so many significant digits, without an exponent where it is short."""
+    if value == 0.0 or not math.isfinite(value):
+        return '0' if value == 0.0 else 'infinite' if math.isinf(value) else 'unknown'
+    places = count - 1 - math.floor(math.log10(abs(value)))
+    if not -3 < places < 8:
+        return f'{value:.{count}g}'
+    return f'{round(value, places):.{max(places, 0)}f}'
+
+
+def mm(metres: float | None, count: int = 3) -> str:
+    """Show a length in mm; a dash for none."""
+    return '–' if metres is None or math.isnan(metres) else f'{digits(1e3 * metres, count)} mm'
+
+
+def with_prefix(value: float, unit: str, count: int = 3) -> str:
+    """Show a value with its unit and a prefix that keeps it short: 0.42 mN·m."""
+    if unit == '1':
+        return digits(value, count)
+    if unit.startswith(('1/', 'rad')):
+        return f'{digits(value, count)} {unit}'
+    size = abs(value)
+    scale, prefix = next(((s, p) for s, p in PREFIXES if size >= 0.1 * s), (1.0, ''))
+    if unit == 'kg/m':  # kg has its prefix already
+        scale, prefix = 1.0, ''
+    return f'{digits(value / scale, count)} {prefix}{unit}'
+
+
+def times(ratio: float) -> str:
+    """Show a ratio: 'six times', '2.4 times'."""
+    if ratio >= 2.75 and round(ratio) < len(TIMES):
+        return f'{TIMES[round(ratio)]} times'
+    return f'{digits(ratio, 2)} times'
+
+
+def probability(p: float) -> str:
+    """Show a p-value."""
+    return 'p < 1e-300' if p == 0.0 else f'p = {digits(p, 2)}' if p >= 1e-4 else f'p = {p:.0e}'
+
+
+def commands(inputs: Mapping[str, float | None], kind: str = 'tension') -> str:
+    """Say what is commanded: 'left 1.10 N, right 0.80 N'; slack wires are left out."""
+    scale, unit = (1.0, 'N') if kind == 'tension' else (1e3, 'mm')
+    parts = [
+        f'{name} {digits(scale * value, 3)} {unit}'
+        for name, value in inputs.items()
+        if value is not None and math.isfinite(value) and value != 0.0
+    ]
+    return ', '.join(parts) or 'nothing pulled'
+
+
+def listed(names: Iterable[str], last: str = 'and') -> str:
+    """Join names: 'a, b and c'."""
+    *first, end = list(names) or ['nothing']
+    return f'{", ".join(first)} {last} {end}' if first else end
+
+
+def columns(rows: Sequence[Sequence[str]]) -> str:
+    """Align rows of text in columns, the first to the left, all others to the right."""
+    widths = [max(len(row[c]) for row in rows if c < len(row)) for c in range(len(rows[0]))]
+    return '\n'.join(
+        '  '.join(
+            cell.ljust(width) if c == 0 else cell.rjust(width)
+            for c, (cell, width) in enumerate(zip(row, widths, strict=False))
+        ).rstrip()
+        for row in rows
+    )

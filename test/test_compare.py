@@ -1,0 +1,286 @@
+"""Comparing models with measurements: errors, angles, noise floor, against closed forms."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from measurements import blind
+from scipy import stats
+from source_tree import ROOT
+
+from tendon_robot_ros.analysis.compare import bending_axes, compare, turns
+from tendon_robot_ros.analysis.comparison_file import from_json, load_comparison, to_json
+from tendon_robot_ros.analysis.postures import default_postures
+from tendon_robot_ros.analysis.simulate import SimulatedNoise, simulate
+from tendon_robot_ros.analysis.statistics import estimate, half_width, paired_t
+from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.data import Marker, load_dataset, save_dataset
+from tendon_robot_ros.exceptions import InputError, NoEquilibriumError
+from tendon_robot_ros.model.causes import Damage
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.model.plant import Plant
+from tendon_robot_ros.robot import load_robot
+
+KATO = ROOT / 'config' / 'robots' / 'kato_10_1.yaml'
+SPATIAL = ROOT / 'config' / 'robots' / 'spatial_3.yaml'
+QUIET = SimulatedNoise(0.0, 0.0, 0.0)
+
+
+def twin(robot):
+    """Return a plant that is its owner's model to the last digit."""
+    return Plant(robot, Model(robot), 1, Damage.none(robot, 0))
+
+
+def perfect(robot, postures=6, seed=0, **options):
+    """Measure a robot that does just what its description says."""
+    return simulate(twin(robot), default_postures(robot, postures), seed=seed, **options)
+
+
+@pytest.fixture(scope='module')
+def kato():
+    return load_robot(KATO)
+
+
+@pytest.fixture(scope='module')
+def hinges():
+    return load_dataset(blind('b') / 'fit')
+
+
+def test_every_error_is_the_distance_from_the_trial_mean(hinges):
+    model = compare(hinges).models[0]
+    own = Model(hinges.robot).shapes(hinges.inputs).markers(hinges.arc_lengths, hinges.offsets)
+    distance = np.linalg.norm(own - hinges.positions.mean(axis=1), axis=2)
+    np.testing.assert_allclose(model.distance, distance, atol=1e-12)
+    assert model.rms == pytest.approx(np.sqrt((distance**2).mean()))
+    assert model.tip_rms == pytest.approx(np.sqrt((distance[:, -1] ** 2).mean()))
+    assert model.max == pytest.approx(distance.max())
+    np.testing.assert_allclose(model.per_marker_rms, np.sqrt((distance**2).mean(axis=0)))
+    tips = np.linalg.norm(own[:, None, -1] - hinges.positions[:, :, -1], axis=2)
+    np.testing.assert_allclose(model.tip_errors, tips, atol=1e-12)
+
+
+def test_a_known_shift_is_the_error(kato):
+    data = perfect(kato, noise=QUIET, trials=2)
+    shifted = replace(data, positions=data.positions + [0.0, 3e-3, 4e-3])
+    model = compare(shifted).models[0]
+    for value in (model.rms, model.tip_rms, model.max, *model.per_marker_rms):
+        assert value == pytest.approx(5e-3)
+
+
+def test_missing_markers_and_trials_do_not_count(kato):
+    data = perfect(kato, noise=QUIET, trials=3)
+    positions = np.array(data.positions)
+    positions[:, 2, -1] = np.nan  # no tip in the third trials
+    positions[1, :, 4] = np.nan
+    noise = np.random.default_rng(0).normal(0.0, 1e-4, positions.shape)
+    found = compare(replace(data, positions=positions))
+    model = found.models[0]
+    assert model.rms < 1e-9
+    assert np.isnan(model.distance[1, 4])
+    assert np.isfinite(np.delete(model.distance.ravel(), 30 + 4)).all()
+    assert model.tip_error_of(0).n == 2
+    floor = compare(replace(data, positions=positions + noise)).measured.floor
+    np.testing.assert_allclose(floor[0, [0, -1]], 3e-8 / np.array([3, 2]), rtol=0.1)
+
+
+@pytest.mark.parametrize(
+    ('path', 'noise'),
+    [
+        (KATO, SimulatedNoise(position=2e-4, setting=0.0, trial=0.0)),
+        (KATO, SimulatedNoise(position=2e-4, setting=0.004, trial=0.006)),
+        (SPATIAL, SimulatedNoise(position=1e-4, setting=0.01, trial=0.0)),
+    ],
+    ids=['tracker', 'tensions', 'spatial'],
+)
+def test_the_noise_floor_is_what_a_perfect_model_shows(path, noise):
+    robot = load_robot(path)
+    postures = default_postures(robot, 8)
+    own = twin(robot)
+    floors, errors = [], []
+    for seed in range(200):
+        data = simulate(own, postures, noise=noise, trials=4, seed=seed)
+        errors.append(np.linalg.norm(own.shapes(postures).positions - data.mean, axis=2))
+        if seed < 8:
+            floors.append(compare(data).noise_floor)
+    expected = np.sqrt(np.mean(np.square(errors)))
+    assert np.mean(floors) == pytest.approx(expected, rel=0.04)
+    np.testing.assert_allclose(floors, expected, rtol=0.12)
+
+
+def test_with_one_trial_the_declared_noise_is_the_floor(kato):
+    data = perfect(kato, trials=1, noise=SimulatedNoise(3e-4, 0.0, 0.0))
+    assert compare(data).noise_floor == pytest.approx(np.sqrt(3.0) * 3e-4)
+    unknown = compare(replace(data, position_noise=None))
+    assert unknown.noise_floor is None
+    assert unknown.grows_from(unknown.models[0]) is None
+
+
+def test_the_error_grows_from_the_cell_that_is_wrong(kato):
+    data = perfect(kato, noise=SimulatedNoise(1e-4, 0.0, 0.0))
+    first, *others = kato.sections
+    softer = tuple(0.6 * k if i == 8 else k for i, k in enumerate(first.bending_stiffness))
+    wrong = replace(kato, sections=(replace(first, bending_stiffness=softer), *others))
+    found = compare(data, [('wrong', wrong), ('right', kato)])
+    assert found.best.name == 'right'
+    assert found.grows_from(found.models[0]) in (8, 9)
+    assert found.grows_from(found.models[1]) is None
+
+
+def test_angular_displacement_is_the_turn_from_chord_to_chord(kato):
+    plain = replace(kato, effects={})
+    shapes = Model(plain).shapes([[0.5, 0.0, 0.0, 0.9], [0.0, 0.3, 0.0, 0.0]])
+    bend = shapes.bend[..., 0]
+    turned = turns(shapes.positions)
+    np.testing.assert_allclose(turned[:, 0, 1], bend[:, 0] / 2, atol=1e-12)
+    np.testing.assert_allclose(turned[:, 1:, 1], (bend[:, :-1] + bend[:, 1:]) / 2, atol=1e-12)
+    np.testing.assert_allclose(turned[..., [0, 2]], 0.0, atol=1e-12)
+    np.testing.assert_allclose(bending_axes(shapes.positions), [[0.0, 1.0, 0.0]] * 2)
+    data = perfect(plain, noise=QUIET, trials=2)
+    found = compare(data)
+    mean, half = found.angle_bands()
+    np.testing.assert_allclose(mean, found.models[0].angles, atol=1e-9)
+    np.testing.assert_allclose(half, 0.0, atol=1e-9)
+
+
+def test_in_space_angles_count_in_the_plane_of_bending():
+    robot = replace(load_robot(SPATIAL), effects={})
+    for tensions in ([[0.8, 0.0, 0.0]], [[0.1, 0.6, 0.3]]):
+        shapes = Model(robot).shapes(tensions)
+        axes = bending_axes(shapes.positions)
+        turned = (turns(shapes.positions) * axes[:, None]).sum(axis=2)
+        size = np.linalg.norm(shapes.bend[0, 0])
+        np.testing.assert_allclose(np.abs(turned[0, 1:]), size, atol=1e-9)
+
+
+def test_markers_beside_the_centreline_tell_no_angles(kato):
+    beside = [Marker('a', 0.1, (0.01, 0.0, 0.0)), Marker('b', 0.2)]
+    assert compare(perfect(kato, markers=beside)).measured.angles is None
+
+
+def test_intervals_and_tests_are_those_of_scipy():
+    random = np.random.default_rng(0)
+    a, b = random.normal(3.0, 1.0, 12), random.normal(2.0, 1.0, 12)
+    interval = stats.ttest_1samp(a, 0.0).confidence_interval(0.95)
+    made = estimate([*a, np.nan])
+    assert (made.low, made.high, made.n) == pytest.approx((interval.low, interval.high, 12))
+    assert half_width(a, 'sem') == pytest.approx(stats.sem(a))
+    expected = stats.ttest_rel(a, b)
+    test = paired_t(('a', 'b'), a, b, None)
+    limits = expected.confidence_interval(0.95)
+    assert (test.t, test.p, test.n) == pytest.approx((expected.statistic, expected.pvalue, 12))
+    assert (test.low, test.high) == pytest.approx((limits.low, limits.high))
+    assert paired_t(('a', 'b'), a[:1], b[:1], None) is None
+    same = paired_t(('a', 'b'), a, a, None)
+    assert (same.t, same.p) == (0.0, 1.0)
+
+
+def test_models_are_tested_against_each_other(hinges):
+    pcca = replace(hinges.robot, effects={})
+    found = compare(hinges, [('FKM', hinges.robot), ('PCCA', pcca)])
+    overall, *each = found.paired_t
+    expected = stats.ttest_rel(*(m.tip_errors.mean(axis=1) for m in found.models))
+    assert (overall.models, overall.posture, overall.n) == (('FKM', 'PCCA'), None, 12)
+    assert overall.p == pytest.approx(expected.pvalue)
+    assert [test.posture for test in each] == list(hinges.postures)
+    assert {test.n for test in each} == {5}
+
+
+def test_the_json_reads_back_and_has_the_promised_keys(hinges, tmp_path, capsys):
+    out = tmp_path / 'compare.json'
+    assert main(['compare', str(blind('b') / 'fit'), '--pcca', '--json', str(out)]) == 0
+    assert 'rms' in capsys.readouterr().out
+    content = json.loads(out.read_text())
+    assert content['format'] == 'tendon_robot_ros/comparison@1'
+    model = content['models'][0]
+    assert {'name', 'rms', 'tip_rms', 'max', 'per_marker_rms', 'per_posture'} <= set(model)
+    assert [m['name'] for m in content['models']] == ['planar1', 'PCCA']
+    assert len(model['per_posture']) == 12
+    assert len(model['per_marker_rms']) == 15
+    assert content['paired_t'][0]['p'] < 0.01
+    back = load_comparison(out)
+    assert back.noise_floor == pytest.approx(content['noise_floor'])
+    assert json.dumps(to_json(from_json(content)))[:2000] == json.dumps(to_json(back))[:2000]
+    direct = compare(hinges).models[0]
+    np.testing.assert_allclose(back.models[0].distance, direct.distance, atol=1e-15)
+    assert main(['compare', str(blind('b') / 'fit'), '--json']) == 0
+    assert json.loads(capsys.readouterr().out)['noise_floor'] == pytest.approx(back.noise_floor)
+
+
+def test_a_foreign_json_is_refused(tmp_path):
+    for text in ('{}', '[1]', '{"format": "other"}', 'no json'):
+        (tmp_path / 'x.json').write_text(text)
+        with pytest.raises(InputError, match=r'x\.json: expected the JSON of a comparison'):
+            load_comparison(tmp_path / 'x.json')
+
+
+@pytest.mark.parametrize('letter', 'abcdefghijkl')
+def test_every_blind_case_compares(letter):
+    found = compare(load_dataset(blind(letter) / 'fit'))
+    ratio = found.models[0].rms / found.noise_floor
+    assert ratio < 1.3 if letter == 'a' else ratio > 1.3
+
+
+def test_the_tentacle_compares():
+    found = compare(load_dataset(ROOT / 'data' / 'tentacle'))
+    assert found.measured.angles is None
+    assert np.isfinite(found.models[0].rms)
+    assert np.isnan(found.models[0].tip_error_of(0).half)
+
+
+def test_pulled_by_displacement(kato):
+    pulls = default_postures(kato, 4, input='displacement')
+    data = simulate(twin(kato), pulls, trials=3, input='displacement', noise=SimulatedNoise(1e-4))
+    found = compare(data)
+    assert found.models[0].rms < 1.5 * found.noise_floor
+
+
+def test_the_table_says_where_and_what_to_do(capsys):
+    folder = blind('b') / 'fit'
+    assert main(['compare', str(folder), '--pcca']) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert ' '.join(lines[0].split()[:9]) == '12 postures x 5 trials x 15 markers rms'
+    assert lines[1].startswith('planar1 (FKM + 3 effects)')
+    assert lines[2].startswith('PCCA  ')
+    assert lines[4].startswith('worst: posture 10 (left 2.34 N, right 2.13 N), rms 4.64 mm; ')
+    assert lines[4].endswith('the error grows from cell 3 on.')
+    assert 'planar1 23.7 mm less than PCCA (95 %: ' in lines[5]
+    assert lines[-1] == (
+        'The best model, planar1, is off by eleven times your repeatability. '
+        f'Ask why: python -m tendon_robot_ros diagnose {folder}'
+    )
+
+
+def test_robots_of_one_name_are_named_by_their_files(tmp_path, capsys):
+    robot = (blind('b') / 'fit' / 'robot.yaml').read_text()
+    for name in ('before', 'after'):
+        (tmp_path / f'{name}.yaml').write_text(robot)
+    models = [str(tmp_path / 'before.yaml'), str(tmp_path / 'after.yaml')]
+    assert main(['compare', str(blind('b') / 'fit'), '--model', *models]) == 0
+    out = capsys.readouterr().out
+    assert 'before (FKM' in out
+    assert 'do not differ (paired t over 12 postures, p = 1' in out
+    assert main(['compare', str(blind('b') / 'fit'), '--model', models[0], models[0]]) == 1
+    assert 'expected different files' in capsys.readouterr().err
+
+
+def test_another_robot_is_refused(hinges, kato):
+    with pytest.raises(
+        InputError, match=r'model kato: expected the inputs left, right of .*prox_'
+    ):
+        compare(hinges, [('kato', kato)])
+    with pytest.raises(InputError, match="error: expected ci or sem, got 'sd'"):
+        compare(hinges, error='sd')
+
+
+def test_a_model_without_equilibrium_is_named(hinges):
+    softens = hinges.robot.with_effect('nonlinear_stiffness', {'cubic': -0.5})
+    weak = softens.with_effect('backbone_stiffness', {'relative_change': -0.8})
+    with pytest.raises(NoEquilibriumError, match=r'posture \d+ \(left .* N, right .* N\)'):
+        compare(hinges, [('weak', weak)])
+
+
+def test_a_thousand_postures_are_no_burden(kato, tmp_path):
+    data = simulate(twin(kato), np.tile(default_postures(kato), (80, 1)), trials=3)
+    save_dataset(data, tmp_path / 'large')
+    assert compare(load_dataset(tmp_path / 'large')).models[0].rms < 1e-3
