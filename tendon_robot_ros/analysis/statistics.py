@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+
+from .probability import t_ppf, t_sf
 
 Floats = npt.NDArray[np.float64]
 ERRORS = ('ci', 'sem')  # 95 % t-interval of the mean, or its standard error
@@ -66,8 +67,14 @@ def half_width(values: Floats, error: str = 'ci') -> Floats:
     enough = np.maximum(n, 2)
     mean = np.nansum(values, axis=0) / np.maximum(n, 1)
     spread = np.sqrt(np.nansum((values - mean) ** 2, axis=0) / (enough - 1) / enough)
-    factor = stats.t.ppf(0.975, enough - 1) if error == 'ci' else 1.0
+    factor = quantiles(enough - 1) if error == 'ci' else 1.0
     return np.asarray(np.where(n > 1, factor * spread, np.nan))
+
+
+def quantiles(freedom: npt.NDArray[np.int64]) -> Floats:
+    """Return what a standard error is multiplied by to make half of a 95 % interval."""
+    known, where = np.unique(freedom, return_inverse=True)
+    return np.array([t_ppf(0.975, int(one)) for one in known])[where].reshape(np.shape(freedom))
 
 
 def estimate(values: npt.ArrayLike, error: str = 'ci') -> Estimate:
@@ -90,5 +97,5 @@ def paired_t(
     mean = estimate(differences)
     error = half_width(differences, 'sem')
     t = 0.0 if mean.mean == 0.0 else float(np.divide(mean.mean, error)) if error > 0.0 else np.inf
-    p = float(2.0 * stats.t.sf(abs(t), len(differences) - 1))
+    p = float(2.0 * t_sf(abs(t), len(differences) - 1))
     return PairedT(models, mean.mean, mean.low, mean.high, t, p, len(differences), posture)
