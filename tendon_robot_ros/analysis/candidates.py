@@ -64,7 +64,7 @@ class Ranked:
 
 
 def nuisances_of(robot: Robot, catalogue: Catalogue, predictor: Predictor) -> list[Nuisance]:
-    """Declared tolerances as parameters with priors; friction only where there is some."""
+    """Return declared tolerances as parameters with priors; friction only where there is some."""
     found = []
     for quantity, spread in robot.tolerances.items():
         effect, parameters = TWINS[quantity]

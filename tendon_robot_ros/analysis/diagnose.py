@@ -199,17 +199,20 @@ def _result(found: Evidence, verdict: str, chosen: Sequence[Ranked], together: t
     session = found.session
     measured = session.dataset.mean
     after = chosen[0].fit.markers if chosen else found.base.markers
+    as_described = session.predictor.markers({})
+    assert as_described is not None
     untested = tuple(c.names[0] for c in found.not_tested
                      if c.names[0] not in {name for r in chosen for name in r.candidate.names})
     effects = tuple(item for r in chosen for item in finding(found, r))
     return Diagnosis(
         verdict=verdict, effects=effects, cannot_tell_apart=together, not_tested=untested,
         out_of_tolerance=tuple(strays),
-        error_before=rms(measured - found.base.markers), error_after=rms(measured - after),
+        error_before=rms(measured - as_described), error_after=rms(measured - after),
         noise_floor=session.whitener.floor(),
         next_measurement=following,  # type: ignore[arg-type]
         remainder=remainder_text(found, chosen[0] if chosen else None, verdict),
-        candidates=rows_of(found, chosen, together), details=details_of(found, chosen, verdict))
+        candidates=rows_of(found, chosen, together),
+        details=details_of(found, chosen, together, verdict))
 
 
 def _cannot_judge(session: Session, lacking: str) -> Diagnosis:

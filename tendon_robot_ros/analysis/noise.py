@@ -104,7 +104,7 @@ def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
 
 
 def _measured_share(dataset: DataSet, p: int, seen: npt.NDArray[np.bool_], g: Floats) -> Floats:
-    """What the measured differences between the trials' inputs explain (trials, 3 J) [m]."""
+    """Return what the measured differences of the inputs explain (trials, 3 J) [m]."""
     assert dataset.trial_inputs is not None
     inputs = np.nan_to_num(dataset.trial_inputs[p][seen])
     mean = inputs.mean(axis=0)
@@ -182,7 +182,7 @@ class Whitener:
         return np.repeat(np.arange(len(self.rows)), [len(rows) for rows in self.rows])
 
     def floor(self) -> float:
-        """Expected rms [m] of the 3-D distance for a perfect model, setting noise included."""
+        """Return the expected rms [m] of the distance for a perfect model, setting noise too."""
         total = sum(float(variance.sum()) for variance in self.variance)
         return float(np.sqrt(3.0 * total / max(self.size, 1)))
 

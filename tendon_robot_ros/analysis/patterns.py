@@ -1,4 +1,4 @@
-"""Patterns without physics that compete with the effects: is the cause outside the catalogue?"""
+"""Patterns without physics that compete with the effects: does the catalogue lack the cause."""
 
 from __future__ import annotations
 

@@ -12,7 +12,8 @@ from .fit import Fit
 from .noise import rms
 from .probability import chi2_isf, normal_ppf
 from .result import CandidateRow, EffectFinding, Value
-from .session import SINGLE
+from .session import APART, SINGLE
+from .untested import why_untested
 
 if TYPE_CHECKING:
     from .diagnose import Evidence
@@ -50,9 +51,9 @@ def _note(fit: Fit, i: int, half: float) -> str:
         return 'at its bound'
     spread = np.sqrt(np.diag(fit.covariance))
     for j in range(len(fit.frees)):
-        if j != i and np.isfinite(spread[j]) and spread[i] * spread[j] > 0.0:
-            if abs(fit.covariance[i, j]) > CORRELATED * spread[i] * spread[j]:
-                return f'correlated with {fit.frees[j].key}'
+        if j != i and np.isfinite(spread[j]) and (
+                abs(fit.covariance[i, j]) > CORRELATED * spread[i] * spread[j] > 0.0):
+            return f'correlated with {fit.frees[j].key}'
     return ''
 
 
@@ -93,7 +94,8 @@ def _row(found: Evidence, ranked: Ranked, chosen: Sequence[Ranked],
                         ranked.candidate.present)
 
 
-def details_of(found: Evidence, chosen: Sequence[Ranked], verdict: str) -> dict[str, Any]:
+def details_of(found: Evidence, chosen: Sequence[Ranked], together: Sequence[str],
+               verdict: str) -> dict[str, Any]:
     """Numbers that reports print beside the verdict."""
     session, base = found.session, found.base
     noise = session.noise
@@ -113,19 +115,31 @@ def details_of(found: Evidence, chosen: Sequence[Ranked], verdict: str) -> dict[
     if found.rival is not None:
         details['rival'] = {'name': found.rival.name, 'chi2': found.rival.chi2,
                             'parameters': found.rival.parameters}
-    details['next_best'] = _next_best(found, chosen)
+    details['next_best'], details['wider'] = _next_best(found, chosen, together)
+    details['described'] = {name: session.robot.effects[name] for r in chosen
+                            for name in r.candidate.names if name in session.robot.effects}
+    details['not_tested_because'] = {
+        c.names[0]: why_untested(session.catalogue[c.names[0]], session.dataset, session.robot,
+                                 session.catalogue) for c in found.not_tested}
     if verdict == 'adequate':
         details['detectable'] = smallest_seen(found)
     return details
 
 
-def _next_best(found: Evidence, chosen: Sequence[Ranked]) -> dict[str, Any] | None:
-    others = [r for r in found.singles if r not in chosen]
+def _next_best(found: Evidence, chosen: Sequence[Ranked],
+               together: Sequence[str]) -> tuple[dict[str, Any] | None, list[str]]:
+    """Best beyond the class, and what fits as well but contains one of the class."""
+    others = [r for r in found.singles if r not in chosen and r.candidate.label not in together]
     if not chosen or not others:
-        return None
+        return None, []
+    near = [r for r in others if r.probability > SINGLE and r.score <= chosen[0].score + APART]
+    wider = [r.candidate.label for r in near]
+    others = [r for r in others if r not in near]
+    if not others:
+        return None, wider
     other = min(others, key=lambda r: r.score)
-    return {'name': other.candidate.label,
-            'log10_likelihood_ratio': (other.score - chosen[0].score) / (2.0 * np.log(10.0))}
+    ratio = (other.score - chosen[0].score) / (2.0 * np.log(10.0) * found.scale)
+    return {'name': other.candidate.label, 'log10_likelihood_ratio': float(ratio)}, wider
 
 
 def smallest_seen(found: Evidence) -> dict[str, dict[str, Any]]:
