@@ -9,7 +9,7 @@ def law(moment, total_tension, radius, clearance):
     """
     Add clearance S along the moment, smoothed where the moment vanishes.
 
-    |M| + clearance S |M| / sqrt(|M|^2 + (0.03 S r)^2), r the largest offset component [m].
+    |M| + clearance S |M| / sqrt(|M|^2 + (0.03 S r)^2), r the largest offset [m].
     """
     smooth = 0.03 * total_tension * radius
     size = math.sqrt(moment * moment + smooth * smooth)

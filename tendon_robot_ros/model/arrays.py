@@ -113,7 +113,7 @@ class Arrays:
             k=len(robot.tendons),
             m=len(robot.inputs),
             sections=len(robot.sections),
-            radius=float(np.abs(self.offset).max()),
+            radius=float(np.linalg.norm(self.offset, axis=2).max()),
             step=lay.address_of(self.part('sweep').step),
             settle=lay.address_of(self.part('solve').settle),
             **at,

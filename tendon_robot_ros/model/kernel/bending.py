@@ -11,6 +11,7 @@ from .stages import (
     memory_acts,
     moment,
     moment_acts,
+    offset,
     rest,
     stiffness,
 )
@@ -59,7 +60,8 @@ def bend_cell(chain, past, i, mx, my, total):
     section = section_of(chain, i)
     size = math.sqrt(mx * mx + my * my)
     if moment_acts(chain) and size > 0.0:
-        factor = moment(size, total, chain.radius, chain, section) / size
+        radius = chain.radius * offset(1.0, chain, 0)
+        factor = moment(size, total, radius, chain, section) / size
         mx, my = mx * factor, my * factor
     if hold_acts(chain):
         hx, hy = 0.0, 0.0

@@ -51,7 +51,8 @@ def ramp(chain, inputs, work, past, now, bend, parts):
     aim, start, there = floats(inputs), floats(past.inputs), floats(now.inputs)
     for part in range(parts):
         for j in range(chain.m):
-            there[j] = start[j] + (aim[j] - start[j]) * ((part + 1.0) / parts)
+            share = (part + 1.0) / parts
+            there[j] = (1.0 - share) * start[j] + share * aim[j]
         change = settle_at(chain.settle)(chain, now.inputs, work, now, bend)
         if not change < TOLERANCE:
             break

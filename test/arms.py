@@ -1,0 +1,104 @@
+"""Robots for the tests of the model: small ones, any number of sections, tendons, effects."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tendon_robot_ros.robot import Robot, Section, Tendon
+
+GRAVITY = (1.0, -2.0, 9.4)
+TYPICAL = {  # every effect at a size that matters; friction_memory has tests of its own
+    'tendon_friction': {'friction_coefficient': 0.3},
+    'eyelet_wrap': {'fraction': 0.7},
+    'tendon_travel': {'fraction': 0.6},
+    'straight_tendon': {'fraction': 0.8},
+    'eyelet_clearance': {'clearance': 2e-4},
+    'hinge_friction': {'lever': 2e-4},
+    'backbone_stiffness': {'relative_change': 0.1},
+    'section_stiffness': {'relative_change': (0.2, -0.1)},
+    'tendon_stiffness': {'per_tendon': 5e-4},
+    'nonlinear_stiffness': {'cubic': 3.0},
+    'pre_curvature': {'angle_x': 0.02, 'angle_y': -0.03},
+    'gravity': {'linear_density': 0.3},
+    'tip_load': {'force_x': 0.01, 'force_y': -0.02, 'force_z': 0.03},
+    'axial_compression': {'compliance': 3e-3},
+    'transmission_loss': {'fraction': 0.1},
+    'tension_offset': {'offset': 0.05},
+    'moment_arm': {'relative_change': 0.1},
+    'tendon_elongation': {'compliance': 2e-3},
+}
+
+
+def planar(cells=6, effects=None, bends_as='arc', stiffness=0.027, length=0.007, arm=0.0055):
+    """Return one section with a tendon to each side."""
+    return Robot(
+        name='planar',
+        sections=(section('only', cells, length, stiffness, bends_as),),
+        tendons=(
+            Tendon('left', (-arm, 0.0), (-arm, 0.0), 'only'),
+            Tendon('right', (arm, 0.0), (arm, 0.0), 'only'),
+        ),
+        tension_limits=(0.0, 5.0),
+        effects=effects or {},
+    )
+
+
+def two_sections(cells=4, effects=None, bends_as='arc'):
+    """Return two sections with two tendons each, in one plane."""
+    arm = 0.0055
+    return Robot(
+        name='two_sections',
+        sections=(
+            section('near', cells, 0.007, 0.027, bends_as),
+            section('far', cells, 0.006, 0.021, bends_as),
+        ),
+        tendons=tuple(
+            Tendon(f'{where}_{side}', (x, 0.0), (x, 0.0), where)
+            for where in ('near', 'far')
+            for side, x in (('left', -arm), ('right', arm))
+        ),
+        tension_limits=(0.0, 5.0),
+        effects=effects or {},
+    )
+
+
+def spatial(cells=4, effects=None, bends_as='hinge', taper=1.0):
+    """Return two sections with three tendons each, all around; `taper` of the offsets."""
+    tendons = []
+    for s, name in enumerate(('near', 'far')):
+        for j in range(3):
+            angle = np.pi / 3 * (2 * j + s)
+            base = (0.006 * np.cos(angle), 0.006 * np.sin(angle))
+            tendons.append(Tendon(f'{name}_{j}', base, (taper * base[0], taper * base[1]), name))
+    return Robot(
+        name='spatial',
+        sections=(
+            section('near', cells, 0.006, 0.05, bends_as),
+            section('far', cells, 0.006, 0.03, bends_as),
+        ),
+        tendons=tuple(tendons),
+        tension_limits=(0.0, 5.0),
+        effects=effects or {},
+    )
+
+
+def section(name, cells, length, stiffness, bends_as='arc'):
+    """Return a section of equal cells."""
+    return Section(name, cells, length, (stiffness,) * cells, (1.0,) * cells, bends_as)
+
+
+def turned(robot, angle):
+    """Return the robot turned about z, with what of its effects and gravity has a direction."""
+    c, s = np.cos(angle), np.sin(angle)
+
+    def turn(x, y):
+        return (float(c * x - s * y), float(s * x + c * y))
+
+    effects = {name: dict(values) for name, values in robot.effects.items()}
+    for name, stem in (('pre_curvature', 'angle'), ('tip_load', 'force')):
+        if name in effects:
+            x, y = (effects[name].get(f'{stem}_{axis}', 0.0) for axis in 'xy')
+            effects[name][f'{stem}_x'], effects[name][f'{stem}_y'] = turn(x, y)
+    gravity = robot.gravity and (*turn(*robot.gravity[:2]), robot.gravity[2])
+    tendons = tuple(replace(t, base=turn(*t.base), end=turn(*t.end)) for t in robot.tendons)
+    return replace(robot, tendons=tendons, effects=effects, gravity=gravity)
