@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -124,24 +125,25 @@ def _restricted_likelihood(
     nus = np.concatenate([np.full(len(s), nu) for nu, s, *_ in parts])
     sizes = np.concatenate([s for _, s, *_ in parts]) ** 2
     along = np.concatenate([a for _, _, a, *_ in parts])
-    rest = sum(r for *_, r in parts)
+    rest = float(sum(r for *_, r in parts))
     largest = max(float(sizes.max(initial=0.0)), 1e-30)
 
     def position2(ratio: float) -> float:
-        return max((float((along / (1.0 + ratio * sizes)).sum()) + rest) / count, 1e-24)
+        return max((float(np.sum(along / (1.0 + ratio * sizes))) + rest) / count, 1e-24)
 
     def cost(log: float) -> float:
-        ratio = np.exp(log) / largest
-        return float((nus * np.log1p(ratio * sizes)).sum()) + count * np.log(position2(ratio))
+        ratio = math.exp(log) / largest
+        spread = float(np.sum(nus * np.log1p(ratio * sizes)))
+        return spread + count * math.log(position2(ratio))
 
     grid = np.arange(-14.0, 21.0, 1.0)
-    best = grid[int(np.argmin([cost(log) for log in grid]))]
+    best = float(grid[int(np.argmin([cost(float(log)) for log in grid]))])
     log, lowest = minimum(cost, best - 1.0, best + 1.0, 1e-3)
-    if best == grid[0] or lowest > count * np.log(position2(0.0)):
-        return float(np.sqrt(position2(0.0))), 0.0
-    ratio = np.exp(log) / largest
-    position = np.sqrt(position2(ratio))
-    return float(position), float(min(np.sqrt(ratio) * position, 0.3))
+    if best == grid[0] or lowest > count * math.log(position2(0.0)):
+        return math.sqrt(position2(0.0)), 0.0
+    ratio = math.exp(log) / largest
+    position = math.sqrt(position2(ratio))
+    return position, min(math.sqrt(ratio) * position, 0.3)
 
 
 class Whitener:
