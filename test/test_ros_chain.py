@@ -201,4 +201,5 @@ def test_commands_stay_within_limits_whatever_is_sent(station):
     assert efforts.max() <= HIGH
     measured = [m.effort.tolist() for _, m in station.states if m.name[0] != 'a']
     assert np.max(measured) <= HIGH
+    station.spin(0.5)  # twists still on their way would end the target
     station.go_to_point(0.06, 0.17)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
@@ -33,6 +34,8 @@ from .status import LEVELS, Status
 
 HELP = 'move the tip to targets: poses, points or twists in, tendon commands out'
 
+TELL_PERIOD = 0.02  # [s]
+
 
 class ControllerNode(ManagedNode):
     """ROS around the controller core; one thread."""
@@ -47,11 +50,9 @@ class ControllerNode(ManagedNode):
         self.parameters.watch({'model': self._loading.change}, self._retune)
         self._incoming: Incoming | None = None
         self._prediction: Prediction | None = None
-        self._latency = 0.0
+        self._latency = self._told = 0.0
+        self._targets: list[Subscription] = []
         self._commands = self.create_publisher(JointState, 'tendon_command', COMMAND)
-        self.create_subscription(PoseStamped, '~/target_pose', self._pose, COMMAND)
-        self.create_subscription(PointStamped, '~/target_point', self._point, COMMAND)
-        self.create_subscription(TwistStamped, '~/delta_twist', self._twist, LISTEN)
         self.create_subscription(JointState, 'tendon_states', self._states, LISTEN)
         self.create_subscription(Bool, 'stop', self._stop_topic, LATCHED)
         if self.parameters['driver_status']:
@@ -80,6 +81,20 @@ class ControllerNode(ManagedNode):
             self.core.stop('stop topic', 'topic stop says true', lasting=True)
         self._incoming = Incoming(self, self.parameters, model)
         self._prediction = Prediction(self, self._incoming.base, model)
+
+    def activate(self) -> None:
+        """Begin to hear targets: who waits for a subscriber sends none in vain."""
+        subscribe = self.create_subscription
+        self._targets = [
+            subscribe(PoseStamped, '~/target_pose', self._pose, COMMAND),
+            subscribe(PointStamped, '~/target_point', self._point, COMMAND),
+            subscribe(TwistStamped, '~/delta_twist', self._twist, LISTEN),
+        ]
+
+    def deactivate(self) -> None:
+        """Go silent; the driver then releases the arm."""
+        while self._targets:
+            self.destroy_subscription(self._targets.pop())
 
     def cleanup(self) -> None:
         """Forget the model; the next `configure` loads it anew."""
@@ -118,7 +133,7 @@ class ControllerNode(ManagedNode):
     def _take(self, kind: str, action: Callable[[ControllerCore, Incoming], None]) -> None:
         """Use a message, and answer a target with a command at once; or say why not."""
         core, target = self.core, kind == 'target'
-        if core is None or self._incoming is None or (target and self.phase != 'active'):
+        if core is None or self._incoming is None:
             return
         began = time.monotonic()
         try:
@@ -141,16 +156,16 @@ class ControllerNode(ManagedNode):
         self._reload(core)
         output = core.step(now)
         if output is not None:
+            pulls = output.pulls
+            tensions = output.tensions if pulls is None else None
             stamp = self.get_clock().now().to_msg()
-            pull = core.settings.pull_mode
-            self._commands.publish(
-                joint_state(
-                    stamp,
-                    core.model.inputs,
-                    output.pulls if pull else None,
-                    None if pull else output.tensions,
-                )
-            )
+            self._commands.publish(joint_state(stamp, core.model.inputs, pulls, tensions))
+        if now - self._told >= TELL_PERIOD:
+            self._told = now
+            self._tell(core, now)
+
+    def _tell(self, core: ControllerCore, now: float) -> None:
+        """Publish the status."""
         said = report(core, now)
         if self._loading.note:
             said.values['model'] = self._loading.note

@@ -81,7 +81,7 @@ class TeleopNode(Node):
         now = time.monotonic()
         for key in pressed(0.0):
             self._press(key, now)
-        scale = self._factor
+        scale, self._deadman.hold = self._factor, self.parameters['hold']
         velocity = self._deadman.velocity(
             now, scale * self.parameters['linear_speed'], scale * self.parameters['angular_speed']
         )

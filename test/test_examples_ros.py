@@ -1,0 +1,29 @@
+"""The example moves the mock arm as the README says."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from ros_station import Station, start
+from source_tree import ROOT
+
+pytestmark = pytest.mark.ros
+
+
+def test_the_example_sends_the_tip_to_a_point(tmp_path):
+    with start('driver', '/', tmp_path), start('controller', '/', tmp_path):
+        station = Station('/')
+        station.until_code(station.controller, 'holding', timeout=120.0)  # compiles when cold
+        station.close()
+        run = subprocess.run(
+            [sys.executable, ROOT / 'examples' / 'go_to.py', '0.06', '0.17'],
+            text=True,
+            capture_output=True,
+            timeout=60,
+            env=os.environ,
+        )
+    assert run.stdout == 'tip at (60.0, 0.0, 170.0) mm\n', run.stderr
