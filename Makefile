@@ -2,7 +2,7 @@
 RUN := tools/bootstrap.sh
 ARGS :=
 
-.PHONY: help venv test test-oldest lint format
+.PHONY: help venv test test-oldest demo lint format
 .SILENT:
 
 help: ## list the targets
@@ -17,6 +17,9 @@ test: ## the fast tests
 test-oldest: ## the same with the oldest numpy, scipy and numba that setup.py allows
 	VENV="$(CURDIR)/.venv-oldest" PIP_CONSTRAINT=tools/oldest.txt \
 		$(RUN) python -m pytest -n 2 --dist loadfile $(ARGS)
+
+demo: ## the paper's postures with a mock arm, in under a minute
+	$(RUN) python -m tendon_robot_ros demo $(ARGS)
 
 lint: ## ruff and mypy
 	$(RUN) ruff check $(ARGS)

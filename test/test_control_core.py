@@ -1,54 +1,12 @@
-"""The controller without ROS: targets to commands, halts, stops, and limits that always hold."""
-
-from functools import cache
-from pathlib import Path
+"""The controller without ROS: targets to commands, halts, stops."""
 
 import numpy as np
 import pytest
+from control_rig import CYCLE, Rig, model, reachable
 
-from tendon_robot_ros.control import ControllerCore, Refusal, Settings, Target, Twist
+from tendon_robot_ros.control import Refusal, Target, Twist
 from tendon_robot_ros.control.report import report
-from tendon_robot_ros.exceptions import DriverError, InputError, NoEquilibriumError
-from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.robot import load_robot
-
-ROBOTS = Path(__file__).parents[1] / 'config' / 'robots'
-CYCLE = 0.005
-
-
-@cache
-def model(name='kato_10_1'):
-    return Model(load_robot(ROBOTS / f'{name}.yaml'))
-
-
-class Rig:
-    """A core with a driver that follows at once."""
-
-    def __init__(self, **settings):
-        self.core = ControllerCore(model(), Settings(**settings))
-        self.now, self.tensions, self.alive = 0.0, np.full(4, 0.1), True
-        self.outputs = []
-
-    def run(self, seconds, before=None):
-        for _ in range(round(seconds / CYCLE)):
-            self.now += CYCLE
-            if before is not None:
-                before(self)
-            if self.alive:
-                self.core.measured(self.now, self.tensions, np.zeros(4))
-            output = self.core.step(self.now)
-            if output is not None:
-                self.tensions = output.tensions if self.alive else self.tensions
-                self.outputs.append(output)
-        return output
-
-    def code(self):
-        return report(self.core, self.now).code
-
-
-def reachable(tensions=(0.5, 0.1, 0.1, 0.9)):
-    shape = model().shape(np.array(tensions))
-    return Target(shape.tip_position, shape.tip_direction)
+from tendon_robot_ros.exceptions import DriverError
 
 
 def test_a_target_is_approached_at_the_rate_limit_and_reached():
@@ -186,71 +144,3 @@ def test_out_of_reach_is_said_with_the_distance():
     said = report(rig.core, rig.now)
     assert said.code in ('nearest', 'at_limit')
     assert 'mm' in said.message
-
-
-def test_in_pull_mode_commands_are_the_pulls_of_an_equilibrium():
-    rig = Rig(pull_mode=True)
-    rig.run(0.1)
-    rig.core.aim(reachable())
-    output = rig.run(1.0)
-    assert output.pulls == pytest.approx(model().shape(output.tensions).pulls, abs=1e-9)
-
-
-def test_unobserved_tensions_are_taken_from_the_wire_pulls():
-    core = ControllerCore(model())
-    shape = model().shape(np.array([0.5, 0.1, 0.1, 0.9]))
-    core.measured(0.0, np.full(4, np.nan), shape.pulls)
-    pulls = model().shape(core.step(0.0).tensions).pulls
-    assert pulls == pytest.approx(shape.pulls, abs=1e-5)
-
-
-def test_another_model_moves_tensions_to_its_solution_at_the_rate_limit():
-    rig = Rig(rate_limit=2.0)
-    rig.run(0.1)
-    rig.core.aim(reachable())
-    rig.run(1.0)
-    before = rig.tensions
-    stiffer = model().robot.with_effect('backbone_stiffness', {'relative_change': 0.2})
-    rig.core.set_model(Model(stiffer))
-    assert np.abs(rig.run(CYCLE).tensions - before).max() <= 2.0 * CYCLE + 1e-12
-    rig.run(1.0)
-    tip = rig.core.model.shape(rig.tensions).tip_position
-    assert tip == pytest.approx(reachable().position, abs=1e-4)
-
-
-def test_a_model_with_other_inputs_or_without_equilibrium_is_refused(monkeypatch):
-    rig = Rig()
-    rig.run(0.1)
-    with pytest.raises(InputError, match='expected prox_left, prox_right, dist_left, dist_right'):
-        rig.core.set_model(model('spatial_3'))
-    other = Model(model().robot)
-
-    def fail(*args, **kwargs):
-        raise NoEquilibriumError('here', (), 1.0)
-
-    monkeypatch.setattr(other, 'shape', fail)
-    with pytest.raises(NoEquilibriumError):
-        rig.core.set_model(other)
-    assert rig.core.model is model()
-
-
-def test_without_equilibrium_it_halts_and_then_releases(monkeypatch):
-    rig = Rig(pull_mode=True)
-    rig.run(0.1)
-    rig.core.aim(reachable())
-    rig.run(0.02)
-    count = len(rig.outputs)
-
-    def fail(*args, **kwargs):
-        raise NoEquilibriumError('here', (), 1.0)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(model(), 'shape', fail)
-        rig.run(0.4)
-        held = rig.outputs[count:]
-        assert all(np.array_equal(held[0].pulls, output.pulls) for output in held)
-        assert len(held) == 80
-        assert rig.run(0.3) is None
-        assert rig.code() == 'no_equilibrium'
-    assert rig.run(0.1) is not None
-    assert rig.code() == 'refused_no_equilibrium'
