@@ -98,7 +98,7 @@ def hidden_values(hidden: str, size: float, seed: int) -> dict[str, float]:
     if hidden == 'tendon_friction':
         return {'friction_coefficient': 0.3}
     random = np.random.default_rng([seed, 5])
-    two_sided = [p for p in effect.parameters if p.low < 0.0]
+    two_sided = [p for p in effect.parameters if p.low <= -p.typical]
     signs = {p.name: random.choice([-1.0, 1.0]) for p in two_sided}
     values = {p.name: p.typical * size * signs.get(p.name, 1.0) for p in effect.parameters}
     if hidden == 'section_stiffness':
