@@ -141,16 +141,46 @@ def inverse_slopes(chain, inputs, x, f, work, past, stride, moved):
         x[c * stride] = keep
         for r in range(count):
             jacobian[r, c] = (moved[r * stride] - f[r * stride]) / h
-    if not np.isfinite(jacobian).all():
-        return np.full((count, count), math.nan)
-    return np.linalg.inv(jacobian + 1e-13 * np.eye(count))
+    return invert(jacobian)
+
+
+@compiled
+def invert(a):
+    """Inverse (q, q) by Gauss-Jordan with row pivots; NaN in [0, 0] where there is none."""
+    count = a.shape[0]
+    b = np.eye(count)
+    for c in range(count):
+        pivot = c
+        for r in range(c + 1, count):
+            if abs(a[r, c]) > abs(a[pivot, c]):
+                pivot = r
+        if not 1e-30 < abs(a[pivot, c]) < 1e30:
+            b[0, 0] = math.nan
+            return b
+        for k in range(count):
+            a[c, k], a[pivot, k] = a[pivot, k], a[c, k]
+            b[c, k], b[pivot, k] = b[pivot, k], b[c, k]
+        scale = 1.0 / a[c, c]
+        for k in range(count):
+            a[c, k] *= scale
+            b[c, k] *= scale
+        for r in range(count):
+            share = a[r, c]
+            if r != c and share != 0.0:
+                for k in range(count):
+                    a[r, k] -= share * a[c, k]
+                    b[r, k] -= share * b[c, k]
+    return b
 
 
 @compiled
 def newton_step(chain, inputs, x, f, inverse, stride, work, past, trial, trial_f, halvings):
     """Step x along -inverse f with a line search; return the largest residual, or -1."""
     count = inverse.shape[0]
-    move = inverse @ np.ascontiguousarray(f[::stride])
+    move = np.zeros(count)
+    for r in range(count):
+        for c in range(count):
+            move[r] += inverse[r, c] * f[c * stride]
     before = dot(f, f)
     share = min(1.0, 1.0 / max(largest(move), 1e-300))
     for _ in range(halvings):
@@ -184,7 +214,7 @@ def newton(chain, inputs, x, work, past, most):
             return change
         if not old:
             inverse = inverse_slopes(chain, inputs, x, f, work, past, stride, trial_f)
-            if not np.isfinite(inverse).all():
+            if math.isnan(inverse[0, 0]):
                 return change
         fresh = not old
         new = newton_step(chain, inputs, x, f, inverse, stride, work, past, trial, trial_f,
