@@ -152,6 +152,8 @@ def smallest_seen(found: Evidence) -> dict[str, dict[str, Any]]:
         if len(ranked.fit.frees) == 1 and not ranked.candidate.present:
             spread = np.sqrt(ranked.fit.covariance[0, 0])
             if np.isfinite(spread):
+                free = ranked.fit.frees[0]
                 seen[ranked.candidate.label] = {'size': float(threshold * spread),
-                                                'unit': ranked.fit.frees[0].parameter.unit}
+                                                'parameter': free.key,
+                                                'unit': free.parameter.unit}
     return seen

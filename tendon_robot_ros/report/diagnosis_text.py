@@ -1,0 +1,247 @@
+"""What a diagnosis says in words; every sentence comes from fields of the result."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..analysis.result import Diagnosis, EffectFinding
+from .next_text import next_measurement
+from .quantities import described_quantity, quantities, short_quantities
+from .words import digits, listed, mm
+
+UNIQUE = ('missing_effect', 'several', 'wrong_parameter')
+
+
+def lines(found: Diagnosis) -> list[str]:
+    """Return all lines: what was taken as exact, the verdict, what is left, what else."""
+    said = [size(found), *declared(found), '', verdict(found)]
+    if found.verdict == 'cannot_judge':
+        return said
+    said.append(found.remainder)
+    said += [line for line in (alike(found), untested(found), detectable(found)) if line]
+    if found.next_measurement is not None:
+        said.append(next_measurement(found))
+    return said
+
+
+def size(found: Diagnosis) -> str:
+    """Say what was diagnosed."""
+    details = found.details
+    if 'postures' not in details:
+        return 'diagnosis'
+    counts = [
+        (details['postures'], 'posture'),
+        (details['trials'], 'trial'),
+        (details['markers'], 'marker'),
+    ]
+    parts = [f'{n} {name}{"" if n == 1 else "s"}' for n, name in counts]
+    return f'{details["robot"]} on {details["data"]}: {listed(parts)}'
+
+
+def declared(found: Diagnosis) -> list[str]:
+    """Say what counts as exact, and what the noise is taken to be."""
+    details = found.details
+    if 'tolerances' not in details:
+        return []
+    said = [_tolerance(name, size) for name, size in details['tolerances'].items()]
+    first = (
+        f'declared tolerances (1 sd): {", ".join(said)}; everything else is taken as exact'
+        if said
+        else 'no tolerances declared: the description is taken as exact'
+    )
+    noise = details['noise']
+    if noise['source'] == 'trials':
+        second = f'noise, from the trials: {mm(noise["position"], 2)} per coordinate'
+    else:
+        second = f'noise, as declared: {mm(noise["position"], 2)} per coordinate'
+    second += f', inputs {digits(100.0 * noise["trial"])} % per trial'
+    second += (
+        f', {digits(100.0 * noise["setting"])} % per setting (declared)'
+        if noise['setting']
+        else '; none declared for how inputs are set'
+    )
+    return [first, second]
+
+
+def _tolerance(name: str, size: float) -> str:
+    if name == 'position':
+        return f'{name} {mm(size, 2)}'
+    if name == 'rotation':
+        return f'{name} {digits(np.degrees(size))}°'
+    return f'{name} {digits(100.0 * size)} %'
+
+
+def verdict(found: Diagnosis) -> str:
+    """Return the verdict in one line, or two."""
+    return {
+        'adequate': _adequate,
+        'missing_effect': _missing,
+        'several': _missing,
+        'ambiguous': _ambiguous,
+        'wrong_parameter': _wrong,
+        'outside_catalogue': _outside,
+        'cannot_judge': _cannot_judge,
+    }[found.verdict](found)
+
+
+def explained(effects: tuple[EffectFinding, ...]) -> str:
+    """Say how much of the explainable error goes away."""
+    share = effects[0].explained
+    percent = int(100.0 * share) if share < 1.0 else 100
+    return f'{percent} % of the explainable error'
+
+
+def _adequate(found: Diagnosis) -> str:
+    accuracy = found.details.get('accuracy')
+    if accuracy:
+        return f'ADEQUATE FOR {mm(accuracy, 2)}: nothing is missing that matters at that accuracy.'
+    return 'ADEQUATE: nothing is missing that these measurements could show.'
+
+
+def _missing(found: Diagnosis) -> str:
+    named = [f'{e.name}: {quantities(e.parameters)}' for e in found.effects]
+    if len(named) == 1:
+        return f'CONSISTENT WITH {named[0]}.\nIt explains {explained(found.effects)}.'
+    return (
+        'CONSISTENT WITH '
+        + ' AND '.join(e.name for e in found.effects)
+        + ' together: '
+        + '; '.join(named)
+        + f'.\nThey explain {explained(found.effects)}.'
+    )
+
+
+def _ambiguous(found: Diagnosis) -> str:
+    best = found.effects[0]
+    postures = found.details.get('postures')
+    these = f'these {postures} postures' if postures else 'these postures'
+    return (
+        f'AMBIGUOUS: {listed(found.cannot_tell_apart, "or")} explain {these} equally well '
+        f'({explained(found.effects)}).\n'
+        f'If it is {best.name}: {quantities(best.parameters)}.'
+    )
+
+
+def _wrong(found: Diagnosis) -> str:
+    best = found.effects[0]
+    told = '; '.join(f'{e.name}: {quantities(e.parameters)}' for e in found.effects)
+    if found.out_of_tolerance:
+        moved = found.details.get('moved', {})
+        strays = [
+            f'{name} (by {digits(abs(moved[name]))} declared sd)' if name in moved else name
+            for name in found.out_of_tolerance
+        ]
+        return (
+            f'WRONG PARAMETER: {listed(strays)} must move further than declared.\n'
+            f'CONSISTENT WITH {told}.'
+        )
+    before = found.details.get('described', {}).get(best.name, {})
+    was = '; '.join(_described(best, key, value) for key, value in before.items())
+    also = found.cannot_tell_apart
+    return (
+        'WRONG PARAMETER'
+        + (
+            f': {listed(also, "or")} explain it equally well.\n'
+            if also
+            else ': no effect is missing, but a value is off.\n'
+        )
+        + f'CONSISTENT WITH {told} (the description says {was or "nothing"}).\n'
+        f'It explains {explained(found.effects)}.'
+    )
+
+
+def _described(effect: EffectFinding, key: str, value: float | Sequence[float]) -> str:
+    """Show a described value in the unit of the fitted one."""
+    unit = next((v.unit for k, v in effect.parameters.items() if k.split('[')[0] == key), '1')
+    return described_quantity(key, unit, [value] if isinstance(value, float) else list(value))
+
+
+def _outside(found: Diagnosis) -> str:
+    floor = found.noise_floor
+    if not found.effects:
+        ratio = digits(found.error_before / floor)
+        return (
+            f'OUTSIDE THE CATALOGUE: no effect of the catalogue helps; the error is {ratio} '
+            'times the noise.'
+        )
+    best = next((row for row in found.candidates if row.status == 'best'), None)
+    told = ' with '.join(f'{e.name} ({short_quantities(e.parameters)})' for e in found.effects)
+    text = f'OUTSIDE THE CATALOGUE: {told} removes {explained(found.effects)}, but '
+    if 'rival' in found.details and best is not None and best.probability > 0.001:
+        return text + f'{_rival(found.details["rival"]["name"])} fits better without any physics.'
+    sure = '' if best is None else f' (p {_p(best.probability)})'
+    return text + f'what remains is {digits(found.error_after / floor)} times the noise{sure}.'
+
+
+def _rival(name: str) -> str:
+    return {
+        'soft_cell': 'a single soft cell',
+        'taper': 'a stiffness that changes along the arm',
+        'gain_per_posture': 'a factor of its own on the inputs of every posture',
+        'rotation_per_posture': 'a rotation of its own of every posture',
+    }.get(name, name)
+
+
+def _p(p: float) -> str:
+    return '< 1e-6' if p < 1e-6 else f'= {digits(p, 1)}'
+
+
+def _cannot_judge(found: Diagnosis) -> str:
+    return f'CANNOT JUDGE: {found.remainder}.'
+
+
+def alike(found: Diagnosis) -> str:
+    """Say what cannot be told apart from the named effects, and how far the next best is off."""
+    if not found.effects:
+        return ''
+    own = {effect.name for effect in found.effects}
+    rest = [name for name in found.cannot_tell_apart if name not in own]
+    said = []
+    best = found.details.get('next_best')
+    if best is not None and found.verdict != 'several':
+        said.append(f'next best, {best["name"]}, is {_times(best["log10_likelihood_ratio"])}')
+    wider = found.details.get('wider') or []
+    if wider:
+        does = 'does' if len(wider) == 1 else 'do'
+        said.append(f'{listed(wider)} {does} the same with more parameters')
+    if found.verdict == 'ambiguous':
+        return '; '.join(said)
+    tail = f' ({"; ".join(said)})' if said else ''
+    return f'cannot be told apart from: {", ".join(rest) or "nothing"}{tail}'
+
+
+def _times(log10: float) -> str:
+    if log10 < 3.0:
+        return f'{digits(10.0**log10, 2)} times less likely'
+    if log10 > 100.0:
+        return 'more than 10^100 times less likely'
+    return f'10^{round(log10)} times less likely'
+
+
+def untested(found: Diagnosis) -> str:
+    """List what these postures say nothing about, and why."""
+    if not found.not_tested:
+        return ''
+    why = found.details.get('not_tested_because', {})
+    groups: dict[str, list[str]] = {}
+    for name in found.not_tested:
+        groups.setdefault(why.get(name, ''), []).append(name)
+    parts = [
+        f'{", ".join(names)} ({reason})' if reason else ', '.join(names)
+        for reason, names in groups.items()
+    ]
+    return f'not tested by these postures: {"; ".join(parts)}'
+
+
+def detectable(found: Diagnosis) -> str:
+    """Say how small an effect would have been seen."""
+    seen = found.details.get('detectable')
+    if not seen:
+        return ''
+    parts = [
+        f'{name} {described_quantity(one["parameter"], one["unit"], [one["size"]], 2)}'
+        for name, one in seen.items()
+    ]
+    return 'smallest size that would have been seen (four times in five): ' + ', '.join(parts)
