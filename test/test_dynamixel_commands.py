@@ -27,7 +27,7 @@ def robot_file(tmp_path):
 
 
 def test_emulate_prints_a_port_that_the_driver_opens_and_obeys_its_input(robot_file):
-    with EmulatorProcess(robot_file) as emulator:
+    with EmulatorProcess(robot_file, '--arm', 'springs') as emulator:
         content = emulator.content()
         assert content['port'] == emulator.port
         with make_driver('dynamixel', emulated.robot(), content, source='servos.yaml') as driver:

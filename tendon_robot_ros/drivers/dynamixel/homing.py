@@ -24,6 +24,7 @@ PERIOD = 0.01  # [s]
 BACK_OFF = 0.002  # [m]
 LAG = 0.001  # [m] behind the goal: it does not follow any more
 STALLED_FOR = 0.15  # [s]
+MOST_MISSED = 5  # answers in a row
 
 
 @dataclass
@@ -37,6 +38,7 @@ class Search:
     backing: bool
     still_since: float | None = None
     stalls: tuple[int, ...] = ()
+    missed: int = 0  # answers in a row
     done: bool = False
 
     @property
@@ -104,8 +106,11 @@ def _cycle(bus: Bus, config: Config, searches: list[Search]) -> None:
     read_state(bus, [search.motor for search in searches])
     now = time.monotonic()
     for search in searches:
-        if not search.motor.answers:
+        search.missed = 0 if search.motor.answers else search.missed + 1
+        if search.missed > MOST_MISSED:
             raise DriverError(f'{bus.path}: {search.motor}: no answer while looking for slack')
+        if search.missed:
+            continue
         if search.backing:
             _back_off(config, search, now)
         elif search.middle is not None:

@@ -1,0 +1,281 @@
+"""
+Every fault of motors and bus through the real driver node in a process of its own.
+
+Commands come at 100 Hz from here; the servos are emulated in a third process. For each fault: what
+the motors get, what status and diagnostics say, how it recovers.
+"""
+
+import contextlib
+import signal
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+pytest.importorskip('dynamixel_sdk')
+
+from diagnostic_msgs.msg import DiagnosticArray
+from ros_station import LOW, Station, last, point, start, values
+from sensor_msgs.msg import JointState
+
+from tendon_robot_ros.drivers.emulator.process import EmulatorProcess
+from tendon_robot_ros.nodes.qos import COMMAND
+from tendon_robot_ros.nodes.shared import shared_file
+
+pytestmark = pytest.mark.ros
+ROBOT = 'kato_10_1'
+TENSION = [1.5, 0.4, 1.0, 0.3]  # [N]
+PULL = [0.006, -0.006, 0.003, -0.003]  # [m]
+WATCHDOG_TRIPPED = 255
+
+
+class Rig:
+    """Emulated servos, the driver node on them, and a sender of commands."""
+
+    def __init__(self, mode, folder):
+        self.mode = mode
+        self.servos = EmulatorProcess(shared_file(f'config/robots/{ROBOT}.yaml'))
+        self.space = f'/dynamixel_{mode}'
+        self.folder = folder
+        self.station = Station(self.space)
+        self.diagnostics = self.station.hear(DiagnosticArray, '/diagnostics')
+        self.command = TENSION if mode == 'tension' else PULL
+        self._publisher = self.station.node.create_publisher(JointState, 'tendon_command', COMMAND)
+        self._timer = self.station.node.create_timer(0.01, self._send)
+        self.sending = True
+        self.node = None
+
+    def run(self):
+        self.node = start(
+            'driver',
+            self.space,
+            self.folder,
+            robot=ROBOT,
+            backend='dynamixel',
+            config=str(self.servos.config),
+            command_mode=self.mode,
+        )
+        self.station.until_code(self.station.driver, 'following', timeout=60.0)
+        return self.node
+
+    def _send(self):
+        if not self.sending:
+            return
+        message = JointState(name=['prox_left', 'prox_right', 'dist_left', 'dist_right'])
+        message.header.stamp = self.station.node.get_clock().now().to_msg()
+        field = 'effort' if self.mode == 'tension' else 'position'
+        setattr(message, field, [float(value) for value in self.command])
+        self._publisher.publish(message)
+
+    def measured(self):
+        state = last(self.station.states)
+        return np.array(state.effort if self.mode == 'tension' else state.position)
+
+    def until_following(self):
+        """Wait until the node follows and the arm is where it is told to be."""
+        near = 0.1 if self.mode == 'tension' else 1e-3
+        self.station.until_code(self.station.driver, 'following', timeout=20.0)
+        self.station.until(
+            lambda: np.allclose(self.measured(), self.command, atol=near), 'the command'
+        )
+
+    def goals(self, seconds):
+        """Return what the servos accepted as goals lately: id to list of (time, value)."""
+        name = 'goal_current' if self.mode == 'tension' else 'goal_position'
+        found = {i: [] for i in (1, 2, 3, 4)}
+        for when, identity, register, value in self.servos.ask(f'log {seconds}'):
+            if register == name:
+                found[identity].append((when, value))
+        return found
+
+    def servo(self, identity):
+        return self.servos.ask('state')['servos'][str(identity)]
+
+    def operate(self):
+        """Reboot what reports an error, then reset, as a person does."""
+        self.station.until(lambda: self.station.trigger('driver/reboot').success, 'a reboot')
+
+        def reset():
+            self.station.trigger('driver/reset')
+            self.station.spin(0.2)
+            return values(last(self.station.driver))['code'] == 'following'
+
+        self.station.until(reset, 'following after a reset', timeout=30.0)
+
+    def close(self):
+        if self.node is not None:
+            self.node.end()
+        self.station.close()
+        self.servos.end()
+
+
+@pytest.fixture(scope='module', params=['tension', pytest.param('pull', marks=pytest.mark.slow)])
+def running(request, tmp_path_factory):
+    with contextlib.closing(Rig(request.param, tmp_path_factory.mktemp('logs'))) as rig:
+        rig.run()
+        yield rig
+
+
+@pytest.fixture
+def rig(running):
+    """Give every test a node that follows."""
+    running.sending = True
+    running.until_following()
+    return running
+
+
+# name -> break, mend (None: reboot and reset), what the status says, torque goes off for id 2
+FAULTS = {
+    'silent servo': ('silent 2', 'hear 2', 'no answer; check its cable', False),
+    'broken answers': ('spoil 100000', 'spoil 0', 'no answer; check its cable', False),
+    'truncated answers': ('cut 100000', 'cut 0', 'no answer; check its cable', False),
+    'slow bus': ('slow 0.05', 'slow 0', 'no answer; check its cable', False),
+    'unplugged': ('unplug', 'plug', 'the port is gone; plug the adapter in again', False),
+    'overload': ('overload 2', None, 'load above the maximum output', True),
+    'overheating': ('overheating 2', None, 'motor too hot; torque is off', True),
+    'hot': ('hot 2 67', 'hot 2 30', '67 °C, released from 65 °C', False),
+    'low voltage': ('volts 2.9', 'volts 5', 'input voltage outside its limits', True),
+    'power lost': ('restart 2', None, 'it lost its power', True),
+}
+LATCHED_BY_MOTOR = ('volts 2.9',)
+
+
+@pytest.mark.parametrize('name', FAULTS)
+def test_a_fault_is_said_releases_the_arm_and_is_recovered_from(rig, name):
+    broken, mended, words, off = FAULTS[name]
+    station = rig.station
+    station.driver.clear()
+    rig.diagnostics.clear()
+    began = time.monotonic()
+    rig.servos.say(broken)
+
+    def told(statuses):
+        return any(s.level != b'\x00' and words in s.message for s in statuses)
+
+    station.until(lambda: told(status for _, status in station.driver), words)
+    seen = time.monotonic()
+    assert seen - began < 3.0
+    station.until(
+        lambda: told(status for _, array in rig.diagnostics for status in array.status),
+        'the same in /diagnostics',
+    )
+    station.until_code(station.driver, 'releasing', 'released', 'stopped')
+    if off:
+        station.until(lambda: not rig.servo(2)['torque_enable'], 'torque off for the motor')
+    station.spin(0.3)
+    if mended is not None:
+        rig.servos.say(mended)
+    if mended is None or broken in LATCHED_BY_MOTOR:
+        rig.operate()
+    back = time.monotonic()
+    rig.until_following()
+    print(
+        f'{rig.mode}, {name}: said after {1e3 * (seen - began):.0f} ms, follows again after '
+        f'{time.monotonic() - back:.2f} s'
+    )
+
+
+def steps(goals):
+    """Largest step from goal to goal of any motor."""
+    jumps = [
+        np.abs(np.diff([value for _, value in sent])).max(initial=0) for sent in goals.values()
+    ]
+    return max(jumps)
+
+
+def test_silence_of_the_commands_lets_the_motors_go_slowly(rig):
+    rig.station.spin(0.7)  # the goals have settled
+    at_work = {i: sent[-1][1] for i, sent in rig.goals(0.5).items()}
+    rig.sending = False
+    stopped = time.monotonic()
+    rig.station.until_code(rig.station.driver, 'released')
+    released = time.monotonic()
+    goals = rig.goals(released - stopped)
+    first = min(
+        when
+        for sent in goals.values()
+        for (when, value), (_, other) in zip(sent[1:], sent[:-1], strict=True)
+        if value != other
+    )
+    assert 0.05 < first - stopped < 1.0  # command_timeout is 0.1 s
+    assert steps(goals) < 0.25 * max(abs(value) for value in at_work.values())
+    rest, near = (LOW, 0.05) if rig.mode == 'tension' else (0.0, 5e-4)
+    rig.station.until(lambda: np.allclose(rig.measured(), rest, atol=near), 'rest')
+    assert all(servo['torque_enable'] for servo in rig.servos.ask('state')['servos'].values())
+
+
+def test_a_killed_controller_lets_the_motors_go_slowly(rig):
+    station = rig.station
+    rig.sending = False
+    station.controller.clear()
+    controller = start('controller', rig.space, rig.folder, model=ROBOT, command_mode=rig.mode)
+    station.until_code(station.controller, 'holding', timeout=120.0)
+    station.send('controller/target_point', point(0.08, 0.15))
+    station.until(
+        lambda: np.abs(rig.measured()).max() > (0.5 if rig.mode == 'tension' else 2e-3),
+        'a bent arm',
+    )
+    controller.process.send_signal(signal.SIGKILL)
+    killed = time.monotonic()
+    station.until_code(station.driver, 'releasing', 'released')
+    said = time.monotonic() - killed
+    rest, near = (LOW, 0.05) if rig.mode == 'tension' else (0.0, 5e-4)
+    station.until(lambda: np.allclose(rig.measured(), rest, atol=near), 'rest')
+    print(
+        f'{rig.mode}, killed controller: said after {1e3 * said:.0f} ms, at rest after '
+        f'{time.monotonic() - killed:.2f} s'
+    )
+    assert said < 2.0
+
+
+def test_nothing_beyond_the_limits_was_ever_sent(rig):
+    rig.command = [100.0] * 4 if rig.mode == 'tension' else [1.0] * 4
+    rig.station.spin(1.0)
+    rig.command = TENSION if rig.mode == 'tension' else PULL
+    state = rig.servos.ask('state')
+    content = rig.servos.content()
+    for key, (low, high) in state['extremes'].items():
+        identity, register = key.split()
+        if register == 'goal_current':
+            assert low >= 0
+            assert high <= state['servos'][identity]['current_limit']
+        if register == 'goal_position':
+            travel = (content['pull_limits'][1] + 0.06) / (2 * np.pi * content['spool_radius'])
+            assert max(abs(low), abs(high)) < 4096 * (travel + 1)
+
+
+def test_a_killed_driver_leaves_the_motors_to_their_watchdog_and_a_new_one_goes_on(rig):
+    driver = rig.node
+    driver.process.send_signal(signal.SIGKILL)
+    killed = time.monotonic()
+
+    def tripped():
+        servos = rig.servos.ask('state')['servos'].values()
+        return all(servo['bus_watchdog'] == WATCHDOG_TRIPPED for servo in servos)
+
+    rig.station.until(tripped, 'the watchdogs')
+    assert time.monotonic() - killed < 2.0
+    before = rig.servos.ask('state')['servos']
+    time.sleep(0.2)
+    after = rig.servos.ask('state')['servos']
+    for identity, servo in before.items():  # the manual: it stops, and keeps the torque on
+        assert servo['torque_enable'] == 1
+        if rig.mode == 'tension':
+            assert servo['present_current'] == 0
+        else:
+            assert servo['present_position'] == after[identity]['present_position']
+    rig.station.driver.clear()
+    rig.run()
+    rig.until_following()
+
+
+def test_a_stopped_driver_ends_with_the_motors_at_rest(rig):
+    rig.node.process.send_signal(signal.SIGTERM)
+    rig.station.until(lambda: rig.node.process.poll() is not None, 'the end')
+    assert rig.node.process.returncode == 0
+    goals = rig.goals(3.0)
+    assert steps(goals) < 300
+    rig.station.driver.clear()
+    rig.run()
+    rig.until_following()
