@@ -76,11 +76,11 @@ def add_effects(
     scale = 1.0 if probability > SINGLE else max(1.0, fit.chi2 / max(fit.freedom, 1))
     values = _values(session, fit, scale)
     changed = changed_robot(described, session.catalogue, fit, dataset)
-    fitted = errors_on(dataset, described, changed, session.catalogue)
+    fitted = errors_on(dataset, described, changed, session.catalogue, 'fitted')
     on_check = (
         left_out(session.fitters[0], fit, fitted)
         if check is None
-        else errors_on(check, described, changed, session.catalogue)
+        else errors_on(check, described, changed, session.catalogue, 'check')
     )
     more = more_at_work(fitted, probability) if partial or probability <= SINGLE else ''
     made = Addition(changed, values, fitted, on_check, probability, fit.pulls, more)

@@ -62,14 +62,10 @@ def changed_robot(robot: Robot, catalogue: Catalogue, fit: Fit, dataset: DataSet
 def with_origin(made: Addition, before: Robot) -> Robot:
     """Return the description with where its fitted values come from."""
     robot = made.robot
-    error = {
-        'data': [made.fitted.data, made.check.data],
-        **{
-            key: [_short(getattr(made.fitted, key)), _short(getattr(made.check, key))]
-            for key in ('before', 'after', 'floor')
-        },
-        'unit': 'm',
-    }
+    error: dict[str, Any] = {'unit': 'm'}
+    for one in (made.fitted, made.check):
+        numbers = {key: _short(getattr(one, key)) for key in ('before', 'after', 'floor')}
+        error[one.kind.replace(' ', '_')] = {'data': one.data, **numbers}
     for name, values in made.values.items():
         origin: dict[str, Any] = {
             'parameters': {key: _plain(value) for key, value in values.items()},

@@ -23,6 +23,7 @@ FOLDS = 6  # groups of postures that are left out in turn
 class Errors:
     """Rms errors [m] over postures and markers of a description before and after a change."""
 
+    kind: str  # 'fitted', 'check', or 'left out': groups of the fitted ones, left out in turn
     data: str
     postures: int
     before: float
@@ -36,7 +37,9 @@ class Errors:
         return (self.before - self.after) / (self.before - floor) if self.before > floor else None
 
 
-def errors_on(dataset: DataSet, before: Robot, after: Robot, catalogue: Catalogue) -> Errors:
+def errors_on(
+    dataset: DataSet, before: Robot, after: Robot, catalogue: Catalogue, kind: str
+) -> Errors:
     """Compare two descriptions, just as they stand, with the measurements of a data set."""
     old = predict(dataset, before, catalogue)[1]
     predictor, new = predict(dataset, after, catalogue)
@@ -44,6 +47,7 @@ def errors_on(dataset: DataSet, before: Robot, after: Robot, catalogue: Catalogu
     noise = estimate_noise(dataset, slopes)
     floor = None if noise is None else Whitener(dataset, noise, slopes).floor()
     return Errors(
+        kind,
         dataset.name,
         int((dataset.trials > 0).sum()),
         rms(dataset.mean - old),
@@ -94,4 +98,4 @@ def left_out(fitter: Fitter, fit: Fit, errors: Errors) -> Errors:
         if markers is not None:
             predicted[held] = markers[held]
     after = rms((dataset.mean - predicted)[measured])
-    return replace(errors, data=f'{dataset.name}, each posture predicted from others', after=after)
+    return replace(errors, kind='left out', after=after)

@@ -1,0 +1,62 @@
+"""
+Fit effects on measurements and write them into a robot description.
+
+All parameters of the effects are fitted, with the declared tolerances; the new description holds
+their values, and under `fitted` their 95 % intervals, the data set, the date, and the errors. The
+table shows the error before, after, and of a perfect model (noise floor), on the fitted postures
+and on others: those of --check, or postures left out in turn. An effect that ROBOT lists already
+gets new values. `remove` undoes it.
+
+example: python -m tendon_robot_ros add hinge_friction --data data/hinge_friction/fit \
+    --output better.yaml --check data/hinge_friction/check
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from ..analysis.add import add_effects
+from ..data import load_dataset
+from ..effects import load_catalogue
+from ..model.compose import is_compiled
+from ..report.addition_text import lines
+from .description_file import (
+    add_effect_files,
+    add_overwrite,
+    load_check,
+    next_step,
+    refuse_existing,
+    write_description,
+)
+from .options import add_json, emit
+
+HELP = 'add a physical effect to a robot description, fitted on measurements'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add('effects', nargs='+', metavar='EFFECT', help='effects of the catalogue, fitted together')
+    add('--data', required=True, metavar='DATA', help='data set (folder) to fit on')
+    add('--robot', metavar='ROBOT', help='description to add to (default: the one of DATA)')
+    add('--output', required=True, metavar='NEW', help='the new description')
+    add('--check', metavar='DATA2', help='other postures, to judge the effect by')
+    add_json(parser)
+    add_overwrite(parser)
+    add_effect_files(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit, write, print."""
+    refuse_existing('--output', args.output, args.overwrite)
+    dataset = load_dataset(args.data, args.robot)
+    check = load_check(args.check, dataset)
+    catalogue = load_catalogue(args.effect_file)
+    if not is_compiled(catalogue):
+        print('compiling the model (once)', file=sys.stderr)
+    made = add_effects(dataset, args.effects, None, catalogue, check)
+    write_description(made.robot, args.output)
+    content = {**made.to_json(), 'written': args.output}
+    emit(args, content, '\n'.join([*lines(made), next_step(args.output)]))
+    return 0

@@ -1,0 +1,126 @@
+"""
+Name the physical effect whose absence explains the error of a model, and how sure that is.
+
+Verdicts: adequate, missing_effect, ambiguous (measure the proposed posture), several,
+wrong_parameter, outside_catalogue (an effect may help, but something else is at work),
+cannot_judge. With --add the effect goes into a new description, its parameters fitted, and the
+error on postures that were not used is shown: those of --check, or postures left out in turn.
+
+Exit code: 0 a result; 1 an error; 2 nothing added, because the cause is outside the catalogue.
+
+example: python -m tendon_robot_ros diagnose data/hinge_friction/fit --add better.yaml \
+    --check data/hinge_friction/check
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+from ..analysis.add import add_effects
+from ..analysis.diagnose import diagnose
+from ..analysis.origin import Addition
+from ..analysis.result import Diagnosis
+from ..data import DataSet, load_dataset
+from ..effects import Catalogue, load_catalogue
+from ..exceptions import InputError
+from ..model.compose import is_compiled
+from ..report import addition_text
+from ..report.diagnosis_text import lines
+from .description_file import (
+    add_effect_files,
+    add_overwrite,
+    load_check,
+    next_step,
+    refuse_existing,
+    write_description,
+)
+from .options import add_json, emit
+from .progress import progress
+
+HELP = 'name the physical effect that a model lacks'
+REFUSED = 2
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add('data', metavar='DATA', help='data set (folder)')
+    add('--robot', metavar='ROBOT', help='description to judge (default: the one of DATA)')
+    add_json(parser)
+    add('--add', metavar='NEW', help='write a description with the effect')
+    add('--partial', action='store_true', help='add it even if more is at work')
+    add('--check', metavar='DATA2', help='other postures, to judge the effect by')
+    add('--workers', type=int, default=2, metavar='N', help='threads (default: 2)')
+    add_overwrite(parser)
+    add_effect_files(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Diagnose, add, print."""
+    if args.partial and not args.add:
+        raise InputError('--partial: expected together with --add')
+    if args.workers < 1:
+        raise InputError(f'--workers: expected at least 1, got {args.workers}')
+    refuse_existing('--add', args.add, args.overwrite)
+    dataset = load_dataset(args.data, args.robot)
+    check = load_check(args.check, dataset)
+    catalogue = load_catalogue(args.effect_file)
+    if not is_compiled(catalogue):
+        print('compiling the model (once)', file=sys.stderr)
+    with progress() as show:
+        found = diagnose(dataset, None, catalogue, args.workers, show)
+    made = _addition(args, found, dataset, check, catalogue)
+    said = lines(found)
+    content: dict[str, Any] = found.to_json()
+    if made is not None:
+        said += _told(args, made)
+        content['added'] = made.to_json()
+    written = made is not None and args.add and _may_add(args, found)
+    if made is not None and written:
+        write_description(made.robot, args.add)
+        said.append(next_step(args.add))
+    elif args.add:
+        said.append(_refusal(found))
+    content['written'] = args.add if written else None
+    emit(args, content, '\n'.join(said))
+    return REFUSED if args.add and not written and _outside(found) else 0
+
+
+def _outside(found: Diagnosis) -> bool:
+    return found.verdict == 'outside_catalogue'
+
+
+def _may_add(args: argparse.Namespace, found: Diagnosis) -> bool:
+    return bool(found.effects) and (found.adds or (_outside(found) and args.partial))
+
+
+def _addition(
+    args: argparse.Namespace,
+    found: Diagnosis,
+    dataset: DataSet,
+    check: DataSet | None,
+    catalogue: Catalogue,
+) -> Addition | None:
+    """Fit what the diagnosis names, where that is wanted."""
+    if not found.effects or not (args.check or (args.add and _may_add(args, found))):
+        return None
+    names = [effect.name for effect in found.effects]
+    return add_effects(
+        dataset, names, None, catalogue, check, found.effects, partial=_outside(found)
+    )
+
+
+def _told(args: argparse.Namespace, made: Addition) -> list[str]:
+    said = [addition_text.never_used(made)] if args.check else []
+    said += [addition_text.staircase(made)] if args.add else []
+    return [*said, *addition_text.warnings(made)]
+
+
+def _refusal(found: Diagnosis) -> str:
+    """Say why nothing was written."""
+    if found.effects:
+        names = ' and '.join(effect.name for effect in found.effects)
+        return f'Nothing was added (--partial would add {names}).'
+    return 'Nothing was added: there is nothing to add.'

@@ -1,0 +1,52 @@
+"""What an addition says in words: the values, and the staircase of errors."""
+
+from __future__ import annotations
+
+from ..analysis.origin import Addition
+from ..analysis.staircase import Errors
+from .quantities import quantities
+from .words import columns, digits, mm
+
+
+def lines(made: Addition) -> list[str]:
+    """Return values, staircase, tolerances and warnings."""
+    said = [f'{name}: {quantities(values)}' for name, values in made.values.items()]
+    said.append(staircase(made))
+    said += warnings(made)
+    return said
+
+
+def staircase(made: Addition) -> str:
+    """Return the table of errors before, after, and of a perfect model."""
+    rows = [['error (rms)', 'before', 'after', 'noise floor', 'gone']]
+    return columns(rows + [_row(errors) for errors in (made.fitted, made.check)])
+
+
+def _row(errors: Errors) -> list[str]:
+    count = f'{errors.postures} posture{"" if errors.postures == 1 else "s"}'
+    share = errors.gone
+    gone = '' if share is None else f'{100.0 * min(share, 1.0):.0f} %'
+    where = f'{errors.kind}: {count} of {errors.data}'
+    return [where, mm(errors.before), mm(errors.after), mm(errors.floor), gone]
+
+
+def never_used(made: Addition) -> str:
+    """Say in one line what became of the error on postures that were not fitted."""
+    check = made.check
+    floor = '' if check.floor is None else f'  (floor {mm(check.floor)})'
+    return f'error on postures never used: {mm(check.before)} -> {mm(check.after)}{floor}'
+
+
+def warnings(made: Addition) -> list[str]:
+    """Say which tolerances moved, what else is at work, and when a check got worse."""
+    said = []
+    if made.moved:
+        moves = ', '.join(f'{name} by {digits(z)} sd' for name, z in made.moved.items())
+        said.append(f'declared tolerances moved in the fit: {moves} (not in the file)')
+    if made.more_at_work:
+        said.append(f'note: {made.more_at_work}')
+    if made.check.after > made.check.before:
+        said.append(
+            'note: the error on postures that were not fitted grew; do not use these values'
+        )
+    return said
