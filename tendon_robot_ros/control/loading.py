@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Sequence
+from concurrent.futures import Future
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,9 +18,12 @@ import numpy as np
 from ..effects import Catalogue, load_catalogue
 from ..exceptions import TendonRobotError
 from ..robot import Robot, dump_robot, parse_robot
+from .parent import child_environment, end_with_parent
 
 if TYPE_CHECKING:
     from ..model.model import Model
+
+NICE = 10
 
 
 def load(robot: Robot, catalogue: Catalogue) -> Model:
@@ -56,6 +64,7 @@ class Loader:
         for name in robot.effects:
             self.catalogue[name]
         self._child: subprocess.Popen[str] | None = None
+        self._loading: Future[Model] | None = None
         if not compiled_mark(self.catalogue).is_file():
             command = [sys.executable, '-m', __name__, *effects]
             self._child = subprocess.Popen(
@@ -64,6 +73,7 @@ class Loader:
                 stderr=subprocess.PIPE,
                 text=True,
                 start_new_session=True,
+                env=child_environment(),
             )  # Ctrl-C is for the parent, which ends it
             assert self._child.stdin is not None
             self._child.stdin.write(dump_robot(robot))
@@ -71,25 +81,45 @@ class Loader:
 
     @property
     def done(self) -> bool:
-        """Whether `result` returns at once."""
-        return self._child is None or self._child.poll() is not None
+        """Whether `result` returns at once; asking moves the loading on."""
+        if self._child is not None and self._child.poll() is None:
+            return False
+        if self._loading is None:
+            self._loading = Future()
+            # not the thread that controls: reading the cache takes a moment, too
+            threading.Thread(target=self._load, name='model', daemon=True).start()
+        return self._loading.done()
 
     def result(self) -> Model:
         """
-        Wait, then load the model in this process.
+        Wait, then return the model.
 
         Raises
         ------
         TendonRobotError
-            The child found that the model does not work.
+            The model does not work.
 
         """
+        while not self.done:
+            time.sleep(0.01)
+        assert self._loading is not None
+        return self._loading.result()
+
+    def _load(self) -> None:
+        assert self._loading is not None
+        _give_way()
+        try:
+            self._loading.set_result(self._read())
+        except Exception as error:
+            self._loading.set_exception(error)
+
+    def _read(self) -> Model:
+        """Say what the child found wrong, or load what it compiled."""
         if self._child is not None:
-            code = self._child.wait()
             assert self._child.stderr is not None
             said = self._child.stderr.read().strip().splitlines()
             self._child.stderr.close()
-            if code:
+            if code := self._child.returncode:
                 raise TendonRobotError(said[-1] if said else f'compiling ended with code {code}')
         return load(self.robot, self.catalogue)
 
@@ -100,8 +130,16 @@ class Loader:
             self._child.wait()
 
 
+def _give_way() -> None:
+    """Let the thread or process that controls go first."""
+    with contextlib.suppress(OSError):  # a Linux thread has a priority of its own
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
+
+
 def main() -> int:
     """Compile for the robot on standard input and the effect files in the arguments."""
+    end_with_parent()
+    _give_way()
     try:
         catalogue = load_catalogue(sys.argv[1:])
         load(parse_robot(sys.stdin.read()), catalogue)

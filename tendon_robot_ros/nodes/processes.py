@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import os
 import signal
 import subprocess
 import sys
@@ -11,8 +9,7 @@ from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import IO, Self
 
-PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None)
+from ..control.parent import child_environment
 
 
 class NodeProcess:
@@ -51,8 +48,7 @@ class NodeProcess:
             stdout=output,
             stderr=output,
             text=True,
-            env={**os.environ, 'PYTHONUNBUFFERED': '1'},
-            preexec_fn=_end_with_parent,
+            env=child_environment(),
             start_new_session=True,
         )
 
@@ -78,11 +74,6 @@ class NodeProcess:
     ) -> None:
         """End it."""
         self.end()
-
-
-def _end_with_parent() -> None:
-    """Have the kernel send SIGINT to this child when its parent dies (Linux)."""
-    _LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGINT)
 
 
 def _yaml(value: object) -> str:

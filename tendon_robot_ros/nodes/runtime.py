@@ -16,6 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from ..control.parent import end_with_parent
 from ..exceptions import InputError, TendonRobotError
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -64,6 +65,7 @@ def ros(arguments: Sequence[str]) -> Iterator[Ending]:
 
     """
     ending = Ending()
+    end_with_parent()
     try:
         rclpy.init(args=['node', *arguments], signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # RCLError, UnknownROSArgsError: what a person typed

@@ -1,0 +1,158 @@
+"""Small parts of the nodes: orientations, frames, parameters, files, sequences of a loader."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip('rclpy')
+
+from geometry_msgs.msg import Quaternion
+
+from tendon_robot_ros.control import Refusal
+from tendon_robot_ros.control.checks import direction
+from tendon_robot_ros.control.loading import Loader
+from tendon_robot_ros.exceptions import EffectError, InputError, RobotDescriptionError
+from tendon_robot_ros.nodes.frames import Frames, matrix
+from tendon_robot_ros.nodes.messages import quaternion, quaternions, towards
+from tendon_robot_ros.nodes.parameters import Spec
+from tendon_robot_ros.nodes.processes import _yaml
+from tendon_robot_ros.nodes.shared import read_mapping, read_robot
+
+parts = st.floats(-1.0, 1.0)
+
+
+@given(st.tuples(parts, parts, parts, parts).filter(lambda q: np.linalg.norm(q) > 0.1))
+def test_a_rotation_survives_the_way_through_a_quaternion(q):
+    x, y, z, w = (np.array(q) / np.linalg.norm(q)).tolist()
+    rotation = matrix(Quaternion(x=x, y=y, z=z, w=w))
+    back = quaternion(rotation)
+    assert matrix(back) == pytest.approx(rotation, abs=1e-9)
+    assert direction([back.x, back.y, back.z, back.w], 'pose') == pytest.approx(
+        rotation[:, 2], abs=1e-9
+    )
+
+
+@given(st.tuples(parts, parts, parts).filter(lambda v: np.linalg.norm(v) > 0.1))
+def test_towards_has_the_direction_as_its_z_axis(vector):
+    along = np.array(vector) / np.linalg.norm(vector)
+    rotation = towards(along)
+    assert rotation[:, 2] == pytest.approx(along, abs=1e-9)
+    assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-9)
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+
+
+def test_half_turns_have_quaternions_too():
+    turns = np.array([np.diag(d) for d in ([1.0, -1, -1], [-1, 1, -1], [-1, -1, 1], [1, 1, 1])])
+    assert np.abs(quaternions(turns)) == pytest.approx(np.eye(4), abs=1e-12)
+    assert towards(np.array([0.0, 0.0, -1.0]))[:, 2].tolist() == [0.0, 0.0, -1.0]
+
+
+def frames():
+    made = Frames.__new__(Frames)
+    made.base, made._buffer = 'arm_base', None
+    return made
+
+
+def test_without_tf_only_the_base_frame_will_do():
+    rotation, shift = frames().to_base('arm_base', 'target_pose')
+    assert rotation.tolist() == np.eye(3).tolist()
+    assert shift.tolist() == [0.0, 0.0, 0.0]
+    with pytest.raises(Refusal, match="frame 'map', expected 'arm_base'"):
+        frames().to_base('map', 'target_pose')
+
+
+def test_with_tf_another_frame_is_brought_into_the_base_frame():
+    made = frames()
+    half = np.sqrt(0.5)
+    transform = SimpleNamespace(
+        rotation=Quaternion(x=0.0, y=0.0, z=half, w=half),  # a quarter turn about z
+        translation=SimpleNamespace(x=0.1, y=0.0, z=0.0),
+    )
+    made._buffer = SimpleNamespace(
+        lookup_transform=lambda *names: SimpleNamespace(transform=transform)
+    )
+    rotation, shift = made.to_base('map', 'target_pose')
+    assert rotation @ [1.0, 0.0, 0.0] + shift == pytest.approx([0.1, 1.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ('spec', 'value', 'expected'),
+    [
+        (Spec('x', 1.0, '', 'm', 0.0, 10.0), 3, 3.0),
+        (Spec('x', [''], ''), ['', 'a.py'], ['a.py']),
+        (Spec('x', 'a', '', choices=('a', 'b')), 'b', 'b'),
+        (Spec('x', False, ''), True, True),
+    ],
+)
+def test_a_parameter_takes_what_fits(spec, value, expected):
+    assert spec.checked(value) == expected
+
+
+@pytest.mark.parametrize(
+    ('spec', 'value', 'words'),
+    [
+        (Spec('x', 1.0, '', 'm', 0.0, 10.0), 11.0, 'x: expected 0 to 10 m, got 11'),
+        (Spec('x', 1.0, '', 'm', 0.0, 10.0), float('nan'), 'x: expected 0 to 10 m, got nan'),
+        (Spec('x', 1.0, ''), True, 'x: expected a number, got True'),
+        (Spec('x', False, ''), 1, 'x: expected true or false, got 1'),
+        (Spec('x', 'a', '', choices=('a', 'b')), 'c', "x: expected one of a, b, got 'c'"),
+    ],
+)
+def test_a_parameter_refuses_what_does_not_fit(spec, value, words):
+    with pytest.raises(InputError, match=words):
+        spec.checked(value)
+
+
+def test_a_robot_comes_from_a_name_a_path_or_text(tmp_path):
+    named = read_robot('kato_10_1')
+    path = tmp_path / 'mine.yaml'
+    path.write_text('name: [')
+    assert named.name == 'kato_10_1'
+    assert read_robot(named.source).cells == 30
+    with pytest.raises(RobotDescriptionError, match='expected valid YAML'):
+        read_robot(str(path))
+    with pytest.raises(RobotDescriptionError, match='expected a readable YAML file'):
+        read_robot('nobody')
+    with pytest.raises(InputError, match='got nothing'):
+        read_robot(' ')
+
+
+@pytest.mark.parametrize(
+    ('text', 'words'),
+    [
+        ('a: [', 'config: not valid YAML'),
+        ('- a: 1', 'config: expected keys with values'),
+        ('nowhere', 'config: nowhere: No such file'),
+    ],
+)
+def test_a_configuration_that_cannot_be_read_says_why(text, words):
+    with pytest.raises(InputError, match=words):
+        read_mapping(text, 'config')
+
+
+def test_a_configuration_comes_from_a_name_or_text():
+    assert read_mapping('mock_twin', 'config')['plant'] == {'twin': True}
+    assert read_mapping('{lag: 0.1}', 'config') == {'lag': 0.1}
+    assert read_mapping('', 'config') == {}
+
+
+@pytest.mark.parametrize('text', ['plain', 'with "quotes" and \\', 'two\nlines: true', ''])
+def test_text_passes_the_command_line_as_text(text):
+    import yaml
+
+    assert yaml.safe_load(_yaml(text)) == text
+
+
+def test_a_loader_refuses_effects_that_nobody_knows():
+    robot = read_robot('kato_10_1').with_effect('magnetism', {'strength': 1.0})
+    with pytest.raises(EffectError, match="unknown effect 'magnetism'"):
+        Loader(robot, [])
+
+
+def test_a_loader_says_what_is_wrong_with_the_values():
+    robot = read_robot('kato_10_1').with_effect('eyelet_wrap', {'fraction': 7.0})
+    with pytest.raises(Exception, match='fraction'):
+        Loader(robot, []).result()
