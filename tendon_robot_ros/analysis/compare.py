@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -60,6 +61,11 @@ def compare(
     markers = [_predict(predictor) for predictor in predictors]
     axes = bending_axes(markers[0]) if on_the_centreline(dataset) else None
     found = tuple(_errors(dataset, named[i], markers[i], axes) for i in range(len(named)))
+    if axes is None:
+        lines = [_centreline(dataset, robot, catalogue) for _, robot in named]
+        found = tuple(
+            replace(model, centreline=line) for model, line in zip(found, lines, strict=True)
+        )
     best = int(np.argmin([model.rms for model in found]))
     angles = None if axes is None else _angles(dataset.positions.swapaxes(0, 1), axes)
     return Comparison(_measured(dataset, predictors[best], angles), found, error)
@@ -94,6 +100,14 @@ def _errors(
 def _angles(positions: Floats, axes: Floats) -> Floats:
     """Angular displacements (..., P, J) [rad] about the axes (P, 3) of the postures."""
     return np.asarray((turns(positions) * axes[:, None, :]).sum(axis=-1))
+
+
+def _centreline(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> Floats:
+    """Return the ends of the cells (P, n, 3) [m] as the tracker would see them."""
+    cells = default_markers(robot)
+    shape = (*dataset.positions.shape[:2], len(cells), 3)
+    unseen = replace(dataset, markers=cells, positions=np.zeros(shape), orientations=None)
+    return _predict(Predictor(unseen, robot, catalogue))
 
 
 def _refuse(predictor: Predictor) -> None:

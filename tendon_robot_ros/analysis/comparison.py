@@ -55,6 +55,7 @@ class ModelErrors:
     angles: Floats | None  # (P, J) [rad]
     distance: Floats  # (P, J) [m] from the trial mean
     tip_errors: Floats  # (P, Q) [m] of the last marker, trial by trial: the residual distance
+    centreline: Floats | None = None  # (P, n, 3) [m], where the markers do not lie on it
 
     @property
     def rms(self) -> float:

@@ -118,12 +118,14 @@ def _errors(comparison: Comparison, model: ModelErrors, p: int) -> dict[str, Any
         'error': _numbers(distance),
         'angles': None if model.angles is None else _numbers(model.angles[p]),
         'shape': _numbers(model.markers[p]),
+        'centreline': None if model.centreline is None else _numbers(model.centreline[p]),
     }
 
 
 def _read_model(content: dict[str, Any]) -> ModelErrors:
     rows = content['per_posture']
     angles = None if rows[0]['angles'] is None else _array(row['angles'] for row in rows)
+    line = None if rows[0]['centreline'] is None else _array(row['centreline'] for row in rows)
     return ModelErrors(
         name=content['name'],
         effects=tuple(content['effects']),
@@ -131,6 +133,7 @@ def _read_model(content: dict[str, Any]) -> ModelErrors:
         angles=angles,
         distance=_array(row['error'] for row in rows),
         tip_errors=_array(row['tip_errors'] for row in rows),
+        centreline=line,
     )
 
 

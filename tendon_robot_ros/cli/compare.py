@@ -8,7 +8,7 @@ Without --model the description that the data set names is compared.
 JSON: models [{name, rms, tip_rms, max, per_marker_rms, per_posture}], noise_floor, paired_t, and
 all shapes; in m and rad.
 
-example: python -m tendon_robot_ros compare data/hinge_friction/fit --pcca
+example: python -m tendon_robot_ros compare data/hinge_friction/fit --pcca --report compare.html
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='what ± means: 95 %% t-interval of the mean (default), or its standard error',
     )
     add_json(parser)
+    parser.add_argument('--report', metavar='HTML', help='write a page that opens offline')
     parser.add_argument(
         '--effect-file',
         action='append',
@@ -68,6 +69,10 @@ def run(args: argparse.Namespace) -> int:
         print('compiling the model (once)', file=sys.stderr)
     found = compare(dataset, _models(args, dataset), catalogue, args.error)
     lines = [table(found), *sentences(found)]
+    if args.report:
+        from ..report.comparison_page import write_comparison
+
+        lines.append(f'report: {write_comparison(found, args.report)}')
     emit(args, to_json(found), '\n'.join(lines))
     return 0
 

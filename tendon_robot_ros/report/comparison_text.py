@@ -27,7 +27,8 @@ def sentences(comparison: Comparison) -> list[str]:
     best = comparison.best
     lines = [f'worst: {worst(comparison, best)}']
     lines += [paired(test) for test in comparison.paired_t if test.posture is None]
-    return [*lines, verdict(comparison)]
+    last = f'{verdict(comparison)} {next_step(comparison)}'
+    return [*lines, last.strip().replace('`', '')]
 
 
 def size(comparison: Comparison) -> str:
@@ -99,14 +100,13 @@ def worst(comparison: Comparison, model: ModelErrors) -> str:
 
 
 def verdict(comparison: Comparison) -> str:
-    """Compare the best model with the repeatability, and say what to do next."""
+    """Compare the best model with the repeatability."""
     best, floor = comparison.best, comparison.noise_floor
-    ask = f'Ask why: {PROGRAM} diagnose {comparison.measured.data}'
     who = 'The model' if len(comparison.models) == 1 else f'The best model, {best.name},'
     if floor is None:
         return (
-            f'Nothing tells how well you can measure: record every posture at least three times, '
-            f'or write position_noise into dataset.yaml. {ask}'
+            'Nothing tells how well you can measure: record every posture at least three times, '
+            'or write position_noise into dataset.yaml.'
         )
     ratio = best.rms / floor
     if ratio < GOOD:
@@ -114,7 +114,15 @@ def verdict(comparison: Comparison) -> str:
             f'{who} is as good as your measurements can tell: its error is {digits(ratio, 2)} '
             'times your repeatability.'
         )
-    return f'{who} is off by {times(ratio)} your repeatability. {ask}'
+    return f'{who} is off by {times(ratio)} your repeatability.'
+
+
+def next_step(comparison: Comparison) -> str:
+    """Say what to type next; empty when nothing is to be explained."""
+    floor = comparison.noise_floor
+    if floor is not None and comparison.best.rms < GOOD * floor:
+        return ''
+    return f'Ask why: `{PROGRAM} diagnose {comparison.measured.data}`'
 
 
 def paired(test: PairedT) -> str:

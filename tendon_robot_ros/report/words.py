@@ -26,19 +26,6 @@ def mm(metres: float | None, count: int = 3) -> str:
     return '–' if metres is None or math.isnan(metres) else f'{digits(1e3 * metres, count)} mm'
 
 
-def with_prefix(value: float, unit: str, count: int = 3) -> str:
-    """Show a value with its unit and a prefix that keeps it short: 0.42 mN·m."""
-    if unit == '1':
-        return digits(value, count)
-    if unit.startswith(('1/', 'rad')):
-        return f'{digits(value, count)} {unit}'
-    size = abs(value)
-    scale, prefix = next(((s, p) for s, p in PREFIXES if size >= 0.1 * s), (1.0, ''))
-    if unit == 'kg/m':  # kg has its prefix already
-        scale, prefix = 1.0, ''
-    return f'{digits(value / scale, count)} {prefix}{unit}'
-
-
 def times(ratio: float) -> str:
     """Show a ratio: 'six times', '2.4 times'."""
     if ratio >= 2.75 and round(ratio) < len(TIMES):
@@ -48,7 +35,13 @@ def times(ratio: float) -> str:
 
 def probability(p: float) -> str:
     """Show a p-value."""
-    return 'p < 1e-300' if p == 0.0 else f'p = {digits(p, 2)}' if p >= 1e-4 else f'p = {p:.0e}'
+    return (
+        'p < 1e-300'
+        if p == 0.0
+        else f'p = {digits(p, 2)}'
+        if p >= 1e-4
+        else f'p = {p:.0e}'.replace('e-0', 'e-')
+    )
 
 
 def commands(inputs: Mapping[str, float | None], kind: str = 'tension') -> str:
@@ -66,6 +59,11 @@ def listed(names: Iterable[str], last: str = 'and') -> str:
     """Join names: 'a, b and c'."""
     *first, end = list(names) or ['nothing']
     return f'{", ".join(first)} {last} {end}' if first else end
+
+
+def capital(sentence: str) -> str:
+    """Begin with a capital letter and leave the rest, units included, alone."""
+    return sentence[:1].upper() + sentence[1:]
 
 
 def columns(rows: Sequence[Sequence[str]]) -> str:

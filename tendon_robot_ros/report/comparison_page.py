@@ -1,0 +1,108 @@
+"""The page that `compare --report` writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..analysis.comparison import Comparison, ModelErrors
+from . import comparison_text as say
+from .error_plots import Step, angles, per_marker, per_posture, staircase, tip_boxes
+from .page import Page
+from .shape_plots import chosen_postures, shape_figures, shape_key
+from .words import capital, mm
+
+SHOWN = 4  # postures whose angular displacements are drawn
+
+
+def write_comparison(comparison: Comparison, path: str | Path) -> Path:
+    """Write the page; it opens without a network."""
+    return comparison_page(comparison).write(path)
+
+
+def comparison_page(comparison: Comparison) -> Page:
+    """Return the page: what to know first, then shapes, then errors."""
+    measured = comparison.measured
+    page = Page(f'Models against measurements: {measured.data}', say.size(comparison))
+    add_verdict(page, comparison)
+    add_errors(page, comparison)
+    add_shapes(page, comparison)
+    add_angles(page, comparison)
+    return page
+
+
+def add_verdict(page: Page, comparison: Comparison) -> None:
+    """Add the verdict, the table of models and the tests between them."""
+    floor = comparison.noise_floor
+    good = floor is not None and comparison.best.rms < say.GOOD * floor
+    worst = f'Worst is {say.worst(comparison, comparison.best)}'
+    lines = [say.verdict(comparison), worst, say.next_step(comparison)]
+    page.box(filter(None, lines), 'verdict good' if good else 'verdict')
+    header = ['model', 'rms', 'tip, rms', 'worst', f'tip error ({say.error_name(comparison)})']
+    rows = [_row(comparison, model) for model in comparison.models]
+    kinds = ['strong' if model is comparison.best else '' for model in comparison.models]
+    if floor is not None:
+        rows.append(['noise floor: a perfect model', mm(floor), '', '', ''])
+        kinds.append('faint')
+    page.table(header, rows, kinds)
+    page.text(*(f'{capital(say.paired(test))}.' for test in comparison.paired_t
+                if test.posture is None))  # fmt: skip
+    page.text(
+        'Errors are distances between the model and the mean over the trials of a posture; rms is '
+        'over postures and markers, the tip is the last marker.'
+    )
+
+
+def _row(comparison: Comparison, model: ModelErrors) -> list[str]:
+    tip = say.interval(model.tip_error(comparison.error))
+    return [say.label(model), mm(model.rms), mm(model.tip_rms), mm(model.max), tip]
+
+
+def add_errors(page: Page, comparison: Comparison) -> None:
+    """Add where the models are off."""
+    page.heading('Where the models are off')
+    figures = [per_marker(comparison), per_posture(comparison), tip_boxes(comparison)]
+    figures.append(staircase(steps(comparison), 'Models and noise floor'))
+    page.figures(figures, 'two')
+
+
+def steps(comparison: Comparison) -> list[Step]:
+    """Return the staircase of the models, the worst first, down to the noise floor."""
+    ordered = sorted(comparison.models, key=lambda model: -model.rms)
+    kinds = ['before'] * (len(ordered) - 1) + ['after' if len(ordered) > 1 else 'before']
+    made = [Step(model.name, model.rms, kind)
+            for model, kind in zip(ordered, kinds, strict=True)]  # fmt: skip
+    floor = comparison.noise_floor
+    return [*made, Step('noise floor', floor, 'floor')] if floor is not None else made
+
+
+def add_shapes(page: Page, comparison: Comparison) -> None:
+    """Add the measured and predicted shapes."""
+    page.heading('Shapes')
+    figures, across = shape_figures(comparison)
+    drawn, measured = len(chosen_postures(comparison)), int((comparison.measured.trials > 0).sum())
+    if drawn < measured:
+        page.text(
+            f'The {drawn} postures of {measured} that {comparison.best.name} predicts worst.'
+        )
+    page.key(shape_key(comparison))
+    page.figures(figures, across)
+
+
+def add_angles(page: Page, comparison: Comparison) -> None:
+    """Add angular displacements of the worst postures, where the markers tell them."""
+    page.heading('Angular displacement')
+    if comparison.measured.angles is None:
+        page.text(
+            'The markers do not lie along the centreline of the arm, so that they do not tell '
+            'how much each part of it bends.'
+        )
+        return
+    errors = comparison.best.per_posture_rms
+    worst = sorted(chosen_postures(comparison), key=lambda p: -errors[p])[:SHOWN]
+    page.text(
+        'The turn from each chord between markers to the next, '
+        + ('in the postures that are predicted worst.' if len(worst) > 1 else 'in this posture.')
+        + ' Angles are differences of positions and '
+        'much less precise than these; the first one counts from the base, half a cell.'
+    )
+    page.figures([angles(comparison, p) for p in worst], 'two')

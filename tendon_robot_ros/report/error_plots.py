@@ -1,0 +1,227 @@
+"""Errors as figures: per cell, per posture, angular displacement, tip, and the staircase."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from ..analysis.comparison import Comparison
+from .comparison_text import posture_name
+from .numbers import degrees_list, mm_list
+from .page import Figure
+from .palette import BAND, FLOOR, MEASURED, look
+from .words import capital, mm
+
+FEW = 6  # postures up to which each has its own boxes
+WIDE = 25.0  # times the noise floor from which errors need a logarithmic axis
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of the staircase: an error [m] before or after something was added."""
+
+    label: str
+    error: float
+    kind: str = 'before'  # 'before', 'after' or 'floor'
+    group: str = ''  # which postures
+
+
+def per_marker(comparison: Comparison) -> Figure:
+    """Error along the arm, with the band that a perfect model would lie in."""
+    measured = comparison.measured
+    places = _places(comparison)
+    data: list[dict[str, Any]] = []
+    floor = measured.floor_per_marker
+    if floor is not None:
+        data.append(
+            {
+                'x': places,
+                'y': mm_list(floor),
+                'name': 'repeatability (a perfect model)',
+                'fill': 'tozeroy',
+                'fillcolor': BAND,
+                'mode': 'lines',
+                'line': {'color': FLOOR, 'width': 1},
+            }
+        )
+    for i, model in enumerate(comparison.models):
+        data.append(
+            {
+                'x': places,
+                'y': mm_list(model.per_marker_rms),
+                'name': escape(model.name),
+                'mode': 'lines+markers',
+                'line': {'color': look(i).colour, 'dash': look(i).dash},
+                'marker': {'symbol': look(i).symbol, 'size': 7},
+            }
+        )
+    layout = {
+        'xaxis': {'title': {'text': _place_title(comparison)}},
+        'yaxis': _error_axis(comparison, 'error, rms over postures [mm]'),
+    }
+    return Figure(data, layout, 'Error along the arm', '')
+
+
+def per_posture(comparison: Comparison) -> Figure:
+    """Error posture by posture."""
+    measured = comparison.measured
+    seen = [p for p in range(len(measured.postures)) if measured.trials[p]]
+    names = [escape(measured.postures[p]) for p in seen]
+    data: list[dict[str, Any]] = []
+    for i, model in enumerate(comparison.models):
+        data.append(
+            {
+                'x': names,
+                'y': mm_list(model.per_posture_rms[seen]),
+                'text': [escape(posture_name(comparison, p)) for p in seen],
+                'name': escape(model.name),
+                'mode': 'markers',
+                'marker': {'color': look(i).colour, 'symbol': look(i).symbol, 'size': 9,
+                           'line': {'width': 2}},
+            }
+        )  # fmt: skip
+    if measured.floor is not None:
+        floor = np.sqrt(np.nanmean(measured.floor[seen], axis=1))
+        data.append(
+            {
+                'x': names,
+                'y': mm_list(floor),
+                'name': 'repeatability',
+                'mode': 'lines',
+                'line': {'color': FLOOR, 'width': 1, 'shape': 'hvh'},
+                'fill': 'tozeroy',
+                'fillcolor': BAND,
+            }
+        )
+    layout = {
+        'xaxis': {'title': {'text': 'posture'}, 'type': 'category'},
+        'yaxis': _error_axis(comparison, 'error, rms over markers [mm]'),
+    }
+    return Figure(data, layout, 'Error posture by posture', '')
+
+
+def angles(comparison: Comparison, p: int) -> Figure:
+    """Angular displacement per cell of a posture, as figures 12 to 14 of Kato et al. 2015."""
+    bands = comparison.angle_bands()
+    assert bands is not None
+    mean, half = bands
+    places = _places(comparison)
+    data: list[dict[str, Any]] = []
+    for i, model in enumerate(comparison.models):
+        assert model.angles is not None
+        data.append(
+            {
+                'x': places,
+                'y': degrees_list(model.angles[p]),
+                'name': escape(model.name),
+                'mode': 'lines',
+                'line': {'color': look(i).colour, 'dash': look(i).dash, 'width': 2.5},
+            }
+        )
+    what = '95 %' if comparison.error == 'ci' else 'standard error'
+    data.append(
+        {
+            'x': places,
+            'y': degrees_list(mean[p]),
+            'error_y': {
+                'type': 'data',
+                'array': degrees_list(half[p]),
+                'thickness': 1,
+                'width': 2,
+            },
+            'name': f'measured, mean ± {what}',
+            'mode': 'markers',
+            'marker': {'color': MEASURED, 'size': 5},
+        }
+    )
+    layout = {
+        'xaxis': {'title': {'text': _place_title(comparison)}},
+        'yaxis': {'title': {'text': 'angular displacement [°]'}},
+    }
+    return Figure(data, layout, capital(posture_name(comparison, p)), '')
+
+
+def tip_boxes(comparison: Comparison) -> Figure:
+    """Tip error over all trials, as figure 15: median, quartiles, data within 1.5 of them."""
+    measured = comparison.measured
+    seen = [p for p in range(len(measured.postures)) if measured.trials[p]]
+    apart = len(seen) <= FEW and len(comparison.models) > 1
+    data: list[dict[str, Any]] = []
+    for i, model in enumerate(comparison.models):
+        values = model.tip_errors[seen]
+        names = np.broadcast_to(np.array(measured.postures)[seen][:, None], values.shape)
+        good = np.isfinite(values)
+        data.append(
+            {
+                'type': 'box',
+                'x': [escape(name) for name in names[good]] if apart else [escape(model.name)] * (
+                    int(good.sum())),
+                'y': mm_list(values[good]),
+                'name': escape(model.name),
+                'marker': {'color': look(i).colour, 'symbol': look(i).symbol},
+                'boxpoints': 'all' if good.sum() <= 200 else 'outliers',
+                'jitter': 0.4,
+                'pointpos': 0.0,
+            }
+        )  # fmt: skip
+    layout: dict[str, Any] = {
+        'xaxis': {'title': {'text': 'posture' if apart else 'model'}, 'type': 'category'},
+        'yaxis': {'title': {'text': 'tip error [mm]'}, 'rangemode': 'tozero'},
+        'showlegend': apart,
+    }
+    if apart:
+        layout['boxmode'] = 'group'
+    caption = 'Distance between predicted and measured tip, trial by trial.'
+    return Figure(data, layout, 'Tip error', caption)
+
+
+def staircase(steps: Sequence[Step], title: str = 'The error falls') -> Figure:
+    """Errors that fall step by step towards the noise floor; groups beside each other."""
+    colours = {'before': look(1).colour, 'after': look(0).colour, 'floor': FLOOR}
+    groups = list(dict.fromkeys(step.group for step in steps))
+    data: list[dict[str, Any]] = []
+    for label in dict.fromkeys(step.label for step in steps):
+        part = [step for step in steps if step.label == label]
+        data.append(
+            {
+                'type': 'bar',
+                'x': [escape(step.group) for step in part] if len(groups) > 1 else [escape(label)],
+                'y': mm_list([step.error for step in part]),
+                'text': [mm(step.error) for step in part],
+                'textposition': 'outside',
+                'cliponaxis': False,
+                'name': escape(label),
+                'marker': {'color': colours[part[0].kind]},
+            }
+        )
+    layout = {
+        'showlegend': len(groups) > 1,
+        'bargap': 0.35,
+        'margin': {'l': 56, 'r': 16, 't': 30, 'b': 44},
+        'xaxis': {'type': 'category'},
+        'yaxis': {'title': {'text': 'error, rms [mm]'}, 'rangemode': 'tozero'},
+    }
+    return Figure(data, layout, title, '')
+
+
+def _error_axis(comparison: Comparison, title: str) -> dict[str, Any]:
+    """Return the axis of errors: logarithmic where the noise would else lie on the zero line."""
+    floor = comparison.noise_floor
+    wide = floor and max(model.tip_rms for model in comparison.models) > WIDE * floor
+    kind = {'type': 'log', 'dtick': 1, 'minor': {'showgrid': True, 'gridcolor': '#f0f2f4'}}
+    return {'title': {'text': title}, **(kind if wide else {'rangemode': 'tozero'})}
+
+
+def _places(comparison: Comparison) -> list[float | None]:
+    measured = comparison.measured
+    if measured.per_cell:
+        return [float(i + 1) for i in range(len(measured.markers))]
+    return mm_list(measured.arc_lengths)
+
+
+def _place_title(comparison: Comparison) -> str:
+    return 'cell' if comparison.measured.per_cell else 'distance from the base along the arm [mm]'

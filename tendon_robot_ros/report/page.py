@@ -1,0 +1,180 @@
+"""A self-contained HTML page: text, boxes, tables and figures; it opens without a network."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from ..data.atomic import new_file
+from ..exceptions import MissingExtraError
+
+HERE = Path(__file__).parent
+FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif'
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure: plotly's data and layout as plain values, with what stands around it."""
+
+    data: list[dict[str, Any]]
+    layout: dict[str, Any]
+    title: str = ''
+    caption: str = ''
+    height: int = 360  # [px]
+
+
+@dataclass
+class Page:
+    """A page under construction; all text is escaped, `code` stands between backticks."""
+
+    title: str
+    subtitle: str = ''
+    parts: list[str] = field(default_factory=list)
+
+    def heading(self, text: str) -> None:
+        """Begin a section."""
+        self.parts.append(f'<h2>{escape(text)}</h2>')
+
+    def text(self, *paragraphs: str) -> None:
+        """Add paragraphs."""
+        self.parts += [f'<p>{_marked(paragraph)}</p>' for paragraph in paragraphs]
+
+    def box(self, lines: Iterable[str], kind: str = '', title: str = '') -> None:
+        """Add a box; kinds: verdict, good, warn, bad, and combinations of them."""
+        head = f'<h3>{escape(title)}</h3>' if title else ''
+        body = ''.join(f'<p>{_marked(line)}</p>' for line in lines)
+        self.parts.append(f'<div class="box {escape(kind)}">{head}{body}</div>')
+
+    def table(
+        self,
+        header: Sequence[str],
+        rows: Sequence[Sequence[str]],
+        kinds: Sequence[str] = (),
+        left: Sequence[int] = (),
+    ) -> None:
+        """Add a table; rows may be 'strong' or 'faint', columns in `left` hold words."""
+        sides = ['left' if i in left else '' for i in range(len(header))]
+        self.parts.append('<div class="scroll"><table>')
+        self.parts.append(_row('th', header, sides, ''))
+        for i, row in enumerate(rows):
+            self.parts.append(_row('td', row, sides, kinds[i] if i < len(kinds) else ''))
+        self.parts.append('</table></div>')
+
+    def figures(self, figures: Sequence[Figure], across: str = '') -> None:
+        """Add figures; `across`: 'two' or 'many' beside each other where there is room."""
+        drawn = ''.join(map(_figure, figures))
+        self.parts.append(f'<div class="figures {escape(across)}">{drawn}</div>')
+
+    def key(self, entries: Sequence[tuple[str, str]]) -> None:
+        """Add a legend that several figures share: (SVG of the symbol, name)."""
+        spans = ''.join(f'<span>{svg}{escape(name)}</span>' for svg, name in entries)
+        self.parts.append(f'<div class="key">{spans}</div>')
+
+    def html(self) -> str:
+        """
+        Return the whole page.
+
+        Raises
+        ------
+        MissingExtraError
+            plotly is not installed.
+
+        """
+        style, script = _beside('page.css'), _beside('page.js')
+        subtitle = f'<p class="subtitle">{escape(self.subtitle)}</p>' if self.subtitle else ''
+        body = '\n'.join(self.parts)
+        return (
+            '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            '<link rel="icon" href="data:,">\n'
+            f'<title>{escape(self.title)}</title>\n<style>\n{style}</style>\n'
+            f'<script>{plotly_source()}</script></head>\n'
+            f'<body><main><h1>{escape(self.title)}</h1>\n{subtitle}\n{body}\n'
+            f'</main><script>\n{script}</script></body></html>\n'
+        )
+
+    def write(self, path: str | Path) -> Path:
+        """Write the page; a file that was there is replaced at the end."""
+        html = self.html()
+        with new_file(Path(path)) as draft:
+            draft.write_text(html, encoding='utf-8')
+        return Path(path)
+
+
+@cache
+def plotly_source() -> str:
+    """Return plotly's JavaScript, which every page carries inside."""
+    try:
+        from plotly.offline import get_plotlyjs
+    except ImportError:
+        raise MissingExtraError('plotly', 'report') from None
+    return str(get_plotlyjs())
+
+
+def symbol(colour: str, dash: str = '', dot: bool = False) -> str:
+    """Draw the symbol of a legend: a line, or a dot."""
+    if dot:
+        inside = f'<circle cx="14" cy="6" r="4" fill="{colour}"/>'
+    else:
+        pattern = f' stroke-dasharray="{dash}"' if dash else ''
+        inside = f'<path d="M1 6H27" stroke="{colour}" stroke-width="3"{pattern}/>'
+    return f'<svg width="28" height="12" aria-hidden="true">{inside}</svg>'
+
+
+def _marked(text: str) -> str:
+    """Escape a text; what stands between backticks becomes code."""
+    return re.sub('`([^`]*)`', r'<code>\1</code>', escape(text))
+
+
+def _figure(figure: Figure) -> str:
+    content = json.dumps(
+        {'data': figure.data, 'layout': _with_defaults(figure.layout, figure.height)},
+        allow_nan=False,
+        separators=(',', ':'),
+    ).replace('<', '\\u003c')
+    title = f'<h3>{escape(figure.title)}</h3>' if figure.title else ''
+    caption = f'<figcaption>{escape(figure.caption)}</figcaption>' if figure.caption else ''
+    return (
+        f'<figure>{title}<div class="plot" style="height:{figure.height}px"></div>'
+        f'<script type="application/json">{content}</script>{caption}</figure>'
+    )
+
+
+def _with_defaults(layout: dict[str, Any], height: int) -> dict[str, Any]:
+    axis = {
+        'gridcolor': '#e6e9ed',
+        'linecolor': '#9aa3ad',
+        'zerolinecolor': '#c3cad2',
+        'automargin': True,
+    }
+    made = {
+        'font': {'family': FONT, 'size': 13, 'color': '#1b1f24'},
+        'margin': {'l': 56, 'r': 16, 't': 12, 'b': 44},
+        'paper_bgcolor': 'white',
+        'plot_bgcolor': 'white',
+        'hovermode': 'closest',
+        'height': height,
+        'legend': {'orientation': 'h', 'y': 1.02, 'yanchor': 'bottom', 'x': 0.0},
+        **layout,
+    }
+    for name in ('xaxis', 'yaxis'):
+        made[name] = {**axis, **made.get(name, {})}
+    return made
+
+
+def _row(tag: str, cells: Sequence[str], sides: Sequence[str], kind: str) -> str:
+    made = ''.join(
+        f'<{tag} class="{side}">{escape(cell)}</{tag}>'
+        for cell, side in zip(cells, sides, strict=True)
+    )
+    return f'<tr class="{escape(kind)}">{made}</tr>'
+
+
+def _beside(name: str) -> str:
+    return (HERE / name).read_text(encoding='utf-8')

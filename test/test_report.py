@@ -1,0 +1,216 @@
+"""Pages: self-contained, drawn at desktop and phone width, escaped; words and numbers in them."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from browser import assert_fine, open_page
+from measurements import blind
+from source_tree import ROOT
+
+from tendon_robot_ros.analysis.compare import compare
+from tendon_robot_ros.analysis.comparison_file import load_comparison
+from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.data import Marker, load_dataset
+from tendon_robot_ros.exceptions import MissingExtraError
+from tendon_robot_ros.report import page as page_module
+from tendon_robot_ros.report.comparison_page import comparison_page, write_comparison
+from tendon_robot_ros.report.error_plots import Step, staircase
+from tendon_robot_ros.report.page import Figure, Page
+from tendon_robot_ros.report.shape_plots import MOST, chosen_postures, is_planar, shape_figures
+from tendon_robot_ros.report.words import (
+    commands,
+    digits,
+    listed,
+    mm,
+    probability,
+    times,
+    with_prefix,
+)
+
+SECTIONS = ('Where the models are off', 'Shapes', 'Angular displacement')
+
+
+def compared(folder, pcca=True):
+    data = load_dataset(folder)
+    models = [(data.robot.name, data.robot)]
+    models += [('PCCA', replace(data.robot, effects={}))] if pcca else []
+    return compare(data, models)
+
+
+@pytest.fixture(scope='module')
+def planar():
+    return compared(blind('b') / 'fit')
+
+
+def figures(page):
+    """Return what the figures of a page hold."""
+    texts = re.findall(r'<script type="application/json">(.*?)</script>', '\n'.join(page.parts))
+    return [json.loads(text) for text in texts]
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize('width', [1200, 400])
+@pytest.mark.parametrize('data', ['planar', 'spatial', 'tentacle'])
+def test_the_page_opens_offline_draws_everything_and_fits(data, width, tmp_path):
+    folder = {'planar': blind('b') / 'fit', 'spatial': blind('e') / 'fit'}.get(
+        data, ROOT / 'data' / 'tentacle'
+    )
+    found = compared(folder)
+    seen = open_page(write_comparison(found, tmp_path / 'page.html'), tmp_path, width)
+    assert_fine(seen, width)
+    for section in SECTIONS:
+        assert section in seen['text']
+    assert 'off by' in seen['text']
+
+
+def test_every_axis_of_every_figure_has_a_unit_or_counts_something(planar):
+    counted = ('cell', 'posture', 'model', None)
+    for figure in figures(comparison_page(planar)):
+        for name in ('xaxis', 'yaxis'):
+            title = figure['layout'][name].get('title', {}).get('text')
+            assert title in counted or re.search(r'\[(mm|°)\]$', title), title
+    spatial = shape_figures(compared(blind('e') / 'fit'))[0][0]
+    scene = spatial.layout['scene']
+    assert [scene[f'{a}axis']['title']['text'] for a in 'xyz'] == ['x [mm]', 'y [mm]', 'z [mm]']
+
+
+def test_the_figures_show_the_numbers_of_the_comparison(planar):
+    page = comparison_page(planar)
+    drawn = figures(page)
+    along = next(f for f in drawn if f['layout']['xaxis']['title']['text'] == 'cell')
+    model = next(trace for trace in along['data'] if trace['name'] == 'planar1')
+    np.testing.assert_allclose(model['y'], 1e3 * planar.models[0].per_marker_rms, atol=1e-4)
+    band = along['data'][0]
+    np.testing.assert_allclose(band['y'], 1e3 * planar.measured.floor_per_marker, atol=1e-4)
+    boxes = next(f for f in drawn if f['data'][0].get('type') == 'box')
+    np.testing.assert_allclose(
+        sorted(boxes['data'][1]['y']), sorted(1e3 * planar.models[1].tip_errors.ravel()), atol=1e-4
+    )
+    shapes = [f for f in drawn if f['layout']['yaxis'].get('scaleanchor')]
+    assert len(shapes) == 12
+    np.testing.assert_allclose(
+        shapes[0]['data'][-1]['y'], 1e3 * planar.measured.mean[0, :, 2], atol=1e-4
+    )
+
+
+def test_the_sentences_are_those_of_the_result(planar):
+    text = '\n'.join(comparison_page(planar).parts)
+    assert 'The best model, planar1, is off by eleven times your repeatability.' in text
+    assert (
+        'posture 10 (left 2.34 N, right 2.13 N), rms 4.64 mm; the error grows from cell 3 on.'
+        in text
+    )
+    assert '4.4 ± 1.4 mm' in text
+    assert 'Tip error: planar1 23.7 mm less than PCCA (95 %: 15.2 to 32.2 mm, paired t' in text
+    assert f'<code>python -m tendon_robot_ros diagnose {planar.measured.data}</code>' in text
+
+
+def test_a_loaded_comparison_gives_the_same_page(tmp_path):
+    folder, out = blind('b') / 'fit', tmp_path / 'c.json'
+    assert (
+        main(['compare', str(folder), '--json', str(out), '--report', str(tmp_path / 'p.html')])
+        == 0
+    )
+    again = comparison_page(load_comparison(out)).html()
+    assert again == (tmp_path / 'p.html').read_text(encoding='utf-8')
+
+
+def test_few_postures_have_boxes_of_their_own():
+    found = compared(blind('b') / 'fit')
+    few = compare(
+        load_dataset(blind('b') / 'fit').select(['0', '3', '7']),
+        [(m.name, load_dataset(blind('b') / 'fit').robot) for m in found.models],
+    )
+    boxes = next(f for f in figures(comparison_page(few)) if f['data'][0].get('type') == 'box')
+    assert boxes['layout']['boxmode'] == 'group'
+    assert sorted(set(boxes['data'][0]['x'])) == ['0', '3', '7']
+
+
+def test_many_postures_show_the_worst():
+    found = compared(ROOT / 'data' / 'tentacle', pcca=False)
+    chosen = chosen_postures(found)
+    assert len(chosen) == MOST == 12
+    left = np.setdiff1d(np.arange(16), chosen)
+    errors = found.best.per_posture_rms
+    assert errors[left].max() <= errors[chosen].min()
+    assert not is_planar(found)
+
+
+def test_nothing_measured_stays_out_of_the_figures(planar):
+    data = load_dataset(blind('b') / 'fit')
+    positions = np.array(data.positions)
+    positions[2, :, 5:] = np.nan
+    found = compare(
+        replace(
+            data,
+            positions=positions,
+            markers=(*data.markers[:-1], Marker('<b>tip</b>', data.arc_lengths[-1])),
+        )
+    )
+    html = comparison_page(found).html()
+    assert 'NaN' not in html.split('</script></head>')[1]
+    assert '<b>tip' not in html
+
+
+def test_names_cannot_break_out_of_the_page(planar):
+    evil = '</script><script>alert(1)</script>'
+    found = replace(planar, models=(replace(planar.models[0], name=evil),))
+    assert evil not in comparison_page(found).html()
+
+
+def test_the_staircase_stands_in_groups():
+    steps = [Step('before', 2e-3, 'before', g) for g in ('fitted', 'check')]
+    steps += [Step('after', 3e-4, 'after', g) for g in ('fitted', 'check')]
+    figure = staircase(steps)
+    assert [trace['x'] for trace in figure.data] == [['fitted', 'check']] * 2
+    assert [trace['text'] for trace in figure.data] == [['2.00 mm'] * 2, ['0.300 mm'] * 2]
+
+
+def test_without_plotly_the_remedy_is_named(monkeypatch, tmp_path):
+    monkeypatch.setitem(__import__('sys').modules, 'plotly.offline', None)
+    page_module.plotly_source.cache_clear()
+    with pytest.raises(MissingExtraError, match=r'tendon_robot_ros\[report\]'):
+        Page('x').write(tmp_path / 'x.html')
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_page_holds_tables_boxes_and_figures():
+    page = Page('a < b', 'sub')
+    page.heading('one')
+    page.box(['say `x < y`'], 'warn', 'look')
+    page.table(['name', 'rms'], [['a', '1']], ['strong'])
+    page.figures([Figure([{'x': [1], 'y': ['</script>']}], {})], 'two')
+    html = page.html()
+    for part in ('<h1>a &lt; b</h1>', '<code>x &lt; y</code>', '<tr class="strong">', 'box warn'):
+        assert part in html
+    assert '"\\u003c/script>"' in html
+
+
+@pytest.mark.parametrize(
+    ('shown', 'expected'),
+    [
+        (digits(0.24567, 3), '0.246'),
+        (digits(1234.0, 2), '1200'),
+        (digits(0.0), '0'),
+        (digits(1.5e-7), '1.5e-07'),
+        (mm(0.0123456), '12.3 mm'),
+        (mm(None), '–'),
+        (mm(float('nan')), '–'),
+        (times(5.9), 'six times'),
+        (times(2.44), '2.4 times'),
+        (times(297.0), '300 times'),
+        (probability(3.2e-6), 'p = 3e-6'),
+        (probability(0.034), 'p = 0.034'),
+        (probability(0.0), 'p < 1e-300'),
+        (commands({'left': 1.1, 'right': 0.0, 'up': None}), 'left 1.10 N'),
+        (commands({'left': 0.002}, 'displacement'), 'left 2.00 mm'),
+        (commands({}), 'nothing pulled'),
+        (listed(['a', 'b', 'c'], 'or'), 'a, b or c'),
+        (listed([]), 'nothing'),
+    ],
+)
+def test_numbers_read_well(shown, expected):
+    assert shown == expected
