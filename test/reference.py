@@ -148,9 +148,8 @@ class Reference:
         k *= 1.0 + self.get('section_stiffness', 'relative_change', section=section)
         k += self.get('tendon_stiffness', 'per_tendon') * sum(i < cells for cells in self.ends)
         cubic = self.get('nonlinear_stiffness', 'cubic')
-        angle = brentq(
-            lambda t: k * t * (1.0 + cubic * t * t) - size, 0.0, 2.0 * size / k, xtol=1e-15
-        )
+        most = 2.0 * size / k if cubic >= 0.0 else (-3.0 * cubic) ** -0.5  # there it gives way
+        angle = brentq(lambda t: k * t * (1.0 + cubic * t * t) - size, 0.0, most, xtol=1e-15)
         return self.rest + angle * along
 
     def implied(self, inputs, bend, signs=None):

@@ -29,7 +29,8 @@ def entry(*signature):
 #   tendon  (k, 2)    int: cells that the tendon runs through, index of its input
 #   values  (rows, sections) effect parameters; on (effects,) uint8, which effects act
 #   gravity (3,)      [m/s²], base frame
-# radius: largest distance of a tendon from the centroid [m]; step, settle: addresses of these two functions.
+# radius: largest distance of a tendon from the centroid [m]
+# step, settle: addresses of these two functions
 Chain = namedtuple(
     'Chain', 'n k m sections cells offset tendon values on gravity radius step settle'
 )

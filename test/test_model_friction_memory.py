@@ -1,0 +1,135 @@
+"""Friction that remembers: Dahl's law, unloading, and the same answer however it is cut."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import GRAVITY, planar, spatial, two_sections
+from reference import Reference
+
+from tendon_robot_ros.exceptions import RobotDescriptionError
+from tendon_robot_ros.model.model import Model
+
+R, MU, LENGTH = 0.0055, 0.4, 2e-4
+EFFECTS = {
+    'tendon_friction': {'friction_coefficient': MU},
+    'friction_memory': {'presliding_length': LENGTH},
+}
+FULL = EFFECTS | {
+    'eyelet_wrap': {'fraction': 1.0},
+    'straight_tendon': {'fraction': 1.0},
+    'tendon_travel': {'fraction': 1.0},
+}
+
+
+def test_two_cells_follow_dahls_law_in_closed_form():
+    model = Model(planar(2, EFFECTS))
+    shape = model.shape([0.0, 1.0])
+    theta = shape.bend[0, 0]
+    assert theta == pytest.approx(R / 0.027)
+    s = 1.0 - np.exp(-R * theta / LENGTH)
+    b = MU * np.sin(theta / 2)
+    ratio = ((1 - b) / (1 + b)) ** s
+    assert shape.tendon_tensions[1, 1] == pytest.approx(ratio, rel=1e-12)
+    # and back by half: the travel reverses, s' = -1 + (1 + s) exp(-d / length)
+    back = model.shape([0.0, 0.5], memory=shape.memory)
+    half = back.bend[0, 0]
+    s = -1.0 + (1.0 + s) * np.exp(-R * (theta - half) / LENGTH)
+    b = MU * np.sin(half / 2)
+    ratio = ((1 - b) / (1 + b)) ** s
+    assert back.tendon_tensions[1, 1] == pytest.approx(0.5 * ratio, rel=1e-12)
+
+
+@pytest.mark.parametrize('robot', [two_sections(4, FULL), spatial(3, FULL)])
+def test_loading_in_one_go_satisfies_the_laws_with_dahls_signs(robot):
+    inputs = np.array([0.0, 0.8, 0.0, 0.6, 0.0, 0.3][: len(robot.inputs)])
+    shape, reference = Model(robot).shape(inputs), Reference(robot)
+    travel = reference.travel(shape.bend)
+    beyond = np.cumsum(travel[::-1], axis=0)[::-1] - travel
+    signs = np.sign(beyond) * (1.0 - np.exp(-np.abs(beyond) / LENGTH))
+    steady = np.abs(reference.implied(inputs, shape.bend, signs) - shape.bend).max()
+    assert steady < 2e-3  # exact only where no travel reverses on the way
+    if len(robot.inputs) == 4:
+        assert steady < 1e-6
+
+
+def test_memory_fades_into_the_plain_model_as_the_arm_slides_far():
+    plain = {name: FULL[name] for name in FULL if name != 'friction_memory'}
+    short = FULL | {'friction_memory': {'presliding_length': 1e-6}}
+    inputs = [0.0, 1.4]
+    one = Model(planar(8, short)).shape(inputs)
+    other = Model(planar(8, plain)).shape(inputs)
+    assert np.allclose(one.positions, other.positions, rtol=0, atol=2e-6)
+
+
+def test_on_the_way_back_the_arm_lags_behind():
+    model = Model(planar(10, FULL))
+    rows = [[0.0, t] for t in (0.5, 1.0, 1.5, 1.0, 0.5, 0.0)]
+    tip = model.sequence(rows).tip_position[:, 0]
+    assert tip[3] > tip[1] + 1e-3 and tip[4] > tip[0] + 1e-3
+    assert tip[5] == pytest.approx(0.0, abs=1e-9)  # no tension, no friction
+
+
+def test_a_closed_loop_comes_back_to_where_it_was():
+    model = Model(planar(6, FULL))
+    rows = np.array([[0.0, 0.6], [0.0, 1.2], [0.0, 0.6]] + [[0.0, 1.2], [0.0, 0.6]] * 8)
+    tips = model.sequence(rows).tip_position
+    assert np.linalg.norm(tips[-1] - tips[-3]) < 1e-6
+
+
+@pytest.mark.parametrize('robot', [planar(8, FULL), two_sections(4, FULL), spatial(3, FULL)])
+def test_a_sequence_does_not_depend_on_how_it_is_cut(robot):
+    random = np.random.default_rng(4)
+    corners = np.vstack(
+        [np.zeros(len(robot.inputs)), random.uniform(0, 1, (3, len(robot.inputs)))]
+    )
+    model = Model(robot)
+    coarse = model.sequence(corners[1:]).positions
+    shares = np.linspace(0.0, 1.0, 21)[1:, None]
+    fine = np.vstack([a + shares * (b - a) for a, b in itertools.pairwise(corners)])
+    cut = model.sequence(fine).positions[19::20]
+    assert np.abs(coarse - cut).max() < 2e-6
+
+
+def test_calls_one_after_the_other_equal_a_sequence():
+    robot = replace(spatial(3, FULL), gravity=GRAVITY).with_effect(
+        'hinge_friction', {'lever': 1e-4}
+    )
+    robot = robot.with_effect('gravity', {'linear_density': 0.1})
+    model, rows = Model(robot), np.random.default_rng(6).uniform(0.0, 1.0, (6, 6))
+    batch, memory = model.sequence(rows), None
+    for row, positions in zip(rows, batch.positions, strict=True):
+        shape = model.shape(row, memory=memory)
+        memory = shape.memory
+        assert np.array_equal(shape.positions, positions)
+
+
+def test_a_call_does_not_touch_the_memory_it_was_given():
+    model = Model(planar(4, FULL))
+    first = model.shape([0.0, 1.0])
+    kept = first.memory.copy()
+    one = model.shape([0.0, 0.4], memory=first.memory)
+    again = model.shape([0.0, 0.4], memory=first.memory)
+    assert np.array_equal(first.memory, kept)
+    assert np.array_equal(one.positions, again.positions)
+
+
+def test_without_memory_the_order_of_postures_does_not_matter():
+    model = Model(planar(4, {name: FULL[name] for name in FULL if name != 'friction_memory'}))
+    rows = [[0.0, 1.0], [0.9, 0.0], [0.3, 0.5]]
+    assert np.allclose(model.sequence(rows).positions, model.shapes(rows).positions, atol=1e-12)
+
+
+def test_hinge_friction_holds_the_bend_on_the_way_back():
+    effects = EFFECTS | {'hinge_friction': {'lever': 5e-4}}
+    model = Model(planar(5, {k: v for k, v in effects.items() if k != 'tendon_friction'}))
+    bends = model.sequence([[0.0, 1.0], [0.0, 0.9], [0.0, 0.6]]).bend[:, :, 0]
+    assert np.allclose(bends[0], (R - 5e-4) / 0.027)
+    assert np.allclose(bends[1], bends[0])  # it sticks: 0.9 (R + lever) > 1.0 (R - lever)
+    assert np.allclose(bends[2], 0.6 * (R + 5e-4) / 0.027)
+
+
+def test_memory_has_no_default_length():
+    with pytest.raises(RobotDescriptionError, match='presliding_length'):
+        Model(planar(2, {'friction_memory': {}}))
