@@ -35,7 +35,8 @@ const look = () => {
 look();
 </script>"""
 FRAME = """<body style="margin:0">
-<iframe src="{name}" style="border:0;width:{width}px;height:{height}px"></iframe><script>addEventListener('message', (event) => {{
+<iframe src="{name}" style="border:0;width:{width}px;height:{height}px"></iframe>
+<script>addEventListener('message', (event) => {{
   const found = document.createElement('pre');
   found.textContent = event.data;
   document.body.append(found);

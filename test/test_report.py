@@ -27,7 +27,6 @@ from tendon_robot_ros.report.words import (
     mm,
     probability,
     times,
-    with_prefix,
 )
 
 SECTIONS = ('Where the models are off', 'Shapes', 'Angular displacement')
