@@ -118,6 +118,32 @@ def one_fault(servos, broken, mended):
         return seen - state['at'], released - state['at'], back
 
 
+def faults(servos, trials):
+    """Break and mend everything; print a line for each, return the worst of all."""
+    seen, released, found = [], [], {}
+    for name, (broken, mended) in FAULTS.items():
+        results = [one_fault(servos, broken, mended) for _ in range(trials)]
+        first, second, back = zip(*results, strict=True)
+        seen += first
+        released += second
+        text = (
+            f'{name}: seen after {1e3 * np.median(first):.0f} ms, at most {1e3 * max(first):.0f} '
+            f'ms; release begins after at most {1e3 * max(second):.0f} ms'
+        )
+        if mended is not None:
+            text += f'; back after at most {max(back):.2f} s'
+        if name == 'unplugged':
+            found['replug_s'] = max(back)
+        print(text, flush=True)
+    return {**found, 'seen_ms': 1e3 * max(seen), 'release_ms': 1e3 * max(released)}
+
+
+def missed(found):
+    for name, (value, sense) in TARGETS.items():
+        if found[name] < value if sense == 'at least' else found[name] > value:
+            yield f'MISSED {name}: {found[name]:.3g}, target {sense} {value:g}'
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('--seconds', type=float, default=5.0)
@@ -133,34 +159,13 @@ def main():
             'p99 {p99_ms:.2f} ms, worst {worst_ms:.1f} ms'.format(**found),
             flush=True,
         )
-        seen, released = [], []
-        for name, (broken, mended) in FAULTS.items():
-            trials = [one_fault(servos, broken, mended) for _ in range(args.trials)]
-            first, second, back = zip(*trials, strict=True)
-            seen += first
-            released += second
-            line = (
-                f'{name}: seen after {1e3 * np.median(first):.0f} ms, at most '
-                f'{1e3 * max(first):.0f} ms; release begins after at most '
-                f'{1e3 * max(second):.0f} ms'
-            )
-            if mended is not None:
-                line += f'; back after at most {max(back):.2f} s'
-                if name == 'unplugged':
-                    found['replug_s'] = max(back)
-            print(line, flush=True)
-        found |= {'seen_ms': 1e3 * max(seen), 'release_ms': 1e3 * max(released)}
-    missed = [
-        name
-        for name, (value, sense) in TARGETS.items()
-        if (found[name] < value if sense == 'at least' else found[name] > value)
-    ]
-    for name in missed:
-        print(f'MISSED {name}: {found[name]:.3g}, target {TARGETS[name][1]} {TARGETS[name][0]:g}')
+        found |= faults(servos, args.trials)
+    short = list(missed(found))
+    print('\n'.join(short))
     if args.json:
         with open(args.json, 'w', encoding='utf-8') as file:
             json.dump({'machine': machine(), 'load': load, **found}, file, indent=1)
-    return 1 if missed else 0
+    return 1 if short else 0
 
 
 if __name__ == '__main__':

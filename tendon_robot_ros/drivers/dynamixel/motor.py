@@ -158,48 +158,32 @@ class Motor:
 
     def faults(self, port: str) -> Iterator[Fault]:
         """List what is wrong with it."""
-        if not self.answers:
-            yield Fault(
-                'silent',
-                f'{port}: {self}: no answer; check its cable and the motor supply',
-                inputs=self.names,
-            )
+        who = f'{port}: {self}'
+        advice = 'torque is off; remove the cause, then reboot it'
         for bit, (code, words) in HARDWARE_ERRORS.items():
             if self.errors & bit:
-                yield Fault(
-                    code,
-                    f'{port}: {self}: {words}; torque is off; remove the cause, then reboot it',
-                    hardware=True,
-                    inputs=self.names,
-                )
+                yield Fault(code, f'{who}: {words}; {advice}', True, self.names)
         if self.restarted:
-            yield Fault(
-                'restarted',
-                f'{port}: {self}: it lost its power or its torque was '
-                'switched off; stays off until it is enabled again',
-                hardware=True,
-                inputs=self.names,
-            )
+            words = 'it lost its power or its torque was switched off'
+            advice = 'stays off until it is enabled again'
+            yield Fault('restarted', f'{who}: {words}; {advice}', True, self.names)
+        for code, words in self._mild():
+            yield Fault(code, f'{who}: {words}', False, self.names)
+
+    def _mild(self) -> Iterator[tuple[str, str]]:
+        """List codes and words of what does not take its torque."""
+        if not self.answers:
+            yield 'silent', 'no answer; check its cable and the motor supply'
         if self.tripped:
-            yield Fault(
-                'watchdog',
-                f'{port}: {self}: its bus watchdog stopped it: no instruction came in time',
-                inputs=self.names,
-            )
+            yield 'watchdog', 'its bus watchdog stopped it: no instruction came in time'
         if self.temperature is not None and self.temperature >= self.hottest:
-            yield Fault(
+            yield (
                 'temperature',
-                f'{port}: {self}: {self.temperature:.0f} °C, released '
-                f'from {self.hottest:.0f} °C; let it cool',
-                inputs=self.names,
+                f'{self.temperature:.0f} °C, released from {self.hottest:.0f} °C; let it cool',
             )
         low, high = self.voltage_limits
         if self.voltage is not None and not low <= self.voltage <= high:
-            yield Fault(
-                'supply',
-                f'{port}: {self}: supply {self.voltage:.1f} V, expected {low:.1f} to {high:.1f} V',
-                inputs=self.names,
-            )
+            yield 'supply', f'supply {self.voltage:.1f} V, expected {low:.1f} to {high:.1f} V'
 
     def take_health(self, data: bytes) -> None:
         """Take the three bytes of voltage and temperature."""

@@ -1,0 +1,102 @@
+"""Emulated servos, the real driver node on them, and a sender of commands, for the tests."""
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from ros_station import Station, last, start, values
+from sensor_msgs.msg import JointState
+
+from tendon_robot_ros.drivers.emulator.process import EmulatorProcess
+from tendon_robot_ros.nodes.qos import COMMAND
+from tendon_robot_ros.nodes.shared import shared_file
+
+ROBOT = 'kato_10_1'
+TENSION = [1.5, 0.4, 1.0, 0.3]  # [N]
+PULL = [0.006, -0.006, 0.003, -0.003]  # [m]
+
+
+class Rig:
+    """Emulated servos, the driver node on them, and a sender of commands."""
+
+    def __init__(self, mode, folder):
+        self.mode = mode
+        self.servos = EmulatorProcess(shared_file(f'config/robots/{ROBOT}.yaml'))
+        self.space = f'/dynamixel_{mode}'
+        self.folder = folder
+        self.station = Station(self.space)
+        self.diagnostics = self.station.hear(DiagnosticArray, '/diagnostics')
+        self.command = TENSION if mode == 'tension' else PULL
+        self._publisher = self.station.node.create_publisher(JointState, 'tendon_command', COMMAND)
+        self._timer = self.station.node.create_timer(0.01, self._send)
+        self.sending = True
+        self.node = None
+
+    def run(self):
+        self.node = start(
+            'driver',
+            self.space,
+            self.folder,
+            robot=ROBOT,
+            backend='dynamixel',
+            config=str(self.servos.config),
+            command_mode=self.mode,
+        )
+        self.station.until_code(self.station.driver, 'following', timeout=60.0)
+        return self.node
+
+    def _send(self):
+        if not self.sending:
+            return
+        message = JointState(name=['prox_left', 'prox_right', 'dist_left', 'dist_right'])
+        message.header.stamp = self.station.node.get_clock().now().to_msg()
+        field = 'effort' if self.mode == 'tension' else 'position'
+        setattr(message, field, [float(value) for value in self.command])
+        self._publisher.publish(message)
+
+    def measured(self):
+        state = last(self.station.states)
+        return np.array(state.effort if self.mode == 'tension' else state.position)
+
+    def until_following(self):
+        """Wait until the node follows and the arm is where it is told to be."""
+        near = 0.1 if self.mode == 'tension' else 1e-3
+        self.station.until_code(self.station.driver, 'following', timeout=20.0)
+        self.station.until(
+            lambda: np.allclose(self.measured(), self.command, atol=near), 'the command'
+        )
+
+    def goals(self, seconds):
+        """Return what the servos accepted as goals lately: id to list of (time, value)."""
+        name = 'goal_current' if self.mode == 'tension' else 'goal_position'
+        found = {i: [] for i in (1, 2, 3, 4)}
+        for when, identity, register, value in self.servos.ask(f'log {seconds}'):
+            if register == name:
+                found[identity].append((when, value))
+        return found
+
+    def servo(self, identity):
+        return self.servos.ask('state')['servos'][str(identity)]
+
+    def operate(self):
+        """Reboot what reports an error, then reset, as a person does."""
+        self.station.until(lambda: self.station.trigger('driver/reboot').success, 'a reboot')
+
+        def reset():
+            self.station.trigger('driver/reset')
+            self.station.spin(0.2)
+            return values(last(self.station.driver))['code'] == 'following'
+
+        self.station.until(reset, 'following after a reset', timeout=30.0)
+
+    def close(self):
+        if self.node is not None:
+            self.node.end()
+        self.station.close()
+        self.servos.end()
+
+
+def steps(goals):
+    """Largest step from goal to goal of any motor."""
+    jumps = [
+        np.abs(np.diff([value for _, value in sent])).max(initial=0) for sent in goals.values()
+    ]
+    return max(jumps)

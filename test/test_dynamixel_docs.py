@@ -1,0 +1,56 @@
+"""The numbers and examples of docs/dynamixel.md are those of the code."""
+
+import re
+
+import pytest
+from source_tree import ROOT
+
+pytest.importorskip('dynamixel_sdk')
+
+from tendon_robot_ros.drivers import make_driver
+from tendon_robot_ros.drivers.dynamixel.config import KEYS
+from tendon_robot_ros.drivers.dynamixel.port import UDEV_FILE, UDEV_RULE
+from tendon_robot_ros.drivers.dynamixel.tables import MODELS
+from tendon_robot_ros.drivers.dynamixel.units import from_data_sheet, resolution, smallest_spool
+from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.robot_checks import parse_yaml
+
+PAGE = (ROOT / 'docs' / 'dynamixel.md').read_text(encoding='utf-8')
+
+
+@pytest.mark.parametrize('model', MODELS.values(), ids=lambda model: model.name)
+def test_the_table_of_motors_is_computed(model):
+    found = resolution(from_data_sheet(model, 0.010), model, 5.0)
+    row = (
+        f'| {model.name} | {model.torque_per_ampere:.3g} | {1e3 * model.current_unit:g} | '
+        f'{found.newtons_per_count:.3g} | ±{found.band:.2g} N | '
+        f'{1e3 * smallest_spool(model, 5.0):.0f} mm |'
+    )
+    assert row in PAGE
+
+
+@pytest.mark.parametrize('model', MODELS.values(), ids=lambda model: model.name)
+@pytest.mark.parametrize('limit', [1.0, 5.0, 20.0])
+def test_the_smallest_spool_is_fine_and_a_smaller_one_is_not(model, limit):
+    radius = smallest_spool(model, limit)
+    assert not resolution(from_data_sheet(model, radius), model, limit).coarse
+    assert resolution(from_data_sheet(model, 0.9 * radius - 1e-3), model, limit).coarse
+
+
+def test_the_udev_rule_is_the_one_that_the_driver_prints():
+    assert UDEV_RULE in PAGE
+    assert UDEV_FILE in PAGE
+
+
+def test_every_key_of_the_configuration_is_explained():
+    keys = set(re.findall(r'`(\w+)`', PAGE)) | {'motors'}
+    assert set(KEYS) <= keys
+
+
+@pytest.mark.parametrize('mode', ['tension', 'pull'])
+def test_the_example_configuration_is_accepted(mode):
+    path = ROOT / 'config' / f'dynamixel_{mode}.yaml'
+    robot = load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml')
+    content = parse_yaml(path.read_text(encoding='utf-8'))
+    driver = make_driver('dynamixel', robot, content, mode=mode, source=str(path))
+    assert driver.limits.shape == (4, 2)
