@@ -17,7 +17,9 @@ ALLOWED['model'] = {'exceptions', 'robot', 'effects'}
 ALLOWED['control'] = ALLOWED['model'] | {'model', 'drivers'}
 ALLOWED['analysis'] = ALLOWED['model'] | {'model', 'data'}
 ALLOWED['report'] = ALLOWED['analysis'] | {'analysis'}
-ALLOWED['cli'] = ALLOWED['nodes'] = ALLOWED['report'] | {'report', 'drivers', 'control'}
+ALLOWED['monitoring'] = ALLOWED['report'] | {'report'}
+ALLOWED['cli'] = ALLOWED['monitoring'] | {'drivers', 'control'}
+ALLOWED['nodes'] = ALLOWED['cli'] | {'monitoring'}
 ALLOWED['__main__'] = {'cli'}
 MODULES = files(f'{PACKAGE}/*.py')
 

@@ -33,6 +33,7 @@ COMMANDS: dict[str, str] = {
     'controller': 'tendon_robot_ros.nodes.controller',
     'driver': 'tendon_robot_ros.nodes.driver',
     'teleop': 'tendon_robot_ros.nodes.teleop',
+    'monitor': 'tendon_robot_ros.nodes.monitor',
     'compare': 'tendon_robot_ros.cli.compare',
     'diagnose': 'tendon_robot_ros.cli.diagnose',
     'add': 'tendon_robot_ros.cli.add',

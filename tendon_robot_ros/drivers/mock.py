@@ -95,7 +95,7 @@ class MockDriver(Driver):
         limits = robot.tension_limits if mode == 'tension' else (-turn, turn)
         self.limits = np.tile(np.array(limits, dtype=float), (m, 1))
         self.rates = np.full(m, np.inf)
-        self._plant, self._clock = plant, clock
+        self.plant, self._clock = plant, clock
         self._random = np.random.default_rng(self.config.seed)
         self._is_open, self._on = False, np.zeros(m, dtype=bool)
         self._command, self._actual = np.zeros(m), np.zeros(m)
@@ -243,7 +243,7 @@ class MockDriver(Driver):
         if self._given is not None and np.array_equal(given, self._given, equal_nan=True):
             return
         self._given = given
-        respond = self._plant.respond if self.mode == 'tension' else self._plant.respond_to_pulls
+        respond = self.plant.respond if self.mode == 'tension' else self.plant.respond_to_pulls
         try:
             self._state, self._problem = respond(given), ''
         except TendonRobotError as error:  # the arm stays where it is, the reading says why

@@ -16,7 +16,9 @@ from .messages import pose_array, pose_stamped, towards
 from .parameters import Parameters
 from .qos import STATE
 
-DEFAULTS = {'rate': 30.0, 'noise': 0.0, 'seed': 0}  # [Hz], [m] 1 sd
+# rate [Hz], noise [m] 1 sd; shares [1] of markers and of whole frames that are not seen
+DEFAULTS = {'rate': 30.0, 'noise': 0.0, 'seed': 0, 'missing': 0.0, 'lost': 0.0}
+AHEAD = 1e-3  # [m] from the tip to the point that tells its direction
 
 
 class MockTracker:
@@ -31,6 +33,7 @@ class MockTracker:
                 raise InputError(f'config: tracker: expected {", ".join(DEFAULTS)}, got {key!r}')
         told = {**DEFAULTS, **config}
         self._node, self._driver, self._noise = node, driver, float(told['noise'])
+        self._missing, self._lost = float(told['missing']), float(told['lost'])
         self._random = np.random.default_rng(told['seed'])
         robot = driver.robot
         self._frame = parameters['frame_prefix'] + (
@@ -50,12 +53,23 @@ class MockTracker:
 
     def _publish(self) -> None:
         arm: Any = self._driver.truth
-        if arm is None:
+        if arm is None or self._random.random() < self._lost:
             return
         header = Header(frame_id=self._frame, stamp=self._node.get_clock().now().to_msg())
         n = len(self._arc_lengths)
-        positions = arm.markers(self._arc_lengths, np.zeros((n, 3)))
+        points = arm.markers(self._arc_lengths, np.zeros((n, 3)))
+        ahead = points[-1] + AHEAD * arm.tip_direction
+        seen = self._seen(np.vstack([points, ahead]), arm.inputs)
+        positions, along = seen[:-1], (seen[-1] - seen[-2]) / AHEAD
         positions = positions + self._random.normal(0.0, self._noise, (n, 3))
+        positions[self._random.random(n) < self._missing] = np.nan
         rotations = np.tile(np.eye(3), (n, 1, 1))  # markers are points
         self._shape.publish(pose_array(header, positions, rotations))
-        self._tip.publish(pose_stamped(header, positions[-1], towards(arm.tip_direction)))
+        if np.isfinite(positions[-1]).all():
+            along /= np.linalg.norm(along)
+            self._tip.publish(pose_stamped(header, positions[-1], towards(along)))
+
+    def _seen(self, points: Any, inputs: Any) -> Any:
+        """Return points (n, 3) [m] in the frame of the tracker, which may be turned."""
+        tracked = getattr(self._driver.plant, 'tracked', None)
+        return points if tracked is None else tracked(points[None], inputs[None])[0]
