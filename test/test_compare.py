@@ -1,6 +1,5 @@
 """Comparing models with measurements: errors, angles, noise floor, against closed forms."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +9,8 @@ from scipy import stats
 from source_tree import ROOT
 
 from tendon_robot_ros.analysis.compare import bending_axes, compare, turns
-from tendon_robot_ros.analysis.comparison_file import from_json, load_comparison, to_json
 from tendon_robot_ros.analysis.postures import default_postures
 from tendon_robot_ros.analysis.simulate import SimulatedNoise, simulate
-from tendon_robot_ros.analysis.statistics import estimate, half_width, paired_t
-from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.data import Marker, load_dataset, save_dataset
 from tendon_robot_ros.exceptions import InputError, NoEquilibriumError
 from tendon_robot_ros.model.causes import Damage
@@ -158,23 +154,6 @@ def test_markers_beside_the_centreline_tell_no_angles(kato):
     assert compare(perfect(kato, markers=beside)).measured.angles is None
 
 
-def test_intervals_and_tests_are_those_of_scipy():
-    random = np.random.default_rng(0)
-    a, b = random.normal(3.0, 1.0, 12), random.normal(2.0, 1.0, 12)
-    interval = stats.ttest_1samp(a, 0.0).confidence_interval(0.95)
-    made = estimate([*a, np.nan])
-    assert (made.low, made.high, made.n) == pytest.approx((interval.low, interval.high, 12))
-    assert half_width(a, 'sem') == pytest.approx(stats.sem(a))
-    expected = stats.ttest_rel(a, b)
-    test = paired_t(('a', 'b'), a, b, None)
-    limits = expected.confidence_interval(0.95)
-    assert (test.t, test.p, test.n) == pytest.approx((expected.statistic, expected.pvalue, 12))
-    assert (test.low, test.high) == pytest.approx((limits.low, limits.high))
-    assert paired_t(('a', 'b'), a[:1], b[:1], None) is None
-    same = paired_t(('a', 'b'), a, a, None)
-    assert (same.t, same.p) == (0.0, 1.0)
-
-
 def test_models_are_tested_against_each_other(hinges):
     pcca = replace(hinges.robot, effects={})
     found = compare(hinges, [('FKM', hinges.robot), ('PCCA', pcca)])
@@ -184,34 +163,6 @@ def test_models_are_tested_against_each_other(hinges):
     assert overall.p == pytest.approx(expected.pvalue)
     assert [test.posture for test in each] == list(hinges.postures)
     assert {test.n for test in each} == {5}
-
-
-def test_the_json_reads_back_and_has_the_promised_keys(hinges, tmp_path, capsys):
-    out = tmp_path / 'compare.json'
-    assert main(['compare', str(blind('b') / 'fit'), '--pcca', '--json', str(out)]) == 0
-    assert 'rms' in capsys.readouterr().out
-    content = json.loads(out.read_text())
-    assert content['format'] == 'tendon_robot_ros/comparison@1'
-    model = content['models'][0]
-    assert {'name', 'rms', 'tip_rms', 'max', 'per_marker_rms', 'per_posture'} <= set(model)
-    assert [m['name'] for m in content['models']] == ['planar1', 'PCCA']
-    assert len(model['per_posture']) == 12
-    assert len(model['per_marker_rms']) == 15
-    assert content['paired_t'][0]['p'] < 0.01
-    back = load_comparison(out)
-    assert back.noise_floor == pytest.approx(content['noise_floor'])
-    assert json.dumps(to_json(from_json(content)))[:2000] == json.dumps(to_json(back))[:2000]
-    direct = compare(hinges).models[0]
-    np.testing.assert_allclose(back.models[0].distance, direct.distance, atol=1e-15)
-    assert main(['compare', str(blind('b') / 'fit'), '--json']) == 0
-    assert json.loads(capsys.readouterr().out)['noise_floor'] == pytest.approx(back.noise_floor)
-
-
-def test_a_foreign_json_is_refused(tmp_path):
-    for text in ('{}', '[1]', '{"format": "other"}', 'no json'):
-        (tmp_path / 'x.json').write_text(text)
-        with pytest.raises(InputError, match=r'x\.json: expected the JSON of a comparison'):
-            load_comparison(tmp_path / 'x.json')
 
 
 @pytest.mark.parametrize('letter', 'abcdefghijkl')
@@ -233,35 +184,6 @@ def test_pulled_by_displacement(kato):
     data = simulate(twin(kato), pulls, trials=3, input='displacement', noise=SimulatedNoise(1e-4))
     found = compare(data)
     assert found.models[0].rms < 1.5 * found.noise_floor
-
-
-def test_the_table_says_where_and_what_to_do(capsys):
-    folder = blind('b') / 'fit'
-    assert main(['compare', str(folder), '--pcca']) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert ' '.join(lines[0].split()[:9]) == '12 postures x 5 trials x 15 markers rms'
-    assert lines[1].startswith('planar1 (FKM + 3 effects)')
-    assert lines[2].startswith('PCCA  ')
-    assert lines[4].startswith('worst: posture 10 (left 2.34 N, right 2.13 N), rms 4.64 mm; ')
-    assert lines[4].endswith('the error grows from cell 3 on.')
-    assert 'planar1 23.7 mm less than PCCA (95 %: ' in lines[5]
-    assert lines[-1] == (
-        'The best model, planar1, is off by eleven times your repeatability. '
-        f'Ask why: python -m tendon_robot_ros diagnose {folder}'
-    )
-
-
-def test_robots_of_one_name_are_named_by_their_files(tmp_path, capsys):
-    robot = (blind('b') / 'fit' / 'robot.yaml').read_text()
-    for name in ('before', 'after'):
-        (tmp_path / f'{name}.yaml').write_text(robot)
-    models = [str(tmp_path / 'before.yaml'), str(tmp_path / 'after.yaml')]
-    assert main(['compare', str(blind('b') / 'fit'), '--model', *models]) == 0
-    out = capsys.readouterr().out
-    assert 'before (FKM' in out
-    assert 'do not differ (paired t over 12 postures, p = 1' in out
-    assert main(['compare', str(blind('b') / 'fit'), '--model', models[0], models[0]]) == 1
-    assert 'expected different files' in capsys.readouterr().err
 
 
 def test_another_robot_is_refused(hinges, kato):

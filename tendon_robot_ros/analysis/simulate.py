@@ -83,28 +83,13 @@ def simulate(
 
     """
     noise, robot = noise or SimulatedNoise(), plant.robot
-    rows = np.asarray(inputs, dtype=float)
-    if trials < 1:
-        raise InputError(f'trials: expected at least 1, got {trials}')
-    if rows.ndim != 2 or rows.shape[1] != len(robot.inputs) or not len(rows):
-        raise InputError(
-            f'postures: expected (postures, {len(robot.inputs)}) numbers for '
-            f'{", ".join(robot.inputs)}, got shape {rows.shape}'
-        )
+    rows = _rows(plant, inputs, trials)
     random = np.random.default_rng(seed)
     made = tuple(markers or default_markers(robot))
-    points = np.array([marker.arc_length for marker in made])
-    offsets = np.array([marker.offset for marker in made])
     given = rows * _factors(random, noise, trials, rows.shape)  # (Q, P, m)
-    displacement = input == 'displacement'
-    if path == 'sequence':
-        seen = np.array([plant.markers(one, points, offsets, True, displacement) for one in given])
-    else:
-        flat = plant.markers(
-            given.reshape(-1, rows.shape[1]), points, offsets, displacement=displacement
-        )
-        seen = flat.reshape(trials, len(rows), len(made), 3)
-    positions = seen.swapaxes(0, 1) + random.normal(0.0, noise.position, seen.swapaxes(0, 1).shape)
+    seen = _seen(plant, given, made, path == 'sequence', input == 'displacement')
+    positions = seen.swapaxes(0, 1)
+    positions = positions + random.normal(0.0, noise.position, positions.shape)
     known = declare and noise.position > 0.0
     return DataSet(
         name=f'simulated {robot.name}',
@@ -120,6 +105,32 @@ def simulate(
         setting_noise=noise.setting if declare else 0.0,
         trial_noise=noise.trial if declare else 0.0,
     )
+
+
+def _rows(plant: Plant, inputs: npt.ArrayLike, trials: int) -> Floats:
+    names = plant.robot.inputs
+    rows = np.asarray(inputs, dtype=float)
+    if trials < 1:
+        raise InputError(f'trials: expected at least 1, got {trials}')
+    if rows.ndim != 2 or rows.shape[1] != len(names) or not len(rows):
+        raise InputError(
+            f'postures: expected (postures, {len(names)}) numbers for {", ".join(names)}, '
+            f'got shape {rows.shape}'
+        )
+    return rows
+
+
+def _seen(
+    plant: Plant, given: Floats, markers: Sequence[Marker], sequence: bool, displacement: bool
+) -> Floats:
+    """Return markers (Q, P, J, 3) [m] under inputs (Q, P, m), without the tracker's noise."""
+    points = np.array([marker.arc_length for marker in markers])
+    offsets = np.array([marker.offset for marker in markers])
+    if sequence:
+        return np.array([plant.markers(one, points, offsets, True, displacement) for one in given])
+    flat = given.reshape(-1, given.shape[2])
+    seen = plant.markers(flat, points, offsets, displacement=displacement)
+    return seen.reshape(*given.shape[:2], len(markers), 3)
 
 
 def _factors(

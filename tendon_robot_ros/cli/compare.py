@@ -27,6 +27,7 @@ from ..exceptions import InputError
 from ..model.compose import is_compiled
 from ..report.comparison_text import sentences, table
 from ..robot import Robot, load_robot
+from .description_file import add_effect_files
 from .options import add_json, emit
 
 HELP = 'compare models with measurements'
@@ -52,13 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_json(parser)
     parser.add_argument('--report', metavar='HTML', help='write a page that opens offline')
-    parser.add_argument(
-        '--effect-file',
-        action='append',
-        default=[],
-        metavar='FILE',
-        help='Python file with an effect of your own (is executed; may be given several times)',
-    )
+    add_effect_files(parser)
 
 
 def run(args: argparse.Namespace) -> int:

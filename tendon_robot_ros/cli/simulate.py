@@ -28,59 +28,54 @@ from ..effects import load_catalogue
 from ..exceptions import InputError
 from ..model.plant import Plant, make_plant
 from ..robot import Robot, load_robot
+from .description_file import add_effect_files
+from .options import named_numbers, vector
 
 HELP = 'write measurements of a robot with hidden effects, to rehearse with'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    usual = SimulatedNoise()
     add = parser.add_argument
     add('robot', metavar='ROBOT', help='robot description, as its owner believes it')
     add('--hidden', nargs='+', action='extend', default=[], metavar='EFFECT[:NAME=VALUE,...]')
+    scatter = "relative sd of the cells' stiffness (default: 0.02)"
+    add('--scatter', type=float, default=0.02, metavar='SD', help=scatter)
+    add('--seed', type=int, default=0, help='another seed: another robot, other noise')
+    add('--gravity', metavar='X,Y,Z', help='[m/s²] in the base frame (default: as in ROBOT)')
     add('--output', required=True, metavar='DIR', help='folder of the data set')
     add('--check', metavar='DIR', help='a second data set: other postures of the same robot')
     add('--overwrite', action='store_true', help='replace data sets')
-    add('--postures', metavar='CSV', help='like inputs.csv (default: 12 that suit the robot)')
-    add(
-        '--count',
-        type=int,
-        metavar='N',
-        help='so many default postures (default: 12, 20 in a sequence; a check has half)',
-    )
+    _add_measuring(parser)
+    add_effect_files(parser)
+
+
+def _add_measuring(parser: argparse.ArgumentParser) -> None:
+    """Declare how it is measured."""
+    usual = SimulatedNoise()
+    add = parser.add_argument
+    add('--postures', metavar='CSV', help='like inputs.csv (default: some that suit the robot)')
+    count = 'so many default postures (default: 12, 20 in a sequence; a check has half)'
+    add('--count', type=int, metavar='N', help=count)
     add('--trials', type=int, default=5, metavar='N', help='trials of a posture (default: 5)')
-    add(
-        '--noise',
-        default='',
-        metavar='NAME=VALUE,...',
-        help='1 sd of: position [m], setting '
-        '(relative, shared by the trials of a posture), trial (relative); default: '
-        + ', '.join(f'{f.name}={getattr(usual, f.name):g}' for f in fields(usual)),
+    noise = (
+        '1 sd of position [m], setting (relative, shared by the trials of a posture), trial '
+        '(relative); default: '
+        + ','.join(f'{f.name}={getattr(usual, f.name):g}' for f in fields(usual))
     )
+    add('--noise', default='', metavar='NAME=VALUE,...', help=noise)
     add('--undeclared', action='store_true', help='do not write the noise into dataset.yaml')
     add('--input', choices=INPUTS, default='tension', help='what the motors set')
     add('--path', choices=PATHS, default='from_straight', help='how postures are reached')
-    add('--gravity', metavar='X,Y,Z', help='[m/s²] in the base frame (default: as in ROBOT)')
-    add(
-        '--markers',
-        metavar='N|S,S,...',
-        help='so many, evenly spaced, or at these arc lengths [m] (default: one per cell)',
-    )
-    add(
-        '--scatter',
-        type=float,
-        default=0.02,
-        help="relative sd of the cells' stiffness (default: 0.02)",
-    )
-    add('--seed', type=int, default=0, help='another seed: another robot, other noise')
-    add('--effect-file', action='append', default=[], metavar='PY', help='your own effect')
+    markers = 'so many, evenly spaced, or at these arc lengths [m] (default: one per cell)'
+    add('--markers', metavar='N|S,S,...', help=markers)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the data sets."""
     robot = load_robot(args.robot)
     if args.gravity:
-        x, y, z = _numbers('gravity', args.gravity, 3)
+        x, y, z = vector('--gravity', args.gravity) or (0.0, 0.0, 0.0)
         robot = replace(robot, gravity=(x, y, z))
     hidden = dict(map(_effect, args.hidden))
     if 'gravity' in hidden and robot.gravity is None:
@@ -130,19 +125,19 @@ def _effect(text: str) -> tuple[str, dict[str, float | tuple[float, ...]]]:
     """Read EFFECT[:NAME=VALUE,...]."""
     name, _, rest = text.partition(':')
     values: dict[str, float | tuple[float, ...]] = {}
-    for key, value in _pairs(name, rest):
-        numbers = _numbers(f'{name}: {key}', value, None, '/')
+    for part in filter(None, rest.split(',')):
+        key, _, value = part.partition('=')
+        numbers = _numbers(f'{name}: {key}', value, '/')
         values[key] = numbers if len(numbers) > 1 else numbers[0]
     return name, values
 
 
 def _noise(text: str) -> SimulatedNoise:
     known = [field.name for field in fields(SimulatedNoise)]
-    values: dict[str, float] = {}
-    for key, value in _pairs('noise', text):
+    values = named_numbers('--noise', text, 'm, or relative') if text else {}
+    for key in values:
         if key not in known:
-            raise InputError(f'noise: expected {", ".join(known)}, got {key!r}')
-        (values[key],) = _numbers(f'noise: {key}', value, 1)
+            raise InputError(f'--noise: expected {", ".join(known)}, got {key!r}')
     return SimulatedNoise(**values)
 
 
@@ -152,25 +147,15 @@ def _markers(text: str | None, robot: Robot) -> tuple[Marker, ...] | None:
     if text.isdigit() and int(text) > 0:
         places = tuple(robot.length * (np.arange(int(text)) + 1.0) / int(text))
     else:
-        places = _numbers('markers', text, None)
+        places = _numbers('--markers', text, ',')
     return tuple(Marker(str(i + 1), float(place)) for i, place in enumerate(places))
 
 
-def _pairs(what: str, text: str) -> list[tuple[str, str]]:
-    pairs = [part.partition('=') for part in text.split(',') if part]
-    for key, sign, value in pairs:
-        if not (key and sign and value):
-            raise InputError(f'{what}: expected NAME=VALUE,..., got {text!r}')
-    return [(key, value) for key, _, value in pairs]
-
-
-def _numbers(what: str, text: str, count: int | None, separator: str = ',') -> tuple[float, ...]:
+def _numbers(what: str, text: str, separator: str) -> tuple[float, ...]:
     try:
         numbers = tuple(map(float, text.split(separator)))
     except ValueError:
         numbers = ()
-    if not numbers or not np.isfinite(numbers).all() or count not in (None, len(numbers)):
-        raise InputError(
-            f'{what}: expected {count or "one or more"} number{"s" * (count != 1)}, got {text!r}'
-        )
+    if not numbers or not np.isfinite(numbers).all():
+        raise InputError(f'{what}: expected numbers, got {text!r}')
     return numbers

@@ -1,0 +1,75 @@
+"""The command `compare`: what it prints, its JSON, and how models are named."""
+
+import json
+
+import numpy as np
+import pytest
+from measurements import blind
+
+from tendon_robot_ros.analysis.compare import compare
+from tendon_robot_ros.analysis.comparison_file import from_json, load_comparison, to_json
+from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.exceptions import InputError
+
+
+@pytest.fixture(scope='module')
+def hinges():
+    return load_dataset(blind('b') / 'fit')
+
+
+def test_the_json_reads_back_and_has_the_promised_keys(hinges, tmp_path, capsys):
+    out = tmp_path / 'compare.json'
+    assert main(['compare', str(blind('b') / 'fit'), '--pcca', '--json', str(out)]) == 0
+    assert 'rms' in capsys.readouterr().out
+    content = json.loads(out.read_text())
+    assert content['format'] == 'tendon_robot_ros/comparison@1'
+    model = content['models'][0]
+    assert {'name', 'rms', 'tip_rms', 'max', 'per_marker_rms', 'per_posture'} <= set(model)
+    assert [m['name'] for m in content['models']] == ['planar1', 'PCCA']
+    assert len(model['per_posture']) == 12
+    assert len(model['per_marker_rms']) == 15
+    assert content['paired_t'][0]['p'] < 0.01
+    back = load_comparison(out)
+    assert back.noise_floor == pytest.approx(content['noise_floor'])
+    assert json.dumps(to_json(from_json(content)))[:2000] == json.dumps(to_json(back))[:2000]
+    direct = compare(hinges).models[0]
+    np.testing.assert_allclose(back.models[0].distance, direct.distance, atol=1e-15)
+    assert main(['compare', str(blind('b') / 'fit'), '--json']) == 0
+    assert json.loads(capsys.readouterr().out)['noise_floor'] == pytest.approx(back.noise_floor)
+
+
+def test_a_foreign_json_is_refused(tmp_path):
+    for text in ('{}', '[1]', '{"format": "other"}', 'no json'):
+        (tmp_path / 'x.json').write_text(text)
+        with pytest.raises(InputError, match=r'x\.json: expected the JSON of a comparison'):
+            load_comparison(tmp_path / 'x.json')
+
+
+def test_the_table_says_where_and_what_to_do(capsys):
+    folder = blind('b') / 'fit'
+    assert main(['compare', str(folder), '--pcca']) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert ' '.join(lines[0].split()[:9]) == '12 postures x 5 trials x 15 markers rms'
+    assert lines[1].startswith('planar1 (FKM + 3 effects)')
+    assert lines[2].startswith('PCCA  ')
+    assert lines[4].startswith('worst: posture 10 (left 2.34 N, right 2.13 N), rms 4.64 mm; ')
+    assert lines[4].endswith('the error grows from cell 3 on.')
+    assert 'planar1 23.7 mm less than PCCA (95 %: ' in lines[5]
+    assert lines[-1] == (
+        'The best model, planar1, is off by eleven times your repeatability. '
+        f'Ask why: python -m tendon_robot_ros diagnose {folder}'
+    )
+
+
+def test_robots_of_one_name_are_named_by_their_files(tmp_path, capsys):
+    robot = (blind('b') / 'fit' / 'robot.yaml').read_text()
+    for name in ('before', 'after'):
+        (tmp_path / f'{name}.yaml').write_text(robot)
+    models = [str(tmp_path / 'before.yaml'), str(tmp_path / 'after.yaml')]
+    assert main(['compare', str(blind('b') / 'fit'), '--model', *models]) == 0
+    out = capsys.readouterr().out
+    assert 'before (FKM' in out
+    assert 'do not differ (paired t over 12 postures, p = 1' in out
+    assert main(['compare', str(blind('b') / 'fit'), '--model', models[0], models[0]]) == 1
+    assert 'expected different files' in capsys.readouterr().err
