@@ -20,8 +20,15 @@ from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.effects import load_catalogue
 
 DATA = Path(__file__).parent.parent / 'data' / 'tentacle'
-ORDER = ('section_stiffness', 'axial_compression', 'base_misalignment', 'tip_load',
-         'tension_offset', 'hinge_friction', 'tendon_friction')
+ORDER = (
+    'section_stiffness',
+    'axial_compression',
+    'base_misalignment',
+    'tip_load',
+    'tension_offset',
+    'hinge_friction',
+    'tendon_friction',
+)
 
 
 def per_marker(difference: np.ndarray) -> np.ndarray:
@@ -74,10 +81,18 @@ def main() -> int:
         fitted, left = per_marker(dataset.mean - fit.markers), per_marker(errors)
         print(f'+ {names[-1]:36s} {_text(fitted)}   {_text(left)}', flush=True)
         tips = dict(zip(dataset.postures, np.linalg.norm(errors[:, -1], axis=1), strict=True))
-        rows.append({'added': names[-1], 'fitted': fitted.tolist(), 'left_out': left.tolist(),
-                     'tip_by_posture': tips})
-    print('left-out tip error by posture [mm]: ' + ', '.join(
-        f'{name} {1e3 * error:.0f}' for name, error in tips.items()))
+        rows.append(
+            {
+                'added': names[-1],
+                'fitted': fitted.tolist(),
+                'left_out': left.tolist(),
+                'tip_by_posture': tips,
+            }
+        )
+    print(
+        'left-out tip error by posture [mm]: '
+        + ', '.join(f'{name} {1e3 * error:.0f}' for name, error in tips.items())
+    )
     for free, value in fit.point.items():
         print(f'  {free.effect}.{free.key} = {value:.4g} {free.parameter.unit}')
     if options.json:

@@ -43,8 +43,9 @@ class Candidate:
 
     def with_(self, other: Candidate) -> Candidate:
         """Both together."""
-        return Candidate(self.names + other.names, self.frees + other.frees,
-                         self.present and other.present)
+        return Candidate(
+            self.names + other.names, self.frees + other.frees, self.present and other.present
+        )
 
 
 @dataclass(frozen=True)
@@ -82,23 +83,30 @@ def nuisances_of(robot: Robot, catalogue: Catalogue, predictor: Predictor) -> li
 
 def candidates_of(robot: Robot, catalogue: Catalogue) -> list[Candidate]:
     """Every effect of the catalogue, in its order."""
-    return [Candidate((effect.name,), free_parameters(effect, robot), effect.name in robot.effects)
-            for effect in catalogue]
+    return [
+        Candidate((effect.name,), free_parameters(effect, robot), effect.name in robot.effects)
+        for effect in catalogue
+    ]
 
 
-def is_tested(candidate: Candidate, predictor: Predictor, whitener: Whitener, point: Point,
-              here: np.ndarray) -> bool:
+def is_tested(
+    candidate: Candidate, predictor: Predictor, whitener: Whitener, point: Point, here: np.ndarray
+) -> bool:
     """Tell whether the postures would show a typical size of the effect at a point."""
     effect = predictor.model.catalogue[candidate.names[0]]
     if effect.stage == 'memory' and not candidate.present and not unloads(predictor.dataset):
         return False
     if effect.always_on and not candidate.present:
         # its absence is the base; what shows is what it changes there
-        moves = [{free: factor * free.parameter.typical for free in candidate.frees}
-                 for factor in (1.0,)]
+        moves = [
+            {free: factor * free.parameter.typical for free in candidate.frees}
+            for factor in (1.0,)
+        ]
     else:
-        moves = [{free: _moved(point.get(free, predictor.value(free)), free)}
-                 for free in candidate.frees]
+        moves = [
+            {free: _moved(point.get(free, predictor.value(free)), free)}
+            for free in candidate.frees
+        ]
     for move in moves:
         there = predictor.markers({**point, **move})
         if there is None:
@@ -128,6 +136,8 @@ def gain_probability(base: Fit, fit: Fit, described: Sequence[float]) -> float:
     if gain <= 0.0:
         return 1.0
     probability = chi2_sf(gain, rank)
-    one_sided = len(fit.frees) == 1 and described[0] in (fit.frees[0].parameter.low,
-                                                         fit.frees[0].parameter.high)
+    one_sided = len(fit.frees) == 1 and described[0] in (
+        fit.frees[0].parameter.low,
+        fit.frees[0].parameter.high,
+    )
     return 0.5 * probability if one_sided else probability

@@ -12,12 +12,12 @@ from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from .candidates import TWINS, Candidate, Ranked
 from .fit import Fit
-from .patterns import Pattern, Rivals
-from .report_rows import details_of, finding, rows_of
-from .remainder import remainder_text
-from .result import Diagnosis
 from .next_measurement import propose
 from .noise import rms
+from .patterns import Pattern, Rivals
+from .remainder import remainder_text
+from .report_rows import details_of, finding, rows_of
+from .result import Diagnosis
 from .session import APART, SINGLE, Progress, Session, indistinct, several
 
 ALPHA = 0.005  # of the omnibus alarm and of the best candidate's alarm, each
@@ -37,8 +37,13 @@ class Evidence:
     scale: float = 1.0  # chi² over freedom of the best, where nothing is adequate
 
 
-def diagnose(dataset: DataSet, robot: Robot | None = None, catalogue: Catalogue | None = None,
-             workers: int = 2, progress: Progress | None = None) -> Diagnosis:
+def diagnose(
+    dataset: DataSet,
+    robot: Robot | None = None,
+    catalogue: Catalogue | None = None,
+    workers: int = 2,
+    progress: Progress | None = None,
+) -> Diagnosis:
     """
     Name the physical effect whose absence explains the error of a model on a data set.
 
@@ -60,8 +65,9 @@ def diagnose(dataset: DataSet, robot: Robot | None = None, catalogue: Catalogue 
         The description does not fit the catalogue, or the model finds no equilibrium at all.
 
     """
-    session = Session(dataset, robot or dataset.robot, catalogue or load_catalogue(), workers,
-                      progress)
+    session = Session(
+        dataset, robot or dataset.robot, catalogue or load_catalogue(), workers, progress
+    )
     lacking = _what_is_lacking(session)
     if lacking:
         return _cannot_judge(session, lacking)
@@ -84,11 +90,15 @@ def _what_is_lacking(session: Session) -> str:
         return f'{measured} measured posture(s): two or more are needed, six are better'
     if session.predictor.markers({}) is None:
         from ..exceptions import NoEquilibriumError
-        raise NoEquilibriumError('a posture of this data set',
-                                 session.predictor.model.implicit_effects, np.inf)
+
+        raise NoEquilibriumError(
+            'a posture of this data set', session.predictor.model.implicit_effects, np.inf
+        )
     if not session.weigh({}):
-        return ('one trial per posture and no position_noise in dataset.yaml: repeat the '
-                'postures, or declare the noise of the tracker')
+        return (
+            'one trial per posture and no position_noise in dataset.yaml: repeat the '
+            'postures, or declare the noise of the tracker'
+        )
     return ''
 
 
@@ -121,8 +131,10 @@ def is_alarming(found: Evidence) -> bool:
     if found.best is None:
         return False
     held, _ = base.held_out(session.whitener.owners)
-    return any(session.luck(base, r) * len(found.singles) < ALPHA and r.held_out < held
-               for r in found.singles)
+    return any(
+        session.luck(base, r) * len(found.singles) < ALPHA and r.held_out < held
+        for r in found.singles
+    )
 
 
 def decide(found: Evidence) -> Diagnosis:
@@ -136,8 +148,10 @@ def decide(found: Evidence) -> Diagnosis:
     combined = several(session, found.singles) if found.singles else None
     if combined is not None:  # the weights have moved
         found.base = session.base_fit()
-        found.singles = session.fit_all([r.candidate for r in found.singles], {
-            r.candidate.label: r.fit.point for r in found.singles})
+        found.singles = session.fit_all(
+            [r.candidate for r in found.singles],
+            {r.candidate.label: r.fit.point for r in found.singles},
+        )
         found.best = session.best(found.singles)
     candidates = [r for r in (combined, found.best) if r is not None]
     best_overall = min(candidates, key=lambda r: r.score) if candidates else None
@@ -160,8 +174,11 @@ def _named(found: Evidence, group: Sequence[Ranked]) -> Diagnosis:
     """Verdict for a class of adequate single effects, best first."""
     best = group[0]
     names = [r.candidate.names[0] for r in group]
-    strays = [quantity for quantity, z in found.base.pulls.items()
-              if abs(z) > STRAY and TWINS[quantity][0] in names]
+    strays = [
+        quantity
+        for quantity, z in found.base.pulls.items()
+        if abs(z) > STRAY and TWINS[quantity][0] in names
+    ]
     if strays or all(r.candidate.present for r in group):
         verdict = 'wrong_parameter'
     else:
@@ -170,8 +187,14 @@ def _named(found: Evidence, group: Sequence[Ranked]) -> Diagnosis:
         twin = TWINS[strays[0]][0]
         best = next(r for r in group if r.candidate.names[0] == twin)
     together = tuple(names) if len(group) > 1 or strays else ()
-    return _result(found, verdict, [best], together, strays,
-                   propose(found.session, group) if len(group) > 1 else None)
+    return _result(
+        found,
+        verdict,
+        [best],
+        together,
+        strays,
+        propose(found.session, group) if len(group) > 1 else None,
+    )
 
 
 def _several(found: Evidence, combined: Ranked) -> Diagnosis:
@@ -183,40 +206,74 @@ def _outside(found: Evidence, best: Ranked | None) -> Diagnosis:
     if best is not None:
         found.scale = max(1.0, best.fit.chi2 / max(best.fit.freedom, 1))
     helpful = best is not None and best.score < found.base.chi2 - APART * found.scale
-    near = [r.candidate.label for r in found.singles if best is not None
-            and r.score <= best.score + APART * found.scale and r is not best]
-    return _result(found, 'outside_catalogue', [best] if helpful and best else [],
-                   tuple([best.candidate.label, *near]) if helpful and best and near else (),
-                   [], None)
+    near = [
+        r.candidate.label
+        for r in found.singles
+        if best is not None and r.score <= best.score + APART * found.scale and r is not best
+    ]
+    return _result(
+        found,
+        'outside_catalogue',
+        [best] if helpful and best else [],
+        (best.candidate.label, *near) if helpful and best and near else (),
+        [],
+        None,
+    )
 
 
 def _adequate(found: Evidence) -> Diagnosis:
     return _result(found, 'adequate', [], (), [], None)
 
 
-def _result(found: Evidence, verdict: str, chosen: Sequence[Ranked], together: tuple[str, ...],
-            strays: Sequence[str], following: object) -> Diagnosis:
+def _result(
+    found: Evidence,
+    verdict: str,
+    chosen: Sequence[Ranked],
+    together: tuple[str, ...],
+    strays: Sequence[str],
+    following: object,
+) -> Diagnosis:
     session = found.session
     measured = session.dataset.mean
     after = chosen[0].fit.markers if chosen else found.base.markers
     as_described = session.predictor.markers({})
     assert as_described is not None
-    untested = tuple(c.names[0] for c in found.not_tested
-                     if c.names[0] not in {name for r in chosen for name in r.candidate.names})
+    untested = tuple(
+        c.names[0]
+        for c in found.not_tested
+        if c.names[0] not in {name for r in chosen for name in r.candidate.names}
+    )
     effects = tuple(item for r in chosen for item in finding(found, r))
     return Diagnosis(
-        verdict=verdict, effects=effects, cannot_tell_apart=together, not_tested=untested,
+        verdict=verdict,
+        effects=effects,
+        cannot_tell_apart=together,
+        not_tested=untested,
         out_of_tolerance=tuple(strays),
-        error_before=rms(measured - as_described), error_after=rms(measured - after),
+        error_before=rms(measured - as_described),
+        error_after=rms(measured - after),
         noise_floor=session.whitener.floor(),
         next_measurement=following,  # type: ignore[arg-type]
         remainder=remainder_text(found, chosen[0] if chosen else None, verdict),
         candidates=rows_of(found, chosen, together),
-        details=details_of(found, chosen, together, verdict))
+        details=details_of(found, chosen, together, verdict),
+    )
 
 
 def _cannot_judge(session: Session, lacking: str) -> Diagnosis:
     markers = session.predictor.markers({})
     before = float('nan') if markers is None else rms(session.dataset.mean - markers)
-    return Diagnosis('cannot_judge', (), (), (), (), before, before, float('nan'), None, lacking,
-                     (), {'needed': lacking})
+    return Diagnosis(
+        'cannot_judge',
+        (),
+        (),
+        (),
+        (),
+        before,
+        before,
+        float('nan'),
+        None,
+        lacking,
+        (),
+        {'needed': lacking},
+    )

@@ -55,7 +55,7 @@ class Fit:
     @cached_property
     def rank(self) -> int:
         """Number of free parameters that the data determine."""
-        part = self.jacobian[:, :len(self.frees)]
+        part = self.jacobian[:, : len(self.frees)]
         scale = np.linalg.norm(part, axis=0)
         part = part[:, scale > 1e-9] / scale[scale > 1e-9]
         return int(np.linalg.matrix_rank(part, tol=1e-6)) if part.size else 0
@@ -74,7 +74,7 @@ class Fit:
     def pulls(self) -> dict[str, float]:
         """How many of its declared sd each quantity moved (of several, the most)."""
         moved: dict[str, float] = {}
-        for nuisance, value in zip(self.nuisances, self.values[len(self.frees):], strict=True):
+        for nuisance, value in zip(self.nuisances, self.values[len(self.frees) :], strict=True):
             z = (value - nuisance.centre) / nuisance.spread
             if abs(z) > abs(moved.get(nuisance.quantity, 0.0)):
                 moved[nuisance.quantity] = float(z)
@@ -114,7 +114,7 @@ class Fit:
         if not w.sum() > 1e-9:
             return total, 1.0
         spread = float((w * w).sum() / w.sum())  # Satterthwaite: a scaled chi²
-        excess = total - float(self.residual[:len(owners)] @ self.residual[:len(owners)])
+        excess = total - float(self.residual[: len(owners)] @ self.residual[: len(owners)])
         return total, chi2_sf(excess / spread, float(w.sum()) / spread)
 
 
@@ -139,8 +139,9 @@ def covariance_of(jacobian: Floats) -> Floats:
 class Fitter:
     """Fits any set of parameters on one data set with one set of weights."""
 
-    def __init__(self, predictor: Predictor, whitener: Whitener,
-                 nuisances: Sequence[Nuisance] = ()) -> None:
+    def __init__(
+        self, predictor: Predictor, whitener: Whitener, nuisances: Sequence[Nuisance] = ()
+    ) -> None:
         """Keep what all fits share."""
         self.predictor, self.whitener = predictor, whitener
         self.nuisances = tuple(nuisances)
@@ -153,8 +154,9 @@ class Fitter:
         `start` (values) spares the search for a start.
         """
         claimed = {(free.effect, free.parameter.name) for free in frees}
-        nuisances = tuple(n for n in self.nuisances
-                          if (n.free.effect, n.free.parameter.name) not in claimed)
+        nuisances = tuple(
+            n for n in self.nuisances if (n.free.effect, n.free.parameter.name) not in claimed
+        )
         search = Search(self, tuple(frees), nuisances)
         if start is not None:
             search.begin([np.array([start.get(f, search.described(f)) for f in search.all])])
@@ -169,18 +171,20 @@ class Fitter:
 class Search:
     """One running fit: scaled parameters, damping, best point."""
 
-    def __init__(self, fitter: Fitter, frees: tuple[Free, ...],
-                 nuisances: tuple[Nuisance, ...]) -> None:
+    def __init__(
+        self, fitter: Fitter, frees: tuple[Free, ...], nuisances: tuple[Nuisance, ...]
+    ) -> None:
         """Scale the parameters by their typical sizes."""
         self.fitter, self.frees, self.nuisances = fitter, frees, nuisances
         self.all = frees + tuple(n.free for n in nuisances)
         count = len(frees)
-        self.scale = np.array([f.parameter.typical for f in frees]
-                              + [n.spread for n in nuisances])
-        self.low = np.array([f.parameter.low for f in frees]
-                            + [n.centre - 30.0 * n.spread for n in nuisances])
-        self.high = np.array([f.parameter.high for f in frees]
-                             + [n.centre + 30.0 * n.spread for n in nuisances])
+        self.scale = np.array([f.parameter.typical for f in frees] + [n.spread for n in nuisances])
+        self.low = np.array(
+            [f.parameter.low for f in frees] + [n.centre - 30.0 * n.spread for n in nuisances]
+        )
+        self.high = np.array(
+            [f.parameter.high for f in frees] + [n.centre + 30.0 * n.spread for n in nuisances]
+        )
         self.centre = np.array([n.centre for n in nuisances])
         self.spread = np.array([n.spread for n in nuisances])
         self.count = count
@@ -221,7 +225,7 @@ class Search:
         if markers is None:
             return None
         white = self.fitter.whitener.white(self.fitter.measured - markers)
-        prior = (values[self.count:] - self.centre) / self.spread
+        prior = (values[self.count :] - self.centre) / self.spread
         return np.concatenate([white, prior]), markers
 
     def begin(self, starts: list[Floats]) -> None:
@@ -266,7 +270,8 @@ class Search:
         scaled = self.slopes * self.scale
         gradient = scaled.T @ self.r
         pressed = ((self.values <= self.low) & (gradient > 0.0)) | (
-            (self.values >= self.high) & (gradient < 0.0))
+            (self.values >= self.high) & (gradient < 0.0)
+        )
         free = np.flatnonzero(~pressed & (np.abs(scaled).max(axis=0) > 0.0))
         if not len(free):
             return False
@@ -276,8 +281,9 @@ class Search:
             damped = normal + self.damping * np.diag(np.diag(normal) + 1e-12)
             step = np.zeros(len(self.scale))
             step[free] = -np.linalg.solve(damped, gradient[free])
-            moved = np.clip(self.values + np.clip(step, -30.0, 30.0) * self.scale, self.low,
-                            self.high)
+            moved = np.clip(
+                self.values + np.clip(step, -30.0, 30.0) * self.scale, self.low, self.high
+            )
             found = self.residual(moved)
             new = np.inf if found is None else float(found[0] @ found[0])
             if found is not None and new < cost:

@@ -55,12 +55,13 @@ def input_grid(dataset: DataSet, limits: tuple[float, float]) -> Floats:
     """Feasible inputs (b, m) [N]: up to a little beyond what was used, within the limits."""
     used = np.nan_to_num(dataset.inputs)
     m = used.shape[1]
-    top = np.minimum(np.where(used.max(axis=0) > 0.0, 1.25 * used.max(axis=0), used.max()),
-                     limits[1])
+    top = np.minimum(
+        np.where(used.max(axis=0) > 0.0, 1.25 * used.max(axis=0), used.max()), limits[1]
+    )
     low = max(limits[0], 0.0)
     levels = {1: 12, 2: 8, 3: 6, 4: 4}.get(m, 3)
     shares = np.linspace(0.0, 1.0, levels)
-    if levels ** m <= 2 * MOST:
+    if levels**m <= 2 * MOST:
         unit = np.array(list(product(shares, repeat=m)))
     else:
         unit = np.random.default_rng(0).choice(shares, (MOST, m))
@@ -69,23 +70,35 @@ def input_grid(dataset: DataSet, limits: tuple[float, float]) -> Floats:
     return grid[grid.sum(axis=1) <= 2.0 * max(used.sum(axis=1).max(), used.max())]
 
 
-def _posture_set(session: Session, inputs: Floats, gravity: list[float] | None,
-                 after: Floats | None) -> DataSet:
+def _posture_set(
+    session: Session, inputs: Floats, gravity: list[float] | None, after: Floats | None
+) -> DataSet:
     """Return a data set of the grid without measurements, as if measured once."""
     old = session.dataset
     if after is not None:
         inputs = np.stack([np.broadcast_to(after, inputs.shape), inputs], axis=1).reshape(
-            -1, inputs.shape[1])
+            -1, inputs.shape[1]
+        )
     shape = (len(inputs), 1, len(old.markers), 3)
     return replace(
-        old, postures=tuple(str(i) for i in range(len(inputs))), inputs=inputs,
-        positions=np.zeros(shape), orientations=None, trial_inputs=None, trial_names=('0',),
-        gravity=old.gravity if gravity is None else tuple(gravity))
+        old,
+        postures=tuple(str(i) for i in range(len(inputs))),
+        inputs=inputs,
+        positions=np.zeros(shape),
+        orientations=None,
+        trial_inputs=None,
+        trial_names=('0',),
+        gravity=old.gravity if gravity is None else (gravity[0], gravity[1], gravity[2]),
+    )
 
 
-def _compare(session: Session, group: Sequence[Ranked], inputs: Floats,
-             gravity: list[float] | None,
-             after: Floats | None) -> tuple[float, NextMeasurement] | None:
+def _compare(
+    session: Session,
+    group: Sequence[Ranked],
+    inputs: Floats,
+    gravity: list[float] | None,
+    after: Floats | None,
+) -> tuple[float, NextMeasurement] | None:
     """Find the best posture of a grid and how well it separates the class."""
     grid = _posture_set(session, inputs, gravity, after)
     predictor = Predictor(grid, session.robot, session.catalogue)
@@ -113,12 +126,15 @@ def _compare(session: Session, group: Sequence[Ranked], inputs: Floats,
     return float(worth[p]), NextMeasurement(
         dict(zip(names, grid.inputs[row].round(3).tolist(), strict=True)),
         None if after is None else dict(zip(names, after.round(3).tolist(), strict=True)),
-        gravity, float(apart.max()), noise,
-        {r.candidate.label: tip.tolist() for r, tip in zip(group, tips, strict=True)})
+        gravity,
+        float(apart.max()),
+        noise,
+        {r.candidate.label: tip.tolist() for r, tip in zip(group, tips, strict=True)},
+    )
 
 
 def _parameter_slopes(predictor: Predictor, fit: Fit, markers: Floats) -> Floats:
-    """Derivative (q, P, J, 3) of the markers by the fitted parameters."""
+    """Return the derivative (q, P, J, 3) of the markers by the fitted parameters."""
     slopes = []
     for free, value in fit.point.items():
         h = 1e-3 * free.parameter.typical
@@ -127,8 +143,13 @@ def _parameter_slopes(predictor: Predictor, fit: Fit, markers: Floats) -> Floats
     return np.array(slopes).reshape(-1, *markers.shape)
 
 
-def _separation(group: Sequence[Ranked], whitener: Whitener, predictions: Sequence[Floats],
-                sloped: Sequence[Floats], p: int) -> float:
+def _separation(
+    group: Sequence[Ranked],
+    whitener: Whitener,
+    predictions: Sequence[Floats],
+    sloped: Sequence[Floats],
+    p: int,
+) -> float:
     """Sum over the pairs of the capped squared distance that refitting leaves at a posture."""
     rows, factor = whitener.rows[p], whitener.factors[p]
     white = [factor @ markers[p].reshape(-1)[rows] for markers in predictions]

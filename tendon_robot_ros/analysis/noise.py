@@ -92,14 +92,15 @@ def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
         moves = moves - moves.mean(axis=0)
         u, s, _ = np.linalg.svd(g, full_matrices=False)
         along = ((moves @ u) ** 2).sum(axis=0)
-        rest = max(float((moves ** 2).sum() - along.sum()), 0.0)
+        rest = max(float((moves**2).sum() - along.sum()), 0.0)
         parts.append((trials - 1, s, along, moves.shape[1] - len(s), rest))
         total += (trials - 1) * moves.shape[1]
     if total < ENOUGH:
         if dataset.position_noise is None:
             return None
-        return Noise(dataset.position_noise, dataset.trial_noise, dataset.setting_noise,
-                     np.inf, 'declared')
+        return Noise(
+            dataset.position_noise, dataset.trial_noise, dataset.setting_noise, np.inf, 'declared'
+        )
     position, trial = _restricted_likelihood(parts)
     return Noise(position, trial, dataset.setting_noise, total, 'trials')
 
@@ -154,29 +155,36 @@ class Whitener:
     `extra` (P, q, 3 J) adds further common error, one sd each [m].
     """
 
-    def __init__(self, dataset: DataSet, noise: Noise, slopes: Floats,
-                 accuracy: float = 0.0) -> None:
+    def __init__(
+        self, dataset: DataSet, noise: Noise, slopes: Floats, accuracy: float = 0.0
+    ) -> None:
         """Factor the blocks."""
         self.rows = [np.flatnonzero(np.repeat(counts > 0, 3)) for counts in dataset.counts]
         self.factors, self.variance = [], []
         for p, rows in enumerate(self.rows):
             counts = np.repeat(np.maximum(dataset.counts[p], 1), 3)[rows]
             g = slopes[p].reshape(len(slopes[p]), -1)[:, rows]
-            share = noise.setting ** 2 + noise.trial ** 2 / max(int(dataset.trials[p]), 1)
-            block = np.diag(noise.position ** 2 / counts) + share * (g.T @ g)
+            share = noise.setting**2 + noise.trial**2 / max(int(dataset.trials[p]), 1)
+            block = np.diag(noise.position**2 / counts) + share * (g.T @ g)
             self.variance.append(np.diag(block).copy())
             if accuracy:
                 block += common_error(dataset, p, rows, accuracy)
-            self.factors.append(np.linalg.inv(np.linalg.cholesky(block)) if len(rows)
-                                else np.zeros((0, 0)))
+            self.factors.append(
+                np.linalg.inv(np.linalg.cholesky(block)) if len(rows) else np.zeros((0, 0))
+            )
         self.size = sum(len(rows) for rows in self.rows)
 
     def white(self, difference: Floats) -> Floats:
         """Whiten differences (..., P, J, 3) [m] into (..., N)."""
         lead = difference.shape[:-3]
         flat = difference.reshape(*lead, difference.shape[-3], -1)
-        return np.concatenate([flat[..., p, rows] @ factor.T for p, (rows, factor)
-                               in enumerate(zip(self.rows, self.factors, strict=True))], axis=-1)
+        return np.concatenate(
+            [
+                flat[..., p, rows] @ factor.T
+                for p, (rows, factor) in enumerate(zip(self.rows, self.factors, strict=True))
+            ],
+            axis=-1,
+        )
 
     @property
     def owners(self) -> npt.NDArray[np.int64]:
@@ -193,10 +201,10 @@ def common_error(dataset: DataSet, p: int, rows: npt.NDArray[np.int64], accuracy
     """Covariance of an error of one posture that grows along the arm up to `accuracy` [m]."""
     share = np.repeat(dataset.arc_lengths / dataset.robot.length, 3)[rows]
     same = (rows[:, None] % 3) == (rows[None, :] % 3)
-    return np.asarray(accuracy ** 2 / 3.0 * np.minimum.outer(share, share) * same)
+    return np.asarray(accuracy**2 / 3.0 * np.minimum.outer(share, share) * same)
 
 
 def rms(difference: Floats) -> float:
     """Root mean square 3-D distance [m] over what was seen; difference (P, J, 3)."""
-    distance2 = (difference ** 2).sum(axis=-1)
+    distance2 = (difference**2).sum(axis=-1)
     return float(np.sqrt(np.nanmean(distance2)))

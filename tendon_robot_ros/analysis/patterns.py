@@ -45,8 +45,12 @@ class Rivals:
 
     def all(self) -> list[Pattern]:
         """Fit all patterns; those without equilibrium drop out."""
-        found = [self.soft_cell(), self.taper(), self.gain_per_posture(),
-                 self.rotation_per_posture()]
+        found = [
+            self.soft_cell(),
+            self.taper(),
+            self.gain_per_posture(),
+            self.rotation_per_posture(),
+        ]
         return [pattern for pattern in found if pattern is not None]
 
     def white(self, markers: Floats) -> Floats:
@@ -81,11 +85,13 @@ class Rivals:
         def cost(softness: float) -> float:
             white = self._stiff(np.where(np.arange(n) == i, np.exp(-softness), 1.0))
             return np.inf if white is None else float(white @ white)
+
         guess = float(np.clip(guess, -1.5, 1.5))
         reach = max(abs(guess), 0.05)
         softness, lowest = minimum(cost, guess - 1.5 * reach, guess + 3.0 * reach, 2e-3)
-        return Pattern('soft_cell', lowest + self.prior, self.extra + 2, i + 1,
-                       float(np.exp(softness)))
+        return Pattern(
+            'soft_cell', lowest + self.prior, self.extra + 2, i + 1, float(np.exp(softness))
+        )
 
     def taper(self) -> Pattern | None:
         """Stiffness that changes linearly from base to tip, mean and slope free."""
@@ -111,9 +117,12 @@ class Rivals:
             values, r = values + step, moved
             if gain < 0.1:
                 break
-        return Pattern('taper', float(r @ r) + self.prior, self.extra + 2,
-                       size=float(np.exp(values[0] + values[1]) / np.exp(values[0] - values[1])
-                                  - 1.0))
+        return Pattern(
+            'taper',
+            float(r @ r) + self.prior,
+            self.extra + 2,
+            size=float(np.exp(values[0] + values[1]) / np.exp(values[0] - values[1]) - 1.0),
+        )
 
     def gain_per_posture(self) -> Pattern | None:
         """Every posture with its own factor on the inputs."""
@@ -137,8 +146,12 @@ class Rivals:
             gains, r = trial, new
             if gain < 0.1:
                 break
-        return Pattern('gain_per_posture', float(r @ r) + self.prior, self.extra + len(inputs),
-                       values=tuple((gains - 1.0).tolist()))
+        return Pattern(
+            'gain_per_posture',
+            float(r @ r) + self.prior,
+            self.extra + len(inputs),
+            values=tuple((gains - 1.0).tolist()),
+        )
 
     def _own(self, slope: Floats, r: Floats, p: int) -> float:
         rows = self.owners == p
@@ -160,5 +173,9 @@ class Rivals:
             r[rows] -= slopes @ turn
             angles.append(float(np.linalg.norm(turn)))
             parameters += int(rank)
-        return Pattern('rotation_per_posture', float(r @ r) + self.prior,
-                       self.extra + parameters, values=tuple(angles))
+        return Pattern(
+            'rotation_per_posture',
+            float(r @ r) + self.prior,
+            self.extra + parameters,
+            values=tuple(angles),
+        )

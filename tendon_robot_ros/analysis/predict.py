@@ -37,8 +37,10 @@ def free_parameters(effect: Effect, robot: Robot) -> tuple[Free, ...]:
     frees: list[Free] = []
     for parameter in effect.parameters:
         if parameter.per_section:
-            frees += [Free(effect.name, parameter, i, section.name)
-                      for i, section in enumerate(robot.sections)]
+            frees += [
+                Free(effect.name, parameter, i, section.name)
+                for i, section in enumerate(robot.sections)
+            ]
         else:
             frees.append(Free(effect.name, parameter))
     return tuple(frees)
@@ -56,8 +58,11 @@ class Predictor:
         self.robot = replace(robot, gravity=dataset.gravity_for(robot))
         self.model = Model(self.robot, catalogue)
         arrays = self.model.arrays
-        self._values, self._on, self._cells = (arrays.values.copy(), arrays.on.copy(),
-                                               arrays.cells.copy())
+        self._values, self._on, self._cells = (
+            arrays.values.copy(),
+            arrays.on.copy(),
+            arrays.cells.copy(),
+        )
         self.inputs = mean_inputs(dataset)
         self._bend: Floats | None = None
         self.bend: Floats | None = None  # of the last prediction
@@ -65,11 +70,19 @@ class Predictor:
 
     def value(self, free: Free) -> float:
         """Value that the description gives a parameter (neutral where it is not listed)."""
-        return float(self._values[self.model.arrays.layout.rows[free.effect, free.parameter.name],
-                                  free.section or 0])
+        return float(
+            self._values[
+                self.model.arrays.layout.rows[free.effect, free.parameter.name], free.section or 0
+            ]
+        )
 
-    def markers(self, point: Point, inputs: Floats | None = None,
-                stiffness: Floats | None = None, near: Floats | None = None) -> Floats | None:
+    def markers(
+        self,
+        point: Point,
+        inputs: Floats | None = None,
+        stiffness: Floats | None = None,
+        near: Floats | None = None,
+    ) -> Floats | None:
         """
         Predict marker positions (P, J, 3) [m]; None where a posture has no equilibrium.
 
@@ -92,7 +105,11 @@ class Predictor:
         for free, value in point.items():
             arrays.set(free.effect, free.parameter.name, free.section, value)
         given = self.inputs if inputs is None else inputs
-        shapes = self._pulled(given) if self.dataset.input == 'displacement' else self._pull(given, near)
+        shapes = (
+            self._pulled(given)
+            if self.dataset.input == 'displacement'
+            else self._pull(given, near)
+        )
         if shapes is None:
             return None
         self.bend = shapes.bend
@@ -121,6 +138,7 @@ class Predictor:
     def _pulled(self, pulls: Floats):  # type: ignore[no-untyped-def]
         """Shapes under wire pulls, from the last tensions; None where there are none."""
         from ..model.pulls import pull_shapes
+
         try:
             batch = pull_shapes(self.model, pulls, self._tensions, self._bend)
         except (NoEquilibriumError, TendonRobotError):

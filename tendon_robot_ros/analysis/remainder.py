@@ -19,9 +19,11 @@ def remainder_text(found: Evidence, chosen: Ranked | None, verdict: str) -> str:
     session = found.session
     fit = chosen.fit if chosen else found.base
     left, floor = rms(session.dataset.mean - fit.markers), session.whitener.floor()
-    text = (f'What is left ({1e3 * left:.2f} mm) '
-            + (f'equals your repeatability ({1e3 * floor:.2f} mm).' if left < 1.25 * floor else
-               f'is {left / floor:.1f} times your repeatability ({1e3 * floor:.2f} mm).'))
+    text = f'What is left ({1e3 * left:.2f} mm) ' + (
+        f'equals your repeatability ({1e3 * floor:.2f} mm).'
+        if left < 1.25 * floor
+        else f'is {left / floor:.1f} times your repeatability ({1e3 * floor:.2f} mm).'
+    )
     if verdict != 'outside_catalogue':
         return text
     pattern = found.rival or best_pattern(found, chosen)
@@ -43,20 +45,28 @@ def pattern_text(found: Evidence, pattern: Pattern) -> str:
     """Describe a pattern so that a person knows where to look."""
     names = found.session.dataset.postures
     if pattern.name == 'soft_cell':
-        return (f'The remainder is the same in every posture: cell {pattern.cell} bends '
-                f'{pattern.size:.1f} times as much as it should. Look at that cell.')
+        return (
+            f'The remainder is the same in every posture: cell {pattern.cell} bends '
+            f'{pattern.size:.1f} times as much as it should. Look at that cell.'
+        )
     if pattern.name == 'taper':
         way = 'stiffer' if pattern.size > 0.0 else 'softer'
-        return (f'The remainder is the same in every posture: the arm is {way} towards the tip, '
-                f'by {100.0 * abs(pattern.size):.0f} % from base to tip.')
+        return (
+            f'The remainder is the same in every posture: the arm is {way} towards the tip, '
+            f'by {100.0 * abs(pattern.size):.0f} % from base to tip.'
+        )
     values = np.array(pattern.values)
     worst = names[int(np.argmax(np.abs(values)))]
     if pattern.name == 'gain_per_posture':
-        return (f'The remainder looks like tensions that were not what was set: by '
-                f'{100.0 * np.std(values):.1f} % (sd) from posture to posture, most in {worst}. '
-                'Check how tensions are set, or declare tension_noise: setting.')
-    return ('The remainder looks like a base that turns from posture to posture: by '
-            f'{np.degrees(np.max(np.abs(values))):.1f}° in {worst}. Check the mount.')
+        return (
+            f'The remainder looks like tensions that were not what was set: by '
+            f'{100.0 * np.std(values):.1f} % (sd) from posture to posture, most in {worst}. '
+            'Check how tensions are set, or declare tension_noise: setting.'
+        )
+    return (
+        'The remainder looks like a base that turns from posture to posture: by '
+        f'{np.degrees(np.max(np.abs(values))):.1f}° in {worst}. Check the mount.'
+    )
 
 
 def _worst(found: Evidence, fit: object) -> str:
@@ -64,5 +74,7 @@ def _worst(found: Evidence, fit: object) -> str:
     markers = fit.markers  # type: ignore[attr-defined]
     distance = np.linalg.norm(dataset.mean - markers, axis=2)
     posture, marker = np.unravel_index(np.nanargmax(distance), distance.shape)
-    return (f'No pattern fits it. It is largest in posture {dataset.postures[posture]} at marker '
-            f'{dataset.markers[marker].name} ({1e3 * distance[posture, marker]:.1f} mm).')
+    return (
+        f'No pattern fits it. It is largest in posture {dataset.postures[posture]} at marker '
+        f'{dataset.markers[marker].name} ({1e3 * distance[posture, marker]:.1f} mm).'
+    )

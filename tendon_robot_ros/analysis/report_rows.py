@@ -39,7 +39,8 @@ def values_of(fit: Fit, scale: float = 1.0) -> dict[str, dict[str, Value]]:
         low = max(value - half, free.parameter.low)
         high = min(value + half, free.parameter.high)
         found.setdefault(free.effect, {})[free.key] = Value(
-            value, low, high, free.parameter.unit, _note(fit, i, half))
+            value, low, high, free.parameter.unit, _note(fit, i, half)
+        )
     return found
 
 
@@ -51,8 +52,11 @@ def _note(fit: Fit, i: int, half: float) -> str:
         return 'at its bound'
     spread = np.sqrt(np.diag(fit.covariance))
     for j in range(len(fit.frees)):
-        if j != i and np.isfinite(spread[j]) and (
-                abs(fit.covariance[i, j]) > CORRELATED * spread[i] * spread[j] > 0.0):
+        if (
+            j != i
+            and np.isfinite(spread[j])
+            and (abs(fit.covariance[i, j]) > CORRELATED * spread[i] * spread[j] > 0.0)
+        ):
             return f'correlated with {fit.frees[j].key}'
     return ''
 
@@ -61,20 +65,24 @@ def finding(found: Evidence, ranked: Ranked) -> list[EffectFinding]:
     """Return the effects of a candidate, with what they explain together."""
     values = values_of(ranked.fit, found.scale)
     share = explained_share(found.base, ranked.fit)
-    return [EffectFinding(name, values[name], share, name in found.session.robot.effects)
-            for name in ranked.candidate.names]
+    return [
+        EffectFinding(name, values[name], share, name in found.session.robot.effects)
+        for name in ranked.candidate.names
+    ]
 
 
-def rows_of(found: Evidence, chosen: Sequence[Ranked],
-            together: Sequence[str]) -> tuple[CandidateRow, ...]:
+def rows_of(
+    found: Evidence, chosen: Sequence[Ranked], together: Sequence[str]
+) -> tuple[CandidateRow, ...]:
     """Return the candidate table, best first."""
     ranked = list(found.singles)
     ranked += [r for r in chosen if r not in ranked]
     return tuple(_row(found, r, chosen, together) for r in sorted(ranked, key=lambda r: r.score))
 
 
-def _row(found: Evidence, ranked: Ranked, chosen: Sequence[Ranked],
-         together: Sequence[str]) -> CandidateRow:
+def _row(
+    found: Evidence, ranked: Ranked, chosen: Sequence[Ranked], together: Sequence[str]
+) -> CandidateRow:
     fit, session = ranked.fit, found.session
     if ranked in chosen:
         status = 'best'
@@ -84,50 +92,83 @@ def _row(found: Evidence, ranked: Ranked, chosen: Sequence[Ranked],
         status = 'adequate, less likely'
     else:
         status = 'rejected'
-    values = {f'{effect}.{key}' if len(ranked.candidate.names) > 1 else key: value
-              for effect, items in values_of(fit, found.scale).items()
-              for key, value in items.items()}
+    values = {
+        f'{effect}.{key}' if len(ranked.candidate.names) > 1 else key: value
+        for effect, items in values_of(fit, found.scale).items()
+        for key, value in items.items()
+    }
     error = rms(session.dataset.mean - fit.markers)
     inflate = np.sqrt(max(ranked.held_out, 1e-12) / max(fit.chi2, 1e-12))
-    return CandidateRow(ranked.candidate.label, values, fit.chi2, fit.freedom, ranked.probability,
-                        explained_share(found.base, fit), error, float(error * inflate), status,
-                        ranked.candidate.present)
+    return CandidateRow(
+        ranked.candidate.label,
+        values,
+        fit.chi2,
+        fit.freedom,
+        ranked.probability,
+        explained_share(found.base, fit),
+        error,
+        float(error * inflate),
+        status,
+        ranked.candidate.present,
+    )
 
 
-def details_of(found: Evidence, chosen: Sequence[Ranked], together: Sequence[str],
-               verdict: str) -> dict[str, Any]:
+def details_of(
+    found: Evidence, chosen: Sequence[Ranked], together: Sequence[str], verdict: str
+) -> dict[str, Any]:
     """Numbers that reports print beside the verdict."""
     session, base = found.session, found.base
     noise = session.noise
     assert noise is not None
     details: dict[str, Any] = {
-        'robot': session.robot.name, 'data': session.dataset.name,
+        'robot': session.robot.name,
+        'data': session.dataset.name,
         'postures': int((session.dataset.trials > 0).sum()),
-        'trials': int(session.dataset.trials.sum()), 'markers': len(session.dataset.markers),
-        'noise': {'position': noise.position, 'trial': noise.trial, 'setting': noise.setting,
-                  'source': noise.source},
-        'tolerances': dict(session.robot.tolerances), 'moved': base.pulls,
-        'base': {'chi2': base.chi2, 'freedom': base.freedom,
-                 'probability': base.probability(session.freedom)},
+        'trials': int(session.dataset.trials.sum()),
+        'markers': len(session.dataset.markers),
+        'noise': {
+            'position': noise.position,
+            'trial': noise.trial,
+            'setting': noise.setting,
+            'source': noise.source,
+        },
+        'tolerances': dict(session.robot.tolerances),
+        'moved': base.pulls,
+        'base': {
+            'chi2': base.chi2,
+            'freedom': base.freedom,
+            'probability': base.probability(session.freedom),
+        },
         'relative_to_remainder': found.scale if verdict == 'outside_catalogue' else None,
         'accuracy': session.accuracy if session.use_accuracy else None,
     }
     if found.rival is not None:
-        details['rival'] = {'name': found.rival.name, 'chi2': found.rival.chi2,
-                            'parameters': found.rival.parameters}
+        details['rival'] = {
+            'name': found.rival.name,
+            'chi2': found.rival.chi2,
+            'parameters': found.rival.parameters,
+        }
     details['next_best'], details['wider'] = _next_best(found, chosen, together)
-    details['described'] = {name: session.robot.effects[name] for r in chosen
-                            for name in r.candidate.names if name in session.robot.effects}
+    details['described'] = {
+        name: session.robot.effects[name]
+        for r in chosen
+        for name in r.candidate.names
+        if name in session.robot.effects
+    }
     details['not_tested_because'] = {
-        c.names[0]: why_untested(session.catalogue[c.names[0]], session.dataset, session.robot,
-                                 session.catalogue) for c in found.not_tested}
+        c.names[0]: why_untested(
+            session.catalogue[c.names[0]], session.dataset, session.robot, session.catalogue
+        )
+        for c in found.not_tested
+    }
     if verdict == 'adequate':
         details['detectable'] = smallest_seen(found)
     return details
 
 
-def _next_best(found: Evidence, chosen: Sequence[Ranked],
-               together: Sequence[str]) -> tuple[dict[str, Any] | None, list[str]]:
+def _next_best(
+    found: Evidence, chosen: Sequence[Ranked], together: Sequence[str]
+) -> tuple[dict[str, Any] | None, list[str]]:
     """Best beyond the class, and what fits as well but contains one of the class."""
     others = [r for r in found.singles if r not in chosen and r.candidate.label not in together]
     if not chosen or not others:
@@ -145,6 +186,7 @@ def _next_best(found: Evidence, chosen: Sequence[Ranked],
 def smallest_seen(found: Evidence) -> dict[str, dict[str, Any]]:
     """Smallest size of each single-parameter effect that these postures would have shown."""
     from .diagnose import ALPHA
+
     count = max(len(found.singles), 1)
     threshold = np.sqrt(chi2_isf(2.0 * ALPHA / count, 1)) + normal_ppf(0.8)
     seen = {}
@@ -153,7 +195,9 @@ def smallest_seen(found: Evidence) -> dict[str, dict[str, Any]]:
             spread = np.sqrt(ranked.fit.covariance[0, 0])
             if np.isfinite(spread):
                 free = ranked.fit.frees[0]
-                seen[ranked.candidate.label] = {'size': float(threshold * spread),
-                                                'parameter': free.key,
-                                                'unit': free.parameter.unit}
+                seen[ranked.candidate.label] = {
+                    'size': float(threshold * spread),
+                    'parameter': free.key,
+                    'unit': free.parameter.unit,
+                }
     return seen

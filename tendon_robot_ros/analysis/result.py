@@ -8,8 +8,15 @@ from pathlib import Path
 from typing import Any
 
 FORMAT = 'tendon_robot_ros/diagnosis@1'
-VERDICTS = ('adequate', 'missing_effect', 'ambiguous', 'several', 'wrong_parameter',
-            'outside_catalogue', 'cannot_judge')
+VERDICTS = (
+    'adequate',
+    'missing_effect',
+    'ambiguous',
+    'several',
+    'wrong_parameter',
+    'outside_catalogue',
+    'cannot_judge',
+)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -10,8 +10,15 @@ import numpy as np
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
-from .candidates import (CONTAINS, Candidate, Ranked, candidates_of, gain_probability, is_tested,
-                         nuisances_of)
+from .candidates import (
+    CONTAINS,
+    Candidate,
+    Ranked,
+    candidates_of,
+    gain_probability,
+    is_tested,
+    nuisances_of,
+)
 from .fit import Fit, Fitter
 from .noise import Noise, Whitener, estimate_noise, input_slopes
 from .predict import Point, Predictor
@@ -26,8 +33,14 @@ Progress = Callable[[str, int, int], None]
 class Session:
     """Fits of one data set and description; weights move to the best candidate's fit."""
 
-    def __init__(self, dataset: DataSet, robot: Robot, catalogue: Catalogue,
-                 workers: int = 2, progress: Progress | None = None) -> None:
+    def __init__(
+        self,
+        dataset: DataSet,
+        robot: Robot,
+        catalogue: Catalogue,
+        workers: int = 2,
+        progress: Progress | None = None,
+    ) -> None:
         """Build a predictor per worker."""
         self.dataset, self.robot, self.catalogue = dataset, robot, catalogue
         self.workers = max(1, workers)
@@ -46,10 +59,12 @@ class Session:
         self.noise = estimate_noise(self.dataset, slopes)
         if self.noise is None:
             return False
-        self.whitener = Whitener(self.dataset, self.noise, slopes,
-                                 self.accuracy if self.use_accuracy else 0.0)
-        self.fitters = [Fitter(predictor, self.whitener, self.nuisances)
-                        for predictor in self.predictors]
+        self.whitener = Whitener(
+            self.dataset, self.noise, slopes, self.accuracy if self.use_accuracy else 0.0
+        )
+        self.fitters = [
+            Fitter(predictor, self.whitener, self.nuisances) for predictor in self.predictors
+        ]
         return True
 
     @property
@@ -60,11 +75,16 @@ class Session:
 
     def rank(self, candidate: Candidate, fit: Fit) -> Ranked:
         """Judge a fit."""
-        return Ranked(candidate, fit, fit.probability(self.freedom),
-                      *fit.held_out(self.whitener.owners))
+        return Ranked(
+            candidate, fit, fit.probability(self.freedom), *fit.held_out(self.whitener.owners)
+        )
 
-    def fit_all(self, candidates: Sequence[Candidate], starts: dict[str, Point] | None = None,
-                what: str = 'effects') -> list[Ranked]:
+    def fit_all(
+        self,
+        candidates: Sequence[Candidate],
+        starts: Mapping[str, Point] | None = None,
+        what: str = 'effects',
+    ) -> list[Ranked]:
         """Fit candidates, spread over the workers; those without equilibrium drop out."""
         found: list[Ranked | None] = [None] * len(candidates)
         done = 0
@@ -102,8 +122,11 @@ class Session:
     def split_tested(self, point: Point) -> tuple[list[Candidate], list[Candidate]]:
         """Split the candidates into those that these postures show at a point, and the rest."""
         here = self.predictor.markers(point)
-        tested = [c for c in self.candidates if here is not None
-                  and is_tested(c, self.predictor, self.whitener, point, here)]
+        tested = [
+            c
+            for c in self.candidates
+            if here is not None and is_tested(c, self.predictor, self.whitener, point, here)
+        ]
         return tested, [c for c in self.candidates if c not in tested]
 
     def luck(self, base: Fit, ranked: Ranked) -> float:
@@ -127,8 +150,11 @@ def indistinct(session: Session, ranked: Sequence[Ranked], gate: float) -> list[
     adequate = [r for r in ranked if r.probability > gate]
     top = min(r.score for r in adequate)
     near = [r for r in adequate if r.score <= top + APART]
-    kept = [r for r in near if not any(
-        small is not r and contains(session, r, small) for small in near)]
+    kept = [
+        r
+        for r in near
+        if not any(small is not r and contains(session, r, small) for small in near)
+    ]
     best = session.best(kept)
     return sorted(kept, key=lambda r: r is not best)
 
@@ -182,8 +208,11 @@ def _extended(session: Session, current: Ranked) -> list[Ranked]:
     """Fit the current effects with each other one that the postures show there."""
     tested, _ = session.split_tested(current.fit.point)
     have = set(current.candidate.names)
-    combined = [current.candidate.with_(c) for c in tested if not have & set(c.names)
-                and not _overlaps(c, have)]
+    combined = [
+        current.candidate.with_(c)
+        for c in tested
+        if not have & set(c.names) and not _overlaps(c, have)
+    ]
     starts = {c.label: current.fit.point for c in combined}
     return session.fit_all(combined, starts, f'{len(have) + 1} effects')
 
@@ -192,11 +221,12 @@ def _pairs(session: Session, order: Sequence[Ranked], known: set[str]) -> list[R
     """Fit the pairs among the best single effects that are not fitted yet."""
     pairs, starts = [], {}
     for i, first in enumerate(order):
-        for second in order[i + 1:]:
+        for second in order[i + 1 :]:
             pair = first.candidate.with_(second.candidate)
             names = set(pair.names)
             if any(set(label.split(' + ')) == names for label in known) or _overlaps(
-                    second.candidate, set(first.candidate.names)):
+                second.candidate, set(first.candidate.names)
+            ):
                 continue
             pairs.append(pair)
             starts[pair.label] = first.fit.point
@@ -207,4 +237,5 @@ def _overlaps(candidate: Candidate, have: set[str]) -> bool:
     """Tell whether a candidate contains, or is contained in, one that is already there."""
     name = candidate.names[0]
     return bool(set(CONTAINS.get(name, ())) & have) or any(
-        name in CONTAINS.get(other, ()) for other in have)
+        name in CONTAINS.get(other, ()) for other in have
+    )

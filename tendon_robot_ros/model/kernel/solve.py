@@ -217,8 +217,9 @@ def newton(chain, inputs, x, work, past, most):
             if math.isnan(inverse[0, 0]):
                 return change
         fresh = not old
-        new = newton_step(chain, inputs, x, f, inverse, stride, work, past, trial, trial_f,
-                          12 if fresh else 1)
+        new = newton_step(
+            chain, inputs, x, f, inverse, stride, work, past, trial, trial_f, 12 if fresh else 1
+        )
         if new < 0.0:
             if fresh:
                 return change
