@@ -80,9 +80,14 @@ class Loader:
             self._child.stdin.close()
 
     @property
+    def compiling(self) -> bool:
+        """Whether the child is at work: that takes long."""
+        return self._child is not None and self._child.poll() is None
+
+    @property
     def done(self) -> bool:
         """Whether `result` returns at once; asking moves the loading on."""
-        if self._child is not None and self._child.poll() is None:
+        if self.compiling:
             return False
         if self._loading is None:
             self._loading = Future()

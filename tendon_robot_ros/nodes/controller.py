@@ -68,7 +68,7 @@ class ControllerNode(ManagedNode):
 
     def ready(self) -> bool:
         """Whether the model is compiled, so that `configure` returns soon."""
-        if not self._loading.done:
+        if self._loading.compiling:
             self.status.say(LEVELS['warn'], 'compiling', 'compiling the model, once; a minute')
         return self._loading.done
 

@@ -24,6 +24,11 @@ class ModelLoading:
         self.restart()
 
     @property
+    def compiling(self) -> bool:
+        """Whether the model is being compiled: that takes long."""
+        return self._loader is not None and self._loader.compiling
+
+    @property
     def done(self) -> bool:
         """Whether `result` returns soon."""
         return self._loader is None or self._loader.done

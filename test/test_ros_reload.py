@@ -1,0 +1,55 @@
+"""An effect of the user's own, loaded while the arm is held: compiled elsewhere, no pause."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParametersAtomically
+from ros_station import Station, last, start, values
+
+from tendon_robot_ros.nodes.shared import read_robot
+from tendon_robot_ros.robot import dump_robot
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+EFFECT = """
+from tendon_robot_ros.effects.effect import Effect, Parameter
+
+def law(stiffness, tendons, change):
+    return stiffness * (1.0 + change)
+
+EFFECT = Effect('own', 'stiffness', 'stiffness', (Parameter('change', '1', -0.5, 0.5, 0.0, 0.1),),
+                law)
+"""
+
+
+def test_an_effect_of_the_users_own_is_loaded_without_a_release(tmp_path, monkeypatch):
+    path = tmp_path / 'own.py'
+    path.write_text(EFFECT)
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'cache'))  # everything is cold
+    with start('driver', '/reload', tmp_path), start('controller', '/reload', tmp_path):
+        station = Station('/reload')
+        station.until_code(station.controller, 'holding', timeout=300.0)
+        station.go_to_point(0.06, 0.17)
+        files = ParameterValue(
+            type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=[str(path)]
+        )
+        request = SetParametersAtomically.Request(
+            parameters=[Parameter(name='effects', value=files)]
+        )
+        answer = station.call(
+            SetParametersAtomically, 'controller/set_parameters_atomically', request
+        )
+        assert answer.result.successful
+        station.commands.clear()
+        station.driver.clear()
+        robot = read_robot('kato_10_1').with_effect('own', {'change': 0.2})
+        assert station.set('controller', 'model', dump_robot(robot)).successful
+        station.until(lambda: 'own' in values(last(station.controller))['model'], 'it', 300.0)
+        station.until_code(station.controller, 'reached')
+        station.spin(0.5)
+        station.close()
+    assert {values(said)['code'] for _, said in station.driver} == {'following'}
+    assert np.diff([at for at, _ in station.commands]).max() < 0.1  # [s] command_timeout
