@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from .fit import Fit, Fitter
+from .fit import Fit
 from .predict import Free, Point, Predictor
 from .probability import normal_ppf
+from .search import Fitter
 
 Floats = npt.NDArray[np.float64]
 QUANTILE = normal_ppf(0.975)

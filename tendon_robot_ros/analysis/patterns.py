@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .fit import Fit, Fitter
+from .fit import Fit
 from .predict import Point
 from .probability import minimum
+from .search import Fitter
 
 Floats = npt.NDArray[np.float64]
 

@@ -148,7 +148,7 @@ class Predictor:
 
 
 def mean_inputs(dataset: DataSet) -> Floats:
-    """Inputs (P, m) of the postures: the mean of the trials' where they were measured."""
+    """Return the inputs (P, m) of the postures, the mean of the trials' where measured."""
     if dataset.trial_inputs is None:
         return np.array(dataset.inputs)
     seen = dataset.trial_mask[..., None]

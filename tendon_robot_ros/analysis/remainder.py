@@ -11,7 +11,7 @@ from .noise import rms
 from .patterns import Pattern, Rivals
 
 if TYPE_CHECKING:
-    from .diagnose import Evidence
+    from .evidence import Evidence
 
 
 def remainder_text(found: Evidence, chosen: Ranked | None, verdict: str) -> str:

@@ -16,7 +16,7 @@ from .session import APART, SINGLE
 from .untested import why_untested
 
 if TYPE_CHECKING:
-    from .diagnose import Evidence
+    from .evidence import Evidence
 
 CORRELATED = 0.98
 
@@ -185,7 +185,7 @@ def _next_best(
 
 def smallest_seen(found: Evidence) -> dict[str, dict[str, Any]]:
     """Smallest size of each single-parameter effect that these postures would have shown."""
-    from .diagnose import ALPHA
+    from .evidence import ALPHA
 
     count = max(len(found.singles), 1)
     threshold = np.sqrt(chi2_isf(2.0 * ALPHA / count, 1)) + normal_ppf(0.8)

@@ -19,9 +19,10 @@ from .candidates import (
     is_tested,
     nuisances_of,
 )
-from .fit import Fit, Fitter
+from .fit import Fit
 from .noise import Noise, Whitener, estimate_noise, input_slopes
 from .predict import Point, Predictor
+from .search import Fitter
 
 SINGLE, SEVERAL = 0.001, 0.01  # p-values above which one effect, or several, are adequate
 APART = 9.21  # chi² + 2 k within which candidates cannot be told apart

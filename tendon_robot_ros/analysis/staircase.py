@@ -11,9 +11,10 @@ from ..data import DataSet
 from ..effects import Catalogue
 from ..exceptions import NoEquilibriumError
 from ..robot import Robot
-from .fit import Fit, Fitter
+from .fit import Fit
 from .noise import Whitener, estimate_noise, input_slopes, rms
 from .predict import Predictor
+from .search import Fitter
 
 Floats = npt.NDArray[np.float64]
 FOLDS = 6  # groups of postures that are left out in turn

@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from .layout import address, compiled, entry, floats, memory_in, work_in
+from .newton import TOLERANCE, solve_small
 from .shape import place, posture
-from .solve import TOLERANCE, solve_small
 
 # Target: x, y, z [m], direction x, y, z, weight of position [1], weight of direction [m/rad].
 DIFFERENCE = 1e-5  # [N]

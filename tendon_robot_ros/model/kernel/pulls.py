@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from .layout import address, compiled, entry, floats, memory_in, work_in
+from .newton import TOLERANCE, solve_small
 from .shape import posture, wire_pulls
-from .solve import TOLERANCE, solve_small
 
 SETTLED = 1e-10  # [m] largest difference between a wire's pull and what was asked
 DIFFERENCE = 1e-5  # [N]

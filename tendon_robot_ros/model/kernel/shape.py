@@ -14,7 +14,7 @@ from .layout import (
     words,
     work_in,
 )
-from .solve import TOLERANCE
+from .newton import TOLERANCE
 from .stages import measurement, memory_acts, offset, stretch
 from .sweep import slip_direction
 
