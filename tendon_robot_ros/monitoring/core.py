@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -171,6 +171,9 @@ class Monitor:
         if kind != self._last_kind:
             self.recorded.clear()
         self._last_kind = kind
+        mean = self.states.mean(settled.begin, settled.end)  # more samples than frames
+        if mean is not None:
+            settled = replace(settled, inputs=np.split(mean, 2)[kind != 'tension'])
         self.recorded.append(settled)
 
     def _same(self, settled: Settled, kind: str) -> bool:

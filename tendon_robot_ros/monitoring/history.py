@@ -23,7 +23,7 @@ class History:
 
     """
 
-    def __init__(self, span: float = 2.0, patience: float = 0.1) -> None:
+    def __init__(self, span: float = 4.0, patience: float = 0.1) -> None:
         """Begin empty."""
         self.span, self.patience = span, patience
         self._samples: deque[tuple[float, Array]] = deque()
@@ -46,6 +46,11 @@ class History:
                 return self._between(time, sample, later)
             later = sample
         return None
+
+    def mean(self, begin: float, end: float) -> Array | None:
+        """Return the mean over a time, both ends included; None without a sample in it."""
+        found = [values for at, values in self._samples if begin <= at <= end]
+        return np.array(np.mean(found, axis=0)) if found else None
 
     def _between(
         self, time: float, before: tuple[float, Array], after: tuple[float, Array] | None

@@ -20,6 +20,8 @@ class Settled:
     positions: Array  # (J, 3) [m], nan where a marker was not seen
     spread: float  # [m] 1 sd of one coordinate in one frame
     frames: int
+    begin: float  # [s]
+    end: float  # [s]
 
 
 class StillWindow:
@@ -82,6 +84,8 @@ class StillWindow:
             positions=middle,
             spread=float(np.sqrt(np.nansum(deviations**2) / freedom)),
             frames=len(times),
+            begin=float(times[0]),
+            end=float(times[-1]),
         )
 
 

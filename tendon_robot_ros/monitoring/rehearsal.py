@@ -1,0 +1,137 @@
+"""A robot with something hidden: which, how large, and postures that show it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..analysis.postures import default_postures
+from ..effects import Catalogue
+from ..exceptions import InputError, NoEquilibriumError
+from ..model.causes import CAUSES
+from ..model.hidden import chosen
+from ..model.model import Model
+from ..robot import EffectValues, Robot
+
+Array = NDArray[np.float64]
+NONE = 'none'
+REFINEMENTS = ('eyelet_wrap', 'tendon_travel')  # what the mock's wires do, and its owner knows
+UPWARDS = (0.0, 0.0, 9.81)  # [m/s²] the arm hangs
+VISIBLE = (0.02, 0.05)  # [1] tip error that a hidden effect makes, in lengths of the arm
+UNSUITABLE = ('tendon_friction', 'friction_memory')  # in the description; needs unloading
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What the mock robot hides."""
+
+    name: str  # of an effect, of a cause outside the catalogue, or 'none'
+    values: EffectValues
+
+    @property
+    def outside(self) -> bool:
+        """Whether no effect of the catalogue describes it."""
+        return self.name in CAUSES
+
+    @property
+    def plant(self) -> dict[str, EffectValues]:
+        """As `make_plant` takes it."""
+        return {} if self.name == NONE else {self.name: self.values}
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A posture of the tour: where to go, with or without a direction."""
+
+    position: Array  # (3,) [m]
+    direction: Array | None  # (3,)
+
+
+def refined(robot: Robot) -> Robot:
+    """Return the paper's model refined for the mock's hardware: its wires and its weight's way."""
+    for name in REFINEMENTS:
+        robot = robot.with_effect(name, {'fraction': 1.0})
+    return replace(robot, gravity=UPWARDS)
+
+
+def choices(robot: Robot, catalogue: Catalogue) -> tuple[str, ...]:
+    """Name what can be hidden."""
+    known = [n for n in catalogue.names if n not in robot.effects and n not in UNSUITABLE]
+    return (*known, *CAUSES, NONE)
+
+
+def draw(robot: Robot, catalogue: Catalogue, name: str, seed: int) -> Hidden:
+    """
+    Choose what to hide, and how large it is: millimetres at the tip.
+
+    Parameters
+    ----------
+    robot : Robot
+        As its owner describes it.
+    catalogue : Catalogue
+    name : str
+        One of `choices`; '' draws an effect.
+    seed : int
+
+    Raises
+    ------
+    InputError
+        The name is not known.
+
+    """
+    known, random = choices(robot, catalogue), np.random.default_rng(seed)
+    if not name:
+        name = str(random.choice([n for n in known if n not in CAUSES and n != NONE]))
+    if name not in known:
+        raise InputError(f'hidden: expected one of {", ".join(known)}, got {name!r}')
+    if name == NONE or name in CAUSES:
+        return Hidden(name, {})
+    typical = chosen(catalogue[name], {}, len(robot.sections))
+    wanted = random.uniform(*VISIBLE) * robot.length
+    low, high = 0.02, 20.0
+    for _ in range(14):
+        middle = float(np.sqrt(low * high))
+        size = _tip_change(robot, catalogue, name, _scaled(catalogue, name, typical, middle))
+        low, high = (middle, high) if size < wanted else (low, middle)
+    return Hidden(name, _scaled(catalogue, name, typical, low))
+
+
+def tour(model: Model, count: int, seed: int) -> list[Stop]:
+    """Return postures that exercise the robot; every other one leaves the direction free."""
+    stops = []
+    for index, tensions in enumerate(default_postures(model.robot, count, seed)):
+        shape = model.shape(np.clip(tensions, *model.robot.tension_limits))
+        stops.append(Stop(shape.tip_position, shape.tip_direction if index % 2 else None))
+    return stops
+
+
+def _tip_change(
+    robot: Robot, catalogue: Catalogue, name: str, values: Mapping[str, float | tuple[float, ...]]
+) -> float:
+    """Return how far an effect moves the tip, rms over postures [m]; inf without equilibrium."""
+    tensions = np.clip(default_postures(robot, 8, 0), *robot.tension_limits)
+    try:
+        without = Model(robot, catalogue).shapes(tensions)
+        with_it = Model(robot.with_effect(name, values), catalogue)
+        shapes = with_it.shapes(tensions)
+    except (NoEquilibriumError, InputError):
+        return float('inf')
+    tip = with_it.measured(shapes.positions[:, -1:])[:, 0]
+    return float(np.sqrt(((tip - without.tip_position) ** 2).sum(axis=1).mean()))
+
+
+def _scaled(
+    catalogue: Catalogue, name: str, values: EffectValues, factor: float
+) -> dict[str, float | tuple[float, ...]]:
+    """Multiply the distance from neutral, within the bounds."""
+    made: dict[str, float | tuple[float, ...]] = {}
+    for parameter in catalogue[name].parameters:
+        given = values[parameter.name]
+        many = given if isinstance(given, tuple) else (given,)
+        away = [parameter.neutral + factor * (value - parameter.neutral) for value in many]
+        kept = tuple(float(np.clip(value, parameter.low, parameter.high)) for value in away)
+        made[parameter.name] = kept if isinstance(given, tuple) else kept[0]
+    return made
