@@ -17,7 +17,8 @@ from typing import Any, TypeVar
 
 from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, Protocol2PacketHandler
 
-from .port import LOST, Port, open_port
+from ..ports import LOST
+from .port import Port, open_port
 from .tables import REGISTERS, decode, encode
 
 T = TypeVar('T')

@@ -10,9 +10,10 @@ import numpy as np
 
 from ...exceptions import DriverError
 from ...robot import Robot
+from ..fields import Fields
 from ..interface import Array
 from .tables import BAUD_RATES
-from .wires import Fields, WireConfig, read_wires
+from .wires import WireConfig, read_wires
 
 KEYS = (
     'port',
@@ -87,7 +88,7 @@ def read_config(robot: Robot, content: Mapping[str, Any], mode: str, source: str
     lowest = max(robot.tension_limits[0], 0.02 * robot.tension_limits[1])
     config = Config(
         source=source,
-        port=_port(top),
+        port=top.port(),
         baud=_baud(top),
         watchdog=top.value('watchdog', 0.2, 0.0, 2.54, 's'),
         answer_time=top.value('answer_time', 0.012, 0.001, 0.1, 's'),
@@ -121,13 +122,6 @@ def refuse_coarse(config: Config) -> None:
                 'command_mode: pull, a larger spool or a lighter motor, calibrate it, or set '
                 'allow_coarse: true'
             )
-
-
-def _port(top: Fields) -> str:
-    value = top.content.get('port')
-    if not isinstance(value, str) or not value:
-        raise top.error('port', 'the path of a serial port, such as /dev/ttyUSB0', value)
-    return value
 
 
 def _baud(top: Fields) -> int:

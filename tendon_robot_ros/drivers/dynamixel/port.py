@@ -8,11 +8,9 @@ waits 34 ms whatever the adapter's latency is).
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
 import select
-import termios
 import time
 from pathlib import Path
 
@@ -20,12 +18,11 @@ import serial
 from dynamixel_sdk import PortHandler
 
 from ...exceptions import DriverError
+from ..ports import LOST, take_alone, why_not
 
 UDEV_FILE = '/etc/udev/rules.d/99-usb-serial-latency.rules'
 UDEV_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 LONGEST_LATENCY = 2  # [ms]
-# what an unplugged port raises: serial's error is an OSError, termios.error is none
-LOST = (OSError, termios.error)
 
 
 class Port(PortHandler):  # type: ignore[misc]
@@ -45,7 +42,7 @@ class Port(PortHandler):  # type: ignore[misc]
         self.ser = serial.Serial(
             port=self.port_name, baudrate=cflag_baud, timeout=0, write_timeout=0.1, exclusive=True
         )
-        fcntl.ioctl(self.ser.fileno(), termios.TIOCEXCL)
+        take_alone(self.ser.fileno())
         self.is_open = True
         self.ser.reset_input_buffer()
         self.tx_time_per_byte = 10_000.0 / self.baudrate
@@ -94,43 +91,7 @@ def open_port(path: str, baud: int, answer_time: float) -> Port:
         raise DriverError(f'{path}: baudrate: the SDK does not know {baud}')
     except LOST as error:
         port.closePort()
-        raise DriverError(_why_not(path, error)) from None
-
-
-def _why_not(path: str, error: BaseException) -> str:
-    code = getattr(error, 'errno', None)
-    if not os.path.exists(path):
-        return (
-            f'{path}: no such port; is the adapter plugged in? '
-            f'found: {", ".join(present_ports()) or "no USB serial port"}'
-        )
-    if code == 13:
-        return (
-            f'{path}: not allowed; type: sudo usermod -aG dialout $USER, then log out and in again'
-        )
-    if code in (11, 16) or 'lock' in str(error):
-        return f'{path}: another process has the port{_holder(path)}; stop it first'
-    return f'{path}: cannot open: {error}'
-
-
-def _holder(path: str) -> str:
-    """Name the process that has the port open, where it may be seen."""
-    wanted = os.path.realpath(path)
-    for link in Path('/proc').glob('[0-9]*/fd/*'):
-        try:
-            if os.readlink(link) == wanted and int(link.parts[2]) != os.getpid():
-                command = Path('/proc', link.parts[2], 'cmdline').read_bytes()
-                name = command.replace(b'\0', b' ').decode(errors='replace').strip()
-                return f' (process {link.parts[2]}: {name[:60]})'
-        except OSError:
-            continue
-    return ''
-
-
-def present_ports() -> list[str]:
-    """List the USB serial ports, by the name that stays when they are plugged in again."""
-    by_id = sorted(str(path) for path in Path('/dev/serial/by-id').glob('*'))
-    return by_id or sorted(str(path) for path in Path('/dev').glob('ttyUSB*'))
+        raise DriverError(why_not(path, error)) from None
 
 
 def latency(path: str, sysfs: str = '/sys') -> int | None:

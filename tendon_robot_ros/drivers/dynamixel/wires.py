@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...exceptions import DriverError
 from ...robot import Robot
-from ...robot_checks import Reader, parse_yaml
+from ...robot_checks import parse_yaml
+from ..fields import Fields
 from .tables import MODELS, Model
 from .units import Calibration, Line, Resolution, Spool, from_data_sheet, resolution
 
@@ -24,25 +24,6 @@ MOTOR_KEYS = (
     'pull_limits',
     'calibration',
 )
-
-
-class Fields(Reader):
-    """Checked reading of the configuration."""
-
-    def error(self, key: str, expected: str, got: object) -> DriverError:
-        """Build the error for a key."""
-        return DriverError(f'{self.source}: {self._where(key)}: expected {expected}, got {got!r}')
-
-    def value(self, key: str, default: float, low: float, high: float, unit: str) -> float:
-        """Return a number, or the default when absent."""
-        return self.number(key, low, high, unit) if self.has(key) else default
-
-    def flag(self, key: str) -> bool:
-        """Return true or false, false when absent."""
-        value = self.content.get(key, False)
-        if not isinstance(value, bool):
-            raise self.error(key, 'true or false', value)
-        return value
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,53 @@
+"""Serial ports of any kind of motor: which there are, and why one cannot be opened."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import termios
+from pathlib import Path
+
+# what an unplugged port raises: serial's error is an OSError, termios.error is none
+LOST = (OSError, termios.error)
+
+
+def take_alone(file: int) -> None:
+    """Let no other process open the port; a lock that pyserial takes binds its users only."""
+    fcntl.ioctl(file, termios.TIOCEXCL)
+
+
+def why_not(path: str, error: BaseException) -> str:
+    """Say in words why a port cannot be opened, and what to do."""
+    code = getattr(error, 'errno', None)
+    if not os.path.exists(path):
+        return (
+            f'{path}: no such port; is the adapter plugged in? '
+            f'found: {", ".join(present_ports()) or "no USB serial port"}'
+        )
+    if code == 13:
+        return (
+            f'{path}: not allowed; type: sudo usermod -aG dialout $USER, then log out and in again'
+        )
+    if code in (11, 16) or 'lock' in str(error):
+        return f'{path}: another process has the port{_holder(path)}; stop it first'
+    return f'{path}: cannot open: {error}'
+
+
+def _holder(path: str) -> str:
+    """Name the process that has the port open, where it may be seen."""
+    wanted = os.path.realpath(path)
+    for link in Path('/proc').glob('[0-9]*/fd/*'):
+        try:
+            if os.readlink(link) == wanted and int(link.parts[2]) != os.getpid():
+                command = Path('/proc', link.parts[2], 'cmdline').read_bytes()
+                name = command.replace(b'\0', b' ').decode(errors='replace').strip()
+                return f' (process {link.parts[2]}: {name[:60]})'
+        except OSError:
+            continue
+    return ''
+
+
+def present_ports() -> list[str]:
+    """List the USB serial ports, by the name that stays when they are plugged in again."""
+    by_id = sorted(str(path) for path in Path('/dev/serial/by-id').glob('*'))
+    return by_id or sorted(str(path) for path in Path('/dev').glob('ttyUSB*'))
