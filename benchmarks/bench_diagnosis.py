@@ -15,39 +15,28 @@ import multiprocessing
 import os
 import sys
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 from machine import machine
+from simulated_cases import (
+    CAUSES,
+    NAMING,
+    TWINS,
+    Case,
+    hidden_values,
+    is_visible,
+    measured,
+    robot_of,
+)
 
 from tendon_robot_ros.analysis.diagnose import diagnose
-from tendon_robot_ros.analysis.noise import Whitener, estimate_noise, input_slopes, rms
-from tendon_robot_ros.analysis.postures import default_postures
+from tendon_robot_ros.analysis.noise import rms
 from tendon_robot_ros.analysis.predict import Predictor, frees_of
-from tendon_robot_ros.analysis.simulate import SimulatedNoise, simulate
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.exceptions import TendonRobotError
-from tendon_robot_ros.model.plant import make_plant
-from tendon_robot_ros.robot import Robot, load_robot
-
-ROBOTS = Path(__file__).parent.parent / 'config' / 'robots'
-SHAPING = ('eyelet_wrap', 'straight_tendon', 'tendon_travel')
-CAUSES = ('soft_cell', 'tether', 'posture_gain', 'posture_rotation', 'stiffness_gradient')
-TWINS = ('backbone_stiffness', 'section_stiffness', 'tendon_stiffness', 'transmission_loss',
-         'moment_arm')  # scale the bends alike
-NAMING = ('missing_effect', 'ambiguous', 'wrong_parameter', 'several')
-
-
-@dataclass(frozen=True)
-class Case:
-    """One simulated data set to judge."""
-
-    robot: str
-    hidden: str
-    size: float
-    seed: int
-    scatter: float
+from tendon_robot_ros.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -67,68 +56,39 @@ class Outcome:
     problem: str = ''
 
 
-def robot_of(name: str, hidden: str) -> Robot:
-    """Return the owner's description: every shaping effect but the hidden one."""
-    if name == 'hinged':
-        robot = load_robot(ROBOTS / 'kato_10_1.yaml')
-        sections = tuple(replace(section, bends_as='hinge') for section in robot.sections)
-        robot = replace(robot, sections=sections, tension_limits=(0.0, 5.0))
-        shaping = SHAPING
-    else:
-        robot = load_robot(ROBOTS / 'spatial_3.yaml')
-        section = replace(robot.sections[0], bends_as='arc')
-        robot = replace(robot, sections=(section,), tension_limits=(0.0, 8.0))
-        shaping = ('eyelet_wrap', 'tendon_travel')
-    effects = {key: value for key, value in robot.effects.items() if key == 'tendon_friction'}
-    effects |= {key: {'fraction': 1.0} for key in shaping}
-    effects.pop(hidden, None)
-    gravity = (9.81, 0.0, 0.0) if hidden == 'gravity' else (0.0, 0.0, 0.0)
-    return replace(robot, effects=effects, gravity=gravity)
+def failed(case: Case, seconds: float, error: Exception) -> Outcome:
+    """Return the outcome of a case that raised an error."""
+    problem = f'{type(error).__name__}: {error}'
+    return Outcome(case, 'error', (), (), False, False, True, None, None, seconds, problem)
 
 
-def hidden_values(hidden: str, size: float, seed: int) -> dict[str, float]:
-    """Return the true parameters: typical ones times size; forces and bends point anywhere."""
-    if hidden in ('soft_cell',):
-        return {'cell': float(4 + seed % 8), 'factor': 1.0 - 0.45 * size}
-    if hidden in CAUSES or hidden == 'none':
-        return {}
-    effect = load_catalogue()[hidden]
-    if hidden in SHAPING:
-        return {'fraction': 1.0}
-    if hidden == 'tendon_friction':
-        return {'friction_coefficient': 0.3}
-    random = np.random.default_rng([seed, 5])
-    two_sided = [p for p in effect.parameters if p.low <= -p.typical]
-    signs = {p.name: random.choice([-1.0, 1.0]) for p in two_sided}
-    values = {p.name: p.typical * size * signs.get(p.name, 1.0) for p in effect.parameters}
-    if hidden == 'section_stiffness':
-        values = {'relative_change': [0.15 * size, -0.1 * size]}
-    if hidden in ('tip_load', 'pre_curvature', 'base_misalignment'):
-        values = {key: value * random.uniform(0.4, 1.0) for key, value in values.items()}
-    if hidden == 'friction_memory':
-        values = {'presliding_length': 1e-4 * random.uniform(0.5, 2.0)}
-    return values
+def inside(case: Case, found, values) -> float | None:
+    """Share of the true values that lie in the 95 % intervals; None where none was fitted."""
+    for effect in found.effects:
+        if effect.name == case.hidden:
+            truth = list(np.concatenate([np.atleast_1d(v) for v in values.values()]))
+            return float(
+                np.mean(
+                    [
+                        fitted.low <= value <= fitted.high
+                        for fitted, value in zip(effect.parameters.values(), truth, strict=True)
+                    ]
+                )
+            )
+    return None
 
 
 def judge(case: Case) -> Outcome:
     """Simulate, diagnose, and hold the verdict against the truth."""
     robot = robot_of(case.robot, case.hidden)
     values = hidden_values(case.hidden, case.size, case.seed)
-    hidden = {} if case.hidden == 'none' else {case.hidden: values}
-    path = 'sequence' if case.hidden == 'friction_memory' else 'from_straight'
-    kind = 'displacement' if case.hidden == 'tendon_elongation' else 'tension'
     start = time.perf_counter()
     try:
-        plant = make_plant(robot, hidden, scatter=case.scatter, seed=case.seed)
-        count = 20 if path == 'sequence' else 12
-        sets = [simulate(plant, default_postures(robot, count, which, kind, path), input=kind,
-                         path=path, noise=SimulatedNoise(), seed=2 * case.seed + which)
-                for which in (0, 1)]
+        sets = measured(case, robot, values)
         start = time.perf_counter()
         found = diagnose(sets[0], workers=1)
     except (TendonRobotError, ArithmeticError, np.linalg.LinAlgError) as error:
-        return Outcome(case, 'error', (), (), False, False, True, None, None,
-                       time.perf_counter() - start, f'{type(error).__name__}: {error}')
+        return failed(case, time.perf_counter() - start, error)
     seconds = time.perf_counter() - start
     names = tuple(effect.name for effect in found.effects)
     listed = set(names) | set(found.cannot_tell_apart)
@@ -140,45 +100,32 @@ def judge(case: Case) -> Outcome:
     else:
         right = named and case.hidden in listed
     wrong = named and case.hidden not in listed
-    inside = None
-    for effect in found.effects:
-        if effect.name == case.hidden and named:
-            truth = list(np.concatenate([np.atleast_1d(v) for v in values.values()]))
-            inside = np.mean([fitted.low <= value <= fitted.high for fitted, value
-                              in zip(effect.parameters.values(), truth, strict=True)])
-    return Outcome(case, found.verdict, names, found.cannot_tell_apart, right, wrong,
-                   is_visible(case, sets[0], robot, values), inside,
-                   error_gone(found, sets, robot) if named else None, seconds)
-
-
-def is_visible(case: Case, dataset, robot: Robot, values) -> bool:
-    """Tell whether the hidden effect moves the markers clearly more than the noise does."""
-    if case.hidden in (*CAUSES, 'none'):
-        return case.hidden != 'none'
-    catalogue = load_catalogue()
-    before = Predictor(dataset, robot, catalogue)
-    slopes = input_slopes(before, {})
-    noise = estimate_noise(dataset, slopes)
-    after = Predictor(dataset, robot.with_effect(case.hidden, true_values(robot, case, values)),
-                      catalogue)
-    white = Whitener(dataset, noise, slopes).white(after.markers({}) - before.markers({}))
-    return float(white @ white) > 30.0
-
-
-def true_values(robot: Robot, case: Case, values):
-    """Spread values per section as the plant does."""
-    effect = load_catalogue()[case.hidden]
-    return {p.name: tuple(np.broadcast_to(values[p.name], len(robot.sections)).tolist())
-            if p.per_section else values[p.name] for p in effect.parameters}
+    return Outcome(
+        case,
+        found.verdict,
+        names,
+        found.cannot_tell_apart,
+        right,
+        wrong,
+        is_visible(case, sets[0], robot, values),
+        inside(case, found, values) if named else None,
+        error_gone(found, sets, robot) if named else None,
+        seconds,
+    )
 
 
 def error_gone(found, sets, robot: Robot) -> float | None:
     """Share of (before - floor) that the named effects remove on the check postures."""
     catalogue, check = load_catalogue(), sets[1]
-    keys = {(free.effect, free.key): free
-            for free in frees_of([e.name for e in found.effects], catalogue, robot)}
-    point = {keys[effect.name, key]: value.value
-             for effect in found.effects for key, value in effect.parameters.items()}
+    keys = {
+        (free.effect, free.key): free
+        for free in frees_of([e.name for e in found.effects], catalogue, robot)
+    }
+    point = {
+        keys[effect.name, key]: value.value
+        for effect in found.effects
+        for key, value in effect.parameters.items()
+    }
     errors = []
     for one in ({}, point):
         markers = Predictor(check, robot, catalogue).markers(one)
@@ -192,7 +139,7 @@ def error_gone(found, sets, robot: Robot) -> float | None:
 def cases_of(options: argparse.Namespace) -> list[Case]:
     """List what to judge: sizes are drawn between a fifteenth and full."""
     cases = []
-    effects = options.effects or [name for name in load_catalogue().names] + list(CAUSES)
+    effects = options.effects or list(load_catalogue().names) + list(CAUSES)
     for robot in ('hinged', 'arcs'):
         for effect in effects:
             if robot == 'arcs' and effect in ('straight_tendon', 'section_stiffness'):
@@ -201,16 +148,20 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
                 size = 15.0 ** -np.random.default_rng([seed, 9]).random()
                 size = max(size, 0.5) if effect in CAUSES else size
                 cases.append(Case(robot, effect, float(size), seed + 1, options.scatter))
-        cases += [Case(robot, 'none', 0.0, 1000 + seed, options.scatter)
-                  for seed in range(options.clean // 2)]
+        cases += [
+            Case(robot, 'none', 0.0, 1000 + seed, options.scatter)
+            for seed in range(options.clean // 2)
+        ]
     return cases
 
 
 def table(outcomes: list[Outcome]) -> str:
     """Return the confusion by hidden effect."""
-    lines = [f'{"hidden":22s} {"n":>4s} {"seen":>4s} {"right":>6s} {"wrong name":>10s} {"quiet":>6s} '
-             f'{"outside":>8s} {"several":>8s} {"class":>6s} {"inside":>7s} {"gone":>6s} '
-             f'{"time":>6s}']
+    lines = [
+        f'{"hidden":22s} {"n":>4s} {"seen":>4s} {"right":>6s} {"wrong name":>10s} {"quiet":>6s} '
+        f'{"outside":>8s} {"several":>8s} {"class":>6s} {"inside":>7s} {"gone":>6s} '
+        f'{"time":>6s}'
+    ]
     groups = collections.defaultdict(list)
     for outcome in outcomes:
         groups[outcome.case.robot, outcome.case.hidden].append(outcome)
@@ -221,12 +172,14 @@ def table(outcomes: list[Outcome]) -> str:
         gone = [o.gain for o in group if o.gain is not None]
         size = np.mean([max(len(o.group), 1) for o in named]) if named else float('nan')
         lines.append(
-            f'{robot[:3]} {hidden:18s} {len(group):4d} {sum(o.visible for o in group):4d} {np.mean([o.right for o in group]):6.0%} '
+            f'{robot[:3]} {hidden:18s} {len(group):4d} '
+            f'{sum(o.visible for o in group):4d} {np.mean([o.right for o in group]):6.0%} '
             f'{sum(o.wrong_name for o in group):10d} {verdicts["adequate"]:6d} '
             f'{verdicts["outside_catalogue"]:8d} {verdicts["several"]:8d} {size:6.1f} '
             f'{np.mean(inside) if inside else float("nan"):7.0%} '
             f'{np.median(gone) if gone else float("nan"):6.0%} '
-            f'{np.median([o.seconds for o in group]):5.1f}s')
+            f'{np.median([o.seconds for o in group]):5.1f}s'
+        )
     return '\n'.join(lines)
 
 
@@ -244,17 +197,20 @@ def summary(outcomes: list[Outcome]) -> dict[str, float | int]:
         return round(float(np.mean(values)), 4) if len(values) else float('nan')
 
     return {
-        'effects judged': len(effects), 'right of all': share([o.right for o in effects]),
+        'effects judged': len(effects),
+        'right of all': share([o.right for o in effects]),
         'right of those that stand out of the noise': share([o.right for o in seen]),
         'wrong names': sum(o.wrong_name for o in effects),
         'mean class size': share([max(len(o.group), 1) for o in named]),
         'single name': share([len(o.group) <= 1 for o in named]),
         'single name, effects without a twin': share(
-            [len(o.group) <= 1 for o in named if o.case.hidden not in TWINS]),
+            [len(o.group) <= 1 for o in named if o.case.hidden not in TWINS]
+        ),
         'intervals that hold': share(inside),
         'check error gone >= 90 %': share([g >= 0.9 for g in gone]),
         'causes outside': share([o.right for o in causes]),
-        'clean sets': len(clean), 'false alarms': share([not o.right for o in clean]),
+        'clean sets': len(clean),
+        'false alarms': share([not o.right for o in clean]),
         'errors': sum(o.verdict == 'error' for o in outcomes),
         'median seconds (one worker)': share([np.median([o.seconds for o in outcomes])]),
     }
@@ -281,9 +237,17 @@ def main() -> int:
     figures = summary(outcomes)
     print(json.dumps(figures, indent=1))
     if options.json:
-        options.json.write_text(json.dumps(
-            {'machine': machine(), 'figures': figures, 'scatter': options.scatter,
-             'outcomes': [asdict(o) for o in outcomes]}, indent=1))
+        options.json.write_text(
+            json.dumps(
+                {
+                    'machine': machine(),
+                    'figures': figures,
+                    'scatter': options.scatter,
+                    'outcomes': [asdict(o) for o in outcomes],
+                },
+                indent=1,
+            )
+        )
     return 0
 
 
