@@ -136,7 +136,7 @@ def compose(catalogue: Catalogue) -> Callable[[str], ModuleType]:
         sys.modules[name] = module
         spec.loader.exec_module(module)
         _COMPOSED[name] = module
-    return lambda part: importlib.import_module(f'{name}.{part}')
+    return cache(lambda part: importlib.import_module(f'{name}.{part}'))
 
 
 def is_compiled(catalogue: Catalogue) -> bool:
