@@ -37,6 +37,7 @@ COMMANDS: dict[str, str] = {
     'driver': 'tendon_robot_ros.nodes.driver',
     'teleop': 'tendon_robot_ros.nodes.teleop',
     'monitor': 'tendon_robot_ros.nodes.monitor',
+    'viewer': 'tendon_robot_ros.nodes.viewer',
     'live': 'tendon_robot_ros.nodes.live',
     'compare': 'tendon_robot_ros.cli.compare',
     'diagnose': 'tendon_robot_ros.cli.diagnose',

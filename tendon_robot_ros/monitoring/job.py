@@ -20,7 +20,7 @@ from typing import Any
 
 from ..exceptions import TendonRobotError
 
-NICE = 10  # control comes first
+NICE = 5  # control comes first
 RESULT, REPORT, BETTER = 'diagnosis.json', 'diagnosis.html', 'better.yaml'
 
 

@@ -1,0 +1,170 @@
+"""Pieces of the live page as HTML and SVG: bars, the curve of the error, tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from ..report.words import digits, mm
+
+BLUE, ORANGE, GREY = '#0072b2', '#d55e00', '#6b7580'  # Okabe and Ito: colour-blind safe
+WIDTH, HEIGHT, LEFT, BOTTOM = 360, 170, 40, 22  # [px] of the curve, and of its margins
+SPAN = 120.0  # [s] that the curve shows
+STYLE = 'font-family:system-ui,sans-serif;font-size:13px;color:#1b1f24;padding:2px 12px'
+
+
+def legend() -> str:
+    """Say which colour is which."""
+    line = '<span style="display:inline-block;width:22px;border-top:{} {}"></span> {}'
+    return (
+        f'<div style="{STYLE}">'
+        + line.format('5px solid', ORANGE, 'measured &nbsp; ')
+        + line.format('5px solid', BLUE, 'predicted &nbsp; ')
+        + line.format('2px dashed', GREY, 'error')
+        + '</div>'
+    )
+
+
+def big_error(rolling: float, tip: str) -> str:
+    """Show the error now, large."""
+    shown = mm(rolling) if np.isfinite(rolling) else '–'
+    return (
+        f'<div style="{STYLE}">off by <b id="tip-error" style="font-size:24px">{shown}</b> '
+        f'at the tip <span style="color:{GREY}">{escape(tip)}</span></div>'
+    )
+
+
+def curve(
+    times: Sequence[float], errors: Sequence[float], now: float,
+    marks: Sequence[tuple[float, str]], floor: float | None,
+) -> str:  # fmt: skip
+    """
+    Draw the rolling error over the last two minutes.
+
+    Parameters
+    ----------
+    times, errors : sequence of float
+        [s] and [m].
+    now : float
+        Right edge [s].
+    marks : sequence of (time, text)
+        When an effect was added.
+    floor : float, optional
+        Noise floor of the last diagnosis [m].
+
+    """
+    highest = max([1e3 * e for e in errors if np.isfinite(e)] + [0.5])
+    top = highest * 1.15
+
+    def x(at: float) -> float:
+        return LEFT + (WIDTH - LEFT) * max(1.0 - (now - at) / SPAN, 0.0)
+
+    def y(value: float) -> float:
+        return (HEIGHT - BOTTOM) * (1.0 - value / top) + 4
+
+    parts = []
+    if floor is not None and np.isfinite(floor):
+        band = y(0.0) - y(min(1e3 * floor, top))
+        parts.append(
+            f'<rect x="{LEFT}" y="{y(0) - band:.1f}" width="{WIDTH - LEFT}" height="{band:.1f}" '
+            f'fill="#78828c" opacity="0.25"><title>noise floor</title></rect>'
+        )
+    for value in _ticks(top):
+        parts.append(
+            f'<path d="M{LEFT} {y(value):.1f}H{WIDTH}" stroke="#e0e4e8"/><text x="{LEFT - 5}" '
+            f'y="{y(value) + 4:.1f}" text-anchor="end">{value:g}</text>'
+        )
+    points = [
+        f'{x(t):.1f},{y(1e3 * e):.1f}'
+        for t, e in zip(times, errors, strict=True)
+        if now - t <= SPAN and np.isfinite(e)
+    ]
+    parts.append(
+        f'<polyline points="{" ".join(points)}" fill="none" stroke="{ORANGE}" stroke-width="2"/>'
+    )
+    for at, text in marks:
+        if now - at <= SPAN:
+            parts.append(
+                f'<path d="M{x(at):.1f} 4V{HEIGHT - BOTTOM + 4}" stroke="{BLUE}" stroke-width="2" '
+                f'stroke-dasharray="5 3"/><text x="{x(at) - 4:.1f}" y="16" text-anchor="end" '
+                f'fill="{BLUE}">added {escape(text)}</text>'
+            )
+    parts.append(f'<text x="{WIDTH}" y="{HEIGHT - 2}" text-anchor="end">now</text>')
+    parts.append(f'<text x="{LEFT}" y="{HEIGHT - 2}">2 minutes ago</text>')
+    return (
+        f'<div style="{STYLE}">tip error [mm]<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
+        f'aria-label="tip error over time" style="width:100%;font-size:12px">'
+        f'{"".join(parts)}</svg></div>'
+    )
+
+
+def bars(names: Sequence[str], tensions: Sequence[float], low: float, high: float) -> str:
+    """Draw the tensions [N] against their limits."""
+    rows = []
+    for name, value in zip(names, tensions, strict=True):
+        known = bool(np.isfinite(value))
+        share = min(max(value / high, 0.0), 1.0) if known else 0.0
+        at_limit = known and (value >= 0.99 * high)
+        colour, note = (ORANGE, ' at its limit') if at_limit else (BLUE, '')
+        said = f'{value:.2f} N{note}' if known else 'not observable'
+        rows.append(
+            f'<tr><td>{escape(name)}</td><td style="width:55%"><div style="position:relative;'
+            'background:#e6e9ed;height:12px;border-radius:3px">'
+            f'<div style="background:{colour};width:{100 * share:.1f}%;height:12px;'
+            'border-radius:3px"></div>'
+            f'<div title="lower limit" style="position:absolute;left:{100 * low / high:.1f}%;'
+            'top:-2px;width:2px;height:16px;background:#1b1f24"></div></div></td>'
+            f'<td style="text-align:right;white-space:nowrap">{said}</td></tr>'
+        )
+    return (
+        f'<div style="{STYLE}">tensions, limits {low:g} to {high:g} N'
+        f'<table style="width:100%">{"".join(rows)}</table></div>'
+    )
+
+
+def verdict(found: Mapping[str, Any], count: int = 6) -> str:
+    """Show verdict, remainder and the best candidates."""
+    if not found:
+        return ''
+    sentences = [str(found.get(key) or '') for key in ('sentence', 'remainder')]
+    rows = []
+    for row in found.get('candidates', [])[:count]:
+        values = ', '.join(
+            f'{key} {digits(v["value"], 3)} {v["unit"]}'
+            for key, v in row['parameters'].items()
+            if v.get('value') is not None
+        )
+        explained = row.get('explained')
+        share = '–' if explained is None else f'{100 * explained:.0f} %'
+        rows.append(
+            f'<tr><td>{escape(row["name"])}</td><td>{escape(values)}</td>'
+            f'<td style="text-align:right">{share}</td><td>{escape(row["status"])}</td></tr>'
+        )
+    head = '<tr><th>effect</th><th>value</th><th>explains</th><th></th></tr>' if rows else ''
+    said = ''.join(f'<p style="margin:4px 0">{escape(s)}</p>' for s in sentences if s)
+    return (
+        f'<div id="verdict" style="{STYLE};overflow-x:auto"><div style="border-left:4px solid '
+        f'{BLUE};padding-left:8px">{said}</div><table id="candidates" style="font-size:12px;'
+        f'text-align:left;border-spacing:6px 1px">{head}{"".join(rows)}</table></div>'
+    )
+
+
+def statuses(said: Mapping[str, tuple[str, str]]) -> str:
+    """Show what every node says: name -> (level, sentence)."""
+    colours = {'ok': '#009e73', 'warn': '#b26b00', 'error': ORANGE, 'silent': GREY}
+    signs = {'ok': '●', 'warn': '▲', 'error': '■', 'silent': '○'}
+    rows = ''.join(
+        f'<div><span style="color:{colours[level]}">{signs[level]}</span> <b>{escape(name)}</b> '
+        f'{escape(text)}</div>'
+        for name, (level, text) in said.items()
+    )
+    return f'<div style="{STYLE}">{rows}</div>'
+
+
+def _ticks(top: float) -> list[float]:
+    step = 10.0 ** np.floor(np.log10(top / 2.0))
+    step *= next(f for f in (1, 2, 5, 10) if top / (f * step) <= 4.5)
+    return [round(i * step, 6) for i in range(int(top / step) + 1)]
