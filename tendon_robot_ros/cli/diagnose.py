@@ -16,17 +16,19 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from typing import Any
 
 from ..analysis.add import add_effects
 from ..analysis.diagnose import diagnose
 from ..analysis.origin import Addition
 from ..analysis.result import Diagnosis
+from ..analysis.session import Progress
 from ..data import DataSet, load_dataset
 from ..effects import Catalogue, load_catalogue
 from ..exceptions import InputError
 from ..model.compose import is_compiled
-from ..report import addition_text
+from ..report import addition_text, trust_text
 from ..report.diagnosis_text import lines
 from .description_file import (
     add_effect_files,
@@ -50,9 +52,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--robot', metavar='ROBOT', help='description to judge (default: the one of DATA)')
     add_json(parser)
     add('--add', metavar='NEW', help='write a description with the effect')
+    add('--report', metavar='HTML', help='write a page that opens offline')
     add('--partial', action='store_true', help='add it even if more is at work')
     add('--check', metavar='DATA2', help='other postures, to judge the effect by')
-    add('--workers', type=int, default=2, metavar='N', help='threads (default: 2)')
+    add(
+        '--trust',
+        action='store_true',
+        help='simulate your postures: how often a false alarm, how small an effect is seen '
+        '(a minute at most)',
+    )
+    add('--workers', type=int, default=2, metavar='N', help='at a time (default: 2)')
     add_overwrite(parser)
     add_effect_files(parser)
 
@@ -71,8 +80,10 @@ def run(args: argparse.Namespace) -> int:
         print('compiling the model (once)', file=sys.stderr)
     with progress() as show:
         found = diagnose(dataset, None, catalogue, args.workers, show)
+        if args.trust:
+            found = _assessed(args, found, dataset, show)
     made = _addition(args, found, dataset, check, catalogue)
-    said = lines(found)
+    said = [*lines(found), *trust_text.lines(found)]
     content: dict[str, Any] = found.to_json()
     if made is not None:
         said += _told(args, made)
@@ -84,8 +95,21 @@ def run(args: argparse.Namespace) -> int:
     elif args.add:
         said.append(_refusal(found))
     content['written'] = args.add if written else None
+    if args.report:
+        said.append(_reported(args, found, dataset, catalogue, made))
     emit(args, content, '\n'.join(said))
     return REFUSED if args.add and not written and _outside(found) else 0
+
+
+def _assessed(
+    args: argparse.Namespace, found: Diagnosis, dataset: DataSet, show: Progress
+) -> Diagnosis:
+    """Put what a bootstrap says beside the verdict."""
+    from ..analysis.trust import assess
+
+    trust = assess(dataset, args.effect_file, args.workers, progress=show)
+    details = {**found.details, 'trust': None if trust is None else trust.to_json()}
+    return replace(found, details=details)
 
 
 def _outside(found: Diagnosis) -> bool:
@@ -116,6 +140,21 @@ def _told(args: argparse.Namespace, made: Addition) -> list[str]:
     said = [addition_text.never_used(made)] if args.check else []
     said += [addition_text.staircase(made)] if args.add else []
     return [*said, *addition_text.warnings(made)]
+
+
+def _reported(
+    args: argparse.Namespace,
+    found: Diagnosis,
+    dataset: DataSet,
+    catalogue: Catalogue,
+    made: Addition | None,
+) -> str:
+    """Write the page."""
+    from ..report.diagnosis_page import write_diagnosis
+    from ..report.diagnosis_pictures import pictures_of
+
+    pictures = pictures_of(found, dataset, catalogue, None if made is None else made.robot)
+    return f'report: {write_diagnosis(found, pictures, args.report, made)}'
 
 
 def _refusal(found: Diagnosis) -> str:
