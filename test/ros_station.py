@@ -153,7 +153,7 @@ def values(status):
     return {item.key: item.value for item in status.values}
 
 
-def start(name, namespace, output, **parameters):
+def start(name, namespace, output, extra=(), **parameters):
     """Start a node as a process; its messages go to a file."""
     defaults = {
         'driver': {'robot': 'kato_10_1', 'config': 'mock_twin'},
@@ -161,4 +161,4 @@ def start(name, namespace, output, **parameters):
     }
     known = {**defaults[name], **parameters}
     with open(output / f'{name}_{time.monotonic_ns()}.log', 'w', encoding='utf-8') as log:
-        return NodeProcess(name, known, namespace, log)
+        return NodeProcess(name, known, namespace, log, extra)

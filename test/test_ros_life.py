@@ -3,6 +3,7 @@
 import signal
 import time
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
@@ -157,6 +158,13 @@ def test_a_parameter_that_cannot_be_ends_the_process_with_one_line(tmp_path):
     (log,) = tmp_path.glob('driver_*.log')
     expected = "error: command_mode: expected one of tension, pull, got 'telepathy'\n"
     assert log.read_text() == expected
+
+
+def test_the_parameter_files_start_the_nodes(space):
+    config = Path(__file__).parents[1] / 'config'
+    for node in ('driver', 'controller'):
+        space.run(node, extra=('--params-file', str(config / f'{node}.yaml')))
+    space.until_code(space.controller, 'holding', timeout=120.0)
 
 
 def test_two_robots_live_in_two_namespaces(tmp_path):

@@ -1,0 +1,144 @@
+"""The thread that talks to the motors: it releases before it ends, whatever ends it."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from tendon_robot_ros.drivers.mock import MockConfig, MockDriver
+from tendon_robot_ros.drivers.safety import SafetyRules
+from tendon_robot_ros.drivers.supervisor import FOLLOWING, LIMP, Supervisor
+from tendon_robot_ros.exceptions import DriverError
+from tendon_robot_ros.nodes.bus import Bus
+from tendon_robot_ros.robot import load_robot
+
+ROBOT = load_robot(Path(__file__).parents[1] / 'config' / 'robots' / 'kato_10_1_single.yaml')
+LOW, HIGH = 0.1, 5.0
+COMMAND = np.array([2.0, 1.0])
+
+
+class State:
+    def __init__(self, tensions):
+        self.inputs, self.pulls = tensions, 1e-3 * tensions
+
+
+class Arm:
+    def respond(self, tensions):
+        return State(tensions.copy())
+
+
+class Log(MockDriver):
+    """A mock that remembers what it was told."""
+
+    def __init__(self):
+        super().__init__(ROBOT, Arm(), MockConfig(lag=0.0))
+        self.written, self.switched_off, self.broken = [], [], False
+
+    def write(self, command):
+        if self.broken:
+            raise OSError('the cable is cut')
+        self.written.append(command.copy())
+        super().write(command)
+
+    def disable(self, inputs=()):
+        self.switched_off.append(tuple(inputs))
+        super().disable(inputs)
+
+
+@pytest.fixture
+def bus():
+    limits = np.array([[LOW, HIGH]] * 2)
+    rules = SafetyRules(ROBOT.inputs, 'tension', limits, np.full(2, 50.0), limits[:, 0], 20.0)
+    driver, cycles = Log(), []
+    driver.open()
+    made = Bus(driver, Supervisor(rules), 0.002, cycles.append)
+    made.cycles = cycles
+    made.start()
+    made.activate()
+    yield made
+    made.close()
+
+
+def until(condition, seconds=3.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.002)
+
+
+def follow(bus, command=COMMAND):
+    def there():
+        bus.put(command)
+        return bus.driver.written and np.allclose(bus.driver.written[-1], command)
+
+    until(there)
+
+
+def test_it_follows_and_ramps_down_for_a_release(bus):
+    follow(bus)
+    count = len(bus.driver.written)
+    assert bus.release('inactive', 'the node is not active', 2.0)
+    assert bus.driver.written[-1] == pytest.approx([LOW, LOW])
+    steps = np.diff(np.array(bus.driver.written[count - 1 :]), axis=0)
+    assert -0.05 * 20.0 - 1e-9 <= steps.min() < 0.0
+    assert bus.driver.switched_off == []
+
+
+def test_an_error_beside_the_motors_still_ends_with_a_ramp(bus):
+    follow(bus)
+
+    def fail(cycle):
+        raise ValueError('nobody foresaw this')
+
+    bus._report = fail
+    until(lambda: not bus._thread.is_alive())
+    assert isinstance(bus.crashed, ValueError)
+    assert bus.driver.written[-1] == pytest.approx([LOW, LOW])
+
+
+def test_when_even_writing_fails_torque_goes_off(bus):
+    follow(bus)
+    bus.driver.broken = True
+    until(lambda: not bus._thread.is_alive())
+    assert isinstance(bus.crashed, OSError)
+    assert bus.driver.switched_off == [()]
+
+
+def test_a_motor_error_takes_its_torque_and_a_reset_brings_it_back(bus):
+    follow(bus)
+    bus.driver.inject('overload', ['right'])
+    until(lambda: bus.driver.switched_off)
+    assert bus.driver.switched_off == [('right',)]
+    with pytest.raises(DriverError, match='right: overload'):
+        bus.call(bus.supervisor.reset)
+    bus.call(bus.driver.reboot)
+    bus.call(bus.supervisor.reset)
+    follow(bus)
+    assert bus.supervisor.state == FOLLOWING
+    assert bus.driver.read().tensions == pytest.approx(COMMAND)
+
+
+def test_limp_comes_back_from_the_measured_state(bus):
+    follow(bus)
+    bus.supervisor.rules = SafetyRules(
+        ROBOT.inputs,
+        'tension',
+        bus.supervisor.rules.limits,
+        np.full(2, 50.0),
+        bus.supervisor.rules.rest,
+        20.0,
+        release_to='limp',
+    )
+    until(lambda: bus.supervisor.state == LIMP)
+    assert set(bus.driver.switched_off[0]) == set(ROBOT.inputs)
+    count = len(bus.driver.written)
+    follow(bus)
+    assert bus.driver.written[count].max() <= 50.0 * 0.05
+
+
+def test_errors_of_a_call_come_back_to_the_caller(bus):
+    with pytest.raises(DriverError, match='expected one of silent'):
+        bus.call(lambda: bus.driver.inject('gremlin'))
