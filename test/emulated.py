@@ -50,6 +50,7 @@ def config(port, /, **changes):
         'port': port,
         'model': MODEL,
         'spool_radius': RADIUS,
+        'answer_time': 0.03,  # [s]; the machine that tests is busy
         'pull_limits': [-0.01, 0.03],
         'motors': motors,
     }
@@ -135,9 +136,23 @@ def arm_in(mode):
 
 def until(driver, command, wanted, seconds=SOON):
     """Cycle until the reading is as wanted; return it."""
-    readings = cycle(driver, command, seconds, until=wanted)
-    assert wanted(readings[-1]), readings[-1]
-    return readings[-1]
+    found = []
+    readings = cycle(driver, command, seconds, until=lambda r: wanted(r) and not found.append(r))
+    assert found, readings[-1]
+    return found[0]
+
+
+def settled(driver, command):
+    """Cycle until the arm stands still; return the last reading."""
+    readings = [driver.read()]
+
+    def still(reading):
+        readings.append(reading)
+        return (
+            len(readings) > 20 and np.ptp([r.pulls for r in readings[-20:]], axis=0).max() < 1e-4
+        )
+
+    return until(driver, command, still)
 
 
 def healthy(reading):

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.drivers.dynamixel.config import read_config
+from tendon_robot_ros.drivers.dynamixel.config import limits, read_config
 from tendon_robot_ros.drivers.dynamixel.motor import make_motors
 from tendon_robot_ros.drivers.dynamixel.tables import MODELS, REGISTERS, decode, encode
 from tendon_robot_ros.drivers.dynamixel.units import (
@@ -159,6 +159,10 @@ REFUSED = {
         {'motors': {'east': {'id': 1}}},
         r'motors: expected a motor for every input.*none for north, west, south',
     ),
+    'a direction of yes': (
+        {'motors': {**emulated.config('')['motors'], 'east': {'id': 1, 'direction': True}}},
+        r'motors\.east\.direction: expected 1 .* or -1, got True',
+    ),
     'a slow watchdog': ({'watchdog': 3.0}, r'watchdog: .*0 to 2\.54 \[s\], got 3'),
     'words for flags': ({'allow_coarse': 'yes'}, r'allow_coarse: expected true or false'),
     'a missing calibration': (
@@ -180,6 +184,19 @@ def test_it_refuses_with_file_key_expectation_and_value(what):
 def test_a_shared_motor_is_refused_in_tension_mode():
     motors = {name: {'id': 1 + i // 2} for i, name in enumerate(emulated.robot().inputs)}
     assert 'motor of its own for every input in tension mode' in refusal(motors=motors)
+
+
+@pytest.mark.parametrize(
+    ('mode', 'key', 'default'), [('tension', 'tension_rate', 3.0), ('pull', 'pull_rate', 0.01)]
+)
+def test_limits_and_rates_may_differ_from_tendon_to_tendon(mode, key, default):
+    motors = emulated.config('')['motors']
+    motors['north'] |= {key: 0.5 * default, 'tension_limit': 2.0, 'pull_limits': [0.0, 0.02]}
+    config = parsed(mode, motors=motors, allow_coarse=True, **{key: default})
+    found, rates = limits(config, emulated.robot(), mode)
+    assert rates.tolist() == [default, 0.5 * default, default, default]
+    own, common = ([0.2, 2.0], [0.2, 5.0]) if mode == 'tension' else ([0.0, 0.02], [-0.01, 0.03])
+    assert found.tolist() == [common, own, common, common]
 
 
 def test_pull_mode_needs_pull_limits():

@@ -7,7 +7,7 @@ import time
 import emulated
 import numpy as np
 import pytest
-from emulated import arm_in, goals, healthy, steps_are_small, until
+from emulated import arm_in, goals, healthy, settled, steps_are_small, until
 
 from tendon_robot_ros.exceptions import DriverError
 
@@ -53,7 +53,7 @@ def test_all_silent_is_no_lost_port(tense_arm):
 @pytest.mark.parametrize('what', ['spoilt', 'cut', 'doubled'])
 def test_a_few_broken_answers_are_asked_again_and_change_nothing(tense_arm, what):
     driver, line, command = tense_arm
-    before = driver.read()
+    before = settled(driver, command)
     for _ in range(5):
         setattr(line.faults, what, 1)
         reading = emulated.cycle(driver, command, 0.03)[-1]

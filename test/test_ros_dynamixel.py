@@ -16,7 +16,7 @@ pytest.importorskip('rclpy')
 pytest.importorskip('dynamixel_sdk')
 
 from dynamixel_rig import PULL, ROBOT, TENSION, Rig, steps
-from ros_station import LOW, point, start
+from ros_station import LOW, Station, last, point, start
 
 pytestmark = pytest.mark.ros
 WATCHDOG_TRIPPED = 255
@@ -44,6 +44,7 @@ FAULTS = {
     'truncated answers': ('cut 100000', 'cut 0', 'no answer; check its cable', False),
     'slow bus': ('slow 0.05', 'slow 0', 'no answer; check its cable', False),
     'unplugged': ('unplug', 'plug', 'the port is gone; plug the adapter in again', False),
+    'watchdog tripped': ('trip 2', '', 'its bus watchdog stopped it', False),
     'overload': ('overload 2', None, 'load above the maximum output', True),
     'overheating': ('overheating 2', None, 'motor too hot; torque is off', True),
     'hot': ('hot 2 67', 'hot 2 30', '67 °C, released from 65 °C', False),
@@ -76,7 +77,7 @@ def test_a_fault_is_said_releases_the_arm_and_is_recovered_from(rig, name):
     if off:
         station.until(lambda: not rig.servo(2)['torque_enable'], 'torque off for the motor')
     station.spin(0.3)
-    if mended is not None:
+    if mended:
         rig.servos.say(mended)
     if mended is None or broken in LATCHED_BY_MOTOR:
         rig.operate()
@@ -88,6 +89,20 @@ def test_a_fault_is_said_releases_the_arm_and_is_recovered_from(rig, name):
     )
 
 
+def test_a_second_driver_is_refused_the_port_and_says_who_has_it(rig):
+    other = Station(f'{rig.space}/other')
+    config = str(rig.servos.config)
+    given = {'robot': ROBOT, 'backend': 'dynamixel', 'config': config, 'command_mode': rig.mode}
+    with start('driver', other.namespace, rig.folder, **given):
+        other.until_code(other.driver, 'not_ready')
+        assert (
+            f'another process has the port (process {rig.node.process.pid}'
+            in last(other.driver).message
+        )
+    other.close()
+    rig.until_following()
+
+
 def test_silence_of_the_commands_lets_the_motors_go_slowly(rig):
     rig.station.spin(0.7)  # the goals have settled
     at_work = {i: sent[-1][1] for i, sent in rig.goals(0.5).items()}
@@ -96,14 +111,8 @@ def test_silence_of_the_commands_lets_the_motors_go_slowly(rig):
     rig.station.until_code(rig.station.driver, 'released')
     released = time.monotonic()
     goals = rig.goals(released - stopped)
-    first = min(
-        when
-        for sent in goals.values()
-        for (when, value), (_, other) in zip(sent[1:], sent[:-1], strict=True)
-        if value != other
-    )
-    assert 0.05 < first - stopped < 1.0  # command_timeout is 0.1 s
-    assert steps(goals) < 0.25 * max(abs(value) for value in at_work.values())
+    assert steps(goals) < 0.7 * max(abs(value) for value in at_work.values())
+    assert len({value for _, value in goals[1]}) > 4  # a ramp and not a jump
     rest, near = (LOW, 0.05) if rig.mode == 'tension' else (0.0, 5e-4)
     rig.station.until(lambda: np.allclose(rig.measured(), rest, atol=near), 'rest')
     assert all(servo['torque_enable'] for servo in rig.servos.ask('state')['servos'].values())

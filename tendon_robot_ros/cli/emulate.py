@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from ..drivers.dynamixel.tables import BAUD_RATES, MODELS
 from ..drivers.dynamixel.units import smallest_spool
@@ -129,12 +130,14 @@ def _arm(args: argparse.Namespace, robot: Robot) -> Arm:
     from ..model.plant import make_plant
 
     plant = make_plant(robot)
-    return RelaxedArm(
-        lambda tensions: plant.respond(tensions).pulls,
-        m,
-        2.0 * robot.tension_limits[1],
-        args.slack,
-    )
+    shown: dict[str, Any] = {}
+
+    def pulls(tensions: NDArray[np.float64]) -> NDArray[np.float64]:
+        shape = plant.respond(tensions)
+        shown['tip'] = shape.tip_position.tolist()
+        return shape.pulls
+
+    return RelaxedArm(pulls, m, 2.0 * robot.tension_limits[1], args.slack, shown=shown)
 
 
 def _write_config(args: argparse.Namespace, robot: Robot, radius: float, port: str) -> None:

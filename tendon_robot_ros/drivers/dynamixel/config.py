@@ -50,8 +50,6 @@ class Config:
     baud: int
     watchdog: float  # [s], 0 = off
     answer_time: float  # [s]
-    tension_rate: float  # [N/s]
-    pull_rate: float  # [m/s]
     operation: str  # in pull mode: 'current_based' or 'extended'
     zero: str  # 'find' slack at enabling, or 'here': pull 0 is where it is enabled
     home_tension: float  # [N]
@@ -92,8 +90,6 @@ def read_config(robot: Robot, content: Mapping[str, Any], mode: str, source: str
         baud=_baud(top),
         watchdog=top.value('watchdog', 0.2, 0.0, 2.54, 's'),
         answer_time=top.value('answer_time', 0.012, 0.001, 0.1, 's'),
-        tension_rate=top.value('tension_rate', 2.0 * robot.tension_limits[1], 1e-6, 1e4, 'N/s'),
-        pull_rate=top.value('pull_rate', 0.02, 1e-6, 1.0, 'm/s'),
         operation=top.choice('pull_operation', OPERATIONS, OPERATIONS[0]),
         zero=zero,
         home_tension=top.value('home_tension', lowest, 1e-6, robot.tension_limits[1], 'N'),
@@ -153,8 +149,9 @@ def _check_sharing(top: Fields, config: Config, mode: str) -> None:
 
 def limits(config: Config, robot: Robot, mode: str) -> tuple[Array, Array]:
     """Return command limits, shape (m, 2), and rates, shape (m,), in the unit of the mode."""
-    if mode == 'tension':
-        rows = [(robot.tension_limits[0], wire.tension_limit) for wire in config.wires]
-        return np.array(rows), np.full(len(rows), config.tension_rate)
-    rows = [wire.pull_limits for wire in config.wires]
-    return np.array(rows), np.full(len(rows), config.pull_rate)
+    low = robot.tension_limits[0]
+    rows = [
+        (low, wire.tension_limit) if mode == 'tension' else wire.pull_limits
+        for wire in config.wires
+    ]
+    return np.array(rows), np.array([wire.rate for wire in config.wires])

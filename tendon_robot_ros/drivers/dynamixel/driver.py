@@ -179,11 +179,9 @@ class DynamixelDriver(Driver):
 
     def _converse(self, now: float) -> None:
         there = [motor for motor in self.motors.values() if motor.answers]
-        for motor in there:
-            motor.tripped = False  # it was told of, and cleared, in the reading before
         read_state(self.bus, there)
         self._watch.poll([motor for motor in there if motor.answers], now)
-        self._start_from_measured([motor for motor in there if motor.tripped])
+        self._start_from_measured(self._watch.tripped)
         before, self._lost = self._lost, [m for m in self.motors.values() if not m.answers]
         if len(self._lost) > len(before):
             self._retried = now  # say so first; looking for it costs time

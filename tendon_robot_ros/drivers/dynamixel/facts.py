@@ -21,6 +21,7 @@ def facts(
         'port': f'{config.port} at {config.baud} baud',
         'latency_timer': 'none' if latency is None else f'{latency} ms',
         'group read': 'fast sync read' if bus.fast else 'sync read',
+        'tension uncertainty': f'{_doubt(config):.3g} N',
         'bus watchdog': f'{config.watchdog:g} s' if config.watchdog else 'off',
     }
     out |= {what: str(count) for what, count in bus.failures.items()}
@@ -35,6 +36,11 @@ def facts(
             known = 'calibrated' if wire.calibration.measured else 'data sheet, not calibrated'
             out[f'tension of {wire.name}'] = f'{wire.resolution}; {known}'
     return out
+
+
+def _doubt(config: Config) -> float:
+    """Return the largest uncertainty of a tension told from current [N]."""
+    return max(wire.resolution.band for wire in config.wires)
 
 
 def reading(

@@ -9,6 +9,7 @@ from .motor import Motor
 from .tables import MODEL_NAMES, VOLT_PER_COUNT
 
 REVERSE, TORQUE_BY_GOAL = 0x01, 0x08  # bits of the drive mode, address 10
+TRIES = 3
 OTHER_RATES = (57600, 1_000_000)  # as delivered, and what most people set
 
 
@@ -22,7 +23,7 @@ def shake_hands(bus: Bus, config: Config, motors: dict[int, Motor]) -> None:
         With what was expected and what was found; servos at other baud rates are looked for.
 
     """
-    found = {identity: bus.ping(identity) for identity in motors}
+    found = {identity: _who(bus, identity) for identity in motors}
     wrong = [i for i, motor in motors.items() if found[i] != motor.model.number]
     if wrong:
         raise DriverError(_difference(bus, motors, found))
@@ -40,12 +41,21 @@ def shake_hands(bus: Bus, config: Config, motors: dict[int, Motor]) -> None:
     bus.fast = all(m.firmware >= m.model.fast_read_firmware for m in motors.values())
 
 
+def _who(bus: Bus, identity: int) -> int | None:
+    """Ping a servo, again if the answer was lost."""
+    for _ in range(TRIES):
+        number = bus.ping(identity)
+        if number is not None:
+            return number
+    return None
+
+
 def _ask(bus: Bus, motor: Motor, name: str) -> int:
-    for _ in range(3):
+    for _ in range(TRIES):
         value = bus.read(motor.identity, name)
         if value is not None:
             return value
-    raise DriverError(f'{bus.path}: {motor}: {name}: no answer in 3 tries; check the cable')
+    raise DriverError(f'{bus.path}: {motor}: {name}: no answer in {TRIES} tries; check the cable')
 
 
 def _check_settings(bus: Bus, config: Config, motor: Motor) -> None:

@@ -8,6 +8,8 @@ another read may look like it.
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -25,9 +27,14 @@ class Watch:
     mode: int  # operating mode, address 11
     watchdog: int  # address 98
     due: dict[str, float] = field(default_factory=dict)
+    tripped: list[Motor] = field(default_factory=list)  # whose watchdog this poll found tripped
+    _shown: float = -math.inf
 
     def poll(self, motors: list[Motor], now: float) -> None:
         """Do the most overdue poll, if any, for the servos that answer."""
+        self.tripped = []
+        for motor in motors:
+            motor.tripped = motor.tripped and now - self._shown < SHOWN
         late = {name: now - self.due.get(name, 0.0) for name in PERIODS}
         name = max(late, key=lambda n: late[n] / PERIODS[n])
         if late[name] < 0.0 or not motors:
@@ -63,7 +70,8 @@ class Watch:
             return
         if value == WATCHDOG_TRIPPED:
             recover_watchdog(self.bus, motor, self.mode, self.watchdog, tripped=True)
-            motor.tripped = True
+            motor.tripped, self._shown = True, time.monotonic()
+            self.tripped.append(motor)
         elif value == 0:
             lost_power(motor)
             self.bus.write(motor.identity, 'torque_enable', 0)
@@ -76,6 +84,7 @@ class Watch:
                 lost_power(motor)
 
 
+SHOWN = 0.5  # [s] for which a tripped watchdog is told of
 PERIODS = {
     'hardware_error_status': 0.020,
     'bus_watchdog': 0.045,

@@ -22,8 +22,11 @@ MOTOR_KEYS = (
     'tension_limit',
     'current_limit',
     'pull_limits',
+    'tension_rate',
+    'pull_rate',
     'calibration',
 )
+PULL_RATE = 'pull_rate', 0.02, 1e-6, 1.0, 'm/s'
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,8 @@ class WireConfig:
         [A]
     pull_limits : tuple of float
         [m]
+    rate : float
+        Fastest change of the command, [N/s] or [m/s] as the mode says.
     calibration : Calibration
     """
 
@@ -57,6 +62,7 @@ class WireConfig:
     tension_limit: float
     current_limit: float
     pull_limits: tuple[float, float]
+    rate: float
     calibration: Calibration
 
     @property
@@ -96,6 +102,7 @@ def _wire(
         found = lines.child(name) if lines.has(name) else item.child('calibration')
         calibration = read_calibration(found, model, spool.radius)
     most = model.current_limit * model.current_unit
+    lowest, highest = robot.tension_limits
     where = item if item.has('current_limit') else top
     return WireConfig(
         name=name,
@@ -103,20 +110,25 @@ def _wire(
         model=model,
         spool=spool,
         share=item.value('share', 1.0 / sharing.count(identity), 0.0, 1.0, '1'),
-        tension_limit=item.value(
-            'tension_limit', robot.tension_limits[1], 1e-6, robot.tension_limits[1], 'N'
-        ),
+        tension_limit=item.value('tension_limit', highest, lowest + 1e-6, highest, 'N'),
         current_limit=where.value('current_limit', most, model.current_unit, most, 'A'),
         pull_limits=_pull_limits(top, item, mode),
+        rate=_rate(top, item, highest, mode),
         calibration=calibration,
     )
 
 
 def _direction(item: Fields) -> int:
     value = item.content.get('direction', 1)
-    if value not in (1, -1):
+    if isinstance(value, bool) or value not in (1, -1):
         raise item.error('direction', '1 (counter-clockwise winds) or -1', value)
     return int(value)
+
+
+def _rate(top: Fields, item: Fields, highest: float, mode: str) -> float:
+    tension = 'tension_rate', 2.0 * highest, 1e-6, 1e4, 'N/s'
+    key, default, low, high, unit = tension if mode == 'tension' else PULL_RATE
+    return (item if item.has(key) else top).value(key, default, low, high, unit)
 
 
 def _pull_limits(top: Fields, item: Fields, mode: str) -> tuple[float, float]:

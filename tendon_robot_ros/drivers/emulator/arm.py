@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,7 @@ class RelaxedArm:
         highest: float,
         slack: float = 0.0,
         period: float = 0.004,
+        shown: Mapping[str, Any] | None = None,
     ) -> None:
         """
         Take the arm.
@@ -87,8 +88,11 @@ class RelaxedArm:
             Loose wire at the start [m].
         period : float
             Shortest time between two calls of `pulls` [s].
+        shown : mapping, optional
+            More to tell of the arm, such as its tip; `pulls` keeps it up to date.
 
         """
+        self.shown = {} if shown is None else shown
         self.pulls, self.highest, self.slack, self.period = pulls, highest, slack, period
         self._tensions = np.zeros(inputs)
         self._pulls = pulls(self._tensions)

@@ -141,6 +141,7 @@ def state(line: Line) -> dict[str, object]:
     return {
         'port': line.port,
         'time': time.monotonic(),
+        **getattr(line.rig.arm, 'shown', {}),
         'tensions': np.round(line.rig.tensions, 4).tolist(),
         'servos': {
             i: {name: servo.get(name) for name in names} for i, servo in line.rig.servos.items()

@@ -1,4 +1,4 @@
-"""An emulated serial port: a pseudo-terminal that can be unplugged, and a thread that serves it."""
+"""An emulated serial port: a pseudo-terminal that can be unplugged, and its own thread."""
 
 from __future__ import annotations
 
@@ -58,6 +58,7 @@ class Plug(abc.ABC):
     def _hear(self, data: bytes) -> None:
         """Take what a client has sent."""
 
+    @abc.abstractmethod
     def _plugged(self) -> None:
         """Begin anew with the bytes; the rest kept its power."""
 
