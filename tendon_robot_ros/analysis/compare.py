@@ -11,9 +11,9 @@ import numpy.typing as npt
 from ..data import DataSet, default_markers
 from ..effects import Catalogue, load_catalogue
 from ..exceptions import InputError, NoEquilibriumError
-from ..model.pulls import pull_shapes
 from ..robot import Robot
 from .comparison import Comparison, Measured, ModelErrors
+from .equilibria import equilibria
 from .noise import Whitener, estimate_noise, input_slopes
 from .predict import Predictor
 from .statistics import ERRORS
@@ -82,7 +82,7 @@ def _check(dataset: DataSet, name: str, robot: Robot) -> None:
 def _predict(predictor: Predictor) -> Floats:
     markers = predictor.markers({})
     if markers is None:
-        _refuse(predictor)
+        equilibria(predictor.dataset, predictor.model)  # says in which posture
         raise NoEquilibriumError(predictor.dataset.name, predictor.model.implicit_effects, np.nan)
     return markers
 
@@ -108,17 +108,6 @@ def _centreline(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> Floats:
     shape = (*dataset.positions.shape[:2], len(cells), 3)
     unseen = replace(dataset, markers=cells, positions=np.zeros(shape), orientations=None)
     return _predict(Predictor(unseen, robot, catalogue))
-
-
-def _refuse(predictor: Predictor) -> None:
-    """Raise what the model says about the posture in which it has no equilibrium."""
-    model, inputs = predictor.model, predictor.inputs
-    if predictor.dataset.input == 'displacement':
-        pull_shapes(model, inputs)
-    elif model.remembers and predictor.dataset.path == 'sequence':
-        model.sequence(inputs)
-    else:
-        model.shapes(inputs)
 
 
 def _measured(dataset: DataSet, predictor: Predictor, angles: Floats | None) -> Measured:

@@ -33,13 +33,13 @@ class Step:
 def per_marker(comparison: Comparison) -> Figure:
     """Error along the arm, with the band that a perfect model would lie in."""
     measured = comparison.measured
-    places = _places(comparison)
+    along = places(comparison)
     data: list[dict[str, Any]] = []
     floor = measured.floor_per_marker
     if floor is not None:
         data.append(
             {
-                'x': places,
+                'x': along,
                 'y': mm_list(floor),
                 'name': 'repeatability (a perfect model)',
                 'fill': 'tozeroy',
@@ -51,7 +51,7 @@ def per_marker(comparison: Comparison) -> Figure:
     for i, model in enumerate(comparison.models):
         data.append(
             {
-                'x': places,
+                'x': along,
                 'y': mm_list(model.per_marker_rms),
                 'name': escape(model.name),
                 'mode': 'lines+markers',
@@ -60,7 +60,7 @@ def per_marker(comparison: Comparison) -> Figure:
             }
         )
     layout = {
-        'xaxis': {'title': {'text': _place_title(comparison)}},
+        'xaxis': {'title': {'text': place_title(comparison)}},
         'yaxis': _error_axis(comparison, 'error, rms over postures [mm]'),
     }
     return Figure(data, layout, 'Error along the arm', '')
@@ -109,13 +109,13 @@ def angles(comparison: Comparison, p: int) -> Figure:
     bands = comparison.angle_bands()
     assert bands is not None
     mean, half = bands
-    places = _places(comparison)
+    along = places(comparison)
     data: list[dict[str, Any]] = []
     for i, model in enumerate(comparison.models):
         assert model.angles is not None
         data.append(
             {
-                'x': places,
+                'x': along,
                 'y': degrees_list(model.angles[p]),
                 'name': escape(model.name),
                 'mode': 'lines',
@@ -125,7 +125,7 @@ def angles(comparison: Comparison, p: int) -> Figure:
     what = '95 %' if comparison.error == 'ci' else 'standard error'
     data.append(
         {
-            'x': places,
+            'x': along,
             'y': degrees_list(mean[p]),
             'error_y': {
                 'type': 'data',
@@ -139,7 +139,7 @@ def angles(comparison: Comparison, p: int) -> Figure:
         }
     )
     layout = {
-        'xaxis': {'title': {'text': _place_title(comparison)}},
+        'xaxis': {'title': {'text': place_title(comparison)}},
         'yaxis': {'title': {'text': 'angular displacement [°]'}},
     }
     return Figure(data, layout, capital(posture_name(comparison, p)), '')
@@ -179,7 +179,7 @@ def tip_boxes(comparison: Comparison) -> Figure:
     return Figure(data, layout, 'Tip error', caption)
 
 
-def staircase(steps: Sequence[Step], title: str = 'The error falls') -> Figure:
+def staircase(steps: Sequence[Step], title: str = '', height: int = 360) -> Figure:
     """Errors that fall step by step towards the noise floor; groups beside each other."""
     colours = {'before': look(1).colour, 'after': look(0).colour, 'floor': FLOOR}
     groups = list(dict.fromkeys(step.group for step in steps))
@@ -205,7 +205,7 @@ def staircase(steps: Sequence[Step], title: str = 'The error falls') -> Figure:
         'xaxis': {'type': 'category'},
         'yaxis': {'title': {'text': 'error, rms [mm]'}, 'rangemode': 'tozero'},
     }
-    return Figure(data, layout, title, '')
+    return Figure(data, layout, title, '', height)
 
 
 def _error_axis(comparison: Comparison, title: str) -> dict[str, Any]:
@@ -216,12 +216,14 @@ def _error_axis(comparison: Comparison, title: str) -> dict[str, Any]:
     return {'title': {'text': title}, **(kind if wide else {'rangemode': 'tozero'})}
 
 
-def _places(comparison: Comparison) -> list[float | None]:
+def places(comparison: Comparison) -> list[float | None]:
+    """Return where the markers stand on the axis along the arm: cells, or mm."""
     measured = comparison.measured
     if measured.per_cell:
         return [float(i + 1) for i in range(len(measured.markers))]
     return mm_list(measured.arc_lengths)
 
 
-def _place_title(comparison: Comparison) -> str:
+def place_title(comparison: Comparison) -> str:
+    """Name the axis along the arm."""
     return 'cell' if comparison.measured.per_cell else 'distance from the base along the arm [mm]'

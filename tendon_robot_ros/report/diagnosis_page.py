@@ -1,0 +1,187 @@
+"""The page of a diagnosis: verdict first, then what to do, then the evidence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..analysis.origin import Addition
+from ..analysis.result import CandidateRow, Diagnosis
+from ..analysis.staircase import Errors
+from . import addition_text, diagnosis_text, trust_text
+from .comparison_page import add_shapes
+from .diagnosis_pictures import Pictures
+from .diagnosis_plots import heat_maps, moments
+from .error_plots import Step, per_marker, per_posture, staircase
+from .next_text import next_measurement
+from .page import Page
+from .quantities import quantities
+from .words import PROGRAM, capital, listed, mm, probability
+
+KINDS = {
+    'adequate': 'good',
+    'missing_effect': '',
+    'several': '',
+    'wrong_parameter': '',
+    'ambiguous': 'warn',
+    'outside_catalogue': 'bad',
+    'cannot_judge': 'warn',
+}
+
+
+def write_diagnosis(
+    found: Diagnosis, pictures: Pictures | None, path: str | Path, made: Addition | None = None
+) -> Path:
+    """Write the page; it opens without a network."""
+    return diagnosis_page(found, pictures, made).write(path)
+
+
+def diagnosis_page(
+    found: Diagnosis, pictures: Pictures | None = None, made: Addition | None = None
+) -> Page:
+    """
+    Return the page of a diagnosis.
+
+    Parameters
+    ----------
+    found : Diagnosis
+    pictures : Pictures, optional
+        Without them the page has words and tables only.
+    made : Addition, optional
+        What was added, with the errors on postures that were not used.
+
+    """
+    page = Page('Diagnosis', diagnosis_text.size(found))
+    add_verdict(page, found)
+    if found.verdict != 'cannot_judge':
+        add_staircase(page, found, made)
+        add_alternatives(page, found)
+    if pictures is not None:
+        add_pictures(page, pictures)
+    add_assumptions(page, found)
+    return page
+
+
+def add_verdict(page: Page, found: Diagnosis) -> None:
+    """Add the verdict and what to do now."""
+    lines = diagnosis_text.verdict(found).split('\n')
+    if found.verdict != 'cannot_judge':
+        lines.append(found.remainder)
+    page.box(lines, f'verdict {KINDS[found.verdict]}')
+    following = next_measurement(found)
+    if following:
+        page.box([following], 'warn', 'Next measurement')
+    page.text(*filter(None, [to_do(found)]))
+
+
+def to_do(found: Diagnosis) -> str:
+    """Say what to type now."""
+    data = found.details.get('data', 'DATA')
+    command = f'{PROGRAM} diagnose {data} --add better.yaml'
+    if found.verdict == 'ambiguous':
+        return f'Until that is measured, the first of them will do: `{command}`'
+    if found.adds:
+        return f'Add it to the robot description: `{command}`'
+    if found.verdict == 'outside_catalogue' and found.effects:
+        return f'Nothing is added by itself; if part of the way helps: `{command} --partial`'
+    return ''
+
+
+def add_staircase(page: Page, found: Diagnosis, made: Addition | None) -> None:
+    """Add the errors before and after, and those of a perfect model."""
+    if not found.effects:
+        return
+    partly = found.verdict == 'outside_catalogue'
+    page.heading('A part of the error falls' if partly else 'The error falls')
+    if made is None:
+        steps = [
+            Step('before', found.error_before),
+            Step('after', found.error_after, 'after'),
+            Step('noise floor', found.noise_floor, 'floor'),
+        ]
+    else:
+        never_used = addition_text.never_used(made).replace('->', '→').replace('  ', ' ')
+        page.text(f'{capital(never_used)}.')
+        steps = [step for errors in (made.fitted, made.check) for step in _steps(errors)]
+        page.text(*map(capital, addition_text.warnings(made)))
+    page.figures([staircase(steps, height=300)])
+
+
+def _steps(errors: Errors) -> list[Step]:
+    group = 'postures that were fitted' if errors.kind == 'fitted' else 'postures never used'
+    steps = [
+        Step('before', errors.before, 'before', group),
+        Step('after', errors.after, 'after', group),
+    ]
+    if errors.floor is not None:
+        steps.append(Step('noise floor', errors.floor, 'floor', group))
+    return steps
+
+
+def add_alternatives(page: Page, found: Diagnosis) -> None:
+    """Add the table of candidates, what cannot be told apart, and what was not tested."""
+    page.heading('What else it could be')
+    alike = diagnosis_text.alike(found)
+    if len(found.cannot_tell_apart) > 1:
+        names = listed(found.cannot_tell_apart, 'or')
+        lines = [f'These postures cannot tell {names} apart.']
+        lines += [f'{alike}.'] if alike and found.verdict == 'ambiguous' else []
+        page.box(map(capital, lines), 'warn', 'Cannot be told apart')
+    elif alike:
+        page.text(f'{capital(alike)}.')
+    header = ['effect', 'explains', 'error left', 'left-out postures', 'chance', 'status', 'value']
+    rows, kinds = [], []
+    for row in sorted(found.candidates, key=lambda row: row.status != 'best'):
+        rows.append(_row(row))
+        kinds.append({'best': 'strong', 'rejected': 'faint'}.get(row.status, ''))
+    if rows:
+        page.table(header, rows, kinds, left=(5, 6))
+        page.text(
+            '“Explains” is the share of the explainable error; “chance” is that of so large a '
+            'remainder if this effect is the whole truth; “left-out postures” is the error on '
+            'postures predicted from the others.'
+        )
+    untested = diagnosis_text.untested(found)
+    page.text(
+        *(f'{capital(text)}.' for text in (untested, diagnosis_text.detectable(found)) if text)
+    )
+
+
+def _row(row: CandidateRow) -> list[str]:
+    name = f'{row.name} (another value)' if row.present else row.name
+    return [
+        name,
+        f'{100.0 * row.explained:.0f} %',
+        mm(row.error),
+        mm(row.held_out),
+        probability(row.probability).removeprefix('p ').removeprefix('= '),
+        row.status,
+        quantities(row.parameters),
+    ]
+
+
+def add_pictures(page: Page, pictures: Pictures) -> None:
+    """Add shapes, errors, heat maps and missing moments."""
+    comparison = pictures.comparison
+    page.heading('Where the model is off')
+    page.figures([per_marker(comparison), per_posture(comparison)], 'two')
+    if pictures.before is not None:
+        page.text(
+            'Deviation to the side, measured minus model, in standard deviations of the noise: '
+            'orange bends more than the model, blue less.'
+        )
+        page.figures(heat_maps(comparison, pictures.before, pictures.after), 'two')
+        page.heading('The moment that the model lacks')
+        page.text(
+            'Estimated in blocks of cells, with 95 % intervals; positive would bend the arm more. '
+            'What it follows hints at its cause; the verdict does not rest on these pictures.'
+        )
+        page.figures(moments(pictures.before), 'two')
+    add_shapes(page, comparison)
+
+
+def add_assumptions(page: Page, found: Diagnosis) -> None:
+    """Add what was taken as exact, and how far to trust the procedure."""
+    said = [*diagnosis_text.declared(found), *trust_text.lines(found)]
+    if said:
+        page.heading('What this rests on')
+        page.text(*map(capital, said))

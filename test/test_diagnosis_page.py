@@ -1,0 +1,200 @@
+"""The page of a diagnosis: every verdict, its pictures, and the moment that a model lacks."""
+
+import html
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from browser import assert_fine, open_page
+from measurements import blind
+from source_tree import ROOT
+
+from tendon_robot_ros.analysis.compare import compare
+from tendon_robot_ros.analysis.missing_moment import blocks_of, missing_moment
+from tendon_robot_ros.analysis.origin import Addition
+from tendon_robot_ros.analysis.postures import default_postures
+from tendon_robot_ros.analysis.result import (
+    CandidateRow,
+    Diagnosis,
+    EffectFinding,
+    NextMeasurement,
+    Value,
+)
+from tendon_robot_ros.analysis.simulate import SimulatedNoise, simulate
+from tendon_robot_ros.analysis.staircase import Errors
+from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.model.plant import make_plant
+from tendon_robot_ros.report.diagnosis_page import KINDS, diagnosis_page, write_diagnosis
+from tendon_robot_ros.report.diagnosis_pictures import pictures_of, with_effects
+from tendon_robot_ros.report.diagnosis_plots import heat_maps, moments
+from tendon_robot_ros.robot import load_robot
+
+LEVER = Value(1.58e-4, 1.52e-4, 1.65e-4, 'm')
+HINGE = EffectFinding('hinge_friction', {'lever': LEVER}, 0.99)
+STIFF = EffectFinding('section_stiffness', {
+    'relative_change[proximal]': Value(0.1, 0.08, 0.12, '1'),
+    'relative_change[distal]': Value(-0.05, -0.06, -0.04, '1')}, 0.9)  # fmt: skip
+DETAILS = {
+    'robot': 'planar1', 'data': 'data/x', 'postures': 6, 'trials': 30, 'markers': 15,
+    'noise': {'position': 2e-4, 'trial': 0.004, 'setting': 0.002, 'source': 'trials'},
+    'tolerances': {'bending_stiffness': 0.02},
+}  # fmt: skip
+
+
+def diagnosis(verdict, effects=(HINGE,), **changed):
+    row = CandidateRow('hinge_friction', {'lever': LEVER}, 500.0, 539, 0.7, 0.99, 2.4e-4, 2.5e-4,
+                       'best', False)  # fmt: skip
+    usual = {
+        'cannot_tell_apart': (), 'not_tested': ('gravity',), 'out_of_tolerance': (),
+        'error_before': 2.66e-3, 'error_after': 2.4e-4, 'noise_floor': 2.45e-4,
+        'next_measurement': None, 'remainder': 'What is left (0.24 mm) equals your repeatability.',
+        'candidates': (row, replace(row, name='tip_load', status='rejected', probability=1e-9)),
+        'details': DETAILS,
+    }  # fmt: skip
+    return Diagnosis(verdict=verdict, effects=effects, **{**usual, **changed})
+
+
+def text(page):
+    return html.unescape(re.sub('<[^>]*>', ' ', '\n'.join(page.parts)))
+
+
+@pytest.fixture(scope='module')
+def hinges():
+    return load_dataset(blind('b') / 'fit')
+
+
+@pytest.mark.parametrize('verdict', KINDS)
+def test_every_verdict_has_its_page(verdict):
+    effects = () if verdict in ('adequate', 'cannot_judge') else (HINGE,)
+    page = diagnosis_page(diagnosis(verdict, effects))
+    said = text(page)
+    assert page.parts[0].startswith(f'<div class="box verdict {KINDS[verdict]}">')
+    head = {'missing_effect': 'CONSISTENT WITH', 'several': 'CONSISTENT WITH'}
+    assert head.get(verdict, verdict.split('_')[0].upper()) in said
+    assert ('The error falls' in said) == bool(effects and verdict != 'outside_catalogue')
+    assert ('What else it could be' in said) == (verdict != 'cannot_judge')
+    assert ('--add better.yaml' in said) == bool(effects)
+    assert ('--partial' in said) == (verdict == 'outside_catalogue')
+
+
+def test_the_page_says_what_it_rests_on_and_what_it_did_not_test():
+    said = text(diagnosis_page(diagnosis('missing_effect')))
+    assert (
+        'Declared tolerances (1 sd): bending_stiffness 2.0 %; everything else is taken as' in said
+    )
+    assert 'Not tested by these postures: gravity' in said
+    assert 'lever = 0.158 ± 0.006 mm' in said
+
+
+def test_a_class_has_its_box_and_the_next_measurement():
+    step = NextMeasurement({'left': 1.1, 'right': 0.8}, None, None, 6.3e-3, 3e-4, {
+        'hinge_friction': [0.0, 0.0, 0.1], 'transmission_loss': [0.0063, 0.0, 0.1]})  # fmt: skip
+    names = ('hinge_friction', 'transmission_loss')
+    found = diagnosis('ambiguous', cannot_tell_apart=names, next_measurement=step)
+    said = text(diagnosis_page(found))
+    assert 'These postures cannot tell hinge_friction or transmission_loss apart.' in said
+    assert 'Measure this next: left 1.10 N, right 0.800 N, 5 trials.' in said
+
+
+def test_an_addition_shows_both_kinds_of_postures(hinges):
+    fitted = Errors('fitted', 'x', 12, 2.66e-3, 2.4e-4, 2.45e-4)
+    check = Errors('check', 'y', 6, 2.5e-3, 2.7e-4, 2.2e-4)
+    made = Addition(hinges.robot, {'hinge_friction': {'lever': LEVER}}, fitted, check, 0.5)
+    said = text(diagnosis_page(diagnosis('missing_effect'), None, made))
+    assert 'Error on postures never used: 2.50 mm → 0.270 mm (floor 0.220 mm).' in said
+    for label in ('postures that were fitted', 'postures never used', '2.66 mm', '0.270 mm'):
+        assert label in said
+
+
+def test_found_values_go_into_the_description():
+    robot = load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml')
+    changed = with_effects(diagnosis('several', (HINGE, STIFF)), robot)
+    assert changed.effects['hinge_friction'] == {'lever': 1.58e-4}
+    assert changed.effects['section_stiffness'] == {'relative_change': (0.1, -0.05)}
+    assert changed.effects['tendon_friction'] == robot.effects['tendon_friction']
+
+
+def test_hinge_friction_is_a_straight_line_in_the_total_tension(hinges):
+    lacks = pictures_of(diagnosis('missing_effect'), hinges).before
+    total, moment = lacks.total_tension[:, 0], lacks.moment[:, 0]
+    slope = float(total @ moment / (total @ total))
+    assert slope == pytest.approx(-1.58e-4, rel=0.15)
+    assert np.corrcoef(total, moment)[0, 1] < -0.97
+    assert abs(np.corrcoef(lacks.model_bend[:, 0], moment)[0, 1]) < 0.5
+
+
+def test_the_missing_bend_of_a_softer_block_is_found():
+    robot = replace(load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml'), effects={})
+    first, second = robot.sections
+    softer = tuple(k / 1.05 for k in second.bending_stiffness)
+    really = replace(robot, sections=(first, replace(second, bending_stiffness=softer)))
+    quiet = SimulatedNoise(1e-5, 0.0, 0.0)
+    data = simulate(make_plant(really, scatter=0.0), default_postures(robot, 6), noise=quiet)
+    data = replace(data, robot=robot)
+    lacks = missing_moment(data, robot, compare(data).measured, load_catalogue())
+    assert lacks.blocks == ('cells 1 to 5', 'cells 6 to 10', 'cells 11 to 15', 'cells 16 to 20',
+                            'cells 21 to 25', 'cells 26 to 30')  # fmt: skip
+    expected = 0.05 * lacks.model_bend[:, 3:]
+    np.testing.assert_allclose(lacks.bend[:, 3:], expected, atol=3e-4, rtol=0.1)
+    np.testing.assert_allclose(lacks.bend[:, :3], 0.0, atol=2e-4)
+
+
+def test_deviations_of_a_perfect_model_are_standard_normal():
+    robot = load_robot(ROOT / 'config' / 'robots' / 'spatial_3.yaml')
+    data = simulate(make_plant(robot, scatter=0.0), default_postures(robot, 40), trials=4,
+                    noise=SimulatedNoise(2e-4, 0.0, 0.0))  # fmt: skip
+    lacks = missing_moment(data, robot, compare(data).measured, load_catalogue())
+    assert lacks.deviation.std() == pytest.approx(1.0, abs=0.08)
+    z = (lacks.bend / lacks.bend_sd)[np.isfinite(lacks.bend_sd)]
+    assert z.std() == pytest.approx(1.0, abs=0.2)
+
+
+def test_blocks_do_not_outnumber_the_markers():
+    tentacle = load_dataset(ROOT / 'data' / 'tentacle')
+    assert len(blocks_of(tentacle.robot, len(tentacle.markers))) <= 4
+
+
+def test_heat_maps_share_their_colours_and_units(hinges):
+    shown = pictures_of(diagnosis('missing_effect'), hinges)
+    before, after = heat_maps(shown.comparison, shown.before, shown.after)
+    assert before.data[0]['zmax'] == after.data[0]['zmax'] == -before.data[0]['zmin']
+    assert (before.title, after.title) == ('Deviation, as described',
+                                           'Deviation, with hinge_friction')  # fmt: skip
+    assert np.abs(shown.after.deviation).mean() < 0.2 * np.abs(shown.before.deviation).mean()
+    for figure in moments(shown.before):
+        for axis in ('xaxis', 'yaxis'):
+            assert re.search(r'\[(N|mN·m|°|mm)\]$', figure.layout[axis]['title']['text'])
+
+
+def test_no_noise_no_heat_map():
+    data = load_dataset(blind('b') / 'fit')
+    alone = replace(data, positions=data.positions[:, :1], position_noise=None, trial_names=('0',))
+    shown = pictures_of(diagnosis('cannot_judge', ()), alone)
+    assert shown.before is None
+    assert 'Deviation' not in text(diagnosis_page(diagnosis('cannot_judge', ()), shown))
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize('width', [1200, 400])
+def test_the_page_of_the_command_opens_and_fits(width, tmp_path, capsys):
+    page = tmp_path / 'page.html'
+    fit, check = blind('b') / 'fit', blind('b') / 'check'
+    assert main(['diagnose', str(fit), '--check', str(check), '--report', str(page)]) == 0
+    assert f'report: {page}' in capsys.readouterr().out
+    seen = open_page(page, tmp_path, width)
+    assert_fine(seen, width)
+    for part in ('CONSISTENT WITH hinge_friction', 'The error falls', 'What else it could be',
+                 'The moment that the model lacks', 'What this rests on'):  # fmt: skip
+        assert part in seen['text']
+
+
+@pytest.mark.browser
+def test_the_page_of_a_spatial_arm_opens(tmp_path):
+    data = load_dataset(blind('e') / 'fit')
+    tip = EffectFinding('tip_load', {'force_x': Value(2.5e-3, 2.4e-3, 2.6e-3, 'N')}, 0.99)
+    found = diagnosis('missing_effect', (tip,))
+    page = write_diagnosis(found, pictures_of(found, data), tmp_path / 'page.html')
+    assert_fine(open_page(page, tmp_path, 400), 400)
