@@ -5,6 +5,7 @@ import importlib.util
 import time
 
 import emulated
+import emulated_board
 import numpy as np
 import pytest
 
@@ -46,9 +47,21 @@ def dynamixel(mode):
             driver.close()
 
 
-BACKENDS = {'mock': mock, 'dynamixel': dynamixel}
+@contextlib.contextmanager
+def serial(mode):
+    with emulated_board.board() as line:
+        driver = emulated_board.driver_for(line, mode)
+        try:
+            yield driver
+        finally:
+            driver.close()
+
+
+BACKENDS = {'mock': mock, 'dynamixel': dynamixel, 'serial': serial}
 if importlib.util.find_spec('dynamixel_sdk') is None:
     del BACKENDS['dynamixel']
+if importlib.util.find_spec('serial') is None or not emulated_board.firmware.compiler():
+    del BACKENDS['serial']
 
 
 @pytest.fixture(params=[(b, m) for b in BACKENDS for m in MODES], ids=' '.join)

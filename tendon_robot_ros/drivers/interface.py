@@ -22,7 +22,7 @@ SOURCES = ('load_cell', 'current', 'command')
 BACKENDS = {
     'mock': ('mock', 'MockDriver', '', ''),
     'dynamixel': ('dynamixel.driver', 'DynamixelDriver', 'dynamixel_sdk', 'dynamixel'),
-    'serial': ('serial', 'SerialDriver', 'serial', 'serial'),
+    'serial': ('serial_board.driver', 'SerialDriver', 'serial', 'serial'),
 }
 
 
