@@ -20,6 +20,7 @@ from ..exceptions import DriverError
 
 Array = NDArray[np.float64]
 T = TypeVar('T')
+ENABLE_TIMEOUT = 120.0  # [s] a driver may look for the slack of its wires first
 SETTLE = 0.1  # [s] that motors lag behind the end of the ramp
 
 
@@ -68,6 +69,8 @@ class Bus:
 
     def call(self, function: Callable[[], T], timeout: float = 5.0) -> T:
         """Run a function in the thread; raise what it raises."""
+        if not self._thread.is_alive():
+            raise DriverError(f'the bus thread has ended: {self.crashed or "closed"}')
         result: Future[T] = Future()
 
         def task() -> None:
@@ -84,7 +87,7 @@ class Bus:
 
     def activate(self) -> None:
         """Torque on, from the measured state."""
-        self.call(self._enable)
+        self.call(self._enable, ENABLE_TIMEOUT)
 
     def release(self, key: str, reason: str, timeout: float) -> bool:
         """

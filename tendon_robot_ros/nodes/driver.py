@@ -25,7 +25,7 @@ from .lifecycle import ManagedNode
 from .messages import joint_state, seconds
 from .parameters import Parameters
 from .qos import COMMAND, LATCHED, STATE
-from .runtime import run
+from .runtime import asked_to_end, run
 from .shared import read_robot
 from .status import ERROR, OK, WARN, Status
 from .tracker import MockTracker
@@ -67,6 +67,8 @@ class DriverNode(ManagedNode):
         robot = read_robot(self.parameters['robot'])
         driver, tracker = driver_setup.make(robot, self.parameters)
         supervisor = Supervisor(driver_setup.rules(robot, driver, self.parameters))
+        if hasattr(driver, 'cancelled'):  # it may look long for the slack of its wires
+            driver.cancelled = asked_to_end
         driver.open()
         self.bus = Bus(driver, supervisor, 1.0 / self.parameters['rate'], self._report)
         if isinstance(driver, MockDriver):
@@ -89,7 +91,7 @@ class DriverNode(ManagedNode):
             return
         if not self.bus.release('inactive', 'the node is not active', self._release_time()):
             self.get_logger().error('the release did not end in time; torque off')
-            self.bus.driver.disable()
+            self.bus.call(self.bus.driver.disable)
 
     def cleanup(self) -> None:
         """Close the port; torque stays as the release left it."""

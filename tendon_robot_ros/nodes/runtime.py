@@ -25,15 +25,23 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 class Ending:
     """Tells that a signal asked the process to end; a second one ends it at once."""
 
+    current: Ending | None = None
+
     def __init__(self) -> None:
         """Nothing was asked yet."""
         self.signal = 0
+        Ending.current = self
 
     def __call__(self, number: int, frame: object) -> None:
         """Take a signal."""
         if self.signal:
             os._exit(128 + number)
         self.signal = number
+
+
+def asked_to_end() -> bool:
+    """Whether a signal came; for what takes long and can be cancelled."""
+    return Ending.current is not None and bool(Ending.current.signal)
 
 
 class Runnable(Protocol):
