@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .fit import Fit
-from .predict import Free, Point, Predictor
+from .predict import Free, Point, Predictor, Settled
 from .probability import normal_ppf
 from .search import Fitter
 
@@ -29,11 +29,11 @@ class Pinned(Predictor):
         point: Point,
         inputs: Floats | None = None,
         stiffness: Floats | None = None,
-        near: Floats | None = None,
+        near: Settled | None = None,
     ) -> Floats | None:
         """Predict markers (P, J, 3) [m]; see `Predictor.markers`."""
         found = self._inner.markers({**point, **self._pinned}, inputs, stiffness, near)
-        self.bend = self._inner.bend
+        self.settled = self._inner.settled
         return found
 
 

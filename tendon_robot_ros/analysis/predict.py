@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from ..data import DataSet
 from ..effects import Catalogue, Effect, Parameter
-from ..exceptions import NoEquilibriumError, TendonRobotError
+from ..exceptions import TendonRobotError
 from ..model.model import TOLERANCE, Model
+from ..model.shape import ShapeBatch
 from ..robot import Robot
 
 Floats = npt.NDArray[np.float64]
@@ -49,6 +50,14 @@ def free_parameters(effect: Effect, robot: Robot) -> tuple[Free, ...]:
 Point = Mapping[Free, float]
 
 
+@dataclass(frozen=True)
+class Settled:
+    """Where the equilibria of P postures were found: a start for their neighbours."""
+
+    tensions: Floats  # (P, m) [N]
+    bend: Floats  # (P, n, 2) [rad]
+
+
 class Predictor:
     """A model whose parameters move; one per thread."""
 
@@ -64,9 +73,8 @@ class Predictor:
             arrays.cells.copy(),
         )
         self.inputs = mean_inputs(dataset)
-        self._bend: Floats | None = None
-        self.bend: Floats | None = None  # of the last prediction
-        self._tensions: Floats | None = None
+        self.settled: Settled | None = None  # of the last prediction
+        self._first: Settled | None = None
 
     def value(self, free: Free) -> float:
         """Value that the description gives a parameter (neutral where it is not listed)."""
@@ -81,7 +89,7 @@ class Predictor:
         point: Point,
         inputs: Floats | None = None,
         stiffness: Floats | None = None,
-        near: Floats | None = None,
+        near: Settled | None = None,
     ) -> Floats | None:
         """
         Predict marker positions (P, J, 3) [m]; None where a posture has no equilibrium.
@@ -94,8 +102,8 @@ class Predictor:
             Instead of the data set's.
         stiffness : (n,) [1], optional
             Factor on the bending stiffness of every cell.
-        near : (P, n, 2) [rad], optional
-            Bends to start from (`bend` of a neighbouring point); default: those as described.
+        near : Settled, optional
+            To start from (`settled` of a neighbouring point); default: the first one.
 
         """
         arrays = self.model.arrays
@@ -106,45 +114,43 @@ class Predictor:
             arrays.set(free.effect, free.parameter.name, free.section, value)
         given = self.inputs if inputs is None else inputs
         shapes = (
-            self._pulled(given)
+            self._pulled(given, near or self._first)
             if self.dataset.input == 'displacement'
-            else self._pull(given, near)
+            else self._pull(given, near or self._first)
         )
         if shapes is None:
             return None
-        self.bend = shapes.bend
+        self.settled = Settled(shapes.inputs, shapes.bend)
+        if self._first is None:  # later ones would make results depend on the order
+            self._first = self.settled
         placed = shapes.markers(self.dataset.arc_lengths, self.dataset.offsets)
         return self.model.measured(placed)
 
-    def _pull(self, inputs: Floats, near: Floats | None):  # type: ignore[no-untyped-def]
+    def _pull(self, inputs: Floats, near: Settled | None) -> ShapeBatch | None:
         """Shapes under tensions; None without equilibrium."""
         if self.model.remembers:
             return self._remembering(inputs)
-        guess = self._bend if near is None else near
-        batch, changes = self.model.solve(inputs, guess)
-        if guess is not None and not (changes < TOLERANCE).all():
+        batch, changes = self.model.solve(inputs, None if near is None else near.bend)
+        if near is not None and not (changes < TOLERANCE).all():
             batch, changes = self.model.solve(inputs)
-        if not (changes < TOLERANCE).all():
-            return None
-        if self._bend is None:  # the first shapes; later ones would make results depend on order
-            self._bend = batch.bend
-        return batch
+        return batch if (changes < TOLERANCE).all() else None
 
-    def _remembering(self, inputs: Floats):  # type: ignore[no-untyped-def]
+    def _remembering(self, inputs: Floats) -> ShapeBatch | None:
         carry = self.dataset.path == 'sequence'
         batch, changes = self.model.solve(inputs, carry=carry)
         return batch if (changes < TOLERANCE).all() else None
 
-    def _pulled(self, pulls: Floats):  # type: ignore[no-untyped-def]
-        """Shapes under wire pulls, from the last tensions; None where there are none."""
+    def _pulled(self, pulls: Floats, near: Settled | None) -> ShapeBatch | None:
+        """Shapes under wire pulls; None where there are none."""
         from ..model.pulls import pull_shapes
 
+        carry = self.model.remembers and self.dataset.path == 'sequence'
+        memory = self.model.arrays.fresh_memory() if carry else None
+        tensions, bends = (None, None) if near is None else (near.tensions, near.bend)
         try:
-            batch = pull_shapes(self.model, pulls, self._tensions, self._bend)
-        except (NoEquilibriumError, TendonRobotError):
+            return pull_shapes(self.model, pulls, tensions, bends, memory)
+        except TendonRobotError:
             return None
-        self._tensions, self._bend = batch.inputs, batch.bend
-        return batch
 
 
 def mean_inputs(dataset: DataSet) -> Floats:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from .fit import Fit, Nuisance
 from .noise import Whitener
-from .predict import Free, Point, Predictor
+from .predict import Free, Point, Predictor, Settled
 
 Floats = npt.NDArray[np.float64]
 
@@ -68,7 +68,7 @@ class Search:
         self.count = count
         self.damping = 1e-3
         self.slopes: Floats | None = None
-        self.bend: Floats | None = None  # of the best point: neighbours settle from there
+        self.settled: Settled | None = None  # of the best point: neighbours settle from there
 
     def described(self, free: Free) -> float:
         """Value in the description, moved inside the bounds."""
@@ -99,7 +99,7 @@ class Search:
     def residual(self, values: Floats) -> tuple[Floats, Floats] | None:
         """Whitened residual with prior rows, and the markers; None without equilibrium."""
         point = dict(zip(self.all, values.tolist(), strict=True))
-        markers = self.fitter.predictor.markers(point, near=self.bend)
+        markers = self.fitter.predictor.markers(point, near=self.settled)
         if markers is None:
             return None
         white = self.fitter.whitener.white(self.fitter.measured - markers)
@@ -117,10 +117,10 @@ class Search:
             cost = float(found[0] @ found[0])
             if cost < best:
                 best, self.values, (self.r, self.markers) = cost, values, found
-                bend = self.fitter.predictor.bend
+                settled = self.fitter.predictor.settled
         if not np.isfinite(best):
             raise ArithmeticError('no start of the fit has an equilibrium')
-        self.bend = bend
+        self.settled = settled
 
     def derivative(self) -> Floats:
         """Jacobian (N + nuisances, q) of the residual by differences of the settled model."""
@@ -166,7 +166,7 @@ class Search:
             new = np.inf if found is None else float(found[0] @ found[0])
             if found is not None and new < cost:
                 self.values, (self.r, self.markers) = moved, found
-                self.bend = self.fitter.predictor.bend
+                self.settled = self.fitter.predictor.settled
                 self.slopes = None
                 self.damping = max(0.1 * self.damping, 1e-9)
                 return cost - new > 1e-3 + 1e-5 * new
