@@ -25,8 +25,8 @@ def tensions(driver: SerialDriver) -> Array:
 
 def pulls(driver: SerialDriver) -> Array:
     """Return measured wire pulls, shape (m,) [m]; nan where the encoder says nothing."""
-    zero = np.nan_to_num(driver.zero)
-    return np.subtract(_measured(driver, 'pulls', messages.ENCODER), zero)
+    zero: Array = np.nan_to_num(driver.zero)
+    return _measured(driver, 'pulls', messages.ENCODER) - zero
 
 
 def _measured(driver: SerialDriver, name: str, fault: int) -> Array:
