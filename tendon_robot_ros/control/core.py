@@ -12,6 +12,7 @@ from ..drivers.latch import StopLatch
 from ..drivers.limits import approach, bounded
 from ..exceptions import DriverError, InputError, NoEquilibriumError
 from .checks import Refusal
+from .closed_loop import TipLoop
 from .heard import Heard
 from .jog import Jog, Twist
 from .settings import Output, Settings, Target
@@ -38,6 +39,7 @@ class ControllerCore:
     driver_stopped: str = ''  # why the driver does not follow, as it says
     refusals: dict[str, Refusal] = field(default_factory=dict)  # kind of message -> why the last
     latch: StopLatch = field(default_factory=StopLatch)
+    loop: TipLoop = field(default_factory=TipLoop)
     _jog: Jog | None = None
     _heard: Heard | None = None
     _lost: bool = True
@@ -112,7 +114,7 @@ class ControllerCore:
         """Whether the command is still on its way."""
         if self.solution is None or self.command is None:
             return False
-        goal = bounded(self.solution.tensions, self.model.limits)
+        goal = bounded(self.loop.goal(self, self.solution.tensions), self.model.limits)
         return not np.array_equal(self.command, goal)
 
     def fresh(self, now: float) -> bool:
@@ -169,6 +171,7 @@ class ControllerCore:
         solution = None if self.target is None else self._solve(self.target, model)
         self.model, self.solution = model, solution
         self._jog, self._track = None, ShapeTracker(model)
+        self.loop.reset()
 
     def _advance(self, now: float, passed: float) -> Array:
         """Move the command towards where the target or the twist wants it, at the rate limit."""
@@ -178,7 +181,9 @@ class ControllerCore:
                 self._jog = self.solution = None
             else:
                 self._follow_twist(self._jog, passed)
-        goal = self.command if self.solution is None else self.solution.tensions
+        goal = self.command
+        if self.solution is not None:
+            goal = self.loop.goal(self, self.solution.tensions)
         step = np.full(len(goal), self.settings.rate_limit * passed)
         return approach(self.command, bounded(goal, self.model.limits), step)
 
@@ -235,6 +240,7 @@ class ControllerCore:
 
     def _drop(self) -> None:
         self.target = self.solution = self._jog = None
+        self.loop.reset()
 
     def _require_running(self) -> None:
         if self.latch:

@@ -38,6 +38,8 @@ def report(core: ControllerCore, now: float) -> Report:
             f'{name} {tension:.3f} N'
             for name, tension in zip(core.model.inputs, core.command, strict=True)
         )
+    if core.settings.tip_gain > 0.0:
+        values.update(core.loop.values(now))
     return Report(level, code, message, values)
 
 

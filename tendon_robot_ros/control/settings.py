@@ -21,6 +21,7 @@ class Settings:
     hold_direction: bool = False  # keep the view while a twist moves the tip
     direction_weight: float = 0.0  # [m/rad], 0: a fifth of the robot's length
     pull_mode: bool = False
+    tip_gain: float = 0.0  # [1/s] of the integral on the measured tip, 0: open loop
 
 
 @dataclass(frozen=True)

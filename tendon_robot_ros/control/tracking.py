@@ -29,7 +29,9 @@ class ShapeTracker:
     def begin(self, tensions: Array) -> Shape:
         """Return the shape under tensions (m,) [N]; raise when there is none."""
         guess = None if self.last is None else self.last.bend
-        self.last = self.model.shape(tensions, guess=guess)
+        remembers = self.last is not None and self.model.remembers
+        memory = self.last.memory if self.last is not None and remembers else None
+        self.last = self.model.shape(tensions, guess=guess, memory=memory)
         return self.last
 
     def follow(self, now: float, tensions: Array) -> Shape | None:

@@ -54,6 +54,7 @@ class ControllerNode(ManagedNode):
         self._targets: list[Subscription] = []
         self._commands = self.create_publisher(JointState, 'tendon_command', COMMAND)
         self.create_subscription(JointState, 'tendon_states', self._states, LISTEN)
+        self.create_subscription(PoseStamped, 'measured_tip', self._tip, LISTEN)
         self.create_subscription(Bool, 'stop', self._stop_topic, LATCHED)
         if self.parameters['driver_status']:
             self.create_subscription(
@@ -129,6 +130,13 @@ class ControllerNode(ManagedNode):
             core.measured(time.monotonic(), *incoming.states(message))
 
         self._take('states', take)
+
+    def _tip(self, message: PoseStamped) -> None:
+        def take(core: ControllerCore, incoming: Incoming) -> None:
+            core.loop.take(time.monotonic(), core, incoming.tip(message))
+
+        if self.parameters['tip_gain'] > 0.0:
+            self._take('tip', take)
 
     def _take(self, kind: str, action: Callable[[ControllerCore, Incoming], None]) -> None:
         """Use a message, and answer a target with a command at once; or say why not."""

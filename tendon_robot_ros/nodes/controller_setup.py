@@ -63,6 +63,14 @@ SPECS = (
         0.0,
         10.0,
     ),
+    Spec(
+        'tip_gain',
+        0.0,
+        'closed loop on measured_tip: share of the error removed per second; 0: open loop',
+        '1/s',
+        0.0,
+        10.0,
+    ),
     Spec('base_frame', '', 'frame of the base; empty: <robot>_base', read_only=True),
     Spec('tip_frame', '', 'frame of the tip; empty: <robot>_tip', read_only=True),
     Spec('frame_prefix', '', 'put before frame names', read_only=True),
@@ -86,4 +94,5 @@ def settings(parameters: Parameters) -> Settings:
         hold_direction=parameters['hold_direction'],
         direction_weight=parameters['direction_weight'],
         pull_mode=parameters['command_mode'] == 'pull',
+        tip_gain=parameters['tip_gain'],
     )

@@ -48,6 +48,13 @@ class Incoming:
         place = position(place.tolist(), self._farthest, 'target_point')
         return Target(place, stamp=_text(message.header))
 
+    def tip(self, message: PoseStamped) -> Array:
+        """Return a measured tip [m]."""
+        rotation, shift = self._header(message.header, 'measured_tip')
+        p = message.pose.position
+        place = rotation @ finite([p.x, p.y, p.z], 'measured_tip') + shift
+        return position(place.tolist(), self._farthest, 'measured_tip')
+
     def twist(self, message: TwistStamped) -> Twist:
         """Return a velocity, in the axes of base or tip."""
         self._stamp(message.header, 'delta_twist')

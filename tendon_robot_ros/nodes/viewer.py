@@ -78,7 +78,7 @@ class ViewerNode(Node):
         )
         self._tour = self.create_publisher(Bool, 'tour', LATCHED)
         self._remote = RemoteText(self, names['controller'], 'model')
-        self._services = {
+        self._triggers = {
             (name, owner): self.create_client(Trigger, f'{names[owner]}/{name}')
             for name, owners in SERVICES.items()
             for owner in owners
@@ -150,7 +150,7 @@ class ViewerNode(Node):
         self._targets.publish(message)
 
     def _call(self, name: str, owner: str) -> None:
-        client = self._services[name, owner]
+        client = self._triggers[name, owner]
         if not client.service_is_ready():
             self.state.progress = f'{client.srv_name} does not answer: is the node running?'
             return

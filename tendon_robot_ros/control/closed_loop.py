@@ -1,0 +1,112 @@
+"""What the model leaves over: an integral on the measured tip, through the model's Jacobian."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from .core import ControllerCore
+
+Array = NDArray[np.float64]
+OLDEST = 0.1  # [s] of the tracker
+JUMP = 0.02  # [m] between two measurements that no arm does
+NEAR = 0.03  # [N] from where the command is wanted: the tip has arrived
+DAMPING = 0.05  # [1] of the largest singular value
+
+
+@dataclass
+class TipLoop:
+    """
+    Adds tensions to the model's solution until the measured tip is at the target.
+
+    Frozen while the tracker is silent for 0.1 s, when it jumps by more than 20 mm, while the
+    tensions are on their way, and when a tension is at its upper limit. Tendons at their lower
+    limit take no part. A new target begins with the correction of the one before.
+    """
+
+    tensions: Array | None = None  # (m,) [N] added to the solution
+    frozen: str = 'no tracker'  # why, '' while it works
+    _seen: tuple[float, Array] | None = None
+    _error: Array = field(default_factory=lambda: np.full(3, np.nan))  # [m]
+    _shift: float = 0.0  # [m] that the correction moves the tip
+
+    def reset(self) -> None:
+        """Forget the correction."""
+        self.tensions, self._shift = None, 0.0
+
+    def goal(self, core: ControllerCore, solution: Array) -> Array:
+        """Return the solution (m,) [N] with the correction, within the limits."""
+        if self.tensions is None or core.settings.tip_gain == 0.0:
+            return solution
+        low, high = core.model.limits.T
+        return np.clip(solution + self.tensions, low, high)
+
+    def take(self, now: float, core: ControllerCore, position: Array) -> None:
+        """Take a measured tip (3,) [m] in the base frame."""
+        before, self._seen = self._seen, (now, position)
+        self.frozen = self._why_not(now, core, position, before)
+        if not self.frozen and before is not None:
+            self._integrate(min(now - before[0], OLDEST), core)
+
+    def values(self, now: float) -> dict[str, str]:
+        """Say how much of the correction is left to the loop, for the status."""
+        silent = self._seen is None or now - self._seen[0] > OLDEST
+        frozen = 'tracker silent' if silent else self.frozen
+        left = '' if np.isnan(self._error).any() else f'{1e3 * np.linalg.norm(self._error):.3f} mm'
+        return {
+            'correction': f'{1e3 * self._shift:.3f} mm',
+            'correction_frozen': frozen,
+            'measured_error': left,
+        }
+
+    def _why_not(
+        self, now: float, core: ControllerCore, position: Array, before: tuple[float, Array] | None
+    ) -> str:
+        target, solution, command = core.target, core.solution, core.command
+        if before is None or now - before[0] > OLDEST:
+            return 'tracker silent'
+        if np.linalg.norm(position - before[1]) > JUMP:
+            return 'tracker jumped'
+        if target is None or target.position is None or solution is None or command is None:
+            return 'no target'
+        self._error = target.position - position
+        if core.latch or core.driver_stopped or not core.fresh(now):
+            return 'stopped'
+        goal = self.goal(core, solution.tensions)
+        if np.abs(goal - command).max() > NEAR:
+            return 'moving'
+        if solution.at_limit or np.any(goal >= core.model.limits[:, 1]):
+            return 'a tension at its limit'
+        return ''
+
+    def _integrate(self, passed: float, core: ControllerCore) -> None:
+        assert core.solution is not None and core.command is not None
+        jacobian = core.model.jacobian(core.command)[:3]
+        wanted = core.settings.tip_gain * passed * self._error
+        low = core.model.limits[:, 0]
+        correction = self.tensions if self.tensions is not None else np.zeros(len(low))
+        free = np.ones(len(low), dtype=bool)
+        for _ in range(len(low)):  # let go of tendons that would go below their limit
+            step = _damped(jacobian * free, wanted)
+            below = free & (core.solution.tensions + correction + step < low)
+            if not below.any():
+                break
+            free &= ~below
+        else:
+            step = np.zeros(len(low))
+        self.tensions = correction + step
+        applied = self.goal(core, core.solution.tensions) - core.solution.tensions
+        self._shift = float(np.linalg.norm(jacobian @ applied))
+
+
+def _damped(jacobian: Array, wanted: Array) -> Array:
+    """Return the damped least-squares step (m,) [N] for a wanted motion (3,) [m]."""
+    size = float(np.linalg.norm(jacobian, 2))
+    if size == 0.0:
+        return np.zeros(jacobian.shape[1])
+    squared = jacobian @ jacobian.T + (DAMPING * size) ** 2 * np.eye(3)
+    return np.asarray(jacobian.T @ np.linalg.solve(squared, wanted))
