@@ -67,10 +67,10 @@ def add_errors(page: Page, comparison: Comparison) -> None:
 
 def steps(comparison: Comparison) -> list[Step]:
     """Return the staircase of the models, the worst first, down to the noise floor."""
-    ordered = sorted(comparison.models, key=lambda model: -model.rms)
-    kinds = ['before'] * (len(ordered) - 1) + ['after' if len(ordered) > 1 else 'before']
-    made = [Step(model.name, model.rms, kind)
-            for model, kind in zip(ordered, kinds, strict=True)]  # fmt: skip
+    order = sorted(range(len(comparison.models)), key=lambda i: -comparison.models[i].rms)
+    made = [
+        Step(comparison.models[i].name, comparison.models[i].rms, 'before', model=i) for i in order
+    ]
     floor = comparison.noise_floor
     return [*made, Step('noise floor', floor, 'floor')] if floor is not None else made
 

@@ -28,6 +28,7 @@ class Step:
     error: float
     kind: str = 'before'  # 'before', 'after' or 'floor'
     group: str = ''  # which postures
+    model: int | None = None  # place in a list of models; default: before 0, after 1
 
 
 def per_marker(comparison: Comparison) -> Figure:
@@ -181,7 +182,6 @@ def tip_boxes(comparison: Comparison) -> Figure:
 
 def staircase(steps: Sequence[Step], title: str = '', height: int = 360) -> Figure:
     """Errors that fall step by step towards the noise floor; groups beside each other."""
-    colours = {'before': look(1).colour, 'after': look(0).colour, 'floor': FLOOR}
     groups = list(dict.fromkeys(step.group for step in steps))
     data: list[dict[str, Any]] = []
     for label in dict.fromkeys(step.label for step in steps):
@@ -195,7 +195,7 @@ def staircase(steps: Sequence[Step], title: str = '', height: int = 360) -> Figu
                 'textposition': 'outside',
                 'cliponaxis': False,
                 'name': escape(label),
-                'marker': {'color': colours[part[0].kind]},
+                'marker': {'color': _colour(part[0])},
             }
         )
     layout = {
@@ -206,6 +206,12 @@ def staircase(steps: Sequence[Step], title: str = '', height: int = 360) -> Figu
         'yaxis': {'title': {'text': 'error, rms [mm]'}, 'rangemode': 'tozero'},
     }
     return Figure(data, layout, title, '', height)
+
+
+def _colour(step: Step) -> str:
+    if step.kind == 'floor':
+        return FLOOR
+    return look(int(step.kind == 'after') if step.model is None else step.model).colour
 
 
 def _error_axis(comparison: Comparison, title: str) -> dict[str, Any]:
