@@ -4,8 +4,8 @@
  * place of the wire, the slow outer one moves that place until the tension is right. */
 #include "control.h"
 
-#define PLACE_GAIN 400.0f   /* [1/m] duty per error of place */
-#define EXTRA_GAIN 2000.0f  /* [1/(m s)] */
+#define PLACE_GAIN 1000.0f /* [1/m] duty per error of place */
+#define EXTRA_GAIN 4000.0f  /* [1/(m s)] */
 #define LARGEST_EXTRA 0.5f  /* [1] */
 #define LEAD 0.005f         /* [m] the wanted place never runs further ahead */
 #define HARD 0.95f          /* [1] duty ... */

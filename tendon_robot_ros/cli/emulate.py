@@ -1,8 +1,8 @@
 """
-Emulate the servos of a robot on a pseudo-terminal and print the port to give to the driver.
+Emulate the motors of a robot on a pseudo-terminal and print the port to give to the driver.
 
-The servos speak real bytes, wind an emulated arm, and misbehave on request: type a command on
-the standard input, `help` lists them. Example:
+Servos or a board with load cells speak real bytes, wind an emulated arm, and misbehave on
+request: type a command on the standard input, `help` lists them. Example:
 
     emulate dynamixel --robot spatial_3.yaml --write-config servos.yaml
     driver --ros-args -p robot:=spatial_3.yaml -p backend:=dynamixel -p config:=servos.yaml
@@ -14,6 +14,8 @@ import argparse
 import signal
 import sys
 import threading
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -24,9 +26,12 @@ from numpy.typing import NDArray
 
 from ..drivers.dynamixel.tables import BAUD_RATES, MODELS
 from ..drivers.dynamixel.units import smallest_spool
+from ..drivers.emulator import board_commands
 from ..drivers.emulator.arm import Arm, HangingWeights, RelaxedArm, SpringArm
+from ..drivers.emulator.board import BoardLine, BoardRig
 from ..drivers.emulator.commands import obey
 from ..drivers.emulator.line import Line
+from ..drivers.emulator.plug import Plug
 from ..drivers.emulator.rig import Rig, Wire
 from ..drivers.emulator.servo import Servo
 from ..exceptions import InputError
@@ -38,9 +43,19 @@ ARMS = ('plant', 'springs', 'weights')
 SPRING = 200.0  # [N/m]
 
 
+@dataclass(frozen=True)
+class Emulated:
+    """What is emulated: its port, a configuration for the driver, in words, and its commands."""
+
+    line: Plug
+    config: dict[str, Any]
+    words: str
+    obey: Callable[[str], str]
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('kind', choices=('dynamixel',), help='what is emulated')
+    parser.add_argument('kind', choices=('dynamixel', 'serial'), help='what is emulated')
     parser.add_argument('--robot', required=True, help='robot description (YAML)')
     parser.add_argument('--model', default='XL330-M077', choices=tuple(MODELS))
     parser.add_argument(
@@ -77,12 +92,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve until the input says quit or a signal comes."""
     robot = load_robot(args.robot)
-    radius = args.spool_radius or smallest_spool(MODELS[args.model], robot.tension_limits[1])
-    servos = [Servo(MODELS[args.model], i + 1, args.baudrate) for i in range(len(robot.inputs))]
-    wires = [Wire(i + 1, radius) for i in range(len(robot.inputs))]
-    line = Line(Rig(servos, wires, _arm(args, robot)), args.port)
+    made = _servos(args, robot) if args.kind == 'dynamixel' else _board(args, robot)
+    line = made.line
     if args.write_config:
-        _write_config(args, robot, radius, line.port)
+        text = yaml.safe_dump(made.config, sort_keys=False, default_flow_style=None)
+        Path(args.write_config).write_text(f'# emulated: {made.words}\n{text}', encoding='utf-8')
     ending = threading.Event()
 
     def end(number: int, frame: FrameType | None) -> None:
@@ -91,12 +105,8 @@ def run(args: argparse.Namespace) -> int:
     before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
     with line:
         print(line.port, flush=True)
-        print(
-            f'{len(servos)} x {args.model}, ids 1 to {len(servos)}, spools of {1e3 * radius:g} '
-            'mm; type help for faults',
-            file=sys.stderr,
-        )
-        more = (line, ending, args.ends_with_input)
+        print(f'{made.words}; type help for faults', file=sys.stderr)
+        more = (made.obey, ending, args.ends_with_input)
         listener = threading.Thread(target=_listen, args=more, daemon=True)
         listener.start()
         ending.wait()
@@ -105,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _listen(line: Line, ending: threading.Event, to_the_end: bool) -> None:
+def _listen(obey: Callable[[str], str], ending: threading.Event, to_the_end: bool) -> None:
     """Obey what comes in on the standard input."""
     for text in sys.stdin:
         if not text.strip():
@@ -114,11 +124,36 @@ def _listen(line: Line, ending: threading.Event, to_the_end: bool) -> None:
             ending.set()
             return
         try:
-            print(obey(line, text), flush=True)
+            print(obey(text), flush=True)
         except InputError as error:
             print(f'error: {error}', file=sys.stderr, flush=True)
     if to_the_end:
         ending.set()
+
+
+def _servos(args: argparse.Namespace, robot: Robot) -> Emulated:
+    many = range(1, len(robot.inputs) + 1)
+    radius = args.spool_radius or smallest_spool(MODELS[args.model], robot.tension_limits[1])
+    servos = [Servo(MODELS[args.model], i, args.baudrate) for i in many]
+    line = Line(Rig(servos, [Wire(i, radius) for i in many], _arm(args, robot)), args.port)
+    config: dict[str, Any] = {
+        'port': line.port,
+        'baudrate': args.baudrate,
+        'model': args.model,
+        'spool_radius': radius,
+        'pull_limits': [-0.05, 0.05],
+        'motors': {name: {'id': i} for name, i in zip(robot.inputs, many, strict=True)},
+    }
+    words = f'{len(servos)} x {args.model}, ids 1 to {len(servos)}, spools of {1e3 * radius:g} mm'
+    return Emulated(line, config, words, lambda text: obey(line, text))
+
+
+def _board(args: argparse.Namespace, robot: Robot) -> Emulated:
+    rig = BoardRig(_arm(args, robot), len(robot.inputs))
+    line = BoardLine(rig, args.port)
+    words = f'a board with {rig.channels} motors and load cells, channels 0 to {rig.channels - 1}'
+    config = {'port': line.port, **board_commands.config(rig, robot.inputs)}
+    return Emulated(line, config, words, lambda text: board_commands.obey(line, text))
 
 
 def _arm(args: argparse.Namespace, robot: Robot) -> Arm:
@@ -137,17 +172,6 @@ def _arm(args: argparse.Namespace, robot: Robot) -> Arm:
         shown['tip'] = shape.tip_position.tolist()
         return shape.pulls
 
-    return RelaxedArm(pulls, m, 2.0 * robot.tension_limits[1], args.slack, shown=shown)
-
-
-def _write_config(args: argparse.Namespace, robot: Robot, radius: float, port: str) -> None:
-    content: dict[str, Any] = {
-        'port': port,
-        'baudrate': args.baudrate,
-        'model': args.model,
-        'spool_radius': radius,
-        'pull_limits': [-0.05, 0.05],
-        'motors': {name: {'id': i + 1} for i, name in enumerate(robot.inputs)},
-    }
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
-    Path(args.write_config).write_text(f'# emulated servos, docs/dynamixel.md\n{text}')
+    highest = 2.0 * robot.tension_limits[1]
+    stretch = 1e-3 if args.kind == 'dynamixel' else 5e-3  # a spring in every wire
+    return RelaxedArm(pulls, m, highest, args.slack, shown=shown, stretch=stretch)

@@ -71,6 +71,7 @@ class RelaxedArm:
         slack: float = 0.0,
         period: float = 0.004,
         shown: Mapping[str, Any] | None = None,
+        stretch: float = 1e-3,
     ) -> None:
         """
         Take the arm.
@@ -83,20 +84,22 @@ class RelaxedArm:
         inputs : int
             Number of wires m.
         highest : float
-            Largest tension [N] the arm is asked for; it stretches a wire by 1 mm.
+            Largest tension [N] the arm is asked for.
         slack : float
             Loose wire at the start [m].
         period : float
             Shortest time between two calls of `pulls` [s].
         shown : mapping, optional
             More to tell of the arm, such as its tip; `pulls` keeps it up to date.
+        stretch : float
+            How far the largest tension stretches a wire [m].
 
         """
         self.shown = {} if shown is None else shown
         self.pulls, self.highest, self.slack, self.period = pulls, highest, slack, period
         self._tensions = np.zeros(inputs)
         self._pulls = pulls(self._tensions)
-        self._stretch = 1e-3 / highest  # [m/N]
+        self._stretch = stretch / highest  # [m/N]
         probe = 0.1 * highest
         columns = [pulls(probe * row) - self._pulls for row in np.eye(inputs)]
         compliance = np.array(columns).T / probe + self._stretch * np.eye(inputs)

@@ -16,7 +16,7 @@ from ...exceptions import DriverError
 
 class EmulatorProcess:
     """
-    Emulated servos of a robot.
+    Emulated motors of a robot.
 
     Attributes
     ----------
@@ -27,11 +27,11 @@ class EmulatorProcess:
 
     """
 
-    def __init__(self, robot: str | Path, *arguments: str) -> None:
-        """Start `emulate dynamixel` for a robot description, with more of its arguments."""
+    def __init__(self, robot: str | Path, *arguments: str, kind: str = 'dynamixel') -> None:
+        """Start `emulate KIND` for a robot description, with more of its arguments."""
         self._folder = tempfile.TemporaryDirectory(prefix='tendon_robot_ros_')
-        self.config = Path(self._folder.name, 'servos.yaml')
-        command = [sys.executable, '-m', 'tendon_robot_ros', 'emulate', 'dynamixel']
+        self.config = Path(self._folder.name, 'motors.yaml')
+        command = [sys.executable, '-m', 'tendon_robot_ros', 'emulate', kind]
         command += ['--ends-with-input']
         command += ['--robot', str(robot), '--write-config', str(self.config), *arguments]
         self.process = subprocess.Popen(

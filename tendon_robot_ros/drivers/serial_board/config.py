@@ -134,7 +134,7 @@ def read_config(
     baud = top.content.get('baudrate', 1_000_000)
     if baud not in BAUD_RATES:
         raise top.error('baudrate', f'one of {", ".join(map(str, BAUD_RATES))}', baud)
-    lowest = max(low, 0.02 * high)
+    lowest = max(low, 0.05 * high)
     return Config(
         source=source,
         port=top.port(),
@@ -144,7 +144,7 @@ def read_config(
         release_rate=top.value('release_rate', 2.0 * high, 1e-3, 1e3, 'N/s'),
         release_to=top.choice('release_to', ('pretension', 'limp'), 'pretension'),
         rest=top.value('pretension', low, 0.0, high, 'N'),
-        gain=top.value('tension_gain', 0.008, 1e-6, 1.0, 'm/(N·s)'),
+        gain=top.value('tension_gain', 0.015, 1e-6, 1.0, 'm/(N·s)'),
         tension_rate=top.value('tension_rate', 2.0 * high, 1e-3, 1e3, 'N/s'),
         pull_rate=top.value('pull_rate', 0.05, 1e-5, 1.0, 'm/s'),
         zero=top.choice('zero', ('find', 'here'), 'find' if mode == 'pull' else 'here'),

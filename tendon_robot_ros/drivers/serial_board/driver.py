@@ -20,7 +20,7 @@ from .messages import Telemetry
 LONGEST_STEP = 0.1  # [s]; after a pause the command does not catch up
 RETRY = 0.2  # [s] between two attempts to get a lost port back
 HEARTBEAT = 0.1  # [s]
-SILENT = 0.06  # [s] without telemetry
+SILENT = 0.1  # [s] without telemetry
 OLD = 0.05  # [s]; after a longer pause what waits in the port is thrown away
 RELEASE_TIME = 10.0  # [s] that a board left running by another process gets
 

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from .driver import SerialDriver
 
 PERIOD = 0.01  # [s]
-STEADY = 0.3  # [s]
-CLOSE = 0.2  # of the wanted tension
+STEADY = 0.2  # [s]
+CLOSE = 0.3  # of the wanted tension
 
 
 def find_slack(driver: SerialDriver) -> Array:
