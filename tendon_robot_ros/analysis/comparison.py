@@ -34,12 +34,12 @@ class Measured:
     position_noise: float | None  # [m] 1 sd per coordinate and trial
     floor: Floats | None  # (P, J) [m²] expected squared distance for a perfect model
 
-    @property
+    @cached_property
     def noise_floor(self) -> float | None:
         """Expected rms [m] for a perfect model over postures and markers."""
         return None if self.floor is None else root_mean(self.floor)
 
-    @property
+    @cached_property
     def floor_per_marker(self) -> Floats | None:
         """Expected rms (J,) [m] for a perfect model over postures."""
         return None if self.floor is None else np.sqrt(mean_over(self.floor, 0))
@@ -57,27 +57,27 @@ class ModelErrors:
     tip_errors: Floats  # (P, Q) [m] of the last marker, trial by trial: the residual distance
     centreline: Floats | None = None  # (P, n, 3) [m], where the markers do not lie on it
 
-    @property
+    @cached_property
     def rms(self) -> float:
         """Over postures and markers [m]."""
         return root_mean(self.distance**2)
 
-    @property
+    @cached_property
     def tip_rms(self) -> float:
         """Of the last marker, over postures [m]."""
         return root_mean(self.distance[:, -1] ** 2)
 
-    @property
+    @cached_property
     def max(self) -> float:
         """Largest distance [m]."""
         return float(np.nanmax(self.distance))
 
-    @property
+    @cached_property
     def per_marker_rms(self) -> Floats:
         """Over postures (J,) [m]."""
         return np.sqrt(mean_over(self.distance**2, 0))
 
-    @property
+    @cached_property
     def per_posture_rms(self) -> Floats:
         """Over markers (P,) [m]."""
         return np.sqrt(mean_over(self.distance**2, 1))

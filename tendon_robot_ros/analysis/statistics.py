@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -74,7 +75,12 @@ def half_width(values: Floats, error: str = 'ci') -> Floats:
 def quantiles(freedom: npt.NDArray[np.int64]) -> Floats:
     """Return what a standard error is multiplied by to make half of a 95 % interval."""
     known, where = np.unique(freedom, return_inverse=True)
-    return np.array([t_ppf(0.975, int(one)) for one in known])[where].reshape(np.shape(freedom))
+    return np.array([_quantile(int(one)) for one in known])[where].reshape(np.shape(freedom))
+
+
+@cache
+def _quantile(freedom: int) -> float:
+    return t_ppf(0.975, freedom)
 
 
 def estimate(values: npt.ArrayLike, error: str = 'ci') -> Estimate:
