@@ -6,6 +6,10 @@ standard errors and half the gap between them go to a YAML file that the driver'
 names under `calibration`; a picture shows lines and currents.
 
     calibrate dynamixel servos.yaml --robot arm.yaml --tendon left --weights 0.1 0.2 0.4
+
+For a board with load cells the weights hang still on the cell, and one line is fitted:
+
+    calibrate serial board.yaml --robot arm.yaml --tendon left --weights 0.1 0.2 0.4
 """
 
 from __future__ import annotations
@@ -28,12 +32,13 @@ if TYPE_CHECKING:
     from ..drivers.dynamixel.motor import Motor
 
 NAME = 'calibrate'
-HELP = 'fit motor current to tension with known weights'
+HELP = 'calibrate tension with known weights: motor current, or load cells'
+UNITS = 'tendon: [intercept A, slope A/N] of current over tension'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('kind', choices=('dynamixel',))
+    parser.add_argument('kind', choices=('dynamixel', 'serial'))
     parser.add_argument('config', help="the driver's configuration (YAML)")
     parser.add_argument('--robot', required=True, help='robot description (YAML)')
     parser.add_argument('--tendon', required=True, help='the input whose motor is calibrated')
@@ -52,12 +57,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, fit, write, say what was found."""
-    try:
-        from ..drivers.dynamixel import calibration
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(error.name or 'dynamixel_sdk', 'dynamixel') from None
     if min(args.weights) <= 0.0 or max(args.weights) > 50.0:
         raise InputError(f'--weights: expected masses from 0 to 50 kg, got {args.weights}')
+    try:
+        return _calibrate_cell(args) if args.kind == 'serial' else _calibrate_motor(args)
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(error.name or args.kind, args.kind) from None
+
+
+def _calibrate_cell(args: argparse.Namespace) -> int:
+    from . import calibrate_cell
+
+    _write(Path(args.out), args.tendon, calibrate_cell.run(args), calibrate_cell.UNITS)
+    print(f'written: {args.out}')
+    return 0
+
+
+def _calibrate_motor(args: argparse.Namespace) -> int:
+    from ..drivers.dynamixel import calibration
+
     if not (0.001 <= args.travel <= 1.0 and 1e-4 <= args.speed <= 0.2):
         raise InputError('--travel, --speed: expected 0.001 to 1 m and 0.0001 to 0.2 m/s')
     bus, motor, cap = _prepare(args, calibration.GRAVITY)
@@ -66,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     finally:
         bus.close()
     result = calibration.fit(points)
-    _write(Path(args.out), args.tendon, calibration.to_mapping(result, cap))
+    _write(Path(args.out), args.tendon, calibration.to_mapping(result, cap), UNITS)
     picture = Path(args.picture or f'{Path(args.out).with_suffix("")}_{args.tendon}.png')
     draw(result, args.tendon, picture)
     _say(result, args, picture)
@@ -119,7 +137,7 @@ def _weigh(
     return point
 
 
-def _write(path: Path, tendon: str, lines: dict[str, Any]) -> None:
+def _write(path: Path, tendon: str, lines: dict[str, Any], units: str) -> None:
     """Put the lines of a tendon into the file, keep those of the others."""
     content: dict[str, Any] = {}
     if path.exists():
@@ -127,11 +145,7 @@ def _write(path: Path, tendon: str, lines: dict[str, Any]) -> None:
         content = found if isinstance(found, dict) else {}
     content[tendon] = lines
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
-    path.write_text(
-        '# tendon: [intercept A, slope A/N] of current over tension, written by '
-        f'calibrate\n{text}',
-        encoding='utf-8',
-    )
+    path.write_text(f'# {units}; written by calibrate\n{text}', encoding='utf-8')
 
 
 def _say(result: Fit, args: argparse.Namespace, picture: Path) -> None:

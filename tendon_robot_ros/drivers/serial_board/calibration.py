@@ -1,0 +1,141 @@
+"""
+Calibrate a load cell: hang known weights on it, fit counts over tension by a straight line.
+
+Least squares of counts = zero + tension / newtons_per_count over the weights, nothing hung being
+the first; the standard errors are those of the usual linear regression.
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...exceptions import DriverError, InputError
+from ..interface import Array
+from . import handshake, messages
+from .config import Cell, Config
+from .link import Link, LinkLostError
+
+GRAVITY = 9.80665  # [m/s²]
+SAMPLE = 0.0125  # [s] between two values of an HX711
+FEWEST_WEIGHTS = 3  # nothing hung included
+SATURATED = 0x7FFFFF
+
+
+@dataclass(frozen=True)
+class Point:
+    """Counts with one weight: tension [N], mean and standard deviation [counts]."""
+
+    tension: float
+    mean: float
+    spread: float
+
+
+def fit(points: Sequence[Point]) -> Cell:
+    """
+    Fit the line.
+
+    Raises
+    ------
+    InputError
+        Too few different weights, or counts that do not change with the weight.
+
+    """
+    tensions = np.array([point.tension for point in points])
+    counts = np.array([point.mean for point in points])
+    different = len(set(tensions.tolist()))
+    if different < FEWEST_WEIGHTS:
+        raise InputError(
+            f'calibration: expected at least {FEWEST_WEIGHTS - 1} different weights besides '
+            f'none, got {different - 1}'
+        )
+    (slope, zero), factors = np.polyfit(tensions, counts, 1, cov='unscaled')
+    rest = counts - zero - slope * tensions
+    noise = math.sqrt(float(np.mean([point.spread**2 for point in points])))
+    scatter = max(math.sqrt(float(rest @ rest) / max(1, len(points) - 2)), noise)
+    if abs(slope) * float(np.ptp(tensions)) < 5.0 * scatter or slope == 0.0:
+        raise InputError(
+            f'calibration: the counts do not follow the weight ({slope:.3g} counts/N, scatter '
+            f'{scatter:.3g} counts); does it hang on the load cell of this channel?'
+        )
+    errors = scatter * np.sqrt(np.diag(factors))
+    return Cell(
+        zero=float(zero),
+        newtons_per_count=float(1.0 / slope),
+        zero_error=float(errors[1]),
+        slope_error=float(errors[0] / slope**2),
+        scatter=scatter,
+    )
+
+
+def to_mapping(cell: Cell, points: Sequence[Point]) -> dict[str, Any]:
+    """Return what is written to the calibration file for one tendon."""
+    heaviest = max(point.tension for point in points)
+    return {
+        'zero': round(cell.zero, 1),
+        'newtons_per_count': float(f'{cell.newtons_per_count:.8g}'),
+        'zero_error': round(cell.zero_error, 2),
+        'slope_error': float(f'{cell.slope_error:.3g}'),
+        'scatter': round(cell.scatter, 2),
+        'uncertainty': float(f'{cell.uncertainty(np.array(heaviest)):.3g}'),
+        'tensions': [round(point.tension, 4) for point in points],
+        'date': datetime.date.today().isoformat(),
+    }
+
+
+def connect(config: Config) -> tuple[Link, int]:
+    """Open the port and ask who is there; return the link and the number of channels."""
+    link = Link(config.port, config.baud)
+    link.open()
+    try:
+        return link, handshake.identify(link, config).channels
+    except (DriverError, LinkLostError) as error:
+        link.close()
+        raise DriverError(str(error)) from None
+
+
+def measure(link: Link, channels: int, channel: int, tension: float, seconds: float) -> Point:
+    """
+    Read a load cell for some seconds; the motors stay as they are.
+
+    Parameters
+    ----------
+    link : Link
+    channels : int
+        Of the board.
+    channel : int
+        The one whose cell is read.
+    tension : float
+        Weight of what hangs on it [N].
+    seconds : float
+
+    Raises
+    ------
+    DriverError
+        The board does not answer, or the cell is saturated.
+
+    """
+    counts: list[Array] = []
+    deadline = time.monotonic() + seconds
+    try:
+        while time.monotonic() < deadline:
+            link.send(messages.RAW)
+            for frame in handshake.wait_for(link, messages.RAW_CELLS, 0.1):
+                found = messages.read_cells(frame, channels)
+                if found is not None:
+                    counts.append(found[channel])
+            time.sleep(SAMPLE)
+    except LinkLostError as error:
+        raise DriverError(f'{error}: lost while calibrating') from None
+    if len(counts) < 5:
+        raise DriverError(f'{link.path}: channel {channel}: no values of its load cell')
+    values = np.array(counts, dtype=float)
+    if np.max(np.abs(values)) >= SATURATED:
+        raise DriverError(f'{link.path}: channel {channel}: load cell saturated; less weight')
+    return Point(tension, float(values.mean()), float(values.std(ddof=1)))
