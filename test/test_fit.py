@@ -1,0 +1,152 @@
+"""Fits find the parameters that made the data, and say how well they know them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+from simulated import CATALOGUE, NOISE, measured
+
+from tendon_robot_ros.analysis.add import fit_effects
+from tendon_robot_ros.analysis.interval import intervals
+from tendon_robot_ros.analysis.noise import Whitener, input_slopes
+from tendon_robot_ros.analysis.predict import Predictor
+from tendon_robot_ros.analysis.report_rows import values_of
+from tendon_robot_ros.analysis.search import Fitter
+from tendon_robot_ros.analysis.session import Session
+
+ROBOT = simulated.robot()
+HIDDEN = [
+    ('hinge_friction', {'lever': 2e-4}),
+    ('backbone_stiffness', {'relative_change': -0.12}),
+    ('tendon_stiffness', {'per_tendon': 8e-4}),
+    ('nonlinear_stiffness', {'cubic': 5.0}),
+    ('pre_curvature', {'angle_x': 0.01, 'angle_y': -0.004}),
+    ('tip_load', {'force_x': 0.004, 'force_y': -0.001, 'force_z': 0.006}),
+    ('transmission_loss', {'fraction': 0.08}),
+    ('tension_offset', {'offset': 0.03}),
+    ('base_misalignment', {'shift_x': 1e-3, 'rotation_y': 0.01}),
+]
+
+
+def settled(dataset, names, robot=None):
+    """Return the session and the fit of effects."""
+    session = Session(dataset, robot or dataset.robot, CATALOGUE, workers=1)
+    assert session.weigh({})
+    return session, fit_effects(session, names)
+
+
+@pytest.mark.parametrize(('effect', 'values'), HIDDEN)
+def test_a_fit_finds_what_the_robot_hides(effect, values):
+    session, fit = settled(measured(ROBOT, {effect: values}), [effect])
+    found = values_of(fit)[effect]
+    for key, value in found.items():
+        truth = values.get(key, 0.0)
+        spread = (value.high - value.low) / (2 * 1.96)
+        assert abs(value.value - truth) < 4.0 * spread, key
+    assert fit.probability(session.freedom) > 1e-3
+
+
+def test_a_large_effect_is_found_from_far_away():
+    plain = simulated.robot(lacks=('tendon_friction', *simulated.SHAPING))
+    truth = {'tendon_friction': {'friction_coefficient': 0.5}}
+    _, fit = settled(measured(plain, truth), ['tendon_friction'])
+    assert fit.values[0] == pytest.approx(0.5, abs=0.01)
+
+
+def test_two_effects_are_fitted_together():
+    truth = {'hinge_friction': {'lever': 2e-4}, 'pre_curvature': {'angle_x': 0.01, 'angle_y': 0.0}}
+    _, fit = settled(measured(ROBOT, truth), ['hinge_friction', 'pre_curvature'])
+    assert fit.values[0] == pytest.approx(2e-4, rel=0.1)
+    assert fit.values[1] == pytest.approx(0.01, rel=0.1)
+
+
+def test_values_stay_within_their_bounds():
+    _, fit = settled(measured(ROBOT, {'backbone_stiffness': {'relative_change': -0.1}}),
+                     ['hinge_friction'])  # fmt: skip
+    assert fit.values[0] == 0.0
+    assert values_of(fit)['hinge_friction']['lever'].note == 'at its bound'
+
+
+def coverage(effect, values, seeds=40, intervals_of=None):
+    """Share of intervals that hold the true value."""
+    held = []
+    for seed in range(seeds):
+        session, fit = settled(measured(ROBOT, {effect: values}, seed=seed, count=6), [effect])
+        for free, (low, high) in intervals(session.fitters[0], fit).items():
+            held.append(low <= values.get(free.parameter.name, 0.0) <= high)
+    return float(np.mean(held))
+
+
+@pytest.mark.parametrize(('effect', 'values'), HIDDEN[:2])
+def test_intervals_hold(effect, values):
+    assert coverage(effect, values) >= 0.85  # 40 seeds: 95 % within 2.9 sd
+
+
+@pytest.mark.parametrize('size', [0.0, 1.0])
+def test_intervals_hold_at_a_bound(size):
+    values = {'lever': 1e-5 * size}
+    assert coverage('hinge_friction', values, 20) >= 0.85
+
+
+def test_where_the_curvature_misleads_the_profile_decides():
+    robot = simulated.robot(lacks=('eyelet_wrap',))
+    session, fit = settled(
+        measured(robot, {'eyelet_wrap': {'fraction': 0.6}}, trials=2), ['eyelet_wrap']
+    )
+    (low, high) = intervals(session.fitters[0], fit)[fit.frees[0]]
+    for end in (low, high):
+        if 0.0 < end < 1.0:
+            pinned = session.predictor.markers({fit.frees[0]: end})
+            white = session.whitener.white(session.dataset.mean - pinned)
+            assert white @ white - fit.chi2 == pytest.approx(3.84, rel=0.25)
+    assert 0.0 <= low < fit.values[0] <= high <= 1.0
+
+
+def test_what_no_posture_shows_has_no_interval():
+    dataset = measured(ROBOT)
+    session = Session(dataset, ROBOT, CATALOGUE, workers=1)
+    session.weigh({})
+    gravity = next(c for c in session.candidates if c.names == ('gravity',))
+    fit = session.fitters[0].fit(gravity.frees)
+    value = values_of(fit)['gravity']['linear_density']
+    assert value.note == 'not determined by these postures'
+    assert intervals(session.fitters[0], fit)[fit.frees[0]] == (0.0, 20.0)
+
+
+def test_a_declared_tolerance_takes_part_with_its_prior():
+    robot = replace(ROBOT, tolerances={'bending_stiffness': 0.05})
+    dataset = measured(robot, {'backbone_stiffness': {'relative_change': 0.04}})
+    session = Session(dataset, robot, CATALOGUE, workers=1)
+    session.weigh({})
+    base = session.base_fit()
+    assert base.values[-1] == pytest.approx(0.04, abs=0.01)
+    assert base.pulls['bending_stiffness'] == pytest.approx(0.8, abs=0.2)
+    assert base.probability(session.freedom) > 1e-3
+    claimed = session.fitters[0].fit(
+        next(c for c in session.candidates if c.names == ('backbone_stiffness',)).frees
+    )
+    assert claimed.nuisances == ()
+
+
+def test_leaving_a_posture_out_is_what_refitting_without_it_gives():
+    dataset = measured(ROBOT, {'backbone_stiffness': {'relative_change': 0.05}}, count=6)
+    session, fit = settled(dataset, ['backbone_stiffness'])
+    total, probability = fit.held_out(session.whitener.owners)
+    by_hand = 0.0
+    for p in range(6):
+        others = [name for name in dataset.postures if name != str(p)]
+        part = dataset.select(others)
+        predictor = Predictor(part, ROBOT, CATALOGUE)
+        whitener = Whitener(part, session.noise, input_slopes(predictor, fit.point))
+        refit = Fitter(predictor, whitener).fit(fit.frees, fit.point)
+        white = session.whitener.white(dataset.mean - session.predictor.markers(refit.point))
+        by_hand += float((white[session.whitener.owners == p] ** 2).sum())
+    assert total == pytest.approx(by_hand, rel=0.01)
+    assert total > fit.chi2
+    assert 0.001 < probability <= 1.0
+
+
+def test_noise_that_is_not_known_well_makes_the_judgement_milder():
+    _, fit = settled(measured(ROBOT, noise=replace(NOISE, position=2.2e-4)), ['hinge_friction'])
+    assert fit.probability(40.0) > fit.probability(np.inf)

@@ -1,0 +1,118 @@
+"""The noise comes from the trials, whatever the model; weights make residuals white."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+from simulated import CATALOGUE, NOISE, measured
+
+from tendon_robot_ros.analysis.noise import Noise, Whitener, estimate_noise, input_slopes, rms
+from tendon_robot_ros.analysis.predict import Predictor
+
+HIDDEN = {'hinge_friction': {'lever': 4e-4}}
+ROBOT = simulated.robot()
+
+
+def slopes_of(dataset):
+    return input_slopes(Predictor(dataset, dataset.robot, CATALOGUE), {})
+
+
+def estimates(noise, hidden=None, runs=12):
+    """Return the estimated noise of several simulated data sets (runs, 2)."""
+    found = []
+    for seed in range(runs):
+        dataset = measured(ROBOT, hidden, seed=seed, noise=noise)
+        one = estimate_noise(dataset, slopes_of(dataset))
+        found.append((one.position, one.trial))
+    return np.array(found)
+
+
+@pytest.mark.parametrize('trial', [0.001, 0.004, 0.02])
+def test_the_trials_tell_position_and_trial_noise(trial):
+    position, spread = estimates(replace(NOISE, trial=trial)).mean(axis=0)
+    assert position == pytest.approx(NOISE.position, rel=0.02)
+    assert spread == pytest.approx(trial, rel=0.15)
+
+
+def test_without_trial_noise_none_is_found():
+    assert estimates(replace(NOISE, trial=0.0))[:, 1].mean() < 5e-4
+
+
+def test_model_error_does_not_leak_into_the_noise():
+    clean, off = estimates(NOISE), estimates(NOISE, HIDDEN)
+    dataset = measured(ROBOT, HIDDEN)
+    error = rms(dataset.mean - Predictor(dataset, ROBOT, CATALOGUE).markers({}))
+    assert error > 2e-3, 'the hidden effect is meant to be large'
+    np.testing.assert_allclose(off.mean(axis=0)[0], clean.mean(axis=0)[0], rtol=0.03)
+    np.testing.assert_allclose(off.mean(axis=0)[1], clean.mean(axis=0)[1], rtol=0.3)
+
+
+def test_one_trial_is_judged_by_what_was_declared():
+    dataset = measured(ROBOT, trials=1)
+    slopes = slopes_of(dataset)
+    found = estimate_noise(dataset, slopes)
+    assert (found.source, found.position, found.trial) == ('declared', 2e-4, 0.004)
+    assert np.isinf(found.freedom)
+    assert estimate_noise(replace(dataset, position_noise=None), slopes) is None
+
+
+def test_measured_differences_between_trials_are_no_noise():
+    dataset = measured(ROBOT, noise=replace(NOISE, trial=0.02), seed=3)
+    quiet = replace(NOISE, trial=0.0, setting=0.0)
+    factors = 1.0 + 0.02 * np.random.default_rng(1).normal(size=(8, 5, 2))
+    known = replace(dataset, trial_inputs=dataset.inputs[:, None] * factors)
+    known = simulated.measure(known, noise=quiet)
+    found = estimate_noise(known, slopes_of(known))
+    assert found.trial < 0.002
+    blind = replace(known, trial_inputs=None)
+    assert estimate_noise(blind, slopes_of(blind)).trial == pytest.approx(0.02, rel=0.3)
+
+
+def whitened(runs=40, **changes):
+    """Whitened residuals (runs, N) of perfect data, and the floor and rms of each."""
+    rows, floors, errors = [], [], []
+    noise = replace(NOISE, **changes)
+    for seed in range(runs):
+        dataset = measured(ROBOT, seed=seed, noise=noise)
+        predictor = Predictor(dataset, ROBOT, CATALOGUE)
+        whitener = Whitener(dataset, noise, input_slopes(predictor, {}))
+        difference = dataset.mean - predictor.markers({})
+        rows.append(whitener.white(difference))
+        floors.append(whitener.floor())
+        errors.append(rms(difference))
+    return np.array(rows), np.array(floors), np.array(errors)
+
+
+@pytest.mark.parametrize('setting', [0.0, 0.002, 0.01])
+def test_perfect_data_is_white_and_the_floor_is_its_rms(setting):
+    rows, floors, errors = whitened(setting=setting)
+    assert (rows**2).mean() == pytest.approx(1.0, abs=0.04)
+    assert abs(rows.mean()) < 0.05
+    assert np.sqrt((errors**2).mean()) == pytest.approx(floors.mean(), rel=0.08)
+
+
+def test_without_the_setting_noise_perfect_data_looks_wrong():
+    dataset = measured(ROBOT, noise=replace(NOISE, setting=0.01))
+    slopes = slopes_of(dataset)
+    left = dataset.mean - Predictor(dataset, ROBOT, CATALOGUE).markers({})
+    ignorant = Whitener(dataset, replace(NOISE, setting=0.0), slopes).white(left)
+    assert (ignorant**2).mean() > 1.5
+
+
+def test_a_missing_marker_leaves_the_rest_in_place():
+    dataset = measured(ROBOT)
+    positions = dataset.positions.copy()
+    positions[2, :, 4] = np.nan
+    positions[3, 1:, 7] = np.nan
+    partial = replace(dataset, positions=positions)
+    noise = Noise(1e-4, 0.0, 0.0, np.inf, 'declared')
+    slopes = slopes_of(dataset)
+    whitener = Whitener(partial, noise, slopes)
+    assert whitener.size == dataset.mean.size - 3
+    white = whitener.white(partial.mean)
+    assert np.isfinite(white).all()
+    assert (whitener.owners == 2).sum() == dataset.mean[2].size - 3
+    per_coordinate = Whitener(dataset, noise, slopes).floor() / np.sqrt(3.0)
+    assert per_coordinate == pytest.approx(1e-4 / np.sqrt(5.0))
+    assert whitener.floor() > Whitener(dataset, noise, slopes).floor()

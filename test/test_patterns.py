@@ -1,0 +1,73 @@
+"""Patterns without physics find where and when a model fails."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+from simulated import CATALOGUE, NOISE, measured
+
+from tendon_robot_ros.analysis.patterns import Rivals
+from tendon_robot_ros.analysis.session import Session
+
+ROBOT = simulated.robot()
+
+
+def damaged(factors):
+    """Return the robot with other stiffness per cell."""
+    section = ROBOT.sections[0]
+    stiffness = tuple(np.array(section.bending_stiffness) * factors)
+    return replace(ROBOT, sections=(replace(section, bending_stiffness=stiffness),))
+
+
+def rivals_of(dataset):
+    """Fit the patterns to measurements that the description does not explain."""
+    dataset = replace(dataset, robot=ROBOT)
+    session = Session(dataset, ROBOT, CATALOGUE, workers=1)
+    session.weigh({})
+    fit = session.base_fit()
+    return fit, {pattern.name: pattern for pattern in Rivals(session.fitters[0], fit).all()}
+
+
+@pytest.mark.parametrize(('cell', 'factor'), [(4, 0.6), (11, 0.8), (7, 1.6)])
+def test_a_soft_cell_is_found_at_its_place(cell, factor):
+    fit, found = rivals_of(measured(damaged(np.where(np.arange(15) == cell - 1, factor, 1.0))))
+    soft = found['soft_cell']
+    assert soft.cell == cell
+    assert soft.size == pytest.approx(1.0 / factor, rel=0.08)
+    assert soft.score == min(pattern.score for pattern in found.values())
+    assert soft.chi2 < 1.3 * fit.freedom
+
+
+def test_a_stiffness_that_changes_along_the_arm_is_a_taper():
+    fit, found = rivals_of(measured(damaged(np.linspace(0.9, 1.1, 15))))
+    taper = found['taper']
+    assert taper.size == pytest.approx(1.1 / 0.9 - 1.0, abs=0.05)
+    assert taper.score == min(pattern.score for pattern in found.values())
+    assert taper.chi2 < 1.4 * fit.freedom
+
+
+def test_inputs_that_were_not_what_was_set_are_a_gain_per_posture():
+    _, found = rivals_of(measured(ROBOT, noise=replace(NOISE, setting=0.08), count=12))
+    gains = found['gain_per_posture']
+    assert 0.03 < np.std(gains.values) < 0.15
+
+
+def test_a_base_that_turns_is_a_rotation_per_posture():
+    dataset = measured(ROBOT)
+    angles = np.linspace(-0.03, 0.03, len(dataset.postures))
+    c, s = np.cos(angles), np.sin(angles)
+    x, y = dataset.positions[..., 0], dataset.positions[..., 1]
+    turned = dataset.positions.copy()
+    turned[..., 0] = c[:, None, None] * x - s[:, None, None] * y
+    turned[..., 1] = s[:, None, None] * x + c[:, None, None] * y
+    _, found = rivals_of(replace(dataset, positions=turned))
+    rotation = found['rotation_per_posture']
+    assert rotation.score == min(pattern.score for pattern in found.values())
+    np.testing.assert_allclose(rotation.values, np.abs(angles), atol=0.02)
+
+
+def test_on_clean_data_no_pattern_gains_much():
+    fit, found = rivals_of(measured(ROBOT))
+    for pattern in found.values():
+        assert pattern.score > fit.chi2 + 2.0 * fit.rank - 9.21
