@@ -19,7 +19,7 @@ ANSWER = 0.1  # [s]
 ATTEMPTS = 3
 
 
-def identify(link: Link, config: Config, boot_time: float = BOOT_TIME) -> Identity:
+def identify(link: Link, config: Config) -> Identity:
     """
     Ask who is there until it answers.
 
@@ -29,7 +29,7 @@ def identify(link: Link, config: Config, boot_time: float = BOOT_TIME) -> Identi
         Nobody, another version of the protocol, or too few channels.
 
     """
-    deadline = time.monotonic() + boot_time
+    deadline = time.monotonic() + BOOT_TIME
     while time.monotonic() < deadline:
         link.send(messages.HELLO)
         for frame in wait_for(link, messages.IDENTITY, ANSWER):
@@ -37,7 +37,7 @@ def identify(link: Link, config: Config, boot_time: float = BOOT_TIME) -> Identi
             if identity is not None:
                 return _suits(link, config, identity)
     raise DriverError(
-        f'{link.path}: no answer at {config.baud} baud for {boot_time:g} s; is the firmware on '
+        f'{link.path}: no answer at {config.baud} baud for {BOOT_TIME:g} s; is the firmware on '
         'the board, and is the baud rate that of pins.h?'
     )
 

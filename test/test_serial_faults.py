@@ -1,0 +1,229 @@
+"""Every fault of board and port at the serial driver: what it says, how it recovers."""
+
+import subprocess
+import sys
+import time
+
+import emulated
+import emulated_board
+import numpy as np
+import pytest
+from emulated import codes, healthy, until
+from emulated_board import needs_compiler
+
+from tendon_robot_ros.drivers.emulator.board_commands import obey
+from tendon_robot_ros.exceptions import DriverError
+
+pytest.importorskip('serial')
+pytestmark = needs_compiler
+
+
+@pytest.fixture
+def arm(request):
+    """Give a driver that follows a command, its emulated board and the command."""
+    mode = getattr(request, 'param', 'tension')
+    with emulated_board.board() as line:
+        driver, command = emulated_board.running(line, mode)
+        yield driver, line, command
+        driver.close()
+
+
+both_modes = pytest.mark.parametrize('arm', ['tension', 'pull'], indirect=True)
+
+
+def enabled(line):
+    return [bool(line.rig.firmware.enabled >> i & 1) for i in range(4)]
+
+
+def test_tension_is_measured_by_load_cells_and_carries_its_uncertainty(arm):
+    driver, _, _ = arm
+    reading = driver.read()
+    assert reading.source == 'load_cell'
+    assert np.all((reading.tension_sd > 0.0) & (reading.tension_sd < 0.01))
+
+
+@both_modes
+def test_a_silent_board_is_said_it_releases_by_itself_and_goes_on(arm):
+    driver, line, command = arm
+    line.deaf = True
+    reading = until(driver, command, lambda r: r.faults)
+    assert codes(reading) == {'silent'}
+    assert np.isnan(reading.tensions).all()
+    emulated.cycle(driver, command, 1.0)
+    assert enabled(line) == [True] * 4
+    rest = emulated.robot().tension_limits[0]
+    assert np.all(line.rig.tensions < rest + 0.6 * (np.max(emulated.TENSION) - rest))
+    line.deaf = False
+    until(driver, command, healthy)
+
+
+@pytest.mark.parametrize('what', ['spoilt', 'cut', 'doubled'])
+def test_a_few_broken_frames_change_nothing(arm, what):
+    driver, line, command = arm
+    before = driver.read()
+    setattr(line.faults, what, 3)
+    for reading in emulated.cycle(driver, command, 0.2):
+        assert not reading.faults
+        np.testing.assert_allclose(reading.tensions, before.tensions, atol=0.2)
+    assert what == 'doubled' or driver.link.bad > 0
+
+
+def test_frames_that_stay_broken_are_a_silent_board(arm):
+    driver, line, command = arm
+    line.faults.spoilt = 10**9
+    until(driver, command, lambda r: codes(r) == {'silent'})
+    line.faults.spoilt = 0
+    until(driver, command, healthy)
+
+
+def test_a_slow_link_is_recovered_from(arm):
+    driver, line, command = arm
+    line.faults.delay = 0.15
+    until(driver, command, lambda r: r.faults)
+    line.faults.delay = 0.0
+    until(driver, command, healthy)
+
+
+@both_modes
+def test_a_pulled_plug_is_said_and_a_new_one_goes_on_from_where_the_arm_is(arm):
+    driver, line, command = arm
+    line.unplug()
+    reading = until(driver, command, lambda r: r.faults)
+    message = f'{line.port}: the port is gone; plug the board in again'
+    assert [fault.message for fault in reading.faults] == [message]
+    assert np.isnan(reading.pulls).all()
+    emulated.cycle(driver, command, 0.5)
+    line.rig.highest[:] = 0.0
+    back = time.monotonic()
+    line.plug()
+    until(driver, command, healthy)
+    assert time.monotonic() - back < 2.0
+    emulated.cycle(driver, command, 1.5)
+    reading = driver.read()
+    value = reading.tensions if driver.mode == 'tension' else reading.pulls
+    np.testing.assert_allclose(value, command, atol=0.06 * max(command))
+    assert np.all(line.rig.highest < 1.15 * np.max(line.rig.tensions) + 0.2)  # no jump
+
+
+FAULTS = {
+    'overload': ('overload 2 9', 'overload 2 0'),
+    'overheating': ('overheating 2', 'cool 2'),
+    'voltage': ('voltage 2', 'cool 2'),
+    'load_cell': ('cell 2', 'mend 2'),
+    'encoder': ('block 2', 'free 2'),
+}
+
+
+@pytest.mark.parametrize('code', FAULTS)
+def test_a_fault_of_a_channel_takes_its_torque_only_until_cause_and_fault_are_gone(arm, code):
+    driver, line, command = arm
+    broken, mended = FAULTS[code]
+    obey(line, broken)
+    hard = np.array(command) + [0.0, 0.0, 4.0 if code == 'encoder' else 0.0, 0.0]
+    reading = until(driver, hard, lambda r: r.faults)
+    (fault,) = reading.faults
+    assert (fault.code, fault.hardware, fault.inputs) == (code, True, ('west',))
+    assert fault.message.startswith(f'{line.port}: west (channel 2): ')
+    until(driver, command, lambda r: enabled(line) == [True, True, False, True])
+    if code == 'load_cell':
+        assert np.isnan(driver.read().tensions).tolist() == [False, False, True, False]
+    if code != 'encoder':
+        with pytest.raises(DriverError, match=r'west \(channel 2\): .*reboot'):
+            driver.enable()
+    if code in ('voltage', 'overheating', 'load_cell'):
+        with pytest.raises(DriverError, match='west'):  # the cause is still there
+            driver.reboot(['west'])
+    obey(line, mended)
+    time.sleep(0.1)
+    driver.reboot()
+    assert driver.read().faults == ()
+    driver.enable()
+    until(driver, command, healthy)
+    assert enabled(line) == [True] * 4
+
+
+def test_a_board_that_heard_no_command_releases_and_says_so_once(arm):
+    driver, line, command = arm
+    time.sleep(0.8)  # this process is busy elsewhere
+    assert np.all(line.rig.tensions < 0.7 * np.max(command))
+    reading = until(driver, command, lambda r: r.faults)
+    assert codes(reading) == {'watchdog'}
+    assert not any(fault.hardware for fault in reading.faults)
+    until(driver, command, healthy)
+
+
+def test_polling_alone_does_not_keep_a_dead_controllers_arm_tense(arm):
+    driver, line, command = arm
+    end = time.monotonic() + 1.0
+    while time.monotonic() < end:
+        driver.read()
+        time.sleep(0.01)
+    assert np.all(line.rig.tensions < 0.7 * np.max(command))
+
+
+def test_a_board_that_lost_its_power_stays_off_until_it_is_enabled_again(arm):
+    driver, line, command = arm
+    line.restart()
+    reading = until(driver, command, lambda r: r.faults)
+    assert codes(reading) == {'restarted'}
+    assert all(fault.hardware for fault in reading.faults)
+    emulated.cycle(driver, command, 0.3)
+    assert enabled(line) == [False] * 4
+    driver.disable()
+    assert driver.read().faults == ()
+    driver.enable()
+    until(driver, command, healthy)
+
+
+def test_torque_switched_off_while_the_port_was_gone_stays_off(arm):
+    driver, line, command = arm
+    line.unplug()
+    until(driver, command, lambda r: r.faults)
+    driver.disable()
+    line.plug()
+    until(driver, command, healthy)
+    emulated.cycle(driver, command, 0.2)
+    assert enabled(line) == [False] * 4
+
+
+def test_a_new_process_finds_an_arm_under_tension_and_lets_it_go_slowly(arm):
+    driver, line, _ = arm
+    driver.close()  # as after kill -9: nothing was said to the board
+    other = emulated_board.driver_for(line)
+    other.open()
+    assert enabled(line) == [False] * 4
+    assert np.max(line.rig.tensions) < 0.5
+    other.close()
+
+
+def test_a_second_process_is_kept_off_the_port(arm):
+    driver, line, command = arm
+    code = (
+        'import sys; from tendon_robot_ros.drivers.serial_board.link import Link\n'
+        'Link(sys.argv[1], 1000000).open()'
+    )
+    run = subprocess.run(
+        [sys.executable, '-c', code, line.port],
+        capture_output=True,
+        text=True,
+        env=emulated.environment(),
+    )
+    assert f'{line.port}: another process has the port (process ' in run.stderr
+    until(driver, command, healthy)
+
+
+def test_no_tension_ever_passed_its_limit(arm):
+    driver, line, command = arm
+    emulated.cycle(driver, 100.0 * command, 1.5)
+    assert np.all(line.rig.highest < 1.02 * driver.limits[:, 1] + 0.05)
+
+
+def test_a_port_without_a_board_is_refused_with_a_reason(monkeypatch):
+    monkeypatch.setattr('tendon_robot_ros.drivers.serial_board.handshake.BOOT_TIME', 0.2)
+    with emulated_board.board() as line:
+        line.deaf = True
+        driver = emulated_board.driver_for(line)
+        with pytest.raises(DriverError, match=f'{line.port}: no answer at 1000000 baud'):
+            driver.open()
+    with pytest.raises(DriverError, match='no such port'):
+        driver.open()
