@@ -32,6 +32,7 @@ class MonitorSettings:
     rolling: float = 2.0  # [s] over which the rolling error is taken
     position_noise: float = 0.0  # [m] 1 sd of a recorded mean; 0: from the still frames
     setting_noise: float = 0.002  # [1] relative 1 sd of an input as measured
+    path: str = 'sequence'  # or 'from_straight': each posture by itself
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ class Monitor:
 
     def dataset(self, name: str) -> DataSet:
         """
-        Return what was recorded: one trial of the postures in the order they were gone through.
+        Return what was recorded: one trial of the postures in the order of the recording.
 
         Raises
         ------
@@ -138,7 +139,7 @@ class Monitor:
             inputs=np.array([s.inputs for s in self.recorded]),
             positions=np.array([s.positions for s in self.recorded])[:, None],
             input=self._last_kind,
-            path='sequence',
+            path=settings.path,
             gravity=robot.gravity,
             position_noise=noise,
             setting_noise=settings.setting_noise,

@@ -6,7 +6,6 @@ Lines of JSON come out: progress, the verdict, then the description with what wa
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 import json
 import os
@@ -91,7 +90,7 @@ def work(folder: Path, effects: Sequence[str]) -> None:
 
     found = diagnose(dataset, None, catalogue, 1, progress)
     found.save(folder / RESULT)
-    report = _report(found, dataset, folder / REPORT)
+    report = _report(found, folder / REPORT)
     say('verdict', sentence=verdict(found), lines=lines(found), report=report,
         diagnosis=found.to_json())  # fmt: skip
     if found.effects:
@@ -102,16 +101,25 @@ def work(folder: Path, effects: Sequence[str]) -> None:
         (folder / BETTER).write_text(dump_robot(made.robot), encoding='utf-8')
         say('addition', file=str(folder / BETTER), effects=names, partial=partial,
             before=made.check.before, after=made.check.after, floor=made.check.floor)  # fmt: skip
+        _illustrate(found, dataset, catalogue, made, folder / REPORT)
     say('done')
 
 
-def _report(found: Any, dataset: Any, path: Path) -> str:
+def _report(found: Any, path: Path, made: Any = None, pictures: Any = None) -> str:
     """Write the HTML report where the report extra is installed; return its path or ''."""
-    name = 'tendon_robot_ros.report.diagnosis_page'
-    if importlib.util.find_spec('plotly') is None or importlib.util.find_spec(name) is None:
+    if importlib.util.find_spec('plotly') is None:
         return ''
-    importlib.import_module(name).write_page(found, dataset, path)
+    from ..report.diagnosis_page import write_diagnosis
+
+    write_diagnosis(found, pictures, path, made)
     return str(path)
+
+
+def _illustrate(found: Any, dataset: Any, catalogue: Any, made: Any, path: Path) -> None:
+    """Write the report again, with pictures and with what the addition changes."""
+    from ..report.diagnosis_pictures import pictures_of
+
+    _report(found, path, made, pictures_of(found, dataset, catalogue, made.robot))
 
 
 def main() -> int:

@@ -39,6 +39,7 @@ from .runtime import ros
 from .shared import read_robot
 
 HELP = 'a mock robot that hides something: watch, diagnose, add, see the error fall'
+PATIENCE = 0.5  # [s] of driver and controller: a mock may share a busy machine
 NOISE = 0.0002  # [m] 1 sd of the mock's tracker
 
 
@@ -108,9 +109,9 @@ def _start(
         'tracker': {'rate': 30.0, 'noise': NOISE, 'seed': seed + 1},
     }
     nodes: list[tuple[str, dict[str, object]]] = [
-        ('driver', {'robot': model, 'config': _yaml(config)}),
-        ('controller', {'model': model}),
-        ('monitor', {'folder': str(folder.resolve() / 'recordings')}),
+        ('driver', {'robot': model, 'config': _yaml(config), 'command_timeout': PATIENCE}),
+        ('controller', {'model': model, 'state_timeout': 2.0 * PATIENCE}),
+        ('monitor', {'folder': str(folder.resolve() / 'recordings'), 'path': 'from_straight'}),
     ]
     if not options.headless:
         nodes.append(('viewer', {'port': options.port}))

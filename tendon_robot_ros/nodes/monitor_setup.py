@@ -49,6 +49,14 @@ SPECS = (
         True,
     ),
     Spec('setting_noise', 0.002, 'relative 1 sd of a measured input', '', 0.0, 0.5, True),
+    Spec(
+        'path',
+        'sequence',
+        'how recorded postures are taken: one after the other, or each by itself, which is faster '
+        'and cannot test friction_memory',
+        choices=('sequence', 'from_straight'),
+        read_only=True,
+    ),
     Spec('base_frame', '', 'frame of the base; empty: <robot>_base', read_only=True),
     Spec('frame_prefix', '', 'put before frame names', read_only=True),
     Spec('stamp_tolerance', 0.5, 'largest age, and largest lead, of a stamp', 's', 0.01, 60.0),
@@ -64,7 +72,7 @@ SPECS = (
 
 def settings(parameters: Parameters) -> MonitorSettings:
     """Return what the core is told."""
-    names = ('still_time', 'still_speed', 'rolling', 'position_noise', 'setting_noise')
+    names = ('still_time', 'still_speed', 'rolling', 'position_noise', 'setting_noise', 'path')
     return MonitorSettings(**{name: parameters[name] for name in names})
 
 

@@ -111,8 +111,8 @@ class LivePage:
         scene, size = self._server.scene, self._size
         scene.set_up_direction('+z')
         camera = self._server.initial_camera
-        camera.position = (0.15 * size, -2.1 * size, 0.75 * size)
-        camera.look_at = (0.15 * size, 0.0, 0.45 * size)
+        camera.position = (0.1 * size, -1.75 * size, 0.7 * size)
+        camera.look_at = (0.1 * size, 0.0, 0.45 * size)
         camera.near = 0.01 * size
         scene.add_grid('/grid', width=2.0 * size, height=2.0 * size, cell_size=0.1 * size,
                        section_size=0.5 * size)  # fmt: skip
