@@ -3,8 +3,8 @@ From target to command, between processes over DDS, and from start to the first 
 
 The sender streams the points of a small circle at 200 Hz and waits for the command that belongs to
 each; controller and mock driver run as in use, each in its own process. The rate limit is lifted
-so that a target changes the command at once; a slow first round tells which command belongs to
-which point. Prints JSON. Run alone: two cores are just enough for the three processes.
+so that a target changes the command at once; the model tells which target a command is for.
+Prints JSON. Run alone: two cores are just enough for the three processes.
 """
 
 from __future__ import annotations
@@ -30,8 +30,10 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
+from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.nodes.processes import NodeProcess
 from tendon_robot_ros.nodes.qos import COMMAND
+from tendon_robot_ros.nodes.shared import read_robot
 
 RATE, LIMIT_MS, START_LIMIT_S = 200.0, 5.0, 5.0
 ROBOT = 'kato_10_1'
@@ -63,19 +65,25 @@ class Sender(Node):
         while (left := until - time.monotonic()) > 0:
             self.executor_.spin_once(timeout_sec=left)
 
-    def send(self, angle: float) -> float:
+    def send(self, step: int) -> float:
         """Send a point of the circle; return when."""
         message = PointStamped()
         message.header.frame_id = f'{ROBOT}_base'
-        message.point.x = 0.06 + 0.005 * np.cos(angle)
-        message.point.z = 0.17 + 0.005 * np.sin(angle)
+        message.point.x, message.point.z = circle(step)
         now = time.monotonic()
         self._points.publish(message)
         return now
 
 
+def circle(step: int) -> tuple[float, float]:
+    """Return x and z of a target [m]."""
+    angle = 2.0 * np.pi * step / POINTS
+    return 0.06 + 0.005 * float(np.cos(angle)), 0.17 + 0.005 * float(np.sin(angle))
+
+
 def first_command(sender: Sender, namespace: str, model: str, quiet) -> tuple[NodeProcess, float]:
     """Start a controller; return it and the time to its first command."""
+    sender.spin(time.monotonic() + 0.5)  # the last words of the one before
     sender.first = None
     began = time.monotonic()
     controller = NodeProcess(
@@ -89,22 +97,23 @@ def first_command(sender: Sender, namespace: str, model: str, quiet) -> tuple[No
 def latencies(sender: Sender, count: int) -> dict[str, object]:
     """Stream targets; return percentiles of the time until their command."""
     sender.spin(time.monotonic() + 1.0)
-    table = []
-    for point in range(-1, POINTS):
-        sender.send(2.0 * np.pi * point / POINTS)
-        sender.spin(time.monotonic() + 0.05)
-        table.append(sender.last)
-    commands = np.array(table[1:])
+    sender.send(0.0)
+    sender.spin(time.monotonic() + 0.5)
     sender.changes.clear()
     sent, due = [], time.monotonic()
     for step in range(count):
-        sent.append(sender.send(2.0 * np.pi * step / POINTS))
+        sent.append(sender.send(step))
         due += 1.0 / RATE
         sender.spin(due)
     sender.spin(time.monotonic() + 0.5)
+    model = Model(read_robot(ROBOT))
+    points = np.array([circle(step) for step in range(POINTS)])
     taken: dict[int, float] = {}
     for at, command in sender.changes:
-        point = int(np.argmin(np.abs(commands - command).max(axis=1)))
+        away = np.linalg.norm(points - model.shape(command).tip_position[[0, 2]], axis=1)
+        if away.min() > 1e-4:
+            continue  # still on its way: the rate limit held it
+        point = int(np.argmin(away))
         earlier = [step for step in range(point, count, POINTS) if sent[step] < at]
         if earlier and at - sent[earlier[-1]] < POINTS / RATE:
             taken.setdefault(earlier[-1], at - sent[earlier[-1]])

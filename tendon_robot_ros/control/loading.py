@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ..model.model import Model
 
 NICE = 10
+GENTLY = 'TENDON_ROBOT_ROS_GENTLY'
 
 
 def load(robot: Robot, catalogue: Catalogue) -> Model:
@@ -50,9 +51,9 @@ def compiled_mark(catalogue: Catalogue) -> Path:
 class Loader:
     """A child process that fills the cache; ask `done` now and then."""
 
-    def __init__(self, robot: Robot, effects: Sequence[str]) -> None:
+    def __init__(self, robot: Robot, effects: Sequence[str], gently: bool = False) -> None:
         """
-        Start it, unless the cache is full.
+        Start it, unless the cache is full; gently while something else is being controlled.
 
         Raises
         ------
@@ -64,6 +65,7 @@ class Loader:
         for name in robot.effects:
             self.catalogue[name]
         self._child: subprocess.Popen[str] | None = None
+        self._gently = gently
         self._loading: Future[Model] | None = None
         if not compiled_mark(self.catalogue).is_file():
             command = [sys.executable, '-m', __name__, *effects]
@@ -73,7 +75,7 @@ class Loader:
                 stderr=subprocess.PIPE,
                 text=True,
                 start_new_session=True,
-                env=child_environment(),
+                env=child_environment() | ({GENTLY: '1'} if gently else {}),
             )  # Ctrl-C is for the parent, which ends it
             assert self._child.stdin is not None
             self._child.stdin.write(dump_robot(robot))
@@ -112,7 +114,8 @@ class Loader:
 
     def _load(self) -> None:
         assert self._loading is not None
-        _give_way()
+        if self._gently:
+            _give_way()
         try:
             self._loading.set_result(self._read())
         except Exception as error:
@@ -144,7 +147,8 @@ def _give_way() -> None:
 def main() -> int:
     """Compile for the robot on standard input and the effect files in the arguments."""
     end_with_parent()
-    _give_way()
+    if os.environ.pop(GENTLY, ''):
+        _give_way()
     try:
         catalogue = load_catalogue(sys.argv[1:])
         load(parse_robot(sys.stdin.read()), catalogue)

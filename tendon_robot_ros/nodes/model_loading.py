@@ -84,4 +84,5 @@ class ModelLoading:
             self._loader.cancel()
 
     def _begin(self, text: str) -> Loader:
-        return Loader(read_robot(text), self._parameters['effects'])
+        in_use = bool(self._inputs)
+        return Loader(read_robot(text), self._parameters['effects'], gently=in_use)
