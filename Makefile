@@ -2,7 +2,7 @@
 RUN := tools/bootstrap.sh
 ARGS :=
 
-.PHONY: help venv test test-oldest demo lint format
+.PHONY: help venv paper test test-oldest demo lint format
 .SILENT:
 
 help: ## list the targets
@@ -20,6 +20,9 @@ test-oldest: ## the same with the oldest numpy, scipy and numba that setup.py al
 
 demo: ## the paper's postures with a mock arm, in under a minute
 	$(RUN) python -m tendon_robot_ros demo $(ARGS)
+
+paper: ## the paper's experiments: published numbers beside ours (results/paper)
+	$(RUN) python -m tendon_robot_ros paper --output results/paper --overwrite $(ARGS)
 
 lint: ## ruff and mypy
 	$(RUN) ruff check $(ARGS)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ..data.csv_file import CsvFile
 from ..exceptions import DataSetError, InputError
-from ..robot import Robot
+from ..robot import EffectValues, Robot
 from .statistics import estimate
 
 COLUMNS = ('measurement', 'angle_deg')
@@ -114,7 +114,7 @@ def with_friction(robot: Robot, found: SlipFriction, data: str, date: str) -> Ro
         'data': data,
         'date': date,
     }
-    values = {'friction_coefficient': round(found.mean, 4)}
+    values: EffectValues = {'friction_coefficient': round(found.mean, 4)}
     made = robot.with_effect('tendon_friction', values, origin)
     relative = round((found.high - found.low) / 3.92 / found.mean, 4)
     return replace(made, tolerances={**robot.tolerances, 'friction_coefficient': relative})

@@ -12,6 +12,7 @@ from .error_plots import angles, tip_boxes
 from .page import Page
 from .paper_figures import arrangements, error_per_cell, posture
 from .paper_text import ASSUMED, SOURCE
+from .quantities import quantities
 from .words import capital, commands, digits, listed, mm
 from .workspace_figures import HEADER, rows, view_figures
 
@@ -48,8 +49,8 @@ def _row(row: Row) -> list[str]:
     number = digits(row.ours, 3)
     return [
         row.section, row.what, f'{row.published:g}{unit}', f'{number}{unit}',
-        f'{100.0 * row.difference:+.0f} %', f'{digits(row.low, 3)} to {digits(row.high, 3)}',
-        row.met, row.why,
+        f'{round(100.0 * row.difference):+d} %',
+        f'{digits(row.low, 3)} to {digits(row.high, 3)}', row.met, row.why,
     ]  # fmt: skip
 
 
@@ -59,7 +60,7 @@ def _motion(page: Page, found: Motion) -> None:
     near = [one for one in others if abs(one.across / first.across - 1.0) < 0.15]
     page.text(
         f'{capital(first.name)}: the tips at the 180° view span {mm(first.across)} across, '
-        'published 50 mm. '
+        'published 50 mm. Other arrangements: '
         + '; '.join(f'{one.name}: {mm(one.across)}' for one in others)
         + f'. The 50 mm therefore rule out 5 N in all; {len(near)} of {len(others)} other '
         'arrangements come within 15 %.'
@@ -85,7 +86,7 @@ def _stiffening(one: Stiffening) -> str:
         f'by {mm(one.shift)} or {100 * one.relative:.1f} % of its way (published: of the order of '
         f'10 %, most in the proximal section). A proximal backbone that is '
         f'{-100 * one.softer:.0f} % softer makes the sections alike; with equally higher tensions '
-        f'the tip is then off by {digits(1e3 * one.evened, 1)} mm.'
+        f'the tip is then off by {1e3 * one.evened:.2f} mm.'
     )
 
 
@@ -100,7 +101,7 @@ def _displacement(page: Page, found: DisplacementExperiment) -> None:
         f'and PCCA. Wires on opposite sides give {mm(low)} to {mm(high)} over all tip heights; '
         'this is the arrangement used below.',
         f'Hinge friction does not show here: at given pulls a lever of {mm(found.lever)} '
-        f'moves the tip by {digits(1e3 * found.hinge_shift, 1)} mm, because it scales the '
+        f'moves the tip by {1e3 * found.hinge_shift:.2f} mm, because it scales the '
         'tensions and not the shape. The scatter of the cells alone, 2° per cell with the sum '
         'over a section held by its wires, makes a tip error of the published size.',
     )
@@ -134,15 +135,16 @@ def _tension(page: Page, found: TensionExperiment) -> None:
     )
     page.text(
         f'PCCA predicts the same shape for 0.51 N alone and for 0.99 against 0.48 N (apart by '
-        f'{digits(1e3 * found.same, 1)} mm), as published.'
+        f'{1e3 * found.same:.2f} mm), as published.'
     )
     page.box(
         _diagnosis(found.alone),
         'warn',
         'What diagnose says about these two postures',
     )
-    if found.settled is not None:
-        page.box(_diagnosis(found.settled), '', 'With the posture that it asks for')
+    for i, one in enumerate(found.more):
+        title = 'With the posture that it asks for' if i == 0 else 'And with the next one'
+        page.box(_diagnosis(one), '', title)
 
 
 def _diagnosis(found: Diagnosis) -> list[str]:
@@ -152,11 +154,7 @@ def _diagnosis(found: Diagnosis) -> list[str]:
         'model.'
     ]
     for effect in found.effects:
-        values = (
-            f'{key} {digits(v.value, 3)} ({digits(v.low, 3)} to {digits(v.high, 3)}) {v.unit}'
-            for key, v in effect.parameters.items()
-        )
-        lines.append(f'Best: `{effect.name}`, {", ".join(values)}.')
+        lines.append(f'Best: `{effect.name}`, {quantities(effect.parameters)}.')
     if found.cannot_tell_apart:
         lines.append(f'Cannot be told apart: {listed(found.cannot_tell_apart)}.')
     asked = found.next_measurement
