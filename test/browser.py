@@ -1,4 +1,4 @@
-"""A page in headless Chromium, at any width, and what it then holds."""
+"""A page in headless Chromium, at several widths at once, and what it then holds."""
 
 import html
 import json
@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 
+WIDTHS = (1200, 400)  # desktop, phone [px]
 HEAD = """<script>
 window.problems = [];
 for (const kind of ['error', 'warn']) {
@@ -34,43 +35,42 @@ const look = () => {
 };
 look();
 </script>"""
-FRAME = """<body style="margin:0">
-<iframe src="{name}" style="border:0;width:{width}px;height:{height}px"></iframe>
-<script>addEventListener('message', (event) => {{
+LISTEN = """<script>addEventListener('message', (event) => {
   const found = document.createElement('pre');
   found.textContent = event.data;
   document.body.append(found);
-}});</script></body>"""
+});</script>"""
 
 
-def open_page(path, folder, width=1200, height=2000):
-    """Return what the page at `path` holds at a width [px]; `folder` is scratch."""
-    page = path.read_text(encoding='utf-8')
-    page = page.replace('<head>', f'<head>{HEAD}', 1)
-    page = ''.join(page.rpartition('</body>')[0:1]) + TAIL + '</body></html>'
+def open_page(path, folder):
+    """Return what the page at `path` holds, by width [px]; `folder` is scratch."""
+    page = path.read_text(encoding='utf-8').replace('<head>', f'<head>{HEAD}', 1)
+    page = page.rpartition('</body>')[0] + TAIL + '</body></html>'
     (folder / 'probed.html').write_text(page, encoding='utf-8')
-    frame = folder / 'frame.html'
-    frame.write_text(FRAME.format(name='probed.html', width=width, height=height))
-    command = [shutil.which('chromium'), '--headless=new', '--no-sandbox', '--disable-gpu']
-    command += [
-        '--enable-unsafe-swiftshader',
-        '--disable-dev-shm-usage',
-        f'--user-data-dir={folder}',
+    frames = [
+        f'<iframe src="probed.html" style="border:0;width:{width}px;height:2000px"></iframe>'
+        for width in WIDTHS
     ]
-    command += ['--virtual-time-budget=60000', '--window-size=1400,2200', '--dump-dom']
-    run = subprocess.run(
-        [*command, frame.as_uri()], capture_output=True, text=True, timeout=100, check=True
-    )
-    found = re.search(r'<pre>(.*?)</pre>', run.stdout, re.S)
-    assert found, f'the page was never drawn:\n{run.stderr[-2000:]}'
-    return json.loads(html.unescape(found[1]))
+    outer = folder / 'frames.html'
+    outer.write_text(f'<body style="margin:0">{LISTEN}{"".join(frames)}</body>')
+    command = [shutil.which('chromium'), '--headless=new', '--no-sandbox', '--disable-gpu']
+    command += ['--enable-unsafe-swiftshader', '--disable-dev-shm-usage']
+    command += [f'--user-data-dir={folder}', '--virtual-time-budget=60000', '--dump-dom']
+    command += ['--window-size=1800,2200', outer.as_uri()]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=240, check=True)
+    found = [
+        json.loads(html.unescape(one)) for one in re.findall('<pre>(.*?)</pre>', run.stdout, re.S)
+    ]
+    assert len(found) == len(WIDTHS), f'the page was never drawn:\n{run.stderr[-2000:]}'
+    return {one['width']: one for one in found}
 
 
-def assert_fine(seen, width):
+def assert_fine(found):
     """Hold that everything is drawn, nothing is wider than the window, and nothing complains."""
-    assert seen['problems'] == []
-    assert seen['loaded'] == [], 'the page must open without a network'
-    assert seen['drawn'] > 0
-    assert (seen['empty'], seen['beyond']) == (0, 0)
-    assert seen['width'] == width
-    assert seen['scroll'] <= width
+    assert sorted(found) == sorted(WIDTHS)
+    for width, seen in found.items():
+        assert seen['problems'] == []
+        assert seen['loaded'] == [], 'the page must open without a network'
+        assert seen['drawn'] > 0
+        assert (seen['empty'], seen['beyond']) == (0, 0)
+        assert seen['scroll'] <= width

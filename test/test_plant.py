@@ -153,6 +153,9 @@ def test_the_tracker_sees_a_misaligned_base():
     seen = real.markers(TENSIONS[HINGES], np.array([0.06]), np.zeros((1, 3)))
     there = real.shapes(TENSIONS[HINGES]).positions[:, 9:10]
     np.testing.assert_allclose(seen - there, [[[0.0, 0.0, 0.002]]] * 3, atol=1e-12)
+    arm = real.respond(TENSIONS[HINGES][0])
+    live = arm.markers(np.array([0.06]), np.zeros((1, 3)))
+    np.testing.assert_allclose(live - arm.positions[9], [[0.0, 0.0, 0.002]], atol=1e-12)
 
 
 def test_a_mock_driver_moves_it():

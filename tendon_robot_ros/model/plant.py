@@ -13,7 +13,7 @@ scatter only.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -34,6 +34,19 @@ from .shape import Shape, ShapeBatch
 Floats = npt.NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class PlantShape(Shape):
+    """The arm as it is; its markers are where the tracker sees them."""
+
+    plant: Plant
+
+    def markers(self, arc_length: Floats, offset: Floats) -> Floats:
+        """Place markers (j, 3) [m] in the tracker's frame."""
+        placed = self.batch.markers(arc_length, offset)
+        seen: Floats = self.plant.tracked(placed, self.inputs[None])[0]
+        return seen
+
+
 class Plant:
     """A robot to be measured; `robot` is what its owner wrote, `model` what it really is."""
 
@@ -41,9 +54,9 @@ class Plant:
         """Take the owner's robot, the real one with `parts` cells per cell, and its damage."""
         self.robot, self.model, self.parts, self.damage = robot, model, parts, damage
         self.inputs = robot.inputs
-        self._state: Shape | None = None
+        self._state: PlantShape | None = None
 
-    def respond(self, tensions: npt.ArrayLike) -> Shape:
+    def respond(self, tensions: npt.ArrayLike) -> PlantShape:
         """
         Return the arm under tensions (m,) [N] that follow those of the last call.
 
@@ -55,13 +68,16 @@ class Plant:
         asked, last = self.model.tensions(np.asarray(tensions, dtype=float)), self._state
         given = asked * self._gain(asked[None])[0]
         bend, memory = (None, None) if last is None else (last.bend, last.memory)
-        self._state = _commanded(self.model.shape(given, bend, memory), asked)
+        shape = self.model.shape(given, bend, memory)
+        batch = replace(shape.batch, inputs=asked[None])  # without the hidden gain
+        self._state = PlantShape(batch, shape.memory, self)
         return self._state
 
-    def respond_to_pulls(self, pulls: npt.ArrayLike) -> Shape:
+    def respond_to_pulls(self, pulls: npt.ArrayLike) -> PlantShape:
         """Return the arm under wire pulls (m,) [m], nan = slack; friction does not remember."""
         asked = np.asarray(pulls, dtype=float)
-        self._state = self.model.pull_shape(asked * self._gain(asked[None], True)[0], self._state)
+        shape = self.model.pull_shape(asked * self._gain(asked[None], True)[0], self._state)
+        self._state = PlantShape(shape.batch, shape.memory, self)
         return self._state
 
     def shapes(
@@ -194,8 +210,3 @@ def make_plant(
     parts = parts_per_cell(robot, effects, refine)
     real = real_robot(robot, effects, parts, stiffness, damage.side_force, capstan)
     return Plant(robot, Model(real, plant_catalogue(catalogue)), parts, damage)
-
-
-def _commanded(shape: Shape, inputs: Floats) -> Shape:
-    """Return the shape with the inputs that were asked for, without the hidden gain."""
-    return replace(shape, batch=replace(shape.batch, inputs=inputs[None]))
