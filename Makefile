@@ -2,7 +2,7 @@
 RUN := tools/bootstrap.sh
 ARGS :=
 
-.PHONY: help venv paper test test-oldest demo lint format
+.PHONY: help venv paper test test-oldest demo lint format live
 .SILENT:
 
 help: ## list the targets
@@ -10,6 +10,9 @@ help: ## list the targets
 
 venv: ## set up .venv and nothing else
 	$(RUN)
+
+live: ## watch a mock robot meet its model, find what it hides: ARGS="--headless --hidden NAME"
+	$(RUN) python -m tendon_robot_ros live $(ARGS)
 
 test: ## the fast tests
 	$(RUN) python -m pytest -n 2 --dist loadfile $(ARGS)
