@@ -53,10 +53,10 @@ class Port(PortHandler):  # type: ignore[misc]
         self.is_open = False
         self.is_using = False
         if self.ser is not None:
-            try:
+            with contextlib.suppress(*LOST):
+                self.ser.reset_output_buffer()  # goals that are still waiting are old
+            with contextlib.suppress(*LOST):
                 self.ser.close()
-            except LOST:
-                pass
 
     def getCurrentTime(self) -> float:  # noqa: N802
         """Return a time that no clock adjustment moves [ms]."""

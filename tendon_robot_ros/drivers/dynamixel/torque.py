@@ -19,6 +19,9 @@ from .tables import (
 )
 
 
+TRIES = 3
+
+
 def watchdog_counts(config: Config) -> int:
     """Return the value of address 98: at least one unit when it is on at all."""
     return min(127, math.ceil(config.watchdog / WATCHDOG_UNIT - 1e-9))
@@ -32,8 +35,8 @@ def operating_mode(config: Config, mode: str) -> int:
 
 
 def must_write(bus: Bus, motor: Motor, name: str, value: int) -> None:
-    """Write a register, twice if need be; raise DriverError when the servo refuses."""
-    for _ in range(2):
+    """Write a register, again if need be; raise DriverError when the servo refuses."""
+    for _ in range(TRIES):
         problem = bus.write(motor.identity, name, value)
         if problem is None:
             return

@@ -1,0 +1,34 @@
+"""The paper's postures with emulated servos, and a plug pulled on the way, as the README shows."""
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+from source_tree import ROOT
+
+pytest.importorskip('rclpy')
+pytest.importorskip('dynamixel_sdk')
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+FARTHEST = {'tension': 250.0, 'pull': 10.0}  # [mm] the gears' friction bends the arm elsewhere
+
+
+@pytest.mark.parametrize('mode', ['tension', 'pull'])
+def test_the_demo_with_servos_survives_a_pulled_plug(mode):
+    run = subprocess.run(
+        [sys.executable, 'examples/pull_the_plug.py', mode],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env={**os.environ, 'PYTHONPATH': str(ROOT), 'AMENT_PREFIX_PATH': sys.prefix},
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+    misses = [float(found) for found in re.findall(r'\) +([\d.]+) mm', run.stdout)]
+    assert len(misses) == 5
+    assert max(misses) < FARTHEST[mode]
+    assert 'the port is gone; plug the adapter in again' in run.stdout
+    assert run.stdout.count('reached') == 5
+    again = re.search(r'followed ([\d.]+) s later', run.stdout)
+    assert float(again[1]) < 5.0
