@@ -1,0 +1,168 @@
+"""The monitor without ROS: alignment in time, stillness, recording, what is offered to add."""
+
+import numpy as np
+import pytest
+
+from tendon_robot_ros.data import load_dataset, save_dataset
+from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.exceptions import DataSetError, InputError
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.monitoring import History, Monitor, StillWindow
+from tendon_robot_ros.monitoring.rehearsal import choices, draw, refined, tour
+from tendon_robot_ros.monitoring.story import Story
+from tendon_robot_ros.monitoring.work import Work
+from tendon_robot_ros.nodes.shared import read_robot
+
+NAN = np.full(4, np.nan)
+
+
+@pytest.fixture(scope='module')
+def model():
+    return Model(read_robot('kato_10_1'))
+
+
+def test_a_moment_between_two_samples_has_the_value_between():
+    history = History()
+    history.put(1.0, np.array([0.0]))
+    history.put(1.1, np.array([1.0]))
+    assert history.at(1.025) == pytest.approx([0.25])
+    assert history.at(1.15) == pytest.approx([1.0])
+    assert history.at(0.9) is None
+    assert history.at(1.3) is None, 'nobody knows after the patience'
+
+
+def test_late_samples_are_dropped_and_a_gap_is_not_bridged():
+    history = History()
+    for time in (1.0, 1.05, 1.02, 3.0):
+        history.put(time, np.array([time]))
+    assert history.at(1.04) == pytest.approx([1.04])
+    assert history.at(2.0) is None
+
+
+def test_a_clock_that_was_set_back_begins_anew():
+    history = History()
+    history.put(100.0, np.array([1.0]))
+    history.put(1.0, np.array([2.0]))
+    assert history.at(1.0) == pytest.approx([2.0])
+
+
+def frames(window, speed=0.0, count=30, noise=2e-4, seed=0):
+    random = np.random.default_rng(seed)
+    for index in range(count):
+        at = index / 30.0
+        points = np.array([[speed * at, 0.0, 0.1]]) + random.normal(0.0, noise, (1, 3))
+        window.put(at, np.array([1.0]), points)
+    return window.settled()
+
+
+def test_the_noise_of_a_tracker_is_no_motion_and_slow_motion_is():
+    window = StillWindow(0.6, 0.002, 0.05)
+    still = frames(window)
+    assert still.spread == pytest.approx(2e-4, rel=0.3)
+    assert frames(StillWindow(0.6, 0.002, 0.05), speed=0.006) is None
+
+
+def test_a_changing_input_is_not_still():
+    window = StillWindow(0.6, 0.002, 0.05)
+    for index in range(30):
+        window.put(index / 30.0, np.array([index / 30.0]), np.zeros((1, 3)))
+    assert window.settled() is None
+
+
+def watched(model, arm, postures, missing=()):
+    """Let a monitor see an arm in postures, 30 frames each."""
+    monitor = Monitor(model)
+    monitor.start_recording()
+    random, now, compared = np.random.default_rng(0), 0.0, None
+    arcs = np.array([marker.arc_length for marker in monitor.markers])
+    for tensions in postures:
+        points = arm.shape(tensions).markers(arcs, np.zeros((len(arcs), 3)))
+        points[list(missing)] = np.nan
+        for _ in range(30):
+            now += 1.0 / 30.0
+            monitor.put_states(now, np.asarray(tensions, dtype=float), NAN)
+            seen = points + random.normal(0.0, 1e-4, points.shape)
+            compared = monitor.put_frame(now, seen)
+    return monitor, compared
+
+
+POSTURES = [[0.3, 0.1, 0.1, 0.4], [0.1, 0.6, 0.3, 0.1], [0.1, 0.1, 0.5, 0.2]]
+
+
+def test_every_settled_posture_is_recorded_once(model, tmp_path):
+    monitor, compared = watched(model, model, POSTURES)
+    assert len(monitor.recorded) == 3
+    assert compared.rolling < 4e-4
+    dataset = monitor.dataset('x')
+    assert dataset.inputs == pytest.approx(np.array(POSTURES))
+    assert dataset.position_noise == pytest.approx(1e-4 / np.sqrt(18), rel=0.3)
+    again = load_dataset(save_dataset(dataset, tmp_path / 'x'))
+    assert again.positions == pytest.approx(dataset.positions)
+
+
+def test_a_marker_that_is_never_seen_is_left_out(model):
+    monitor, compared = watched(model, model, POSTURES, missing=[4])
+    assert np.isnan(compared.errors[4]).all()
+    assert np.isfinite(np.delete(compared.errors, 4, axis=0)).all()
+    assert np.isnan(monitor.dataset('x').positions[:, :, 4]).all()
+
+
+def test_the_error_is_that_of_the_arm_and_falls_with_its_model(model):
+    arm = Model(model.robot.with_effect('backbone_stiffness', {'relative_change': -0.1}))
+    monitor, compared = watched(model, arm, POSTURES)
+    assert compared.rolling > 2e-3
+    monitor.set_model(arm)
+    monitor.put_states(100.0, np.array(POSTURES[-1]), NAN)
+    assert monitor.put_frame(100.0, compared.measured).rolling < 3e-4
+
+
+def test_a_shape_with_another_number_of_poses_is_refused(model):
+    with pytest.raises(InputError, match='expected 30 poses, one for each of the markers'):
+        Monitor(model).put_frame(0.0, np.zeros((3, 3)))
+
+
+def test_two_postures_are_needed(model):
+    monitor, _ = watched(model, model, POSTURES[:1])
+    with pytest.raises(DataSetError, match='record two or more'):
+        monitor.dataset('x')
+
+
+def test_add_needs_a_diagnosis_first():
+    with pytest.raises(InputError, match='call record, then diagnose'):
+        Work().add(False)
+
+
+@pytest.mark.parametrize('name', ['hinge_friction', 'tip_load', 'soft_cell', 'none'])
+def test_what_is_hidden_moves_the_tip_by_millimetres(name):
+    robot, catalogue = refined(read_robot('kato_10_1')), load_catalogue()
+    assert name in choices(robot, catalogue)
+    hidden = draw(robot, catalogue, name, 1)
+    assert hidden.outside == (name == 'soft_cell')
+    if not hidden.values:
+        return
+    shown = Model(robot.with_effect(name, hidden.values), catalogue)
+    tensions = np.array(POSTURES)
+    moved = shown.shapes(tensions).tip_position - Model(robot).shapes(tensions).tip_position
+    assert 1e-3 < np.linalg.norm(moved, axis=1).max() < 4e-2
+
+
+def test_the_tour_stays_where_the_tip_can_go(model):
+    for stop in tour(model, 8, 0):
+        found = model.reach(position=stop.position, direction=stop.direction)
+        assert found.status == 'reached'
+
+
+def story(name, verdict, **values):
+    robot, catalogue = refined(read_robot('kato_10_1')), load_catalogue()
+    return Story(draw(robot, catalogue, name, 0), verdict, **values)
+
+
+def test_a_story_comes_true_only_with_the_right_name_and_a_fallen_error():
+    right = {'verdict': 'missing_effect', 'effects': [{'name': 'tip_load'}]}
+    assert story('tip_load', right, before=5e-3, after=5e-4, added=True).problem == ''
+    assert 'only 60 %' in story('tip_load', right, before=5e-3, after=2e-3, added=True).problem
+    assert 'was hidden' in story('hinge_friction', right, before=5e-3, after=1e-4).problem
+    assert story('none', {'verdict': 'adequate'}).problem == ''
+    assert 'nothing was hidden' in story('none', right).problem
+    assert story('tether', {'verdict': 'outside_catalogue'}).problem == ''
+    assert 'outside the catalogue' in story('tether', right).problem
