@@ -55,5 +55,5 @@ def running(line, mode='tension', **changes):
     driver.open()
     driver.enable()
     command = emulated.TENSION if mode == 'tension' else emulated.PULL
-    emulated.cycle(driver, command, 1.0)
+    emulated.cycle(driver, command, 0.6)
     return driver, command

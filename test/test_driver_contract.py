@@ -50,7 +50,7 @@ def dynamixel(mode):
 @contextlib.contextmanager
 def serial(mode):
     with emulated_board.board() as line:
-        driver = emulated_board.driver_for(line, mode)
+        driver = emulated_board.driver_for(line, mode, zero='here')
         try:
             yield driver
         finally:

@@ -28,7 +28,8 @@ def arm(request):
         driver.close()
 
 
-both_modes = pytest.mark.parametrize('arm', ['tension', 'pull'], indirect=True)
+SLOW_PULL = pytest.param('pull', marks=pytest.mark.slow)
+both_modes = pytest.mark.parametrize('arm', ['tension', SLOW_PULL], indirect=True)
 
 
 def enabled(line):
@@ -57,7 +58,9 @@ def test_a_silent_board_is_said_it_releases_by_itself_and_goes_on(arm):
     until(driver, command, healthy)
 
 
-@pytest.mark.parametrize('what', ['spoilt', 'cut', 'doubled'])
+@pytest.mark.parametrize(
+    'what', ['spoilt', *(pytest.param(w, marks=pytest.mark.slow) for w in ('cut', 'doubled'))]
+)
 def test_a_few_broken_frames_change_nothing(arm, what):
     driver, line, command = arm
     before = driver.read()
@@ -68,6 +71,7 @@ def test_a_few_broken_frames_change_nothing(arm, what):
     assert what == 'doubled' or driver.link.bad > 0
 
 
+@pytest.mark.slow
 def test_frames_that_stay_broken_are_a_silent_board(arm):
     driver, line, command = arm
     line.faults.spoilt = 10**9
@@ -76,6 +80,7 @@ def test_frames_that_stay_broken_are_a_silent_board(arm):
     until(driver, command, healthy)
 
 
+@pytest.mark.slow
 def test_a_slow_link_is_recovered_from(arm):
     driver, line, command = arm
     line.faults.delay = 0.15
@@ -112,9 +117,12 @@ FAULTS = {
     'load_cell': ('cell 2', 'mend 2'),
     'encoder': ('block 2', 'free 2'),
 }
+QUICK = ('overheating', 'load_cell')
 
 
-@pytest.mark.parametrize('code', FAULTS)
+@pytest.mark.parametrize(
+    'code', [pytest.param(c, marks=[pytest.mark.slow] * (c not in QUICK)) for c in FAULTS]
+)
 def test_a_fault_of_a_channel_takes_its_torque_only_until_cause_and_fault_are_gone(arm, code):
     driver, line, command = arm
     broken, mended = FAULTS[code]
@@ -152,6 +160,7 @@ def test_a_board_that_heard_no_command_releases_and_says_so_once(arm):
     until(driver, command, healthy)
 
 
+@pytest.mark.slow
 def test_polling_alone_does_not_keep_a_dead_controllers_arm_tense(arm):
     driver, line, command = arm
     end = time.monotonic() + 1.0
@@ -175,6 +184,7 @@ def test_a_board_that_lost_its_power_stays_off_until_it_is_enabled_again(arm):
     until(driver, command, healthy)
 
 
+@pytest.mark.slow
 def test_torque_switched_off_while_the_port_was_gone_stays_off(arm):
     driver, line, command = arm
     line.unplug()

@@ -26,6 +26,8 @@ GRAVITY = 9.80665  # [m/s²]
 SAMPLE = 0.0125  # [s] between two values of an HX711
 FEWEST_WEIGHTS = 3  # nothing hung included
 SATURATED = 0x7FFFFF
+FEWEST_VALUES = 5
+SETTLE = 0.2  # [s] not counted: values from before the weight hung
 
 
 @dataclass(frozen=True)
@@ -121,21 +123,33 @@ def measure(link: Link, channels: int, channel: int, tension: float, seconds: fl
         The board does not answer, or the cell is saturated.
 
     """
-    counts: list[Array] = []
-    deadline = time.monotonic() + seconds
+    values = _counts(link, channels, channel, seconds)
+    values = values[np.append(True, np.diff(values) != 0.0)]  # the same value, asked for twice
+    if len(values) < FEWEST_VALUES:
+        raise DriverError(f'{link.path}: channel {channel}: no values of its load cell')
+    if np.max(np.abs(values)) >= SATURATED:
+        raise DriverError(f'{link.path}: channel {channel}: load cell saturated; less weight')
+    spread = float(values.std(ddof=1))
+    noise = 1.05 * float(np.median(np.abs(np.diff(values))))  # 1 sd, of any that hangs still
+    if spread > 4.0 * noise + 5.0:
+        raise DriverError(
+            f'{link.path}: channel {channel}: the weight does not hang still: {spread:.0f} counts '
+            f'(1 sd), the noise is {noise:.0f}; begin again'
+        )
+    return Point(tension, float(values.mean()), spread)
+
+
+def _counts(link: Link, channels: int, channel: int, seconds: float) -> Array:
+    counts: list[float] = []
+    began = time.monotonic()
     try:
-        while time.monotonic() < deadline:
+        while (passed := time.monotonic() - began) < SETTLE + seconds:
             link.send(messages.RAW)
             for frame in handshake.wait_for(link, messages.RAW_CELLS, 0.1):
                 found = messages.read_cells(frame, channels)
-                if found is not None:
-                    counts.append(found[channel])
+                if found is not None and passed > SETTLE:
+                    counts.append(float(found[channel]))
             time.sleep(SAMPLE)
     except LinkLostError as error:
         raise DriverError(f'{error}: lost while calibrating') from None
-    if len(counts) < 5:
-        raise DriverError(f'{link.path}: channel {channel}: no values of its load cell')
-    values = np.array(counts, dtype=float)
-    if np.max(np.abs(values)) >= SATURATED:
-        raise DriverError(f'{link.path}: channel {channel}: load cell saturated; less weight')
-    return Point(tension, float(values.mean()), float(values.std(ddof=1)))
+    return np.array(counts)

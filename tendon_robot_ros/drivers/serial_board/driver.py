@@ -113,7 +113,7 @@ class SerialDriver(Driver):
         try:
             if self.link.connected:
                 content = bytes((facts.mask(self.places[chosen]),))
-                handshake.ask(self.link, messages.DISABLE, content)
+                handshake.ask(self.link, messages.DISABLE, content, attempts=2)
         except (DriverError, LinkLostError):
             pass  # read() says so, and switches off what came back unwanted
 
@@ -141,8 +141,11 @@ class SerialDriver(Driver):
         self._must_be_open('write')
         wanted = bounded(self.checked(command), self.limits)
         now = time.monotonic()
+        late = now - self._written > self.config.timeout
         step = self.rates * min(now - self._written, LONGEST_STEP)
         self._written = now
+        if late:  # the board may have released meanwhile: read() looks first where the arm is
+            return
         self._goal = approach(self._goal, wanted, step)
         try:
             if self.link.connected and self.wanted.any():

@@ -16,7 +16,7 @@ from .messages import Identity, Telemetry
 
 BOOT_TIME = 4.0  # [s]; opening the port restarts many boards, their boot loader waits 2 s
 ANSWER = 0.1  # [s]
-ATTEMPTS = 3
+ATTEMPTS = 8
 
 
 def identify(link: Link, config: Config) -> Identity:
@@ -66,7 +66,7 @@ def wait_for(link: Link, kind: int, wait: float) -> list[Frame]:
     return []
 
 
-def ask(link: Link, kind: int, payload: bytes) -> None:
+def ask(link: Link, kind: int, payload: bytes, attempts: int = ATTEMPTS) -> None:
     """
     Send a message until the board says what it did with it.
 
@@ -76,7 +76,7 @@ def ask(link: Link, kind: int, payload: bytes) -> None:
         It refuses, or does not answer.
 
     """
-    for _ in range(ATTEMPTS):
+    for _ in range(attempts):
         sequence = link.send(kind, payload)
         deadline = time.monotonic() + ANSWER
         while (left := deadline - time.monotonic()) > 0.0:

@@ -1,0 +1,161 @@
+"""The commands `emulate serial` and `calibrate serial`, and configurations that are refused."""
+
+import threading
+
+import emulated
+import emulated_board
+import numpy as np
+import pytest
+import yaml
+from emulated_board import needs_compiler
+
+from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.drivers import make_driver
+from tendon_robot_ros.drivers.emulator.board_commands import HELP, obey
+from tendon_robot_ros.drivers.emulator.process import EmulatorProcess
+from tendon_robot_ros.drivers.serial_board.calibration import Point, connect, fit, measure
+from tendon_robot_ros.drivers.serial_board.config import read_config
+from tendon_robot_ros.exceptions import DriverError, InputError
+from tendon_robot_ros.robot import load_robot
+
+pytest.importorskip('serial')
+
+
+@pytest.fixture
+def robot_file(tmp_path):
+    path = tmp_path / 'four.yaml'
+    path.write_text(emulated.ROBOT)
+    return str(path)
+
+
+@needs_compiler
+def test_emulate_prints_a_port_that_the_driver_opens_and_obeys_its_input(robot_file):
+    with EmulatorProcess(robot_file, '--arm', 'springs', kind='serial') as emulator:
+        content = emulator.content()
+        assert content['port'] == emulator.port
+        with make_driver('serial', emulated.robot(), content, source='board.yaml') as driver:
+            driver.enable()
+            emulated.cycle(driver, [1.5, 0.2, 0.2, 0.2], 1.0)
+            state = emulator.ask('state')
+            assert state['enabled'] == [True] * 4
+            assert state['tensions'][0] > 0.4
+            assert emulator.say('overheating 1') == 'ok'
+            reading = emulated.until(driver, [1.5, 0.2, 0.2, 0.2], lambda r: r.faults)
+            assert reading.faults[0].inputs == ('north',)
+        emulator.say('quit')
+        assert emulator.process.wait(10) == 0
+
+
+@needs_compiler
+def test_every_word_of_the_emulators_help_is_known_and_others_are_refused():
+    values = {'overload': '1 0', 'weight': '1 0', 'unplug': '0.01', 'state': ''}
+    listed = [
+        part.strip().split()[0]
+        for row in HELP.splitlines()[:-1]
+        for part in row.split('   ')[0].split('|')
+    ]
+    assert len(listed) > 15
+    with emulated_board.board() as line:
+        for word in listed:
+            assert obey(line, f'{word} {values.get(word, "0")}')
+        for wrong in ('jump', 'cell 9', 'weight 1', 'slow fast'):
+            with pytest.raises(InputError, match='type help'):
+                obey(line, wrong)
+
+
+@needs_compiler
+def test_calibrate_finds_zero_and_scale_of_a_load_cell_with_their_errors(
+    tmp_path, robot_file, monkeypatch, capsys
+):
+    monkeypatch.setattr('tendon_robot_ros.cli.calibrate_cell.SECONDS', 0.5)
+    masses = (0.1, 0.2, 0.4)  # [kg]
+    with emulated_board.board() as line:
+        config = tmp_path / 'board.yaml'
+        content = emulated_board.config(line, calibration='cells.yaml')
+        config.write_text(yaml.safe_dump(content))
+        pile = iter((0.0, *masses))
+        monkeypatch.setattr('builtins.input', lambda _: obey(line, f'weight 1 {next(pile)}'))
+        out = tmp_path / 'cells.yaml'
+        out.write_text('east: {zero: 8000.0, newtons_per_count: 6.0e-6}\n')
+        command = ['calibrate', 'serial', str(config), '--robot', robot_file, '--tendon', 'north']
+        code = main([*command, '--weights', *map(str, masses), '--out', str(out)])
+        truth = line.rig.cells[1]
+    assert code == 0
+    assert 'uncertainty: 0.000' in capsys.readouterr().out
+    found = yaml.safe_load(out.read_text())
+    assert found['east']['zero'] == 8000.0
+    north = found['north']
+    assert north['newtons_per_count'] == pytest.approx(truth.newtons_per_count, rel=2e-3)
+    assert abs(north['zero'] - truth.zero) < 4.0 * north['zero_error'] + 1.0
+    assert 0.0 < north['slope_error'] < 1e-3 * truth.newtons_per_count
+    assert 0.0 < north['uncertainty'] < 0.01
+
+
+@needs_compiler
+def test_a_weight_that_swings_is_refused(robot_file):
+    with emulated_board.board() as line:
+        content = emulated_board.config(line)
+        config = read_config(emulated.robot(), content, 'tension', 'board.yaml')
+        link, channels = connect(config)
+        timer = threading.Timer(0.4, lambda: obey(line, 'weight 0 0.2'))
+        timer.start()
+        with pytest.raises(DriverError, match='channel 0: the weight does not hang still'):
+            measure(link, channels, 0, 0.0, 0.6)
+        timer.join()
+        link.close()
+
+
+def test_weights_that_the_counts_do_not_follow_are_refused():
+    with pytest.raises(InputError, match='do not follow the weight'):
+        fit([Point(t, 8000.0 + t, 30.0) for t in (0.0, 1.0, 2.0)])
+    with pytest.raises(InputError, match='at least 2 different weights'):
+        fit([Point(t, 8000.0 + 1e5 * t, 30.0) for t in (0.0, 1.0, 1.0)])
+
+
+def test_a_straight_line_is_found_exactly_and_a_cell_mounted_backwards_too():
+    for slope in (6e-6, -6e-6):
+        cell = fit([Point(t, -500.0 + t / slope, 0.0) for t in (0.0, 1.0, 2.0, 4.0)])
+        assert cell.zero == pytest.approx(-500.0, abs=1e-3)
+        assert cell.newtons_per_count == pytest.approx(slope)
+
+
+WRONG = [
+    ({'port': ''}, 'port: expected the path of a serial port'),
+    ({'baudrate': 9600}, 'baudrate: expected one of 115200'),
+    ({'telemetry_rate': 5000}, 'telemetry_rate: expected a finite number from 20 to 1000'),
+    ({'speed': 1}, "speed: expected one of port, baudrate, .*got 'speed'"),
+    ({'calibration': {}}, 'calibration: .*none for east: type calibrate serial'),
+    ({'tendons': {'east': {'channel': 0}}}, 'tendons: .*none for north, west, south'),
+    ({'pull_limits': [0.1, 0.0]}, 'pull_limits: expected .lowest, highest.'),
+]
+
+
+@needs_compiler
+@pytest.mark.parametrize(('change', 'words'), WRONG)
+def test_a_wrong_configuration_is_refused_with_file_and_key(change, words):
+    line = emulated_board.board()
+    with pytest.raises(DriverError, match=f'board.yaml: {words}'):
+        emulated_board.driver_for(line, **change)
+    line.stop()
+
+
+@needs_compiler
+def test_two_inputs_on_one_channel_and_a_channel_the_board_has_not_are_refused():
+    with emulated_board.board() as line:
+        tendons = {name: {'channel': i} for i, name in enumerate(emulated.robot().inputs)}
+        tendons['south'] = {'channel': 0}
+        with pytest.raises(DriverError, match='a channel of its own'):
+            emulated_board.driver_for(line, tendons=tendons)
+        tendons['south'] = {'channel': 6}
+        driver = emulated_board.driver_for(line, tendons=tendons)
+        with pytest.raises(DriverError, match='the board has channels 0 to 3'):
+            driver.open()
+
+
+def test_the_example_configuration_is_read():
+    root = emulated.HERE.parent
+    content = yaml.safe_load((root / 'config/serial_board.yaml').read_text())
+    robot = load_robot(root / 'config/robots/kato_10_1.yaml')
+    for mode in ('tension', 'pull'):
+        config = read_config(robot, content, mode, 'serial_board.yaml', calibrated=False)
+        assert np.array([t.metres_per_tick for t in config.tendons])[1] < 0.0
