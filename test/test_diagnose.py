@@ -1,0 +1,147 @@
+"""A diagnosis names what the robot hides, and nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+from measurements import blind, truth
+from simulated import NOISE, measure, measured, postures
+
+from tendon_robot_ros.analysis import session as sessions
+from tendon_robot_ros.analysis.diagnose import diagnose
+from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.exceptions import NoEquilibriumError, TendonRobotError
+
+ROBOT = simulated.robot()
+NAMING = ('missing_effect', 'ambiguous', 'wrong_parameter', 'several')
+
+
+def names(found):
+    return [effect.name for effect in found.effects]
+
+
+@pytest.mark.parametrize('letter', 'bfj')
+def test_a_blind_case_is_consistent_with_what_it_hides(letter):
+    found, hidden = diagnose(load_dataset(blind(letter) / 'fit')), truth(letter)
+    assert (found.verdict, names(found)) == ('missing_effect', [hidden['hidden']])
+    assert found.cannot_tell_apart == ()
+    for key, value in found.effects[0].parameters.items():
+        assert value.low <= hidden['parameters'][key] <= value.high
+    assert found.effects[0].explained > 0.98
+    assert found.error_after < 1.3 * found.noise_floor < found.error_before
+
+
+def test_a_robot_that_hides_nothing_is_adequate():
+    found = diagnose(load_dataset(blind('a') / 'fit'))
+    assert found.verdict == 'adequate'
+    assert not found.effects
+    assert found.error_before == found.error_after < 1.3 * found.noise_floor
+    assert 1e-6 < found.details['detectable']['hinge_friction']['size'] < 1e-4
+
+
+def test_what_breaks_a_tolerance_is_a_wrong_parameter():
+    found = diagnose(load_dataset(blind('k') / 'fit'))
+    assert found.verdict == 'wrong_parameter'
+    assert found.out_of_tolerance == ('bending_stiffness',)
+    assert 'backbone_stiffness' in found.cannot_tell_apart
+    assert found.error_before > 5e-3, 'the error of the description as it stands'
+
+
+@pytest.mark.parametrize(('letter', 'words'), [('g', 'in every posture'), ('l', 'cell 4 bends')])
+def test_a_cause_outside_the_catalogue_is_called_so(letter, words):
+    found = diagnose(load_dataset(blind(letter) / 'fit'))
+    assert found.verdict == 'outside_catalogue'
+    assert words in found.remainder
+    assert not found.adds
+
+
+def test_a_value_that_is_off_is_no_missing_effect():
+    robot = replace(ROBOT, effects={**ROBOT.effects, 'hinge_friction': {'lever': 1e-4}})
+    found = diagnose(measured(robot, {'hinge_friction': {'lever': 3e-4}}, count=12))
+    assert (found.verdict, names(found)) == ('wrong_parameter', ['hinge_friction'])
+    assert found.effects[0].present
+    assert found.details['described'] == {'hinge_friction': {'lever': 1e-4}}
+
+
+def test_two_effects_at_once_are_both_found():
+    truths = {'hinge_friction': {'lever': 2e-4}, 'pre_curvature': {'angle_x': 0.01}}
+    found = diagnose(measured(ROBOT, truths, count=12))
+    assert found.verdict == 'several'
+    assert set(names(found)) == set(truths)
+
+
+def test_without_the_true_effect_the_catalogue_has_no_answer(monkeypatch):
+    every = sessions.candidates_of
+    monkeypatch.setattr(
+        sessions,
+        'candidates_of',
+        lambda *given: [c for c in every(*given) if c.names != ('hinge_friction',)],
+    )
+    found = diagnose(measured(ROBOT, {'hinge_friction': {'lever': 3e-4}}, count=12))
+    assert found.verdict == 'outside_catalogue'
+
+
+@pytest.mark.parametrize('setting', [0.01, 0.03])
+def test_undeclared_setting_noise_yields_no_name(setting):
+    dataset = measured(ROBOT, noise=replace(NOISE, setting=setting), count=12)
+    found = diagnose(replace(dataset, setting_noise=0.0))
+    assert found.verdict not in NAMING
+    assert 'declare tension_noise: setting' in found.remainder
+
+
+def test_one_tendon_cannot_tell_and_the_proposed_posture_can():
+    inputs = np.outer([0.3, 0.5, 0.7, 0.9, 1.1, 1.3], [1.0, 0.0])
+    truths = {'hinge_friction': {'lever': 2e-4}}
+    found = diagnose(measure(postures(ROBOT, inputs), truths))
+    assert found.verdict == 'ambiguous'
+    assert {'hinge_friction', 'backbone_stiffness'} <= set(found.cannot_tell_apart)
+    step = found.next_measurement
+    assert step.input['right'] > 0.2, 'both tendons against each other'
+    assert step.difference > 3.0 * step.noise
+    proposed = [step.input[name] for name in ROBOT.inputs]
+    again = diagnose(measure(postures(ROBOT, [*inputs, proposed]), truths, seed=1))
+    assert (again.verdict, names(again)) == ('missing_effect', ['hinge_friction'])
+
+
+def test_wire_pulls_show_a_stretching_tendon():
+    robot = simulated.robot('spatial_3')
+    hidden = {'tendon_elongation': {'compliance': 2e-3}}
+    found = diagnose(measured(robot, hidden, count=12, input='displacement'))
+    assert (found.verdict, names(found)) == ('missing_effect', ['tendon_elongation'])
+    value = found.effects[0].parameters['compliance']
+    assert value.low <= 2e-3 <= value.high
+
+
+def test_what_is_good_enough_for_the_user_is_adequate():
+    section = ROBOT.sections[0]
+    soft = np.where(np.arange(15) == 9, 0.75, 1.0) * section.bending_stiffness
+    real = replace(ROBOT, sections=(replace(section, bending_stiffness=tuple(soft)),))
+    dataset = replace(measured(real, count=12), robot=ROBOT)
+    assert diagnose(dataset).verdict == 'outside_catalogue'
+    found = diagnose(replace(dataset, accuracy=5e-3))
+    assert found.verdict == 'adequate'
+    assert found.details['accuracy'] == 5e-3
+
+
+def test_without_trials_or_a_declared_noise_nothing_can_be_judged():
+    dataset = replace(measured(ROBOT, trials=1), position_noise=None)
+    found = diagnose(dataset)
+    assert found.verdict == 'cannot_judge'
+    assert 'repeat the postures, or declare the noise' in found.remainder
+    found = diagnose(measured(ROBOT, count=1))
+    assert found.verdict == 'cannot_judge'
+
+
+def test_progress_is_told():
+    seen = []
+    diagnose(measured(ROBOT, count=3), progress=lambda *said: seen.append(said))
+    assert seen[-1][1] <= seen[-1][2]
+    assert all(what and done >= 1 for what, done, _ in seen)
+
+
+def test_a_description_without_an_equilibrium_is_an_error():
+    robot = replace(ROBOT, effects={**ROBOT.effects, 'tip_load': {'force_z': -50.0}})
+    with pytest.raises(TendonRobotError) as error:
+        diagnose(replace(measured(ROBOT, count=3), robot=robot))
+    assert isinstance(error.value, NoEquilibriumError) or 'tip_load' in str(error.value)
