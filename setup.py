@@ -74,8 +74,10 @@ def shared_files() -> list[tuple[str, list[str]]]:
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (share, ['package.xml']),
     ]
-    for top in ('config', 'launch', 'data'):
+    for top in ('config', 'launch', 'data', 'firmware'):
         for folder, _, _ in os.walk(top):
+            if folder == 'firmware/build':
+                continue
             found = [path for path in glob(f'{folder}/*') if os.path.isfile(path)]
             files.append((f'{share}/{folder}', sorted(found)))
     return files

@@ -17,10 +17,12 @@ PULL = [0.006, -0.006, 0.003, -0.003]  # [m]
 class Rig:
     """Emulated servos, the driver node on them, and a sender of commands."""
 
+    kind = 'dynamixel'
+
     def __init__(self, mode, folder):
         self.mode = mode
-        self.servos = EmulatorProcess(shared_file(f'config/robots/{ROBOT}.yaml'))
-        self.space = f'/dynamixel_{mode}'
+        self.servos = EmulatorProcess(shared_file(f'config/robots/{ROBOT}.yaml'), kind=self.kind)
+        self.space = f'/{self.kind}_{mode}'
         self.folder = folder
         self.station = Station(self.space)
         self.diagnostics = self.station.hear(DiagnosticArray, '/diagnostics')
@@ -36,7 +38,7 @@ class Rig:
             self.space,
             self.folder,
             robot=ROBOT,
-            backend='dynamixel',
+            backend=self.kind,
             config=str(self.servos.config),
             command_mode=self.mode,
         )

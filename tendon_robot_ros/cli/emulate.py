@@ -173,5 +173,5 @@ def _arm(args: argparse.Namespace, robot: Robot) -> Arm:
         return shape.pulls
 
     highest = 2.0 * robot.tension_limits[1]
-    stretch = 1e-3 if args.kind == 'dynamixel' else 5e-3  # a spring in every wire
+    stretch = 1e-3 if args.kind == 'dynamixel' else 1e-2  # [m] a spring in every wire
     return RelaxedArm(pulls, m, highest, args.slack, shown=shown, stretch=stretch)

@@ -120,6 +120,7 @@ def config(rig: BoardRig, inputs: Sequence[str]) -> dict[str, Any]:
         'spool_radius': RADIUS,
         'ticks_per_turn': TICKS,
         'pull_limits': [-0.05, 0.05],
+        'tension_gain': 0.03,
         'calibration': {
             name: {
                 'zero': cell.zero,
