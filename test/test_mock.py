@@ -67,10 +67,10 @@ def test_a_settled_plant_is_not_asked_again():
     driver, clock = mock(lag=0.0)
     driver.write(np.array([1.0, 1.0]))
     driver.read()
-    calls = driver._plant.calls
+    calls = driver.plant.calls
     clock.now += 1.0
     driver.read()
-    assert driver._plant.calls == calls
+    assert driver.plant.calls == calls
 
 
 def test_pull_mode_moves_wires_and_frees_those_without_torque():
