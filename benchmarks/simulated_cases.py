@@ -126,3 +126,22 @@ def true_values(robot: Robot, case: Case, values):
         else values[p.name]
         for p in effect.parameters
     }
+
+
+def cases_of(options) -> list[Case]:
+    """List what to judge: sizes are drawn between a fifteenth and full."""
+    cases = []
+    effects = options.effects or list(load_catalogue().names) + list(CAUSES)
+    for robot in ('hinged', 'arcs'):
+        for effect in effects:
+            if robot == 'arcs' and effect in ('straight_tendon', 'section_stiffness'):
+                continue  # one section: the same as backbone_stiffness
+            for seed in range(options.seeds):
+                size = 15.0 ** -np.random.default_rng([seed, 9]).random()
+                size = max(size, 0.5) if effect in CAUSES else size
+                cases.append(Case(robot, effect, float(size), seed + 1, options.scatter))
+        cases += [
+            Case(robot, 'none', 0.0, 1000 + seed, options.scatter)
+            for seed in range(options.clean // 2)
+        ]
+    return cases

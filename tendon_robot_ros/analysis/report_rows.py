@@ -36,8 +36,8 @@ def values_of(fit: Fit, scale: float = 1.0) -> dict[str, dict[str, Value]]:
     found: dict[str, dict[str, Value]] = {}
     for i, free in enumerate(fit.frees):
         value, half = float(fit.values[i]), float(quantile * spread[i])
-        low = max(value - half, free.parameter.low)
-        high = min(value + half, free.parameter.high)
+        low = float(max(value - half, free.parameter.low))
+        high = float(min(value + half, free.parameter.high))
         found.setdefault(free.effect, {})[free.key] = Value(
             value, low, high, free.parameter.unit, _note(fit, i, half)
         )
@@ -116,7 +116,7 @@ def _row(
 def details_of(
     found: Evidence, chosen: Sequence[Ranked], together: Sequence[str], verdict: str
 ) -> dict[str, Any]:
-    """Numbers that reports print beside the verdict."""
+    """Return the numbers that reports print beside the verdict."""
     session, base = found.session, found.base
     noise = session.noise
     assert noise is not None
@@ -142,6 +142,17 @@ def details_of(
         'relative_to_remainder': found.scale if verdict == 'outside_catalogue' else None,
         'accuracy': session.accuracy if session.use_accuracy else None,
     }
+    details |= _alternatives(found, chosen, together)
+    if verdict == 'adequate':
+        details['detectable'] = smallest_seen(found)
+    return details
+
+
+def _alternatives(
+    found: Evidence, chosen: Sequence[Ranked], together: Sequence[str]
+) -> dict[str, Any]:
+    """Return what competes with the chosen effects, and what was not tested, with reasons."""
+    session, details = found.session, dict[str, Any]()
     if found.rival is not None:
         details['rival'] = {
             'name': found.rival.name,
@@ -161,8 +172,6 @@ def details_of(
         )
         for c in found.not_tested
     }
-    if verdict == 'adequate':
-        details['detectable'] = smallest_seen(found)
     return details
 
 

@@ -150,14 +150,8 @@ class Model:
         b, chain = len(inputs), self.arrays.chain
         n, k = chain.n, chain.k
         bend = np.zeros((b, n, 2)) if guesses is None else np.array(guesses, order='C')
-        out = (
-            bend,
-            np.empty((b, n, k)),
-            np.empty((b, n, 3, 3)),
-            np.empty((b, n, 3)),
-            np.empty((b, k)),
-            np.empty(b),
-        )
+        tensions, frames = np.empty((b, n, k)), np.empty((b, n, 3, 3))
+        out = (bend, tensions, frames, np.empty((b, n, 3)), np.empty((b, k)), np.empty(b))
         past = self.arrays.fresh_memory() if memory is None else memory
         run = self.arrays.part('shape').postures
 
@@ -171,19 +165,10 @@ class Model:
             edges = np.linspace(0, b, THREADS + 1).astype(int)
             with ThreadPoolExecutor(THREADS) as pool:
                 list(pool.map(part, map(slice, edges[:-1].tolist(), edges[1:].tolist())))
-        bend, tensions, frames, positions, tendon_pulls, changes = out
-        batch = ShapeBatch(
-            inputs,
-            bend,
-            tensions,
-            frames,
-            positions,
-            tendon_pulls,
-            tendon_pulls @ self.shares.T,
-            self._lengths,
-            self._hinge,
-        )
-        return batch, changes
+        positions, pulls, changes = out[3:]
+        means = pulls @ self.shares.T
+        where = (frames, positions, pulls, means, self._lengths, self._hinge)
+        return ShapeBatch(inputs, bend, tensions, *where), changes
 
     @cached_property
     def shares(self) -> Floats:
