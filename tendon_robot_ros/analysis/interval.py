@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -53,7 +55,7 @@ def intervals(fitter: Fitter, fit: Fit, scale: float = 1.0) -> dict[Free, tuple[
         Chi² over freedom where the fit is not adequate: intervals widen by its root.
 
     """
-    wide = QUANTILE * np.sqrt(scale)
+    wide = QUANTILE * math.sqrt(scale)
     found = {}
     for i, free in enumerate(fit.frees):
         spread = float(np.sqrt(max(fit.covariance[i, i], 0.0)))

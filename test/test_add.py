@@ -1,0 +1,198 @@
+"""Adding effects: values with intervals into a description, and the error that falls."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+import yaml
+from measurements import blind, truth
+from simulated import CATALOGUE, measured
+
+from tendon_robot_ros.analysis.add import add_effects
+from tendon_robot_ros.analysis.noise import rms
+from tendon_robot_ros.analysis.origin import restore
+from tendon_robot_ros.analysis.predict import Predictor
+from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.exceptions import EffectError, InputError
+from tendon_robot_ros.robot import dump_robot, parse_robot
+
+ROBOT = simulated.robot()
+HINGES = {'hinge_friction': {'lever': 2e-4}}
+NOWHERE = 'outside the catalogue'
+NAMED = {'none': NOWHERE, 'tether': NOWHERE, 'soft_cell': NOWHERE,
+         'wrong_stiffness': 'backbone_stiffness'}  # fmt: skip
+
+
+def added(letter):
+    """Add to a blind case what it hides; return the addition and what is hidden."""
+    hidden = truth(letter)
+    fit, check = (load_dataset(blind(letter) / part) for part in ('fit', 'check'))
+    name = NAMED.get(hidden['hidden'], hidden['hidden'])
+    return add_effects(fit, [name], check=check), hidden['parameters'], name
+
+
+@pytest.mark.parametrize('letter', 'bcdefijk')
+def test_adding_what_a_blind_case_hides_removes_its_error(letter):
+    made, true, name = added(letter)
+    for key, value in made.values[name].items():
+        assert value.low <= true[key] <= value.high, key
+    assert made.check.gone >= 0.9
+    assert made.fitted.after < 1.3 * made.fitted.floor
+    assert made.more_at_work == ''
+
+
+@pytest.mark.blind
+def test_memory_is_added_to_a_sequence():
+    made, true, name = added('h')
+    value = made.values[name]['presliding_length']
+    assert value.low <= true['presliding_length'] <= value.high
+    assert made.check.gone >= 0.9
+
+
+@pytest.fixture(scope='module')
+def hinged():
+    """Return measurements of hinge friction and what was added."""
+    dataset = measured(ROBOT, HINGES)
+    return dataset, add_effects(dataset, ['hinge_friction'])
+
+
+def test_the_staircase_is_what_the_descriptions_say(hinged):
+    dataset, made = hinged
+    for robot, error in ((ROBOT, made.fitted.before), (made.robot, made.fitted.after)):
+        markers = Predictor(dataset, robot, CATALOGUE).markers({})
+        assert error == pytest.approx(rms(dataset.mean - markers), rel=1e-9)
+    assert made.check.kind == 'left out'
+    assert made.fitted.after <= made.check.after < 1.2 * made.fitted.after
+    assert made.check.before == made.fitted.before
+
+
+def test_the_file_says_where_its_values_come_from(hinged):
+    _, made = hinged
+    robot = parse_robot(dump_robot(made.robot))
+    origin = robot.fitted['hinge_friction']
+    lever = origin['parameters']['lever']
+    assert robot.effects['hinge_friction']['lever'] == pytest.approx(lever['value'], rel=1e-3)
+    assert lever['low'] < 2e-4 < lever['high']
+    assert lever['unit'] == 'm'
+    assert origin['data'] == 'simulated'
+    assert len(origin['date']) == 10
+    assert origin['error']['unit'] == 'm'
+    for kind in ('fitted', 'left_out'):
+        errors = origin['error'][kind]
+        assert errors['before'] > errors['after'] > 0.5 * errors['floor']
+    assert yaml.safe_load(yaml.safe_dump(made.to_json()))['check']['kind'] == 'left out'
+
+
+def test_removing_undoes_adding(hinged):
+    _, made = hinged
+    robot, back = restore(made.robot, 'hinge_friction')
+    assert back is None
+    assert dump_robot(robot) == dump_robot(ROBOT)
+    with pytest.raises(InputError, match=r"effects: no 'tip_load' to remove; listed: tendon_fric"):
+        restore(made.robot, 'tip_load')
+
+
+def test_an_effect_that_is_there_gets_new_values_and_its_old_ones_back():
+    before = {'lever': 1e-4}
+    robot = replace(ROBOT, effects={**ROBOT.effects, 'hinge_friction': before})
+    made = add_effects(measured(robot, {'hinge_friction': {'lever': 3e-4}}), ['hinge_friction'])
+    assert made.robot.effects['hinge_friction']['lever'] == pytest.approx(3e-4, rel=0.1)
+    assert made.robot.fitted['hinge_friction']['replaces'] == before
+    robot, back = restore(made.robot, 'hinge_friction')
+    assert back == before == robot.effects['hinge_friction']
+    robot, back = restore(robot, 'hinge_friction')
+    assert back is None
+    assert 'hinge_friction' not in robot.effects
+
+
+def test_two_effects_are_added_together():
+    hidden = HINGES | {'pre_curvature': {'angle_x': 0.01, 'angle_y': 0.0}}
+    made = add_effects(measured(ROBOT, hidden), ['hinge_friction', 'pre_curvature'])
+    assert list(made.values) == ['hinge_friction', 'pre_curvature']
+    assert made.check.gone > 0.95
+    assert made.robot.fitted['hinge_friction']['together_with'] == ['pre_curvature']
+
+
+def test_a_value_per_section_goes_into_the_file_as_such():
+    robot = simulated.robot('kato_10_1')
+    hidden = {'section_stiffness': {'relative_change': (0.2, -0.1)}}
+    made = add_effects(measured(robot, hidden), ['section_stiffness'])
+    changes = made.robot.effects['section_stiffness']['relative_change']
+    assert changes == pytest.approx((0.2, -0.1), abs=0.03)
+    assert list(made.values['section_stiffness']) == [
+        'relative_change[proximal]', 'relative_change[distal]']  # fmt: skip
+    assert parse_robot(dump_robot(made.robot)).effects == made.robot.effects
+
+
+def test_tolerances_are_reported_and_stay_out_of_the_file():
+    robot = replace(ROBOT, tolerances={'bending_stiffness': 0.05})
+    made = add_effects(measured(robot, HINGES), ['hinge_friction'])
+    assert set(made.moved) == {'bending_stiffness'}
+    assert abs(made.moved['bending_stiffness']) < 2.0
+    assert 'backbone_stiffness' not in made.robot.effects
+    assert made.robot.fitted['hinge_friction']['tolerances_moved'].keys() == made.moved.keys()
+    value = made.values['hinge_friction']['lever']
+    exact = add_effects(measured(ROBOT, HINGES), ['hinge_friction']).values['hinge_friction']
+    assert value.high - value.low > exact['lever'].high - exact['lever'].low
+
+
+def test_gravity_goes_into_a_file_that_did_not_know_where_down_is():
+    robot = simulated.robot(gravity=None)
+    dataset = measured(simulated.robot(gravity=(9.81, 0.0, 0.0)), {'gravity': {
+        'linear_density': 0.05}})  # fmt: skip
+    made = add_effects(replace(dataset, robot=robot), ['gravity'])
+    assert made.robot.gravity == (9.81, 0.0, 0.0)
+    assert made.check.gone > 0.95
+
+
+def test_what_remains_widens_the_intervals_and_is_said():
+    section = ROBOT.sections[0]
+    soft = np.where(np.arange(15) == 9, 0.6, 1.0) * section.bending_stiffness
+    real = replace(ROBOT, sections=(replace(section, bending_stiffness=tuple(soft)),))
+    made = add_effects(replace(measured(real), robot=ROBOT), ['backbone_stiffness'])
+    assert made.probability < 1e-6
+    assert made.more_at_work.startswith('more is at work than these effects: what is left')
+    assert made.robot.fitted['backbone_stiffness']['more_at_work'] == made.more_at_work
+    value = made.values['backbone_stiffness']['relative_change']
+    clean = add_effects(
+        measured(ROBOT, {'backbone_stiffness': {'relative_change': -0.02}}), ['backbone_stiffness']
+    )
+    exact = clean.values['backbone_stiffness']['relative_change']
+    assert value.high - value.low > 1.3 * (exact.high - exact.low)
+
+
+@pytest.mark.parametrize(('name', 'reason'), [
+    ('gravity', 'set to zero'),
+    ('tendon_elongation', 'wire pulls not commanded'),
+    ('friction_memory', 'every posture loaded from straight'),
+    ('tendon_travel', 'these postures hardly show it'),
+])  # fmt: skip
+def test_what_the_postures_do_not_show_is_refused(name, reason):
+    robot = simulated.robot(lacks=('tendon_travel',))
+    with pytest.raises(InputError) as error:
+        add_effects(measured(robot, count=4), [name])
+    assert str(error.value) == (
+        f'{name}: these measurements cannot tell its value ({reason}); nothing was written'
+    )
+
+
+def test_an_unknown_effect_is_refused_with_the_known_ones():
+    with pytest.raises(EffectError, match="unknown effect 'hinge_fiction'; known: tendon_fric"):
+        add_effects(measured(ROBOT, count=2), ['hinge_fiction'])
+
+
+def test_without_any_noise_to_weigh_by_nothing_is_added():
+    dataset = replace(measured(ROBOT, trials=1), position_noise=None)
+    with pytest.raises(InputError, match='one trial per posture and no position_noise'):
+        add_effects(dataset, ['hinge_friction'])
+
+
+def test_stretching_tendons_are_added_to_wire_pulls():
+    robot = simulated.robot('spatial_3')
+    hidden = {'tendon_elongation': {'compliance': 2e-3}}
+    fit, check = (measured(robot, hidden, count=n, input='displacement', which=w, seed=w)
+                  for n, w in ((8, 0), (6, 1)))  # fmt: skip
+    made = add_effects(fit, ['tendon_elongation'], check=check)
+    assert made.values['tendon_elongation']['compliance'].value == pytest.approx(2e-3, rel=0.15)
+    assert made.check.gone > 0.9
