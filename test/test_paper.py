@@ -62,12 +62,12 @@ def test_constant_curvature_meets_the_pulls():
     robot = kato('10_1')
     pair = pairs_of(robot)[0]
     pulls = np.zeros((1, 4))
-    pulls[0, list(pair.indices)] = 2e-3, 5e-3
+    pulls[0, list(pair.indices)] = 4e-3, 5e-3
     tips, tensions = displacement.constant_curvature(robot, pair, pulls)
     given = np.zeros((1, 4))
     given[0, list(pair.indices)] = tensions[0]
     shape = Model(pcca(robot)).shapes(given)
-    np.testing.assert_allclose(shape.pulls[0, list(pair.indices)], [2e-3, 5e-3], atol=1e-12)
+    np.testing.assert_allclose(shape.pulls[0, list(pair.indices)], [4e-3, 5e-3], atol=1e-12)
     np.testing.assert_allclose(shape.tip_position, tips, atol=1e-12)
 
 

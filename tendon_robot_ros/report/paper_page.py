@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 from ..analysis.paper.displacement import DisplacementExperiment, Heights
 from ..analysis.paper.motion import VIEWS, Motion, Stiffening
 from ..analysis.paper.tension import TensionExperiment
@@ -50,7 +52,7 @@ def _row(row: Row) -> list[str]:
     return [
         row.section, row.what, f'{row.published:g}{unit}', f'{number}{unit}',
         f'{round(100.0 * row.difference):+d} %',
-        f'{digits(row.low, 3)} to {digits(row.high, 3)}', row.met, row.why,
+        f'{digits(row.low, 3)} to {digits(row.high, 3)}', row.met.replace(' ', '\u00a0'), row.why,
     ]  # fmt: skip
 
 
@@ -145,6 +147,18 @@ def _tension(page: Page, found: TensionExperiment) -> None:
     for i, one in enumerate(found.more):
         title = 'With the posture that it asks for' if i == 0 else 'And with the next one'
         page.box(_diagnosis(one), '', title)
+    page.text(_redrawn(found.redrawn))
+
+
+def _redrawn(found: tuple[Diagnosis, ...]) -> str:
+    """Say how far the outcome depends on the noise."""
+    ends = Counter((one.verdict, listed(effect.name for effect in one.effects)) for one in found)
+    counts = (f'{count} times {verdict} ({effects})' for (verdict, effects), count in ends.items())
+    return (
+        f'The same with {len(found)} other draws of the noise ends {listed(counts)}. '
+        '"adequate": the declared uncertainties of tension, friction and stiffness cover '
+        'the error, and nothing is asked for.'
+    )
 
 
 def _diagnosis(found: Diagnosis) -> list[str]:
