@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ..model.shape import Shape
 
 Array = NDArray[np.float64]
+MOMENT = 0.1  # [s] over which inputs are averaged while they stand still
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class MonitorSettings:
 
     still_time: float = 0.6  # [s]
     still_speed: float = 0.002  # [m/s]
-    rolling: float = 2.0  # [s] over which the rolling error is taken
+    rolling: float = 1.0  # [s] over which the rolling error is taken
     position_noise: float = 0.0  # [m] 1 sd of a recorded mean; 0: from the still frames
     setting_noise: float = 0.002  # [1] relative 1 sd of an input as measured
     path: str = 'sequence'  # or 'from_straight': each posture by itself
@@ -41,7 +42,7 @@ class Compared:
 
     measured: Array  # (J, 3) [m]
     predicted: Array  # (J, 3) [m]
-    rolling: float  # [m] rms of the last marker's error over the last seconds
+    rolling: float  # [m] rms of the last marker's error lately, while inputs stood still
 
     @property
     def errors(self) -> Array:
@@ -98,14 +99,16 @@ class Monitor:
         if state is None:
             self.problem = 'no tendon_states at the time of the tracker: is the driver running?'
             return None
-        tensions, pulls = np.split(state, 2)
+        quiet = self._quiet(time)
+        tensions, pulls = np.split(state if quiet is None else quiet, 2)
         shape = self._predict(tensions, pulls)
         if shape is None:
             return None
         self.problem = ''
         points = self.model.measured(shape.markers(self._arcs, self._offsets)[None])[0]
         self._record(time, tensions, pulls, positions)
-        return Compared(positions, points, self._roll(time, positions[-1] - points[-1]))
+        error = positions[-1] - points[-1] if quiet is not None else np.full(3, np.nan)
+        return Compared(positions, points, self._roll(time, error))
 
     def start_recording(self) -> None:
         """Begin a new recording."""
@@ -144,6 +147,17 @@ class Monitor:
             position_noise=noise,
             setting_noise=settings.setting_noise,
         )
+
+    def _quiet(self, time: float) -> Array | None:
+        """Return the mean state of the last moment, free of noise; None while inputs change."""
+        recent = self.states.mean(time - MOMENT, time)
+        earlier = self.states.mean(time - 2.0 * MOMENT, time - MOMENT)
+        if recent is None or earlier is None:
+            return None
+        robot, m = self.model.robot, len(recent) // 2
+        scale = np.repeat([0.004 * robot.tension_limits[1], 0.001 * robot.length], m)
+        change = np.abs(recent - earlier) / scale
+        return recent if np.max(change[np.isfinite(change)], initial=0.0) <= 1.0 else None
 
     def _predict(self, tensions: Array, pulls: Array) -> Shape | None:
         last = self._shape

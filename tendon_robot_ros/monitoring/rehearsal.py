@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -108,9 +107,7 @@ def tour(model: Model, count: int, seed: int) -> list[Stop]:
     return stops
 
 
-def _tip_change(
-    robot: Robot, catalogue: Catalogue, name: str, values: Mapping[str, float | tuple[float, ...]]
-) -> float:
+def _tip_change(robot: Robot, catalogue: Catalogue, name: str, values: EffectValues) -> float:
     """Return how far an effect moves the tip, rms over postures [m]; inf without equilibrium."""
     tensions = np.clip(default_postures(robot, 8, 0), *robot.tension_limits)
     try:
@@ -123,11 +120,9 @@ def _tip_change(
     return float(np.sqrt(((tip - without.tip_position) ** 2).sum(axis=1).mean()))
 
 
-def _scaled(
-    catalogue: Catalogue, name: str, values: EffectValues, factor: float
-) -> dict[str, float | tuple[float, ...]]:
+def _scaled(catalogue: Catalogue, name: str, values: EffectValues, factor: float) -> EffectValues:
     """Multiply the distance from neutral, within the bounds."""
-    made: dict[str, float | tuple[float, ...]] = {}
+    made: EffectValues = {}
     for parameter in catalogue[name].parameters:
         given = values[parameter.name]
         many = given if isinstance(given, tuple) else (given,)

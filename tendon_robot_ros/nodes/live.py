@@ -103,7 +103,7 @@ def _start(
     config = {
         'plant': rehearsed,
         'lag': 0.02,
-        'tension_noise': 0.003,
+        'tension_noise': 0.002,
         'pull_noise': 2e-5,
         'seed': seed,
         'tracker': {'rate': 30.0, 'noise': NOISE, 'seed': seed + 1},

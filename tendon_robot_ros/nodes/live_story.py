@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -82,5 +84,5 @@ def _old_tip(model: Model, tensions: Array) -> Array:
         return np.full(3, np.nan)
 
 
-def _rms(values: list[np.floating]) -> float:
+def _rms(values: Sequence[np.floating]) -> float:
     return float(np.sqrt(np.nanmean(np.square(values))))

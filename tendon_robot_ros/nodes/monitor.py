@@ -15,11 +15,10 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
-from geometry_msgs.msg import PoseArray, Vector3, Vector3Stamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Float64MultiArray, Header, String
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ..control import Refusal
@@ -28,13 +27,14 @@ from ..control.loading import Loader
 from ..data import save_dataset
 from ..exceptions import InputError, TendonRobotError
 from ..monitoring import Monitor
-from ..monitoring.core import Compared, read_markers
+from ..monitoring.core import read_markers
 from ..monitoring.work import Work
 from .measured import Measured
-from .messages import pose_array, seconds
+from .messages import seconds
+from .monitor_output import MonitorOutput
 from .monitor_setup import SPECS, parsed, settings
 from .parameters import Parameters
-from .qos import LATCHED, LISTEN, STATE
+from .qos import LATCHED, LISTEN
 from .remote_parameters import RemoteText
 from .runtime import run
 from .shared import read_robot
@@ -62,10 +62,7 @@ class MonitorNode(Node):
         self._said = ''
         self._remote = RemoteText(self, self.parameters['controller'], 'model')
         publish = self.create_publisher
-        self._error = publish(Vector3Stamped, '~/error', STATE)
-        self._rolling = publish(Float64, '~/rolling_error', STATE)
-        self._per_marker = publish(Float64MultiArray, '~/marker_errors', STATE)
-        self._shapes = [publish(PoseArray, f'~/{name}', STATE) for name in _SHAPES]
+        self._output = MonitorOutput(self)
         self._progress = publish(String, '~/progress', LATCHED)
         self._verdict = publish(String, '~/verdict', LATCHED)
         self.create_subscription(JointState, 'tendon_states', self._states, LISTEN)
@@ -91,8 +88,6 @@ class MonitorNode(Node):
     def end(self, spin: object) -> None:
         """End what runs."""
         self.work.cancel()
-        if self._loader is not None:
-            self._loader.cancel()
 
     def _look_at_controller(self) -> None:
         if not self.parameters['model']:
@@ -160,23 +155,10 @@ class MonitorNode(Node):
         if len(self.monitor.recorded) > before:
             self._tell_progress(f'recording: {len(self.monitor.recorded)} postures')
         if compared is not None:
-            self._publish(compared)
-
-    def _publish(self, compared: Compared) -> None:
-        self._frame_at = time.monotonic()
-        header = Header(frame_id=self._base, stamp=self.get_clock().now().to_msg())
-        errors = compared.errors
-        x, y, z = errors[-1].tolist()
-        self._error.publish(Vector3Stamped(header=header, vector=Vector3(x=x, y=y, z=z)))
-        self._rolling.publish(Float64(data=compared.rolling))
-        self._last_error = compared.rolling
-        sizes = np.linalg.norm(errors, axis=1).tolist()
-        self._per_marker.publish(Float64MultiArray(data=sizes))
-        turns = np.tile(np.eye(3), (len(errors), 1, 1))
-        for publisher, points in zip(
-            self._shapes, (compared.measured, compared.predicted), strict=True
-        ):
-            publisher.publish(pose_array(header, points, turns))
+            self._frame_at = time.monotonic()
+            if np.isfinite(compared.rolling):
+                self._last_error = compared.rolling
+            self._output.publish(self._base, compared)
 
     def _cycle(self) -> None:
         """Take what the child says; tell how things are."""
@@ -186,8 +168,10 @@ class MonitorNode(Node):
                 content = {**news['diagnosis'], **{k: news[k] for k in _WORDS}}
                 self._verdict.publish(String(data=json.dumps(content)))
             if news['kind'] == 'add':
-                self._remote.put(news['file'], self._added)
-            self._tell_progress(news['text'])
+                told = self.work.answered
+                self._remote.put(news['file'], lambda *said: self._tell_progress(told(*said)))
+            if news['text']:
+                self._tell_progress(news['text'])
         level, code, message = self._condition()
         self.status.say(level, code, message, self._values())
 
@@ -218,11 +202,7 @@ class MonitorNode(Node):
         }
 
     def _tell_progress(self, text: str) -> None:
-        if text:
-            self._progress.publish(String(data=text))
-
-    def _added(self, taken: bool, reason: str) -> None:
-        self._tell_progress(self.work.answered(taken, reason))
+        self._progress.publish(String(data=text))
 
     def _record(self, request: object, response: Trigger.Response) -> Trigger.Response:
         return self._answer(response, self._begin_recording)
@@ -264,7 +244,6 @@ class MonitorNode(Node):
         return response
 
 
-_SHAPES = ('measured', 'predicted')
 _WORDS = ('sentence', 'lines', 'report')
 
 

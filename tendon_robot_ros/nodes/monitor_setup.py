@@ -38,7 +38,7 @@ SPECS = (
     Spec('partial', False, 'add what was found even if more is at work'),
     Spec('still_time', 0.6, 'time to stand still before a posture counts', 's', 0.1, 30.0, True),
     Spec('still_speed', 0.002, 'speed below which the arm is still', 'm/s', 1e-6, 1.0, True),
-    Spec('rolling', 2.0, 'time over which the rolling error is taken', 's', 0.05, 600.0, True),
+    Spec('rolling', 1.0, 'time over which the rolling error is taken', 's', 0.05, 600.0, True),
     Spec(
         'position_noise',
         0.0,

@@ -16,7 +16,7 @@ from .view_state import ViewState
 
 Array = NDArray[np.float64]
 MEASURED, PREDICTED, ERROR = (213, 94, 0), (0, 114, 178), (107, 117, 128)
-BUTTONS = (
+BUTTONS: tuple[tuple[str, str, str, str | None], ...] = (
     ('record', 'Record', 'every posture in which the arm stands still', 'orange'),
     ('diagnose', 'Diagnose', 'which physical effect is missing?', 'blue'),
     ('add', 'Add what was found', 'to the model of the running controller', 'green'),
@@ -145,15 +145,15 @@ class LivePage:
         for name in ('error', 'curve'):
             self._boxes[name] = gui.add_html('')
         self._buttons: dict[str, Any] = {}
-        for name, label, hint, colour in BUTTONS[:3]:
-            self._add_button(name, label, hint, colour)
+        for button in BUTTONS[:3]:
+            self._add_button(*button)
         self._boxes['progress'] = gui.add_html('')
         self._boxes['verdict'] = gui.add_html('')
         self._boxes['bars'] = gui.add_html('')
-        self._tour = gui.add_checkbox('tour through postures', True)
+        self._tour: Any = gui.add_checkbox('tour through postures', True)
         self._tour.on_update(self._guarded('tour', lambda: bool(self._tour.value)))
-        for name, label, hint, colour in BUTTONS[3:]:
-            self._add_button(name, label, hint, colour)
+        for button in BUTTONS[3:]:
+            self._add_button(*button)
         self._boxes['statuses'] = gui.add_html('')
 
     def _add_button(self, name: str, label: str, hint: str, colour: Any) -> None:

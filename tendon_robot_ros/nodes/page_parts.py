@@ -133,7 +133,7 @@ def verdict(found: Mapping[str, Any], count: int = 6) -> str:
     rows = []
     for row in found.get('candidates', [])[:count]:
         values = ', '.join(
-            f'{key} {digits(v["value"], 3)} {v["unit"]}'
+            f'{key} {digits(v["value"], 3)} {v["unit"]}'.removesuffix(' 1')
             for key, v in row['parameters'].items()
             if v.get('value') is not None
         )
@@ -141,9 +141,10 @@ def verdict(found: Mapping[str, Any], count: int = 6) -> str:
         share = '–' if explained is None else f'{100 * explained:.0f} %'
         rows.append(
             f'<tr><td>{escape(row["name"])}</td><td>{escape(values)}</td>'
-            f'<td style="text-align:right">{share}</td><td>{escape(row["status"])}</td></tr>'
+            f'<td style="text-align:right">{share}<br><small>{escape(row["status"])}</small></td>'
+            '</tr>'
         )
-    head = '<tr><th>effect</th><th>value</th><th>explains</th><th></th></tr>' if rows else ''
+    head = '<tr><th>effect</th><th>value</th><th>explains</th></tr>' if rows else ''
     said = ''.join(f'<p style="margin:4px 0">{escape(s)}</p>' for s in sentences if s)
     return (
         f'<div id="verdict" style="{STYLE};overflow-x:auto"><div style="border-left:4px solid '

@@ -1,0 +1,125 @@
+"""`make live`: the story as text, and clicked through in a browser."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+
+import pytest
+
+pytest.importorskip('rclpy')
+pytestmark = pytest.mark.ros
+LIVE = [sys.executable, '-u', '-m', 'tendon_robot_ros', 'live']
+
+
+def told(*arguments, timeout=280.0):
+    run = subprocess.run(
+        [*LIVE, '--headless', *arguments], capture_output=True, text=True, timeout=timeout
+    )
+    return run.returncode, run.stdout + run.stderr
+
+
+def test_the_story_of_a_hidden_effect_comes_true():
+    arguments = ('--hidden', 'tip_load', '--seed', '1', '--postures', '8', '--reveal')
+    code, text = told(*arguments)
+    assert code == 0, text
+    assert 'tip_load' in text.split('hidden:')[0]
+    assert '% gone)' in text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', ['hinge_friction', 'backbone_stiffness', 'none', 'soft_cell'])
+def test_every_kind_of_story_comes_true(name):
+    code, text = told('--hidden', name, '--seed', '1', timeout=600.0)
+    assert code == 0, text
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        (['--hidden', 'gremlins'], 'hidden: expected one of '),
+        (['--postures', '1'], 'expected at least 4, got 1'),
+        (['--hide', 'x'], 'unknown argument --hide x; see live --help'),
+    ],
+)
+def test_what_cannot_be_is_one_line(arguments, words):
+    code, text = told(*arguments)
+    assert code == 1
+    assert words in text
+    assert 'Traceback' not in text
+
+
+def free_port():
+    with socket.socket() as taken:
+        taken.bind(('127.0.0.1', 0))
+        return taken.getsockname()[1]
+
+
+@pytest.fixture
+def page(tmp_path):
+    """Start the live page; give its address."""
+    pytest.importorskip('viser')
+    port = free_port()
+    command = [*LIVE, '--hidden', 'backbone_stiffness', '--seed', '3', '--postures', '8']
+    with (tmp_path / 'live.log').open('w+') as log:
+        process = subprocess.Popen(
+            [*command, '--port', str(port)],
+            stdout=log,
+            stderr=log,
+            cwd=tmp_path,
+            env={**os.environ, 'PYTHONPATH': os.getcwd()},
+        )
+        end = time.monotonic() + 180.0
+        while 'open http' not in (tmp_path / 'live.log').read_text():
+            assert process.poll() is None and time.monotonic() < end, log.read()
+            time.sleep(0.2)
+        yield f'http://127.0.0.1:{port}'
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30.0) == 0
+
+
+@pytest.mark.browser
+@pytest.mark.slow
+def test_clicking_record_diagnose_add_makes_the_error_fall(page, tmp_path):
+    from live_browser import Browser
+
+    for name in ('one', 'two'):
+        (tmp_path / name).mkdir()
+    browser, other = Browser(tmp_path / 'one'), Browser(tmp_path / 'two', 400, 800)
+    try:
+        browser.open(page)
+        browser.until(browser.tip_error, 'the error', 60.0)
+        browser.click('Record')
+        browser.until(lambda: 'Recording (7)' in browser.text(), 'seven postures', 120.0)
+        before = max(browser.tip_error() or 0.0 for _ in range(20) if not time.sleep(0.5))
+        assert before > 2.0  # [mm]
+        browser.click('Diagnose')
+        shown = "document.getElementById('verdict')?.innerText"
+        verdict = browser.until(lambda: browser.run(shown), 'the verdict', 180.0)
+        assert 'backbone_stiffness' in verdict
+        browser.click('Add')
+        browser.until(lambda: 'added backbone_stiffness' in browser.text(), 'the adding', 120.0)
+        browser.until(lambda: (browser.tip_error() or 9.0) < 0.2 * before, 'the fall', 60.0)
+        other.open(page)
+        other.until(other.tip_error, 'the error in a second, narrow browser', 60.0)
+        assert other.run('document.documentElement.scrollWidth') <= 400
+    finally:
+        browser.close()
+        other.close()
+
+
+@pytest.mark.browser
+def test_the_page_asks_nothing_of_the_network(tmp_path):
+    pytest.importorskip('viser')
+    from tendon_robot_ros.nodes.page import LivePage
+
+    page = LivePage('127.0.0.1', free_port(), '', 0.2)
+    try:
+        with urllib.request.urlopen(f'http://127.0.0.1:{page.port}') as answer:
+            html = answer.read().decode()
+    finally:
+        page.close()
+    assert 'src="http' not in html and 'href="http' not in html
