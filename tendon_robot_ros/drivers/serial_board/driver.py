@@ -229,7 +229,7 @@ class SerialDriver(Driver):
     def _read_again(self) -> None:
         """Take telemetry that is newer than what was just asked for."""
         self.link.flush()
-        if self._hear(max(0.1, 5.0 * self.config.period)) is None:
+        if self._hear(0.5) is None:
             raise DriverError(f'{self.config.port}: no telemetry; check cable and supply')
         self._read_at = time.monotonic()
 
