@@ -133,7 +133,7 @@ class ControllerNode(ManagedNode):
 
     def _tip(self, message: PoseStamped) -> None:
         def take(core: ControllerCore, incoming: Incoming) -> None:
-            core.loop.take(time.monotonic(), core, incoming.tip(message))
+            core.loop.take(time.monotonic(), core, incoming.measured_tip(message))
 
         if self.parameters['tip_gain'] > 0.0:
             self._take('tip', take)

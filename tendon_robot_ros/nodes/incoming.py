@@ -48,7 +48,7 @@ class Incoming:
         place = position(place.tolist(), self._farthest, 'target_point')
         return Target(place, stamp=_text(message.header))
 
-    def tip(self, message: PoseStamped) -> Array:
+    def measured_tip(self, message: PoseStamped) -> Array:
         """Return a measured tip [m]."""
         rotation, shift = self._header(message.header, 'measured_tip')
         p = message.pose.position

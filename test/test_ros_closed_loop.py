@@ -1,0 +1,28 @@
+"""With a measured tip the controller removes what its model leaves."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from ros_station import Station, last, start, values
+
+pytestmark = pytest.mark.ros
+
+
+def test_the_tip_of_an_arm_unlike_the_model_is_brought_to_the_target(tmp_path):
+    hidden = (
+        '{plant: {refine: 1, scatter: 0.0, hidden: {backbone_stiffness: {relative_change: 0.1}}}}'
+    )
+    with (
+        start('driver', '/loop', tmp_path, config=hidden),
+        start('controller', '/loop', tmp_path, tip_gain=2.0),
+    ):
+        station = Station('/loop')
+        station.until_code(station.controller, 'holding', timeout=120.0)
+        target = np.array([0.06, 0.0, 0.17])
+        station.go_to_point(0.06, 0.17)
+        assert np.linalg.norm(station.tip() - target) > 1e-3
+        station.until(lambda: np.linalg.norm(station.tip() - target) < 2e-4, 'the target')
+        assert 'mm' in values(last(station.controller))['measured_error']
+        station.close()
