@@ -147,11 +147,7 @@ class MonitorNode(Node):
         """Compare a frame of the tracker and publish how far it is off."""
         assert self.monitor is not None
         before = len(self.monitor.recorded)
-        try:
-            compared = self.monitor.put_frame(at, positions)
-        except InputError as error:
-            self._said = str(error)
-            return
+        compared = self.monitor.put_frame(at, positions)  # of as many markers: see Measured
         if len(self.monitor.recorded) > before:
             self._tell_progress(f'recording: {len(self.monitor.recorded)} postures')
         if compared is not None:
@@ -168,8 +164,7 @@ class MonitorNode(Node):
                 content = {**news['diagnosis'], **{k: news[k] for k in _WORDS}}
                 self._verdict.publish(String(data=json.dumps(content)))
             if news['kind'] == 'add':
-                told = self.work.answered
-                self._remote.put(news['file'], lambda *said: self._tell_progress(told(*said)))
+                self._remote.put(news['file'], self._added)
             if news['text']:
                 self._tell_progress(news['text'])
         level, code, message = self._condition()
@@ -203,6 +198,9 @@ class MonitorNode(Node):
 
     def _tell_progress(self, text: str) -> None:
         self._progress.publish(String(data=text))
+
+    def _added(self, taken: bool, reason: str) -> None:
+        self._tell_progress(self.work.answered(taken, reason))
 
     def _record(self, request: object, response: Trigger.Response) -> Trigger.Response:
         return self._answer(response, self._begin_recording)

@@ -1,0 +1,119 @@
+"""The monitor among other nodes: any order, restarts, drop-outs, two namespaces."""
+
+import json
+import signal
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from ros_station import LATCHED, Station, last, values
+from std_msgs.msg import Float64, String
+
+from tendon_robot_ros.nodes.processes import NodeProcess
+from tendon_robot_ros.nodes.shared import read_robot
+from tendon_robot_ros.robot import dump_robot
+
+pytestmark = pytest.mark.ros
+LOADED = 120.0  # [s] a busy machine may need to load the model
+TRACKER = 'tracker: {rate: 30.0, noise: 1.0e-4, missing: 0.1, lost: 0.1}'
+SOFT = read_robot('kato_10_1').with_effect('backbone_stiffness', {'relative_change': 0.1})
+
+
+class Watched(Station):
+    """A namespace with what the monitor says."""
+
+    def __init__(self, namespace, folder):
+        super().__init__(namespace)
+        self.folder, self.started = folder, []
+        self.monitor = self.hear(DiagnosticStatus, 'monitor/status', LATCHED)
+        self.rolling = self.hear(Float64, 'monitor/rolling_error')
+        self.verdicts = self.hear(String, 'monitor/verdict', LATCHED)
+
+    def run(self, name):
+        parameters = {
+            'driver': {
+                'robot': dump_robot(SOFT),
+                'config': f'plant: {{twin: true}}\n{TRACKER}\n',
+                'command_timeout': 0.5,
+            },
+            'controller': {'model': 'kato_10_1', 'state_timeout': 1.0},
+            'monitor': {'folder': str(self.folder / 'recordings'), 'path': 'from_straight'},
+        }[name]
+        with (self.folder / f'{name}.log').open('a') as log:
+            self.started.append(NodeProcess(name, parameters, self.namespace, log))
+        return self.started[-1]
+
+    def comparing(self):
+        self.until_code(self.monitor, 'comparing', timeout=LOADED)
+
+    def end(self):
+        for process in self.started:
+            if process.process.poll() is None:
+                process.process.send_signal(signal.SIGINT)
+        for process in self.started:
+            process.end()
+        self.close()
+
+
+@pytest.fixture
+def space(request, tmp_path):
+    space = Watched('/' + request.node.name[:40], tmp_path)
+    yield space
+    space.end()
+
+
+def test_in_any_order_with_drop_outs_and_restarts_the_monitor_compares(space):
+    space.run('monitor')
+    space.until_code(space.monitor, 'waiting', timeout=LOADED)
+    controller = space.run('controller')
+    driver = space.run('driver')
+    space.comparing()
+    refused = space.trigger('monitor/diagnose')
+    assert not refused.success
+    assert 'record two or more' in refused.message
+    refused = space.trigger('monitor/add')
+    assert not refused.success
+    assert 'call record, then diagnose' in refused.message
+    driver.process.kill()
+    space.until_code(space.monitor, 'no_tracker', 'not_compared')
+    space.run('driver')
+    space.comparing()
+    controller.process.kill()
+    space.spin(1.0)
+    space.rolling.clear()
+    space.until(lambda: space.rolling, 'errors without a controller')
+
+
+@pytest.mark.slow
+def test_record_diagnose_add_reach_the_controller_and_another_namespace_hears_nothing(
+    space, tmp_path
+):
+    other = Watched('/elsewhere', tmp_path)
+    try:
+        for name in ('driver', 'controller', 'monitor'):
+            space.run(name)
+        space.comparing()
+        assert space.trigger('monitor/record').success
+        for x, z in ((0.1, 0.1), (-0.08, 0.14), (0.05, 0.18), (-0.12, 0.08), (0.12, 0.06)):
+            count = int(values(last(space.monitor))['postures'])
+            space.go_to_point(x, z)
+            space.until(
+                lambda count=count: int(values(last(space.monitor))['postures']) > count,
+                'a recorded posture',
+            )
+        assert space.trigger('monitor/diagnose').success
+        space.until(lambda: space.verdicts, 'the verdict', timeout=LOADED)
+        verdict = json.loads(last(space.verdicts).data)
+        names = [effect['name'] for effect in verdict['effects']]
+        assert 'backbone_stiffness' in (*names, *verdict['cannot_tell_apart'])
+        assert space.trigger('monitor/add').success
+        space.until(lambda: values(last(space.monitor))['added'] == '1', 'the adding', LOADED)
+        space.until(
+            lambda: names[0] in values(last(space.controller)).get('model', ''), 'reload', LOADED
+        )
+        space.until(lambda: space.rolling and last(space.rolling).data < 1e-3, 'the fall', LOADED)
+        assert not other.monitor and not other.rolling and not other.verdicts
+    finally:
+        other.end()
