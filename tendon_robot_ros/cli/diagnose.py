@@ -86,8 +86,9 @@ def run(args: argparse.Namespace) -> int:
     said = [*lines(found), *trust_text.lines(found)]
     content: dict[str, Any] = found.to_json()
     if made is not None:
-        said += _told(args, made)
+        said += [addition_text.never_used(made), *addition_text.warnings(made)]
         content['added'] = made.to_json()
+    page = _reported(args, found, dataset, catalogue, made) if args.report else None
     written = made is not None and args.add and _may_add(args, found)
     if made is not None and written:
         write_description(made.robot, args.add)
@@ -95,8 +96,8 @@ def run(args: argparse.Namespace) -> int:
     elif args.add:
         said.append(_refusal(found))
     content['written'] = args.add if written else None
-    if args.report:
-        said.append(_reported(args, found, dataset, catalogue, made))
+    if page is not None:
+        said.append(page)
     emit(args, content, '\n'.join(said))
     return REFUSED if args.add and not written and _outside(found) else 0
 
@@ -134,12 +135,6 @@ def _addition(
     return add_effects(
         dataset, names, None, catalogue, check, found.effects, partial=_outside(found)
     )
-
-
-def _told(args: argparse.Namespace, made: Addition) -> list[str]:
-    said = [addition_text.never_used(made)] if args.check else []
-    said += [addition_text.staircase(made)] if args.add else []
-    return [*said, *addition_text.warnings(made)]
 
 
 def _reported(

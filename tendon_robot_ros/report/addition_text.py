@@ -34,7 +34,8 @@ def never_used(made: Addition) -> str:
     """Say in one line what became of the error on postures that were not fitted."""
     check = made.check
     floor = '' if check.floor is None else f'  (floor {mm(check.floor)})'
-    return f'error on postures never used: {mm(check.before)} -> {mm(check.after)}{floor}'
+    which = 'never used' if check.kind == 'check' else 'left out in turn'
+    return f'error on postures {which}: {mm(check.before)} -> {mm(check.after)}{floor}'
 
 
 def warnings(made: Addition) -> list[str]:

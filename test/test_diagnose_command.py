@@ -1,0 +1,220 @@
+"""The commands `diagnose`, `add` and `remove`: what they print, write, and refuse."""
+
+import json
+
+import pytest
+import yaml
+from measurements import blind
+
+from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.robot import load_robot
+
+HINGES, STIFF = blind('b'), blind('f')
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """Run in an empty folder that links to the measurements."""
+    (tmp_path / 'hinges').symlink_to(HINGES)
+    (tmp_path / 'stiff').symlink_to(STIFF)
+    for letter in 'gikl':
+        (tmp_path / letter).symlink_to(blind(letter))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def said(capsys, *arguments, code=0):
+    """Run a command; return its lines."""
+    assert main(list(arguments)) == code, capsys.readouterr().err
+    return capsys.readouterr().out.rstrip('\n').split('\n')
+
+
+def written(folder):
+    return sorted(path.name for path in folder.iterdir() if not path.is_symlink())
+
+
+def test_a_missing_effect_is_named_added_and_shown(capsys, folder):
+    lines = said(capsys, 'diagnose', 'stiff/fit', '--add', 'better.yaml', '--check', 'stiff/check')
+    assert lines == [
+        'planar2 on stiff/fit: 12 postures, 60 trials and 30 markers',
+        'no tolerances declared: the description is taken as exact',
+        'noise, from the trials: 0.20 mm per coordinate, inputs 0.41 % per trial, '
+        '0.20 % per setting (declared)',
+        '',
+        'CONSISTENT WITH tendon_stiffness: per_tendon = 0.227 ± 0.013 mN·m/rad.',
+        'It explains 100 % of the explainable error.',
+        'What is left (0.50 mm) equals your repeatability (0.45 mm).',
+        'cannot be told apart from: nothing (next best, straight_tendon, is 10^27 times less '
+        'likely; section_stiffness does the same with more parameters)',
+        'not tested by these postures: friction_memory (every posture loaded from straight); '
+        'gravity (set to zero); tendon_elongation (wire pulls not commanded)',
+        'error on postures never used: 1.06 mm -> 0.228 mm  (floor 0.372 mm)',
+        'written: better.yaml    send it to the robot: controller parameter model := better.yaml',
+    ]
+    robot = load_robot('better.yaml')
+    assert robot.effects['tendon_stiffness']['per_tendon'] == pytest.approx(2.27e-4, rel=0.01)
+    assert list(robot.fitted) == ['tendon_stiffness']
+    assert written(folder) == ['better.yaml']
+
+
+def test_the_json_has_the_promised_keys(capsys, folder):
+    main(['diagnose', 'hinges/fit', '--json'])
+    content = json.loads(capsys.readouterr().out)
+    assert content['format'] == 'tendon_robot_ros/diagnosis@1'
+    assert content['verdict'] == 'missing_effect'
+    (effect,) = content['effects']
+    assert effect['name'] == 'hinge_friction'
+    assert effect['explained'] > 0.98
+    lever = effect['parameters']['lever']
+    assert lever['low'] < lever['value'] < lever['high']
+    assert lever['unit'] == 'm'
+    for key in ('cannot_tell_apart', 'not_tested', 'out_of_tolerance', 'candidates'):
+        assert isinstance(content[key], list)
+    assert content['error_before'] > content['error_after'] > 0.5 * content['noise_floor']
+    assert content['next_measurement'] is None
+    assert content['written'] is None
+    assert written(folder) == []
+
+
+def test_json_goes_beside_the_text_when_it_has_a_name(capsys, folder):
+    lines = said(capsys, 'diagnose', 'i/fit', '--json', 'why.json')
+    content = json.loads((folder / 'why.json').read_text())
+    assert content['verdict'] == 'ambiguous'
+    assert lines[4].startswith(
+        'AMBIGUOUS: hinge_friction, backbone_stiffness, tendon_stiffness, transmission_loss or '
+        'moment_arm explain these 6 postures equally well'
+    )
+    assert lines[-1].startswith('Measure this next: left 1.50 N, right 0.342 N, 5 trials. '
+                                'hinge_friction predicts the tip at least 3.5 mm')  # fmt: skip
+    assert content['next_measurement']['input'] == {'left': 1.495, 'right': 0.342}
+
+
+def test_a_cause_outside_is_not_added(capsys, folder):
+    lines = said(capsys, 'diagnose', 'l/fit', '--add', 'better.yaml', code=2)
+    assert lines[4] == (
+        'OUTSIDE THE CATALOGUE: tip_load (force_x -0.1 mN, force_y 0.0 mN, force_z -2.6 mN) '
+        'removes 70 % of the explainable error, but what remains is 1.9 times the noise '
+        '(p < 1e-6).'
+    )
+    assert lines[5].endswith('cell 4 bends 1.4 times as much as it should. Look at that cell.')
+    assert lines[-1] == 'Nothing was added (--partial would add tip_load).'
+    assert written(folder) == []
+
+
+def test_partial_adds_it_and_says_that_more_is_at_work(capsys, folder):
+    lines = said(capsys, 'diagnose', 'l/fit', '--add', 'better.yaml', '--partial')
+    assert lines[-2].startswith('note: more is at work than these effects: what is left on the '
+                                'fitted postures is 1.9 times the noise')  # fmt: skip
+    origin = yaml.safe_load((folder / 'better.yaml').read_text())['fitted']['tip_load']
+    assert lines[-2] == f'note: {origin["more_at_work"]}'
+    assert any(
+        line.startswith('error on postures left out in turn: 1.49 mm -> 0.63') for line in lines
+    )
+
+
+def test_a_wrong_parameter_is_said_and_added(capsys, folder):
+    lines = said(capsys, 'diagnose', 'k/fit', '--add', 'better.yaml', '--check', 'k/check')
+    assert lines[1] == (
+        'declared tolerances (1 sd): bending_stiffness 2.0 %; everything else is taken as exact'
+    )
+    assert lines[4] == (
+        'WRONG PARAMETER: bending_stiffness (by 5.4 declared sd) must move further than declared.'
+    )
+    assert lines[5] == 'CONSISTENT WITH backbone_stiffness: relative_change = 10.8 ± 0.2 %.'
+    assert any(line.startswith('No posture within the tension limits separates') for line in lines)
+    (never,) = (line for line in lines if line.startswith('error on postures never used'))
+    assert never.startswith('error on postures never used: 5.15 mm -> 0.50')
+
+
+def test_nothing_missing_has_nothing_to_add(capsys, folder):
+    main(['add', 'hinge_friction', '--data', 'hinges/fit', '--output', 'better.yaml'])
+    capsys.readouterr()
+    lines = said(capsys, 'diagnose', 'hinges/fit', '--robot', 'better.yaml', '--add', 'more.yaml')
+    assert lines[4] == 'ADEQUATE: nothing is missing that these measurements could show.'
+    assert lines[-1] == 'Nothing was added: there is nothing to add.'
+    assert any(line.startswith('smallest size that would have been seen') for line in lines)
+    assert written(folder) == ['better.yaml']
+
+
+def test_add_prints_values_and_the_staircase(capsys, folder):
+    lines = said(capsys, 'add', 'hinge_friction', '--data', 'hinges/fit', '--output',
+                 'better.yaml')  # fmt: skip
+    assert lines == [
+        'hinge_friction: lever = 0.158 ± 0.007 mm',
+        'error (rms)                           before     after  noise floor   gone',
+        'fitted: 12 postures of hinges/fit    2.66 mm  0.241 mm     0.245 mm  100 %',
+        'left out: 12 postures of hinges/fit  2.66 mm  0.257 mm     0.245 mm   99 %',
+        'written: better.yaml    send it to the robot: controller parameter model := better.yaml',
+    ]
+    lines = said(capsys, 'remove', 'hinge_friction', '--robot', 'better.yaml', '--output',
+                 'plain.yaml')  # fmt: skip
+    assert lines == ['removed: hinge_friction', 'written: plain.yaml']
+    before, after = load_robot('hinges/fit/robot.yaml'), load_robot('plain.yaml')
+    assert (before.effects, after.fitted) == (after.effects, {})
+
+
+def test_add_prints_json(capsys, folder):
+    main(['add', 'hinge_friction', '--data', 'hinges/fit', '--output', 'a.yaml', '--json'])
+    content = json.loads(capsys.readouterr().out)
+    assert content['effects']['hinge_friction']['lever']['unit'] == 'm'
+    assert content['check']['kind'] == 'left out'
+    assert content['written'] == 'a.yaml'
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    (['diagnose', 'nowhere'], 'nowhere/dataset.yaml: '),
+    (['diagnose', 'hinges/fit', '--partial'], '--partial: expected together with --add'),
+    (['diagnose', 'hinges/fit', '--workers', '0'], '--workers: expected at least 1, got 0'),
+    (['diagnose', 'hinges/fit', '--add', 'there.yaml'],
+     'there.yaml: is there already; use --overwrite or another --add'),
+    (['diagnose', 'hinges/fit', '--add', 'no/new.yaml'],
+     'no/new.yaml: its folder does not exist; make it or correct --add'),
+    (['diagnose', 'hinges/fit', '--robot', 'stiff/fit/robot.yaml'], 'hinges/fit/inputs.csv'),
+    (['diagnose', 'hinges/fit', '--check', 'nowhere'], 'nowhere/dataset.yaml: '),
+    (['add', 'hinge_friction', '--data', 'hinges/fit', '--output', 'there.yaml'],
+     'there.yaml: is there already; use --overwrite or another --output'),
+    (['add', 'gravity', '--data', 'hinges/fit', '--output', 'new.yaml'],
+     'gravity: these measurements cannot tell its value (set to zero); nothing was written'),
+    (['add', 'hinges', '--data', 'hinges/fit', '--output', 'new.yaml'],
+     "unknown effect 'hinges'; known: tendon_friction, "),
+    (['remove', 'tip_load', '--robot', 'hinges/fit/robot.yaml', '--output', 'new.yaml'],
+     "hinges/fit/robot.yaml: effects: no 'tip_load' to remove; listed: tendon_friction, "),
+])  # fmt: skip
+def test_mistakes_are_one_line_and_nothing_is_written(arguments, message, capsys, folder):
+    (folder / 'there.yaml').write_text('name: mine\n')
+    assert main(arguments) == 1
+    out, err = capsys.readouterr()
+    assert out == ''
+    assert err.startswith(f'error: {message}')
+    assert err.count('\n') == 1
+    assert written(folder) == ['there.yaml']
+    assert (folder / 'there.yaml').read_text() == 'name: mine\n'
+
+
+def test_overwrite_replaces_a_description(capsys, folder):
+    (folder / 'there.yaml').write_text('name: mine\n')
+    main(['add', 'hinge_friction', '--data', 'hinges/fit', '--output', 'there.yaml',
+          '--overwrite'])  # fmt: skip
+    assert load_robot('there.yaml').name == 'planar1'
+
+
+def test_remove_brings_back_what_add_replaced(capsys, folder):
+    for data, out in (('hinges/fit', 'one.yaml'), ('hinges/check', 'two.yaml')):
+        robot = [] if out == 'one.yaml' else ['--robot', 'one.yaml']
+        main(['add', 'hinge_friction', '--data', data, '--output', out, *robot])
+    capsys.readouterr()
+    (first, second) = said(capsys, 'remove', 'hinge_friction', '--robot', 'two.yaml', '--output',
+                           'three.yaml')  # fmt: skip
+    lever = load_robot('one.yaml').effects['hinge_friction']['lever']
+    assert first == (f'hinge_friction: as before the fit again (lever = {lever}); remove it once '
+                     'more to drop it')  # fmt: skip
+    assert second == 'written: three.yaml'
+    assert load_robot('three.yaml').effects['hinge_friction']['lever'] == lever
+
+
+def test_two_effects_are_added_by_one_command(capsys, folder):
+    lines = said(capsys, 'add', 'hinge_friction', 'backbone_stiffness', '--data', 'hinges/fit',
+                 '--output', 'both.yaml')  # fmt: skip
+    assert lines[0].startswith('hinge_friction: lever = ')
+    assert lines[1].startswith('backbone_stiffness: relative_change = ')
+    assert list(load_robot('both.yaml').fitted) == ['hinge_friction', 'backbone_stiffness']
