@@ -138,8 +138,10 @@ class LivePage:
 
     def _panel(self) -> None:
         gui = self._server.gui
-        gui.configure_theme(control_layout='fixed', control_width='large', show_logo=False,
-                            show_share_button=False)  # fmt: skip
+        gui.configure_theme(control_width='large', show_logo=False, show_share_button=False)
+        panel = getattr(gui, 'main_panel', None)  # viser 1.0 has none
+        if panel is not None:
+            panel.dock_right()
         gui.set_panel_label('tendon robot, live')
         self._boxes: dict[str, Any] = {'legend': gui.add_html(page_parts.legend())}
         for name in ('error', 'curve'):
