@@ -18,7 +18,6 @@ from .tables import (
     WATCHDOG_UNIT,
 )
 
-
 TRIES = 3
 
 
