@@ -19,8 +19,9 @@ import numpy as np
 from ...exceptions import DriverError, InputError
 from ..interface import Array
 from . import handshake, messages
-from .config import Cell, Config
+from .config import Config
 from .link import Link, LinkLostError
+from .tendons import Cell
 
 GRAVITY = 9.80665  # [m/s²]
 SAMPLE = 0.0125  # [s] between two values of an HX711

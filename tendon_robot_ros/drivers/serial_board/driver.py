@@ -22,7 +22,6 @@ RETRY = 0.2  # [s] between two attempts to get a lost port back
 HEARTBEAT = 0.1  # [s]
 SILENT = 0.1  # [s] without telemetry
 OLD = 0.05  # [s]; after a longer pause what waits in the port is thrown away
-RELEASE_TIME = 10.0  # [s] that a board left running by another process gets
 
 
 class SerialDriver(Driver):
@@ -65,7 +64,7 @@ class SerialDriver(Driver):
         self.link.open()
         try:
             self.identity = handshake.identify(self.link, self.config)
-            self._let_go()
+            handshake.let_go(self.link, self.identity.channels)
             handshake.ask(self.link, messages.CLEAR, b'\xff')
             self._configure()
             if self._hear(1.0) is None:
@@ -108,7 +107,7 @@ class SerialDriver(Driver):
 
     def disable(self, inputs: Sequence[str] = ()) -> None:
         """Torque off at once."""
-        chosen = self._chosen(inputs)
+        chosen = facts.chosen(self.inputs, inputs)
         self.wanted[chosen] = self.restarted[chosen] = False
         try:
             if self.link.connected:
@@ -120,15 +119,15 @@ class SerialDriver(Driver):
     def reboot(self, inputs: Sequence[str] = ()) -> None:
         """Clear latched faults of motors, after their cause was removed; leaves them off."""
         self._must_be_open('reboot')
-        chosen = self._chosen(inputs)
-        self.disable([self.inputs[i] for i in np.flatnonzero(chosen)])
+        chosen = facts.chosen(self.inputs, inputs)
+        self.disable(inputs)
         try:
             content = bytes((facts.mask(self.places[chosen]),))
             handshake.ask(self.link, messages.CLEAR, content)
             self._read_again()
         except LinkLostError as error:
             raise DriverError(f'{error}: lost while clearing faults') from None
-        again = [f.message for f in facts.latched(self) if set(f.inputs) & self._names(chosen)]
+        again = [f.message for f in facts.latched(self) if not inputs or f.inputs[0] in inputs]
         if again:
             raise DriverError('; '.join(again))
 
@@ -207,17 +206,6 @@ class SerialDriver(Driver):
     def _configure(self) -> None:
         handshake.configure(self.link, self.config, np.nan_to_num(self.zero))
 
-    def _let_go(self) -> None:
-        """Release what another process has left under tension, then torque off."""
-        found = self._hear(0.3)
-        if found is not None and found.enabled:
-            handshake.ask(self.link, messages.RELEASE, bytes((messages.RELEASES['limp'],)))
-            deadline = time.monotonic() + RELEASE_TIME
-            while found is not None and found.enabled and time.monotonic() < deadline:
-                self.link.send(messages.HEARTBEAT)
-                found = self._hear(0.1)
-        handshake.ask(self.link, messages.DISABLE, b'\xff')
-
     def _hear(self, wait: float) -> Telemetry | None:
         """Take the newest telemetry, None when none came."""
         assert self.identity is not None
@@ -255,17 +243,6 @@ class SerialDriver(Driver):
             measured = self.telemetry.pulls[self.places]
             self.zero = np.where(np.isfinite(self.zero), self.zero, measured)
             handshake.give_limits(self.link, self.config, self.zero)
-
-    def _names(self, chosen: np.ndarray) -> set[str]:
-        return {self.inputs[i] for i in np.flatnonzero(chosen)}
-
-    def _chosen(self, inputs: Sequence[str]) -> np.ndarray:
-        unknown = [name for name in inputs if name not in self.inputs]
-        if unknown:
-            raise DriverError(
-                f'expected inputs of {", ".join(self.inputs)}, got {", ".join(unknown)}'
-            )
-        return np.array([not inputs or name in inputs for name in self.inputs])
 
     def _must_be_open(self, what: str) -> None:
         if not self._is_open:

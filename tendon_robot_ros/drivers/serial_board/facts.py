@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...exceptions import DriverError
 from ..interface import Array, Fault, Reading
 from . import messages
 
@@ -16,6 +18,14 @@ if TYPE_CHECKING:
 def mask(channels: np.ndarray) -> int:
     """Return a bit per channel, shape (k,)."""
     return int(np.bitwise_or.reduce(1 << channels, initial=0))
+
+
+def chosen(known: Sequence[str], inputs: Sequence[str]) -> np.ndarray:
+    """Return which of the known inputs are named, shape (m,); none named means all."""
+    unknown = [name for name in inputs if name not in known]
+    if unknown:
+        raise DriverError(f'expected inputs of {", ".join(known)}, got {", ".join(unknown)}')
+    return np.array([not inputs or name in inputs for name in known])
 
 
 def tensions(driver: SerialDriver) -> Array:

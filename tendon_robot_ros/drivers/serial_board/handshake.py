@@ -17,6 +17,7 @@ from .messages import Identity, Telemetry
 BOOT_TIME = 4.0  # [s]; opening the port restarts many boards, their boot loader waits 2 s
 ANSWER = 0.1  # [s]
 ATTEMPTS = 8
+RELEASE_TIME = 10.0  # [s] that a board left running by another process gets
 
 
 def identify(link: Link, config: Config) -> Identity:
@@ -124,3 +125,15 @@ def telemetry(link: Link, channels: int, wait: float) -> Telemetry | None:
         if messages.is_telemetry(frame, channels):
             return messages.read_telemetry(frame)
     return None
+
+
+def let_go(link: Link, channels: int) -> None:
+    """Release what another process has left under tension, then torque off."""
+    found = telemetry(link, channels, 0.3)
+    if found is not None and found.enabled:
+        ask(link, messages.RELEASE, bytes((messages.RELEASES['limp'],)))
+        deadline = time.monotonic() + RELEASE_TIME
+        while found is not None and found.enabled and time.monotonic() < deadline:
+            link.send(messages.HEARTBEAT)
+            found = telemetry(link, channels, 0.1)
+    ask(link, messages.DISABLE, b'\xff')
