@@ -8,6 +8,7 @@ waits 34 ms whatever the adapter's latency is).
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import select
