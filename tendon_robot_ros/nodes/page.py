@@ -147,14 +147,14 @@ class LivePage:
         for name in ('error', 'curve'):
             self._boxes[name] = gui.add_html('')
         self._buttons: dict[str, Any] = {}
-        for button in BUTTONS[:3]:
+        for button in BUTTONS[:4]:
             self._add_button(*button)
         self._boxes['progress'] = gui.add_html('')
         self._boxes['verdict'] = gui.add_html('')
         self._boxes['bars'] = gui.add_html('')
         self._tour: Any = gui.add_checkbox('tour through postures', True)
         self._tour.on_update(self._guarded('tour', lambda: bool(self._tour.value)))
-        for button in BUTTONS[3:]:
+        for button in BUTTONS[4:]:
             self._add_button(*button)
         self._boxes['statuses'] = gui.add_html('')
 
@@ -183,7 +183,11 @@ class LivePage:
         self._guarded('target', lambda: np.array(self._target.position))(event)
 
     def _welcome(self, client: Any) -> None:
-        """Ask a browser for the token, on its own page only."""
+        """Place the arm above the panel of a phone; ask a browser for the token, if any."""
+        size = self._size
+        if client.camera.aspect < 0.8:  # there the panel covers the lower right
+            client.camera.position = (0.6 * size, -3.6 * size, 0.2 * size)
+            client.camera.look_at = (0.25 * size, 0.0, -0.35 * size)
         if not self._token:
             return
         field = client.gui.add_text('token', '', order=-1.0)
