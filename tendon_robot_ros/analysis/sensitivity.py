@@ -13,6 +13,7 @@ from .candidates import Candidate
 from .fit import Fit
 from .predict import Free
 from .probability import chi2_isf
+from .search import Fitter
 from .session import Session
 
 Floats = npt.NDArray[np.float64]
@@ -70,15 +71,19 @@ def _size(session: Session, base: Fit, free: Free, length: float) -> float | Non
 
 
 def _change(session: Session, base: Fit, free: Free, value: float) -> float | None:
-    """Length of the whitened change of the markers that the tolerances cannot take up."""
+    """Length of the whitened change of the markers, after the tolerances took up their part."""
     markers = session.predictor.markers({**base.point, free: value})
     if markers is None:
         return None
-    change = session.whitener.white(markers - base.markers)
-    change = np.concatenate([change, np.zeros(len(base.nuisances))])
-    if len(base.nuisances):
-        change = change - base.jacobian @ np.linalg.lstsq(base.jacobian, change, rcond=None)[0]
-    return float(np.linalg.norm(change))
+    if not session.nuisances:
+        change = session.whitener.white(markers - base.markers)
+        return float(np.linalg.norm(change))
+    fitter = Fitter(session.predictor, session.whitener, session.nuisances)
+    fitter.measured = markers
+    try:
+        return float(np.sqrt(fitter.fit((), base.point).chi2))
+    except (ArithmeticError, np.linalg.LinAlgError):
+        return None
 
 
 @cache

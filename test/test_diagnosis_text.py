@@ -1,0 +1,190 @@
+"""Every verdict in words: numbers in units that a person reads, reasons, and what to do."""
+
+from dataclasses import replace
+
+import pytest
+
+from tendon_robot_ros.analysis.result import (
+    CandidateRow,
+    Diagnosis,
+    EffectFinding,
+    NextMeasurement,
+    Value,
+)
+from tendon_robot_ros.report.diagnosis_text import alike, lines, untested, verdict
+from tendon_robot_ros.report.next_text import next_measurement
+from tendon_robot_ros.report.quantities import quantities, quantity, short_quantities
+
+LEVER = Value(1.584e-4, 1.517e-4, 1.652e-4, 'm')
+HINGE = EffectFinding('hinge_friction', {'lever': LEVER}, 0.984)
+LOAD = EffectFinding('tip_load', {
+    'force_x': Value(2.455e-3, 2.385e-3, 2.525e-3, 'N'),
+    'force_y': Value(-2e-5, -1.2e-4, 8e-5, 'N')}, 0.984)  # fmt: skip
+FOUND = Diagnosis(
+    'missing_effect', (HINGE,), (), (), (), 2e-3, 3e-4, 2.5e-4, None, 'What is left (...).', (),
+    {'next_best': {'name': 'tip_load', 'log10_likelihood_ratio': 31.4}},
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(('value', 'text'), [
+    (LEVER, 'x = 0.158 ± 0.007 mm'),
+    (Value(0.108, 0.106, 0.110, '1'), 'x = 0.108 ± 0.002'),
+    (Value(0.02, 0.017, 0.023, 'rad'), 'x = 1.15 ± 0.17°'),
+    (Value(2.27e-4, 2.14e-4, 2.40e-4, 'N·m/rad'), 'x = 0.227 ± 0.013 mN·m/rad'),
+    (Value(0.05, 0.0488, 0.0512, 'kg/m'), 'x = 50.0 ± 1.2 g/m'),
+    (Value(3.6, 3.5, 3.7, '1/rad²'), 'x = 3.60 ± 0.10 1/rad²'),
+    (Value(1.0, 0.92, 1.0, '1', 'at its bound'), 'x = 1.00 (95 %: 0.92 to 1.00, at its bound)'),
+    (Value(0.0, 0.0, 20.0, 'kg/m', 'not determined by these postures'),
+     'x = 0 kg/m (95 %: 0 to 20, not determined by these postures)'),
+])  # fmt: skip
+def test_values_are_shown_with_their_interval(value, text):
+    assert quantity('x', value) == text
+
+
+def test_changes_are_shown_in_percent_and_forces_in_one_unit():
+    change = {'relative_change': Value(-0.081, -0.085, -0.077, '1')}
+    assert quantities(change) == 'relative_change = -8.1 ± 0.4 %'
+    assert short_quantities(change) == 'relative_change -8.1 %'
+    assert quantities(LOAD.parameters) == 'force_x = 2.46 ± 0.07 mN, force_y = -0.02 ± 0.10 mN'
+    assert short_quantities(LOAD.parameters) == 'force_x 2.5 mN, force_y 0.0 mN'
+
+
+def test_one_missing_effect():
+    assert verdict(FOUND) == (
+        'CONSISTENT WITH hinge_friction: lever = 0.158 ± 0.007 mm.\n'
+        'It explains 98 % of the explainable error.'
+    )
+    assert alike(FOUND) == (
+        'cannot be told apart from: nothing (next best, tip_load, is 10^31 times less likely)'
+    )
+
+
+def test_several_missing_effects():
+    found = replace(FOUND, verdict='several', effects=(HINGE, LOAD))
+    assert verdict(found) == (
+        'CONSISTENT WITH hinge_friction AND tip_load together: hinge_friction: lever = '
+        '0.158 ± 0.007 mm; tip_load: force_x = 2.46 ± 0.07 mN, force_y = -0.02 ± 0.10 mN.\n'
+        'They explain 98 % of the explainable error.'
+    )
+
+
+def test_effects_that_cannot_be_told_apart():
+    step = NextMeasurement({'left': 1.1, 'right': 0.8}, None, None, 6.3e-3, 3e-4, {
+        'hinge_friction': [0.0, 0.0, 0.1], 'backbone_stiffness': [6e-3, 0.0, 0.1],
+        'transmission_loss': [6.1e-3, 0.0, 0.1]})  # fmt: skip
+    names = ('hinge_friction', 'backbone_stiffness', 'transmission_loss')
+    found = replace(FOUND, verdict='ambiguous', cannot_tell_apart=names, next_measurement=step,
+                    details=FOUND.details | {'postures': 6})  # fmt: skip
+    assert verdict(found) == (
+        'AMBIGUOUS: hinge_friction, backbone_stiffness or transmission_loss explain these 6 '
+        'postures equally well (98 % of the explainable error).\n'
+        'If it is hinge_friction: lever = 0.158 ± 0.007 mm.'
+    )
+    wider = replace(found, details={'wider': ['section_stiffness']})
+    assert alike(wider) == 'section_stiffness does the same with more parameters'
+    assert next_measurement(found) == (
+        'Measure this next: left 1.10 N, right 0.800 N, 5 trials. hinge_friction predicts the '
+        'tip at least 6.0 mm from the others; your noise there is 0.30 mm.'
+    )
+
+
+@pytest.mark.parametrize(('changes', 'text'), [
+    ({'after': {'left': 2.0, 'right': 0.0}}, 'left 1.10 N, coming from left 2.00 N, 5 trials. '),
+    ({'gravity': [0.0, 0.0, -9.81]},
+     'left 1.10 N, with the base turned so that gravity is [0, 0, -9.81] m/s², 5 trials. '),
+])  # fmt: skip
+def test_a_next_measurement_says_how_to_get_there(changes, text):
+    step = NextMeasurement({'left': 1.1}, None, None, 6e-3, 3e-4, {
+        'a': [0.0, 0.0, 0.1], 'b': [6e-3, 0.0, 0.1]})  # fmt: skip
+    found = replace(FOUND, cannot_tell_apart=('a', 'b'), next_measurement=replace(step, **changes))
+    assert next_measurement(found) == (
+        f'Measure this next: {text}a and b predict tips 6.0 mm apart; your noise there is 0.30 mm.'
+    )
+
+
+def test_exact_twins_need_another_kind_of_measurement():
+    step = NextMeasurement({'left': 1.1}, None, None, 2e-9, 3e-4, {'a': [0, 0, 1], 'b': [0, 0, 1]})
+    found = replace(FOUND, cannot_tell_apart=('a', 'b'), next_measurement=step)
+    assert next_measurement(found).startswith(
+        'No posture within the tension limits separates a and b: they differ by less than 0.01 mm'
+    )
+
+
+def test_a_value_that_is_off():
+    found = replace(FOUND, verdict='wrong_parameter', details={'described': {
+        'hinge_friction': {'lever': 1e-4}}})  # fmt: skip
+    assert verdict(found) == (
+        'WRONG PARAMETER: no effect is missing, but a value is off.\n'
+        'CONSISTENT WITH hinge_friction: lever = 0.158 ± 0.007 mm (the description says lever '
+        '0.100 mm).\nIt explains 98 % of the explainable error.'
+    )
+
+
+def test_a_tolerance_that_is_broken():
+    stiffer = EffectFinding('backbone_stiffness', {
+        'relative_change': Value(0.1082, 0.1062, 0.1103, '1')}, 0.5)  # fmt: skip
+    found = replace(FOUND, verdict='wrong_parameter', effects=(stiffer,),
+                    out_of_tolerance=('bending_stiffness',),
+                    details={'moved': {'bending_stiffness': 5.4}})  # fmt: skip
+    assert verdict(found) == (
+        'WRONG PARAMETER: bending_stiffness (by 5.4 declared sd) must move further than '
+        'declared.\nCONSISTENT WITH backbone_stiffness: relative_change = 10.8 ± 0.2 %.'
+    )
+
+
+def row(probability):
+    return CandidateRow('hinge_friction', {}, 1.0, 1, probability, 0.9, 1e-3, 1e-3, 'best', False)
+
+
+def test_a_cause_outside_the_catalogue():
+    found = replace(FOUND, verdict='outside_catalogue', error_after=7.75e-4,
+                    candidates=(row(1e-30),))  # fmt: skip
+    assert verdict(found) == (
+        'OUTSIDE THE CATALOGUE: hinge_friction (lever 0.16 mm) removes 98 % of the explainable '
+        'error, but what remains is 3.1 times the noise (p < 1e-6).'
+    )
+    beaten = replace(found, candidates=(row(0.2),), details={'rival': {'name': 'soft_cell'}})
+    assert verdict(beaten).endswith('but a single soft cell fits better without any physics.')
+    nothing = replace(found, effects=(), error_before=7.75e-4)
+    assert verdict(nothing) == (
+        'OUTSIDE THE CATALOGUE: no effect of the catalogue helps; the error is 3.1 times the '
+        'noise.'
+    )
+
+
+def test_nothing_missing_and_nothing_to_judge_by():
+    found = replace(FOUND, verdict='adequate', effects=(), details={'detectable': {
+        'hinge_friction': {'size': 1.43e-5, 'parameter': 'lever', 'unit': 'm'},
+        'backbone_stiffness': {'size': 0.0048, 'parameter': 'relative_change', 'unit': '1'},
+    }})  # fmt: skip
+    assert lines(found)[-1] == (
+        'smallest size that would have been seen (four times in five): hinge_friction lever '
+        '14 µm, backbone_stiffness relative_change 0.48 %'
+    )
+    assert verdict(replace(found, details={'accuracy': 1e-3})).startswith('ADEQUATE FOR 1.0 mm:')
+    blank = replace(found, verdict='cannot_judge', remainder='1 measured posture(s)', details={})
+    assert lines(blank)[-1] == 'CANNOT JUDGE: 1 measured posture(s).'
+
+
+def test_what_is_not_tested_is_grouped_by_its_reason():
+    found = replace(FOUND, not_tested=('gravity', 'a', 'b', 'c'), details={
+        'not_tested_because': {'gravity': 'set to zero', 'a': 'no unloading', 'b': 'set to zero'},
+    })  # fmt: skip
+    assert untested(found) == (
+        'not tested by these postures: gravity, b (set to zero); a (no unloading); c'
+    )
+    assert untested(FOUND) == ''
+
+
+def test_what_is_taken_as_exact_stands_at_the_top():
+    details = {'robot': 'arm', 'data': 'run', 'postures': 1, 'trials': 5, 'markers': 1,
+               'tolerances': {'position': 2e-4, 'rotation': 2e-3, 'tension_gain': 0.01},
+               'noise': {'source': 'declared', 'position': 1e-4, 'trial': 0.0, 'setting': 0.0},
+               }  # fmt: skip
+    assert lines(replace(FOUND, details=details))[:3] == [
+        'arm on run: 1 posture, 5 trials and 1 marker',
+        'declared tolerances (1 sd): position 0.20 mm, rotation 0.11°, tension_gain 1.0 %; '
+        'everything else is taken as exact',
+        'noise, as declared: 0.10 mm per coordinate, inputs 0 % per trial; none declared for how '
+        'inputs are set',
+    ]

@@ -1,0 +1,89 @@
+"""The procedure's own alarm rate and smallest sizes, by simulating the user's postures."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+from simulated import CATALOGUE, NOISE, measured
+
+from tendon_robot_ros.analysis.diagnose import diagnose
+from tendon_robot_ros.analysis.predict import Predictor
+from tendon_robot_ros.analysis.sensitivity import noncentrality, smallest_sizes
+from tendon_robot_ros.analysis.session import Session
+from tendon_robot_ros.analysis.trust import assess, measure_again, wilson
+from tendon_robot_ros.report import trust_text
+
+ROBOT = simulated.robot()
+
+
+@pytest.fixture(scope='module')
+def trust():
+    dataset = measured(ROBOT, {'hinge_friction': {'lever': 2e-4}}, count=5, trials=3)
+    return assess(dataset, workers=1, runs=16, seconds=60.0)
+
+
+def test_clean_data_rarely_alarms_and_small_effects_are_seen(trust):
+    assert (trust.runs, trust.checked) == (16, 8)
+    assert trust.alarms <= 1
+    assert trust.low <= trust.alarms / 16 <= trust.high
+    assert trust.detected >= 4
+    sizes = {one.free.effect: one.size for one in trust.detectable}
+    assert 1e-6 < sizes['hinge_friction'] < 2e-4
+    assert 'gravity' not in sizes, 'these postures do not show it'
+
+
+def test_it_is_told_in_words(trust):
+    found = diagnose(measured(ROBOT, count=3))
+    assert trust_text.lines(found) == []
+    lines = trust_text.lines(replace(found, details={'trust': trust.to_json()}))
+    assert lines[0].startswith('With nothing missing, this procedure raises an alarm in ')
+    assert '16 simulated on your postures' in lines[0]
+    assert 'hinge_friction lever ' in lines[1]
+    assert lines[2].startswith('Of 8 simulated robots with an effect of such a size, ')
+
+
+def test_time_is_kept():
+    dataset = measured(ROBOT, count=3, trials=3)
+    short = assess(dataset, workers=1, runs=200, seconds=0.5)
+    assert 1 <= short.runs < 200
+
+
+def test_without_noise_there_is_nothing_to_simulate():
+    dataset = replace(measured(ROBOT, count=3, trials=1), position_noise=None)
+    assert assess(dataset, workers=1) is None
+
+
+def test_a_simulated_set_keeps_what_was_not_seen_and_has_the_noise():
+    dataset = measured(ROBOT, count=4)
+    positions = dataset.positions.copy()
+    positions[1, 2, 3] = np.nan
+    dataset = replace(dataset, positions=positions)
+    predictor = Predictor(dataset, ROBOT, CATALOGUE)
+    quiet = replace(NOISE, trial=0.0, setting=0.0)
+    again = measure_again(predictor, {}, quiet, np.random.default_rng(0))
+    np.testing.assert_array_equal(np.isnan(again.positions), np.isnan(positions))
+    left = again.positions - predictor.markers({})[:, None]
+    assert np.nanstd(left) == pytest.approx(NOISE.position, rel=0.05)
+
+
+def test_a_declared_tolerance_hides_its_twin():
+    exact = measured(ROBOT, count=5)
+    loose = replace(exact, robot=replace(ROBOT, tolerances={'bending_stiffness': 0.05}))
+    sizes = []
+    for dataset in (exact, loose):
+        session = Session(dataset, dataset.robot, CATALOGUE, workers=1)
+        session.weigh({})
+        tested, _ = session.split_tested({})
+        seen = smallest_sizes(session, session.base_fit(), tested)
+        sizes.append({one.free.effect: one.size for one in seen})
+    assert sizes[1]['backbone_stiffness'] > 0.15 > 5.0 * sizes[0]['backbone_stiffness']
+    assert sizes[1]['hinge_friction'] > 1.2 * sizes[0]['hinge_friction']
+
+
+def test_power_and_rates_are_as_tables_say():
+    assert noncentrality(1, 0.05) == pytest.approx((1.96 + 0.8416) ** 2, rel=0.03)
+    assert noncentrality(3, 0.05) == pytest.approx(10.90, rel=0.03)
+    assert wilson(0, 100) == pytest.approx((0.0, 0.0370), abs=1e-3)
+    assert wilson(5, 100) == pytest.approx((0.0215, 0.1118), abs=1e-3)
+    assert wilson(0, 0) == (0.0, 1.0)
