@@ -56,48 +56,55 @@ def curve(
         Noise floor of the last diagnosis [m].
 
     """
-    highest = max([1e3 * e for e in errors if np.isfinite(e)] + [0.5])
-    top = highest * 1.15
-
-    def x(at: float) -> float:
-        return LEFT + (WIDTH - LEFT) * max(1.0 - (now - at) / SPAN, 0.0)
-
-    def y(value: float) -> float:
-        return (HEIGHT - BOTTOM) * (1.0 - value / top) + 4
-
-    parts = []
-    if floor is not None and np.isfinite(floor):
-        band = y(0.0) - y(min(1e3 * floor, top))
-        parts.append(
-            f'<rect x="{LEFT}" y="{y(0) - band:.1f}" width="{WIDTH - LEFT}" height="{band:.1f}" '
-            f'fill="#78828c" opacity="0.25"><title>noise floor</title></rect>'
-        )
-    for value in _ticks(top):
-        parts.append(
-            f'<path d="M{LEFT} {y(value):.1f}H{WIDTH}" stroke="#e0e4e8"/><text x="{LEFT - 5}" '
-            f'y="{y(value) + 4:.1f}" text-anchor="end">{value:g}</text>'
-        )
-    points = [
-        f'{x(t):.1f},{y(1e3 * e):.1f}'
+    top = 1.15 * max([1e3 * e for e in errors if np.isfinite(e)] + [0.5])  # [mm]
+    points = ' '.join(
+        f'{_x(now - t):.1f},{_y(1e3 * e, top):.1f}'
         for t, e in zip(times, errors, strict=True)
         if now - t <= SPAN and np.isfinite(e)
-    ]
-    parts.append(
-        f'<polyline points="{" ".join(points)}" fill="none" stroke="{ORANGE}" stroke-width="2"/>'
     )
-    for at, text in marks:
-        if now - at <= SPAN:
-            parts.append(
-                f'<path d="M{x(at):.1f} 4V{HEIGHT - BOTTOM + 4}" stroke="{BLUE}" stroke-width="2" '
-                f'stroke-dasharray="5 3"/><text x="{x(at) - 4:.1f}" y="16" text-anchor="end" '
-                f'fill="{BLUE}">added {escape(text)}</text>'
-            )
-    parts.append(f'<text x="{WIDTH}" y="{HEIGHT - 2}" text-anchor="end">now</text>')
-    parts.append(f'<text x="{LEFT}" y="{HEIGHT - 2}">2 minutes ago</text>')
+    line = f'<polyline points="{points}" fill="none" stroke="{ORANGE}" stroke-width="2"/>'
+    recent = [(now - at, text) for at, text in marks if now - at <= SPAN]
+    parts = [*_axes(top, floor), line, *(_mark(age, text) for age, text in recent)]
     return (
         f'<div style="{STYLE}">tip error [mm]<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
         f'aria-label="tip error over time" style="width:100%;font-size:12px">'
         f'{"".join(parts)}</svg></div>'
+    )
+
+
+def _x(age: float) -> float:
+    return LEFT + (WIDTH - LEFT) * max(1.0 - age / SPAN, 0.0)
+
+
+def _y(value: float, top: float) -> float:
+    return (HEIGHT - BOTTOM) * (1.0 - value / top) + 4
+
+
+def _axes(top: float, floor: float | None) -> list[str]:
+    """Draw the grid, and the noise floor [m] as a band; `top` is in mm."""
+    parts = []
+    if floor is not None and np.isfinite(floor):
+        band = _y(0.0, top) - _y(min(1e3 * floor, top), top)
+        parts.append(
+            f'<rect x="{LEFT}" y="{_y(0.0, top) - band:.1f}" width="{WIDTH - LEFT}" '
+            f'height="{band:.1f}" fill="#78828c" opacity="0.25"><title>noise floor</title></rect>'
+        )
+    for value in _ticks(top):
+        parts.append(
+            f'<path d="M{LEFT} {_y(value, top):.1f}H{WIDTH}" stroke="#e0e4e8"/><text '
+            f'x="{LEFT - 5}" y="{_y(value, top) + 4:.1f}" text-anchor="end">{value:g}</text>'
+        )
+    parts.append(f'<text x="{WIDTH}" y="{HEIGHT - 2}" text-anchor="end">now</text>')
+    parts.append(f'<text x="{LEFT}" y="{HEIGHT - 2}">2 minutes ago</text>')
+    return parts
+
+
+def _mark(age: float, text: str) -> str:
+    """Mark when an effect was added."""
+    return (
+        f'<path d="M{_x(age):.1f} 4V{HEIGHT - BOTTOM + 4}" stroke="{BLUE}" stroke-width="2" '
+        f'stroke-dasharray="5 3"/><text x="{_x(age) - 4:.1f}" y="16" text-anchor="end" '
+        f'fill="{BLUE}">added {escape(text)}</text>'
     )
 
 
