@@ -2,7 +2,7 @@
 RUN := tools/bootstrap.sh
 ARGS :=
 
-.PHONY: help venv paper test test-oldest demo lint format live
+.PHONY: help venv paper test test-oldest test-slow test-blind demo lint format live
 .SILENT:
 
 help: ## list the targets
@@ -20,6 +20,12 @@ test: ## the fast tests
 test-oldest: ## the same with the oldest numpy, scipy and numba that setup.py allows
 	VENV="$(CURDIR)/.venv-oldest" PIP_CONSTRAINT=tools/oldest.txt \
 		$(RUN) python -m pytest -n 2 --dist loadfile $(ARGS)
+
+test-slow: ## tests that take minutes
+	$(RUN) python -m pytest -m slow -n 2 --dist loadfile $(ARGS)
+
+test-blind: ## diagnoses of robots with a hidden effect, and what was said of each (minutes)
+	$(RUN) python -m pytest -m blind $(ARGS)
 
 demo: ## the paper's postures with a mock arm, in under a minute
 	$(RUN) python -m tendon_robot_ros demo $(ARGS)
