@@ -113,8 +113,6 @@ def path_lost(chain, i, k, bend, ux, uy, sin_half, cos_half, scale):
     """Path that tendon k loses in cell i [m], its arm along the bend [m], factor across [1]."""
     offset = floats(chain.offset + 16 * (chain.k * i + k))
     radial = scale * (offset[0] * ux + offset[1] * uy)
-    if not arm_acts(chain):
-        return radial * bend, radial, 1.0
     return arm(
         radial * bend,
         radial,
@@ -131,8 +129,25 @@ def path_lost(chain, i, k, bend, ux, uy, sin_half, cos_half, scale):
 
 
 @compiled
+def plain_travel(chain, bend, scale, work):
+    """Fill work.travel (n, k) [m] since the rest shape where tendons follow the backbone."""
+    travel, offsets, bends = floats(work.travel), floats(chain.offset), floats(bend)
+    tendon = words(chain.tendon)
+    for i in range(chain.n):
+        x0, y0 = rest(0.0, 0.0, chain, section_of(chain, i))
+        x, y = scale * (bends[2 * i] - x0), scale * (bends[2 * i + 1] - y0)
+        for k in range(chain.k):
+            at = chain.k * i + k
+            lost = offsets[2 * at] * x + offsets[2 * at + 1] * y
+            travel[at] = lost if i < tendon[2 * k] else 0.0
+
+
+@compiled
 def tendon_travel(chain, bend, scale, work):
-    """Fill work.travel (n, k) [m] since the rest shape and work.arms (n, k, 2) [m]."""
+    """Fill work.travel (n, k) [m] since the rest shape and, if needed, work.arms (n, k, 2) [m]."""
+    if not arm_acts(chain):
+        plain_travel(chain, bend, scale, work)
+        return
     travel, arms, tendon = floats(work.travel), floats(work.arms), words(chain.tendon)
     for i in range(chain.n):
         bends = floats(bend + 16 * i)
