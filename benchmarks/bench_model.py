@@ -1,0 +1,160 @@
+"""Speed of the model: forward, implicit, inverse, the sweep of section IV.B, compile and load."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from machine import machine
+
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.robot import Robot, Section, Tendon, load_robot
+
+ROBOTS = Path(__file__).parent.parent / 'config' / 'robots'
+SHAPING = {name: {'fraction': 1.0} for name in ('eyelet_wrap', 'straight_tendon', 'tendon_travel')}
+
+
+def sixty_cells() -> Robot:
+    """Return two sections of thirty cells with four tendons."""
+    robot = load_robot(ROBOTS / 'kato_1_1.yaml')
+    tendons = tuple(
+        Tendon(f'{section.name}_{side}', offset, offset, section.name)
+        for section in robot.sections
+        for side, offset in (('left', (1.95e-3, 0.0)), ('right', (-1.95e-3, 0.0)))
+    )
+    return replace(robot, tendons=tendons, gravity=(9.81, 0.0, 0.0))
+
+
+def per_call(run, batch: int, repeats: int = 7) -> dict[str, float]:
+    """Median and least CPU time of one posture in a batch [s]."""
+    run()
+    times = []
+    for _ in range(repeats):
+        start = time.process_time()
+        run()
+        times.append((time.process_time() - start) / batch)
+    return {'median': float(np.median(times)), 'least': min(times)}
+
+
+def forward(robot: Robot, tensions: np.ndarray, batch: int = 48) -> dict[str, float]:
+    """Time the postures of one batch on one core, results of every cell included."""
+    model = Model(robot)
+    inputs = np.tile(tensions, (batch, 1))
+    return per_call(lambda: [model.shapes(inputs) for _ in range(20)], 20 * batch)
+
+
+def disks() -> Robot:
+    """Return the like-for-like case: twenty disks, no friction, a force at the tip."""
+    section = Section('arm', 20, 0.01, (0.05,) * 20, (1.0,) * 20, 'arc')
+    tendons = tuple(
+        Tendon(f't{i}', offset, offset, 'arm')
+        for i, offset in enumerate(((0.008, 0.0), (-0.004, 0.0069), (-0.004, -0.0069)))
+    )
+    effects = {'tip_load': {'force_x': 0.1, 'force_y': 0.05, 'force_z': -0.1}}
+    return Robot('disks', (section,), tendons, (0.0, 20.0), effects)
+
+
+def inverse(robot: Robot, targets: int) -> dict[str, float]:
+    """Time cold and warm searches for targets that random tensions reach; count the found."""
+    model, random = Model(robot), np.random.default_rng(1)
+    low, high = model.limits.T
+    top = np.minimum(high, low + np.median(model.library.inputs.max(axis=0)) * 0.3)
+    tensions = low + random.random((targets, len(low))) * (top - low)
+    shapes = model.shapes(tensions)
+    cold, warm, found = [], [], 0
+    for i in range(targets):
+        position, direction = shapes.tip_position[i], shapes.tip_direction[i]
+        start = time.process_time()
+        reach = model.reach(position, direction)
+        cold.append(time.process_time() - start)
+        found += reach.position_error < 1e-5 and reach.direction_error < 1e-3
+        if i % 10 == 0:
+            near = model.shape(np.clip(reach.tensions + 0.002, low, high), reach.shape.bend)
+            start = time.process_time()
+            model.reach(near.tip_position, near.tip_direction, guess=reach.shape)
+            warm.append(time.process_time() - start)
+    return {
+        'largest tension drawn [N]': round(float(top.max()), 2),
+        'targets': targets,
+        'found share': found / targets,
+        'cold median': float(np.median(cold)),
+        'cold p95': float(np.percentile(cold, 95)),
+        'warm median': float(np.median(warm)),
+    }
+
+
+def section_iv_b(robot: Robot) -> float:
+    """CPU time of all tension pairs (proxL, distR) and (proxR, distL) to 5 N by 0.1 N [s]."""
+    model = Model(robot)
+    steps = np.arange(0.1, 5.05, 0.1)
+    first, second = (grid.ravel() for grid in np.meshgrid(steps, steps))
+    pretension = np.full_like(first, 0.1)
+    pairs = np.concatenate(
+        [
+            np.stack(columns, axis=1)
+            for columns in (
+                (first, pretension, pretension, second),
+                (pretension, first, second, pretension),
+            )
+        ]
+    )
+    return per_call(lambda: model.shapes(pairs), 1, 5)['median']
+
+
+def starts() -> dict[str, float]:
+    """Wall time of a process that makes one shape: kernel compiled anew, and from the cache."""
+    code = (
+        'from tendon_robot_ros.robot import load_robot\n'
+        'from tendon_robot_ros.model.model import Model\n'
+        f'Model(load_robot({str(ROBOTS / "kato_10_1.yaml")!r})).shape([0.2, 0.1, 0.1, 0.2])'
+    )
+    made = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ('compile', 'load'):
+            start = time.perf_counter()
+            subprocess.run(
+                [sys.executable, '-c', code],
+                check=True,
+                env={**os.environ, 'NUMBA_CACHE_DIR': folder},
+            )
+            made[f'{name} and first shape'] = time.perf_counter() - start
+    return made
+
+
+def main() -> int:
+    """Measure all of it; times in seconds."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--targets', type=int, default=1000)
+    parser.add_argument('--json', type=Path)
+    options = parser.parse_args()
+    robot = sixty_cells()
+    tensions = np.array([0.5, 0.1, 0.1, 1.0])
+    friction = replace(robot, effects={'tendon_friction': {'friction_coefficient': 0.31}})
+    five = replace(
+        robot, effects={**friction.effects, **SHAPING, 'gravity': {'linear_density': 0.005}}
+    )
+    figures = {
+        'FKM, 60 cells, 4 tendons': forward(friction, tensions),
+        'five effects, implicit': forward(five, tensions),
+        '20 disks, tip load, no friction': forward(disks(), np.array([4.0, 1.0, 0.0])),
+        'section IV.B': section_iv_b(friction),
+        'inverse, two sections': inverse(load_robot(ROBOTS / 'kato_10_1.yaml'), options.targets),
+        **starts(),
+    }
+    text = json.dumps({'machine': machine(), 'seconds': figures}, indent=1)
+    print(text)
+    if options.json:
+        options.json.write_text(text)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
