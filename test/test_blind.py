@@ -59,10 +59,13 @@ def hiding(effect, name):
 @pytest.mark.parametrize('effect', CATALOGUE.names)
 def test_every_effect_is_found_on_every_robot(effect, name):
     robot, options = hiding(effect, name)
-    found = diagnose(measured(robot, {effect: typical(effect, robot)}, seed=3, **options))
+    dataset = measured(robot, {effect: typical(effect, robot)}, seed=3, **options)
+    found = diagnose(dataset)
     right = CONFUSION.add(name, (effect,), found)
     if effect in found.not_tested:
         assert found.verdict == 'adequate', 'what does not show raises no alarm'
+    elif found.verdict == 'adequate':
+        assert found.error_before < 1.2 * found.noise_floor, 'lost in the noise'
     elif len(robot.sections) == 1 and effect == 'section_stiffness':
         assert 'backbone_stiffness' in {*found.cannot_tell_apart, found.effects[0].name}
     else:
