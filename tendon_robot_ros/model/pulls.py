@@ -88,9 +88,10 @@ def _tensions(
     gap = np.inf
     for tensions, bend in (pulled, taut) if start is None else (start, pulled, taut):
         inputs, bends = np.array(tensions), np.array([bend, bend])
-        gap = model.arrays.part('pulls').pulled(
+        left = model.arrays.part('pulls').pulled(
             model.arrays.chain, inputs, model.shares, target, bends, past, model.scratch(), MOST
         )
+        gap = min(gap, left)
         if gap < SETTLED:
             return inputs, bends[0]
     if not np.isfinite(gap):
