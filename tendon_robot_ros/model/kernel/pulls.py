@@ -117,4 +117,8 @@ def pulled(chain, inputs, shares, target, bends, past, scratch, most):
         f[:] = moved
         for i in range(2 * n):
             floats(bend)[i] = floats(near)[i]
-    return math.sqrt(violation(inputs, target, f))
+    gap = 0.0
+    for j in range(m):
+        if not math.isnan(target[j]) and (inputs[j] > 0.0 or f[j] < 0.0):
+            gap = max(gap, abs(f[j]))
+    return gap
