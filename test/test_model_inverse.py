@@ -1,0 +1,84 @@
+"""The inverse: what the model can reach is found, within limits, with an honest status."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tendon_robot_ros.exceptions import InputError
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.robot import load_robot
+
+ROBOTS = Path(__file__).parent.parent / 'config' / 'robots'
+
+
+@pytest.fixture(scope='module', params=['kato_10_1'])
+def model(request):
+    return Model(load_robot(ROBOTS / f'{request.param}.yaml'))
+
+
+def tips(model, count, seed=0):
+    """Shapes under random tensions that bend the arm by no more than about a turn."""
+    low, high = model.limits.T
+    top = np.minimum(high, low + 0.3 * model.library.inputs.max(axis=0))
+    random = np.random.default_rng(seed).random((count, len(low)))
+    return model.shapes(low + random * (top - low))
+
+
+def test_tips_of_random_tensions_are_found_to_ten_micrometres_and_a_milliradian(model):
+    shapes = tips(model, 40)
+    for position, direction in zip(shapes.tip_position, shapes.tip_direction, strict=True):
+        reach = model.reach(position, direction)
+        assert reach.status == 'reached'
+        assert reach.position_error < 1e-5 and reach.direction_error < 1e-3
+
+
+def test_the_shape_of_a_solution_is_the_model_s_own_under_its_tensions(model):
+    shapes = tips(model, 3)
+    reach = model.reach(shapes.tip_position[0])
+    again = model.shape(reach.tensions)
+    assert again.tip_position == pytest.approx(reach.shape.tip_position, abs=1e-8)
+    assert again.pulls == pytest.approx(reach.pulls, abs=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3))
+def test_tensions_stay_within_limits_wherever_the_target_is(target):
+    model = Model(load_robot(ROBOTS / 'kato_10_1.yaml'))
+    reach = model.reach(target)
+    assert (reach.tensions >= model.limits[:, 0]).all()
+    assert (reach.tensions <= model.limits[:, 1]).all()
+
+
+def test_a_target_beyond_the_arm_s_length_is_nearest_and_says_how_far(model):
+    length = model.robot.length
+    reach = model.reach([0.0, 0.0, 1.5 * length])
+    assert reach.status == 'nearest'
+    assert reach.position_error == pytest.approx(0.5 * length, rel=0.1)
+
+
+def test_a_target_that_more_tension_would_reach_names_the_input_at_its_limit():
+    robot = load_robot(ROBOTS / 'kato_10_1_single.yaml')
+    model = Model(robot)
+    model.limits[:, 1] = 0.3
+    strong = Model(robot).shape([0.6, model.limits[1, 0]])
+    reach = model.reach(strong.tip_position)
+    assert reach.status == 'at_limit'
+    assert reach.at_limit == (model.inputs[0],)
+
+
+def test_a_warm_start_stays_in_the_branch_it_is_in(model):
+    shape = tips(model, 1, seed=3)
+    reach = model.reach(shape.tip_position[0], shape.tip_direction[0])
+    near = model.reach(reach.shape.tip_position, reach.shape.tip_direction, guess=reach.shape)
+    assert near.tensions == pytest.approx(reach.tensions, abs=1e-2)
+
+
+@pytest.mark.parametrize(
+    ('position', 'direction'), [(None, None), ([0, 0, np.nan], None), (None, [0, 0, 0])]
+)
+def test_what_is_no_target_is_refused(model, position, direction):
+    with pytest.raises(InputError):
+        model.reach(position, direction)
