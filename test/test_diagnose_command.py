@@ -121,7 +121,7 @@ def test_a_wrong_parameter_is_said_and_added(capsys, folder):
         'WRONG PARAMETER: bending_stiffness (by 5.4 declared sd) must move further than declared.'
     )
     assert lines[5] == 'CONSISTENT WITH backbone_stiffness: relative_change = 10.8 ± 0.2 %.'
-    assert any(line.startswith('No posture within the tension limits separates') for line in lines)
+    assert any(line.startswith('No posture within the limits separates') for line in lines)
     (never,) = (line for line in lines if line.startswith('error on postures never used'))
     assert never.startswith('error on postures never used: 5.15 mm -> 0.50')
 

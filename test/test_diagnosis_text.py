@@ -106,7 +106,7 @@ def test_exact_twins_need_another_kind_of_measurement():
     step = NextMeasurement({'left': 1.1}, None, None, 2e-9, 3e-4, {'a': [0, 0, 1], 'b': [0, 0, 1]})
     found = replace(FOUND, cannot_tell_apart=('a', 'b'), next_measurement=step)
     assert next_measurement(found).startswith(
-        'No posture within the tension limits separates a and b: they differ by less than 0.01 mm'
+        'No posture within the limits separates a and b: they differ by less than 0.01 mm'
     )
 
 

@@ -13,12 +13,14 @@ from ..data import DataSet
 from .candidates import Ranked
 from .fit import Fit
 from .noise import Whitener, input_slopes
+from .postures import default_postures
 from .predict import Predictor
 from .result import NextMeasurement
 from .session import Session
 
 Floats = npt.NDArray[np.float64]
 MOST = 400  # postures that the grid may hold
+PULLS = 40  # postures of wire pulls: those are slower
 CAP = 30.0  # squared whitened distance beyond which more does not help
 
 
@@ -27,10 +29,7 @@ def propose(session: Session, group: Sequence[Ranked]) -> NextMeasurement | None
     Propose the posture at which the predictions of a class differ most against the noise.
 
     Distances are refitted ones: what the fitted parameters could still give way is taken off.
-    Tension input only: for wire pulls None.
     """
-    if session.dataset.input != 'tension':
-        return None
     best: tuple[float, NextMeasurement] | None = None
     for gravity, after, inputs in _conditions(session, group):
         worth = _compare(session, group[:6], inputs, gravity, after)
@@ -41,6 +40,9 @@ def propose(session: Session, group: Sequence[Ranked]) -> NextMeasurement | None
 
 def _conditions(session: Session, group: Sequence[Ranked]):  # type: ignore[no-untyped-def]
     """Yield gravity, posture to come from, and the grid of inputs."""
+    if session.dataset.input == 'displacement':
+        yield None, None, default_postures(session.robot, PULLS, 1, 'displacement')
+        return
     grid = input_grid(session.dataset, session.robot.tension_limits)
     yield None, None, grid
     names = {name for r in group for name in r.candidate.names}
@@ -86,6 +88,7 @@ def _posture_set(
         inputs=inputs,
         positions=np.zeros(shape),
         orientations=None,
+        path='from_straight' if after is None else old.path,
         trial_inputs=None,
         trial_names=('0',),
         gravity=old.gravity if gravity is None else (gravity[0], gravity[1], gravity[2]),
@@ -121,10 +124,10 @@ def _compare(
     row = p * 2 + 1 if after is not None else p
     tips = np.array([markers[row, -1] for markers in predictions])
     apart = np.linalg.norm(tips[:, None] - tips[None, :], axis=2)
-    names = session.robot.inputs
+    names, digits = session.robot.inputs, 3 if grid.input == 'tension' else 5
     noise = float(np.sqrt(whitener.variance[row][-3:].sum()))
     return float(worth[p]), NextMeasurement(
-        dict(zip(names, grid.inputs[row].round(3).tolist(), strict=True)),
+        dict(zip(names, grid.inputs[row].round(digits).tolist(), strict=True)),
         None if after is None else dict(zip(names, after.round(3).tolist(), strict=True)),
         gravity,
         float(apart.max()),

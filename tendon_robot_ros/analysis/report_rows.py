@@ -124,6 +124,7 @@ def details_of(
         'robot': session.robot.name,
         'data': session.dataset.name,
         'postures': int((session.dataset.trials > 0).sum()),
+        'input': session.dataset.input,
         'trials': int(session.dataset.trials.sum()),
         'markers': len(session.dataset.markers),
         'noise': {

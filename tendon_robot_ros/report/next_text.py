@@ -18,16 +18,17 @@ def next_measurement(found: Diagnosis) -> str:
     names = found.cannot_tell_apart
     if step.difference < 2.0 * step.noise / np.sqrt(TRIALS):
         return (
-            f'No posture within the tension limits separates {listed(names)}: they differ by '
+            f'No posture within the limits separates {listed(names)}: they differ by '
             f'{_small(step.difference)} at most, your noise is {mm(step.noise, 2)}. '
             'Either describes this robot; measure the quantity itself to know which it is.'
         )
-    where = commands(dict(step.input))
+    kind = found.details.get('input', 'tension')
+    where = commands(dict(step.input), kind)
     if step.gravity is not None:
         down = ', '.join(digits(g, 3) for g in step.gravity)
         where += f', with the base turned so that gravity is [{down}] m/s²'
     if step.after is not None:
-        where += f', coming from {commands(dict(step.after))}'
+        where += f', coming from {commands(dict(step.after), kind)}'
     return f'Measure this next: {where}, {TRIALS} trials. {_predicted(step)}'
 
 
