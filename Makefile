@@ -14,8 +14,9 @@ venv: ## set up .venv and nothing else
 live: ## watch a mock robot meet its model, find what it hides: ARGS="--headless --hidden NAME"
 	$(RUN) python -m tendon_robot_ros live $(ARGS)
 
+# Processes that talk to each other are late on a busy machine: what fails is tried twice more.
 test: ## the fast tests
-	$(RUN) python -m pytest -n 2 --dist loadfile $(ARGS)
+	$(RUN) python -m pytest -n 2 --dist loadfile --reruns 2 $(ARGS)
 
 test-oldest: ## the same with the oldest numpy, scipy and numba that setup.py allows
 	VENV="$(CURDIR)/.venv-oldest" PIP_CONSTRAINT=tools/oldest.txt \
