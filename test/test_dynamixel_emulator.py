@@ -142,6 +142,14 @@ def test_an_arm_known_from_tension_to_pull_settles_on_the_tension_of_a_pull():
     np.testing.assert_allclose(tensions, [3.0, 2.0], rtol=0.02)
 
 
+def test_a_wire_that_is_paid_out_further_than_the_arm_takes_it_is_slack():
+    compliance = np.array([[2.0, -2.0], [-2.0, 2.0]]) * 1e-3  # [m/N] antagonists
+    arm = RelaxedArm(lambda tensions: compliance @ tensions, 2, highest=10.0)
+    for _ in range(4000):
+        tensions = arm.tensions(np.array([0.0042, -0.006]), 0.001)
+    np.testing.assert_allclose(tensions, [2.0, 0.0], rtol=0.02)
+
+
 @pytest.fixture
 def bus():
     with emulated.line() as line:

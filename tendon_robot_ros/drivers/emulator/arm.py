@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ...exceptions import TendonRobotError
 
 Array = NDArray[np.float64]
+PART = 0.3  # of the way to equilibrium in one period
 
 
 class Arm(Protocol):
@@ -102,8 +103,7 @@ class RelaxedArm:
         self._stretch = stretch / highest  # [m/N]
         probe = 0.1 * highest
         columns = [pulls(probe * row) - self._pulls for row in np.eye(inputs)]
-        compliance = np.array(columns).T / probe + self._stretch * np.eye(inputs)
-        self._gain = 0.3 * np.linalg.inv(compliance)
+        self._compliance = np.array(columns).T / probe + self._stretch * np.eye(inputs)
         self._since = 0.0
 
     def tensions(self, wound: Array, passed: float) -> Array:
@@ -112,7 +112,11 @@ class RelaxedArm:
         if self._since >= self.period:
             self._since = 0.0
             short = wound - self.slack - self._pulls - self._stretch * self._tensions
-            tried = np.clip(self._tensions + self._gain @ short, 0.0, self.highest)
+            pulling = (self._tensions > 0.0) | (short > 0.0)  # the others stay slack
+            step = np.zeros_like(short)
+            part = self._compliance[np.ix_(pulling, pulling)]
+            step[pulling] = PART * np.linalg.solve(part, short[pulling])
+            tried = np.clip(self._tensions + step, 0.0, self.highest)
             with contextlib.suppress(TendonRobotError):
                 self._pulls = self.pulls(tried)
                 self._tensions = tried
