@@ -13,7 +13,14 @@ from .robot_writing import dump_robot
 
 __all__ = ['Robot', 'Section', 'Tendon', 'dump_robot', 'load_robot', 'parse_robot']
 
-TOLERANCES = ('bending_stiffness', 'friction_coefficient', 'tension_gain', 'position', 'rotation')
+TOLERANCES = (
+    'bending_stiffness',
+    'cell_stiffness',
+    'friction_coefficient',
+    'tension_gain',
+    'position',
+    'rotation',
+)
 EffectValues = dict[str, float | tuple[float, ...]]
 
 

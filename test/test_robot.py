@@ -112,7 +112,7 @@ BAD = [
     (('tension_limits',), None, 'tension_limits: expected a list of 2 numbers, got None'),
     (('gravity',), [0.0, 9.81], 'gravity: expected a list of 3 numbers, got [0.0, 9.81]'),
     (('tolerances', 'stiffness'), 0.1, 'tolerances.stiffness: expected one of bending_stiffness, '
-     "friction_coefficient, tension_gain, position, rotation, got 'stiffness'"),
+     "cell_stiffness, friction_coefficient, tension_gain, position, rotation, got 'stiffness'"),
     (('effects', 'tendon_friction'), 0.3, 'effects.tendon_friction: expected keys with values, '
      'got 0.3'),
     (('effects', 'tendon_friction', 'friction_coefficient'), '.3.', 'effects.tendon_friction.'

@@ -10,9 +10,10 @@ import numpy as np
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
+from .cells import cell_nuisances
 from .fit import Fit, Nuisance
 from .noise import Whitener
-from .predict import Free, Point, Predictor, free_parameters
+from .predict import CELLS, Free, Point, Predictor, free_parameters
 from .probability import chi2_sf
 
 # Quantity under `tolerances` -> the effect whose parameter says the same.
@@ -68,6 +69,10 @@ def nuisances_of(robot: Robot, catalogue: Catalogue, predictor: Predictor) -> li
     """Return declared tolerances as parameters with priors; friction only where there is some."""
     found = []
     for quantity, spread in robot.tolerances.items():
+        if quantity == CELLS and spread > 0.0:
+            found += cell_nuisances(robot, spread)
+        if quantity not in TWINS:
+            continue
         effect, parameters = TWINS[quantity]
         if effect not in catalogue or spread <= 0.0:
             continue

@@ -125,7 +125,7 @@ def _named(found: Evidence, group: Sequence[Ranked]) -> Diagnosis:
     strays = [
         quantity
         for quantity, z in found.base.pulls.items()
-        if abs(z) > STRAY and TWINS[quantity][0] in names
+        if abs(z) > STRAY and quantity in TWINS and TWINS[quantity][0] in names
     ]
     if strays or all(r.candidate.present for r in group):
         verdict = 'wrong_parameter'

@@ -117,7 +117,9 @@ def _ridge_rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
 def _profile_rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
     """Root of the rise of chi² with one parameter put somewhere and all others refitted."""
     free, others = fit.frees[i], fit.frees[:i] + fit.frees[i + 1 :]
-    pinned = Fitter(Pinned(fitter.predictor, {free: end}), fitter.whitener, fit.nuisances)
+    pinned = Fitter(
+        Pinned(fitter.predictor, {free: end}), fitter.whitener, fit.nuisances, fitter.columns
+    )
     try:
         refit = pinned.fit(others, fit.point, turns=8)
     except (ArithmeticError, np.linalg.LinAlgError):

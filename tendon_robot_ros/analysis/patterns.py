@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from .cells import CellRelief
 from .fit import Fit
 from .predict import Point
 from .probability import minimum
@@ -33,16 +34,20 @@ class Pattern:
 
 
 class Rivals:
-    """Fits the patterns on top of a settled fit, its parameters staying where they are."""
+    """
+    Fits the patterns on top of a settled fit, its parameters staying where they are.
+
+    Only a tolerance of the cells gives way: one soft cell is not thirty that deviate a little.
+    """
 
     def __init__(self, fitter: Fitter, fit: Fit) -> None:
         """Keep the fit and its whitened residual."""
         self.fitter, self.fit = fitter, fit
         self.point: Point = fit.point
-        self.r = fitter.whitener.white(fitter.measured - fit.markers)
+        self.relief = CellRelief(fit, fitter.whitener)
+        self.r = self.white(fit.markers)
         self.prior = fit.chi2 - float(self.r @ self.r)
         self.extra = fit.rank
-        self.owners = fitter.whitener.owners
 
     def all(self) -> list[Pattern]:
         """Fit all patterns; those without equilibrium drop out."""
@@ -56,7 +61,13 @@ class Rivals:
 
     def white(self, markers: Floats) -> Floats:
         """Whitened residual for predicted markers."""
-        return self.fitter.whitener.white(self.fitter.measured - markers)
+        return self.relief.residual(self.fitter.whitener.white(self.fitter.measured - markers))
+
+    def _changes(self, change: Floats, p: int) -> Floats:
+        """Return what changes (q, P, J, 3) [m] of the markers of one posture do to it, (N, q)."""
+        alone = np.zeros_like(change)
+        alone[:, p] = change[:, p]
+        return self.relief.apply(-self.fitter.whitener.white(alone).T)
 
     def _stiff(self, factor: Floats) -> Floats | None:
         markers = self.fitter.predictor.markers(self.point, stiffness=factor)
@@ -127,24 +138,24 @@ class Rivals:
 
     def gain_per_posture(self) -> Pattern | None:
         """Every posture with its own factor on the inputs."""
-        inputs = self.fitter.predictor.inputs
+        inputs, markers, r = self.fitter.predictor.inputs, self.fit.markers, self.r
         gains = np.ones(len(inputs))
-        r = self.r
         for _ in range(6):
             moved = self.fitter.predictor.markers(self.point, inputs * (gains + 1e-3)[:, None])
             if moved is None:
                 return None
-            slope = (self.white(moved) - r) / 1e-3
-            step = np.array([self._own(slope, r, p) for p in range(len(inputs))])
+            change = (moved - markers)[None] / 1e-3
+            slopes = np.hstack([self._changes(change, p) for p in range(len(inputs))])
+            step = np.linalg.lstsq(slopes, -r, rcond=1e-9)[0]
             trial = np.clip(gains + np.clip(step, -0.3, 0.3), 0.2, 3.0)
-            markers = self.fitter.predictor.markers(self.point, inputs * trial[:, None])
-            if markers is None:
+            found = self.fitter.predictor.markers(self.point, inputs * trial[:, None])
+            if found is None:
                 break
-            new = self.white(markers)
+            new = self.white(found)
             if new @ new >= r @ r:
                 break
             gain = float(r @ r - new @ new)
-            gains, r = trial, new
+            gains, markers, r = trial, found, new
             if gain < 0.1:
                 break
         return Pattern(
@@ -154,29 +165,17 @@ class Rivals:
             values=tuple((gains - 1.0).tolist()),
         )
 
-    def _own(self, slope: Floats, r: Floats, p: int) -> float:
-        rows = self.owners == p
-        size = float(slope[rows] @ slope[rows])
-        return -float(slope[rows] @ r[rows]) / size if size > 1e-12 else 0.0
-
     def rotation_per_posture(self) -> Pattern:
         """Every posture rotated about the base by its own small rotation vector."""
-        markers, zero = self.fit.markers, np.zeros_like(self.fit.markers)
-        columns = [self.fitter.whitener.white(np.cross(axis, markers)) for axis in np.eye(3)]
-        r, angles, parameters = self.r.copy(), [], 0
-        for p in range(len(zero)):
-            rows = self.owners == p
-            slopes = np.array([column[rows] for column in columns]).T
-            if not rows.any():
-                angles.append(0.0)
-                continue
-            turn, _, rank, _ = np.linalg.lstsq(slopes, r[rows], rcond=1e-6)
-            r[rows] -= slopes @ turn
-            angles.append(float(np.linalg.norm(turn)))
-            parameters += int(rank)
+        change = np.array([np.cross(axis, self.fit.markers) for axis in np.eye(3)])
+        postures = range(change.shape[1])
+        slopes = np.hstack([self._changes(change, p) for p in postures])
+        turns, _, parameters, _ = np.linalg.lstsq(slopes, -self.r, rcond=1e-7)
+        r = self.r + slopes @ turns
+        angles = np.linalg.norm(turns.reshape(-1, 3), axis=1)
         return Pattern(
             'rotation_per_posture',
             float(r @ r) + self.prior,
-            self.extra + parameters,
-            values=tuple(angles),
+            self.extra + int(parameters),
+            values=tuple(angles.tolist()),
         )

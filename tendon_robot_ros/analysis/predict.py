@@ -16,11 +16,12 @@ from ..model.shape import ShapeBatch
 from ..robot import Robot
 
 Floats = npt.NDArray[np.float64]
+CELLS = 'cell_stiffness'  # no effect: every cell's own deviation, where a tolerance declares it
 
 
 @dataclass(frozen=True)
 class Free:
-    """One parameter of an effect (of one section, where it has its own) that a fit may move."""
+    """One parameter of an effect that a fit may move: of the robot, of a section or a cell."""
 
     effect: str
     parameter: Parameter
@@ -78,6 +79,8 @@ class Predictor:
 
     def value(self, free: Free) -> float:
         """Value that the description gives a parameter (neutral where it is not listed)."""
+        if free.effect == CELLS:
+            return 0.0
         return float(
             self._values[
                 self.model.arrays.layout.rows[free.effect, free.parameter.name], free.section or 0
@@ -111,7 +114,10 @@ class Predictor:
         if stiffness is not None:
             arrays.cells[:, 1] *= stiffness
         for free, value in point.items():
-            arrays.set(free.effect, free.parameter.name, free.section, value)
+            if free.effect == CELLS:
+                arrays.cells[free.section, 1] *= 1.0 + value
+            else:
+                arrays.set(free.effect, free.parameter.name, free.section, value)
         given = self.inputs if inputs is None else inputs
         shapes = (
             self._pulled(given, near or self._first)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +18,15 @@ class Fitter:
     """Fits any set of parameters on one data set with one set of weights."""
 
     def __init__(
-        self, predictor: Predictor, whitener: Whitener, nuisances: Sequence[Nuisance] = ()
+        self,
+        predictor: Predictor,
+        whitener: Whitener,
+        nuisances: Sequence[Nuisance] = (),
+        columns: Mapping[Free, Floats] | None = None,
     ) -> None:
-        """Keep what all fits share."""
+        """Keep what all fits share; `columns` (N,) of the derivative are known already."""
         self.predictor, self.whitener = predictor, whitener
+        self.columns = dict(columns or {})
         self.nuisances = tuple(nuisances)
         self.measured = predictor.dataset.mean
 
@@ -126,6 +131,9 @@ class Search:
         """Jacobian (N + nuisances, q) of the residual by differences of the settled model."""
         columns = []
         for i, scale in enumerate(self.scale):
+            if (known := self._known(i)) is not None:
+                columns.append(known)
+                continue
             h = 1e-3 * scale
             if self.values[i] + h > self.high[i]:
                 h = -h
@@ -139,6 +147,15 @@ class Search:
                     break
             columns.append(np.zeros_like(self.r) if column is None else column)
         return np.array(columns).T.reshape(len(self.r), len(self.scale))
+
+    def _known(self, i: int) -> Floats | None:
+        """Column of a nuisance that is known already; None where it must be taken."""
+        column = self.fitter.columns.get(self.all[i])
+        if column is None:
+            return None
+        prior = np.zeros(len(self.spread))
+        prior[i - self.count] = 1.0 / self.spread[i - self.count]
+        return np.concatenate([column, prior])
 
     def improve(self) -> bool:
         """Take one damped step within the bounds; False when there is nothing to gain."""

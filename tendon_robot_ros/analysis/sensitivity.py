@@ -13,7 +13,6 @@ from .candidates import Candidate
 from .fit import Fit
 from .predict import Free
 from .probability import chi2_isf
-from .search import Fitter
 from .session import Session
 
 Floats = npt.NDArray[np.float64]
@@ -78,7 +77,7 @@ def _change(session: Session, base: Fit, free: Free, value: float) -> float | No
     if not session.nuisances:
         change = session.whitener.white(markers - base.markers)
         return float(np.linalg.norm(change))
-    fitter = Fitter(session.predictor, session.whitener, session.nuisances)
+    fitter = session.fitter(session.predictor)
     fitter.measured = markers
     try:
         return float(np.sqrt(fitter.fit((), base.point).chi2))

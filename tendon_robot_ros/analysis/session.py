@@ -19,6 +19,7 @@ from .candidates import (
     is_tested,
     nuisances_of,
 )
+from .cells import cell_slopes
 from .fit import Fit
 from .noise import Noise, Whitener, estimate_noise, input_slopes
 from .predict import Point, Predictor
@@ -63,10 +64,14 @@ class Session:
         self.whitener = Whitener(
             self.dataset, self.noise, slopes, self.accuracy if self.use_accuracy else 0.0
         )
-        self.fitters = [
-            Fitter(predictor, self.whitener, self.nuisances) for predictor in self.predictors
-        ]
+        changes = cell_slopes(self.predictor, self.nuisances, point)
+        self._columns = {free: -self.whitener.white(change) for free, change in changes.items()}
+        self.fitters = [self.fitter(predictor) for predictor in self.predictors]
         return True
+
+    def fitter(self, predictor: Predictor) -> Fitter:
+        """Return a fitter with the weights of now."""
+        return Fitter(predictor, self.whitener, self.nuisances, self._columns)
 
     @property
     def freedom(self) -> float:
@@ -168,7 +173,7 @@ def contains(session: Session, large: Ranked, small: Ranked) -> bool:
         return True
     if large.fit.rank <= small.fit.rank:
         return False
-    fitter = Fitter(session.predictor, session.whitener, session.nuisances)
+    fitter = session.fitter(session.predictor)
     fitter.measured = small.fit.markers
     mimic = fitter.fit(large.candidate.frees, large.fit.point)
     return mimic.chi2 < SAME

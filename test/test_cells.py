@@ -1,0 +1,75 @@
+"""A declared scatter of the cells' stiffness: quiet where it explains, and no excuse beyond."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+from simulated import CATALOGUE, NOISE, measured
+
+from tendon_robot_ros.analysis.diagnose import diagnose
+from tendon_robot_ros.analysis.session import Session
+
+EXACT = simulated.robot()
+ROBOT = replace(EXACT, tolerances={'cell_stiffness': 0.02})
+FINE = replace(NOISE, position=5e-5, setting=5e-4, trial=5e-4)  # scatter stands out of it
+
+
+def scattered(seed, hidden=None, **cells):
+    """Measure an arm whose cells scatter by 2 %; `cell_5=0.6` makes the fifth softer."""
+    factors = 1.0 + 0.02 * np.random.default_rng(seed).normal(size=15)
+    for name, factor in cells.items():
+        factors[int(name.removeprefix('cell_')) - 1] *= factor
+    section = EXACT.sections[0]
+    stiffness = tuple(np.array(section.bending_stiffness) * factors)
+    real = replace(EXACT, sections=(replace(section, bending_stiffness=stiffness),))
+    return replace(measured(real, hidden, seed=seed, noise=FINE, count=10), robot=ROBOT)
+
+
+def test_a_cell_tolerance_is_a_nuisance_of_every_cell():
+    nuisances = Session(measured(ROBOT), ROBOT, CATALOGUE, workers=1).nuisances
+    assert [n.free.key for n in nuisances] == [f'relative_change[cell {i}]' for i in range(1, 16)]
+    assert {(n.quantity, n.centre, n.spread) for n in nuisances} == {('cell_stiffness', 0.0, 0.02)}
+
+
+def test_the_fit_is_that_of_generalised_least_squares():
+    """Chi² with the cells free equals chi² with their covariance in the noise."""
+    session = Session(scattered(1), ROBOT, CATALOGUE, workers=1)
+    session.weigh({})
+    fit = session.base_fit()
+    here = session.predictor.markers({})
+    white = session.whitener.white(session.dataset.mean - here)
+    columns = []
+    for i in range(15):
+        stiffness = np.where(np.arange(15) == i, 1.001, 1.0)
+        moved = session.predictor.markers({}, stiffness=stiffness)
+        columns.append(0.02 * session.whitener.white(moved - here) / 1e-3)
+    scatter = np.eye(len(white)) + np.array(columns).T @ np.array(columns)
+    assert fit.chi2 == pytest.approx(float(white @ np.linalg.solve(scatter, white)), rel=0.02)
+    assert fit.freedom == len(white)
+
+
+def test_scatter_alarms_where_nothing_is_declared_and_is_quiet_where_it_is():
+    undeclared = [
+        diagnose(scattered(seed), EXACT, CATALOGUE, 1).verdict != 'adequate' for seed in range(4)
+    ]
+    assert sum(undeclared) >= 3
+    assert [diagnose(scattered(seed), ROBOT, CATALOGUE, 1).verdict for seed in range(4)] == (
+        ['adequate'] * 4
+    )
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+def test_an_effect_is_named_alone_in_spite_of_the_scatter(seed):
+    found = diagnose(scattered(seed, {'hinge_friction': {'lever': 2e-4}}), ROBOT, CATALOGUE, 1)
+    assert found.verdict == 'missing_effect'
+    assert [effect.name for effect in found.effects] == ['hinge_friction']
+    lever = found.effects[0].parameters['lever']
+    assert lever.low < 2e-4 < lever.high
+
+
+@pytest.mark.parametrize(('cell', 'factor'), [(5, 0.6), (11, 0.7)])
+def test_scatter_is_no_excuse_for_a_soft_cell(cell, factor):
+    found = diagnose(scattered(3, **{f'cell_{cell}': factor}), ROBOT, CATALOGUE, 1)
+    assert found.verdict == 'outside_catalogue'
+    assert f'cell {cell} bends' in found.remainder
