@@ -2,7 +2,8 @@
 Choose a command by its name and run it.
 
 A command in ``cli/`` is a module with ``HELP`` (one line), ``add_arguments(parser)`` and
-``run(args) -> int`` (the exit code); a node in ``nodes/`` has ``HELP`` and ``main(argv) -> int``.
+``run(args) -> int`` (the exit code); a node in ``nodes/`` has ``HELP`` and ``main(argv) -> int``,
+or ``add_arguments`` and ``run(args, ros_arguments) -> int`` where it takes more than parameters.
 Only the chosen module is imported, so that no command pays for another one's dependencies;
 for the list of commands, ``HELP`` is read from the source.
 """
@@ -36,6 +37,9 @@ COMMANDS: dict[str, str] = {
     'controller': 'tendon_robot_ros.nodes.controller',
     'driver': 'tendon_robot_ros.nodes.driver',
     'teleop': 'tendon_robot_ros.nodes.teleop',
+    'go-to': 'tendon_robot_ros.nodes.go_to',
+    'follow': 'tendon_robot_ros.nodes.follow',
+    'sweep': 'tendon_robot_ros.cli.sweep',
     'monitor': 'tendon_robot_ros.nodes.monitor',
     'viewer': 'tendon_robot_ros.nodes.viewer',
     'live': 'tendon_robot_ros.nodes.live',
@@ -126,14 +130,24 @@ def _run(name: str, arguments: list[str], program: str) -> int:
 
 
 def _run_node(module_name: str, arguments: list[str], program: str) -> int:
-    if '-h' in arguments or '--help' in arguments:
+    at = arguments.index('--ros-args') if '--ros-args' in arguments else len(arguments)
+    own, ros_arguments = arguments[:at], arguments[at:]
+    missing = importlib.util.find_spec('rclpy') is None
+    takes_more = 'def add_arguments(' in _source(module_name).read_text(encoding='utf-8')
+    if ('-h' in own or '--help' in own) and (missing or not takes_more):
         print(f'usage: {program} {NODE_OPTIONS}\n\n{_documentation(module_name)}')
         return 0
-    if importlib.util.find_spec('rclpy') is None:
+    if missing:
         raise MissingExtraError('rclpy', 'ros')
     # the wheels of rclpy find their middleware through this; a sourced ROS has set it
     os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
-    return int(importlib.import_module(module_name).main(arguments))
+    module = importlib.import_module(module_name)
+    if not takes_more:
+        return int(module.main(arguments))
+    parser = Parser(prog=program, description=_documentation(module_name))
+    parser.epilog = f'and, as every node: {NODE_OPTIONS}'
+    module.add_arguments(parser)
+    return int(module.run(parser.parse_args(own), ros_arguments))
 
 
 def _overview() -> str:

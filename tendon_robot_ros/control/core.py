@@ -14,7 +14,8 @@ from ..exceptions import DriverError, InputError, NoEquilibriumError
 from .checks import Refusal
 from .closed_loop import TipLoop
 from .heard import Heard
-from .jog import Jog, Twist
+from .jog import Jog, Twist, follow_twist
+from .playing import Playing, in_pulls
 from .settings import Output, Settings, Target
 from .tracking import ShapeTracker
 
@@ -40,15 +41,17 @@ class ControllerCore:
     refusals: dict[str, Refusal] = field(default_factory=dict)  # kind of message -> why the last
     latch: StopLatch = field(default_factory=StopLatch)
     loop: TipLoop = field(default_factory=TipLoop)
+    playing: Playing | None = None  # a trajectory of the tendons; its end is held
     _jog: Jog | None = None
     _heard: Heard | None = None
+    _pulls: Array | None = None  # (m,) [m] as commanded last, in pull mode
     _lost: bool = True
     _stepped: float = -np.inf
-    _track: ShapeTracker = field(init=False)
+    track: ShapeTracker = field(init=False)
 
     def __post_init__(self) -> None:
         """Begin straight."""
-        self._track = ShapeTracker(self.model)
+        self.track = ShapeTracker(self.model)
 
     def measured(self, now: float, tensions: Array, pulls: Array) -> None:
         """Take what the driver measures, (m,) [N] and (m,) [m], nan where not observable."""
@@ -66,10 +69,10 @@ class ControllerCore:
         """
         self._require_running()
         try:
-            solution = self._solve(target)
+            solution = self.solve(target)
         except (NoEquilibriumError, InputError) as error:
             raise Refusal('no_equilibrium', f'target refused: {error}') from None
-        self.target, self.solution, self._jog = target, solution, None
+        self.target, self.solution, self._jog, self.playing = target, solution, None, None
 
     def twist(self, now: float, twist: Twist) -> None:
         """Take a velocity of the tip; it ends by itself after `twist_timeout`."""
@@ -77,9 +80,17 @@ class ControllerCore:
         if self.command is None:
             raise Refusal('no_driver', 'twist refused: no tendon states yet')
         if self._jog is None:
-            self._jog = Jog.start(self._track.begin(self.command))
-            self.target = self.solution = None
+            self._jog = Jog.start(self.track.begin(self.command))
+            self.target = self.solution = self.playing = None
         self._jog.take(now, twist)
+
+    def play(self, now: float, trajectory: Playing | None) -> None:
+        """Play a trajectory of the tendons; None ends the one that plays and holds."""
+        self._require_running()
+        if self.command is None:
+            raise Refusal('no_driver', 'tendon_trajectory refused: no tendon states yet')
+        self._drop()
+        self.playing = None if trajectory is None else trajectory.begin(now, self.commanded)
 
     def stop(self, key: str, reason: str, lasting: bool = False) -> None:
         """Latch a stop and drop the target; while its cause is lasting, reset is refused."""
@@ -102,7 +113,7 @@ class ControllerCore:
     @property
     def no_equilibrium(self) -> str:
         """Why the model has no shape now, '' when it has one."""
-        return self._track.problem
+        return self.track.problem
 
     @property
     def jogging(self) -> bool:
@@ -110,8 +121,15 @@ class ControllerCore:
         return self._jog is not None
 
     @property
+    def commanded(self) -> Array | None:
+        """What was commanded last, (m,) [N], or [m] in pull mode."""
+        return self.command if self._pulls is None else self._pulls
+
+    @property
     def moving(self) -> bool:
         """Whether the command is still on its way."""
+        if self.playing is not None and self.commanded is not None:
+            return not np.array_equal(self.commanded, self.playing.values[-1])
         if self.solution is None or self.command is None:
             return False
         goal = bounded(self.loop.goal(self, self.solution.tensions), self.model.limits)
@@ -119,8 +137,7 @@ class ControllerCore:
 
     def fresh(self, now: float) -> bool:
         """Whether the driver was heard lately."""
-        age = np.inf if self._heard is None else now - self._heard.time
-        return bool(age <= self.settings.state_timeout)
+        return self._heard is not None and now - self._heard.time <= self.settings.state_timeout
 
     def step(self, now: float) -> Output | None:
         """
@@ -132,7 +149,7 @@ class ControllerCore:
         passed = min(max(now - self._stepped, 0.0), LONGEST_CYCLE)
         self._stepped = now
         if not self.fresh(now):
-            self._lost = True
+            self._lost, self.playing = True, None
         elif self._lost or self.driver_stopped or self.command is None:
             self._resync()
         if self.latch or self.command is None:
@@ -147,7 +164,7 @@ class ControllerCore:
         tensions = self.command
         if self._heard is not None and self._heard.observed and self.fresh(now):
             tensions = np.maximum(self._heard.tensions, 0.0)
-        return None if tensions is None else self._track.follow(now, tensions)
+        return None if tensions is None else self.track.follow(now, tensions)
 
     def set_model(self, model: Model) -> None:
         """
@@ -168,59 +185,43 @@ class ControllerCore:
             )
         if self.command is not None:
             model.shape(self.command)
-        solution = None if self.target is None else self._solve(self.target, model)
+        solution = None if self.target is None else self.solve(self.target, model)
         self.model, self.solution = model, solution
-        self._jog, self._track = None, ShapeTracker(model)
+        self._jog, self.track = None, ShapeTracker(model)
         self.loop.reset()
 
     def _advance(self, now: float, passed: float) -> Array:
         """Move the command towards where the target or the twist wants it, at the rate limit."""
         assert self.command is not None
         if self._jog is not None:
-            if self._jog.over(now, self.settings.twist_timeout):
+            over = self._jog.over(now, self.settings.twist_timeout)
+            if over or not follow_twist(self, self._jog, passed):
                 self._jog = self.solution = None
-            else:
-                self._follow_twist(self._jog, passed)
         goal = self.command
-        if self.solution is not None:
+        if self.playing is not None and not self.settings.pull_mode:
+            goal = self.playing.at(now)
+        elif self.solution is not None:
             goal = self.loop.goal(self, self.solution.tensions)
-        step = np.full(len(goal), self.settings.rate_limit * passed)
-        return approach(self.command, bounded(goal, self.model.limits), step)
-
-    def _follow_twist(self, jog: Jog, passed: float) -> None:
-        aim = jog.advance(passed, self.settings.hold_direction)
-        if aim is None:  # a zero twist: stop where it is
-            self._jog = self.solution = None
-            return
-        try:
-            self.solution = self._solve(Target(*aim))
-        except (NoEquilibriumError, InputError) as error:
-            self._jog = None
-            self.refusals['target'] = Refusal('no_equilibrium', f'twist ended: {error}')
-        else:
-            jog.reached(self.solution.shape)
+        goal = bounded(goal, self.model.limits)
+        return approach(self.command, goal, np.full_like(goal, self.settings.rate_limit * passed))
 
     def _output(self, now: float, wanted: Array) -> Output | None:
         pulls = None
         if self.settings.pull_mode:
-            shape = self._track.follow(now, wanted)
-            if shape is None:
-                wanted = self.command if self.command is not None else wanted
-                shape = self._track.last
-            pulls = None if shape is None else shape.pulls
-        failing = self._track.failing(now) > self.settings.patience
+            wanted, pulls = in_pulls(self, now, wanted)
+        failing = self.track.failing(now) > self.settings.patience
         if failing or (self.settings.pull_mode and pulls is None):
             self._drop()
             self._lost = True
-            problem = f'released: {self._track.problem}'
-            self.refusals['target'] = Refusal('no_equilibrium', problem)
+            self.refusals['target'] = Refusal('no_equilibrium', f'released: {self.track.problem}')
             return None
-        self.command = wanted
+        self.command, self._pulls = wanted, pulls
         return Output(wanted.copy(), pulls)
 
-    def _solve(self, target: Target, model: Model | None = None) -> Reach:
+    def solve(self, target: Target, model: Model | None = None) -> Reach:
+        """Return tensions for a target, from where the arm is."""
         model = model or self.model
-        guess = self._track.last if self.solution is None else self.solution.shape
+        guess = self.track.last if self.solution is None else self.solution.shape
         same = guess is not None and len(guess.bend) == model.robot.cells
         return model.reach(
             position=target.position,
@@ -234,12 +235,12 @@ class ControllerCore:
         """Begin at the measured state."""
         assert self._heard is not None
         unknown = self.model.limits[:, 0] if self.command is None else self.command
-        tensions = self._heard.in_newtons(self.model, self._track.last, unknown)
+        tensions = self._heard.in_newtons(self.model, self.track.last, unknown)
         self.command = bounded(tensions, self.model.limits)
-        self._lost, self._jog = False, None
+        self._lost, self._jog, self.playing, self._pulls = False, None, None, None
 
     def _drop(self) -> None:
-        self.target = self.solution = self._jog = None
+        self.target = self.solution = self._jog = self.playing = None
         self.loop.reset()
 
     def _require_running(self) -> None:

@@ -8,8 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ..exceptions import InputError, NoEquilibriumError
+from .checks import Refusal
+from .settings import Target
+
 if TYPE_CHECKING:
     from ..model.shape import Shape
+    from .core import ControllerCore
 
 Array = NDArray[np.float64]
 LEAD = 0.002  # [m] how far the wanted tip may be ahead of the reachable one
@@ -67,6 +72,20 @@ class Jog:
         if distance > LEAD:
             self.position = shape.tip_position + ahead * (LEAD / distance)
         self.axes = shape.frames[-1]
+
+
+def follow_twist(core: ControllerCore, jog: Jog, passed: float) -> bool:
+    """Move the solution on by some time [s]; whether the twist goes on."""
+    aim = jog.advance(passed, core.settings.hold_direction)
+    if aim is None:  # a zero twist: stop where it is
+        return False
+    try:
+        core.solution = core.solve(Target(*aim))
+    except (NoEquilibriumError, InputError) as error:
+        core.refusals['target'] = Refusal('no_equilibrium', f'twist ended: {error}')
+        return False
+    jog.reached(core.solution.shape)
+    return True
 
 
 def rotated(vector: Array, rotation: Array) -> Array:

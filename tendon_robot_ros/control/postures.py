@@ -50,16 +50,16 @@ def salient(model: Model) -> list[Posture]:
     return [*found, _posture('S-shape, 45° view', s_shaped, middle)]
 
 
-def view(model: Model, angle: float) -> ShapeBatch:
+def view(model: Model, angle: float, step: float = 0.1) -> ShapeBatch:
     """
     Return the postures whose tip has turned by an angle [rad] in the x-z plane.
 
-    The tension of the first section goes through both directions in steps of 0.1 N; for each, that
+    The tension of the first section goes through both directions in steps [N]; for each, that
     of the second section is bisected until the view is exact.
     """
     low, high = model.limits[:, 0], model.limits[:, 1]
     prox_left, prox_right, dist_right = _planar_inputs(model)
-    steps = np.arange(-high[prox_left], high[prox_right] + 0.05, 0.1)
+    steps = np.arange(-high[prox_left], high[prox_right] + 0.5 * step, step)
 
     def inputs(dist: Array) -> Array:
         tensions = np.tile(low, (len(steps), 1))

@@ -31,6 +31,9 @@ def report(core: ControllerCore, now: float) -> Report:
     values = {'moving': str(core.moving).lower()}
     if core.target is not None:
         values['target_stamp'] = core.target.stamp
+    if core.playing is not None:
+        values['target_stamp'] = core.playing.stamp
+        values['trajectory'] = core.playing.progress(now)
     if core.solution is not None:
         values.update(_solution(core.solution))
     if core.command is not None:
@@ -59,6 +62,10 @@ def _condition(core: ControllerCore, now: float) -> tuple[str, str, str]:
         return WARN, f'refused_{refusal.code}', str(refusal)
     if core.jogging:
         return OK, 'jogging', 'following a twist'
+    if core.playing is not None:
+        if core.playing.over(now) and not core.moving:
+            return OK, 'played', 'at the end of the trajectory of the tendons'
+        return OK, 'playing', f'playing a trajectory: {core.playing.progress(now)}'
     if core.solution is None:
         return OK, 'holding', 'waiting for a target'
     if core.moving:

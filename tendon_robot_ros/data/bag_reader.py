@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -74,22 +75,41 @@ def read_bag(path: str | Path, topics: Topics | None = None) -> Recording:
         The package rosbags is not installed.
 
     """
+    topics = topics or Topics()
+    with opened(path) as reader:
+        found = {c.topic: c.msgtype for c in reader.connections}
+        wanted = _wanted(str(path), found, topics)
+        messages = list(_messages(reader, wanted))
+    return _sorted(str(path), messages, wanted, topics)
+
+
+@contextmanager
+def opened(path: str | Path) -> Iterator[Any]:
+    """
+    Open a recording for reading; what fails while it is read is one line, too.
+
+    Raises
+    ------
+    DataSetError
+        It is no recording, or damaged.
+    MissingExtraError
+        The package rosbags is not installed.
+
+    """
     need_rosbags()
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    path, topics = Path(path), topics or Topics()
+    path = Path(path)
     if not path.exists():
         raise DataSetError(str(path), 'is not there', 'name a rosbag2 folder or an .mcap file')
+    if path.suffix == '.bag':
+        raise DataSetError(
+            str(path), 'is a ROS 1 bag', f'convert it: rosbags-convert --src {path} --dst NEW'
+        )
     try:
-        if path.suffix == '.bag':
-            raise DataSetError(
-                str(path), 'is a ROS 1 bag', f'convert it: rosbags-convert --src {path} --dst NEW'
-            )
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-            found = {c.topic: c.msgtype for c in reader.connections}
-            wanted = _wanted(str(path), found, topics)
-            messages = list(_messages(reader, wanted))
+            yield reader
     except DataSetError:
         raise
     except Exception as error:  # a damaged file can fail anywhere in the parser
@@ -97,7 +117,21 @@ def read_bag(path: str | Path, topics: Topics | None = None) -> Recording:
         raise DataSetError(
             str(path), f'cannot be read ({reason})', 'repair it (mcap recover) or record it again'
         ) from None
-    return _sorted(str(path), messages, wanted, topics)
+
+
+def is_bag(path: str | Path) -> bool:
+    """Whether a path looks like a recording: a rosbag2 folder, or an .mcap or .db3 file."""
+    path = Path(path)
+    return path.suffix in ('.mcap', '.db3') or (path / 'metadata.yaml').is_file()
+
+
+def topic_of(found: Mapping[str, str], name: str, kind: str) -> str | None:
+    """Return the topic of a kind with this name, or the only one below a namespace."""
+    exact = '/' + name.lstrip('/')
+    if found.get(exact) == kind:
+        return exact
+    below = [t for t, k in found.items() if k == kind and t.endswith(exact)]
+    return below[0] if len(below) == 1 else None
 
 
 def _wanted(bag: str, found: Mapping[str, str], topics: Topics) -> dict[str, str]:
@@ -107,13 +141,13 @@ def _wanted(bag: str, found: Mapping[str, str], topics: Topics) -> dict[str, str
     shapes = shapes or [(topics.shape, 'shape', POSE_ARRAY)]
     for topic, role, kind in [(topics.states, 'states', JOINT_STATE), *shapes]:
         name = '/' + topic.lstrip('/')
-        if found.get(name) != kind:
+        if (there := topic_of(found, topic, kind)) is None:
             known = listing(sorted(t for t, k in found.items() if k == kind))
             problem = f'is a {found[name]}' if name in found else 'is not in it'
             raise DataSetError(
                 bag, f'topic {name} {problem}', f'name one that is a {kind}; there: {known}'
             )
-        wanted[name] = role
+        wanted[there] = role
     return wanted
 
 

@@ -28,6 +28,8 @@ class Table:
 
     def repeated(self) -> tuple[int, int] | None:
         """Return the first row whose names stood in an earlier row, and that row."""
+        if not self.codes:
+            return None
         sizes = [len(labels) for labels in self.labels.values()]
         index = np.zeros(len(next(iter(self.codes.values()))), dtype=np.int64)
         for codes, size in zip(self.codes.values(), sizes, strict=True):

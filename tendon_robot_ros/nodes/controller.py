@@ -1,7 +1,8 @@
 """
 The controller node: takes targets of the tip and publishes the tendon commands that reach them.
 
-Topics: ~/target_pose, ~/target_point, ~/delta_twist, tendon_states, stop (subscribed);
+Topics: ~/target_pose, ~/target_point, ~/delta_twist, ~/tendon_trajectory, tendon_states, stop
+(subscribed);
 tendon_command, ~/predicted_shape, ~/predicted_tip, ~/markers, ~/status, /diagnostics (published).
 Services: ~/stop, ~/reset. Parameters and units: docs/ros_interface.md.
 """
@@ -17,6 +18,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 from ..control import ControllerCore, Refusal
 from ..control.report import report
@@ -90,6 +92,7 @@ class ControllerNode(ManagedNode):
             subscribe(PoseStamped, '~/target_pose', self._pose, COMMAND),
             subscribe(PointStamped, '~/target_point', self._point, COMMAND),
             subscribe(TwistStamped, '~/delta_twist', self._twist, LISTEN),
+            subscribe(JointTrajectory, '~/tendon_trajectory', self._trajectory, COMMAND),
         ]
 
     def deactivate(self) -> None:
@@ -120,10 +123,12 @@ class ControllerNode(ManagedNode):
         self._take('target', lambda core, incoming: core.aim(incoming.point(message)))
 
     def _twist(self, message: TwistStamped) -> None:
-        def take(core: ControllerCore, incoming: Incoming) -> None:
-            core.twist(time.monotonic(), incoming.twist(message))
+        self._take('target', lambda core, new: core.twist(time.monotonic(), new.twist(message)))
 
-        self._take('target', take)
+    def _trajectory(self, message: JointTrajectory) -> None:
+        self._take(
+            'target', lambda core, new: core.play(time.monotonic(), new.trajectory(message))
+        )
 
     def _states(self, message: JointState) -> None:
         def take(core: ControllerCore, incoming: Incoming) -> None:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectory
 
 from ..control import Refusal, Target, Twist
 from ..control.checks import by_name, check_frame, check_stamp, direction, finite, position
+from ..control.playing import Playing, checked
 from ..model.model import Model
 from .frames import Frames
 from .messages import seconds
 from .parameters import Parameters
 
 Array = NDArray[np.float64]
+MOST_POINTS = 500  # of a trajectory: more would hold up the commands while they are read
 
 
 class Incoming:
@@ -83,6 +88,34 @@ class Incoming:
         if np.isnan(found).all():
             raise Refusal('not_finite', 'tendon_states: neither effort nor position is a number')
         return found[0], found[1]
+
+    def trajectory(self, message: JointTrajectory) -> Playing | None:
+        """Return a trajectory of tensions, or of wire pulls in pull mode; None ends one."""
+        what, pull = 'tendon_trajectory', self._parameters['command_mode'] == 'pull'
+        self._stamp(message.header, what)
+        if not message.points:
+            return None
+        quantity = 'positions' if pull else 'effort'
+        rows = [list(getattr(point, quantity)) for point in message.points]
+        if not any(rows):
+            mode = self._parameters['command_mode']
+            raise Refusal(
+                'mode', f'{what}: the controller is in {mode} mode: expected {quantity}, got none'
+            )
+        inputs = self._model.inputs
+        if len(rows) > MOST_POINTS or len(set(map(len, rows))) > 1:
+            raise Refusal(
+                'length',
+                f'{what}: expected at most {MOST_POINTS} points with {len(inputs)} values of '
+                f'{quantity} each, got {len(rows)} points with {min(map(len, rows))} to '
+                f'{max(map(len, rows))}',
+            )
+        by_name(message.joint_names, rows[0], inputs, what, quantity)
+        order = [message.joint_names.index(name) for name in inputs]
+        values = np.array(rows)[:, order]
+        times = np.array([seconds(point.time_from_start) for point in message.points])
+        limits = None if pull else self._model.limits
+        return replace(checked(times, values, limits, inputs), stamp=_text(message.header))
 
     def _header(self, header: Header, what: str) -> tuple[Array, Array]:
         self._stamp(header, what)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
@@ -20,6 +20,12 @@ MEASURED = (0.835, 0.369, 0.0)
 def seconds(stamp: Time) -> float:
     """Return a stamp in seconds."""
     return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+
+
+def duration(time: float) -> Duration:
+    """Return a time [s] as a message."""
+    nanoseconds = round(1e9 * time)
+    return Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
 
 
 def quaternion(rotation: Array) -> Quaternion:

@@ -1,0 +1,107 @@
+"""What was reached against what was asked, as a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..analysis.flight import Flight
+from ..data.atomic import new_file
+from .palette import COLOURS, FLOOR, MEASURED
+
+FLAT = 1e-4  # [m]
+PICTURES = ('.png', '.svg', '.pdf')
+
+
+def draw_flight(flight: Flight, path: str | Path, title: str) -> Path:
+    """
+    Draw the path from two sides, the distance from the target, and the commands.
+
+    Parameters
+    ----------
+    flight : Flight
+        What was flown.
+    path : str or Path
+        Where the picture goes; the ending says the format, one of `PICTURES`.
+    title : str
+        Stands above.
+
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0, 6.5), layout='constrained')
+    sides = {'xz': 0, 'yz': 1}
+    if np.abs(np.concatenate([flight.asked, flight.tips])[:, 1]).max() < FLAT:
+        del sides['yz']  # all of it is in the x-z plane
+    left = [*sides]
+    parts = figure.subplot_mosaic(
+        [[*left, 'error'], [*left, 'command']], width_ratios=[*[2.0 / len(left)] * len(left), 1.5]
+    )
+    for name, axis in sides.items():
+        _draw_side(parts[name], flight, axis)
+    _draw_errors(parts['error'], flight)
+    _draw_commands(parts['command'], flight)
+    for axes in parts.values():
+        axes.spines[['top', 'right']].set_visible(False)
+        axes.grid(alpha=0.25)
+    figure.suptitle(title, x=0.01, ha='left', fontsize='medium')
+    with new_file(Path(path)) as draft:
+        figure.savefig(draft, dpi=110)
+    return Path(path)
+
+
+def _draw_side(axes: Any, flight: Flight, axis: int) -> None:
+    """Draw asked and reached path, with arrows where a row asks for a direction."""
+    reached, _ = flight.tip_at(flight.row_times)
+    if len(flight.asked):
+        asked, views = flight.asked_at(flight.row_times)
+        axes.plot(*_seen(flight.asked, axis), '--', color=FLOOR, linewidth=1.2, label='asked')
+        axes.plot(*_seen(asked, axis), 'o', color=FLOOR, markersize=5, fillstyle='none')
+        shown = np.unique(np.linspace(0, len(asked) - 1, min(len(asked), 15)).round().astype(int))
+        for place, view in zip(asked[shown], views[shown], strict=True):
+            if np.isfinite(view).all() and np.hypot(view[axis], view[2]) > 0.1:
+                (x, z), tip = _seen(place, axis), 8.0 * view[[axis, 2]]
+                arrow = {'arrowstyle': '->', 'color': FLOOR}
+                axes.annotate('', (x + tip[0], z + tip[1]), (x, z), arrowprops=arrow)
+    label = 'measured' if flight.measured else 'as the model sees it'
+    axes.plot(*_seen(flight.tips, axis), '-', color=COLOURS[0], linewidth=1.0, label=label)
+    axes.plot(*_seen(reached, axis), 'x', color=COLOURS[0], markersize=5)
+    axes.set(xlabel=f'{"xy"[axis]} [mm]', ylabel='z [mm]')
+    axes.set_aspect('equal', adjustable='datalim')
+    if axis == 0:
+        axes.legend(fontsize='small', loc='best')
+
+
+def _seen(places: Any, axis: int) -> tuple[Any, Any]:
+    return 1e3 * places[..., axis], 1e3 * places[..., 2]
+
+
+def _draw_errors(axes: Any, flight: Flight) -> None:
+    if not len(flight.asked):
+        axes.plot(flight.tip_times, 1e3 * flight.tips, linewidth=1.0, label=['x', 'y', 'z'])
+        axes.set_ylabel('tip [mm]')
+        axes.legend(fontsize='small', ncols=3)
+        return
+    errors, _ = flight.errors(flight.tip_times)
+    axes.plot(
+        flight.tip_times, 1e3 * errors, color=COLOURS[0], label='from the target of the moment'
+    )
+    axes.plot(flight.tip_times, 1e3 * flight.across(), ':', color=MEASURED, label='from the path')
+    at, _ = flight.errors(flight.row_times)
+    axes.plot(flight.row_times, 1e3 * at, 'x', color=COLOURS[1], label='at the rows')
+    axes.set(ylabel='error of the tip [mm]', ylim=(0.0, None))
+    axes.legend(fontsize='small')
+
+
+def _draw_commands(axes: Any, flight: Flight) -> None:
+    scale = 1e3 if flight.pull else 1.0
+    for i, name in enumerate(flight.inputs):
+        colour = COLOURS[i % len(COLOURS)]
+        axes.plot(flight.command_times, scale * flight.commands[:, i], color=colour, label=name)
+        if flight.wanted is not None:
+            axes.plot(flight.row_times, scale * flight.wanted[:, i], 'o', color=colour, ms=4,
+                      fillstyle='none')  # fmt: skip
+    axes.set(xlabel='time [s]', ylabel='wire pull [mm]' if flight.pull else 'tension [N]')
+    axes.legend(fontsize='small', ncols=2)

@@ -1,0 +1,165 @@
+"""follow and go-to as a user runs them, against controller and mock driver."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from ros_station import INPUTS, Station, last, start, values
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+pytestmark = pytest.mark.ros
+SPACE = '/follow'
+PATH = """\
+time,x,y,z
+0,0.03,0,0.19
+1,0.05,0,0.18
+2,0.05,0,0.17
+"""
+
+
+@pytest.fixture(scope='module')
+def station(tmp_path_factory):
+    logs = tmp_path_factory.mktemp('logs')
+    patient = {'command_timeout': 0.5}, {'state_timeout': 1.0}  # the machine may be busy
+    with (
+        start('driver', SPACE, logs, **patient[0]),
+        start('controller', SPACE, logs, **patient[1]),
+    ):
+        station = Station(SPACE)
+        station.until_code(station.controller, 'holding', timeout=120.0)
+        yield station
+        station.close()
+
+
+def command(station, folder, *arguments):
+    """Run a command while the station listens."""
+    program = [sys.executable, '-m', 'tendon_robot_ros', *arguments]
+    process = subprocess.Popen(
+        [*program, '--ros-args', '-r', f'__ns:={SPACE}'],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    station.until(lambda: process.poll() is not None, 'the end of the command', 90.0)
+    return subprocess.CompletedProcess(arguments, process.returncode, *process.communicate())
+
+
+def commanded(station):
+    station.spin(0.2)
+    return np.array(last(station.commands).effort)
+
+
+def test_go_to_says_where_the_tip_went(station, tmp_path):
+    done = command(station, tmp_path, 'go-to', '60', '0', '170')
+    assert done.stdout.startswith('tip at (60.0, 0.0, 170.0) mm: 0.00 mm from the target'), done
+    assert (done.returncode, done.stderr) == (0, '')
+    done = command(station, tmp_path, 'go-to', '0', '0', '290')
+    assert 'as near as it can, 82.00 mm' in done.stdout
+    done = command(station, tmp_path, 'go-to', '0', '0', '900')
+    assert done.returncode == 1
+    assert 'refused_too_far' in done.stderr
+    assert done.stderr.count('\n') == 1
+
+
+def test_a_path_is_followed_reported_and_retreated(station, tmp_path):
+    (tmp_path / 'path.csv').write_text(PATH)
+    station.go_to_point(0.0, 0.2)
+    before = commanded(station)
+    station.commands.clear()
+    done = command(station, tmp_path, 'follow', 'path.csv', '--retreat', '--tension-rate', '4')
+    assert (done.returncode, done.stderr) == (0, '')
+    lines = done.stdout.splitlines()
+    assert lines[1].split()[:3] == ['row', 'time', '[s]']
+    assert lines[4].split()[0] == '3'
+    assert '50.0, 0.0, 170.0' in lines[4]
+    assert float(lines[4].split()[-2]) < 0.1  # [mm] where it stands
+    assert 'on the way: ' in lines[5]
+    assert float(lines[5].split(', ')[1].split()[0]) < 1.0  # [mm] across the path
+    assert (tmp_path / 'follow.png').stat().st_size > 20_000
+    assert lines[-1] == 'retreated by the way flown'
+    assert commanded(station) == pytest.approx(before, abs=1e-3)
+    efforts = np.array([message.effort for _, message in station.commands])
+    assert np.ptp(efforts, axis=0).max() > 0.2
+    passed = station.tips[-1][0] - station.tips[0][0]
+    assert passed > 2.0
+
+
+def test_out_of_reach_nothing_moves(station, tmp_path):
+    (tmp_path / 'far.csv').write_text('x,y,z\n0,0,0.2\n0.2,0,0.2\n')
+    before = commanded(station)
+    done = command(station, tmp_path, 'follow', 'far.csv')
+    assert done.returncode == 1
+    assert done.stderr.startswith('error: far.csv: ')
+    assert 'out of reach, by up to ' in done.stderr
+    assert 'nothing moved (--anyway would)' in done.stderr
+    assert commanded(station) == pytest.approx(before)
+
+
+def test_tensions_from_a_file_are_played(station, tmp_path):
+    rows = ['time,' + ','.join(INPUTS), '0,0.5,0.1,0.1,0.5', '1,0.9,0.1,0.1,0.7']
+    (tmp_path / 'tensions.csv').write_text('\n'.join(rows) + '\n')
+    done = command(station, tmp_path, 'follow', 'tensions.csv')
+    assert (done.returncode, done.stderr) == (0, '')
+    assert '0.90, 0.10, 0.10, 0.70' in done.stdout
+    assert commanded(station) == pytest.approx([0.9, 0.1, 0.1, 0.7])
+    rows[2] = '1,5.9,0.1,0.1,0.7'
+    (tmp_path / 'tensions.csv').write_text('\n'.join(rows) + '\n')
+    done = command(station, tmp_path, 'follow', 'tensions.csv')
+    assert done.returncode == 1
+    assert 'refused_limits' in done.stderr
+    assert 'prox_left: expected 0.1 to 5 N, got 5.9' in done.stderr
+    assert commanded(station) == pytest.approx([0.9, 0.1, 0.1, 0.7])
+
+
+def test_a_trajectory_as_a_topic_is_played_or_refused_with_its_reason(station):
+    message = JointTrajectory(joint_names=list(INPUTS))
+    point = JointTrajectoryPoint(effort=[1.0, 0.1, 0.1, 0.4])
+    point.time_from_start.nanosec = 500_000_000
+    message.points = [point]
+    station.send('controller/tendon_trajectory', message)
+    station.until_code(station.controller, 'played')
+    assert commanded(station) == pytest.approx([1.0, 0.1, 0.1, 0.4])
+    message.points = [JointTrajectoryPoint(positions=[0.0] * 4)]
+    station.send('controller/tendon_trajectory', message)
+    station.until_code(station.controller, 'refused_mode')
+    assert 'is in tension mode: expected effort, got none' in last(station.controller).message
+    message.joint_names[0] = 'prox_middle'
+    message.points = [point]
+    station.send('controller/tendon_trajectory', message)
+    station.until_code(station.controller, 'refused_names')
+    message.points = []
+    station.send('controller/tendon_trajectory', message)
+    station.until_code(station.controller, 'holding')
+    assert values(last(station.controller))['code'] == 'holding'
+
+
+def test_a_long_trajectory_does_not_stall_the_commands(station):
+    message = JointTrajectory(joint_names=list(INPUTS))
+    for i in range(500):
+        point = JointTrajectoryPoint(effort=[1.0 + 0.3 * np.sin(0.04 * i), 0.1, 0.1, 0.4])
+        point.time_from_start.nanosec = (i % 250) * 4_000_000
+        point.time_from_start.sec = i // 250
+        message.points.append(point)
+    station.commands.clear()
+    station.driver.clear()
+    station.send('controller/tendon_trajectory', message)
+    station.until_code(station.controller, 'played')
+    assert not [m for _, m in station.driver if values(m)['code'] != 'following']
+
+
+def test_without_a_controller_it_says_what_to_look_for(tmp_path):
+    (tmp_path / 'path.csv').write_text(PATH)
+    done = subprocess.run(
+        [sys.executable, '-m', 'tendon_robot_ros', 'follow', 'path.csv', '--controller', 'none'],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 1
+    assert 'are driver and controller running, in this namespace and ROS_DOMAIN_ID?' in done.stderr
