@@ -1,42 +1,161 @@
 """
-Every page in docs/: its commands and its Python run in order, its links lead somewhere.
+Every page: its commands run, its links and paths lead somewhere, and nothing escapes both.
 
-The rules for blocks are those of test_readme.py; the blocks of a page share a folder.
+How blocks are marked: documents.py. Of commands that are not run here, at least the options,
+parameters and scripts that they name exist.
 """
 
-import os
+import importlib
+import importlib.util
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from documents import (
+    COMMAND,
+    PAGES,
+    SHELLS,
+    appears,
+    blocks,
+    commands,
+    is_live,
+    prepare,
+    run,
+    run_live,
+    runs,
+    shows,
+    text_of,
+)
 from source_tree import ROOT, files
-from test_readme import BLOCK, commands
 
-PAGES = [*files('docs/*.md'), *files('data/*.md')]
-LINK = re.compile(r'\]\((?!https?:|#)([^)#\s]+)')
+from tendon_robot_ros.cli.main import COMMANDS, Parser
+
+DOCS = [page for page in PAGES if page.parent.name in ('docs', 'data')]
+LIVE = [page for page in DOCS if is_live(text_of(page))]
+SLOW = [page for page in DOCS if any(block['slow'] for block in blocks(text_of(page)))]
+CALL = re.compile(r'(?:python -m|ros2 run) tendon_robot_ros ([a-z-]+)((?: (?:[^`\n]|\\\n)*)?)')
+LOOSE = re.compile(r'^ *(?:\$ |sudo |python3? |ros2 |make |pip |git |source |echo |colcon )', re.M)
+SCRIPT = r'(?:benchmarks|config|data|examples|firmware|launch|test|tools|tendon_robot_ros)'
+# pages whose indented commands others run
+INDENTED = {'docs/live.md': 'test/test_live.py, test/test_ros_monitor.py'}
+FILE = re.compile(rf'(?<![\w/.-])({SCRIPT}/[\w./-]+\.(?:py|yaml|sh|csv|c|h|txt|md))')
 
 
-@pytest.mark.parametrize('page', PAGES, ids=str)
+def run_at_once(page, folder, slow):
+    for block in blocks(text_of(page)):
+        if runs(block, slow):
+            shows(block, run(block, folder, 900 if slow else 120))
+
+
+@pytest.mark.parametrize('page', [page for page in DOCS if page not in LIVE], ids=str)
 def test_the_blocks_of_a_page_run(page, tmp_path):
-    for name in ('config', 'data', 'examples'):
-        (tmp_path / name).symlink_to(ROOT / name)
-    path = f'{Path(sys.executable).parent}:{os.environ["PATH"]}'
-    for block in BLOCK.finditer((ROOT / page).read_text(encoding='utf-8')):
-        if block['reason'] or block['language'] not in ('console', 'python'):
-            continue
-        run = ['bash', '-c', commands(block['text'])]
-        if block['language'] == 'python':
-            run = [sys.executable, '-c', block['text']]
-        environment = os.environ | {'PATH': path, 'PYTHONPATH': str(ROOT)}
-        result = subprocess.run(
-            run, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120
-        )
-        assert result.returncode == 0, f'{block["text"]}\n{result.stdout}{result.stderr}'
+    run_at_once(page, prepare(tmp_path), slow=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('page', [page for page in SLOW if page not in LIVE], ids=str)
+def test_the_slow_blocks_of_a_page_run(page, tmp_path):
+    run_at_once(page, prepare(tmp_path), slow=True)
+
+
+@pytest.mark.slow
+@pytest.mark.ros
+@pytest.mark.parametrize('page', LIVE, ids=str)
+def test_the_terminals_of_a_page_show_what_it_says(page, tmp_path):
+    run_live(text_of(page), prepare(tmp_path), slow=True)
 
 
 @pytest.mark.parametrize('page', PAGES, ids=str)
-def test_the_links_of_a_page_lead_somewhere(page):
-    for target in LINK.findall((ROOT / page).read_text(encoding='utf-8')):
-        assert (ROOT / page.parent / target).exists(), f'{page}: {target}'
+def test_no_command_of_a_page_escapes(page):
+    text = text_of(page)
+    found = blocks(text)
+    assert 2 * len(found) == len(re.findall(r'^```', text, re.M)), 'a fence that is no block'
+    assert not SHELLS & {block['language'] for block in found}, 'commands stand in console blocks'
+    for block in found:
+        if block['language'] == 'console':
+            assert COMMAND.search(block['text']), 'a command begins with "$ "'
+        elif not block['language']:
+            assert not LOOSE.search(block['text']), f'make it a console block: {block["text"]}'
+    outside = re.sub(r'^```.*?^```$', '', text, flags=re.M | re.S)
+    if str(page) in INDENTED:
+        return
+    indented = '\n'.join(re.findall(r'^    .+$', outside, re.M))
+    assert not LOOSE.search(indented), f'make it a console block: {LOOSE.search(indented)[0]}'
+
+
+@pytest.mark.parametrize('page', PAGES, ids=str)
+def test_what_is_not_run_says_who_runs_it_instead(page):
+    for block in blocks(text_of(page)):
+        for name in re.findall(r'test/\w+\.py', block['reason'] or ''):
+            assert (ROOT / name).exists(), f'{page}: {block["reason"]}'
+
+
+def arguments():
+    """Yield page, command and arguments of every call of this package on any page."""
+    for page in PAGES:
+        for name, given in CALL.findall(text_of(page).replace('\\\n', ' ')):
+            yield page, name, given.split('  #')[0]
+
+
+def test_every_command_and_option_on_a_page_exists():
+    wrong = []
+    for page, name, given in arguments():
+        if name not in COMMANDS:
+            wrong.append(f'{page}: no command {name}')
+        elif '.cli.' in COMMANDS[name]:
+            parser = Parser(prog=name, description='')
+            importlib.import_module(COMMANDS[name]).add_arguments(parser)
+            known = set(parser._option_string_actions)
+            wrong += [
+                f'{page}: {name} {o}' for o in re.findall(r' (--[\w-]+)', given) if o not in known
+            ]
+    assert not wrong, '\n'.join(wrong)
+
+
+@pytest.mark.skipif(importlib.util.find_spec('rclpy') is None, reason='rclpy is not installed')
+def test_every_node_parameter_on_a_page_exists():
+    wrong, seen = [], 0
+    for page, name, given in arguments():
+        for parameter in re.findall(r'-p (\w+):=', given):
+            module = COMMANDS[name]
+            if importlib.util.find_spec(f'{module}_setup'):
+                module += '_setup'
+            known = [spec.name for spec in importlib.import_module(module).SPECS]
+            seen += 1
+            if parameter not in known:
+                wrong.append(f'{page}: {name} has no parameter {parameter}')
+    assert seen > 10
+    assert not wrong, '\n'.join(wrong)
+
+
+def test_every_target_of_make_on_a_page_exists():
+    known = re.findall(r'^([a-z-]+):', text_of('Makefile'), re.M)
+    found = [
+        (page, name) for page in PAGES for name in re.findall(r'`make ([a-z-]+)', text_of(page))
+    ]
+    assert [(str(page), name) for page, name in found if name not in known] == []
+
+
+@pytest.mark.parametrize('page', PAGES, ids=str)
+def test_every_file_that_a_page_names_exists(page):
+    wrong = [name for name in FILE.findall(text_of(page)) if not (ROOT / name).exists()]
+    assert not wrong, f'{page}: {wrong}'
+
+
+def test_documents_that_the_code_names_exist():
+    named = {}
+    for path in [*files('tendon_robot_ros/*.py'), *files('config/*'), *files('firmware/*')]:
+        for name in re.findall(r'docs/\w+\.md', text_of(path)):
+            named.setdefault(name, path)
+    assert len(named) > 3
+    assert {name: path for name, path in named.items() if not (ROOT / name).exists()} == {}
+
+
+def test_commands_are_told_from_their_output():
+    text = '$ python -m x \\\n    --more\nsome output\n$ ls\n'
+    assert commands(text) == 'set -e\npython -m x \\\n    --more\nls'
+
+
+def test_three_points_stand_for_anything_and_nothing_else_does():
+    printed = '[INFO] [123.4] [driver]: following\nwritten: a   to b\n'
+    assert appears('...following', printed) and appears('written: ... to b', printed)
+    assert not appears('following', printed) and not appears('...followin', printed)

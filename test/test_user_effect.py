@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import simulated
 from simulated import measured
+from source_tree import ROOT
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.data import save_dataset
@@ -11,24 +12,7 @@ from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.robot import load_robot
 
 pytestmark = pytest.mark.slow
-PULLEY = '''"""A pulley that gives way: part of the tension is lost, more the harder one pulls."""
-
-from tendon_robot_ros.effects import Effect, Parameter
-
-
-def law(tension, loss):
-    """Return T (1 - loss T)."""
-    return tension * (1.0 - loss * tension)
-
-
-EFFECT = Effect(
-    name='soft_pulley',
-    title='a pulley that gives way',
-    stage='actuation',
-    parameters=(Parameter('loss', '1/N', 0.0, 0.3, 0.0, typical=0.05),),
-    law=law,
-)
-'''
+PULLEY = (ROOT / 'examples' / 'soft_pulley.py').read_text(encoding='utf-8')
 
 
 def test_an_effect_of_the_users_own_is_named_and_added(tmp_path, capsys, monkeypatch):

@@ -1,0 +1,18 @@
+"""docs/extending.md shows the example as it is, and every stage that a law may have."""
+
+from source_tree import ROOT
+
+from tendon_robot_ros.effects import STAGES
+
+PAGE = (ROOT / 'docs' / 'extending.md').read_text(encoding='utf-8')
+
+
+def test_the_effect_shown_is_the_example():
+    example = (ROOT / 'examples' / 'soft_pulley.py').read_text(encoding='utf-8')
+    shown = PAGE.split('```py\n')[1].split('```')[0]
+    assert shown in example
+
+
+def test_the_table_has_every_stage():
+    rows = [f'| `{name}` | {takes} | {gives} |' for name, (takes, gives) in STAGES.items()]
+    assert '\n'.join(rows) in PAGE
