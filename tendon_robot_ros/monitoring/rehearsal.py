@@ -20,7 +20,9 @@ NONE = 'none'
 REFINEMENTS = ('eyelet_wrap', 'tendon_travel')  # what the mock's wires do, and its owner knows
 UPWARDS = (0.0, 0.0, 9.81)  # [m/s²] the arm hangs
 VISIBLE = (0.02, 0.05)  # [1] tip error that a hidden effect makes, in lengths of the arm
-UNSUITABLE = ('tendon_friction', 'friction_memory')  # in the description; needs unloading
+SCATTER = 0.02  # [1] 1 sd of the stiffness from cell to cell; its owner knows so much of it
+# changes wire pulls only, where tensions are commanded; makes decimetres, not millimetres
+UNSUITABLE = ('tendon_elongation', 'friction_memory')
 
 
 @dataclass(frozen=True)
@@ -50,10 +52,15 @@ class Stop:
 
 
 def refined(robot: Robot) -> Robot:
-    """Return the paper's model refined for the mock's hardware: its wires and its weight's way."""
+    """
+    Return the paper's model refined for the mock's hardware.
+
+    Its wires, the way its weight acts, and what the maker of its tubes says of their scatter.
+    """
     for name in REFINEMENTS:
         robot = robot.with_effect(name, {'fraction': 1.0})
-    return replace(robot, gravity=UPWARDS)
+    tolerances = {**robot.tolerances, 'cell_stiffness': SCATTER}
+    return replace(robot, gravity=UPWARDS, tolerances=tolerances)
 
 
 def choices(robot: Robot, catalogue: Catalogue) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped
 from numpy.typing import NDArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -19,15 +19,17 @@ from std_srvs.srv import Trigger
 
 from ..exceptions import TendonRobotError
 from ..monitoring.rehearsal import Stop
-from .messages import pose_stamped, towards
+from .messages import pose_stamped, seconds, towards
 from .qos import COMMAND, LATCHED, LISTEN, STATE
 from .runtime import Ending
 
 Array = NDArray[np.float64]
 SETTLED = ('reached', 'nearest', 'at_limit')
-STANDING = 1.2  # [s] at a stop, so that it is recorded
+STANDING = 1.0  # [s] at a stop
 AVERAGE = 0.5  # [s] over which the tip is taken there
+FEWEST = 5  # messages in that time
 LONGEST = 20.0  # [s] for a stop
+RECORDING = 6.0  # [s] that a posture may take to be recorded: machines are busy
 
 
 class Director(Node):
@@ -40,7 +42,8 @@ class Director(Node):
         self.status: dict[str, dict[str, str]] = {'controller': {}, 'monitor': {}}
         self.progress, self.verdict = '', dict[str, Any]()
         self.touring = True  # the page may switch it off
-        self._tips: dict[str, list[tuple[float, Array]]] = {'measured': [], 'predicted': []}
+        self._tips: list[tuple[float, Array]] = []
+        self._errors: list[tuple[float, Array]] = []
         self._tensions: list[tuple[float, Array]] = []
         self._poses = self.create_publisher(PoseStamped, 'controller/target_pose', COMMAND)
         self._points = self.create_publisher(PointStamped, 'controller/target_point', COMMAND)
@@ -48,10 +51,8 @@ class Director(Node):
             self.create_subscription(
                 DiagnosticStatus, f'{name}/status', self._hear_status(name), LATCHED
             )
-        self.create_subscription(PoseStamped, 'measured_tip', self._tip('measured'), LISTEN)
-        self.create_subscription(
-            PoseStamped, 'controller/predicted_tip', self._tip('predicted'), LISTEN
-        )
+        self.create_subscription(PoseStamped, 'measured_tip', self._tip, LISTEN)
+        self.create_subscription(Vector3Stamped, 'monitor/error', self._error, LISTEN)
         self.create_subscription(JointState, 'tendon_states', self._states, LISTEN)
         self.create_subscription(String, 'monitor/progress', self._hear_progress, STATE)
         self.create_subscription(String, 'monitor/verdict', self._hear_verdict, LATCHED)
@@ -81,7 +82,7 @@ class Director(Node):
             lambda: (
                 self.status['controller'].get('code') not in (None, 'compiling', 'not_ready')
                 and self.status['monitor'].get('code') == 'comparing'
-                and self._tips['predicted']
+                and self._errors
                 and self._points.get_subscription_count()
                 and self._poses.get_subscription_count()
             ),
@@ -89,8 +90,16 @@ class Director(Node):
             'controller, driver and monitor to start',
         )
 
-    def go(self, stop: Stop) -> None:
-        """Send a target and wait until the arm has stood there for a while."""
+    def go(self, stop: Stop) -> bool:
+        """
+        Send a target and wait until the arm has stood there for a while.
+
+        Returns
+        -------
+        bool
+            Whether it did, and was seen; what `tip` and `tensions` say is then of this posture.
+
+        """
         stamp = self.get_clock().now().to_msg()
         if stop.direction is None:
             point = PointStamped()
@@ -108,13 +117,35 @@ class Director(Node):
             said = self.status['controller']
             settled = said.get('target_stamp') == mine and said['code'] in SETTLED
             since[0] = min(since[0], time.monotonic()) if settled else np.inf
-            return time.monotonic() - since[0] > STANDING or not self.touring
+            standing = time.monotonic() - since[0] > STANDING and self._seen()
+            return standing or not self.touring
 
-        self.wait(stood, LONGEST, f'the arm at {stop.position.round(4).tolist()}', strict=False)
+        return self.wait(stood, LONGEST, 'the arm to stand', strict=False) and self.touring
 
-    def tip(self, which: str) -> Array:
-        """Return the mean tip [m], 'measured' or 'predicted', over the last moment."""
-        return self._mean(self._tips[which])
+    def record(self, stop: Stop) -> bool:
+        """Go to a posture and wait until the monitor has recorded it; return whether it did."""
+        before = self.recorded
+        if not self.go(stop):
+            return False
+        return self.wait(lambda: self.recorded > before, RECORDING, 'a recording', strict=False)
+
+    @property
+    def recorded(self) -> int:
+        """How many postures the monitor has."""
+        return int(self.status['monitor'].get('postures', '0'))
+
+    def uses(self, effects: Sequence[str]) -> bool:
+        """Whether controller and monitor have these effects in their model."""
+        models = [values.get('model', '') for values in self.status.values()]
+        return all(name in model for name in effects for model in models)
+
+    def tip(self) -> Array:
+        """Return the mean measured tip (3,) [m] over the last moment."""
+        return self._mean(self._tips)
+
+    def error(self) -> float:
+        """Return how far the tip is off [m]: the mean error over the last moment."""
+        return float(np.linalg.norm(self._mean(self._errors)))
 
     def tensions(self) -> Array:
         """Return the mean measured tensions (m,) [N] over the last moment."""
@@ -137,12 +168,19 @@ class Director(Node):
         end = time.monotonic() + seconds
         self.wait(lambda: time.monotonic() > end, seconds + 1.0, 'nothing')
 
-    def _mean(self, heard: Sequence[tuple[float, Array]]) -> Array:
-        now = time.monotonic()
+    def _recent(self, heard: Sequence[tuple[float, Array]]) -> list[Array]:
+        """Return what was measured lately, by stamps: a busy machine hears late."""
+        now = 1e-9 * self.get_clock().now().nanoseconds
         recent = [value for at, value in heard if now - at < AVERAGE]
-        if not recent:
-            return np.full(3, np.nan)
-        return np.array(np.mean(recent, axis=0))
+        return [value for value in recent if np.isfinite(value).all()]
+
+    def _seen(self) -> bool:
+        kinds = (self._tips, self._errors, self._tensions)
+        return all(len(self._recent(heard)) >= FEWEST for heard in kinds)
+
+    def _mean(self, heard: Sequence[tuple[float, Array]]) -> Array:
+        recent = self._recent(heard)
+        return np.array(np.mean(recent, axis=0)) if recent else np.full(3, np.nan)
 
     def _hear_status(self, name: str) -> Callable[[DiagnosticStatus], None]:
         def hear(message: DiagnosticStatus) -> None:
@@ -151,15 +189,16 @@ class Director(Node):
 
         return hear
 
-    def _tip(self, which: str) -> Callable[[PoseStamped], None]:
-        def hear(message: PoseStamped) -> None:
-            p = message.pose.position
-            _keep(self._tips[which], np.array([p.x, p.y, p.z]))
+    def _tip(self, message: PoseStamped) -> None:
+        p = message.pose.position
+        _keep(self._tips, seconds(message.header.stamp), np.array([p.x, p.y, p.z]))
 
-        return hear
+    def _error(self, message: Vector3Stamped) -> None:
+        v = message.vector
+        _keep(self._errors, seconds(message.header.stamp), np.array([v.x, v.y, v.z]))
 
     def _states(self, message: JointState) -> None:
-        _keep(self._tensions, np.array(message.effort))
+        _keep(self._tensions, seconds(message.header.stamp), np.array(message.effort))
 
     def _hear_progress(self, message: String) -> None:
         self.progress = message.data
@@ -171,8 +210,7 @@ class Director(Node):
         self.touring = message.data
 
 
-def _keep(heard: list[tuple[float, Array]], value: Array) -> None:
-    now = time.monotonic()
-    heard.append((now, value))
-    while heard[0][0] < now - 2.0 * AVERAGE:
+def _keep(heard: list[tuple[float, Array]], at: float, value: Array) -> None:
+    heard.append((at, value))
+    while heard[0][0] < at - 2.0 * AVERAGE:
         heard.pop(0)

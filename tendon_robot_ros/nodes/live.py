@@ -28,7 +28,7 @@ from ..control.loading import load
 from ..effects import Catalogue, load_catalogue
 from ..exceptions import InputError, MissingExtraError
 from ..model.model import Model
-from ..monitoring.rehearsal import Hidden, draw, refined
+from ..monitoring.rehearsal import SCATTER, Hidden, draw, refined
 from ..monitoring.story import Story, reveal
 from ..robot import Robot
 from ..robot_writing import dump_robot
@@ -39,7 +39,6 @@ from .runtime import ros
 from .shared import read_robot
 
 HELP = 'a mock robot that hides something: watch, diagnose, add, see the error fall'
-PATIENCE = 0.5  # [s] of driver and controller: a mock may share a busy machine
 NOISE = 0.0002  # [m] 1 sd of the mock's tracker
 
 
@@ -99,7 +98,7 @@ def _start(
     described.write_text(dump_robot(robot), encoding='utf-8')
     model = str(described.resolve())
     log = stack.enter_context((folder / 'nodes.log').open('w', encoding='utf-8'))
-    rehearsed = {'hidden': hidden.plant, 'scatter': 0.002, 'seed': seed}
+    rehearsed = {'hidden': hidden.plant, 'scatter': SCATTER, 'seed': seed}
     config = {
         'plant': rehearsed,
         'lag': 0.02,
@@ -109,8 +108,8 @@ def _start(
         'tracker': {'rate': 30.0, 'noise': NOISE, 'seed': seed + 1},
     }
     nodes: list[tuple[str, dict[str, object]]] = [
-        ('driver', {'robot': model, 'config': _yaml(config), 'command_timeout': PATIENCE}),
-        ('controller', {'model': model, 'state_timeout': 2.0 * PATIENCE}),
+        ('driver', {'robot': model, 'config': _yaml(config)}),
+        ('controller', {'model': model}),
         ('monitor', {'folder': str(folder.resolve() / 'recordings'), 'path': 'from_straight'}),
     ]
     if not options.headless:

@@ -30,12 +30,10 @@ def play(director: Director, model: Model, story: Story, postures: int) -> None:
     print(director.call('monitor/record'))
     errors = []
     for stop in tour(model, postures, 0):
-        director.go(stop)
-        errors.append(np.linalg.norm(director.tip('measured') - director.tip('predicted')))
-    print(
-        f'{director.status["monitor"]["postures"]} postures recorded   tip error '
-        f'{mm(_rms(errors))} rms, {mm(max(errors))} at worst'
-    )
+        if director.record(stop):
+            errors.append(director.error())
+    shown = f'{mm(_rms(errors))} rms, {mm(max(errors))} at worst' if errors else 'unknown'
+    print(f'{director.recorded} postures recorded   tip error {shown}')
     print(director.call('monitor/diagnose'), flush=True)
     director.wait(lambda: director.verdict, DIAGNOSIS, 'the verdict')
     story.verdict = director.verdict
@@ -48,24 +46,20 @@ def play(director: Director, model: Model, story: Story, postures: int) -> None:
 
 def _add_and_look(director: Director, model: Model, story: Story) -> None:
     """Add what was found and go to postures that were never used."""
-    effects = director.status['controller'].get('model', '')
     director.call('monitor/add')
     director.wait(lambda: director.status['monitor'].get('added') == '1', DIAGNOSIS, 'the adding')
-    director.wait(
-        lambda: director.status['controller'].get('model', '') not in ('', effects),
-        60.0,
-        'the controller to take the description',
-        strict=False,
-    )
-    story.added = director.status['controller'].get('model', '') not in ('', effects)
+    names = [effect['name'] for effect in story.verdict['effects']]
+    story.added = director.wait(lambda: director.uses(names), 60.0, 'the reload', strict=False)
     print(f'{director.progress}\ncontroller: {director.status["controller"].get("model")}')
     before, after = [], []
     for stop in tour(model, CHECKS, 1):
-        director.go(stop)
-        measured = director.tip('measured')
-        before.append(np.linalg.norm(measured - _old_tip(model, director.tensions())))
-        after.append(np.linalg.norm(measured - director.tip('predicted')))
-    story.before, story.after = _rms(before), _rms(after)
+        if not director.go(stop):
+            continue
+        off = director.tip() - _old_tip(model, director.tensions())
+        before.append(float(np.linalg.norm(off)))
+        after.append(director.error())
+    if after:
+        story.before, story.after = _rms(before), _rms(after)
 
 
 def tour_forever(director: Director, model: Model, postures: int) -> None:
@@ -84,5 +78,5 @@ def _old_tip(model: Model, tensions: Array) -> Array:
         return np.full(3, np.nan)
 
 
-def _rms(values: Sequence[np.floating]) -> float:
+def _rms(values: Sequence[float]) -> float:
     return float(np.sqrt(np.nanmean(np.square(values))))
