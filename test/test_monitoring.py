@@ -166,3 +166,29 @@ def test_a_story_comes_true_only_with_the_right_name_and_a_fallen_error():
     assert 'nothing was hidden' in story('none', right).problem
     assert story('tether', {'verdict': 'outside_catalogue'}).problem == ''
     assert 'outside the catalogue' in story('tether', right).problem
+
+
+def test_a_late_frame_is_compared_with_the_tensions_of_its_own_time(model):
+    """Frames 80 ms late, one in ten lost, while the arm moves."""
+    monitor, random = Monitor(model), np.random.default_rng(1)
+    arcs = np.array([marker.arc_length for marker in monitor.markers])
+
+    def tensions(at):
+        return np.array([0.3 + 0.4 * at, 0.1, 0.1, 0.4])
+
+    aligned, newest, frames = [], [], []
+    for step in range(300):
+        now = step / 200.0
+        monitor.put_states(now, tensions(now), NAN)
+        if step % 7 == 0 and random.random() > 0.1:
+            points = model.shape(tensions(now)).markers(arcs, np.zeros((len(arcs), 3)))
+            frames.append((now, points))
+        while frames and frames[0][0] < now - 0.08:
+            at, points = frames.pop(0)
+            if compared := monitor.put_frame(at, points):
+                aligned.append(np.abs(compared.errors[-1]).max())
+                here = model.shape(tensions(now)).tip_position
+                newest.append(np.abs(points[-1] - here).max())
+    assert len(aligned) > 20
+    assert max(aligned) < 1e-6
+    assert np.median(newest) > 1e-3, 'the test would not see it'

@@ -96,7 +96,7 @@ class Work:
             return f'the controller refuses the new description: {reason}'
         assert self._addition is not None
         self.added += 1
-        made = self._addition
+        made, self._addition, self._verdict = self._addition, None, ''
         before, after = mm(made['before']), mm(made['after'])
         return f'added {listed(made["effects"])}: {before} -> {after} on postures left out in turn'
 

@@ -161,7 +161,10 @@ class MonitorNode(Node):
         self._take_model()
         for news in self.work.news():
             if news['kind'] == 'verdict':
-                content = {**news['diagnosis'], **{k: news[k] for k in _WORDS}}
+                content = {
+                    **news['diagnosis'],
+                    **{k: news[k] for k in ('sentence', 'lines', 'report')},
+                }
                 self._verdict.publish(String(data=json.dumps(content)))
             if news['kind'] == 'add':
                 self._remote.put(news['file'], self._added)
@@ -181,6 +184,8 @@ class MonitorNode(Node):
             return WARN, 'not_compared', self.monitor.problem
         if not time.monotonic() - self._frame_at < 1.0:
             return WARN, 'no_tracker', 'no measured_shape and no measured_tip for a second'
+        if not np.isfinite(self._last_error):
+            return OK, 'comparing', 'the tip was not seen at rest yet'
         return OK, 'comparing', f'off by {1e3 * self._last_error:.2f} mm at the tip'
 
     def _values(self) -> dict[str, str]:
@@ -212,8 +217,7 @@ class MonitorNode(Node):
         return self._answer(response, lambda: self.work.add(self.parameters['partial']))
 
     def _begin_recording(self) -> str:
-        monitor = self._require_monitor()
-        monitor.start_recording()
+        self._require_monitor().start_recording()
         return 'recording every posture in which the arm stands still; then call diagnose'
 
     def _begin_diagnosis(self) -> str:
@@ -240,9 +244,6 @@ class MonitorNode(Node):
             response.success, response.message = False, ' '.join(str(error).split())
         self._tell_progress(response.message)
         return response
-
-
-_WORDS = ('sentence', 'lines', 'report')
 
 
 def main(arguments: Sequence[str]) -> int:

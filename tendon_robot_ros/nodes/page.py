@@ -17,9 +17,9 @@ from .view_state import ViewState
 Array = NDArray[np.float64]
 MEASURED, PREDICTED, ERROR = (213, 94, 0), (0, 114, 178), (107, 117, 128)
 BUTTONS: tuple[tuple[str, str, str, str | None], ...] = (
-    ('record', 'Record', 'every posture in which the arm stands still', 'orange'),
-    ('diagnose', 'Diagnose', 'which physical effect is missing?', 'blue'),
-    ('add', 'Add what was found', 'to the model of the running controller', 'green'),
+    ('record', '1  Record', 'every posture in which the arm stands still', 'orange'),
+    ('diagnose', '2  Diagnose', 'which physical effect is missing?', 'blue'),
+    ('add', '3  Add what was found', 'to the model of the running controller', 'green'),
     ('stop', 'STOP', 'release the arm; not a safety-rated stop', 'red'),
     ('reset', 'Reset', 'after a stop', None),
 )
@@ -97,10 +97,12 @@ class LivePage:
         low, high = state.limits
         self._html('bars', page_parts.bars(state.inputs, state.tensions, low, high))
         self._html('verdict', page_parts.verdict(state.verdict))
-        self._html('progress', f'<div style="{page_parts.STYLE}">{state.progress_html()}</div>')
-        label = f'Recording ({state.postures})' if state.recording else 'Record'
+        self._html('guide', page_parts.guide(state.guide(), state.progress))
+        label = f'1  Recording ({state.postures})' if state.recording else BUTTONS[0][1]
         if self._buttons['record'].label != label:
             self._buttons['record'].label = label
+        if self._buttons['reset'].visible != state.stopped:
+            self._buttons['reset'].visible = state.stopped
         for name, on in (('diagnose', state.can_diagnose), ('add', state.can_add)):
             if self._buttons[name].disabled == on:
                 self._buttons[name].disabled = not on
@@ -144,18 +146,18 @@ class LivePage:
             panel.dock_right()
         gui.set_panel_label('tendon robot, live')
         self._boxes: dict[str, Any] = {'legend': gui.add_html(page_parts.legend())}
-        for name in ('error', 'curve'):
+        for name in ('error', 'guide'):
             self._boxes[name] = gui.add_html('')
         self._buttons: dict[str, Any] = {}
-        for button in BUTTONS[:4]:
+        for button in BUTTONS[:3]:
             self._add_button(*button)
-        self._boxes['progress'] = gui.add_html('')
-        self._boxes['verdict'] = gui.add_html('')
+        for name in ('verdict', 'curve'):
+            self._boxes[name] = gui.add_html('')
+        self._add_button(*BUTTONS[3])
+        self._add_button(*BUTTONS[4])
         self._boxes['bars'] = gui.add_html('')
         self._tour: Any = gui.add_checkbox('tour through postures', True)
         self._tour.on_update(self._guarded('tour', lambda: bool(self._tour.value)))
-        for button in BUTTONS[4:]:
-            self._add_button(*button)
         self._boxes['statuses'] = gui.add_html('')
 
     def _add_button(self, name: str, label: str, hint: str, colour: Any) -> None:
@@ -186,8 +188,8 @@ class LivePage:
         """Place the arm above the panel of a phone; ask a browser for the token, if any."""
         size = self._size
         if client.camera.aspect < 0.8:  # there the panel covers the lower right
-            client.camera.position = (0.6 * size, -3.6 * size, 0.2 * size)
-            client.camera.look_at = (0.25 * size, 0.0, -0.35 * size)
+            client.camera.position = (0.3 * size, -4.4 * size, 0.2 * size)
+            client.camera.look_at = (0.15 * size, 0.0, -0.6 * size)
         if not self._token:
             return
         field = client.gui.add_text('token', '', order=-1.0)

@@ -28,6 +28,15 @@ def legend() -> str:
     )
 
 
+def guide(next_step: str, progress: str) -> str:
+    """Say what to do next, and below it what happened last."""
+    return (
+        f'<div style="{STYLE}"><p id="guide" style="margin:2px 0;font-size:14px">'
+        f'<b>{escape(next_step)}</b></p>'
+        f'<p id="progress" style="margin:2px 0;color:{GREY}">{escape(progress)}</p></div>'
+    )
+
+
 def big_error(rolling: float, tip: str) -> str:
     """Show the error now, large."""
     shown = mm(rolling) if np.isfinite(rolling) else '–'
@@ -94,8 +103,8 @@ def _axes(top: float, floor: float | None) -> list[str]:
             f'<path d="M{LEFT} {_y(value, top):.1f}H{WIDTH}" stroke="#e0e4e8"/><text '
             f'x="{LEFT - 5}" y="{_y(value, top) + 4:.1f}" text-anchor="end">{value:g}</text>'
         )
-    parts.append(f'<text x="{WIDTH}" y="{HEIGHT - 2}" text-anchor="end">now</text>')
-    parts.append(f'<text x="{LEFT}" y="{HEIGHT - 2}">2 minutes ago</text>')
+    parts.append(f'<text x="{WIDTH}" y="{HEIGHT - 4}" text-anchor="end">now</text>')
+    parts.append(f'<text x="{LEFT}" y="{HEIGHT - 4}">2 minutes ago</text>')
     return parts
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections import deque
 from dataclasses import dataclass, field
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,14 @@ from ..report.words import mm
 Array = NDArray[np.float64]
 SILENT = 3.0  # [s] after which a node counts as gone
 CURVE_PERIOD = 0.2  # [s]
+ENOUGH = 8  # postures for a good diagnosis
+AGAIN = 'Click 1 to record again.'
+VERDICTS = {
+    'adequate': 'Nothing is missing that these postures could show. Click 1 to record others.',
+    'outside_catalogue': 'The catalogue has no name for this cause, so nothing is added. What the '
+    'remainder looks like is said below.',
+    'cannot_judge': f'The recording does not suffice. {AGAIN}',
+}
 LEVELS = {0: 'ok', 1: 'warn', 2: 'error', 3: 'silent'}
 
 
@@ -54,6 +61,12 @@ class ViewState:
     def postures(self) -> int:
         """How many were."""
         return int(self.monitor.get('postures', '0'))
+
+    @property
+    def stopped(self) -> bool:
+        """Whether a stop is latched."""
+        said = [values for *_, values in self.nodes.values()]
+        return any(v.get('stopped') == 'true' or v.get('code') == 'stopped' for v in said)
 
     @property
     def can_diagnose(self) -> bool:
@@ -123,8 +136,27 @@ class ViewState:
             said[name] = (level, text) if now - at < SILENT else ('silent', 'not heard')
         return said
 
-    def progress_html(self) -> str:
-        """Return the last line of progress, or what to do next."""
-        if self.progress:
-            return escape(self.progress)
-        return 'The two arms do not coincide? Record some postures, then diagnose.'
+    def guide(self) -> str:
+        """Say what to do next, in the words of the buttons."""
+        if self.monitor.get('diagnosing') == 'true':
+            return 'Comparing every known physical effect with the recording …'
+        if self.recording and self.postures < ENOUGH:
+            return (
+                f'Recording: {self.postures} of {ENOUGH} postures. The arm visits them by itself; '
+                'so far nothing needs to be done.'
+            )
+        if self.recording:
+            return f'{self.postures} postures are recorded. Click 2: which effect is missing?'
+        if self.can_add:
+            return 'Found. Click 3: the model gets the effect while the arm goes on.'
+        if self.marks:
+            return (
+                f'The model now has {self.marks[-1][1]}. The two arms should coincide; what is '
+                'left of the error is noise. Click 1 to look for more.'
+            )
+        if self.verdict:
+            return VERDICTS.get(str(self.verdict.get('verdict')), AGAIN)
+        return (
+            'The measured arm is not where the model predicts it. Which physical effect does the '
+            'model lack? Click 1 to record some postures.'
+        )

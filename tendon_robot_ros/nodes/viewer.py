@@ -10,6 +10,7 @@ from __future__ import annotations
 import ipaddress
 import secrets
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -28,6 +29,7 @@ from .qos import COMMAND, LATCHED, LISTEN, STATE
 from .remote_parameters import RemoteText
 from .runtime import run
 from .shared import read_robot
+from .status import OK, Status
 from .view_state import ViewState
 
 HELP = 'the live page in the browser (extra: viewer)'
@@ -72,6 +74,8 @@ class ViewerNode(Node):
         self.page = LivePage(host, port, token, self.parameters['robot_length'])
         self._base = ''
         self._told = 0.0
+        self._status_out = Status(self)
+        self._frames: deque[float] = deque(maxlen=100)  # when the arm was drawn
         self._listen(names)
         self._targets = self.create_publisher(
             PointStamped, f'{names["controller"]}/target_point', COMMAND
@@ -122,9 +126,17 @@ class ViewerNode(Node):
             self._command(*self.page.commands.get())
         now = time.monotonic()
         self.page.draw(self.state)
+        self._frames.append(now)
         if now - self._told >= PANEL_PERIOD:
             self._told = now
             self.page.tell(self.state, now)
+            self._say(now)
+
+    def _say(self, now: float) -> None:
+        """Publish how the page is."""
+        frames = sum(now - at <= 2.0 for at in self._frames) / 2.0
+        values = {'browsers': str(self.page.clients), 'frames_per_second': f'{frames:.1f}'}
+        self._status_out.say(OK, 'serving', f'page on port {self.page.port}', values)
 
     def _command(self, name: str, value: object) -> None:
         if name == 'target':

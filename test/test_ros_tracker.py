@@ -1,0 +1,129 @@
+"""What a tracker may send: a topic per marker, a frame of its own, late and refused messages."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseArray, PoseStamped
+from ros_station import INPUTS, LATCHED, Station, last, values
+from sensor_msgs.msg import JointState
+
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.nodes.processes import NodeProcess
+from tendon_robot_ros.nodes.shared import read_robot
+
+pytestmark = pytest.mark.ros
+LOADED = 120.0  # [s] a busy machine may need to load the model
+TENSIONS = [0.3, 0.1, 0.1, 0.4]
+MARKERS = '[{name: middle, arc_length: 0.1}, {name: tip, arc_length: 0.2}]'
+TOPICS = '{middle: camera/one, tip: camera/two}'
+TURNED = '0.1 0 0 0 0 0.70710678 0.70710678'  # by 90° about z, then 100 mm along x
+
+
+class Tracked(Station):
+    """A monitor alone with what a test sends."""
+
+    def __init__(self, folder, name, **parameters):
+        super().__init__(f'/{name}')
+        self.monitor = self.hear(DiagnosticStatus, 'monitor/status', LATCHED)
+        self.measured = self.hear(PoseArray, 'monitor/measured')
+        self.log = (folder / 'monitor.log').open('w')
+        known = {'model': 'kato_10_1', 'markers': MARKERS, 'folder': str(folder), **parameters}
+        self.process = NodeProcess('monitor', known, f'/{name}', self.log)
+
+    def end(self):
+        self.process.end()
+        self.log.close()
+        self.close()
+
+    def feed(self, condition, what, old=0.0, frame='kato_10_1_base', **poses):
+        """Send states and poses (topic with _ for /) until something is true."""
+
+        def sent():
+            now = self.node.get_clock().now()
+            states = JointState(name=list(INPUTS), effort=TENSIONS, position=[0.0] * 4)
+            states.header.stamp = now.to_msg()
+            self.send('tendon_states', states)
+            for topic, place in poses.items():
+                message = PoseStamped()
+                message.header.frame_id = frame
+                nanoseconds = now.nanoseconds - int(1e9 * old)
+                message.header.stamp.sec = nanoseconds // 10**9
+                message.header.stamp.nanosec = nanoseconds % 10**9
+                p = message.pose.position
+                p.x, p.y, p.z = map(float, place)
+                self.send(topic.replace('_', '/', 1) if 'camera' in topic else topic, message)
+            self.spin(0.05)
+            return condition()
+
+        self.until(sent, what, LOADED)
+
+    def places(self):
+        return np.array([[p.position.x, p.position.y, p.position.z]
+                         for p in last(self.measured).poses])  # fmt: skip
+
+    def says(self, code):
+        return bool(self.monitor) and values(last(self.monitor))['code'] == code
+
+
+@pytest.fixture
+def tracked(request, tmp_path):
+    made = []
+
+    def make(**parameters):
+        made.append(Tracked(tmp_path, request.node.name[:40], **parameters))
+        made[0].until(lambda: not made[0].says('waiting') and made[0].monitor, 'loading', LOADED)
+        return made[0]
+
+    yield make
+    for one in made:
+        one.end()
+
+
+def test_a_topic_per_marker_in_the_frame_of_the_tracker(tracked):
+    station = tracked(measured_markers=TOPICS, tracker_transform=TURNED)
+    arm = Model(read_robot('kato_10_1')).shape(TENSIONS)
+    wanted = arm.markers(np.array([0.1, 0.2]), np.zeros((2, 3)))
+    x, y, z = (wanted - [0.1, 0.0, 0.0]).T
+    seen = np.array([y, -x, z]).T  # as the turned camera sees it
+    station.feed(
+        lambda: station.says('comparing') and np.isfinite(station.places()).all(),
+        'both markers',
+        frame='camera',
+        camera_one=seen[0],
+        camera_two=seen[1],
+    )
+    assert station.places() == pytest.approx(wanted, abs=1e-6)
+    station.feed(
+        lambda: float(values(last(station.monitor))['error'].split()[0]) < 1.0,  # [mm]
+        'a small error',
+        frame='camera',
+        camera_one=seen[0],
+        camera_two=seen[1],
+    )
+    station.measured.clear()
+    station.feed(lambda: len(station.measured) > 3, 'one marker', camera_two=seen[1])
+    assert np.isnan(station.places()[0]).all()
+    assert station.places()[1] == pytest.approx(wanted[1], abs=1e-6)
+
+
+def test_what_comes_too_late_or_in_another_frame_is_refused_and_named(tracked):
+    station = tracked()
+    arm = Model(read_robot('kato_10_1')).shape(TENSIONS)
+    tip = arm.tip_position
+    station.feed(lambda: station.says('comparing'), 'the tip', measured_tip=tip)
+    assert np.isnan(station.places()[0]).all(), 'a tip says nothing of the other markers'
+    station.feed(lambda: station.says('refused'), 'a refusal', old=2.0, measured_tip=tip)
+    assert 'expected at most 0.5 s' in last(station.monitor).message
+    station.feed(lambda: station.says('comparing'), 'the tip again', measured_tip=tip)
+    station.feed(lambda: station.says('refused'), 'a refusal', frame='camera', measured_tip=tip)
+    assert 'camera' in last(station.monitor).message
+    assert 'kato_10_1_base' in last(station.monitor).message
+
+
+def test_a_marker_that_nobody_knows_is_named(tracked):
+    station = tracked(measured_markers='{elbow: camera/one}')
+    station.until_code(station.monitor, 'problem', timeout=LOADED)
+    assert 'expected names of middle, tip, got' in last(station.monitor).message
