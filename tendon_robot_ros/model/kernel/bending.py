@@ -55,9 +55,19 @@ def bend_of(chain, k, size, section):
 
 
 @compiled
-def bend_cell(chain, past, i, mx, my, total):
+def is_linear(chain):
+    """Tell whether every cell bends in proportion to the moment on it."""
+    return not (moment_acts(chain) or hold_acts(chain) or growth_acts(chain))
+
+
+@compiled
+def bend_cell(chain, past, i, mx, my, total, linear):
     """Bend (x, y) of a cell under a moment [N·m] and the sum of tensions [N] that press it."""
     section = section_of(chain, i)
+    if linear:
+        x0, y0 = rest(0.0, 0.0, chain, section)
+        compliance = 1.0 / cell_stiffness(chain, i, section)
+        return x0 + compliance * mx, y0 + compliance * my
     size = math.sqrt(mx * mx + my * my)
     if moment_acts(chain) and size > 0.0:
         radius = chain.radius * offset(1.0, chain, 0)

@@ -41,8 +41,9 @@ COLUMNS = 6
 # travel (n, k) [m], inputs (m,) [N]; one array, in this order.
 Memory = namedtuple('Memory', 'bend sign travel inputs')
 
-# Work: scratch of one posture. slip (2,): smoothing length [m], load scale [1].
-Work = namedtuple('Work', 'arms travel beyond load lengths tensions frames origins slip')
+# Work: scratch of one posture. half (n, 2): half angles, see `turning`; slip (2,): smoothing
+# length [m], load scale [1].
+Work = namedtuple('Work', 'arms travel beyond load lengths tensions frames origins half slip')
 
 # numba takes types of one name for one type, but each catalogue has a kernel of its own
 for _kind in (Chain, Memory, Work):
@@ -53,7 +54,7 @@ SLIP_LENGTH = 2e-6  # [m] travel over which the sign of friction is smoothed
 WORD = types.int64
 CHAIN = types.NamedTuple((WORD,) * 10 + (types.float64, WORD, WORD), Chain)
 MEMORY = types.NamedUniTuple(WORD, 4, Memory)
-WORK = types.NamedUniTuple(WORD, 9, Work)
+WORK = types.NamedUniTuple(WORD, 10, Work)
 STEP = types.void(CHAIN, WORD, WORD, WORK, MEMORY, WORD)
 SETTLE = types.float64(CHAIN, WORD, WORK, MEMORY, WORD)
 
@@ -115,7 +116,7 @@ def memory_size(n, k, m):
 
 def work_size(n, k):
     """Floats that the scratch of one posture takes."""
-    return 4 * n * k + 2 * n + n + n * k + 12 * (n + 1) + 2
+    return 4 * n * k + 2 * n + n + n * k + 12 * (n + 1) + 2 * n + 2
 
 
 @compiled
@@ -144,11 +145,10 @@ def work_in(chain, start):
     tensions = lengths + 8 * n
     frames = tensions + 8 * n * k
     origins = frames + 8 * 9 * (n + 1)
-    slip = floats(origins + 8 * 3 * (n + 1))
-    slip[0], slip[1] = SLIP_LENGTH, 1.0
-    return Work(
-        start, travel, beyond, load, lengths, tensions, frames, origins, origins + 8 * 3 * (n + 1)
-    )
+    half = origins + 8 * 3 * (n + 1)
+    slip = half + 8 * 2 * n
+    floats(slip)[0], floats(slip)[1] = SLIP_LENGTH, 1.0
+    return Work(start, travel, beyond, load, lengths, tensions, frames, origins, half, slip)
 
 
 @compiled

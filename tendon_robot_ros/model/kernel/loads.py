@@ -1,11 +1,29 @@
 """Moments of the loads on every bend, by virtual work, from the tip to the base."""
 
-import math
-
-from .geometry import bend_moment, cell_end, force_at_tip, weight
-from .layout import HINGE, cell, compiled, floats
+from .layout import HINGE, MASS, cell, compiled, floats, section_of
+from .stages import load, load_acts, tip_load, tip_load_acts
+from .turning import curl, halved
 
 NONE = (0.0, 0.0, 0.0)
+
+
+@compiled
+def loaded(chain):
+    """Tell whether any load acts."""
+    return load_acts(chain) or tip_load_acts(chain)
+
+
+@compiled
+def weight(chain, i):
+    """Force of the loads on cell i at its middle (x, y, z) [N]."""
+    g = floats(chain.gravity)
+    return load(0.0, 0.0, 0.0, cell(chain, i, MASS), g[0], g[1], g[2], chain, section_of(chain, i))
+
+
+@compiled
+def force_at_tip(chain):
+    """Force at the tip (x, y, z) [N]."""
+    return tip_load(0.0, 0.0, 0.0, chain, 0)
 
 
 @compiled
@@ -27,22 +45,65 @@ def scaled(s, a):
 
 
 @compiled
-def middle_of(chain, i, bx, by, work):
-    """From the proximal end of cell i to its middle (x, y, z) [m], base frame."""
-    a = math.sqrt(bx * bx + by * by)
-    cell_length = floats(work.lengths)[i]
-    across, along = 0.0, 0.5 * cell_length
-    if cell(chain, i, HINGE) < 0.5:
-        across, along, _, _ = cell_end(0.5 * a, along, 0.0)
-    x, y = 0.0, 0.0
-    if a > 1e-300:
-        x, y = across * bx / a, across * by / a
-    f = floats(work.frames + 72 * i)
+def local(f, v):
+    """Components in a frame of a vector in the base frame."""
     return (
-        f[0] * x + f[1] * y + f[2] * along,
-        f[3] * x + f[4] * y + f[5] * along,
-        f[6] * x + f[7] * y + f[8] * along,
+        f[0] * v[0] + f[3] * v[1] + f[6] * v[2],
+        f[1] * v[0] + f[4] * v[1] + f[7] * v[2],
+        f[2] * v[0] + f[5] * v[1] + f[8] * v[2],
     )
+
+
+@compiled
+def shift_moment(x, y, f, across, stretching, sinking):
+    """
+    Moment (x, y) on a bend of a force f at the end of its cell, in the cell's first frame.
+
+    The end lies at rho u + zeta z: across = rho / a, stretching = (rho' - rho / a) / a²,
+    sinking = zeta' / a.
+    """
+    along = stretching * (f[0] * x + f[1] * y) + sinking * f[2]
+    return across * f[0] + along * x, across * f[1] + along * y
+
+
+@compiled
+def turn_moment(x, y, t, sinc, versine, own):
+    """
+    Moment (x, y) on a bend of a torque t at the end of its cell, in the cell's first frame.
+
+    The frame there turns by the left Jacobian of exp(a z x u): sinc = sin(a) / a, versine =
+    (1 - cos a) / a², own = (1 - sinc) / a².
+    """
+    along = own * (t[1] * x - t[0] * y)
+    up = versine * t[2]
+    return sinc * t[1] + along * x - up * y, -sinc * t[0] + along * y + up * x
+
+
+@compiled
+def cell_moment(x, y, s, c, force, torque, own, cell_length, hinge):
+    """
+    Moment (x, y) on one bend of a force and a torque at the cell's end and of its own weight.
+
+    All in the cell's first frame; half an arc's bend moves its middle, a hinge's does not. Also
+    returns where the middle lies: (towards the bend over the bend [m/rad], along z [m]).
+    """
+    q = x * x + y * y
+    sinc, versine = 2.0 * s * c, 2.0 * s * s
+    whole = curl(q, s, c)
+    tx, ty = turn_moment(x, y, torque, sinc, versine, versine - whole)
+    if hinge > 0.5:
+        half = 0.5 * cell_length
+        fx, fy = shift_moment(x, y, force, half * sinc, -half * whole, -half * sinc)
+        return tx + fx, ty + fy, 0.0, half
+    s2, c2 = halved(s, c)
+    s4, c4 = halved(s2, c2)
+    part, quarter = curl(0.25 * q, s2, c2), curl(0.0625 * q, s4, c4)
+    half, lean = 0.5 * cell_length, cell_length * s2 * s2
+    fx, fy = shift_moment(
+        x, y, force, cell_length * versine, -half * s * part, -cell_length * whole
+    )
+    ox, oy = shift_moment(0.5 * x, 0.5 * y, own, lean, -0.5 * half * s2 * quarter, -half * part)
+    return tx + fx + 0.5 * ox, ty + fy + 0.5 * oy, 0.5 * lean, cell_length * s
 
 
 @compiled
@@ -50,45 +111,40 @@ def load_moments(chain, bend, work):
     """
     Fill work.load (n, 2) [N·m]: minus the gradient of the loads' potential energy by each bend.
 
-    work.frames and work.origins are those of these bends. The weight of a cell acts at its
-    middle: an arc's own bend moves it (half the arc), a hinge's does not.
+    work.half, work.frames and work.origins are those of these bends.
     """
     bends, moments, origins = floats(bend), floats(work.load), floats(work.origins)
+    half, lengths = floats(work.half), floats(work.lengths)
     scale = floats(work.slip)[1]
     force, torque = scaled(scale, force_at_tip(chain)), NONE
     for i in range(chain.n - 1, -1, -1):
-        bx, by, hinge = bends[2 * i], bends[2 * i + 1], cell(chain, i, HINGE)
-        frame, cell_length = work.frames + 72 * i, floats(work.lengths)[i]
-        x, y = bend_moment(bx, by, frame, force, torque, 1.0, cell_length, hinge)
+        x, y = bends[2 * i], bends[2 * i + 1]
+        f = floats(work.frames + 72 * i)
         own = scaled(scale, weight(chain, i))
-        if hinge < 0.5:
-            ox, oy = bend_moment(
-                0.5 * bx, 0.5 * by, frame, own, NONE, 0.0, 0.5 * cell_length, hinge
-            )
-            x, y = x + 0.5 * ox, y + 0.5 * oy
-        moments[2 * i], moments[2 * i + 1] = x, y
+        own_here = local(f, own)
+        mx, my, lean, rise = cell_moment(
+            x,
+            y,
+            half[2 * i],
+            half[2 * i + 1],
+            local(f, force),
+            local(f, torque),
+            own_here,
+            lengths[i],
+            cell(chain, i, HINGE),
+        )
+        moments[2 * i], moments[2 * i + 1] = mx, my
         at = 3 * i
         reach = (
             origins[at + 3] - origins[at],
             origins[at + 4] - origins[at + 1],
             origins[at + 5] - origins[at + 2],
         )
-        torque = plus(torque, cross(reach, force))
-        torque = plus(torque, cross(middle_of(chain, i, bx, by, work), own))
+        lx, ly = lean * x, lean * y
+        middle = (
+            f[0] * lx + f[1] * ly + f[2] * rise,
+            f[3] * lx + f[4] * ly + f[5] * rise,
+            f[6] * lx + f[7] * ly + f[8] * rise,
+        )
+        torque = plus(torque, plus(cross(reach, force), cross(middle, own)))
         force = plus(force, own)
-
-
-@compiled
-def potential(chain, bend, work):
-    """Potential energy of the loads [J] for work.frames and work.origins of these bends."""
-    bends, origins = floats(bend), floats(work.origins)
-    energy = 0.0
-    for i in range(chain.n):
-        middle = middle_of(chain, i, bends[2 * i], bends[2 * i + 1], work)
-        own = weight(chain, i)
-        for r in range(3):
-            energy -= own[r] * (origins[3 * i + r] + middle[r])
-    tip = force_at_tip(chain)
-    for r in range(3):
-        energy -= tip[r] * origins[3 * chain.n + r]
-    return energy

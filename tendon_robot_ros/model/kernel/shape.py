@@ -1,6 +1,6 @@
 """Everything a posture tells: bends, frames, wire pulls; friction memory; batches."""
 
-from .geometry import chain_frames, scale_lengths, tendon_travel
+from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import (
     LENGTH,
     address,
@@ -15,8 +15,9 @@ from .layout import (
     work_in,
 )
 from .newton import TOLERANCE
-from .stages import measurement, memory_acts, offset, stretch
+from .stages import measurement, memory_acts, offset, slide_acts, stretch
 from .sweep import slip_direction
+from .turning import chain_frames
 
 
 @compiled
@@ -35,11 +36,17 @@ def remember(chain, inputs, bend, work, past, now):
     if not memory_acts(chain):
         return
     tendon_travel(chain, bend, offset(1.0, chain, 0), work)
+    slides = slide_acts(chain)
+    if slides:
+        travel_beyond(chain, work)
     sign, travel, tendon = floats(now.sign), floats(now.travel), words(chain.tendon)
     for k in range(chain.k):
         for i in range(tendon[2 * k] - 1):
             at = chain.k * i + k
-            sign[at], travel[at] = slip_direction(chain, work, past, i, k, floats(work.travel)[at])
+            here = floats(work.travel)[at]
+            sign[at], travel[at] = slip_direction(
+                chain, work, past, at, section_of(chain, i), here, slides, True
+            )
 
 
 @compiled

@@ -7,6 +7,7 @@ import numpy as np
 from .layout import SETTLE, SLIP_LENGTH, address, compiled, entry, floats, step_at
 from .newton import TOLERANCE, dot, largest, newton, solve_small
 from .sweep import is_implicit
+from .turning import half_turns
 
 WIDTHS = (1000.0, 100.0, 30.0, 10.0, 3.0, 1.0)  # of the smoothing of friction's sign, on the way
 DEPTH = 5  # guesses that the acceleration remembers
@@ -137,11 +138,12 @@ def settle(chain, inputs, work, past, bend):
         for j in range(size):
             x[j] = bends[j]
         change = newton(chain, inputs, x, work, past, 12)
-    if change >= TOLERANCE:
-        change = sharpen(chain, inputs, x, work, past)
-    if change >= TOLERANCE:
-        change = continuation(chain, inputs, x, work, past)
-    step_at(chain.step)(chain, inputs, address(x), work, past, bend)
+        if change >= TOLERANCE:
+            change = sharpen(chain, inputs, x, work, past)
+        if change >= TOLERANCE:
+            change = continuation(chain, inputs, x, work, past)
+        step_at(chain.step)(chain, inputs, address(x), work, past, bend)
+        half_turns(chain, address(x), work)
     for j in range(size):
         bends[j] = x[j]
     return change

@@ -2,10 +2,10 @@
 
 import math
 
-from .bending import bend_cell
-from .geometry import chain_frames, loaded, scale_lengths, tendon_travel
+from .bending import bend_cell, is_linear
+from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import STEP, compiled, entry, floats, section_of, words
-from .loads import load_moments
+from .loads import load_moments, loaded
 from .stages import (
     actuation,
     arm_acts,
@@ -21,6 +21,7 @@ from .stages import (
     wrap,
     wrap_acts,
 )
+from .turning import chain_frames, half_turn, half_turns
 
 
 @compiled
@@ -38,16 +39,15 @@ def smooth_sign(travel, slip_length):
         return 1.0
     if x < -20.0:
         return -1.0
-    return math.tanh(x)
+    left = math.exp(-2.0 * abs(x))
+    return math.copysign((1.0 - left) / (1.0 + left), x)
 
 
 @compiled
-def slip_direction(chain, work, past, i, k, here):
-    """Direction s of friction on tendon k at the eyelet behind cell i, and what it travelled."""
-    at, section = chain.k * i + k, section_of(chain, i)
-    slides = slide_acts(chain)
+def slip_direction(chain, work, past, at, section, here, slides, remembers):
+    """Direction s of friction at entry `at` of the travel (n, k), and what the tendon travelled."""
     beyond = floats(work.beyond)[at] if slides else 0.0
-    if memory_acts(chain):
+    if remembers:
         travel = slide(here, beyond, chain, section)
         return memory(
             0.0, floats(past.sign)[at], travel - floats(past.travel)[at], chain, section
@@ -59,111 +59,134 @@ def slip_direction(chain, work, past, i, k, here):
 
 
 @compiled
-def power(passed, s, inverse):
+def power(passed, inverse, s):
     """Return passed ** s, without the power where s is saturated."""
     if s == 1.0:
         return passed
     if s == -1.0:
         return inverse
-    return passed**s
+    if not passed > 0.0:
+        return passed**s
+    return math.exp(s * math.log(passed))
 
 
 @compiled
-def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, scale):
-    """Take the tensions over the eyelet between cells i and i + 1 (eq. 10)."""
-    tensions, tendon, at = floats(work.tensions), words(chain.tendon), chain.k * i
-    if not eyelet_acts(chain):
-        for k in range(chain.k):
-            ends = i + 1 >= tendon[2 * k]
-            tensions[at + chain.k + k] = 0.0 if ends else tensions[at + k]
-        return
-    section = section_of(chain, i)
-    turning = math.sin(0.5 * math.sqrt(bx * bx + by * by))
-    if wrap_acts(chain):
-        x, y = bx + next_x, by + next_y
-        turning = wrap(turning, math.sin(0.25 * math.sqrt(x * x + y * y)), chain, section)
-    passed = eyelet(1.0, turning, chain, section)
-    inverse = 1.0 / passed
-    straight = arm_acts(chain)
-    x0, y0 = rest(0.0, 0.0, chain, section)
-    arms = floats(chain.offset)
+def enter(chain, inputs, work, arms):
+    """Tensions of the first cell, their moment (x, y) [N·m] and sum [N]."""
+    tensions, tendon = floats(work.tensions), words(chain.tendon)
+    mx, my, total = 0.0, 0.0, 0.0
     for k in range(chain.k):
-        if i + 1 >= tendon[2 * k]:
-            tensions[at + chain.k + k] = 0.0
-            continue
-        if straight:
-            here = floats(work.travel)[at + k]
-        else:
-            here = scale * (arms[2 * (at + k)] * (bx - x0) + arms[2 * (at + k) + 1] * (by - y0))
-        s, _ = slip_direction(chain, work, past, i, k, here)
-        tensions[at + chain.k + k] = tensions[at + k] * power(passed, s, inverse)
+        t = actuation(floats(inputs)[tendon[2 * k + 1]], chain, 0)
+        tensions[k] = t
+        mx += t * floats(arms)[2 * k]
+        my += t * floats(arms)[2 * k + 1]
+        total += t
+    return mx, my, total
 
 
 @compiled
-def sweep(chain, inputs, guess, work, past, out):
+def how(chain, shaped):
+    """Flags of a sweep: friction, straight arms, wrap, slide, memory; `shaped`: a guess counts."""
+    return (
+        eyelet_acts(chain),
+        shaped and arm_acts(chain),
+        shaped and wrap_acts(chain),
+        shaped and slide_acts(chain),
+        memory_acts(chain),
+    )
+
+
+@compiled
+def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, arms, scale, flags):
+    """
+    Take the tensions over the eyelet between cells i and i + 1 (eq. 10).
+
+    work.half holds that of cell i. Returns moment (x, y) [N·m] and sum [N] of the next cell.
+    """
+    friction, straight, wraps, slides, remembers = flags
+    tensions, tendon, at = floats(work.tensions), words(chain.tendon), chain.k * i
+    section = section_of(chain, i)
+    passed, inverse, x0, y0 = 1.0, 1.0, 0.0, 0.0
+    if friction:
+        turning = math.sqrt(bx * bx + by * by) * floats(work.half)[2 * i]
+        if wraps:
+            x, y = 0.5 * (bx + next_x), 0.5 * (by + next_y)
+            q = x * x + y * y
+            turning = wrap(turning, math.sqrt(q) * half_turn(q)[0], chain, section)
+        passed = eyelet(1.0, turning, chain, section)
+        inverse = 1.0 / passed
+        x0, y0 = rest(0.0, 0.0, chain, section)
+        x0, y0 = scale * (bx - x0), scale * (by - y0)
+    offsets, lever = floats(chain.offset), floats(arms)
+    mx, my, total = 0.0, 0.0, 0.0
+    for k in range(chain.k):
+        j = at + chain.k + k
+        t = 0.0
+        if i + 1 < tendon[2 * k]:
+            t = tensions[at + k]
+            if friction:
+                if straight:
+                    here = floats(work.travel)[at + k]
+                else:
+                    here = offsets[2 * (at + k)] * x0 + offsets[2 * (at + k) + 1] * y0
+                s, _ = slip_direction(chain, work, past, at + k, section, here, slides, remembers)
+                t *= power(passed, inverse, s)
+            mx += t * lever[2 * j]
+            my += t * lever[2 * j + 1]
+            total += t
+        tensions[j] = t
+    return mx, my, total
+
+
+@compiled
+def sweep(chain, inputs, guess, work, past, out, shaped):
     """
     Bends (n, 2) [rad] into `out` and work.tensions (n, k) [N] for input tensions (m,) [N].
 
     Arms, loads, travel beyond and the neighbour's bend are those of the guess (`prepare`); all
-    else is new, so that without implicit effects the result is exact after one sweep.
+    else is new, so that without implicit effects the result is exact after one sweep. `shaped`
+    False: as if no effect needed the shape. work.half becomes that of the new bends.
     """
-    tensions, tendon, offsets = floats(work.tensions), words(chain.tendon), floats(chain.offset)
-    load, bends, guesses = floats(work.load), floats(out), floats(guess)
-    scale = offset(1.0, chain, 0)
-    straight, loads = arm_acts(chain), loaded(chain)
-    if straight:
-        offsets = floats(work.arms)
-    for k in range(chain.k):
-        tensions[k] = actuation(floats(inputs)[tendon[2 * k + 1]], chain, 0)
+    load, bends, guesses, half = floats(work.load), floats(out), floats(guess), floats(work.half)
+    flags = how(chain, shaped)
+    loads, linear = shaped and loaded(chain), is_linear(chain)
+    friction_scale = offset(1.0, chain, 0)
+    arms, scale = chain.offset, friction_scale
+    if flags[1]:
+        arms, scale = work.arms, 1.0
+    mx, my, total = enter(chain, inputs, work, arms)
     for i in range(chain.n):
-        mx, my, total = 0.0, 0.0, 0.0
-        for k in range(chain.k):
-            if i < tendon[2 * k]:
-                at = chain.k * i + k
-                t = tensions[at]
-                total += t
-                mx += t * offsets[2 * at]
-                my += t * offsets[2 * at + 1]
-        if not straight:
-            mx, my = mx * scale, my * scale
+        mx, my = scale * mx, scale * my
         if loads:  # else the scratch may still hold those of another model
             mx, my = mx + load[2 * i], my + load[2 * i + 1]
-        bx, by = bend_cell(chain, past, i, mx, my, total)
+        bx, by = bend_cell(chain, past, i, mx, my, total, linear)
         last_x, last_y = guesses[2 * i], guesses[2 * i + 1]
         bends[2 * i], bends[2 * i + 1] = bx, by
+        half[2 * i], half[2 * i + 1] = half_turn(bx * bx + by * by)
         if i + 1 < chain.n:
             # what this cell moved from its guess, its neighbour will have moved, too
-            pass_eyelet(
-                chain,
-                work,
-                past,
-                i,
-                bx,
-                by,
-                guesses[2 * i + 2] + bx - last_x,
-                guesses[2 * i + 3] + by - last_y,
-                scale,
+            next_x, next_y = guesses[2 * i + 2] + bx - last_x, guesses[2 * i + 3] + by - last_y
+            mx, my, total = pass_eyelet(
+                chain, work, past, i, bx, by, next_x, next_y, arms, friction_scale, flags
             )
 
 
 @compiled
 def prepare(chain, inputs, guess, work, past):
     """Fill the arms, travel, travel beyond, and load moments that a guess of the bends gives."""
-    scale = offset(1.0, chain, 0)
-    tendon = words(chain.tendon)
-    if arm_acts(chain) or (eyelet_acts(chain) and slide_acts(chain)):
+    scale, flags = offset(1.0, chain, 0), how(chain, True)
+    friction, straight, _, slides, _ = flags
+    slides = friction and slides
+    if straight or loaded(chain):
+        half_turns(chain, guess, work)
+    if straight or slides:
         tendon_travel(chain, guess, scale, work)
-        for k in range(chain.k):
-            beyond = 0.0
-            for i in range(tendon[2 * k] - 1, -1, -1):
-                at = chain.k * i + k
-                floats(work.beyond)[at] = beyond
-                beyond += floats(work.travel)[at]
+    if slides:
+        travel_beyond(chain, work)
     if loaded(chain):
         if length_acts(chain):
             guesses = floats(guess)
-            for k in range(chain.k):
-                floats(work.tensions)[k] = actuation(floats(inputs)[tendon[2 * k + 1]], chain, 0)
+            enter(chain, inputs, work, chain.offset)
             for i in range(chain.n - 1):
                 pass_eyelet(
                     chain,
@@ -174,7 +197,9 @@ def prepare(chain, inputs, guess, work, past):
                     guesses[2 * i + 1],
                     guesses[2 * i + 2],
                     guesses[2 * i + 3],
+                    chain.offset,
                     scale,
+                    flags,
                 )
         scale_lengths(chain, work)
         chain_frames(chain, guess, work)
@@ -185,4 +210,4 @@ def prepare(chain, inputs, guess, work, past):
 def step(chain, inputs, guess, work, past, out):
     """One sweep with everything that the guess decides."""
     prepare(chain, inputs, guess, work, past)
-    sweep(chain, inputs, guess, work, past, out)
+    sweep(chain, inputs, guess, work, past, out, True)

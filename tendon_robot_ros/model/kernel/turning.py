@@ -1,0 +1,108 @@
+"""
+How a cell turns and where it ends: series and half angles, no division by the bend.
+
+For a bend b of size a, q = a² and h = a / 2: S = sin(h) / a and C = cos(h) are smooth at zero,
+sin(a) / a = 2 S C, (1 - cos a) / a² = 2 S².
+"""
+
+import math
+
+from .layout import HINGE, cell, compiled, floats
+
+SERIES = 2.4  # [rad²] below it the polynomials hold to the last digit (a / 2 < pi / 4)
+
+
+@compiled
+def half_turn(q):
+    """(S, C) of a bend whose square is q [rad²]."""
+    if not q < SERIES:
+        a = math.sqrt(q)
+        return math.sin(0.5 * a) / a, math.cos(0.5 * a)
+    z = 0.25 * q
+    z2 = z * z
+    z4 = z2 * z2
+    s = (
+        (0.5 + z * -8.33333333333333079e-02)
+        + z2 * (4.16666666661244655e-03 + z * -9.92063491492804210e-05)
+        + z4
+        * (
+            (1.37786568478473840e-06 + z * -1.25253701223364065e-08)
+            + z2 * 7.94845778886159700e-11
+        )
+    )
+    c = 1.0 - (
+        z * (0.5 + z * -4.16666666666666019e-02)
+        + z2
+        * (
+            z * (1.38888888888741096e-03 + z * -2.48015872894767294e-05)
+            + z2
+            * (
+                z * (2.75573143513906633e-07 + z * -2.08757232129817483e-09)
+                + z2 * (z * 1.13596475577881948e-11)
+            )
+        )
+    )
+    return s, c
+
+
+@compiled
+def halved(s, c):
+    """(S, C) of half a bend from those of the whole (of less than a full turn)."""
+    half_c = math.sqrt(0.5 * (1.0 + c))
+    return s / half_c, half_c
+
+
+@compiled
+def curl(q, s, c):
+    """(sin(a)/a - cos(a)) / a² for S and C of a bend whose square is q [rad²]."""
+    if not q < 0.25:
+        return (2.0 * s * c - 1.0 + 2.0 * s * s * q) / q
+    q2 = q * q
+    return (
+        (1.0 / 3.0 + q * (-1.0 / 30.0))
+        + q2 * (1.0 / 840.0 + q * (-1.0 / 45360.0))
+        + q2 * q2 * (1.0 / 3991680.0 + q * (-1.0 / 518918400.0) + q2 * (1.0 / 93405312000.0))
+    )
+
+
+@compiled
+def half_turns(chain, bend, work):
+    """Fill work.half (n, 2): S and C of every cell."""
+    half, bends = floats(work.half), floats(bend)
+    for i in range(chain.n):
+        x, y = bends[2 * i], bends[2 * i + 1]
+        half[2 * i], half[2 * i + 1] = half_turn(x * x + y * y)
+
+
+@compiled
+def end_of(q, s, c, cell_length, hinge):
+    """Where a cell ends: (towards the bend over the bend [m/rad], along z [m])."""
+    if hinge > 0.5:
+        return cell_length * s * c, cell_length * (1.0 - s * s * q)
+    return 2.0 * cell_length * s * s, 2.0 * cell_length * s * c
+
+
+@compiled
+def chain_frames(chain, bend, work):
+    """Fill work.frames (n + 1, 3, 3) and work.origins (n + 1, 3) [m] from work.half."""
+    frames, origins, bends = floats(work.frames), floats(work.origins), floats(bend)
+    half, lengths = floats(work.half), floats(work.lengths)
+    for r in range(9):
+        frames[r] = 1.0 if r % 4 == 0 else 0.0
+    for r in range(3):
+        origins[r] = 0.0
+    for i in range(chain.n):
+        x, y, s, c = bends[2 * i], bends[2 * i + 1], half[2 * i], half[2 * i + 1]
+        q = x * x + y * y
+        across, along = end_of(q, s, c, lengths[i], cell(chain, i, HINGE))
+        sinc, versine = 2.0 * s * c, 2.0 * s * s
+        cosine = 1.0 - versine * q
+        for r in range(3):
+            f, o = 9 * i + 3 * r, 3 * i + r
+            fx, fy, fz = frames[f], frames[f + 1], frames[f + 2]
+            toward = fx * x + fy * y
+            turned = versine * toward + sinc * fz
+            frames[f + 9] = fx - x * turned
+            frames[f + 10] = fy - y * turned
+            frames[f + 11] = sinc * toward + cosine * fz
+            origins[o + 3] = origins[o] + across * toward + along * fz
