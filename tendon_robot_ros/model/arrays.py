@@ -44,6 +44,9 @@ class Arrays:
         for name, values in robot.effects.items():
             self._read(name, values)
         self.chain = self._chain()
+        radius = np.float64(self.chain.radius).view(np.int64)
+        self._words = np.array(self.chain._replace(radius=radius), dtype=np.int64)
+        self.address = int(self._words.ctypes.data)  # of the chain's fields, for the kernel
 
     def part(self, name: str) -> ModuleType:
         """Return a module of the composed kernel."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -24,6 +25,12 @@ def tensions_of(robot: Robot, given: Given) -> Floats:
         Unknown names, or values that are negative or not finite.
 
     """
+    if isinstance(given, np.ndarray) and given.shape == (len(robot.inputs),):
+        for value in given.tolist():
+            if not 0.0 <= value < math.inf:
+                break
+        else:
+            return given.astype(float)
     values = finite('tensions', _ordered('tensions', robot, given, 0.0), len(robot.inputs))
     if (values < 0.0).any():
         raise InputError(f'tensions: expected none below 0 N, got {values}')

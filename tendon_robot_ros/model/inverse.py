@@ -114,7 +114,7 @@ def _aim(
     """Improve inputs in place; return the cost [m²] and the bends of the equilibrium."""
     bends = np.array([bend, bend])
     cost = model.arrays.part('inverse').aim(
-        model.arrays.chain,
+        model.arrays.address,
         inputs,
         bends,
         target,
@@ -123,7 +123,7 @@ def _aim(
         PREFERENCE,
         60,
         model.arrays.fresh_memory(),
-        model.scratch(),
+        model.scratch,
     )
     return float(cost), bends[0]
 

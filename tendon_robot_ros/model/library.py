@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .model import TOLERANCE
+from .shape import FIELDS
 
 if TYPE_CHECKING:
     from .model import Model
@@ -33,21 +34,7 @@ def workspace_library(model: Model) -> ShapeBatch:
     inputs = low + spread * (top - low)
     batch, changes = model.solve(inputs)
     good = changes < TOLERANCE
-    return replace(
-        batch,
-        **{
-            name: getattr(batch, name)[good]
-            for name in (
-                'inputs',
-                'bend',
-                'tendon_tensions',
-                'frames',
-                'positions',
-                'tendon_pulls',
-                'pulls',
-            )
-        },
-    )
+    return replace(batch, **{name: getattr(batch, name)[good] for name in FIELDS})
 
 
 def _useful(model: Model) -> np.ndarray:

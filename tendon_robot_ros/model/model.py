@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 
@@ -13,8 +14,9 @@ from ..effects import Catalogue, load_catalogue
 from ..exceptions import NoEquilibriumError
 from ..robot import Robot
 from .arrays import Arrays
+from .form import Form
 from .inputs import Given, tension_rows, tensions_of
-from .shape import Reach, Shape, ShapeBatch
+from .shape import FIELDS, Reach, Shape, ShapeBatch
 
 Floats = npt.NDArray[np.float64]
 TOLERANCE = 1e-10  # [rad] as in the kernel
@@ -105,12 +107,17 @@ class Model:
         InputError, NoEquilibriumError
 
         """
-        inputs = self.tensions(tensions)[None]
-        past = self.arrays.fresh_memory() if memory is None else memory.copy()
-        guesses = None if guess is None else np.asarray(guess, float)[None]
-        batch, changes = self.solve(inputs, guesses, past, carry=True)
-        self._refuse(inputs, changes)
-        return Shape(batch, past)
+        form = self.form
+        block = np.zeros(form.size + form.memory)
+        block[: form.m] = self.tensions(tensions)
+        if guess is not None:
+            block[form.one['bend'][0]] = np.asarray(guess, float).reshape(-1)
+        if memory is not None:
+            block[form.size :] = memory
+        change = self._postures(self.arrays.address, block, 1, 0, 1, 0, self.scratch, 1)
+        if not change < TOLERANCE:
+            self._refuse(block[None, : form.m], np.array([change]))
+        return Shape(form, block)
 
     def shapes(self, tensions: npt.ArrayLike, guesses: Floats | None = None) -> ShapeBatch:
         """
@@ -147,36 +154,38 @@ class Model:
         A change above `TOLERANCE` marks a posture without equilibrium. `memory` moves on when
         carried; batches of many postures that carry nothing use both cores.
         """
-        b, chain = len(inputs), self.arrays.chain
-        n, k = chain.n, chain.k
-        bend = np.zeros((b, n, 2)) if guesses is None else np.array(guesses, order='C')
-        tensions, frames = np.empty((b, n, k)), np.empty((b, n, 3, 3))
-        out = (bend, tensions, frames, np.empty((b, n, 3)), np.empty((b, k)), np.empty(b))
+        b, form = len(inputs), self.form
+        block = np.empty(b * form.size)
+        fields = {name: form.rows(block, name, b) for name in FIELDS}
+        fields['inputs'][:] = inputs
+        fields['bend'][:] = 0.0 if guesses is None else guesses
         past = self.arrays.fresh_memory() if memory is None else memory
-        run = self.arrays.part('shape').postures
+        where, remembered = self.arrays.address, past.ctypes.data
 
-        def part(rows: slice) -> None:
-            scratch = self.scratch() if rows.stop - rows.start == b else self.arrays.scratch()
-            run(chain, inputs[rows], *(array[rows] for array in out), past, scratch, int(carry))
+        def part(begin: int, end: int) -> None:
+            self._postures(where, block, b, begin, end, remembered, self.scratch, int(carry))
 
         if carry or b < 64:
-            part(slice(0, b))
+            part(0, b)
         else:
-            edges = np.linspace(0, b, THREADS + 1).astype(int)
+            edges = np.linspace(0, b, THREADS + 1).astype(int).tolist()
             with ThreadPoolExecutor(THREADS) as pool:
-                list(pool.map(part, map(slice, edges[:-1].tolist(), edges[1:].tolist())))
-        positions, pulls, changes = out[3:]
-        means = pulls @ self.shares.T
-        where = (frames, positions, pulls, means, self._lengths, self._hinge)
-        return ShapeBatch(inputs, bend, tensions, *where), changes
+                list(pool.map(part, edges[:-1], edges[1:]))
+        batch = ShapeBatch(**fields, cell_length=form.cell_length, hinge=form.hinge)
+        return batch, form.rows(block, 'change', b)
 
     @cached_property
-    def shares(self) -> Floats:
-        """Share (m, k) of each tendon in the wire pull of its input."""
-        shares = np.zeros((len(self.inputs), len(self.robot.tendons)))
-        for j, members in enumerate(self.robot.input_tendons):
-            shares[j, list(members)] = 1.0 / len(members)
-        return shares
+    def form(self) -> Form:
+        """Where the results of a posture lie."""
+        chain, cells = self.arrays.chain, self.arrays.cells
+        lengths = np.ascontiguousarray(cells[:, 0])
+        memory = len(self.arrays.fresh_memory())
+        return Form(chain.n, chain.k, chain.m, memory, lengths, cells[:, 3] > 0.5)
+
+    @cached_property
+    def _postures(self) -> Callable[..., float]:
+        run: Callable[..., float] = self.arrays.part('shape').postures
+        return run
 
     @cached_property
     def library(self) -> ShapeBatch:
@@ -185,26 +194,21 @@ class Model:
 
         return workspace_library(self)
 
-    @cached_property
-    def _lengths(self) -> Floats:
-        return np.ascontiguousarray(self.arrays.cells[:, 0])
-
-    @cached_property
-    def _hinge(self) -> npt.NDArray[np.bool_]:
-        return self.arrays.cells[:, 3] > 0.5
-
-    def scratch(self) -> Floats:
-        """Return this thread's scratch memory."""
-        if not hasattr(self._own, 'scratch'):
-            self._own.scratch = self.arrays.scratch()
-        memory: Floats = self._own.scratch
-        return memory
+    @property
+    def scratch(self) -> int:
+        """Address of this thread's scratch memory."""
+        own = self._own
+        if not hasattr(own, 'address'):
+            own.memory = self.arrays.scratch()
+            own.address = own.memory.ctypes.data
+        address: int = own.address
+        return address
 
     def measured(self, points: Floats) -> Floats:
         """Move points (..., 3) [m] from the robot's base frame to the tracker's."""
         moved = np.array(points, dtype=float, order='C')
         if self.acts('base_misalignment') if 'base_misalignment' in self.catalogue else False:
-            self.arrays.part('shape').measured(self.arrays.chain, moved.reshape(-1, 3))
+            self.arrays.part('shape').measured(self.arrays.address, moved.reshape(-1, 3))
         return moved
 
     def jacobian(self, tensions: Given) -> Floats:

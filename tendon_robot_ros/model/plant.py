@@ -13,7 +13,7 @@ scatter only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -34,11 +34,15 @@ from .shape import Shape, ShapeBatch
 Floats = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
 class PlantShape(Shape):
     """The arm as it is; its markers are where the tracker sees them."""
 
-    plant: Plant
+    def __init__(self, shape: Shape, plant: Plant, asked: Floats | None = None) -> None:
+        """Take a shape of the plant's model; `asked` [N]: inputs without the hidden gain."""
+        super().__init__(shape.form, shape.block)
+        self.plant = plant
+        if asked is not None:
+            self.inputs[:] = asked
 
     def markers(self, arc_length: Floats, offset: Floats) -> Floats:
         """Place markers (j, 3) [m] in the tracker's frame."""
@@ -69,15 +73,14 @@ class Plant:
         given = asked * self._gain(asked[None])[0]
         bend, memory = (None, None) if last is None else (last.bend, last.memory)
         shape = self.model.shape(given, bend, memory)
-        batch = replace(shape.batch, inputs=asked[None])  # without the hidden gain
-        self._state = PlantShape(batch, shape.memory, self)
+        self._state = PlantShape(shape, self, asked)
         return self._state
 
     def respond_to_pulls(self, pulls: npt.ArrayLike) -> PlantShape:
         """Return the arm under wire pulls (m,) [m], nan = slack; friction does not remember."""
         asked = np.asarray(pulls, dtype=float)
         shape = self.model.pull_shape(asked * self._gain(asked[None], True)[0], self._state)
-        self._state = PlantShape(shape.batch, shape.memory, self)
+        self._state = PlantShape(shape, self)
         return self._state
 
     def shapes(

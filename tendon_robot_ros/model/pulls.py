@@ -78,18 +78,26 @@ def pull_shapes(
     return model.shapes(inputs, np.array(found))
 
 
+def _shares(model: Model) -> Floats:
+    """Share (m, k) of each tendon in the wire pull of its input."""
+    shares = np.zeros((len(model.inputs), len(model.robot.tendons)))
+    for j, members in enumerate(model.robot.input_tendons):
+        shares[j, list(members)] = 1.0 / len(members)
+    return shares
+
+
 def _tensions(
     model: Model, target: Floats, start: tuple[Floats, Floats] | None, past: Floats
 ) -> tuple[Floats, Floats]:
     """Find tensions (m,) [N] and bends (n, 2) [rad] that meet wire pulls (m,) [m]."""
-    straight = np.zeros((model.arrays.chain.n, 2))
+    straight, shares = np.zeros((model.arrays.chain.n, 2)), _shares(model)
     pulled = np.where(target > 0.0, 0.1, 0.0), straight
     taut = np.where(np.isnan(target), 0.0, 0.3), straight
     gap = np.inf
     for tensions, bend in (pulled, taut) if start is None else (start, pulled, taut):
         inputs, bends = np.array(tensions), np.array([bend, bend])
         left = model.arrays.part('pulls').pulled(
-            model.arrays.chain, inputs, model.shares, target, bends, past, model.scratch(), MOST
+            model.arrays.address, inputs, shares, target, bends, past, model.scratch, MOST
         )
         gap = min(gap, left)
         if gap < SETTLED:

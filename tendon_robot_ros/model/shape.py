@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
+from .form import Form
+
+FIELDS = (
+    'inputs',
+    'bend',
+    'tendon_tensions',
+    'frames',
+    'positions',
+    'tendon_pulls',
+    'pulls',
+)
 Floats = npt.NDArray[np.float64]
 
 
@@ -66,66 +78,82 @@ class ShapeBatch:
         return place_markers(self, np.asarray(arc_length, float), np.asarray(offset, float))
 
 
-def _only(rows: Floats) -> Floats:
-    row: Floats = rows[0]
-    return row
-
-
-@dataclass(frozen=True)
 class Shape:
-    """One posture; the fields of `ShapeBatch` without the first axis."""
+    """One posture: the fields of `ShapeBatch` without the first axis."""
 
-    batch: ShapeBatch
-    memory: Floats  # friction memory after it, for the next call
+    def __init__(self, form: Form, block: Floats) -> None:
+        """Take a block that the kernel filled; its fields are made when they are asked for."""
+        self.form, self.block = form, block
 
-    @property
+    def _field(self, name: str) -> Floats:
+        where, shape = self.form.one[name]
+        return self.block[where].reshape(shape)
+
+    @cached_property
     def inputs(self) -> Floats:
         """Input tensions (m,) [N]."""
-        return _only(self.batch.inputs)
+        return self._field('inputs')
 
-    @property
+    @cached_property
     def bend(self) -> Floats:
         """Bends (n, 2) [rad]."""
-        return _only(self.batch.bend)
+        return self._field('bend')
 
-    @property
+    @cached_property
     def positions(self) -> Floats:
         """Distal ends of the cells (n, 3) [m]."""
-        return _only(self.batch.positions)
+        return self._field('positions')
 
-    @property
+    @cached_property
     def frames(self) -> Floats:
         """Frames at the distal ends of the cells (n, 3, 3)."""
-        return _only(self.batch.frames)
+        return self._field('frames')
 
-    @property
+    @cached_property
     def tendon_tensions(self) -> Floats:
         """Tension of every tendon in every cell (n, k) [N]."""
-        return _only(self.batch.tendon_tensions)
+        return self._field('tendon_tensions')
 
-    @property
+    @cached_property
     def pulls(self) -> Floats:
         """Wire pulls of the inputs (m,) [m]."""
-        return _only(self.batch.pulls)
+        return self._field('pulls')
 
-    @property
+    @cached_property
     def tendon_pulls(self) -> Floats:
         """Wire pulls of the tendons (k,) [m]."""
-        return _only(self.batch.tendon_pulls)
+        return self._field('tendon_pulls')
+
+    @cached_property
+    def memory(self) -> Floats:
+        """Friction memory after this posture, for the next call."""
+        return self.block[self.form.size :]
 
     @property
     def tip_position(self) -> Floats:
         """Tip position (3,) [m]."""
-        return _only(self.batch.tip_position)
+        tip: Floats = self.positions[-1]
+        return tip
 
     @property
     def tip_direction(self) -> Floats:
         """Approach direction (3,)."""
-        return _only(self.batch.tip_direction)
+        along: Floats = self.frames[-1, :, 2]
+        return along
+
+    @cached_property
+    def batch(self) -> ShapeBatch:
+        """The same as a batch of one."""
+        return ShapeBatch(
+            **{name: getattr(self, name)[None] for name in FIELDS},
+            cell_length=self.form.cell_length,
+            hinge=self.form.hinge,
+        )
 
     def markers(self, arc_length: Floats, offset: Floats) -> Floats:
         """Place markers (j, 3) [m]; see `ShapeBatch.markers`."""
-        return _only(self.batch.markers(arc_length, offset))
+        placed: Floats = self.batch.markers(arc_length, offset)[0]
+        return placed
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import math
 
-from .layout import PRESENT, STIFFNESS, cell, compiled, floats, section_of
+from .layout import PRESENT, STIFFNESS, cell, compiled, floats, inlined, section_of
 from .stages import (
     growth,
     growth_acts,
@@ -60,14 +60,20 @@ def is_linear(chain):
     return not (moment_acts(chain) or hold_acts(chain) or growth_acts(chain))
 
 
+@inlined
+def bend_linear(chain, i, mx, my, load_x, load_y, scale):
+    """Bend (x, y) of a cell that bends in proportion to load plus scale times moment [N·m]."""
+    section = section_of(chain, i)
+    x0, y0 = rest(0.0, 0.0, chain, section)
+    compliance = 1.0 / cell_stiffness(chain, i, section)
+    slope = scale * compliance
+    return x0 + compliance * load_x + slope * mx, y0 + compliance * load_y + slope * my
+
+
 @compiled
-def bend_cell(chain, past, i, mx, my, total, linear):
+def bend_cell(chain, past, i, mx, my, total):
     """Bend (x, y) of a cell under a moment [N·m] and the sum of tensions [N] that press it."""
     section = section_of(chain, i)
-    if linear:
-        x0, y0 = rest(0.0, 0.0, chain, section)
-        compliance = 1.0 / cell_stiffness(chain, i, section)
-        return x0 + compliance * mx, y0 + compliance * my
     size = math.sqrt(mx * mx + my * my)
     if moment_acts(chain) and size > 0.0:
         radius = chain.radius * offset(1.0, chain, 0)

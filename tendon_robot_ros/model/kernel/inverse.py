@@ -4,7 +4,17 @@ import math
 
 import numpy as np
 
-from .layout import address, compiled, entry, floats, memory_in, work_in
+from .layout import (
+    address,
+    chain_at,
+    compiled,
+    entry,
+    floats,
+    memory_in,
+    memory_size,
+    work_in,
+    work_size,
+)
 from .newton import TOLERANCE, solve_small
 from .shape import place, posture
 
@@ -98,16 +108,17 @@ def tip_jacobian(
 
 
 @entry()
-def aim(chain, inputs, bends, target, low, high, preference, most, past, scratch):
+def aim(robot, inputs, bends, target, low, high, preference, most, past, scratch):
     """
     Move inputs (m,) [N] within [low, high] so that the tip meets the target; return the cost.
 
     `bends` (2, n, 2) holds a guess and takes the equilibrium in its first half.
     """
+    chain = chain_at(robot)
     n, m = chain.n, chain.m
-    work = work_in(chain, address(scratch))
-    before = address(scratch) + 8 * (scratch.shape[0] - 2 * n)
-    now = memory_in(chain, before - 8 * (2 * n + 2 * n * chain.k + m))
+    work = work_in(chain, scratch)
+    now = memory_in(chain, scratch + 8 * work_size(n, chain.k))
+    before = now.bend + 8 * memory_size(n, chain.k, m)
     then = memory_in(chain, address(past))
     bend, near = address(bends), address(bends) + 16 * n
     f, moved, jacobian = np.empty(6), np.empty(6), np.zeros((6, m))

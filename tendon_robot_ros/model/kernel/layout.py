@@ -12,10 +12,13 @@ from typing import Any
 import numpy as np
 from numba import njit, types
 from numba.core import cgutils
-from numba.extending import intrinsic
+from numba.extending import intrinsic, register_jitable
 
 jit: Any = partial(njit, error_model='numpy', nogil=True, no_cfunc_wrapper=True)
 compiled = jit(no_cpython_wrapper=True)
+inlined = jit(no_cpython_wrapper=True, forceinline=True)
+# with fused multiply-add: where no difference of equal products has to be exactly zero
+fused = jit(no_cpython_wrapper=True, forceinline=True, fastmath={'contract'})
 
 
 def entry(*signature):
@@ -41,8 +44,8 @@ COLUMNS = 6
 # travel (n, k) [m], inputs (m,) [N]; one array, in this order.
 Memory = namedtuple('Memory', 'bend sign travel inputs')
 
-# Work: scratch of one posture. half (n, 2): half angles, see `turning`; slip (2,): smoothing
-# length [m], load scale [1].
+# Work: scratch of one posture. half (n, 2): half angles, see `turning`; slip (3,): smoothing
+# length [m], load scale [1], and whether a sweep looks at the guess (1) or goes without (0).
 Work = namedtuple('Work', 'arms travel beyond load lengths tensions frames origins half slip')
 
 # numba takes types of one name for one type, but each catalogue has a kernel of its own
@@ -109,20 +112,30 @@ def address_of(function):
     return made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
 
 
+@register_jitable
 def memory_size(n, k, m):
     """Floats that the friction memory takes."""
     return 2 * n + 2 * n * k + m
 
 
+@register_jitable
 def work_size(n, k):
     """Floats that the scratch of one posture takes."""
-    return 4 * n * k + 2 * n + n + n * k + 12 * (n + 1) + 2 * n + 2
+    return 4 * n * k + 2 * n + n + n * k + 12 * (n + 1) + 2 * n + 3
 
 
 @compiled
 def address(array):
     """Address of an array; whoever asks keeps the array alive."""
     return np.int64(array.ctypes.data)
+
+
+@compiled
+def chain_at(start):
+    """Chain whose fields lie one after the other at an address."""
+    w = words(start)
+    radius = floats(start)[10]
+    return Chain(w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7], w[8], w[9], radius, w[11], w[12])
 
 
 @compiled
@@ -147,8 +160,27 @@ def work_in(chain, start):
     origins = frames + 8 * 9 * (n + 1)
     half = origins + 8 * 3 * (n + 1)
     slip = half + 8 * 2 * n
-    floats(slip)[0], floats(slip)[1] = SLIP_LENGTH, 1.0
+    floats(slip)[0], floats(slip)[1], floats(slip)[2] = SLIP_LENGTH, 1.0, 1.0
+    for r in range(3):
+        floats(frames)[4 * r] = 1.0
     return Work(start, travel, beyond, load, lengths, tensions, frames, origins, half, slip)
+
+
+@compiled
+def with_results(work, tensions, frames, origins):
+    """Scratch whose tensions, frames and origins lie elsewhere."""
+    return Work(
+        work.arms,
+        work.travel,
+        work.beyond,
+        work.load,
+        work.lengths,
+        tensions,
+        frames,
+        origins,
+        work.half,
+        work.slip,
+    )
 
 
 @compiled

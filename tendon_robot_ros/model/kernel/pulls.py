@@ -4,7 +4,17 @@ import math
 
 import numpy as np
 
-from .layout import address, compiled, entry, floats, memory_in, work_in
+from .layout import (
+    address,
+    chain_at,
+    compiled,
+    entry,
+    floats,
+    memory_in,
+    memory_size,
+    work_in,
+    work_size,
+)
 from .newton import TOLERANCE, solve_small
 from .shape import posture, wire_pulls
 
@@ -66,17 +76,18 @@ def taut_step(jacobian, f, inputs, target, damping, trial):
 
 
 @entry()
-def pulled(chain, inputs, shares, target, bends, past, scratch, most):
+def pulled(robot, inputs, shares, target, bends, past, scratch, most):
     """
     Find tensions (m,) [N] >= 0 whose wire pulls are `target` (m,) [m]; NaN: a slack wire.
 
     `inputs` holds the guess; shares (m, k) average the tendons of an input. Returns the largest
     remaining gap [m], infinite where the model finds no equilibrium.
     """
+    chain = chain_at(robot)
     n, m = chain.n, chain.m
-    work = work_in(chain, address(scratch))
-    before = address(scratch) + 8 * (scratch.shape[0] - 2 * n)
-    now = memory_in(chain, before - 8 * (2 * n + 2 * n * chain.k + m))
+    work = work_in(chain, scratch)
+    now = memory_in(chain, scratch + 8 * work_size(n, chain.k))
+    before = now.bend + 8 * memory_size(n, chain.k, m)
     then = memory_in(chain, address(past))
     bend, near = address(bends), address(bends) + 16 * n
     f, moved, pulls = np.empty(m), np.empty(m), np.empty(chain.k)

@@ -5,17 +5,21 @@ from .layout import (
     LENGTH,
     address,
     cell,
+    chain_at,
     compiled,
     entry,
     floats,
     memory_in,
+    memory_size,
     section_of,
     settle_at,
+    with_results,
     words,
     work_in,
+    work_size,
 )
 from .newton import TOLERANCE
-from .stages import measurement, memory_acts, offset, slide_acts, stretch
+from .stages import measurement, memory_acts, offset, slide_acts, stretch, stretch_acts
 from .sweep import slip_direction
 from .turning import chain_frames
 
@@ -103,50 +107,82 @@ def place(chain, bend, work):
 @compiled
 def wire_pulls(chain, bend, work, pulls):
     """Wire pull (k,) [m] of every tendon: travel of all its cells and its own stretch."""
-    tendon_travel(chain, bend, offset(1.0, chain, 0), work)
     tendon, tensions, travel = words(chain.tendon), floats(work.tensions), floats(work.travel)
-    for k in range(chain.k):
-        total = 0.0
-        for i in range(tendon[2 * k]):
-            at = chain.k * i + k
-            total += travel[at] + stretch(
-                0.0, tensions[at], cell(chain, i, LENGTH), chain, section_of(chain, i)
-            )
-        floats(pulls)[k] = total
+    totals, n, k = floats(pulls), chain.n, chain.k
+    tendon_travel(chain, bend, offset(1.0, chain, 0), work)
+    for j in range(k):
+        totals[j] = 0.0
+    for i in range(n):
+        for j in range(k):
+            totals[j] += travel[k * i + j]
+    if stretch_acts(chain):
+        for j in range(k):
+            for i in range(tendon[2 * j]):
+                totals[j] += stretch(
+                    0.0, tensions[k * i + j], cell(chain, i, LENGTH), chain, section_of(chain, i)
+                )
+
+
+@compiled
+def mean_pulls(chain, pulls, means):
+    """Mean wire pull (m,) [m] over the tendons of every input."""
+    tendon = words(chain.tendon)
+    for j in range(chain.m):
+        total, members = 0.0, 0
+        for k in range(chain.k):
+            if tendon[2 * k + 1] == j:
+                total += floats(pulls)[k]
+                members += 1
+        floats(means)[j] = total / max(members, 1)
 
 
 @entry()
-def postures(
-    chain, inputs, bends, tensions, frames, origins, pulls, changes, past, scratch, carry
-):
+def postures(robot, block, count, begin, end, past, scratch, carry):
     """
-    Solve postures (b, m) [N] into bends (b, n, 2), which hold the guesses, and the rest.
+    Solve postures `begin` to `end` of a block; return the worst of their last changes [rad].
 
-    `carry` 1: each posture follows the one before and friction remembers (`past` moves on);
-    0: every posture comes from the memory in `past`, which stays.
+    The block (see `model.form`) holds inputs (count, m) [N] and guesses of the bends and takes
+    the rest. `carry` 1: each posture follows the one before and friction remembers (`past`
+    moves on); 0: every posture comes from the memory in `past`, which stays. `past` and
+    `scratch` are addresses; `past` 0: it lies in the block behind the results.
     """
-    n, k = chain.n, chain.k
-    work = work_in(chain, address(scratch))
-    before = address(scratch) + 8 * (scratch.shape[0] - 2 * n)
-    now = memory_in(chain, before - 8 * (2 * n + 2 * n * k + chain.m))
-    then = memory_in(chain, address(past))
-    for b in range(inputs.shape[0]):
-        bend = address(bends) + 16 * n * b
-        changes[b] = posture(
-            chain, address(inputs) + 8 * chain.m * b, work, then, now, bend, before
+    chain = chain_at(robot)
+    n, k, m = chain.n, chain.k, chain.m
+    work = work_in(chain, scratch)
+    now = memory_in(chain, scratch + 8 * work_size(n, k))
+    before = now.bend + 8 * memory_size(n, k, m)
+    inputs = address(block)
+    bends = inputs + 8 * m * count
+    tensions = bends + 16 * n * count
+    frames = tensions + 8 * n * k * count
+    origins = frames + 72 * n * count
+    pulls = origins + 24 * n * count
+    means = pulls + 8 * k * count
+    changes = means + 8 * m * count
+    then = memory_in(chain, past if past != 0 else changes + 8 * count)
+    worst = 0.0
+    for b in range(begin, end):
+        bend = bends + 16 * n * b
+        here = with_results(
+            work, tensions + 8 * n * k * b, frames + 72 * (n * b - 1), origins + 24 * (n * b - 1)
         )
+        solving = with_results(work, here.tensions, work.frames, work.origins)
+        change = posture(chain, inputs + 8 * m * b, solving, then, now, bend, before)
+        floats(changes)[b] = change
+        if not change <= worst:
+            worst = change
         if carry != 0:
-            copy(now.bend, then.bend, 2 * n + 2 * n * k + chain.m)
-        place(chain, bend, work)
-        copy(work.tensions, address(tensions) + 8 * n * k * b, n * k)
-        copy(work.frames + 72, address(frames) + 72 * n * b, 9 * n)
-        copy(work.origins + 24, address(origins) + 24 * n * b, 3 * n)
-        wire_pulls(chain, bend, work, address(pulls) + 8 * k * b)
+            copy(now.bend, then.bend, 2 * n + 2 * n * k + m)
+        place(chain, bend, here)
+        wire_pulls(chain, bend, here, pulls + 8 * k * b)
+        mean_pulls(chain, pulls + 8 * k * b, means + 8 * m * b)
+    return worst
 
 
 @entry()
-def measured(chain, points):
+def measured(robot, points):
     """Move points (p, 3) [m] from the robot's base frame to the tracker's, in place."""
+    chain = chain_at(robot)
     for p in range(points.shape[0]):
         x, y, z = measurement(points[p, 0], points[p, 1], points[p, 2], chain, 0)
         points[p, 0], points[p, 1], points[p, 2] = x, y, z

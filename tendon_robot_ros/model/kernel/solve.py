@@ -6,6 +6,7 @@ import numpy as np
 
 from .layout import SETTLE, SLIP_LENGTH, address, compiled, entry, floats, step_at
 from .newton import TOLERANCE, dot, largest, newton, solve_small
+from .stages import memory_acts
 from .sweep import is_implicit
 from .turning import half_turns
 
@@ -114,6 +115,15 @@ def continuation(chain, inputs, x, work, past):
     return max(change, 10.0 * TOLERANCE)
 
 
+@compiled
+def is_zero(x):
+    """Tell whether every entry is zero."""
+    for value in x:
+        if value != 0.0:
+            return False
+    return True
+
+
 @entry(SETTLE)
 def settle(chain, inputs, work, past, bend):
     """
@@ -133,6 +143,10 @@ def settle(chain, inputs, work, past, bend):
     x = np.empty(size)
     for j in range(size):
         x[j] = bends[j]
+    if is_zero(x) and not memory_acts(chain):  # nothing known: begin without the effects of shape
+        floats(work.slip)[2] = 0.0
+        step_at(chain.step)(chain, inputs, address(x), work, past, address(x))
+        floats(work.slip)[2] = 1.0
     change = repeat_sweeps(chain, inputs, x, work, past, 25)
     if change >= TOLERANCE:
         for j in range(size):

@@ -2,9 +2,9 @@
 
 import math
 
-from .bending import bend_cell, is_linear
+from .bending import bend_cell, bend_linear, is_linear
 from .geometry import scale_lengths, tendon_travel, travel_beyond
-from .layout import STEP, compiled, entry, floats, section_of, words
+from .layout import STEP, compiled, entry, floats, fused, inlined, section_of, words
 from .loads import load_moments, loaded
 from .stages import (
     actuation,
@@ -31,10 +31,10 @@ def is_implicit(chain):
     return arm_acts(chain) or loaded(chain) or (eyelet_acts(chain) and shaped)
 
 
-@compiled
-def smooth_sign(travel, slip_length):
+@inlined
+def smooth_sign(travel, slip_rate):
     """tanh(travel / slip length): a tendon that does not slide has no friction."""
-    x = travel / slip_length
+    x = travel * slip_rate
     if x > 20.0:
         return 1.0
     if x < -20.0:
@@ -43,34 +43,60 @@ def smooth_sign(travel, slip_length):
     return math.copysign((1.0 - left) / (1.0 + left), x)
 
 
-@compiled
+@inlined
 def slip_direction(chain, work, past, at, section, here, slides, remembers):
-    """Direction s of friction at entry `at` of the travel (n, k), and what the tendon travelled."""
+    """Direction s of friction at entry `at` of the travel (n, k), and what has travelled [m]."""
     beyond = floats(work.beyond)[at] if slides else 0.0
     if remembers:
         travel = slide(here, beyond, chain, section)
         return memory(
             0.0, floats(past.sign)[at], travel - floats(past.travel)[at], chain, section
         ), travel
-    slip = floats(work.slip)[0]
+    slip = 1.0 / floats(work.slip)[0]
     if slides:
         return slide(smooth_sign(here, slip), smooth_sign(beyond, slip), chain, section), beyond
     return smooth_sign(here, slip), here
 
 
-@compiled
-def power(passed, inverse, s):
-    """Return passed ** s, without the power where s is saturated."""
+@fused
+def near_one(x):
+    """log(x), by a series where x is near 1."""
+    w = (x - 1.0) / (x + 1.0)
+    if not abs(w) < 0.03:
+        return math.log(x)
+    z = w * w
+    return (
+        2.0
+        * w
+        * ((1.0 + z * (1.0 / 3.0)) + z * z * ((1.0 / 5.0 + z * (1.0 / 7.0)) + z * z * (1.0 / 9.0)))
+    )
+
+
+@fused
+def near_zero(x):
+    """exp(x), by a series where x is near 0."""
+    if not abs(x) < 0.06:
+        return math.exp(x)
+    x2 = x * x
+    x4 = x2 * x2
+    low = (1.0 + x) + x2 * (1.0 / 2.0 + x * (1.0 / 6.0))
+    high = (1.0 / 24.0 + x * (1.0 / 120.0)) + x2 * (1.0 / 720.0 + x * (1.0 / 5040.0))
+    return low + x4 * (high + x4 * (1.0 / 40320.0))
+
+
+@inlined
+def times_power(t, passed, s):
+    """t passed ** s, without the power where s is saturated."""
     if s == 1.0:
-        return passed
+        return t * passed
     if s == -1.0:
-        return inverse
+        return t / passed
     if not passed > 0.0:
-        return passed**s
-    return math.exp(s * math.log(passed))
+        return t * passed**s
+    return t * near_zero(s * near_one(passed))
 
 
-@compiled
+@inlined
 def enter(chain, inputs, work, arms):
     """Tensions of the first cell, their moment (x, y) [N·m] and sum [N]."""
     tensions, tendon = floats(work.tensions), words(chain.tendon)
@@ -86,7 +112,7 @@ def enter(chain, inputs, work, arms):
 
 @compiled
 def how(chain, shaped):
-    """Flags of a sweep: friction, straight arms, wrap, slide, memory; `shaped`: a guess counts."""
+    """Tell which act: friction, straight arms, wrap, slide, memory; `shaped`: a guess counts."""
     return (
         eyelet_acts(chain),
         shaped and arm_acts(chain),
@@ -96,7 +122,7 @@ def how(chain, shaped):
     )
 
 
-@compiled
+@inlined
 def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, arms, scale, flags):
     """
     Take the tensions over the eyelet between cells i and i + 1 (eq. 10).
@@ -106,7 +132,7 @@ def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, arms, scale, flags
     friction, straight, wraps, slides, remembers = flags
     tensions, tendon, at = floats(work.tensions), words(chain.tendon), chain.k * i
     section = section_of(chain, i)
-    passed, inverse, x0, y0 = 1.0, 1.0, 0.0, 0.0
+    passed, x0, y0 = 1.0, 0.0, 0.0
     if friction:
         turning = math.sqrt(bx * bx + by * by) * floats(work.half)[2 * i]
         if wraps:
@@ -114,7 +140,6 @@ def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, arms, scale, flags
             q = x * x + y * y
             turning = wrap(turning, math.sqrt(q) * half_turn(q)[0], chain, section)
         passed = eyelet(1.0, turning, chain, section)
-        inverse = 1.0 / passed
         x0, y0 = rest(0.0, 0.0, chain, section)
         x0, y0 = scale * (bx - x0), scale * (by - y0)
     offsets, lever = floats(chain.offset), floats(arms)
@@ -130,7 +155,7 @@ def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, arms, scale, flags
                 else:
                     here = offsets[2 * (at + k)] * x0 + offsets[2 * (at + k) + 1] * y0
                 s, _ = slip_direction(chain, work, past, at + k, section, here, slides, remembers)
-                t *= power(passed, inverse, s)
+                t = times_power(t, passed, s)
             mx += t * lever[2 * j]
             my += t * lever[2 * j + 1]
             total += t
@@ -156,10 +181,13 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
         arms, scale = work.arms, 1.0
     mx, my, total = enter(chain, inputs, work, arms)
     for i in range(chain.n):
-        mx, my = scale * mx, scale * my
+        load_x, load_y = 0.0, 0.0
         if loads:  # else the scratch may still hold those of another model
-            mx, my = mx + load[2 * i], my + load[2 * i + 1]
-        bx, by = bend_cell(chain, past, i, mx, my, total, linear)
+            load_x, load_y = load[2 * i], load[2 * i + 1]
+        if linear:
+            bx, by = bend_linear(chain, i, mx, my, load_x, load_y, scale)
+        else:
+            bx, by = bend_cell(chain, past, i, scale * mx + load_x, scale * my + load_y, total)
         last_x, last_y = guesses[2 * i], guesses[2 * i + 1]
         bends[2 * i], bends[2 * i + 1] = bx, by
         half[2 * i], half[2 * i + 1] = half_turn(bx * bx + by * by)
@@ -209,5 +237,7 @@ def prepare(chain, inputs, guess, work, past):
 @entry(STEP)
 def step(chain, inputs, guess, work, past, out):
     """One sweep with everything that the guess decides."""
-    prepare(chain, inputs, guess, work, past)
-    sweep(chain, inputs, guess, work, past, out, True)
+    shaped = floats(work.slip)[2] != 0.0
+    if shaped:
+        prepare(chain, inputs, guess, work, past)
+    sweep(chain, inputs, guess, work, past, out, shaped)

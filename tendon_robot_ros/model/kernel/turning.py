@@ -7,12 +7,12 @@ sin(a) / a = 2 S C, (1 - cos a) / a² = 2 S².
 
 import math
 
-from .layout import HINGE, cell, compiled, floats
+from .layout import HINGE, cell, compiled, floats, fused
 
 SERIES = 2.4  # [rad²] below it the polynomials hold to the last digit (a / 2 < pi / 4)
 
 
-@compiled
+@fused
 def half_turn(q):
     """(S, C) of a bend whose square is q [rad²]."""
     if not q < SERIES:
@@ -25,10 +25,7 @@ def half_turn(q):
         (0.5 + z * -8.33333333333333079e-02)
         + z2 * (4.16666666661244655e-03 + z * -9.92063491492804210e-05)
         + z4
-        * (
-            (1.37786568478473840e-06 + z * -1.25253701223364065e-08)
-            + z2 * 7.94845778886159700e-11
-        )
+        * ((1.37786568478473840e-06 + z * -1.25253701223364065e-08) + z2 * 7.94845778886159700e-11)
     )
     c = 1.0 - (
         z * (0.5 + z * -4.16666666666666019e-02)
@@ -52,7 +49,7 @@ def halved(s, c):
     return s / half_c, half_c
 
 
-@compiled
+@fused
 def curl(q, s, c):
     """(sin(a)/a - cos(a)) / a² for S and C of a bend whose square is q [rad²]."""
     if not q < 0.25:
@@ -74,7 +71,7 @@ def half_turns(chain, bend, work):
         half[2 * i], half[2 * i + 1] = half_turn(x * x + y * y)
 
 
-@compiled
+@fused
 def end_of(q, s, c, cell_length, hinge):
     """Where a cell ends: (towards the bend over the bend [m/rad], along z [m])."""
     if hinge > 0.5:
@@ -82,27 +79,36 @@ def end_of(q, s, c, cell_length, hinge):
     return 2.0 * cell_length * s * s, 2.0 * cell_length * s * c
 
 
+@fused
+def turn_row(row, x, y, sinc, versine, cosine, across, along):
+    """One row of a frame, and of the place where it is, taken over a cell that bends by (x, y)."""
+    fx, fy, fz, place = row
+    toward = fx * x + fy * y
+    turned = versine * toward + sinc * fz
+    place += across * toward + along * fz
+    return fx - x * turned, fy - y * turned, sinc * toward + cosine * fz, place
+
+
 @compiled
 def chain_frames(chain, bend, work):
-    """Fill work.frames (n + 1, 3, 3) and work.origins (n + 1, 3) [m] from work.half."""
+    """
+    Fill work.frames (n + 1, 3, 3) and work.origins (n + 1, 3) [m] from work.half.
+
+    Entry 0 is the base and stays as it is.
+    """
     frames, origins, bends = floats(work.frames), floats(work.origins), floats(bend)
     half, lengths = floats(work.half), floats(work.lengths)
-    for r in range(9):
-        frames[r] = 1.0 if r % 4 == 0 else 0.0
-    for r in range(3):
-        origins[r] = 0.0
+    a, b, c = (1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)
     for i in range(chain.n):
-        x, y, s, c = bends[2 * i], bends[2 * i + 1], half[2 * i], half[2 * i + 1]
+        x, y, sine, cosine = bends[2 * i], bends[2 * i + 1], half[2 * i], half[2 * i + 1]
         q = x * x + y * y
-        across, along = end_of(q, s, c, lengths[i], cell(chain, i, HINGE))
-        sinc, versine = 2.0 * s * c, 2.0 * s * s
+        across, along = end_of(q, sine, cosine, lengths[i], cell(chain, i, HINGE))
+        sinc, versine = 2.0 * sine * cosine, 2.0 * sine * sine
         cosine = 1.0 - versine * q
-        for r in range(3):
-            f, o = 9 * i + 3 * r, 3 * i + r
-            fx, fy, fz = frames[f], frames[f + 1], frames[f + 2]
-            toward = fx * x + fy * y
-            turned = versine * toward + sinc * fz
-            frames[f + 9] = fx - x * turned
-            frames[f + 10] = fy - y * turned
-            frames[f + 11] = sinc * toward + cosine * fz
-            origins[o + 3] = origins[o] + across * toward + along * fz
+        a = turn_row(a, x, y, sinc, versine, cosine, across, along)
+        b = turn_row(b, x, y, sinc, versine, cosine, across, along)
+        c = turn_row(c, x, y, sinc, versine, cosine, across, along)
+        f, o = 9 * i + 9, 3 * i + 3
+        frames[f], frames[f + 1], frames[f + 2], origins[o] = a
+        frames[f + 3], frames[f + 4], frames[f + 5], origins[o + 1] = b
+        frames[f + 6], frames[f + 7], frames[f + 8], origins[o + 2] = c
