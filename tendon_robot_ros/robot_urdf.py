@@ -11,6 +11,7 @@ import numpy.typing as npt
 from .robot import Robot
 
 Floats = npt.NDArray[np.float64]
+Transform = tuple[str, str, Floats, float]  # parent, child, rotation (3, 3), shift up [m]
 
 
 def joint_names(robot: Robot) -> tuple[str, ...]:
@@ -44,27 +45,61 @@ def joint_angles(frames: Floats) -> Floats:
     return angles.reshape(-1)
 
 
-def urdf(robot: Robot) -> str:
+def transforms(robot: Robot, angles: Floats, prefix: str) -> list[Transform]:
+    """
+    Return parent, child, rotation (3, 3) and shift up [m] of every link of the URDF.
+
+    Parameters
+    ----------
+    robot : Robot
+    angles : (2n,) [rad]
+        As `joint_angles` returns them.
+    prefix : str
+        Of the links; the last one is the tip.
+
+    """
+    parent, before, found = f'{prefix}base', 0.0, list[Transform]()
+    lengths = [s.cell_length for s in robot.sections for _ in range(s.cells)]
+    for i, name in enumerate(_cell_names(robot)):
+        up, middle, child = 0.5 * (before + lengths[i]), f'{prefix}{name}_middle', prefix + name
+        found.append((parent, middle, _about(1, angles[2 * i]), up))
+        found.append((middle, child, _about(0, -angles[2 * i + 1]), 0.0))
+        parent, before = child, lengths[i]
+    return [*found, (parent, f'{prefix}tip', np.eye(3), 0.5 * before)]
+
+
+def _about(axis: int, angle: float) -> Floats:
+    """Return the rotation about the x (0) or y (1) axis."""
+    s, c = math.sin(angle), math.cos(angle)
+    rows = [[1, 0, 0], [0, c, -s], [0, s, c]] if axis == 0 else [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+    return np.array(rows, dtype=float)
+
+
+def urdf(robot: Robot, prefix: str = '') -> str:
     """
     Return the URDF text; lengths in m.
 
     Joint x of a cell bends it towards +x, joint y, which follows, towards +y. The root link is
-    `base`, with +z along the straight arm.
+    `base`, with +z along the straight arm. With a prefix, such as the one of the nodes' frames,
+    the links begin with it, and the tip has a link of its own.
     """
     radius = 1.15 * max(math.hypot(*at) for t in robot.tendons for at in (t.base, t.end))
     lengths = [s.cell_length for s in robot.sections for _ in range(s.cells)]
     colours = [i % 2 for i, s in enumerate(robot.sections) for _ in range(s.cells)]
     lines = ['<?xml version="1.0"?>', f'<robot name={quoteattr(robot.name)}>', *_MATERIALS]
-    lines += _link('base', 0.5 * lengths[0], radius, 0)
-    parent, before = 'base', 0.0
+    lines += _link(f'{prefix}base', 0.5 * lengths[0], radius, 0)
+    parent, before = f'{prefix}base', 0.0
     for i, name in enumerate(_cell_names(robot)):
         up = 0.5 * (before + lengths[i])
         beyond = 0.5 * (lengths[i] + lengths[i + 1]) if i + 1 < len(lengths) else 0.5 * lengths[i]
-        lines += _joint(f'{name}_x', parent, f'{name}_middle', up, '0 1 0')
-        lines.append(f'  <link name="{name}_middle"/>')
-        lines += _joint(f'{name}_y', f'{name}_middle', name, 0.0, '-1 0 0')
-        lines += _link(name, beyond, radius, colours[i])
-        parent, before = name, lengths[i]
+        link, middle = prefix + name, f'{prefix}{name}_middle'
+        lines += _joint(f'{name}_x', parent, middle, up, '0 1 0')
+        lines.append(f'  <link name="{middle}"/>')
+        lines += _joint(f'{name}_y', middle, link, 0.0, '-1 0 0')
+        lines += _link(link, beyond, radius, colours[i])
+        parent, before = link, lengths[i]
+    if prefix:
+        lines += _tip(parent, f'{prefix}tip', 0.5 * before)
     return '\n'.join([*lines, '</robot>'])
 
 
@@ -86,6 +121,16 @@ def _link(name: str, length: float, radius: float, colour: int) -> list[str]:
         f'<geometry><cylinder radius="{radius:.9g}" length="{length:.9g}"/></geometry>'
         f'<material name="section_{colour}"/></visual>',
         '  </link>',
+    ]
+
+
+def _tip(parent: str, name: str, up: float) -> list[str]:
+    return [
+        f'  <link name="{name}"/>',
+        '  <joint name="tip" type="fixed">',
+        f'    <parent link="{parent}"/><child link="{name}"/>',
+        f'    <origin xyz="0 0 {up:.9g}"/>',
+        '  </joint>',
     ]
 
 

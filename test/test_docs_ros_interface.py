@@ -8,11 +8,18 @@ from source_tree import ROOT
 
 pytest.importorskip('rclpy')
 
-from tendon_robot_ros.nodes import controller_setup, driver_setup, monitor_setup, teleop, viewer
+from tendon_robot_ros.nodes import (
+    controller_setup,
+    driver_setup,
+    monitor_setup,
+    robot_model,
+    teleop,
+    viewer,
+)
 
 DOC = (ROOT / 'docs' / 'ros_interface.md').read_text(encoding='utf-8')
 NODES = {'controller': controller_setup, 'driver': driver_setup, 'teleop': teleop}
-NODES |= {'monitor': monitor_setup, 'viewer': viewer}
+NODES |= {'monitor': monitor_setup, 'viewer': viewer, 'robot-model': robot_model}
 KINDS = {bool: 'bool', float: 'double', str: 'string', list: 'string[]'}
 
 

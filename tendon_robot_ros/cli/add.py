@@ -17,7 +17,6 @@ import argparse
 import sys
 
 from ..analysis.add import add_effects
-from ..data import load_dataset
 from ..effects import load_catalogue
 from ..model.compose import is_compiled
 from ..report.addition_text import lines
@@ -29,6 +28,7 @@ from .description_file import (
     refuse_existing,
     write_description,
 )
+from .measurements import DATA_HELP, load_measurements
 from .options import add_json, emit
 
 HELP = 'add a physical effect to a robot description, fitted on measurements'
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
     add('effects', nargs='+', metavar='EFFECT', help='effects of the catalogue, fitted together')
-    add('--data', required=True, metavar='DATA', help='data set (folder) to fit on')
+    add('--data', required=True, metavar='DATA', help=f'{DATA_HELP} to fit on')
     add('--robot', metavar='ROBOT', help='description to add to (default: the one of DATA)')
     add('--output', required=True, metavar='NEW', help='the new description')
     add('--check', metavar='DATA2', help='other postures, to judge the effect by')
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Fit, write, print."""
     refuse_existing('--output', args.output, args.overwrite)
-    dataset = load_dataset(args.data, args.robot)
+    dataset = load_measurements(args.data, args.robot)
     check = load_check(args.check, dataset)
     catalogue = load_catalogue(args.effect_file)
     if not is_compiled(catalogue):

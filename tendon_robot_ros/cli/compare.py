@@ -21,13 +21,14 @@ from pathlib import Path
 from ..analysis.compare import compare
 from ..analysis.comparison_file import to_json
 from ..analysis.statistics import ERRORS
-from ..data import DataSet, load_dataset
+from ..data import DataSet
 from ..effects import load_catalogue
 from ..exceptions import InputError
 from ..model.compose import is_compiled
 from ..report.comparison_text import sentences, table
 from ..robot import Robot, load_robot
 from .description_file import add_effect_files
+from .measurements import DATA_HELP, load_measurements
 from .options import add_json, emit
 
 HELP = 'compare models with measurements'
@@ -35,7 +36,7 @@ HELP = 'compare models with measurements'
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('data', metavar='DATA', help='data set (folder)')
+    parser.add_argument('data', metavar='DATA', help=DATA_HELP)
     parser.add_argument(
         '--model',
         nargs='+',
@@ -58,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Compare and print."""
-    dataset = load_dataset(args.data, args.model[0] if args.model else None)
+    dataset = load_measurements(args.data, args.model[0] if args.model else None)
     catalogue = load_catalogue(args.effect_file)
     if not is_compiled(catalogue):
         print('compiling the model (once)', file=sys.stderr)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..data import DataSet, load_dataset
+from ..data import DataSet
 from ..data.atomic import new_file
 from ..exceptions import InputError
 from ..robot import Robot, dump_robot
+from .measurements import load_measurements
 
 
 def add_overwrite(parser: argparse.ArgumentParser) -> None:
@@ -45,7 +46,7 @@ def write_description(robot: Robot, path: str) -> None:
 
 def load_check(path: str | None, dataset: DataSet) -> DataSet | None:
     """Read a check set with the robot of a data set."""
-    return None if path is None else load_dataset(path, dataset.robot)
+    return None if path is None else load_measurements(path, dataset.robot)
 
 
 def next_step(path: str) -> str:

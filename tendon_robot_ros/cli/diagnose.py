@@ -24,7 +24,7 @@ from ..analysis.diagnose import diagnose
 from ..analysis.origin import Addition
 from ..analysis.result import Diagnosis
 from ..analysis.session import Progress
-from ..data import DataSet, load_dataset
+from ..data import DataSet
 from ..effects import Catalogue, load_catalogue
 from ..exceptions import InputError
 from ..model.compose import is_compiled
@@ -38,6 +38,7 @@ from .description_file import (
     refuse_existing,
     write_description,
 )
+from .measurements import DATA_HELP, load_measurements
 from .options import add_json, emit
 from .progress import progress
 
@@ -48,7 +49,7 @@ REFUSED = 2
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
-    add('data', metavar='DATA', help='data set (folder)')
+    add('data', metavar='DATA', help=DATA_HELP)
     add('--robot', metavar='ROBOT', help='description to judge (default: the one of DATA)')
     add_json(parser)
     add('--add', metavar='NEW', help='write a description with the effect')
@@ -73,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     if args.workers < 1:
         raise InputError(f'--workers: expected at least 1, got {args.workers}')
     refuse_existing('--add', args.add, args.overwrite)
-    dataset = load_dataset(args.data, args.robot)
+    dataset = load_measurements(args.data, args.robot)
     check = load_check(args.check, dataset)
     catalogue = load_catalogue(args.effect_file)
     if not is_compiled(catalogue):

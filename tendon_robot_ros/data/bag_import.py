@@ -18,6 +18,8 @@ from .segments import Segment, assemble, find_segments
 from .shapes import FARTHEST
 from .stillness import Motion, Rule, motion
 
+LEAST = 1e-7  # [m] of noise that is assumed where frames do not differ
+
 
 @dataclass(frozen=True)
 class Imported:
@@ -99,6 +101,9 @@ def _dataset(
     markers: tuple[Marker, ...],
 ) -> DataSet:
     arrays = assemble(bag, segments)
+    noise = said.position_noise
+    if noise is None and len(arrays.trials) == 1:  # no trials to tell it: the frames have to
+        noise = max(float(np.sqrt(np.nanmean([one.noise**2 for one in segments]))), LEAST)
     return DataSet(
         name=bag,
         robot=robot,
@@ -112,7 +117,7 @@ def _dataset(
         input=said.input,
         path=said.path,
         gravity=said.gravity,
-        position_noise=said.position_noise,
+        position_noise=noise,
         setting_noise=said.setting_noise,
         trial_noise=said.trial_noise,
         accuracy=said.accuracy,
@@ -134,10 +139,13 @@ def _robot(recording: Recording, robot: Robot | str | Path | None) -> Robot:
 def _describe(recording: Recording, robot: Robot, text: str | None) -> Description:
     source = 'description' if text is not None else f'{recording.name}: {DESCRIPTION}'
     text = recording.description if text is None else text
-    if text is None:  # a driver that observes no tension gives NaN
-        observed = np.isfinite(recording.inputs(robot.inputs, 'tension')).any()
-        text = f'input: {"tension" if observed else "displacement"}'
-    return describe(read_fields(text, source), robot)
+    fields = read_fields(text or '', source)
+    said = describe(fields, robot)
+    if fields.has('input'):
+        return said
+    # a driver that observes no tension gives NaN
+    observed = np.isfinite(recording.inputs(robot.inputs, 'tension')).any()
+    return replace(said, input='tension' if observed else 'displacement')
 
 
 def _markers(recording: Recording, robot: Robot, said: Description) -> tuple[Marker, ...]:

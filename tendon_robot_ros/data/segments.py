@@ -25,6 +25,7 @@ class Segment:
     inputs: FloatArray  # (m,) [N] or [m]
     positions: FloatArray  # (J, 3) [m]
     orientations: FloatArray  # (J, 4)
+    noise: float = 0.0  # [m] 1 sd of a mean position, from the frames; NaN where there is one
     posture: str = ''
     trial: str = ''
 
@@ -97,20 +98,34 @@ def _label(bag: str, text: str) -> tuple[str, str]:
 def _average(recording: Recording, inputs: FloatArray, begin: float, end: float) -> Segment:
     """Average over a stretch of time."""
     first, last = np.array([begin]), np.array([end])
-    positions, orientations = [], []
+    positions, orientations, noise = [], [], []
     for track in recording.tracks:
         count = track.positions.shape[1]
         flat = track.positions.reshape(-1, 3 * count)
         positions.append(sample_means(track.times, flat, first, last).reshape(count, 3))
         inside = (track.times >= begin - 1e-9) & (track.times <= end + 1e-9)
         orientations.append(_mean_turn(track.orientations[inside]))
+        noise.append(_noise(track.positions[inside]))
     return Segment(
         begin,
         end,
         held_means(recording.state_times, inputs, first, last)[0].round(DIGITS),
         np.concatenate(positions).round(DIGITS),
         np.concatenate(orientations),
+        float(np.sqrt(np.mean(np.square(noise)))),
     )
+
+
+def _noise(positions: FloatArray) -> float:
+    """Return 1 sd [m] of the mean of frames (S, J, 3), per coordinate."""
+    seen = np.isfinite(positions)
+    count = seen.sum(axis=0)
+    mean = np.where(seen, positions, 0.0).sum(axis=0) / np.maximum(count, 1)
+    squares = np.where(seen, (positions - mean) ** 2, 0.0).sum(axis=0)
+    known = count > 1
+    if not known.any():
+        return float('nan')
+    return float(np.sqrt(np.mean(squares[known] / (count[known] * (count[known] - 1)))))
 
 
 def _unseen(recording: Recording, inputs: FloatArray, begin: float, end: float) -> Segment:

@@ -1,0 +1,75 @@
+"""
+Draw a recording: the path of the tip, how far it was from its targets, and the commands.
+
+example: python -m tendon_robot_ros plot run1
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from ..analysis.flight import Flight
+from ..data.bag_moves import Moves, Places, read_moves
+from ..exceptions import InputError
+from ..report.flight_picture import PICTURES, draw_flight
+
+HELP = 'draw a recording: tip, targets, commands'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder, or .mcap or .db3 file')
+    parser.add_argument('--output', metavar='PNG', help='(default: BAG.png)')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read and draw."""
+    bag = Path(args.bag)
+    output = Path(args.output or f'{bag.parent / bag.stem}.png')
+    if output.suffix not in PICTURES:
+        raise InputError(f'--output {output}: end the name with {", ".join(PICTURES)}')
+    moves = read_moves(bag)
+    if not len(moves.tips):
+        raise InputError(f'{bag}: no measured_tip and no predicted_tip in it: nothing to draw')
+    flight = as_flight(moves)
+    seconds = float(flight.tip_times[-1])
+    print(
+        f'{seconds:.1f} s, {len(moves.targets)} targets, {len(moves.tips)} tips'
+        f'{"" if moves.measured else " as the model sees them"}, {len(moves.commands)} commands'
+    )
+    print(f'picture: {draw_flight(flight, output, f"{bag.name}, {seconds:.1f} s")}')
+    return 0
+
+
+def as_flight(moves: Moves) -> Flight:
+    """Return a recording as a flight; a target stands until the next one."""
+    targets = _standing(moves.targets, float(moves.tips.times[-1]))
+    return Flight(
+        inputs=moves.inputs,
+        asked_times=targets.times,
+        asked=targets.positions,
+        asked_directions=targets.directions,
+        row_times=targets.times[::2],
+        tip_times=moves.tips.times,
+        tips=moves.tips.positions,
+        tip_directions=moves.tips.directions,
+        measured=moves.measured,
+        command_times=moves.command_times,
+        commands=moves.commands,
+        pull=moves.pull,
+    )
+
+
+def _standing(targets: Places, end: float) -> Places:
+    """Return every target twice: when it came, and just before the next one."""
+    if not len(targets):
+        return targets
+    until = np.append(targets.times[1:] - 1e-6, max(end, targets.times[-1]))
+    return Places(
+        np.column_stack([targets.times, until]).reshape(-1),
+        np.repeat(targets.positions, 2, axis=0),
+        np.repeat(targets.directions, 2, axis=0),
+    )

@@ -1,0 +1,180 @@
+"""A running robot is recorded; the recording is compared, diagnosed, drawn and replayed."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+pytest.importorskip('rosbags')
+
+from control_rig import ROBOTS
+from ros_station import INPUTS, Station, start
+from rosbags.highlevel import AnyReader
+
+from tendon_robot_ros.data.bag_import import import_bag
+from tendon_robot_ros.robot import dump_robot, load_robot
+
+pytestmark = pytest.mark.ros
+SPACE = '/recorded'
+PATIENT = {'driver': {'command_timeout': 0.5}, 'controller': {'state_timeout': 1.0}}
+HIDDEN = ('tendon_stiffness', {'per_tendon': 4e-4})
+
+
+@pytest.fixture(scope='module')
+def station(tmp_path_factory):
+    """Give a mock arm whose tendons resist bending, which the controller's model lacks."""
+    logs = tmp_path_factory.mktemp('logs')
+    stiff = load_robot(ROBOTS / 'kato_10_1.yaml').with_effect(*HIDDEN)
+    config = 'plant: {twin: true}\ntracker: {noise: 0.0002}\nlag: 0.02'
+    driver = {'robot': dump_robot(stiff), 'config': config, **PATIENT['driver']}
+    with (
+        start('driver', SPACE, logs, **driver),
+        start('controller', SPACE, logs, **PATIENT['controller']),
+    ):
+        station = Station(SPACE)
+        station.until_code(station.controller, 'holding', timeout=120.0)
+        yield station
+        station.close()
+
+
+def begin(folder, *arguments, ros=True):
+    program = [sys.executable, '-m', 'tendon_robot_ros', *arguments]
+    return subprocess.Popen(
+        program + (['--ros-args', '-r', f'__ns:={SPACE}'] if ros else []),
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def finish(station, process, timeout=300.0):
+    station.until(lambda: process.poll() is not None, f'the end of {process.args[3]}', timeout)
+    return subprocess.CompletedProcess(process.args, process.returncode, *process.communicate())
+
+
+def recorded(station, folder, name, act):
+    """Record while something happens."""
+    process = begin(folder, 'record', name)
+    assert process.stdout.readline() == f'recording to {name}; Ctrl-C ends\n'
+    station.spin(2.0)
+    act()
+    station.spin(0.5)
+    process.send_signal(signal.SIGINT)
+    return finish(station, process)
+
+
+def tour(folder):
+    """Write eight postures, each held long enough to count."""
+    random, passed = np.random.default_rng(4), 0.0
+    rows = ['time,' + ','.join(INPUTS)]
+    for _ in range(8):
+        tensions = random.uniform(0.1, 1.5, 4)
+        for wait in (0.6, 1.8):
+            passed += wait
+            rows.append(','.join(f'{value:.4f}' for value in [passed, *tensions]))
+    (folder / 'tour.csv').write_text('\n'.join(rows) + '\n')
+
+
+@pytest.fixture(scope='module')
+def folder(station, tmp_path_factory):
+    """Give a folder with the recording of a tour."""
+    folder = tmp_path_factory.mktemp('recording')
+    tour(folder)
+
+    def follow():
+        done = finish(station, begin(folder, 'follow', 'tour.csv'))
+        assert done.returncode == 0, done.stderr
+
+    done = recorded(station, folder, 'run', follow)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert 'messages of ' in done.stdout
+    return folder
+
+
+def test_the_file_holds_definitions_and_every_topic(folder):
+    with AnyReader([folder / 'run']) as reader:  # no types but those in the file
+        topics = {c.topic: c for c in reader.connections}
+        assert all(c.msgdef.data.strip() for c in topics.values())
+        for connection, _, data in reader.messages():
+            reader.deserialize(data, connection.msgtype)
+    for name in ('tendon_states', 'tendon_command', 'measured_shape', 'controller/status'):
+        assert topics[f'{SPACE}/{name}'].msgcount > 10
+    assert topics['/dataset/robot'].msgcount == 1
+    content = (folder / 'run' / 'run.mcap').read_bytes()
+    assert content.startswith(b'\x89MCAP0\r\n')
+    assert content.count(b'ros2msg') >= len(topics)
+
+
+def test_what_stood_still_is_a_measurement_with_its_noise(folder):
+    found = import_bag(folder / 'run').dataset
+    assert dump_robot(found.robot) == dump_robot(load_robot(ROBOTS / 'kato_10_1.yaml'))
+    assert found.input == 'tension'
+    assert found.path == 'sequence'
+    rows = np.loadtxt(folder / 'tour.csv', delimiter=',', skiprows=1)[1::2, 1:]
+    for row in rows:  # a busy machine may add others: the driver releases when it hears nothing
+        assert np.abs(found.inputs - row).max(axis=1).min() < 0.005
+    assert 2e-5 < found.position_noise < 1e-4  # 0.2 mm in 10 to 60 frames
+
+
+def test_it_goes_through_compare_and_diagnose(station, folder):
+    done = finish(station, begin(folder, 'compare', 'run', ros=False))
+    assert done.returncode == 0, done.stderr
+    assert 'still segments: ' in done.stderr
+    assert 'kato_10_1 (FKM)' in done.stdout
+    assert 'Ask why: ' in done.stdout
+    done = finish(station, begin(folder, 'diagnose', 'run/run.mcap', ros=False))
+    assert done.returncode == 0, done.stderr
+    assert 'CONSISTENT WITH tendon_stiffness: per_tendon = 0.4' in done.stdout, done.stdout
+
+
+def test_it_is_drawn(station, folder):
+    done = finish(station, begin(folder, 'plot', 'run', ros=False))
+    assert (done.returncode, done.stderr) == (0, '')
+    assert (folder / 'run.png').stat().st_size > 20_000
+
+
+def test_its_commands_are_replayed(station, folder):
+    station.go_to_point(0.0, 0.2)
+    done = finish(station, begin(folder, 'follow', 'run', '--commands'))
+    assert (done.returncode, done.stderr) == (0, '')
+    last_row = (folder / 'tour.csv').read_text().splitlines()[-1].split(',')[1:]
+    station.spin(0.2)
+    effort = station.commands[-1][1].effort
+    assert list(effort) == pytest.approx(list(map(float, last_row)), abs=1e-6)
+
+
+def test_its_targets_are_replayed(station, tmp_path):
+    def act():
+        station.go_to_point(0.06, 0.17)
+        station.spin(1.0)
+        station.go_to_point(-0.05, 0.18)
+
+    assert recorded(station, tmp_path, 'targets', act).returncode == 0
+    station.go_to_point(0.0, 0.2)
+    began = time.monotonic()
+    done = finish(station, begin(tmp_path, 'follow', 'targets.mcap', '--picture', 'a.png'))
+    assert 'targets.mcap: is not there' in done.stderr
+    done = finish(station, begin(tmp_path, 'follow', 'targets'))
+    assert (done.returncode, done.stderr) == (0, '')
+    assert '60.0, 0.0, 170.0' in done.stdout
+    assert '-50.0, 0.0, 180.0' in done.stdout
+    places = np.array(
+        [(m.pose.position.x, m.pose.position.z) for at, m in station.tips if at > began]
+    )
+    for target in ((0.06, 0.17), (-0.05, 0.18)):
+        assert np.linalg.norm(places - target, axis=1).min() < 0.03
+
+
+def test_where_nothing_runs_it_says_so(tmp_path):
+    done = subprocess.run(
+        [sys.executable, '-m', 'tendon_robot_ros', 'record', 'none', '--duration', '1',
+         '--ros-args', '-r', '__ns:=/nobody'],
+        cwd=tmp_path, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert 'nothing was published here: is the robot running, in this namespace?' in done.stdout
