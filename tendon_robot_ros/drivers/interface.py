@@ -23,6 +23,7 @@ BACKENDS = {
     'mock': ('mock', 'MockDriver', '', ''),
     'dynamixel': ('dynamixel.driver', 'DynamixelDriver', 'dynamixel_sdk', 'dynamixel'),
     'serial': ('serial_board.driver', 'SerialDriver', 'serial', 'serial'),
+    'ros2_control': ('group', 'GroupDriver', '', ''),
 }
 
 
@@ -192,7 +193,7 @@ def make_driver(
     Parameters
     ----------
     backend : str
-        `mock`, `dynamixel` or `serial`.
+        `mock`, `dynamixel`, `serial` or `ros2_control`.
     robot : Robot
         Gives the inputs and the tension limits.
     config : mapping
@@ -202,7 +203,7 @@ def make_driver(
     source : str
         Names the configuration in messages, usually its path.
     **parts
-        Objects that a backend needs besides: the mock takes `plant`.
+        Objects that a backend needs besides: the mock takes `plant`, ros2_control `link`.
 
     Raises
     ------

@@ -65,7 +65,7 @@ class DriverNode(ManagedNode):
     def configure(self) -> None:
         """Read the robot, open the port, begin to read."""
         robot = read_robot(self.parameters['robot'])
-        driver, tracker = driver_setup.make(robot, self.parameters)
+        driver, tracker = driver_setup.make(robot, self.parameters, self)
         supervisor = Supervisor(driver_setup.rules(robot, driver, self.parameters))
         if hasattr(driver, 'cancelled'):  # it may look long for the slack of its wires
             driver.cancelled = asked_to_end

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
+from rclpy.node import Node
 
 from ..drivers import Driver, make_driver
 from ..drivers.safety import SafetyRules
 from ..exceptions import InputError
 from ..robot import Robot
+from .group_link import GroupLink
 from .lifecycle import AUTOSTART
 from .parameters import Parameters, Spec
 from .shared import read_mapping
@@ -28,7 +31,7 @@ SPECS = (
         'mock',
         'what is behind the driver',
         read_only=True,
-        choices=('mock', 'dynamixel', 'serial'),
+        choices=('mock', 'dynamixel', 'serial', 'ros2_control'),
     ),
     Spec(
         'config',
@@ -97,12 +100,15 @@ SPECS = (
 )
 
 
-def make(robot: Robot, parameters: Parameters) -> tuple[Driver, dict[str, Any]]:
+def make(robot: Robot, parameters: Parameters, node: Node) -> tuple[Driver, dict[str, Any]]:
     """Make the driver, not open yet; also return what its tracker is told (backend mock)."""
     config = read_mapping(parameters['config'], 'config')
     mode, backend = parameters['command_mode'], parameters['backend']
     text = parameters['config']
     source = text if text and '\n' not in text and ':' not in text else 'config'
+    if backend == 'ros2_control':
+        link = partial(GroupLink, node)
+        return make_driver(backend, robot, config, mode=mode, source=source, link=link), {}
     if backend != 'mock':
         return make_driver(backend, robot, config, mode=mode, source=source), {}
     tracker = config.pop('tracker', None) or {}

@@ -16,6 +16,13 @@ STATE = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
+# states of joints that may come in several messages: from reliable publishers, too
+JOINTS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=10,
+    reliability=ReliabilityPolicy.BEST_EFFORT,
+    durability=DurabilityPolicy.VOLATILE,
+)
 # states, trackers and velocities as subscribed: hears publishers of either kind
 LISTEN = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
