@@ -79,6 +79,8 @@ class ControllerCore:
         self._require_running()
         if self.command is None:
             raise Refusal('no_driver', 'twist refused: no tendon states yet')
+        if self._jog is None and not twist.moves:
+            return  # a joystick at rest takes no target away
         if self._jog is None:
             self._jog = Jog.start(self.track.begin(self.command))
             self.target = self.solution = self.playing = None
@@ -140,12 +142,7 @@ class ControllerCore:
         return self._heard is not None and now - self._heard.time <= self.settings.state_timeout
 
     def step(self, now: float) -> Output | None:
-        """
-        Return the command of this cycle, or None: then the driver releases the arm.
-
-        That is when a stop is latched, there has been no equilibrium for `patience`, or the
-        driver was never heard.
-        """
+        """Return a command; None (stop, no equilibrium for `patience`, no driver) releases."""
         passed = min(max(now - self._stepped, 0.0), LONGEST_CYCLE)
         self._stepped = now
         if not self.fresh(now):

@@ -28,6 +28,11 @@ class Twist:
     angular: Array
     in_tip: bool = False
 
+    @property
+    def moves(self) -> bool:
+        """Whether it is a velocity at all."""
+        return bool(self.linear.any() or self.angular.any())
+
 
 @dataclass
 class Jog:
@@ -56,7 +61,7 @@ class Jog:
         """Return position and direction wanted after some time, None if nothing moves."""
         assert self.twist is not None
         linear, angular = self.twist.linear, self.twist.angular
-        if not (linear.any() or angular.any()):
+        if not self.twist.moves:
             return None
         if self.twist.in_tip:
             linear, angular = self.axes @ linear, self.axes @ angular
