@@ -9,7 +9,8 @@ from source_tree import ROOT, parse
 
 pytest.importorskip('rclpy')
 
-from tendon_robot_ros.nodes import controller_setup, driver_setup
+from tendon_robot_ros.cli.main import COMMANDS
+from tendon_robot_ros.nodes import controller_setup, driver_setup, robot_model
 from tendon_robot_ros.nodes.controller_setup import SPECS as CONTROLLER
 
 LAUNCH = sorted((ROOT / 'launch').glob('*.launch.py'))
@@ -55,3 +56,22 @@ def test_a_launch_file_makes_a_description(path):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     assert len(module.generate_launch_description().entities) > 2
+
+
+@pytest.mark.parametrize('path', LAUNCH, ids=lambda path: path.name)
+def test_a_launch_file_names_only_commands_and_files_of_this_package(path):
+    text = path.read_text()
+    own = re.findall(r"package='tendon_robot_ros',\s*executable='([\w-]+)'", text)
+    assert set(own) <= set(COMMANDS)
+    for name in re.findall(r"'([\w.]+\.(?:yaml|rviz))'", text):
+        if not name.startswith('.'):
+            assert (ROOT / 'config' / name).is_file()
+    specs = {spec.name for spec in robot_model.SPECS}
+    if 'robot-model' in own:
+        given = re.findall(r"parameters=\[\{'(\w+)'", text)
+        assert given
+        assert set(given) <= specs
+    if 'teleop_' in text:
+        devices = re.search(r"'device': \('\w+', '(\w+) or (\w+)'\)", text).groups()
+        for device in devices:
+            assert (ROOT / 'config' / f'teleop_{device}.yaml').is_file()
