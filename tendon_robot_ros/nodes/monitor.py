@@ -161,10 +161,8 @@ class MonitorNode(Node):
         self._take_model()
         for news in self.work.news():
             if news['kind'] == 'verdict':
-                content = {
-                    **news['diagnosis'],
-                    **{k: news[k] for k in ('sentence', 'lines', 'report')},
-                }
+                words = {key: news[key] for key in ('sentence', 'lines', 'report')}
+                content = {**news['diagnosis'], **words}
                 self._verdict.publish(String(data=json.dumps(content)))
             if news['kind'] == 'add':
                 self._remote.put(news['file'], self._added)

@@ -188,8 +188,8 @@ class LivePage:
         """Place the arm above the panel of a phone; ask a browser for the token, if any."""
         size = self._size
         if client.camera.aspect < 0.8:  # there the panel covers the lower right
-            client.camera.position = (0.3 * size, -4.4 * size, 0.2 * size)
-            client.camera.look_at = (0.15 * size, 0.0, -0.6 * size)
+            client.camera.position = (0.1 * size, -2.3 * size, 0.0)
+            client.camera.look_at = (0.1 * size, 0.0, -0.45 * size)
         if not self._token:
             return
         field = client.gui.add_text('token', '', order=-1.0)

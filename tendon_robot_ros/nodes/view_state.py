@@ -156,7 +156,9 @@ class ViewState:
             )
         if self.verdict:
             return VERDICTS.get(str(self.verdict.get('verdict')), AGAIN)
+        if not self.times:
+            return 'Waiting for the robot. What the nodes say is at the bottom.'
         return (
-            'The measured arm is not where the model predicts it. Which physical effect does the '
-            'model lack? Click 1 to record some postures.'
+            'The measured arm is not where the model predicts it? Some physical effect is missing '
+            'in the model. Find it: click 1 to record some postures.'
         )
