@@ -23,7 +23,7 @@ test-oldest: ## the same with the oldest numpy, scipy and numba that setup.py al
 		$(RUN) python -m pytest -n 2 --dist loadfile $(ARGS)
 
 test-slow: ## tests that take minutes
-	$(RUN) python -m pytest -m slow -n 2 --dist loadfile $(ARGS)
+	$(RUN) python -m pytest -m slow -n 2 --dist loadfile --reruns 2 $(ARGS)
 
 test-blind: ## diagnoses of robots with a hidden effect, and what was said of each (minutes)
 	$(RUN) python -m pytest -m blind $(ARGS)

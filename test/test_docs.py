@@ -59,7 +59,6 @@ def test_the_slow_blocks_of_a_page_run(page, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.ros
-@pytest.mark.flaky(reruns=2)  # processes that talk to each other are late on a busy machine
 @pytest.mark.parametrize('page', LIVE, ids=str)
 def test_the_terminals_of_a_page_show_what_it_says(page, tmp_path):
     run_live(text_of(page), prepare(tmp_path), slow=True)
