@@ -12,6 +12,8 @@ from tendon_robot_ros.exceptions import DriverError
 
 pytest.importorskip('dynamixel_sdk')
 
+from tendon_robot_ros.drivers.dynamixel.bus import Bus
+
 
 def driver_for(line, mode='tension', **changes):
     config = emulated.config(line.port, **{'home_speed': 0.04, **changes})
@@ -94,6 +96,31 @@ def test_it_describes_resolution_calibration_and_servos_in_words():
         assert said['tension of east'].startswith('one count of current is 0.00731 N (683 counts')
         assert said['tension of east'].endswith('data sheet, not calibrated')
         assert said['east (id 1)'].startswith('XL330-M077 firmware 48, torque off')
+
+
+def test_a_late_answer_is_not_taken_for_that_of_the_next_register(monkeypatch):
+    read, on_the_way = Bus.read, []
+
+    def late(bus, identity, name):
+        value = read(bus, identity, name)
+        if on_the_way:
+            on_the_way.append(value)
+            return on_the_way.pop(0)
+        if name == 'min_voltage_limit':
+            on_the_way.append(value)
+            return None
+        return value
+
+    with emulated.line() as line:
+        driver = driver_for(line)
+        monkeypatch.setattr(Bus, 'read', late)
+        driver.open()
+        monkeypatch.undo()
+        assert on_the_way
+        end = time.monotonic() + 0.6  # voltages are polled four times a second
+        while time.monotonic() < end:
+            assert 'supply' not in emulated.codes(driver.read())
+        driver.close()
 
 
 @pytest.mark.parametrize('mode', ['tension', 'pull'])

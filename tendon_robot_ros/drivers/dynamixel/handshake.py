@@ -51,10 +51,18 @@ def _who(bus: Bus, identity: int) -> int | None:
 
 
 def _ask(bus: Bus, motor: Motor, name: str) -> int:
-    for _ in range(TRIES):
+    """Read a setting until two answers agree: a late one may be that of the register before."""
+    lost, last = 0, None
+    for _ in range(3 * TRIES):
         value = bus.read(motor.identity, name)
-        if value is not None:
+        if value is None:
+            lost += 1
+            if lost == TRIES:
+                break
+        elif value == last:
             return value
+        else:
+            last = value
     raise DriverError(f'{bus.path}: {motor}: {name}: no answer in {TRIES} tries; check the cable')
 
 
