@@ -7,7 +7,7 @@ from source_tree import ROOT
 pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import TwistStamped
-from ros_station import Station, start
+from ros_station import Station, point, start
 from sensor_msgs.msg import Joy
 
 # README of teleop_twist_joy 2.6; axis_... and scale_... hold x, y, z or roll, pitch, yaw
@@ -61,7 +61,9 @@ def test_the_tip_follows_the_stick_and_stops_with_it(name, axis, sign, tmp_path)
     ):
         station = Station(space)
         station.until_code(station.controller, 'holding', timeout=120.0)
-        station.go_to_point(0.03, 0.19)
+        station.send('controller/target_point', point(0.03, 0.19))  # now, whenever it is heard
+        station.until_code(station.controller, 'reached')
+        station.spin(1.0)
         before = station.tip()
 
         def joy(value, button=1):

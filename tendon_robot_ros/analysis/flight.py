@@ -99,4 +99,4 @@ def _distance(path: Array, place: Array) -> float:
     length = (way**2).sum(axis=1)
     share = ((place - start) * way).sum(axis=1) / np.where(length > 0.0, length, 1.0)
     nearest = start + np.clip(share, 0.0, 1.0)[:, None] * way
-    return float(np.linalg.norm(nearest - place, axis=1).min())
+    return float(np.nanmin(np.linalg.norm(nearest - place, axis=1)))

@@ -46,13 +46,13 @@ def run(args: argparse.Namespace) -> int:
 
 def as_flight(moves: Moves) -> Flight:
     """Return a recording as a flight; a target stands until the next one."""
-    targets = _standing(moves.targets, float(moves.tips.times[-1]))
+    targets = _standing(moves, float(moves.tips.times[-1]))
     return Flight(
         inputs=moves.inputs,
         asked_times=targets.times,
         asked=targets.positions,
         asked_directions=targets.directions,
-        row_times=targets.times[::2],
+        row_times=moves.targets.times,
         tip_times=moves.tips.times,
         tips=moves.tips.positions,
         tip_directions=moves.tips.directions,
@@ -63,13 +63,17 @@ def as_flight(moves: Moves) -> Flight:
     )
 
 
-def _standing(targets: Places, end: float) -> Places:
-    """Return every target twice: when it came, and just before the next one."""
+def _standing(moves: Moves, end: float) -> Places:
+    """Return every target when it came, at its end, and right after it (NaN: nothing is asked)."""
+    targets = moves.targets
     if not len(targets):
         return targets
-    until = np.append(targets.times[1:] - 1e-6, max(end, targets.times[-1]))
-    return Places(
-        np.column_stack([targets.times, until]).reshape(-1),
-        np.repeat(targets.positions, 2, axis=0),
-        np.repeat(targets.directions, 2, axis=0),
-    )
+    until = np.append(targets.times[1:], max(end, targets.times[-1]))
+    for i, time in enumerate(targets.times):
+        over = moves.trajectory_times[moves.trajectory_times > time]
+        until[i] = min([until[i], *over[:1]])
+    times = np.column_stack([targets.times, until - 2e-6, until - 1e-6]).reshape(-1)
+    positions = np.repeat(targets.positions, 3, axis=0)
+    ended = until < np.append(targets.times[1:], np.inf)
+    positions[2::3][ended] = np.nan
+    return Places(times, positions, np.repeat(targets.directions, 3, axis=0))

@@ -17,6 +17,7 @@ POINT = 'geometry_msgs/msg/PointStamped'
 TARGETS = (('target_pose', POSE_STAMPED), ('target_point', POINT))
 TIPS = ('measured_tip', 'predicted_tip')
 COMMAND = 'tendon_command'
+TRAJECTORY = ('tendon_trajectory', 'trajectory_msgs/msg/JointTrajectory')
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class Moves:
     """A recording of motion; times [s] since its first message."""
 
     targets: Places
+    trajectory_times: FloatArray  # when a trajectory of the tendons took over
     tips: Places
     measured: bool  # whether a tracker measured the tip; else it is the model's
     inputs: tuple[str, ...]
@@ -74,6 +76,7 @@ def read_moves(path: str | Path) -> Moves:
     names, times, values, pull = _commands(heard.get(COMMAND, []))
     return Moves(
         _places(targets, start),
+        np.array([time - start for time, _ in heard.get(TRAJECTORY[0], [])]),
         _places([_place(m) for m in heard.get(tip, [])], start),
         tip == TIPS[0],
         names,
@@ -84,7 +87,12 @@ def read_moves(path: str | Path) -> Moves:
 
 
 def _wanted(found: dict[str, str]) -> dict[str, str]:
-    names = [*TARGETS, *((name, POSE_STAMPED) for name in TIPS), (COMMAND, JOINT_STATE)]
+    names = [
+        *TARGETS,
+        TRAJECTORY,
+        *((name, POSE_STAMPED) for name in TIPS),
+        (COMMAND, JOINT_STATE),
+    ]
     wanted = {}
     for name, kind in names:
         topic = topic_of(found, name, kind)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..exceptions import InputError
+from ..report.flight_text import place
 from .pilot import Pilot, add_controller
 from .runtime import ros
 
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     """Send a target and wait until the arm stands."""
-    place, along = 1e-3 * np.array([args.x, args.y, args.z]), None
+    target, along = 1e-3 * np.array([args.x, args.y, args.z]), None
     if args.direction is not None:
         along = np.array(args.direction)
         size = float(np.linalg.norm(along))
@@ -47,22 +48,21 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         try:
             pilot.connect()
             pilot.clear()
-            pilot.settle(pilot.send(place, along), LONGEST, 'the arm to stand there')
+            pilot.settle(pilot.send(target, along), LONGEST, 'the arm to stand there')
             pilot.stand()
-            return _report(pilot, place, along)
+            return _report(pilot, target, along)
         finally:
             pilot.destroy_node()
 
 
-def _report(pilot: Pilot, place: np.ndarray, along: np.ndarray | None) -> int:
+def _report(pilot: Pilot, target: np.ndarray, along: np.ndarray | None) -> int:
     tip, looks = pilot.tip()
     measured = pilot.tips()[0]
-    where = ', '.join(f'{1e3 * value:.1f}' for value in tip)
-    miss = f'{1e3 * np.linalg.norm(tip - place):.2f} mm'
+    miss = f'{1e3 * np.linalg.norm(tip - target):.2f} mm'
     if along is not None:
         miss += f' and {np.degrees(np.arccos(np.clip(looks @ along, -1.0, 1.0))):.2f}°'
     print(
-        f'tip at ({where}) mm{"" if measured else ", as the model sees it"}: '
+        f'tip at ({place(tip)}) mm{"" if measured else ", as the model sees it"}: '
         f'{miss} from the target; {pilot.status["message"]}'
     )
     return 0

@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 SETTLED = ('reached', 'nearest', 'at_limit')
 GOOD = ('holding', 'moving', 'playing', 'played', 'jogging', *SETTLED)
 AVERAGE = 0.3  # [s] over which a standing tip is taken
-STILL, STANDING = 5e-5, 4.0  # [m] in half of that, [s] at most to wait for it
+STILL, STANDING = 3e-4, 4.0  # [m] in half of that, [s] at most to wait for it
 
 
 def add_controller(parser: argparse.ArgumentParser) -> None:

@@ -11,7 +11,8 @@ from ..analysis.flight import Flight
 from ..data.atomic import new_file
 from .palette import COLOURS, FLOOR, MEASURED
 
-FLAT = 1e-4  # [m]
+FLAT = 0.03  # of the largest extent
+MOST_ROWS = 60  # more marks would hide the path
 PICTURES = ('.png', '.svg', '.pdf')
 
 
@@ -33,7 +34,8 @@ def draw_flight(flight: Flight, path: str | Path, title: str) -> Path:
 
     figure = Figure(figsize=(11.0, 6.5), layout='constrained')
     sides = {'xz': 0, 'yz': 1}
-    if np.abs(np.concatenate([flight.asked, flight.tips])[:, 1]).max() < FLAT:
+    spans = np.ptp(flight.tips, axis=0)
+    if spans[1] < FLAT * spans.max():
         del sides['yz']  # all of it is in the x-z plane
     left = [*sides]
     parts = figure.subplot_mosaic(
@@ -58,7 +60,8 @@ def _draw_side(axes: Any, flight: Flight, axis: int) -> None:
     if len(flight.asked):
         asked, views = flight.asked_at(flight.row_times)
         axes.plot(*_seen(flight.asked, axis), '--', color=FLOOR, linewidth=1.2, label='asked')
-        axes.plot(*_seen(asked, axis), 'o', color=FLOOR, markersize=5, fillstyle='none')
+        if len(asked) <= MOST_ROWS:
+            axes.plot(*_seen(asked, axis), 'o', color=FLOOR, markersize=5, fillstyle='none')
         shown = np.unique(np.linspace(0, len(asked) - 1, min(len(asked), 15)).round().astype(int))
         for place, view in zip(asked[shown], views[shown], strict=True):
             if np.isfinite(view).all() and np.hypot(view[axis], view[2]) > 0.1:
@@ -67,7 +70,8 @@ def _draw_side(axes: Any, flight: Flight, axis: int) -> None:
                 axes.annotate('', (x + tip[0], z + tip[1]), (x, z), arrowprops=arrow)
     label = 'measured' if flight.measured else 'as the model sees it'
     axes.plot(*_seen(flight.tips, axis), '-', color=COLOURS[0], linewidth=1.0, label=label)
-    axes.plot(*_seen(reached, axis), 'x', color=COLOURS[0], markersize=5)
+    if len(reached) <= MOST_ROWS:
+        axes.plot(*_seen(reached, axis), 'x', color=COLOURS[0], markersize=5)
     axes.set(xlabel=f'{"xy"[axis]} [mm]', ylabel='z [mm]')
     axes.set_aspect('equal', adjustable='datalim')
     if axis == 0:
@@ -90,7 +94,8 @@ def _draw_errors(axes: Any, flight: Flight) -> None:
     )
     axes.plot(flight.tip_times, 1e3 * flight.across(), ':', color=MEASURED, label='from the path')
     at, _ = flight.errors(flight.row_times)
-    axes.plot(flight.row_times, 1e3 * at, 'x', color=COLOURS[1], label='at the rows')
+    if len(at) <= MOST_ROWS:
+        axes.plot(flight.row_times, 1e3 * at, 'x', color=COLOURS[1], label='at the rows')
     axes.set(ylabel='error of the tip [mm]', ylim=(0.0, None))
     axes.legend(fontsize='small')
 

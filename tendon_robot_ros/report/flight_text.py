@@ -41,7 +41,7 @@ def _tip_rows(flight: Flight) -> list[list[str]]:
     for i, time in enumerate(flight.row_times):
         turn = '' if np.isnan(views[i]).any() else f'{np.degrees(turns[i]):.2f}°'
         rows.append(
-            [str(i + 1), f'{time:.2f}', _place(asked[i]), _place(reached[i]), _mm(errors[i]), turn]
+            [str(i + 1), f'{time:.2f}', place(asked[i]), place(reached[i]), _mm(errors[i]), turn]
         )
     return rows
 
@@ -57,12 +57,13 @@ def _tendon_rows(flight: Flight) -> list[list[str]]:
             ', '.join(f'{scale * v:.2f}' for v in values)
             for values in (flight.wanted[i], given[i])
         )
-        rows.append([str(i + 1), f'{time:.2f}', asked, came, _place(reached[i])])
+        rows.append([str(i + 1), f'{time:.2f}', asked, came, place(reached[i])])
     return rows
 
 
-def _place(position: np.ndarray) -> str:
-    return ', '.join(f'{1e3 * value:.1f}' for value in position)
+def place(position: np.ndarray) -> str:
+    """Show a position in mm, without a minus before a zero."""
+    return ', '.join(f'{round(1e3 * value, 1) + 0.0:.1f}' for value in position)
 
 
 def _mm(metres: float) -> str:
