@@ -136,6 +136,8 @@ def test_a_configuration_that_cannot_be_read_says_why(text, words):
 def test_a_configuration_comes_from_a_name_or_text():
     assert read_mapping('mock_twin', 'config')['plant'] == {'twin': True}
     assert read_mapping('{lag: 0.1}', 'config') == {'lag': 0.1}
+    long = {f'number_{i}': i for i in range(40)}  # longer than the name of a file may be
+    assert read_mapping(str(long), 'config') == long
     assert read_mapping('', 'config') == {}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -115,5 +116,8 @@ class ManagedNode(LifecycleNode):
         except TendonRobotError as error:
             self.problem(' '.join(str(error).split()))
             return TransitionCallbackReturn.FAILURE
+        except Exception:  # rclpy would say nothing
+            self.problem(f'unexpected: {traceback.format_exc()}')
+            raise
         self.phase = phase
         return TransitionCallbackReturn.SUCCESS

@@ -26,7 +26,7 @@ from pathlib import Path
 
 from ..control.loading import load
 from ..effects import Catalogue, load_catalogue
-from ..exceptions import InputError, MissingExtraError
+from ..exceptions import InputError, MissingExtraError, TendonRobotError
 from ..model.model import Model
 from ..monitoring.rehearsal import SCATTER, Hidden, draw, refined
 from ..monitoring.story import Story, reveal
@@ -39,6 +39,7 @@ from .runtime import ros
 from .shared import read_robot
 
 HELP = 'a mock robot that hides something: watch, diagnose, add, see the error fall'
+LOG = 'nodes.log'
 NOISE = 0.0002  # [m] 1 sd of the mock's tracker
 
 
@@ -68,9 +69,18 @@ def main(arguments: Sequence[str]) -> int:
             code = _run(director, model, options, Story(hidden))
         except KeyboardInterrupt:
             code = 0
+        except TendonRobotError as error:
+            print('error:', error, *_last_words(folder), sep='\n  ', file=sys.stderr)
+            code = 1
         if options.reveal:
             print(reveal(hidden, _units(catalogue, hidden)))
     return code
+
+
+def _last_words(folder: Path) -> list[str]:
+    """Return what the nodes said last, for a person to see why they do not work."""
+    text = (folder / LOG).read_text(encoding='utf-8', errors='replace')
+    return text.strip().splitlines()[-12:]
 
 
 def _run(director: Director, model: Model, options: argparse.Namespace, story: Story) -> int:
@@ -97,7 +107,7 @@ def _start(
     described = folder / 'paper.yaml'
     described.write_text(dump_robot(robot), encoding='utf-8')
     model = str(described.resolve())
-    log = stack.enter_context((folder / 'nodes.log').open('w', encoding='utf-8'))
+    log = stack.enter_context((folder / LOG).open('w', encoding='utf-8'))
     rehearsed = {'hidden': hidden.plant, 'scatter': SCATTER, 'seed': seed}
     config = {
         'plant': rehearsed,

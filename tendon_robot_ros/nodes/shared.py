@@ -53,12 +53,10 @@ def read_robot(text: str) -> Robot:
 
 def read_mapping(text: str, what: str) -> dict[str, Any]:
     """Read a configuration: a path, the name of a file in config, or YAML text; '' is empty."""
-    own = shared_file(f'config/{text}.yaml')
-    if own is not None and not Path(text).is_file():
-        text = str(own)
     if text.strip() and '\n' not in text and ':' not in text:
+        own = None if Path(text).is_file() else shared_file(f'config/{text}.yaml')
         try:
-            text = Path(text).read_text(encoding='utf-8')
+            text = (own or Path(text)).read_text(encoding='utf-8')
         except (OSError, UnicodeDecodeError) as error:
             reason = getattr(error, 'strerror', None) or 'not a text file'
             raise InputError(f'{what}: {text}: {reason}; expected a YAML file or text') from None
