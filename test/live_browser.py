@@ -11,6 +11,14 @@ import urllib.request
 
 from websockets.sync.client import connect
 
+# the middle [px] of the text field with a label, if there is one
+FIELD = """(() => { for (const label of document.querySelectorAll('label')) {
+  if (label.innerText.trim() !== %s) continue;
+  let row = label;
+  while (row && !row.querySelector('input')) row = row.parentElement;
+  if (row) { const r = row.querySelector('input').getBoundingClientRect();
+    return [r.x + r.width / 2, r.y + r.height / 2]; } } })()"""
+
 
 class Browser:
     """Headless Chromium with one page."""
@@ -63,7 +71,7 @@ class Browser:
         return result['result'].get('value')
 
     def text(self):
-        return self.run('document.body.innerText') or ''
+        return self.run('document.body?.innerText') or ''
 
     def until(self, condition, what, timeout=30.0):
         end = time.monotonic() + timeout
@@ -75,13 +83,40 @@ class Browser:
     def click(self, label):
         """Click a button as a person would, when it may be clicked."""
         find = f"""(() => {{ for (const b of document.querySelectorAll('button'))
-            if (b.innerText.startsWith({json.dumps(label)}) && !b.disabled) {{
+            if (b.innerText.replace(/\\s+/g, ' ').startsWith({json.dumps(label)})
+                && !b.disabled) {{
                 b.scrollIntoView({{block: 'center'}});
                 const r = b.getBoundingClientRect();
                 return [r.x + r.width / 2, r.y + r.height / 2]; }} }})()"""
         x, y = self.until(lambda: self.run(find), f'the button {label}', 120.0)
+        self._mouse('mousePressed', x, y)
+        self._mouse('mouseReleased', x, y)
+
+    def drag(self, begin, end, steps=12):
+        """Drag with the left button, as slowly as a person."""
+        self._mouse('mouseMoved', *begin, button='none')
+        time.sleep(0.5)
+        self._mouse('mousePressed', *begin)
+        for step in range(1, steps + 1):
+            x, y = (a + (b - a) * step / steps for a, b in zip(begin, end, strict=True))
+            self._mouse('mouseMoved', x, y, buttons=1)
+            time.sleep(0.05)
+        self._mouse('mouseReleased', *end)
+
+    def has_field(self, label):
+        """Whether there is a text field with this label."""
+        return self.run(FIELD % json.dumps(label)) is not None
+
+    def type(self, label, text):
+        """Put a text into a field, in place of what is there."""
+        x, y = self.until(lambda: self.run(FIELD % json.dumps(label)), f'the field {label}')
         for kind in ('mousePressed', 'mouseReleased'):
-            self.send('Input.dispatchMouseEvent', type=kind, x=x, y=y, button='left', clickCount=1)
+            self._mouse(kind, x, y, clickCount=3)
+        self.send('Input.insertText', text=text)
+
+    def _mouse(self, kind, x, y, button='left', **more):
+        self.send('Input.dispatchMouseEvent', type=kind, x=x, y=y, button=button,
+                  **{'clickCount': 1, **more})  # fmt: skip
 
     def tip_error(self):
         """Return the error [mm] that the page shows, None while there is none."""
