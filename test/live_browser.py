@@ -20,6 +20,9 @@ FIELD = """(() => { for (const label of document.querySelectorAll('label')) {
     return [r.x + r.width / 2, r.y + r.height / 2]; } } })()"""
 
 
+LOOK = 15.0  # [s] for the curve to show what was done
+
+
 class Browser:
     """Headless Chromium with one page."""
 
@@ -122,6 +125,41 @@ class Browser:
         """Return the error [mm] that the page shows, None while there is none."""
         found = self.run("document.getElementById('tip-error')?.innerText") or ''
         return float(found.split()[0]) if found.endswith('mm') else None
+
+    def find_the_effect(self, url, pictures, postures=8):
+        """
+        Record, diagnose, add, as the page says; a picture of every step goes into a folder.
+
+        Returns the verdict as shown, and the largest tip error [mm] before.
+        """
+        self.open(url)
+        self.until(self.tip_error, 'the error', 120.0)
+        time.sleep(LOOK)
+        self.picture(pictures / '1_look.png')
+        self.click('1 Record')
+        before = 0.0
+        end = time.monotonic() + 300.0
+        while self.recorded() < postures:
+            assert time.monotonic() < end, f'too few postures; page: {self.text()}'
+            before = max(before, self.tip_error() or 0.0)
+            time.sleep(0.3)
+        self.picture(pictures / '2_record.png')
+        self.click('2 Diagnose')
+        shown = "document.getElementById('verdict')?.innerText"
+        verdict = self.until(lambda: self.run(shown), 'the verdict', 300.0)
+        time.sleep(2.0)
+        self.picture(pictures / '3_diagnose.png')
+        self.click('3 Add')
+        self.until(lambda: 'The model now has' in self.text(), 'the adding', 120.0)
+        self.until(lambda: (self.tip_error() or 99.0) < 0.2 * before, 'the fall', 120.0)
+        time.sleep(LOOK)
+        self.picture(pictures / '4_added.png')
+        return verdict, before
+
+    def recorded(self):
+        """Return how many postures the page says are recorded."""
+        found = re.search(r'Recording \((\d+)\)', self.text())
+        return int(found[1]) if found else 0
 
     def picture(self, path):
         data = self.send('Page.captureScreenshot', format='png')['data']

@@ -14,8 +14,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 from PIL import Image
@@ -25,7 +23,6 @@ from live_browser import Browser
 
 ROOT = Path(__file__).resolve().parents[1]
 PORT = 8097
-LOOK = 15.0  # [s] for the curve to show what was done
 SIZE = 1200, 800  # [px]
 SHOWN = ('1_look', '3_diagnose', '4_added')  # side by side in the strip
 
@@ -46,28 +43,6 @@ def start(hidden: str, folder: Path) -> subprocess.Popen[str]:
     raise SystemExit('live ended before its page was open')
 
 
-def click_through(browser: Browser, shoot: Callable[[str], None], postures: int) -> None:
-    """Record, diagnose, add, as the page says."""
-    browser.open(f'http://127.0.0.1:{PORT}')
-    browser.until(browser.tip_error, 'the error', 120.0)
-    time.sleep(LOOK)
-    shoot('1_look')
-    browser.click('1 Record')
-    browser.until(lambda: f'Recording ({postures})' in browser.text(), 'postures', 300.0)
-    shoot('2_record')
-    browser.click('2 Diagnose')
-    shown = "document.getElementById('verdict')?.innerText"
-    browser.until(lambda: browser.run(shown), 'the verdict', 300.0)
-    time.sleep(2.0)
-    shoot('3_diagnose')
-    before = browser.tip_error() or 0.0
-    browser.click('3 Add')
-    browser.until(lambda: 'The model now has' in browser.text(), 'the adding', 120.0)
-    browser.until(lambda: (browser.tip_error() or 99.0) < 0.3 * before, 'the fall', 120.0)
-    time.sleep(LOOK)
-    shoot('4_added')
-
-
 def main() -> int:
     """Make the pictures."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -82,11 +57,8 @@ def main() -> int:
         live = start(args.hidden, folder)
         browser = Browser(folder, *SIZE)
         try:
-            click_through(
-                browser, lambda name: browser.picture(shots / f'{name}.png'), args.postures
-            )
+            browser.find_the_effect(f'http://127.0.0.1:{PORT}', shots, args.postures)
         finally:
-            browser.picture(shots / 'last.png')
             browser.close()
             live.send_signal(signal.SIGINT)
             live.wait(60.0)

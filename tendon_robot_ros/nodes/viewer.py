@@ -135,7 +135,12 @@ class ViewerNode(Node):
     def _say(self, now: float) -> None:
         """Publish how the page is."""
         frames = sum(now - at <= 2.0 for at in self._frames) / 2.0
-        values = {'browsers': str(self.page.clients), 'frames_per_second': f'{frames:.1f}'}
+        said = self.state.statuses(now)
+        values = {
+            'browsers': str(self.page.clients),
+            'frames_per_second': f'{frames:.1f}',
+            'hears': ', '.join(name for name, (level, _) in said.items() if level != 'silent'),
+        }
         self._status_out.say(OK, 'serving', f'page on port {self.page.port}', values)
 
     def _command(self, name: str, value: object) -> None:

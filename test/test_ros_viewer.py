@@ -1,0 +1,71 @@
+"""The viewer as a process: it is there first, survives the others, and says what it needs."""
+
+import socket
+import urllib.request
+
+import pytest
+
+pytest.importorskip('rclpy')
+pytest.importorskip('viser')
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from ros_station import LATCHED, Station, last, start, values
+
+from tendon_robot_ros.nodes.processes import NodeProcess
+
+pytestmark = pytest.mark.ros
+LOADED = 120.0  # [s] a busy machine may need to load the model
+
+
+def free_port():
+    with socket.socket() as taken:
+        taken.bind(('127.0.0.1', 0))
+        return taken.getsockname()[1]
+
+
+@pytest.fixture
+def shown(request, tmp_path):
+    """Start a viewer; give the station, its log and its port."""
+    made = []
+
+    def make(**parameters):
+        space, port = f'/{request.node.name[:40]}', free_port()
+        log = (tmp_path / 'viewer.log').open('w+')
+        made.append(log)
+        made.insert(0, NodeProcess('viewer', {'port': float(port), **parameters}, space, log))
+        station = Station(space)
+        made.append(station)
+        station.viewer = station.hear(DiagnosticStatus, 'viewer/status', LATCHED)
+        station.until_code(station.viewer, 'serving', timeout=LOADED)
+        return station, tmp_path / 'viewer.log', port
+
+    yield make
+    for one in made:
+        (one.end if isinstance(one, NodeProcess) else one.close)()
+
+
+def hears(station, *names):
+    station.until(
+        lambda: values(last(station.viewer))['hears'] == ', '.join(names), f'{names}', LOADED
+    )
+
+
+def test_it_survives_that_all_others_come_go_and_come_again(shown, tmp_path):
+    station, _, port = shown()
+    hears(station)
+    for _ in range(2):
+        with (
+            start('driver', station.namespace, tmp_path) as driver,
+            start('controller', station.namespace, tmp_path) as controller,
+        ):
+            hears(station, 'controller', 'driver')
+            driver.process.kill()
+            controller.process.kill()
+        hears(station)
+        with urllib.request.urlopen(f'http://127.0.0.1:{port}', timeout=30.0) as answer:
+            assert answer.status == 200
+
+
+def test_beyond_this_machine_it_draws_a_token(shown):
+    _, log, _ = shown(host='0.0.0.0')
+    assert 'token for commands from the page: ' in log.read_text()
