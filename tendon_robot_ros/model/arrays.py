@@ -129,6 +129,8 @@ class Arrays:
             lay.work_size(chain.n, chain.k)
             + 2 * chain.n
             + lay.memory_size(chain.n, chain.k, chain.m)
+            + chain.k
+            + chain.m
         )
 
     def fresh_memory(self) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -15,8 +15,10 @@ if TYPE_CHECKING:
     from .shape import Shape, ShapeBatch
 
 Floats = npt.NDArray[np.float64]
-SETTLED = 1e-8  # [m]
-MOST = 60  # steps of the search
+SETTLED = 1e-8  # [m] gap at which a search ends
+NEAR = 5e-6  # [m] gap that is no reason to refuse: friction near standstill turns within 2e-6
+SPRINGS = np.array([1e-1, 1e-2, 1e-3, 1e-4])  # stretch of the wires, over the arm's compliance
+MOST = 20  # steps of a search
 
 
 def pull_shape(model: Model, pulls: Given, guess: Shape | None = None) -> Shape:
@@ -78,30 +80,60 @@ def pull_shapes(
     return model.shapes(inputs, np.array(found))
 
 
-def _shares(model: Model) -> Floats:
-    """Share (m, k) of each tendon in the wire pull of its input."""
-    shares = np.zeros((len(model.inputs), len(model.robot.tendons)))
-    for j, members in enumerate(model.robot.input_tendons):
-        shares[j, list(members)] = 1.0 / len(members)
-    return shares
-
-
 def _tensions(
     model: Model, target: Floats, start: tuple[Floats, Floats] | None, past: Floats
 ) -> tuple[Floats, Floats]:
-    """Find tensions (m,) [N] and bends (n, 2) [rad] that meet wire pulls (m,) [m]."""
-    straight, shares = np.zeros((model.arrays.chain.n, 2)), _shares(model)
-    pulled = np.where(target > 0.0, 0.1, 0.0), straight
-    taut = np.where(np.isnan(target), 0.0, 0.3), straight
-    gap = np.inf
-    for tensions, bend in (pulled, taut) if start is None else (start, pulled, taut):
+    """
+    Find tensions (m,) [N] and bends (n, 2) [rad] that meet wire pulls (m,) [m].
+
+    First for wires that stretch, from soft to stiff: lengths alone often leave it open how hard
+    two wires pull against each other, springs do not.
+    """
+    straight, slack = np.zeros((model.arrays.chain.n, 2)), np.isnan(target)
+    pulled, taut = (np.where(on, 0.1, 0.0) for on in (target > 0.0, ~slack))
+    starts = [(pulled, straight, SPRINGS), (taut, straight, SPRINGS)]
+    starts += [(pulled, straight, SPRINGS[:0]), (3.0 * taut, straight, SPRINGS[:0])]
+    last = None if start is None else start[0]
+    if start is not None:
+        starts.insert(0, (*start, SPRINGS[-1:]))
+    gap, best = np.inf, starts[-1][:2]
+    for tensions, bend, springs in starts:
         inputs, bends = np.array(tensions), np.array([bend, bend])
-        left = model.arrays.part('pulls').pulled(
-            model.arrays.address, inputs, shares, target, bends, past, model.scratch, MOST
-        )
-        gap = min(gap, left)
-        if gap < SETTLED:
-            return inputs, bends[0]
+        for stretch in _compliance(model) * springs:
+            _search(model, 'springs', 'stretched', target, inputs, bends, past, stretch)
+        left = _search(model, 'pulls', 'pulled', target, inputs, bends, past)
+        if left < gap:
+            gap, best = left, (inputs, bends[0])
+        if gap < (SETTLED if tensions is not last else NEAR):
+            return best
+    if gap > NEAR:
+        _refuse(model, target, gap)
+    return best
+
+
+def _search(
+    model: Model,
+    part: str,
+    name: str,
+    target: Floats,
+    inputs: Floats,
+    bends: Floats,
+    past: Floats,
+    *stretch: float,
+) -> float:
+    """Improve tensions and bends in place by a function of the kernel; return the gap [m]."""
+    search = getattr(model.arrays.part(part), name)
+    robot, scratch = model.arrays.address, model.scratch
+    return float(search(robot, inputs, target, bends, past, scratch, *stretch, MOST))
+
+
+def _compliance(model: Model) -> float:
+    """Wire pull per tension [m/N] of the tendon that bends the arm most, in PCCA."""
+    cells, offset = model.arrays.cells, model.arrays.offset
+    return float(((offset**2).sum(axis=2) / cells[:, 1:2]).sum(axis=0).max())
+
+
+def _refuse(model: Model, target: Floats, gap: float) -> NoReturn:
     if not np.isfinite(gap):
         raise NoEquilibriumError('these wire pulls', model.implicit_effects, gap)
     named = ', '.join(

@@ -1,0 +1,116 @@
+"""
+Tensions for wire lengths when the wires are springs: one answer where stiff wires have many.
+
+Wires of exactly opposite lengths do not say how hard two of them pull against each other; wires
+that stretch, however little, do: the loose one of them is slack.
+"""
+
+import math
+
+import numpy as np
+
+from .layout import chain_at, compiled, entry
+from .newton import invert
+from .pulls import accept, gaps, pull_slopes, room
+
+CLOSE = 1e-2  # largest gap, over the stretch of a wire by 1 N
+
+
+@compiled
+def spring_step(slopes, f, inputs, target, stretch, move):
+    """
+    Newton step (m,) [N] of the taut wires; return the largest gap [m] among them.
+
+    A wire is taut that pulls, or is longer than its spring at rest. The gap is negative where
+    the slopes (m, m) [m/N] of the pulls determine no step.
+    """
+    m = inputs.shape[0]
+    taut = np.empty(m, np.int64)
+    count, top = 0, 0.0
+    for j in range(m):
+        move[j] = 0.0
+        gap = f[j] + stretch * inputs[j]
+        if not math.isnan(target[j]) and (inputs[j] > 0.0 or gap < 0.0):
+            taut[count] = j
+            count += 1
+            top = max(top, abs(gap))
+    if count == 0:
+        return 0.0
+    part = np.empty((count, count))
+    for p in range(count):
+        for q in range(count):
+            part[p, q] = slopes[taut[p], taut[q]]
+        part[p, p] += stretch
+    inverse = invert(part)
+    if math.isnan(inverse[0, 0]):
+        return -1.0
+    for p in range(count):
+        for q in range(count):
+            move[taut[p]] -= inverse[p, q] * (f[taut[q]] + stretch * inputs[taut[q]])
+    return top
+
+
+@compiled
+def correct(slopes, change, step):
+    """Let the slopes (m, m) [m/N] give the change (m,) [m] that a step (m,) [N] made (Broyden)."""
+    m = step.shape[0]
+    length = 1e-300
+    for j in range(m):
+        length += step[j] * step[j]
+    for r in range(m):
+        wrong = change[r]
+        for j in range(m):
+            wrong -= slopes[r, j] * step[j]
+        for j in range(m):
+            slopes[r, j] += wrong * step[j] / length
+
+
+@compiled
+def tried(inputs, move, share, trial):
+    """Tensions `trial` (m,) [N] a share of the move away, none below zero."""
+    for j in range(inputs.shape[0]):
+        trial[j] = max(inputs[j] + share * move[j], 0.0)
+
+
+@entry()
+def stretched(robot, inputs, target, bends, past, scratch, stretch, most):
+    """
+    Find tensions (m,) [N] >= 0 of wires that stretch by `stretch` [m/N]; NaN: a slack wire.
+
+    Arguments as in `pulls.pulled`. Returns the largest remaining gap [m], infinite where the
+    model finds no equilibrium.
+    """
+    chain = chain_at(robot)
+    m, there = chain.m, room(chain, bends, past, scratch)
+    f, moved, slopes = np.empty(m), np.empty(m), np.zeros((m, m))
+    trial, move, ahead = np.empty(m), np.empty(m), np.empty(m)
+    for j in range(m):
+        inputs[j] = 0.0 if math.isnan(target[j]) else inputs[j]
+    if not gaps(chain, inputs, target, there, f, True):
+        return math.inf
+    fresh, stale, top = False, True, math.inf
+    for _ in range(most):
+        if stale:
+            pull_slopes(chain, inputs, target, there, f, moved, slopes)
+            fresh, stale = True, False
+            top = spring_step(slopes, f, inputs, target, stretch, move)
+        if top < CLOSE * stretch:
+            break
+        share, better = 1.0, False
+        for _ in range(8 if fresh else 2):
+            tried(inputs, move, share, trial)
+            good = gaps(chain, trial, target, there, moved, False)
+            new = spring_step(slopes, moved, trial, target, stretch, ahead)
+            better = good and 0.0 <= new < (1.0 - 1e-3 * share) * top
+            if better:
+                break
+            share *= 0.5
+        if not better and fresh:
+            break
+        stale = not better or new > 0.3 * top
+        if better:
+            correct(slopes, moved - f, trial - inputs)
+            accept(chain, there, trial, moved, inputs, f)
+            top = spring_step(slopes, f, inputs, target, stretch, move)
+        fresh = False
+    return top if top >= 0.0 else math.inf
