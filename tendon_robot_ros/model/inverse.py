@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy.typing as npt
 
 from ..exceptions import InputError, NoEquilibriumError
 from .inputs import finite
+from .inverse_pulls import aim_by_pulls
 from .shape import Reach, Shape
 
 if TYPE_CHECKING:
@@ -31,6 +33,7 @@ def reach(
     position_weight: float = 1.0,
     direction_weight: float | None = None,
     starts: int = 12,
+    by_pulls: bool = False,
 ) -> Reach:
     """
     Find tensions within the limits that bring the tip to a target.
@@ -47,6 +50,8 @@ def reach(
         Default: a fifth of the robot's length.
     starts : int
         How many starts a cold search may take.
+    by_pulls : bool
+        Only tensions that wire lengths can hold (see `inverse_pulls`); the lower limit is 0.
 
     Raises
     ------
@@ -56,8 +61,12 @@ def reach(
     """
     target = _target(model, position, direction, position_weight, direction_weight)
     best: tuple[float, Floats, Floats] | None = None
+    aim = partial(_aim, model, target)
     for inputs, bend in _starts(model, target, guess, starts):
-        cost, bends = _aim(model, inputs, bend, target, model.limits)
+        if by_pulls:
+            cost, bends = aim_by_pulls(model, aim, inputs, bend)
+        else:
+            cost, bends = aim(inputs, bend, model.limits)
         if best is None or cost < best[0]:
             best = (cost, inputs, bends)
         if cost - _preferred(model, inputs) < FINE:
@@ -109,7 +118,7 @@ def _preferred(model: Model, inputs: Floats) -> float:
 
 
 def _aim(
-    model: Model, inputs: Floats, bend: Floats, target: Floats, limits: Floats
+    model: Model, target: Floats, inputs: Floats, bend: Floats, limits: Floats
 ) -> tuple[float, Floats]:
     """Improve inputs in place; return the cost [m²] and the bends of the equilibrium."""
     bends = np.array([bend, bend])
@@ -157,7 +166,7 @@ def _limits_bind(model: Model, target: Floats, inputs: Floats, bend: Floats) -> 
     """Tell whether the target would be reached with three times the tension."""
     wide = model.limits * [1.0, 3.0]
     more = inputs.copy()
-    cost, bends = _aim(model, more, bend, target, wide)
+    cost, bends = _aim(model, target, more, bend, wide)
     if not np.isfinite(cost):
         return False
     try:

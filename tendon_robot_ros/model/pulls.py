@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 SETTLED = 1e-8  # [m] gap at which a search ends
+LOOSE = 0.1  # [N] that the stretched wires may be off
 NEAR = 5e-6  # [m] gap that is no reason to refuse: friction near standstill turns within 2e-6
 SPRINGS = np.array([1e-1, 1e-2, 1e-3, 1e-4])  # stretch of the wires, over the arm's compliance
 MOST = 20  # steps of a search
@@ -99,8 +100,12 @@ def _tensions(
     gap, best = np.inf, starts[-1][:2]
     for tensions, bend, springs in starts:
         inputs, bends = np.array(tensions), np.array([bend, bend])
+        loose = 0.0
         for stretch in _compliance(model) * springs:
-            _search(model, 'springs', 'stretched', target, inputs, bends, past, stretch)
+            given = (target, inputs, bends, past, stretch)
+            loose = _search(model, 'springs', 'stretched', *given) / stretch
+        if loose > LOOSE:
+            continue
         left = _search(model, 'pulls', 'pulled', target, inputs, bends, past)
         if left < gap:
             gap, best = left, (inputs, bends[0])

@@ -130,7 +130,8 @@ def pulled(robot, inputs, target, bends, past, scratch, most):
     """
     Find tensions (m,) [N] >= 0 whose wire pulls are `target` (m,) [m]; NaN: a slack wire.
 
-    `inputs` holds the guess. Returns the largest remaining gap [m], infinite where the model finds no equilibrium.
+    `inputs` holds the guess. Returns the largest remaining gap [m], infinite where the model
+    finds no equilibrium.
     """
     chain = chain_at(robot)
     m, there = chain.m, room(chain, bends, past, scratch)
