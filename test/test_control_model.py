@@ -5,6 +5,7 @@ import pytest
 from control_rig import CYCLE, Rig, model, reachable
 
 from tendon_robot_ros.control import ControllerCore
+from tendon_robot_ros.control.settings import Target
 from tendon_robot_ros.exceptions import InputError, NoEquilibriumError
 from tendon_robot_ros.model.model import Model
 
@@ -15,6 +16,19 @@ def test_in_pull_mode_commands_are_the_pulls_of_an_equilibrium():
     rig.core.aim(reachable())
     output = rig.run(1.0)
     assert output.pulls == pytest.approx(model().shape(output.tensions).pulls, abs=1e-9)
+
+
+def test_in_pull_mode_the_tip_goes_where_the_lengths_alone_take_it():
+    """Lengths keep up no tension of one wire against another: none is counted on."""
+    target = Target(model().shape(np.array([1.5, 0.5, 0.1, 0.9])).tip_position)
+    rig = Rig(pull_mode=True)
+    rig.run(0.1)
+    rig.core.aim(target)
+    output = rig.run(1.0)
+    arm = model().pull_shape(output.pulls)
+    assert rig.core.solution.status == 'reached'
+    assert arm.tip_position == pytest.approx(target.position, abs=1e-4)
+    assert arm.inputs == pytest.approx(output.tensions, abs=1e-3)
 
 
 def test_unobserved_tensions_are_taken_from_the_wire_pulls():

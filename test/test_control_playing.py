@@ -118,4 +118,5 @@ def test_wire_pulls_are_commanded_as_they_were_given():
     start = rig.outputs[10].pulls
     assert half == pytest.approx(0.5 * (start + goal), abs=1e-4)
     assert rig.code() == 'played'
-    assert rig.core.command == pytest.approx(END, abs=1e-3)
+    held = model().pull_shape(goal).inputs  # loose wires are slack, whatever END was
+    assert rig.core.command == pytest.approx(held, abs=1e-3)

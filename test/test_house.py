@@ -11,7 +11,6 @@ FILE_LINES, FUNCTION_LINES = 250, 40
 LONGER = {
     'test/test_cli_model.py': 'one command after the other; the next one to touch it may split it',
     'tendon_robot_ros/model/kernel/inverse.py:aim': 'one loop whose steps share a dozen arrays',
-    'tendon_robot_ros/model/kernel/pulls.py:pulled': 'one loop whose steps share a dozen arrays',
 }
 
 PRIVATE = {

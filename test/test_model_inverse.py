@@ -82,3 +82,16 @@ def test_a_warm_start_stays_in_the_branch_it_is_in(model):
 def test_what_is_no_target_is_refused(model, position, direction):
     with pytest.raises(InputError):
         model.reach(position, direction)
+
+
+def test_by_pulls_the_tensions_are_those_that_lengths_hold():
+    """What comes back is where an arm goes whose wires have these lengths."""
+    model = Model(load_robot(ROBOTS / 'kato_10_1.yaml'))
+    random = np.random.default_rng(4)
+    for _ in range(6):
+        wanted = model.pull_shape(model.shape(random.uniform(0.1, 1.2, 4)).pulls)
+        found = model.reach(wanted.tip_position, wanted.tip_direction, by_pulls=True)
+        arm = model.pull_shape(found.pulls)
+        assert found.status == 'reached'
+        assert np.allclose(arm.tip_position, wanted.tip_position, rtol=0.0, atol=1e-4)
+        assert np.allclose(arm.inputs, found.tensions, rtol=0.0, atol=1e-3)

@@ -110,6 +110,35 @@ def test_pulls_of_a_shape_give_the_shape_back(robot):
         assert np.allclose(again.inputs, tensions, rtol=1e-3, atol=1e-4)
 
 
+@pytest.mark.parametrize('robot', ['kato_10_1', 'kato_1_1'])
+def test_of_wires_that_pull_against_each_other_lengths_hold_one(robot):
+    """Moments balance whatever the tension of a pair; wires that stretch leave one slack."""
+    model = Model(load_robot(ROOT / f'config/robots/{robot}.yaml'))
+    random = np.random.default_rng(2)
+    for tensions in random.uniform(0.1, 1.5, (12, 4)):
+        asked = model.shape(tensions).pulls
+        held = model.pull_shape(asked)
+        assert np.minimum(held.inputs[::2], held.inputs[1::2]) == pytest.approx(0.0, abs=1e-6)
+        assert np.allclose(held.pulls, asked, rtol=0.0, atol=1e-8)
+
+
+def test_pulls_of_any_posture_of_a_spatial_arm_are_met():
+    model = Model(spatial(6, REFINED, 'hinge'))
+    random = np.random.default_rng(2)
+    for tensions in random.uniform(0.1, 1.0, (12, 6)):
+        asked = model.shape(tensions).pulls
+        assert np.allclose(model.pull_shape(asked).pulls, asked, rtol=0.0, atol=5e-6)
+
+
+def test_the_same_lengths_give_the_same_arm_wherever_it_comes_from():
+    model = Model(two_sections(8, REFINED, 'hinge'))
+    pulls = model.shape([0.9, 0.1, 0.2, 0.7]).pulls
+    first = model.pull_shape(pulls)
+    for tensions in ([0.9, 0.1, 0.2, 0.7], [0.0, 0.8, 0.3, 0.0], [1.0, 1.0, 1.0, 1.0]):
+        again = model.pull_shape(pulls, model.shape(tensions))
+        assert np.allclose(again.inputs, first.inputs, rtol=0.0, atol=1e-3)
+
+
 def test_a_group_of_tendons_is_pulled_by_its_mean():
     model = Model(load_robot(ROOT / 'config/robots/kato_1_1.yaml'))
     shape = model.pull_shape({'prox_right': 0.0009, 'dist_right': 0.0013})

@@ -42,7 +42,7 @@ class TipLoop:
         """Return the solution (m,) [N] with the correction, within the limits."""
         if self.tensions is None or core.settings.tip_gain == 0.0:
             return solution
-        low, high = core.model.limits.T
+        low, high = core.settings.limits(core.model).T
         return np.clip(solution + self.tensions, low, high)
 
     def take(self, now: float, core: ControllerCore, position: Array) -> None:
@@ -79,7 +79,7 @@ class TipLoop:
         goal = self.goal(core, solution.tensions)
         if np.abs(goal - command).max() > NEAR:
             return 'moving'
-        if solution.at_limit or np.any(goal >= core.model.limits[:, 1]):
+        if solution.at_limit or np.any(goal >= core.settings.limits(core.model)[:, 1]):
             return 'a tension at its limit'
         return ''
 
@@ -87,7 +87,7 @@ class TipLoop:
         assert core.solution is not None and core.command is not None
         jacobian = core.model.jacobian(core.command)[:3]
         wanted = core.settings.tip_gain * passed * self._error
-        low = core.model.limits[:, 0]
+        low = core.settings.limits(core.model)[:, 0]
         correction = self.tensions if self.tensions is not None else np.zeros(len(low))
         free = np.ones(len(low), dtype=bool)
         for _ in range(len(low)):  # let go of tendons that would go below their limit

@@ -134,7 +134,7 @@ class ControllerCore:
             return not np.array_equal(self.commanded, self.playing.values[-1])
         if self.solution is None or self.command is None:
             return False
-        goal = bounded(self.loop.goal(self, self.solution.tensions), self.model.limits)
+        goal = self.loop.goal(self, self.solution.tensions)
         return not np.array_equal(self.command, goal)
 
     def fresh(self, now: float) -> bool:
@@ -199,7 +199,7 @@ class ControllerCore:
             goal = self.playing.at(now)
         elif self.solution is not None:
             goal = self.loop.goal(self, self.solution.tensions)
-        goal = bounded(goal, self.model.limits)
+        goal = bounded(goal, self.settings.limits(self.model))
         return approach(self.command, goal, np.full_like(goal, self.settings.rate_limit * passed))
 
     def _output(self, now: float, wanted: Array) -> Output | None:
@@ -226,14 +226,16 @@ class ControllerCore:
             guess=guess if same else None,
             direction_weight=self.settings.direction_weight or None,
             starts=STARTS if self._jog is None else 0,
+            by_pulls=self.settings.pull_mode,
         )
 
     def _resync(self) -> None:
         """Begin at the measured state."""
         assert self._heard is not None
-        unknown = self.model.limits[:, 0] if self.command is None else self.command
-        tensions = self._heard.in_newtons(self.model, self.track.last, unknown)
-        self.command = bounded(tensions, self.model.limits)
+        limits = self.settings.limits(self.model)
+        unknown = limits[:, 0] if self.command is None else self.command
+        tensions = self._heard.in_newtons(self.model, limits, self.track.last, unknown)
+        self.command = bounded(tensions, limits)
         self._lost, self._jog, self.playing, self._pulls = False, None, None, None
 
     def _drop(self) -> None:

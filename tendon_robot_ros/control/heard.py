@@ -31,11 +31,13 @@ class Heard:
         """Whether every tension was."""
         return bool(np.all(np.isfinite(self.tensions)))
 
-    def in_newtons(self, model: Model, guess: Shape | None, unknown: Array) -> Array:
+    def in_newtons(
+        self, model: Model, limits: Array, guess: Shape | None, unknown: Array
+    ) -> Array:
         """Return the tensions; those of the wire pulls where tension is not observable."""
         if self.observed:
             return np.maximum(self.tensions, 0.0)
-        low, high = model.limits.T
+        low, high = limits.T
         try:
             shape = model.pull_shape(self.pulls, guess)
             if np.all((shape.inputs >= low) & (shape.inputs <= high)):

@@ -37,7 +37,7 @@ def load(robot: Robot, catalogue: Catalogue) -> Model:
     model.shape(tensions, guess=shape.bend)
     model.reach(position=shape.tip_position, direction=shape.tip_direction)
     model.reach(position=shape.tip_position, guess=shape)
-    model.pull_shape(shape.pulls)
+    model.reach(position=shape.tip_position, by_pulls=True)
     return model
 
 

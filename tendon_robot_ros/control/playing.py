@@ -62,10 +62,11 @@ def in_pulls(core: ControllerCore, now: float, wanted: Array) -> tuple[Array, Ar
     """
     if core.playing is not None:
         pulls = core.playing.at(now)
-        unknown = core.model.limits[:, 0] if core.command is None else core.command
+        limits = core.settings.limits(core.model)
+        unknown = limits[:, 0] if core.command is None else core.command
         heard = Heard(np.full(len(pulls), np.nan), pulls, now)
-        tensions = heard.in_newtons(core.model, core.track.last, unknown)
-        wanted = bounded(tensions, core.model.limits)
+        tensions = heard.in_newtons(core.model, limits, core.track.last, unknown)
+        wanted = bounded(tensions, limits)
         core.track.follow(now, wanted)
         return wanted, pulls
     shape = core.track.follow(now, wanted)

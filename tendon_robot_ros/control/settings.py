@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..model.inverse_pulls import limits_by_pulls
+
+if TYPE_CHECKING:
+    from ..model.model import Model
 
 Array = NDArray[np.float64]
 
@@ -22,6 +28,10 @@ class Settings:
     direction_weight: float = 0.0  # [m/rad], 0: a fifth of the robot's length
     pull_mode: bool = False
     tip_gain: float = 0.0  # [1/s] of the integral on the measured tip, 0: open loop
+
+    def limits(self, model: Model) -> Array:
+        """Return tension limits (m, 2) [N]; wires that are driven by their length may be slack."""
+        return limits_by_pulls(model) if self.pull_mode else model.limits
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ Floats = npt.NDArray[np.float64]
 POSITION_THRESHOLD = 1e-4  # [m]
 DIRECTION_THRESHOLD = np.deg2rad(0.2)  # [rad]
 FINE = 1e-12  # [m²] cost below which no further start is tried: 1 µm
+STARTS_BY_PULLS = 4  # each is several searches
 PREFERENCE = 1e-6  # [m/N] how little low tension counts
 
 
@@ -62,6 +63,7 @@ def reach(
     target = _target(model, position, direction, position_weight, direction_weight)
     best: tuple[float, Floats, Floats] | None = None
     aim = partial(_aim, model, target)
+    starts = min(starts, STARTS_BY_PULLS) if by_pulls else starts
     for inputs, bend in _starts(model, target, guess, starts):
         if by_pulls:
             cost, bends = aim_by_pulls(model, aim, inputs, bend)
