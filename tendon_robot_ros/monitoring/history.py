@@ -38,6 +38,11 @@ class History:
         while self._samples[0][0] < time - self.span:
             self._samples.popleft()
 
+    @property
+    def newest(self) -> float:
+        """Time of the last sample; minus infinity without any."""
+        return self._samples[-1][0] if self._samples else -np.inf
+
     def at(self, time: float) -> Array | None:
         """Return the values at a time, straight between samples; None outside of them."""
         later: tuple[float, Array] | None = None

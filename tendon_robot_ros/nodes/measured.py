@@ -12,8 +12,8 @@ from rclpy.node import Node
 from std_msgs.msg import Header
 
 from ..control.checks import Refusal, check_stamp
-from ..data import Marker
 from ..exceptions import InputError
+from ..monitoring import Monitor
 from .frames import Frames, matrix
 from .messages import seconds
 from .monitor_setup import parsed
@@ -21,6 +21,7 @@ from .parameters import Parameters
 from .qos import LISTEN
 
 Array = NDArray[np.float64]
+LATE = 0.1  # [s] that states may lag before the monitor is told: the driver is silent
 TOGETHER = 0.02  # [s] stamps of markers on topics of their own that belong to one frame
 
 
@@ -35,8 +36,8 @@ class Measured:
         Of the monitor.
     base : str
         The base frame.
-    markers : tuple of Marker
-        poses[i] is markers[i].
+    monitor : Monitor
+        poses[i] is its markers[i]; a frame waits until states as new as itself are there.
     take : callable
         Called with the time [s] of the frame and positions (J, 3) [m], nan where missing.
 
@@ -47,18 +48,19 @@ class Measured:
         node: Node,
         parameters: Parameters,
         base: str,
-        markers: tuple[Marker, ...],
+        monitor: Monitor,
         take: Callable[[float, Array], None],
     ) -> None:
         """Subscribe."""
-        self._node, self._parameters, self._take = node, parameters, take
-        self.markers, self.problem = markers, ''
+        self._node, self._parameters, self._taker = node, parameters, take
+        self._monitor, self.markers, self.problem = monitor, monitor.markers, ''
+        self._waiting: tuple[float, Array] | None = None
         self._frames = Frames(node, base)
         self._fixed = _transform(parameters['tracker_transform'])
         topics = parsed(parameters, 'measured_markers', dict)
         self._frame: tuple[float, Array] | None = None
         if topics:
-            places = {marker.name: index for index, marker in enumerate(markers)}
+            places = {marker.name: index for index, marker in enumerate(self.markers)}
             for name, topic in topics.items():
                 if str(name) not in places:
                     raise InputError(
@@ -70,6 +72,18 @@ class Measured:
             node.create_subscription(PoseArray, 'measured_shape', self._shape, LISTEN)
             node.create_subscription(PoseStamped, 'measured_tip', self._tip, LISTEN)
         self._shape_at = -np.inf
+
+    def hand_over(self, late: bool = False) -> None:
+        """Hand over the frame that waits if the states are as new, or if it is late."""
+        if self._waiting is not None and (late or self._monitor.states.newest >= self._waiting[0]):
+            frame, self._waiting = self._waiting, None
+            self._taker(*frame)
+
+    def _take(self, at: float, points: Array) -> None:
+        if self._waiting is not None:
+            self.hand_over(late=at - self._monitor.states.newest > LATE)
+        self._waiting = at, points
+        self.hand_over()
 
     def _shape(self, message: PoseArray) -> None:
         points = np.array([[p.position.x, p.position.y, p.position.z] for p in message.poses])

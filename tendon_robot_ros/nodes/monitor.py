@@ -55,11 +55,9 @@ class MonitorNode(Node):
         self.monitor: Monitor | None = None
         self.work = Work()
         self._loader: Loader | None = None
-        self._in_use = self._loading = ''
+        self._in_use = self._loading = self._base = self._said = ''
         self._measured: Measured | None = None
-        self._base = ''
         self._last_error = self._frame_at = float('nan')
-        self._said = ''
         self._remote = RemoteText(self, self.parameters['controller'], 'model')
         publish = self.create_publisher
         self._output = MonitorOutput(self)
@@ -119,7 +117,7 @@ class MonitorNode(Node):
                 name = self.parameters['base_frame'] or f'{robot.name}_base'
                 self._base = self.parameters['frame_prefix'] + name
                 self._measured = Measured(
-                    self, self.parameters, self._base, self.monitor.markers, self._frame
+                    self, self.parameters, self._base, self.monitor, self._frame
                 )
             else:
                 self.monitor.set_model(model)
@@ -142,6 +140,8 @@ class MonitorNode(Node):
             return
         now = 1e-9 * self.get_clock().now().nanoseconds
         self.monitor.put_states(seconds(message.header.stamp) or now, tensions, pulls)
+        if self._measured is not None:
+            self._measured.hand_over()
 
     def _frame(self, at: float, positions: Array) -> None:
         """Compare a frame of the tracker and publish how far it is off."""

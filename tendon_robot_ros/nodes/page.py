@@ -146,15 +146,12 @@ class LivePage:
             panel.dock_right()
         gui.set_panel_label('tendon robot, live')
         self._boxes: dict[str, Any] = {'legend': gui.add_html(page_parts.legend())}
-        for name in ('error', 'guide'):
+        for name in ('error', 'curve', 'guide'):
             self._boxes[name] = gui.add_html('')
         self._buttons: dict[str, Any] = {}
-        for button in BUTTONS[:3]:
+        for button in BUTTONS:
             self._add_button(*button)
-        for name in ('verdict', 'curve'):
-            self._boxes[name] = gui.add_html('')
-        self._add_button(*BUTTONS[3])
-        self._add_button(*BUTTONS[4])
+        self._boxes['verdict'] = gui.add_html('')
         self._boxes['bars'] = gui.add_html('')
         self._tour: Any = gui.add_checkbox('tour through postures', True)
         self._tour.on_update(self._guarded('tour', lambda: bool(self._tour.value)))

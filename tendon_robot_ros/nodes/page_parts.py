@@ -11,7 +11,7 @@ import numpy as np
 from ..report.words import digits, mm
 
 BLUE, ORANGE, GREY = '#0072b2', '#d55e00', '#6b7580'  # Okabe and Ito: colour-blind safe
-WIDTH, HEIGHT, LEFT, BOTTOM = 360, 170, 40, 22  # [px] of the curve, and of its margins
+WIDTH, HEIGHT, LEFT, BOTTOM = 360, 140, 40, 22  # [px] of the curve, and of its margins
 SPAN = 120.0  # [s] that the curve shows
 STYLE = 'font-family:system-ui,sans-serif;font-size:13px;color:#1b1f24;padding:2px 12px'
 

@@ -46,6 +46,7 @@ class ViewState:
     nodes: dict[str, tuple[float, str, str, dict[str, str]]] = field(default_factory=dict)
     _added: int = 0
     _addition: str = ''
+    _diagnosing: str = ''
 
     @property
     def monitor(self) -> dict[str, str]:
@@ -91,6 +92,9 @@ class ViewState:
         """Take what a node says of itself."""
         self.nodes[name] = now, LEVELS.get(level, 'warn'), text, values
         if name == 'monitor':
+            if values.get('diagnosing') == 'true' and self._diagnosing != 'true':
+                self.verdict = {}
+            self._diagnosing = values.get('diagnosing', '')
             self._addition = values.get('addition', '') or self._addition
             added = int(values.get('added', '0'))
             if added > self._added:
@@ -138,12 +142,12 @@ class ViewState:
 
     def guide(self) -> str:
         """Say what to do next, in the words of the buttons."""
-        if self.monitor.get('diagnosing') == 'true':
+        if self.monitor.get('diagnosing') == 'true' and not self.verdict:
             return 'Comparing every known physical effect with the recording …'
         if self.recording and self.postures < ENOUGH:
             return (
-                f'Recording: {self.postures} of {ENOUGH} postures. The arm visits them by itself; '
-                'so far nothing needs to be done.'
+                f'Recording: {self.postures} of {ENOUGH} postures. The arm goes through them by '
+                'itself: just wait.'
             )
         if self.recording:
             return f'{self.postures} postures are recorded. Click 2: which effect is missing?'
@@ -154,6 +158,8 @@ class ViewState:
                 f'The model now has {self.marks[-1][1]}. The two arms should coincide; what is '
                 'left of the error is noise. Click 1 to look for more.'
             )
+        if self.monitor.get('diagnosing') == 'true':
+            return 'Fitting what was found …'
         if self.verdict:
             return VERDICTS.get(str(self.verdict.get('verdict')), AGAIN)
         if not self.times:
