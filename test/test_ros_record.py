@@ -69,12 +69,13 @@ def recorded(station, folder, name, act):
 
 
 def tour(folder):
-    """Write eight postures, each held long enough to count."""
+    """Write six postures, each held long enough to count."""
     random, passed = np.random.default_rng(4), 0.0
     rows = ['time,' + ','.join(INPUTS)]
-    for _ in range(8):
-        tensions = random.uniform(0.1, 1.5, 4)
-        for wait in (0.6, 1.8):
+    for i in range(6):
+        tensions = np.full(4, 0.2)
+        tensions[[i % 2, 2 + i // 2 % 2]] = random.uniform(0.5, 1.3, 2)
+        for wait in (0.6, 4.0):
             passed += wait
             rows.append(','.join(f'{value:.4f}' for value in [passed, *tensions]))
     (folder / 'tour.csv').write_text('\n'.join(rows) + '\n')
