@@ -3,6 +3,7 @@
 import json
 import signal
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy')
@@ -36,9 +37,8 @@ class Watched(Station):
             'driver': {
                 'robot': dump_robot(SOFT),
                 'config': f'plant: {{twin: true}}\n{TRACKER}\n',
-                'command_timeout': 0.5,
             },
-            'controller': {'model': 'kato_10_1', 'state_timeout': 1.0},
+            'controller': {'model': 'kato_10_1'},
             'monitor': {'folder': str(self.folder / 'recordings'), 'path': 'from_straight'},
         }[name]
         with (self.folder / f'{name}.log').open('a') as log:
@@ -115,5 +115,27 @@ def test_record_diagnose_add_reach_the_controller_and_another_namespace_hears_no
         )
         space.until(lambda: space.rolling and last(space.rolling).data < 1e-3, 'the fall', LOADED)
         assert not other.monitor and not other.rolling and not other.verdicts
+    finally:
+        other.end()
+
+
+@pytest.mark.slow
+def test_two_robots_in_two_namespaces_go_their_own_ways(space, tmp_path):
+    (tmp_path / 'other').mkdir()
+    other = Watched('/elsewhere', tmp_path / 'other')
+    places = {space: np.array([0.08, 0.0, 0.15]), other: np.array([-0.06, 0.0, 0.17])}
+    try:
+        for one in places:
+            for name in ('driver', 'controller', 'monitor'):
+                one.run(name)
+        for one, place in places.items():
+            one.comparing()
+            one.go_to_point(place[0], place[2])
+        for one, place in places.items():
+            one.spin(1.0)
+            off = np.linalg.norm(one.tip() - place)
+            assert 1e-3 < off < 3e-2, 'as far as its softness makes it miss'
+            said = values(last(one.monitor))
+            assert float(said['error'].split()[0]) == pytest.approx(1e3 * off, abs=1.5)
     finally:
         other.end()
