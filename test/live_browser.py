@@ -20,6 +20,8 @@ FIELD = """(() => { for (const label of document.querySelectorAll('label')) {
     return [r.x + r.width / 2, r.y + r.height / 2]; } } })()"""
 
 
+# a browser without a graphics card is told so
+DISMISS = "document.querySelector('.mantine-Notification-closeButton')?.click()"
 LOOK = 15.0  # [s] for the curve to show what was done
 
 
@@ -134,6 +136,7 @@ class Browser:
         """
         self.open(url)
         self.until(self.tip_error, 'the error', 120.0)
+        self.run(DISMISS)
         time.sleep(LOOK)
         self.picture(pictures / '1_look.png')
         self.click('1 Record')
@@ -152,7 +155,8 @@ class Browser:
         self.click('3 Add')
         self.until(lambda: 'The model now has' in self.text(), 'the adding', 120.0)
         self.until(lambda: (self.tip_error() or 99.0) < 0.2 * before, 'the fall', 120.0)
-        time.sleep(LOOK)
+        time.sleep(2.0 * LOOK)
+        self.until(lambda: (self.tip_error() or 99.0) < 0.2 * before, 'a posture', 120.0)
         self.picture(pictures / '4_added.png')
         return verdict, before
 

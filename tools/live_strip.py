@@ -23,7 +23,7 @@ from live_browser import Browser
 
 ROOT = Path(__file__).resolve().parents[1]
 PORT = 8097
-SIZE = 1200, 800  # [px]
+SIZE = 1200, 760  # [px]
 SHOWN = ('1_look', '3_diagnose', '4_added')  # side by side in the strip
 
 
@@ -68,7 +68,7 @@ def main() -> int:
 
 def strip(paths: list[Path], target: Path) -> None:
     """Put pictures side by side."""
-    images = [Image.open(path).convert('RGB') for path in paths]
+    images = [Image.open(path).convert('RGB').crop((0, 0, *SIZE)) for path in paths]
     images = [image.resize((800, 800 * image.height // image.width)) for image in images]
     made = Image.new('RGB', (800 * len(images), images[0].height), 'white')
     for i, image in enumerate(images):
