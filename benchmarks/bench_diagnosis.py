@@ -2,7 +2,7 @@
 How often the diagnosis is right: every effect, two robots, sizes from a fifteenth to full.
 
 Plants are of another discretisation: arcs of three finer cells, hinges, the capstan's exponential;
-`--scatter 0.02` adds scatter of the cells' stiffness.
+`--scatter 0.02` adds scatter of the cells' stiffness, which `--declare` declares as a tolerance.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from simulated_cases import (
     TWINS,
     Case,
     cases_of,
+    described,
     hidden_values,
     is_visible,
     measured,
-    robot_of,
 )
 
 from tendon_robot_ros.analysis.diagnose import diagnose
@@ -80,7 +80,7 @@ def inside(case: Case, found, values) -> float | None:
 
 def judge(case: Case) -> Outcome:
     """Simulate, diagnose, and hold the verdict against the truth."""
-    robot = robot_of(case.robot, case.hidden)
+    robot = described(case)
     values = hidden_values(case.hidden, case.size, case.seed)
     start = time.perf_counter()
     try:
@@ -203,6 +203,7 @@ def main() -> int:
     parser.add_argument('--seeds', type=int, default=20)
     parser.add_argument('--clean', type=int, default=300)
     parser.add_argument('--scatter', type=float, default=0.0)
+    parser.add_argument('--declare', action='store_true', help='the description knows the scatter')
     parser.add_argument('--effects', nargs='*')
     parser.add_argument('--workers', type=int, default=os.cpu_count())
     parser.add_argument('--json', type=Path)
@@ -224,6 +225,7 @@ def main() -> int:
                     'machine': machine(),
                     'figures': figures,
                     'scatter': options.scatter,
+                    'declared': options.declare,
                     'outcomes': [asdict(o) for o in outcomes],
                 },
                 indent=1,

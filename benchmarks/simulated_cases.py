@@ -37,6 +37,14 @@ class Case:
     size: float
     seed: int
     scatter: float
+    declared: bool  # whether the description's tolerances name the scatter
+
+
+def described(case: Case) -> Robot:
+    """Return the owner's description of a case, with the tolerances that it declares."""
+    robot = robot_of(case.robot, case.hidden)
+    known = {'cell_stiffness': case.scatter} if case.declared else {}
+    return replace(robot, tolerances={**robot.tolerances, **known})
 
 
 def robot_of(name: str, hidden: str) -> Robot:
@@ -130,7 +138,7 @@ def true_values(robot: Robot, case: Case, values):
 
 def cases_of(options) -> list[Case]:
     """List what to judge: sizes are drawn between a fifteenth and full."""
-    cases = []
+    cases, scatter = [], (options.scatter, options.declare)
     effects = options.effects or list(load_catalogue().names) + list(CAUSES)
     for robot in ('hinged', 'arcs'):
         for effect in effects:
@@ -139,9 +147,8 @@ def cases_of(options) -> list[Case]:
             for seed in range(options.seeds):
                 size = 15.0 ** -np.random.default_rng([seed, 9]).random()
                 size = max(size, 0.5) if effect in CAUSES else size
-                cases.append(Case(robot, effect, float(size), seed + 1, options.scatter))
+                cases.append(Case(robot, effect, float(size), seed + 1, *scatter))
         cases += [
-            Case(robot, 'none', 0.0, 1000 + seed, options.scatter)
-            for seed in range(options.clean // 2)
+            Case(robot, 'none', 0.0, 1000 + seed, *scatter) for seed in range(options.clean // 2)
         ]
     return cases
