@@ -1,0 +1,54 @@
+"""What the live page says to do next, step by step, and what its buttons allow."""
+
+import json
+
+from tendon_robot_ros.nodes.view_state import ViewState
+
+
+def said(state, **values):
+    """Let the monitor say something; return what the page then tells."""
+    known = {'recording': 'false', 'postures': '0', 'diagnosing': 'false', 'addition': ''}
+    state.hear_status(0.0, 'monitor', 0, '', {**known, **values})
+    return state.guide()
+
+
+def test_the_page_leads_from_the_first_click_to_the_fallen_error():
+    state = ViewState()
+    assert 'Waiting for the robot' in state.guide()
+    state.hear_error(0.0, 5e-3)
+    assert 'click 1 to record' in said(state)
+    assert not state.can_diagnose and not state.can_add
+    assert 'Recording: 3 of 8' in said(state, recording='true', postures='3')
+    assert 'Click 2' in said(state, recording='true', postures='9')
+    assert state.can_diagnose
+    assert 'Comparing every' in said(state, postures='9', diagnosing='true')
+    assert not state.can_diagnose
+    state.hear_verdict(json.dumps({'verdict': 'missing_effect', 'noise_floor': 3e-4}))
+    assert 'Fitting' in said(state, postures='9', diagnosing='true')
+    assert 'Click 3' in said(state, postures='9', addition='gravity')
+    assert state.can_add
+    assert 'now has gravity' in said(state, postures='9', added='1')
+    assert not state.can_add
+    assert [text for _, text in state.marks] == ['gravity']
+
+
+def test_a_new_diagnosis_forgets_the_verdict_before():
+    state = ViewState()
+    state.hear_verdict(json.dumps({'verdict': 'adequate'}))
+    assert 'Nothing is missing' in said(state, postures='9')
+    assert 'Comparing every' in said(state, postures='9', diagnosing='true')
+    assert state.verdict == {}
+
+
+def test_what_the_catalogue_cannot_name_is_not_added():
+    state = ViewState()
+    state.hear_verdict(json.dumps({'verdict': 'outside_catalogue'}))
+    assert 'no name for this cause' in said(state, postures='9', addition='tip_load')
+    assert not state.can_add
+
+
+def test_reset_is_offered_after_a_stop_only():
+    state = ViewState()
+    assert not state.stopped
+    state.hear_status(0.0, 'driver', 2, '', {'stopped': 'true'})
+    assert state.stopped
