@@ -2,7 +2,7 @@
 RUN := tools/bootstrap.sh
 ARGS :=
 
-.PHONY: help venv paper test test-oldest test-slow test-blind demo lint format live
+.PHONY: help venv paper test test-oldest test-slow test-blind demo bench lint format live
 .SILENT:
 
 help: ## list the targets
@@ -33,6 +33,16 @@ demo: ## the paper's postures with a mock arm, in under a minute
 
 paper: ## the paper's experiments: published numbers beside ours (results/paper)
 	$(RUN) python -m tendon_robot_ros paper --output results/paper --overwrite $(ARGS)
+
+BENCH := results/bench
+# The diagnosis has benchmarks of its own that take hours: see docs/diagnosis.md
+bench: ## speed on this machine of model, controller and drivers, as JSON (results/bench, minutes)
+	mkdir -p $(BENCH)
+	$(RUN) python benchmarks/bench_model.py --json $(BENCH)/model.json $(ARGS)
+	$(RUN) python benchmarks/bench_controller.py --json $(BENCH)/controller.json
+	$(RUN) python benchmarks/bench_reading.py --json $(BENCH)/reading.json
+	$(RUN) python benchmarks/bench_serial.py --json $(BENCH)/serial.json
+	$(RUN) python benchmarks/bench_dynamixel.py --json $(BENCH)/dynamixel.json
 
 lint: ## ruff and mypy
 	$(RUN) ruff check $(ARGS)

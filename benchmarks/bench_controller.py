@@ -135,6 +135,7 @@ def main() -> dict[str, object]:
     parser.add_argument('--targets', type=int, default=4000)
     parser.add_argument('--cold', action='store_true', help='also start with an empty cache')
     parser.add_argument('--model', default=ROBOT)
+    parser.add_argument('--json', type=Path)
     options = parser.parse_args()
     namespace = f'/bench_{os.getpid()}'
     result: dict[str, object] = {**machine(), 'rate_hz': RATE, 'model': options.model}
@@ -158,7 +159,10 @@ def main() -> dict[str, object]:
             result['start_cold_s'] = round(cold, 1)
     sender.destroy_node()
     rclpy.shutdown()
-    print(json.dumps(result, indent=2))
+    text = json.dumps(result, indent=2)
+    print(text)
+    if options.json:
+        options.json.write_text(text)
     return result
 
 

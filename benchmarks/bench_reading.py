@@ -4,6 +4,7 @@ Time to read a data set of a million marker rows.
 usage: python benchmarks/bench_reading.py
 """
 
+import argparse
 import json
 import tempfile
 import time
@@ -54,12 +55,18 @@ def seconds(folder, repeats=3):
 
 def main():
     """Measure, print and return the figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--json', type=Path)
+    options = parser.parse_args()
     result = {'rows': POSTURES * TRIALS * MARKERS, 'limit_s': 2.0, **machine()}
     for name, missing in (('complete_s', 0.0), ('one_in_ten_missing_s', 0.1)):
         with tempfile.TemporaryDirectory() as folder:
             write(Path(folder), missing)
             result[name] = round(seconds(folder), 3)
-    print(json.dumps(result, indent=2))
+    text = json.dumps(result, indent=2)
+    print(text)
+    if options.json:
+        options.json.write_text(text)
     return result
 
 

@@ -9,7 +9,6 @@ FILE_LINES, FUNCTION_LINES = 250, 40
 
 # path, or path:function -> why splitting it would hurt
 LONGER = {
-    'test/test_cli_model.py': 'one command after the other; the next one to touch it may split it',
     'tendon_robot_ros/model/kernel/inverse.py:aim': 'one loop whose steps share a dozen arrays',
 }
 

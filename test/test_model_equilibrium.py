@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from arms import GRAVITY, TYPICAL, planar, spatial, two_sections
 from reference import Reference
+from scipy.optimize import brentq
+from scipy.special import ellipk
 
 from tendon_robot_ros.exceptions import NoEquilibriumError
 from tendon_robot_ros.model.model import Model
@@ -39,13 +41,30 @@ def test_an_arm_pressed_past_its_buckling_load(times, bends_as):
     assert settled(pressed(times * EULER, bends_as=bends_as), [0.0, 0.0])
 
 
-@pytest.mark.xfail(
-    strict=True, reason='above the buckling load the solver may settle on the unstable equilibrium'
-)
-def test_below_the_buckling_load_the_arm_hardly_bends_above_it_much():
-    small = Model(pressed(0.8 * EULER)).shape([0.0, 0.0]).bend.sum()
-    large = Model(pressed(1.2 * EULER)).shape([0.0, 0.0]).bend.sum()
-    assert small < 0.05 and large > 0.5
+@pytest.mark.parametrize('bends_as', ['arc', 'hinge'])
+def test_below_the_buckling_load_the_arm_hardly_bends_above_it_much(bends_as):
+    small, large = (
+        Model(pressed(times * EULER, bends_as=bends_as)).shape([0.0, 0.0]).bend.sum(axis=0)
+        for times in (0.8, 1.2)
+    )
+    assert 0.0 < small[0] < 0.05 and large[0] > 0.5
+    assert abs(large[1]) < 1e-6
+
+
+@pytest.mark.parametrize('side', [1e-4, -1e-4, 0.0])
+@pytest.mark.parametrize('times', [1.2, 2.0, 3.0])
+def test_above_the_buckling_load_the_arm_is_an_elastica_to_the_side_it_is_pushed_to(times, side):
+    total = Model(pressed(times * EULER, side)).shape([0.0, 0.0]).bend.sum(axis=0)
+    half = brentq(lambda half: ellipk(np.sin(half) ** 2) - 0.5 * np.pi * np.sqrt(times), 0.1, 1.56)
+    assert np.linalg.norm(total) == pytest.approx(2.0 * half, rel=0.01)
+    if side:
+        assert np.sign(side) * total[0] > 0.999 * np.linalg.norm(total)
+
+
+def test_a_tendon_decides_the_side_of_an_arm_that_buckles():
+    for inputs, sign in (([0.02, 0.0], -1.0), ([0.0, 0.02], 1.0)):
+        bend = Model(pressed(1.5 * EULER, 0.0)).shape(inputs).bend.sum(axis=0)
+        assert sign * bend[0] > 1.0
 
 
 def test_ten_times_the_normal_loads_and_tensions():

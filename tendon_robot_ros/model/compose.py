@@ -141,8 +141,8 @@ def compose(catalogue: Catalogue) -> Callable[[str], ModuleType]:
 
 def is_compiled(catalogue: Catalogue) -> bool:
     """Tell whether machine code for a catalogue lies in the cache."""
-    folder = cache_folder() / f'tendon_robot_kernel_{kernel_key(catalogue)}'
-    return any(folder.rglob('*.nbc'))
+    # beside the sources, or with NUMBA_CACHE_DIR in a folder of that name and a hash
+    return any(cache_folder().glob(f'tendon_robot_kernel_{kernel_key(catalogue)}*/**/*.nbc'))
 
 
 def _write(folder: Path, stages: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING
@@ -22,6 +23,8 @@ POSITION_THRESHOLD = 1e-4  # [m]
 DIRECTION_THRESHOLD = np.deg2rad(0.2)  # [rad]
 FINE = 1e-12  # [m²] cost below which no further start is tried: 1 µm
 STARTS_BY_PULLS = 4  # each is several searches
+HARDLY, LITTLE = 1e-6, 1e-2  # [1] gain of a step: a search goes on, tracking has the next tick
+NEAR = 128  # shapes of the library among which starts are chosen
 PREFERENCE = 1e-6  # [m/N] how little low tension counts
 
 
@@ -33,7 +36,7 @@ def reach(
     guess: Shape | None = None,
     position_weight: float = 1.0,
     direction_weight: float | None = None,
-    starts: int = 12,
+    starts: int = 24,
     by_pulls: bool = False,
 ) -> Reach:
     """
@@ -62,13 +65,15 @@ def reach(
     """
     target = _target(model, position, direction, position_weight, direction_weight)
     best: tuple[float, Floats, Floats] | None = None
-    aim = partial(_aim, model, target)
+    enough = HARDLY if guess is None else LITTLE
     starts = min(starts, STARTS_BY_PULLS) if by_pulls else starts
     for inputs, bend in _starts(model, target, guess, starts):
+        aim = partial(_aim, model, target, enough)
         if by_pulls:
             cost, bends = aim_by_pulls(model, aim, inputs, bend)
         else:
             cost, bends = aim(inputs, bend, model.limits)
+        enough = HARDLY
         if best is None or cost < best[0]:
             best = (cost, inputs, bends)
         if cost - _preferred(model, inputs) < FINE:
@@ -104,14 +109,25 @@ def _target(
 def _starts(
     model: Model, target: Floats, guess: Shape | None, count: int
 ) -> Iterator[tuple[Floats, Floats]]:
-    """Yield tensions and bends to start from, most promising first; made only when needed."""
+    """
+    Yield tensions and bends to start from; made only when needed.
+
+    The guess, then the shape of the library whose tip is nearest, then, of the nearest `NEAR`, the
+    one whose tensions are furthest from those tried: the same tip is often met with much tension
+    against much tension, and from little there is no way down to it.
+    """
     if guess is not None:
         yield np.clip(guess.inputs, *model.limits.T), guess.bend
     library = model.library
     tips = np.concatenate([library.tip_position, library.tip_direction], axis=1)
     miss = np.repeat(target[6:], 3) * (tips - target[:6])
-    for row in np.argsort((miss * miss).sum(axis=1))[:count]:
-        yield library.inputs[row].copy(), library.bend[row]
+    near = np.argsort((miss * miss).sum(axis=1))[:NEAR]
+    places = library.inputs[near] / model.limits[:, 1]
+    away, row = np.full(len(near), np.inf), 0
+    for _ in range(min(count, len(near))):
+        yield library.inputs[near[row]].copy(), library.bend[near[row]]
+        away = np.minimum(away, ((places - places[row]) ** 2).sum(axis=1))
+        row = int(np.argmax(away))
 
 
 def _preferred(model: Model, inputs: Floats) -> float:
@@ -120,9 +136,13 @@ def _preferred(model: Model, inputs: Floats) -> float:
 
 
 def _aim(
-    model: Model, target: Floats, inputs: Floats, bend: Floats, limits: Floats
+    model: Model, target: Floats, enough: float, inputs: Floats, bend: Floats, limits: Floats
 ) -> tuple[float, Floats]:
-    """Improve inputs in place; return the cost [m²] and the bends of the equilibrium."""
+    """
+    Improve inputs in place; return the cost [m²] and the bends of the equilibrium.
+
+    Once the tip is there, a step that gains less than `enough` of the cost is the last.
+    """
     bends = np.array([bend, bend])
     cost = model.arrays.part('inverse').aim(
         model.arrays.address,
@@ -133,6 +153,7 @@ def _aim(
         np.ascontiguousarray(limits[:, 1]),
         PREFERENCE,
         60,
+        enough,
         model.arrays.fresh_memory(),
         model.scratch,
     )
@@ -140,11 +161,12 @@ def _aim(
 
 
 def _errors(shape: Shape, target: Floats) -> tuple[float, float]:
-    position = float(np.linalg.norm(shape.tip_position - target[:3])) if target[6] else 0.0
+    position = math.dist(shape.tip_position, target[:3]) if target[6] else 0.0
     if not target[7]:
         return position, 0.0
-    cross = float(np.linalg.norm(np.cross(shape.tip_direction, target[3:6])))
-    return position, float(np.arctan2(cross, shape.tip_direction @ target[3:6]))
+    (ax, ay, az), (bx, by, bz) = shape.tip_direction.tolist(), target[3:6].tolist()
+    across = math.hypot(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
+    return position, math.atan2(across, ax * bx + ay * by + az * bz)
 
 
 def _judge(model: Model, target: Floats, cost: float, inputs: Floats, bend: Floats) -> Reach:
@@ -168,7 +190,7 @@ def _limits_bind(model: Model, target: Floats, inputs: Floats, bend: Floats) -> 
     """Tell whether the target would be reached with three times the tension."""
     wide = model.limits * [1.0, 3.0]
     more = inputs.copy()
-    cost, bends = _aim(model, target, more, bend, wide)
+    cost, bends = _aim(model, target, LITTLE, more, bend, wide)
     if not np.isfinite(cost):
         return False
     try:

@@ -20,6 +20,7 @@ from .shape import place, posture
 
 # Target: x, y, z [m], direction x, y, z, weight of position [1], weight of direction [m/rad].
 DIFFERENCE = 1e-5  # [N]
+THERE = 1e-14  # [m²] half the squared error of a tip that is where it should be: 0.14 µm
 
 
 @compiled
@@ -108,11 +109,12 @@ def tip_jacobian(
 
 
 @entry()
-def aim(robot, inputs, bends, target, low, high, preference, most, past, scratch):
+def aim(robot, inputs, bends, target, low, high, preference, most, enough, past, scratch):
     """
     Move inputs (m,) [N] within [low, high] so that the tip meets the target; return the cost.
 
-    `bends` (2, n, 2) holds a guess and takes the equilibrium in its first half.
+    `bends` (2, n, 2) holds a guess and takes the equilibrium in its first half. With the tip
+    `THERE`, the search ends with a step that gains less than `enough` of the cost.
     """
     chain = chain_at(robot)
     n, m = chain.n, chain.m
@@ -126,7 +128,7 @@ def aim(robot, inputs, bends, target, low, high, preference, most, past, scratch
     free = np.empty(m, np.int64)
     miss(chain, inputs, work, then, now, bend, before, target, f)
     cost = cost_of(f, inputs, low, preference)
-    damping = 1e-6
+    damping = 1e-9
     for _ in range(most):
         if not cost < math.inf:
             return cost
@@ -152,12 +154,13 @@ def aim(robot, inputs, bends, target, low, high, preference, most, past, scratch
             damping = max(4.0 * damping, 1e-6)
         if gain == 0.0:
             return cost
-        damping = max(0.2 * damping, 1e-12)
+        damping = max(0.05 * damping, 1e-13)
         inputs[:] = trial
         f[:] = moved
         for i in range(2 * n):
             floats(bend)[i] = floats(near)[i]
         cost -= gain
-        if gain < 1e-6 * cost or cost < 1e-16:
+        there = cost_of(f, low, low, preference) < THERE
+        if gain < 1e-6 * cost or cost < 1e-16 or (there and gain < enough * cost):
             return cost
     return cost

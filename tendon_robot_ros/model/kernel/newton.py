@@ -70,9 +70,9 @@ def is_planar(chain, x):
 
 
 @compiled
-def inverse_slopes(chain, inputs, x, f, work, past, stride, moved):
+def slopes(chain, inputs, x, f, work, past, stride, moved):
     """
-    Inverse (q, q) of the residual's Jacobian at x over the unknowns 0, stride, ...
+    Jacobian (q, q) of the residual at x over the unknowns 0, stride, ...
 
     By differences so small that a tendon about to slip (2e-6 m) still counts as smooth.
     """
@@ -86,7 +86,7 @@ def inverse_slopes(chain, inputs, x, f, work, past, stride, moved):
         x[c * stride] = keep
         for r in range(count):
             jacobian[r, c] = (moved[r * stride] - f[r * stride]) / h
-    return invert(jacobian)
+    return jacobian
 
 
 @compiled
@@ -158,7 +158,7 @@ def newton(chain, inputs, x, work, past, most):
         if change < TOLERANCE or change == math.inf:
             return change
         if not old:
-            inverse = inverse_slopes(chain, inputs, x, f, work, past, stride, trial_f)
+            inverse = invert(slopes(chain, inputs, x, f, work, past, stride, trial_f))
             if math.isnan(inverse[0, 0]):
                 return change
         fresh = not old

@@ -5,7 +5,9 @@ import math
 import numpy as np
 
 from .layout import SETTLE, SLIP_LENGTH, address, compiled, entry, floats, step_at
+from .loads import loaded
 from .newton import TOLERANCE, dot, largest, newton, solve_small
+from .stability import SAFE, descend, load_ratio
 from .stages import memory_acts
 from .sweep import is_implicit
 from .turning import half_turns
@@ -148,7 +150,8 @@ def settle(chain, inputs, work, past, bend):
         step_at(chain.step)(chain, inputs, address(x), work, past, address(x))
         floats(work.slip)[2] = 1.0
     change = repeat_sweeps(chain, inputs, x, work, past, 25)
-    if change >= TOLERANCE:
+    swept = change < TOLERANCE
+    if not swept:
         for j in range(size):
             x[j] = bends[j]
         change = newton(chain, inputs, x, work, past, 12)
@@ -156,6 +159,12 @@ def settle(chain, inputs, work, past, bend):
             change = sharpen(chain, inputs, x, work, past)
         if change >= TOLERANCE:
             change = continuation(chain, inputs, x, work, past)
+    if change < TOLERANCE and loaded(chain):
+        ratio = load_ratio(chain)
+        if ratio > SAFE:
+            descend(chain, inputs, x, work, past, ratio)
+            swept = False
+    if not swept:
         step_at(chain.step)(chain, inputs, address(x), work, past, bend)
         half_turns(chain, address(x), work)
     for j in range(size):

@@ -1,0 +1,126 @@
+"""The commands describe and new-robot, as a user types them."""
+
+import io
+import itertools
+import sys
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+import yaml
+from source_tree import ROOT
+
+from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.robot import load_robot, parse_robot
+from tendon_robot_ros.robot_urdf import joint_angles, joint_names, urdf
+
+ROBOTS = ROOT / 'config' / 'robots'
+KATO = str(ROBOTS / 'kato_10_1.yaml')
+GROUPS = str(ROBOTS / 'kato_1_1.yaml')
+SPATIAL = str(ROBOTS / 'spatial_6.yaml')
+
+
+def test_describe_names_the_model_and_every_part(capsys):
+    assert main(['describe', KATO]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith('robot kato_10_1: 2 sections, 30 cells, 4 tendons, 208 mm\n')
+    assert 'model: FKM (tendon_friction, friction coefficient 0.33)\n' in out
+    for name in ('proximal', 'distal', 'prox_left', 'dist_right', '0.1 to 5 N each'):
+        assert name in out
+
+
+def bent(tree, angles):
+    """Return the frames (n, 4, 4) of the cells' hinges: what RViz makes of a URDF."""
+    angles = dict(zip([j.get('name') for j in tree.iter('joint')], angles, strict=True))
+    frame, frames = np.eye(4), []
+    for joint in tree.iter('joint'):
+        axis = np.array([float(v) for v in joint.find('axis').get('xyz').split()])
+        up = np.eye(4)
+        up[:3, 3] = [float(v) for v in joint.find('origin').get('xyz').split()]
+        cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+        angle = angles[joint.get('name')]
+        turn = np.eye(4)
+        turn[:3, :3] += np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+        frame = frame @ up @ turn
+        frames.append(frame)
+    return np.array(frames[1::2])
+
+
+def test_the_urdf_is_a_chain_of_two_joints_per_cell(capsys):
+    assert main(['describe', SPATIAL, '--urdf']) == 0
+    tree = ElementTree.fromstring(capsys.readouterr().out)
+    joints = list(tree.iter('joint'))
+    assert [j.get('name') for j in joints] == list(joint_names(load_robot(SPATIAL)))
+    assert len(joints) == 2 * 30
+    links = [link.get('name') for link in tree.iter('link')]
+    assert len(set(links)) == len(links)
+    assert {j.find('child').get('link') for j in joints} == set(links) - {'base'}
+    for before, joint in itertools.pairwise(joints):
+        assert joint.find('parent').get('link') == before.find('child').get('link')
+
+
+def test_the_urdf_takes_the_shape_of_the_model():
+    robot = load_robot(SPATIAL)
+    shape = Model(robot).shape([0.1, 1.5, 0.1, 0.1, 0.1, 1.2])
+    frames = bent(ElementTree.fromstring(urdf(robot)), joint_angles(shape.frames))
+    tips = frames[:, :3, 3] + 0.003 * frames[:, :3, 2]  # from the hinge to the end of the cell
+    assert np.allclose(tips, shape.positions, rtol=0, atol=1e-9)
+    assert np.allclose(frames[:, :3, 2], shape.frames[:, :, 2], rtol=0, atol=1e-12)
+
+
+def new_robot(monkeypatch, tmp_path, answers, *arguments):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, 'stdin', io.StringIO(answers))
+    return main(['new-robot', *arguments])
+
+
+def test_new_robot_takes_answers_from_a_pipe_and_draws(monkeypatch, tmp_path, capsys):
+    answers = 'my arm\n3\n4\n6\n\nhinge\n3\n5\n\n8\n0.2\nhorizontal\n'
+    assert new_robot(monkeypatch, tmp_path, answers) == 0
+    robot = load_robot(tmp_path / 'my_arm.yaml')
+    assert (robot.name, robot.cells, len(robot.tendons)) == ('my arm', 12, 9)
+    assert robot.tension_limits == (0.1, 8.0) and robot.gravity == (9.81, 0.0, 0.0)
+    assert {np.hypot(*t.base).round(6) for t in robot.tendons} == {0.005}
+    assert robot.effects == {'tendon_friction': {'friction_coefficient': 0.2}}
+    assert (tmp_path / 'my_arm.png').read_bytes().startswith(b'\x89PNG')
+    assert 'written: my_arm.yaml' in capsys.readouterr().out
+
+
+def test_new_robot_needs_no_answer_at_all(monkeypatch, tmp_path):
+    assert new_robot(monkeypatch, tmp_path, '', '--output', 'arm.yaml') == 0
+    robot = load_robot(tmp_path / 'arm.yaml')
+    assert robot.inputs == ('proximal_right', 'proximal_left', 'distal_right', 'distal_left')
+
+
+@pytest.mark.parametrize(
+    ('answers', 'message'),
+    [
+        ('\n0\n', "How many sections: expected a whole number from 1 to 20, got '0'"),
+        ('\n\n\n-3\n', "Length of a cell [mm]: expected a number from 0.001 to 10000, got '-3'"),
+        ('\n\n\n\n\nbar\n', "Cells bend as: arc, hinge: expected arc or hinge, got 'bar'"),
+        ('\n' * 8 + '5\n2\n', "Highest tension [N]: expected a number from 5 to 100000, got '2'"),
+    ],
+)
+def test_a_wrong_answer_from_a_pipe_is_one_line(answers, message, monkeypatch, tmp_path, capsys):
+    assert new_robot(monkeypatch, tmp_path, answers) == 1
+    assert capsys.readouterr().err.splitlines()[-1].endswith(f'error: {message}')
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_new_robot_replaces_no_file(monkeypatch, tmp_path, capsys):
+    (tmp_path / 'arm.yaml').write_text('mine')
+    assert new_robot(monkeypatch, tmp_path, '', '--output', 'arm.yaml') == 1
+    assert 'arm.yaml: is there already; use --overwrite or another --output' in (
+        capsys.readouterr().err
+    )
+    assert (tmp_path / 'arm.yaml').read_text() == 'mine'
+
+
+@pytest.mark.parametrize('path', sorted(ROBOTS.glob('*.yaml')), ids=lambda path: path.stem)
+def test_every_robot_in_config_loads_bends_and_is_described(path, capsys):
+    robot = load_robot(path)
+    assert parse_robot(yaml.safe_dump(yaml.safe_load(path.read_text()))).inputs == robot.inputs
+    shape = Model(robot).shape(np.full(len(robot.inputs), robot.tension_limits[0]))
+    assert np.isfinite(shape.positions).all()
+    assert main(['describe', str(path)]) == 0
