@@ -7,7 +7,7 @@ pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseArray, PoseStamped
-from ros_station import INPUTS, LATCHED, Station, last, values
+from ros_station import INPUTS, LATCHED, Station, last, start, values
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.model.model import Model
@@ -127,3 +127,19 @@ def test_a_marker_that_nobody_knows_is_named(tracked):
     station = tracked(measured_markers='{elbow: camera/one}')
     station.until_code(station.monitor, 'problem', timeout=LOADED)
     assert 'expected names of middle, tip, got' in last(station.monitor).message
+
+
+def test_a_shifted_tracker_is_off_by_its_shift_once(tmp_path):
+    hidden = '{base_misalignment: {shift_x: 0.005, rotation_y: 0.05}}'
+    config = f'{{plant: {{refine: 1, scatter: 0.0, hidden: {hidden}}}}}'
+    station = Station('/shifted')
+    try:
+        with start('driver', '/shifted', tmp_path, config=config):
+            station.until(lambda: station.tips, 'the tip', LOADED)
+    finally:
+        station.close()
+    straight = 0.208
+    assert station.tip()[0] == pytest.approx(0.005 + straight * np.sin(0.05), abs=1e-3)
+    turn = last(station.tips).pose.orientation
+    along = 2.0 * (turn.x * turn.z + turn.w * turn.y)  # x of the direction that +z points to
+    assert along == pytest.approx(np.sin(0.05), abs=2e-3)

@@ -57,11 +57,11 @@ class MockTracker:
             return
         header = Header(frame_id=self._frame, stamp=self._node.get_clock().now().to_msg())
         n = len(self._arc_lengths)
-        points = arm.markers(self._arc_lengths, np.zeros((n, 3)))
-        ahead = points[-1] + AHEAD * arm.tip_direction
-        seen = self._seen(np.vstack([points, ahead]), arm.inputs)
-        positions, along = seen[:-1], (seen[-1] - seen[-2]) / AHEAD
-        positions = positions + self._random.normal(0.0, self._noise, (n, 3))
+        points = arm.markers(self._arc_lengths, np.zeros((n, 3)))  # a plant's: as it is tracked
+        tip = arm.tip_position
+        ahead = self._seen(np.stack([tip, tip + AHEAD * arm.tip_direction]), arm.inputs)
+        along = (ahead[1] - ahead[0]) / AHEAD
+        positions = points + self._random.normal(0.0, self._noise, (n, 3))
         positions[self._random.random(n) < self._missing] = np.nan
         rotations = np.tile(np.eye(3), (n, 1, 1))  # markers are points
         self._shape.publish(pose_array(header, positions, rotations))
