@@ -107,7 +107,7 @@ def inverse(name: str, targets: int, largest: float) -> dict[str, object]:
 
 
 def section_iv_b(robot: Robot) -> dict[str, float]:
-    """CPU time of all pairs (proxL, distR) and (proxR, distL) to 5 N by 0.1 N: 5,000 shapes [s]."""
+    """CPU time of all pairs (proxL, distR), (proxR, distL) to 5 N by 0.1 N: 5,000 shapes [s]."""
     model = Model(robot)
     steps = np.arange(0.1, 5.05, 0.1)
     first, second = (grid.ravel() for grid in np.meshgrid(steps, steps))
