@@ -95,3 +95,23 @@ def test_by_pulls_the_tensions_are_those_that_lengths_hold():
         assert found.status == 'reached'
         assert np.allclose(arm.tip_position, wanted.tip_position, rtol=0.0, atol=1e-4)
         assert np.allclose(arm.inputs, found.tensions, rtol=0.0, atol=1e-3)
+
+
+@pytest.mark.parametrize('robot', ['kato_10_1', 'kato_1_1'])
+def test_of_the_ways_to_a_target_one_of_low_tension_is_taken(robot):
+    """A straight arm needs next to no tension, though any amount holds it straight."""
+    model = Model(load_robot(ROBOTS / f'{robot}.yaml'))
+    straight = [0.0, 0.0, 0.95 * model.robot.length]
+    squeezed = model.reach(straight, guess=model.shape([2.0, 2.0, 2.5, 2.5]))
+    low = model.reach(straight)
+    again = model.reach(straight, guess=squeezed.shape, relax=True)
+    assert squeezed.status == low.status == again.status == 'reached'
+    assert again.tensions.sum() < 0.7 * squeezed.tensions.sum()
+    assert low.tensions.sum() < 0.7 * squeezed.tensions.sum()
+
+
+def test_the_papers_highest_posture_needs_one_tendon_of_each_section():
+    model = Model(load_robot(ROBOTS / 'kato_10_1.yaml'))
+    wanted = model.shape([1.6, 0.1, 0.1, 2.0])
+    found = model.reach(wanted.tip_position, wanted.tip_direction)
+    assert found.tensions == pytest.approx([1.6, 0.1, 0.1, 2.0], abs=1e-3)

@@ -227,6 +227,7 @@ class ControllerCore:
             direction_weight=self.settings.direction_weight or None,
             starts=STARTS if self._jog is None else 0,
             by_pulls=self.settings.pull_mode,
+            relax=self._jog is None,
         )
 
     def _resync(self) -> None:

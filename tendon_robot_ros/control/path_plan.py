@@ -122,7 +122,7 @@ def plan(model: Model, path: TipPath, pace: Pace, start: Shape) -> Plan:
     found, shape = [], start
     for position, direction in zip(path.positions, path.directions, strict=True):
         view = None if np.isnan(direction).any() else direction
-        solution = model.reach(position, view, guess=shape)
+        solution = model.reach(position, view, guess=shape, relax=True)
         found.append(solution)
         shape = solution.shape
     tensions = np.array([one.tensions for one in found])

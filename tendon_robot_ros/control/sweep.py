@@ -66,7 +66,7 @@ def _around(model: Model, angle: float, steps: int) -> list[Posture]:
         about = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         place = about @ first.shape.tip_position
         along = about @ np.array([np.sin(angle), 0.0, np.cos(angle)])
-        solution = model.reach(place, along, guess=shape)
+        solution = model.reach(place, along, guess=shape, relax=True)
         if solution.position_error > NEAR or solution.direction_error > ALIKE:
             raise InputError(
                 f'{model.robot.name}: the {np.degrees(angle):.0f}° view is out of reach when '

@@ -26,6 +26,7 @@ STARTS_BY_PULLS = 4  # each is several searches
 HARDLY, LITTLE = 1e-6, 1e-2  # [1] gain of a step: a search goes on, tracking has the next tick
 NEAR = 128  # shapes of the library among which starts are chosen
 PREFERENCE = 1e-6  # [m/N] how little low tension counts
+RELAXING = (1e-2, 1e-3, 1e-4, 1e-5)  # [m/N] how it counts on the way there
 
 
 def reach(
@@ -38,6 +39,7 @@ def reach(
     direction_weight: float | None = None,
     starts: int = 24,
     by_pulls: bool = False,
+    relax: bool = False,
 ) -> Reach:
     """
     Find tensions within the limits that bring the tip to a target.
@@ -56,6 +58,8 @@ def reach(
         How many starts a cold search may take.
     by_pulls : bool
         Only tensions that wire lengths can hold (see `inverse_pulls`); the lower limit is 0.
+    relax : bool
+        With a guess, too, go on from a solution to one of low tension, as a cold search does.
 
     Raises
     ------
@@ -81,7 +85,23 @@ def reach(
     assert best is not None
     if not np.isfinite(best[0]):
         raise NoEquilibriumError('any start of the search', model.implicit_effects, np.inf)
+    if (relax or guess is None) and not by_pulls:
+        best = _relaxed(model, target, *best)
     return _judge(model, target, *best)
+
+
+def _relaxed(
+    model: Model, target: Floats, cost: float, inputs: Floats, bend: Floats
+) -> tuple[float, Floats, Floats]:
+    """Move from a solution along those that meet the target to one of low tension."""
+    if cost - _preferred(model, inputs) > FINE:
+        return cost, inputs, bend
+    less, bends = inputs.copy(), bend
+    for preference in (*RELAXING, PREFERENCE):
+        new, bends = _aim(model, target, HARDLY, less, bends, model.limits, preference)
+    if new < cost and new - _preferred(model, less) < FINE:
+        return new, less, bends
+    return cost, inputs, bend
 
 
 def _target(
@@ -136,7 +156,13 @@ def _preferred(model: Model, inputs: Floats) -> float:
 
 
 def _aim(
-    model: Model, target: Floats, enough: float, inputs: Floats, bend: Floats, limits: Floats
+    model: Model,
+    target: Floats,
+    enough: float,
+    inputs: Floats,
+    bend: Floats,
+    limits: Floats,
+    preference: float = PREFERENCE,
 ) -> tuple[float, Floats]:
     """
     Improve inputs in place; return the cost [m²] and the bends of the equilibrium.
@@ -151,7 +177,7 @@ def _aim(
         target,
         np.ascontiguousarray(limits[:, 0]),
         np.ascontiguousarray(limits[:, 1]),
-        PREFERENCE,
+        preference,
         60,
         enough,
         model.arrays.fresh_memory(),
