@@ -40,15 +40,17 @@ class Watch:
         if late[name] < 0.0 or not motors:
             return
         self.due[name] = now + PERIODS[name]
-        if name == 'health':
-            for identity, data in self.bus.block(*HEALTH, [m.identity for m in motors]).items():
-                _by_id(motors, identity).take_health(data)
-            return
-        register = REGISTERS[name]
-        identities = [motor.identity for motor in motors]
-        found = self.bus.block(register.address, register.size, identities)
-        for identity, data in found.items():
-            LOOK[name](self, _by_id(motors, identity), data[0])
+        register = REGISTERS.get(name)  # or health: several in a row
+        where = HEALTH if register is None else (register.address, register.size)
+        found = self.bus.block(*where, [motor.identity for motor in motors])
+        for motor in motors:
+            data = found.get(motor.identity)
+            if data is None:
+                motor.answers = False  # asked twice: no need to ask for its state, too
+            elif register is None:
+                motor.take_health(data)
+            else:
+                LOOK[name](self, motor, data[0])
 
     def confirmed(self, motor: Motor, name: str, value: int) -> bool:
         """Read a suspicious value once more."""
@@ -96,7 +98,3 @@ LOOK: dict[str, Callable[[Watch, Motor, int], None]] = {
     'bus_watchdog': Watch.dog,
     'torque_enable': Watch.torque,
 }
-
-
-def _by_id(motors: list[Motor], identity: int) -> Motor:
-    return next(motor for motor in motors if motor.identity == identity)
