@@ -12,7 +12,7 @@ pytest.importorskip('rclpy')
 pytest.importorskip('dynamixel_sdk')
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
-FARTHEST = {'tension': 250.0, 'pull': 10.0}  # [mm] the gears' friction bends the arm elsewhere
+FARTHEST = {'tension': 250.0, 'pull': 7.0}  # [mm] the gears' friction bends the arm elsewhere
 
 
 @pytest.mark.parametrize('mode', ['tension', 'pull'])
@@ -29,6 +29,6 @@ def test_the_demo_with_servos_survives_a_pulled_plug(mode):
     assert len(misses) == 5
     assert max(misses) < FARTHEST[mode]
     assert 'the port is gone; plug the adapter in again' in run.stdout
-    assert run.stdout.count('reached') == 5
+    assert len(re.findall(r'(reached|nearest)$', run.stdout, re.MULTILINE)) == 5
     again = re.search(r'followed ([\d.]+) s later', run.stdout)
     assert float(again[1]) < 5.0
