@@ -37,12 +37,9 @@ paper: ## the paper's experiments: published numbers beside ours (results/paper)
 BENCH := results/bench
 # The diagnosis has benchmarks of its own that take hours: see docs/diagnosis.md
 bench: ## speed on this machine of model, controller and drivers, as JSON (results/bench, minutes)
-	mkdir -p $(BENCH)
-	$(RUN) python benchmarks/bench_model.py --json $(BENCH)/model.json $(ARGS)
-	$(RUN) python benchmarks/bench_controller.py --json $(BENCH)/controller.json
-	$(RUN) python benchmarks/bench_reading.py --json $(BENCH)/reading.json
-	$(RUN) python benchmarks/bench_serial.py --json $(BENCH)/serial.json
-	$(RUN) python benchmarks/bench_dynamixel.py --json $(BENCH)/dynamixel.json
+	mkdir -p $(BENCH); missed=0; for name in model controller reading serial dynamixel; do \
+		$(RUN) python benchmarks/bench_$$name.py --json $(BENCH)/$$name.json || missed=1; \
+	done; exit $$missed
 
 lint: ## ruff and mypy
 	$(RUN) ruff check $(ARGS)
