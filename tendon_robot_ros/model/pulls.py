@@ -19,7 +19,7 @@ SETTLED = 1e-8  # [m] gap at which a search ends
 LOOSE = 0.1  # [N] that the stretched wires may be off
 NEAR = 5e-6  # [m] gap that is no reason to refuse: friction near standstill turns within 2e-6
 SPRINGS = np.array([1e-1, 1e-2, 1e-3, 1e-4])  # stretch of the wires, over the arm's compliance
-MOST = 20  # steps of a search
+MOST, FEW = 20, 6  # steps of a search; of one that begins near
 
 
 def pull_shape(model: Model, pulls: Given, guess: Shape | None = None) -> Shape:
@@ -103,7 +103,10 @@ def _tensions(
         loose = 0.0
         for stretch in _compliance(model) * springs:
             given = (target, inputs, bends, past, stretch)
-            loose = _search(model, 'springs', 'stretched', *given) / stretch
+            most = MOST if tensions is not last else FEW
+            loose = _search(model, 'springs', 'stretched', *given, most=most) / stretch
+            if loose > LOOSE:
+                break  # stiffer wires will do no better
         if loose > LOOSE:
             continue
         left = _search(model, 'pulls', 'pulled', target, inputs, bends, past)
@@ -125,11 +128,12 @@ def _search(
     bends: Floats,
     past: Floats,
     *stretch: float,
+    most: int = MOST,
 ) -> float:
     """Improve tensions and bends in place by a function of the kernel; return the gap [m]."""
     search = getattr(model.arrays.part(part), name)
     robot, scratch = model.arrays.address, model.scratch
-    return float(search(robot, inputs, target, bends, past, scratch, *stretch, MOST))
+    return float(search(robot, inputs, target, bends, past, scratch, *stretch, most))
 
 
 def _compliance(model: Model) -> float:

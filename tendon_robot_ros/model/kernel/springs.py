@@ -14,6 +14,8 @@ from .newton import invert
 from .pulls import accept, gaps, pull_slopes, room
 
 CLOSE = 1e-2  # largest gap, over the stretch of a wire by 1 N
+FAR, LEAST = 3.0, 0.01  # longest step, over the largest tension and this more [N]
+SLOW = 4  # steps that hardly help, then there is no answer this way
 
 
 @compiled
@@ -36,17 +38,23 @@ def spring_step(slopes, f, inputs, target, stretch, move):
             top = max(top, abs(gap))
     if count == 0:
         return 0.0
-    part = np.empty((count, count))
+    part, high = np.empty((count, count)), 0.0
     for p in range(count):
         for q in range(count):
             part[p, q] = slopes[taut[p], taut[q]]
         part[p, p] += stretch
+        high = max(high, inputs[taut[p]])
     inverse = invert(part)
     if math.isnan(inverse[0, 0]):
         return -1.0
+    longest = 0.0
     for p in range(count):
         for q in range(count):
             move[taut[p]] -= inverse[p, q] * (f[taut[q]] + stretch * inputs[taut[q]])
+        longest = max(longest, abs(move[taut[p]]))
+    share = min(1.0, FAR * (high + LEAST) / max(longest, 1e-300))
+    for p in range(count):
+        move[taut[p]] *= share  # where pulls hardly change, no step is a leap
     return top
 
 
@@ -88,13 +96,13 @@ def stretched(robot, inputs, target, bends, past, scratch, stretch, most):
         inputs[j] = 0.0 if math.isnan(target[j]) else inputs[j]
     if not gaps(chain, inputs, target, there, f, True):
         return math.inf
-    fresh, stale, top = False, True, math.inf
+    fresh, stale, top, slow = False, True, math.inf, 0
     for _ in range(most):
         if stale:
             pull_slopes(chain, inputs, target, there, f, moved, slopes)
             fresh, stale = True, False
             top = spring_step(slopes, f, inputs, target, stretch, move)
-        if top < CLOSE * stretch:
+        if top < CLOSE * stretch or slow > SLOW:
             break
         share, better = 1.0, False
         for _ in range(8 if fresh else 2):
@@ -108,6 +116,7 @@ def stretched(robot, inputs, target, bends, past, scratch, stretch, most):
         if not better and fresh:
             break
         stale = not better or new > 0.3 * top
+        slow += 1 if not better or new > 0.7 * top else 0
         if better:
             correct(slopes, moved - f, trial - inputs)
             accept(chain, there, trial, moved, inputs, f)
