@@ -141,6 +141,7 @@ def test_the_robot_moves_through_ros2_control_and_is_released_when_it_goes_silen
     message.header.stamp = station.node.get_clock().now().to_msg()
     station.send('controller/target_point', message)
     station.until_code(station.controller, 'reached')
+    station.until(lambda: group.received, 'a command at the group controller')
     station.spin(0.5)
     command = last(station.commands)
     if group.mode == 'tension':

@@ -65,9 +65,10 @@ def quaternions(rotations: Array) -> Array:
 def towards(direction: Array) -> Array:
     """Return a rotation matrix whose z axis is a unit vector, turned there the shortest way."""
     x, y, z = direction
-    if z < -1.0 + 1e-12:
+    across = x * x + y * y
+    if z < 0.0 and across < 1e-24:
         return np.diag([1.0, -1.0, -1.0])
-    k = 1.0 / (1.0 + z)
+    k = 1.0 / (1.0 + z) if z >= 0.0 else (1.0 - z) / across  # the same, without cancellation
     return np.array([[1 - k * x * x, -k * x * y, x], [-k * x * y, 1 - k * y * y, y], [-x, -y, z]])
 
 
