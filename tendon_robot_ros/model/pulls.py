@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NoReturn
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +19,7 @@ Floats = npt.NDArray[np.float64]
 SETTLED = 1e-8  # [m] gap at which a search ends
 LOOSE = 0.1  # [N] that the stretched wires may be off
 NEAR = 5e-6  # [m] gap that is no reason to refuse: friction near standstill turns within 2e-6
-SPRINGS = np.array([1e-1, 1e-2, 1e-3, 1e-4])  # stretch of the wires, over the arm's compliance
+SPRINGS = (1e-1, 1e-2, 1e-3, 1e-4)  # stretch of the wires, over the arm's compliance
 MOST, FEW = 20, 6  # steps of a search; of one that begins near
 
 
@@ -90,50 +91,53 @@ def _tensions(
     First for wires that stretch, from soft to stiff: lengths alone often leave it open how hard
     two wires pull against each other, springs do not.
     """
-    straight, slack = np.zeros((model.arrays.chain.n, 2)), np.isnan(target)
-    pulled, taut = (np.where(on, 0.1, 0.0) for on in (target > 0.0, ~slack))
-    starts = [(pulled, straight, SPRINGS), (taut, straight, SPRINGS)]
-    starts += [(pulled, straight, SPRINGS[:0]), (3.0 * taut, straight, SPRINGS[:0])]
-    last = None if start is None else start[0]
-    if start is not None:
-        starts.insert(0, (*start, SPRINGS[-1:]))
-    gap, best = np.inf, starts[-1][:2]
-    for tensions, bend, springs in starts:
-        inputs, bends = np.array(tensions), np.array([bend, bend])
-        loose = 0.0
-        for stretch in _compliance(model) * springs:
-            given = (target, inputs, bends, past, stretch)
-            most = MOST if tensions is not last else FEW
-            loose = _search(model, 'springs', 'stretched', *given, most=most) / stretch
-            if loose > LOOSE:
-                break  # stiffer wires will do no better
-        if loose > LOOSE:
+    gap, best = np.inf, (np.zeros_like(target), np.zeros((model.arrays.chain.n, 2)))
+    for begin in _beginnings(model, target, start):
+        inputs, bends = np.array(begin.tensions), np.array([begin.bend, begin.bend])
+        given = (model.arrays.address, inputs, target, bends, past, model.scratch)
+        if not _settles(model, begin, given):
             continue
-        left = _search(model, 'pulls', 'pulled', target, inputs, bends, past)
+        left = float(model.arrays.part('pulls').pulled(*given, MOST))
         if left < gap:
             gap, best = left, (inputs, bends[0])
-        if gap < (SETTLED if tensions is not last else NEAR):
+        if gap < begin.enough:
             return best
     if gap > NEAR:
         _refuse(model, target, gap)
     return best
 
 
-def _search(
-    model: Model,
-    part: str,
-    name: str,
-    target: Floats,
-    inputs: Floats,
-    bends: Floats,
-    past: Floats,
-    *stretch: float,
-    most: int = MOST,
-) -> float:
-    """Improve tensions and bends in place by a function of the kernel; return the gap [m]."""
-    search = getattr(model.arrays.part(part), name)
-    robot, scratch = model.arrays.address, model.scratch
-    return float(search(robot, inputs, target, bends, past, scratch, *stretch, most))
+@dataclass(frozen=True)
+class _Beginning:
+    """Where a search begins, through which springs it goes, and when it need not go on."""
+
+    tensions: Floats
+    bend: Floats
+    springs: tuple[float, ...] = SPRINGS
+    steps: int = MOST
+    enough: float = SETTLED  # [m]
+
+
+def _beginnings(
+    model: Model, target: Floats, start: tuple[Floats, Floats] | None
+) -> list[_Beginning]:
+    """List what is tried: from near, from straight, and at last for wires that do not stretch."""
+    straight = np.zeros((model.arrays.chain.n, 2))
+    pulled, taut = (np.where(on, 0.1, 0.0) for on in (target > 0.0, ~np.isnan(target)))
+    near = [] if start is None else [_Beginning(*start, SPRINGS[-1:], FEW, NEAR)]
+    through = [_Beginning(pulled, straight), _Beginning(taut, straight)]
+    stiff = [_Beginning(pulled, straight, ()), _Beginning(3.0 * taut, straight, ())]
+    return near + through + stiff
+
+
+def _settles(model: Model, begin: _Beginning, given: tuple[Any, ...]) -> bool:
+    """Take tensions and bends in place through the springs; tell whether each one held."""
+    for share in begin.springs:
+        stretch = share * _compliance(model)
+        gap = model.arrays.part('springs').stretched(*given, stretch, begin.steps)
+        if not gap < LOOSE * stretch:
+            return False  # stiffer wires will do no better
+    return True
 
 
 def _compliance(model: Model) -> float:
