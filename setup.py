@@ -37,7 +37,13 @@ EXTRAS = {
         'ros-jazzy-trajectory-msgs',
         'ros-jazzy-visualization-msgs',
     ],
-    'test': ['hypothesis>=6.98', 'pytest>=7.4,<8.4', 'pytest-xdist>=3.4'],
+    'test': [
+        'hypothesis>=6.98',
+        'pytest>=7.4,<8.4',
+        'pytest-rerunfailures>=13',
+        'pytest-timeout>=2.2',
+        'pytest-xdist>=3.7',
+    ],
     # the newest pytest and setuptools that colcon still works with
     'colcon': [
         'colcon-bash',

@@ -31,9 +31,9 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.nodes.processes import NodeProcess
-from tendon_robot_ros.nodes.qos import COMMAND
-from tendon_robot_ros.nodes.shared import read_robot
+from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.ros.shared.messages import COMMAND
+from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
 RATE, LIMIT_MS, START_LIMIT_S = 200.0, 5.0, 5.0
 ROBOT = 'kato_10_1'

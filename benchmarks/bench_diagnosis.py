@@ -31,11 +31,11 @@ from simulated_cases import (
     measured,
 )
 
-from tendon_robot_ros.analysis.diagnose import diagnose
-from tendon_robot_ros.analysis.noise import rms
-from tendon_robot_ros.analysis.predict import Predictor, frees_of
+from tendon_robot_ros.common.errors import TendonRobotError
+from tendon_robot_ros.comparison.noise import rms
+from tendon_robot_ros.comparison.predict import Predictor, frees_of
+from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.effects import load_catalogue
-from tendon_robot_ros.exceptions import TendonRobotError
 from tendon_robot_ros.robot import Robot
 
 
@@ -53,13 +53,14 @@ class Outcome:
     inside: float | None  # share of the true values that lie in their intervals
     gain: float | None  # share of (before - floor) gone on the check postures
     seconds: float
+    scatter_inside: float | None = None  # share of the kinds whose true size lies in its interval
     problem: str = ''
 
 
 def failed(case: Case, seconds: float, error: Exception) -> Outcome:
     """Return the outcome of a case that raised an error."""
     problem = f'{type(error).__name__}: {error}'
-    return Outcome(case, 'error', (), (), False, False, True, None, None, seconds, problem)
+    return Outcome(case, 'error', (), (), False, False, True, None, None, seconds, None, problem)
 
 
 def inside(case: Case, found, values) -> float | None:
@@ -84,7 +85,7 @@ def judge(case: Case) -> Outcome:
     values = hidden_values(case.hidden, case.size, case.seed)
     start = time.perf_counter()
     try:
-        sets = measured(case, robot, values)
+        sets, built = measured(case, robot, values)
         start = time.perf_counter()
         found = diagnose(sets[0], workers=1)
     except (TendonRobotError, ArithmeticError, np.linalg.LinAlgError) as error:
@@ -111,7 +112,25 @@ def judge(case: Case) -> Outcome:
         inside(case, found, values) if named else None,
         error_gone(found, sets, robot) if named else None,
         seconds,
+        scatter_inside(found, built) if case.level and right else None,
     )
+
+
+def scatter_inside(found, built) -> float | None:
+    """Share of the kinds of imperfections whose size was right."""
+    truth = {
+        'cell_stiffness': built.stiffness,
+        'cell_kink': built.kink[:, built.kink.any(axis=0)],
+    }
+    report = found.details.get('as_built')
+    if report is None:
+        return None
+    held = []
+    for kind in report['kinds']:
+        if kind['kind'] in truth and kind['told']:
+            size = float(np.sqrt(np.mean(np.square(truth[kind['kind']]))))
+            held.append(kind['low'] <= size <= kind['high'])
+    return float(np.mean(held)) if held else None
 
 
 def error_gone(found, sets, robot: Robot) -> float | None:
@@ -189,7 +208,11 @@ def summary(outcomes: list[Outcome]) -> dict[str, float | int]:
         ),
         'intervals that hold': share(inside),
         'check error gone >= 90 %': share([g >= 0.9 for g in gone]),
+        'scatter inside its interval': share(
+            [o.scatter_inside for o in outcomes if o.scatter_inside is not None]
+        ),
         'causes outside': share([o.right for o in causes]),
+        'clean sets named': sum(o.verdict in NAMING for o in clean),
         'clean sets': len(clean),
         'false alarms': share([not o.right for o in clean]),
         'errors': sum(o.verdict == 'error' for o in outcomes),
@@ -197,17 +220,30 @@ def summary(outcomes: list[Outcome]) -> dict[str, float | int]:
     }
 
 
-def main() -> int:
-    """Judge all cases on all cores."""
+def arguments() -> argparse.Namespace:
+    """Read what to judge."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seeds', type=int, default=20)
     parser.add_argument('--clean', type=int, default=300)
     parser.add_argument('--scatter', type=float, default=0.0)
     parser.add_argument('--declare', action='store_true', help='the description knows the scatter')
+    parser.add_argument(
+        '--as-built',
+        type=float,
+        default=0.0,
+        metavar='LEVEL',
+        help='build arms with imperfections',
+    )
+    parser.add_argument('--exact', action='store_true', help='descriptions say exact: true')
     parser.add_argument('--effects', nargs='*')
     parser.add_argument('--workers', type=int, default=os.cpu_count())
     parser.add_argument('--json', type=Path)
-    options = parser.parse_args()
+    return parser.parse_args()
+
+
+def main() -> int:
+    """Judge all cases on all cores."""
+    options = arguments()
     cases, outcomes = cases_of(options), []
     with multiprocessing.get_context('spawn').Pool(options.workers) as pool:
         for i, outcome in enumerate(pool.imap_unordered(judge, cases, chunksize=4)):
@@ -226,6 +262,7 @@ def main() -> int:
                     'figures': figures,
                     'scatter': options.scatter,
                     'declared': options.declare,
+                    'as_built': options.as_built,
                     'outcomes': [asdict(o) for o in outcomes],
                 },
                 indent=1,

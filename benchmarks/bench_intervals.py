@@ -18,12 +18,12 @@ import numpy as np
 from machine import machine
 from simulated_cases import SHAPING, hidden_values, robot_of
 
-from tendon_robot_ros.analysis.add import add_effects
-from tendon_robot_ros.analysis.postures import default_postures
-from tendon_robot_ros.analysis.simulate import simulate
+from tendon_robot_ros.common.errors import TendonRobotError
+from tendon_robot_ros.diagnosis.add import add_effects
 from tendon_robot_ros.effects import load_catalogue
-from tendon_robot_ros.exceptions import TendonRobotError
-from tendon_robot_ros.model.plant import make_plant
+from tendon_robot_ros.simulation.measurements import simulate
+from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.workspace.postures import default_postures
 
 ROBOTS = ('hinged', 'arcs')
 

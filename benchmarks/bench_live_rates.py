@@ -31,8 +31,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from live_browser import Browser
 from machine import machine
 
-from tendon_robot_ros.nodes.processes import NodeProcess
-from tendon_robot_ros.nodes.qos import LATCHED
+from tendon_robot_ros.ros.shared.messages import LATCHED
+from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
 ROOT = Path(__file__).resolve().parents[1]
 TRACKER = 'plant: {twin: true}\ntracker: {rate: 30.0, noise: 2.0e-4}\n'

@@ -14,11 +14,11 @@ import numpy as np
 from machine import machine
 
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.drivers.emulator.plug import Plug
-from tendon_robot_ros.drivers.emulator.process import EmulatorProcess
 from tendon_robot_ros.drivers.serial_board import messages
-from tendon_robot_ros.drivers.serial_board.frames import Receiver, encode
-from tendon_robot_ros.drivers.serial_board.link import Link
+from tendon_robot_ros.drivers.serial_board.link import BoardLink
+from tendon_robot_ros.drivers.serial_board.messages import FrameReceiver, encode
+from tendon_robot_ros.emulator.port import Plug
+from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.robot import load_robot
 
 ROBOT = Path(__file__).resolve().parents[1] / 'config/robots/kato_10_1.yaml'
@@ -36,7 +36,7 @@ def telemetry(i):
 
 def parsing(count=50_000):
     """Return the seconds of processor time per frame, bytes to values."""
-    frames, receiver = [telemetry(i) for i in range(1000)], Receiver()
+    frames, receiver = [telemetry(i) for i in range(1000)], FrameReceiver()
     begin = time.process_time()
     read = 0
     for i in range(count):
@@ -68,7 +68,7 @@ class Source(Plug):
 def through_a_port(seconds):
     """Return the share of a core for reading 1 kHz from a port, each frame as it comes."""
     with Source() as source:
-        link = Link(source.port, 1_000_000)
+        link = BoardLink(source.port, 1_000_000)
         link.open()
         used, got, begin = time.thread_time(), 0, time.monotonic()
         while time.monotonic() - begin < seconds:

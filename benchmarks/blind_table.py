@@ -18,13 +18,12 @@ from typing import Any
 import yaml
 from machine import machine
 
-from tendon_robot_ros.analysis.add import add_effects
-from tendon_robot_ros.analysis.diagnose import diagnose
-from tendon_robot_ros.analysis.origin import Addition
-from tendon_robot_ros.analysis.result import Diagnosis
+from tendon_robot_ros.common.words import mm
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.report.quantities import described_quantity, quantities
-from tendon_robot_ros.report.words import mm
+from tendon_robot_ros.diagnosis.add import Addition, add_effects
+from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.diagnosis.result import Diagnosis
+from tendon_robot_ros.report.numbers import described_quantity, quantities
 
 ROOT = Path(__file__).resolve().parents[1]
 BLIND = ROOT / 'test' / 'data' / 'blind'

@@ -4,7 +4,7 @@ import time
 from pathlib import Path
 
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.drivers.emulator.process import EmulatorProcess
+from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.robot import load_robot
 
 ROBOT = Path(__file__).resolve().parents[1] / 'config' / 'robots' / 'kato_10_1.yaml'

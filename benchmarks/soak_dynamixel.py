@@ -22,10 +22,10 @@ import numpy as np
 from bench_dynamixel import rules
 from emulated_bus import driver_for, emulator
 
-from tendon_robot_ros.drivers.dynamixel.port import open_port
+from tendon_robot_ros.common.errors import DriverError
+from tendon_robot_ros.drivers.dynamixel.bus import open_port
 from tendon_robot_ros.drivers.supervisor import FOLLOWING, Supervisor
-from tendon_robot_ros.exceptions import DriverError
-from tendon_robot_ros.nodes.bus import Bus
+from tendon_robot_ros.ros.driver.motor_loop import MotorLoop
 
 PERIOD = 0.01  # [s]
 BETWEEN = 5.0  # [s] from fault to fault, on average
@@ -152,7 +152,7 @@ def run(args):
         before = resources()
         driver.open()
         watcher = Watcher(driver)
-        bus = Bus(driver, Supervisor(rules(driver)), PERIOD, watcher)
+        bus = MotorLoop(driver, Supervisor(rules(driver)), PERIOD, watcher)
         bus.start()
         bus.call(lambda: None)
         bus.call(bus._enable, 60.0)
@@ -180,16 +180,24 @@ def run(args):
     return found
 
 
-def judge(servos, bus, watcher, breaker, memory):
-    driver = bus.driver
-    name = 'goal_current' if driver.mode == 'tension' else 'goal_position'
+def too_strong(servos, driver):
+    """Return the goal currents that were ever beyond what the driver may give."""
     beyond = []
     for key, (low, high) in servos.ask('state')['extremes'].items():
         identity, register = key.split()
-        motor = driver.motors[int(identity)]
-        least, most = (-motor.strongest, motor.strongest)
-        if register == 'goal_current' and not least <= low <= high <= most:
+        most = driver.motors[int(identity)].strongest
+        if register == 'goal_current' and not -most <= low <= high <= most:
             beyond.append(f'{key}: {low} to {high}')
+    return beyond
+
+
+def judge(servos, bus, watcher, breaker, memory):
+    driver = bus.driver
+    name = 'goal_current' if driver.mode == 'tension' else 'goal_position'
+    beyond = too_strong(servos, driver)
+    for key, (low, high) in servos.ask('state')['extremes'].items():
+        identity, register = key.split()
+        motor = driver.motors[int(identity)]
         if register == name == 'goal_position' and motor.zero is not None:
             least, most = motor.position_bounds
             slack = motor.wires[0].spool.ticks(driver.config.home_travel)

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tendon_robot_ros.analysis.candidates import Candidate
-from tendon_robot_ros.analysis.session import Session
 from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.diagnosis.candidates import Candidate
+from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.effects import load_catalogue
 
 DATA = Path(__file__).parent.parent / 'data' / 'tentacle'

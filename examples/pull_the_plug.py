@@ -18,13 +18,13 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 
-from tendon_robot_ros.control.postures import salient
-from tendon_robot_ros.drivers.emulator.process import EmulatorProcess
+from tendon_robot_ros.common.rotations import towards
+from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.nodes.messages import pose_stamped, towards
-from tendon_robot_ros.nodes.processes import NodeProcess
-from tendon_robot_ros.nodes.qos import COMMAND, LATCHED, LISTEN
-from tendon_robot_ros.nodes.shared import read_robot, shared_file
+from tendon_robot_ros.ros.shared.files import read_robot, shared_file
+from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED, LISTEN, pose_stamped
+from tendon_robot_ros.ros.shared.runtime import NodeProcess
+from tendon_robot_ros.workspace.constant_view import salient
 
 ROBOT, SPACE = 'kato_10_1', '/plug'
 SETTLED = ('reached', 'nearest', 'at_limit')
@@ -100,6 +100,8 @@ def pull_the_plug(watcher, servos):
     print(
         f'    -- plugged in again after 1 s, followed {time.monotonic() - plugged:.2f} s later --'
     )
+    watcher.until(lambda: watcher.controller['code'] == 'holding', 10, 'the controller')
+    print('    -- the controller holds the arm where it is; the target is sent again --')
 
 
 def main():

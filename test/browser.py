@@ -4,7 +4,8 @@ import html
 import json
 import re
 import shutil
-import subprocess
+
+import processes
 
 WIDTHS = (1200, 400)  # desktop, phone [px]
 HEAD = """<script>
@@ -57,7 +58,8 @@ def open_page(path, folder):
     command += ['--enable-unsafe-swiftshader', '--disable-dev-shm-usage']
     command += [f'--user-data-dir={folder}', '--virtual-time-budget=60000', '--dump-dom']
     command += ['--window-size=1800,2200', outer.as_uri()]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=240, check=True)
+    run = processes.run(command)
+    assert run.returncode == 0, run.stderr[-2000:]
     found = [
         json.loads(html.unescape(one)) for one in re.findall('<pre>(.*?)</pre>', run.stdout, re.S)
     ]

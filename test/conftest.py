@@ -1,4 +1,8 @@
-"""What every test gets: a ROS domain of its own, and no graphical display."""
+"""
+What every test gets: a ROS domain of its own, no graphical display, a limit of time.
+
+And what it leaves: no process, no file in the temporary folder.
+"""
 
 import fcntl
 import importlib.util
@@ -7,6 +11,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
+import processes
 import pytest
 
 
@@ -14,7 +19,7 @@ def own_domain():
     """Take a ROS domain that no other test process on this machine has, until this one ends."""
     for domain in range(1, 102):
         try:
-            lock = (Path(tempfile.gettempdir()) / f'tendon_robot_ros_domain_{domain}').open('w')
+            lock = (Path(SHARED) / f'tendon_robot_ros_domain_{domain}').open('w')
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:  # taken, perhaps by another user
             continue
@@ -22,10 +27,52 @@ def own_domain():
     raise RuntimeError('all 101 ROS domains are taken by other test processes')
 
 
+SHARED = os.environ.setdefault('PYTEST_DEBUG_TEMPROOT', tempfile.gettempdir())
 DOMAIN, LOCK = own_domain()
+tempfile.tempdir = os.environ['TMPDIR'] = tempfile.mkdtemp(prefix='tests_', dir=SHARED)
 os.environ['ROS_DOMAIN_ID'] = str(DOMAIN)
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ['MPLBACKEND'] = 'Agg'
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # as the package itself says, but earlier
+LIMIT, LONG = 600.0, 3600.0  # [s] for any test with what it sets up; for one marked slow or blind
+RERUNS = 2  # processes that talk to each other are late on a busy machine
+
+
+def pytest_collection_modifyitems(config, items):
+    """Give every test a limit, and those that start nodes another chance."""
+    nodes = {item.module for item in items if item.get_closest_marker('ros')}
+    items.sort(key=lambda item: item.module not in nodes)  # these take longest
+    limited, again = map(config.pluginmanager.hasplugin, ('timeout', 'rerunfailures'))
+    for item in items:
+        if limited and not item.get_closest_marker('timeout'):
+            long = item.get_closest_marker('slow') or item.get_closest_marker('blind')
+            item.add_marker(pytest.mark.timeout(LONG if long else LIMIT))
+        if again and item.get_closest_marker('ros'):
+            item.add_marker(pytest.mark.flaky(reruns=RERUNS))
+
+
+@pytest.fixture(scope='module', autouse=True)
+def nothing_is_left():
+    """Refuse a module of tests that leaves a process or a temporary file."""
+    processes.adopt()
+    children, files = processes.children(), set(temporary())
+    yield
+    left = [*processes.left(children), *sorted(set(temporary()) - files)]
+    assert not left, f'left behind: {left}'
+
+
+@pytest.fixture(autouse=True)
+def processes_end_with_the_test():
+    """End what a test started."""
+    before = len(processes.started)
+    yield
+    for process in processes.started[before:]:
+        process.end()
+
+
+def temporary():
+    """List the temporary folder of this process of tests."""
+    return os.listdir(tempfile.gettempdir())
 
 
 def pytest_runtest_setup(item):
@@ -36,12 +83,17 @@ def pytest_runtest_setup(item):
         pytest.skip('chromium is not installed')
 
 
+def pytest_unconfigure():
+    """Take the temporary folder away."""
+    shutil.rmtree(tempfile.gettempdir(), ignore_errors=True)
+
+
 def pytest_configure(config):
     """Compile the model once, before two workers would do it side by side."""
     if hasattr(config, 'workerinput') or not config.getoption('numprocesses', None):
         return
     from tendon_robot_ros.effects import load_catalogue
-    from tendon_robot_ros.model.compose import is_compiled
+    from tendon_robot_ros.model.compile import is_compiled
 
     if not is_compiled(load_catalogue()):
         from tendon_robot_ros.control.loading import load

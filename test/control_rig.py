@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from tendon_robot_ros.control import ControllerCore, Settings, Target
-from tendon_robot_ros.control.report import report
+from tendon_robot_ros.control.status import controller_status
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 
@@ -41,7 +41,7 @@ class Rig:
         return output
 
     def code(self):
-        return report(self.core, self.now).code
+        return controller_status(self.core, self.now).code
 
 
 def reachable(tensions=(0.5, 0.1, 0.1, 0.9)):

@@ -18,11 +18,11 @@ terminal shows must appear before the next command is typed.
 import os
 import re
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
 
+import processes
 from source_tree import ROOT, files
 
 BLOCK = re.compile(
@@ -81,9 +81,7 @@ def run(block, folder, timeout=120):
     call = ['bash', '-c', commands(block['text'])]
     if block['language'] == 'python':
         call = [sys.executable, '-c', block['text']]
-    result = subprocess.run(
-        call, cwd=folder, env=environment(), capture_output=True, text=True, timeout=timeout
-    )
+    result = processes.run(call, cwd=folder, env=environment(), timeout=timeout)
     assert result.returncode == 0, f'{block["text"]}\n{result.stdout}{result.stderr}'
     return result.stdout
 
@@ -108,14 +106,13 @@ class Terminal:
     def __init__(self, command, folder, number):
         self.command, self.log = command, folder / f'terminal_{number}.txt'
         with self.log.open('w') as output:
-            self.process = subprocess.Popen(
+            self.process = processes.Process(
                 ['bash', '-c', f'exec {command}'],
                 cwd=folder,
                 env=environment(),
-                stdin=subprocess.PIPE,
+                stdin=processes.PIPE,
                 stdout=output,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
+                stderr=processes.STDOUT,
             )
 
     def wait_for(self, lines, timeout=120.0):
@@ -131,7 +128,7 @@ class Terminal:
         self.process.send_signal(signal.SIGINT)
         try:
             return self.process.wait(20.0)
-        except subprocess.TimeoutExpired:
+        except processes.TimeoutExpired:
             self.process.kill()
             return self.process.wait()
 

@@ -5,9 +5,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from ros_station import Station, last, start, values
 from sensor_msgs.msg import JointState
 
-from tendon_robot_ros.drivers.emulator.process import EmulatorProcess
-from tendon_robot_ros.nodes.qos import COMMAND
-from tendon_robot_ros.nodes.shared import shared_file
+from tendon_robot_ros.emulator.process import EmulatorProcess
+from tendon_robot_ros.ros.shared.files import shared_file
+from tendon_robot_ros.ros.shared.messages import COMMAND
 
 ROBOT = 'kato_10_1'
 TENSION = [1.5, 0.4, 1.0, 0.3]  # [N]

@@ -8,10 +8,9 @@ import numpy as np
 
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.tables import MODELS
-from tendon_robot_ros.drivers.emulator.arm import SpringArm
-from tendon_robot_ros.drivers.emulator.line import Line
-from tendon_robot_ros.drivers.emulator.rig import Rig, Wire
-from tendon_robot_ros.drivers.emulator.servo import Servo
+from tendon_robot_ros.emulator.bus import EmulatedBus
+from tendon_robot_ros.emulator.rig import Rig, SpringArm, Wire
+from tendon_robot_ros.emulator.servo import Servo
 from tendon_robot_ros.robot import parse_robot
 
 HERE = Path(__file__).resolve().parent
@@ -85,7 +84,7 @@ def antagonists(slack):
 
 def started(rig):
     """Line with the servos; it remembers where they were at the start."""
-    made = Line(rig)
+    made = EmulatedBus(rig)
     made.start_ticks = [servo.motion.ticks for servo in rig.servos.values()]
     return made
 

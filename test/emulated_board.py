@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.drivers.emulator import firmware
-from tendon_robot_ros.drivers.emulator.arm import SpringArm
-from tendon_robot_ros.drivers.emulator.board import RADIUS, TICKS, BoardLine, BoardRig
+from tendon_robot_ros.emulator import firmware
+from tendon_robot_ros.emulator.board import RADIUS, TICKS, BoardRig, EmulatedBoard
+from tendon_robot_ros.emulator.rig import SpringArm
 
 needs_compiler = pytest.mark.skipif(
     firmware.compiler() is None, reason='no C compiler: the emulated board is skipped'
@@ -16,7 +16,7 @@ needs_compiler = pytest.mark.skipif(
 
 def board(slack=0.001, stiffness=emulated.STIFFNESS):
     """Make a board with four motors that wind four springs."""
-    return BoardLine(BoardRig(SpringArm(np.full(4, stiffness), np.full(4, slack)), 4))
+    return EmulatedBoard(BoardRig(SpringArm(np.full(4, stiffness), np.full(4, slack)), 4))
 
 
 def config(line, /, **changes):

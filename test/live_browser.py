@@ -5,10 +5,10 @@ import itertools
 import json
 import re
 import shutil
-import subprocess
 import time
 import urllib.request
 
+import processes
 from websockets.sync.client import connect
 
 # the middle [px] of the text field with a label, if there is one
@@ -34,7 +34,7 @@ class Browser:
         command += ['--use-angle=swiftshader', f'--user-data-dir={folder / "profile"}']
         command += ['--remote-debugging-port=0', f'--window-size={width},{height}', 'about:blank']
         self.log = (folder / 'chromium.log').open('w+')
-        self.process = subprocess.Popen(command, stderr=self.log, stdout=self.log)
+        self.process = processes.Process(command, stderr=self.log, stdout=self.log)
         port = self._port()
         with urllib.request.urlopen(f'http://127.0.0.1:{port}/json') as answer:
             pages = json.load(answer)

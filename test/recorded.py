@@ -5,8 +5,13 @@ import dataclasses
 import numpy as np
 from small_dataset import ROBOT
 
-from tendon_robot_ros.data.bag_messages import JOINT_STATE, POSE_ARRAY, POSE_STAMPED, Builder
-from tendon_robot_ros.data.bag_writer import BagWriter
+from tendon_robot_ros.data.recording.writer import (
+    JOINT_STATE,
+    POSE_ARRAY,
+    POSE_STAMPED,
+    BagWriter,
+    Builder,
+)
 from tendon_robot_ros.robot import parse_robot
 
 SMALL = parse_robot(ROBOT)

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 from source_tree import ROOT
 
-from tendon_robot_ros.analysis.noise import Noise
-from tendon_robot_ros.analysis.postures import default_postures
-from tendon_robot_ros.analysis.predict import Free, Predictor
-from tendon_robot_ros.analysis.trust import measure_again
+from tendon_robot_ros.comparison.noise import Noise
+from tendon_robot_ros.comparison.predict import FreeParameter, Predictor
 from tendon_robot_ros.data import DataSet, default_markers
+from tendon_robot_ros.diagnosis.trust import measure_again
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.workspace.postures import default_postures
 
 SHAPING = ('eyelet_wrap', 'straight_tendon', 'tendon_travel')
 NOISE = Noise(position=2e-4, trial=0.004, setting=0.002, freedom=np.inf, source='declared')
@@ -54,9 +54,9 @@ def measure(dataset, hidden=None, noise=NOISE, seed=0, catalogue=CATALOGUE):
             value = values.get(parameter.name, parameter.neutral)
             if np.ndim(value):
                 for i, section in enumerate(dataset.robot.sections):
-                    point[Free(effect, parameter, i, section.name)] = float(value[i])
+                    point[FreeParameter(effect, parameter, i, section.name)] = float(value[i])
             else:
-                point[Free(effect, parameter)] = float(value)
+                point[FreeParameter(effect, parameter)] = float(value)
     made = measure_again(predictor, point, noise, np.random.default_rng(seed))
     assert made is not None, 'the simulated robot has no equilibrium'
     return made

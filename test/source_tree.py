@@ -2,6 +2,7 @@
 
 import ast
 import fnmatch
+import functools
 import shutil
 from pathlib import Path
 
@@ -20,6 +21,7 @@ def files(pattern='*'):
     return sorted(path for path in found if fnmatch.fnmatch(str(path), pattern))
 
 
+@functools.cache
 def parse(path):
     """Read a module of this package as a syntax tree."""
     return ast.parse((ROOT / path).read_text(encoding='utf-8'), filename=str(path))

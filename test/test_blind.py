@@ -7,9 +7,9 @@ from confusion import NAMING, Confusion
 from measurements import LETTERS, blind, truth
 from simulated import CATALOGUE, measured
 
-from tendon_robot_ros.analysis.add import add_effects
-from tendon_robot_ros.analysis.diagnose import diagnose
 from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.diagnosis.add import add_effects
+from tendon_robot_ros.diagnosis.diagnose import diagnose
 
 pytestmark = pytest.mark.blind
 CONFUSION = Confusion()

@@ -1,10 +1,10 @@
 """tools/bootstrap.sh finds a Python 3.12, says what is missing, and installs only when it must."""
 
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
+import processes
 import pytest
 from source_tree import ROOT
 
@@ -42,7 +42,7 @@ def machine(tmp_path):
 
 
 def bootstrap(machine, *command):
-    return subprocess.run([SCRIPT, *command], env=machine, capture_output=True, text=True)
+    return processes.run([SCRIPT, *command], env=machine)
 
 
 @pytest.mark.parametrize('name', ['python3.12', 'python3', 'python'])

@@ -8,12 +8,12 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers.mock import MockConfig, MockDriver
 from tendon_robot_ros.drivers.safety import SafetyRules
 from tendon_robot_ros.drivers.supervisor import FOLLOWING, LIMP, Supervisor
-from tendon_robot_ros.exceptions import DriverError
-from tendon_robot_ros.nodes.bus import Bus
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.ros.driver.motor_loop import MotorLoop
 
 ROBOT = load_robot(Path(__file__).parents[1] / 'config' / 'robots' / 'kato_10_1_single.yaml')
 LOW, HIGH = 0.1, 5.0
@@ -54,7 +54,7 @@ def bus():
     rules = SafetyRules(ROBOT.inputs, 'tension', limits, np.full(2, 50.0), limits[:, 0], 20.0)
     driver, cycles = Log(), []
     driver.open()
-    made = Bus(driver, Supervisor(rules), 0.002, cycles.append)
+    made = MotorLoop(driver, Supervisor(rules), 0.002, cycles.append)
     made.cycles = cycles
     made.start()
     made.activate()

@@ -7,10 +7,10 @@ import pytest
 import simulated
 from simulated import CATALOGUE, NOISE, measured
 
-from tendon_robot_ros.analysis.diagnose import diagnose
-from tendon_robot_ros.analysis.session import Session
+from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.diagnosis.session import Session
 
-EXACT = simulated.robot()
+EXACT = replace(simulated.robot(), exact=True)
 ROBOT = replace(EXACT, tolerances={'cell_stiffness': 0.02})
 FINE = replace(NOISE, position=5e-5, setting=5e-4, trial=5e-4)  # scatter stands out of it
 

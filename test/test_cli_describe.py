@@ -13,7 +13,7 @@ from source_tree import ROOT
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot, parse_robot
-from tendon_robot_ros.robot_urdf import joint_angles, joint_names, urdf
+from tendon_robot_ros.robot.urdf import joint_angles, joint_names, urdf
 
 ROBOTS = ROOT / 'config' / 'robots'
 KATO = str(ROBOTS / 'kato_10_1.yaml')

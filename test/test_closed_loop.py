@@ -5,7 +5,7 @@ import pytest
 
 from tendon_robot_ros.control import ControllerCore, Settings, Target
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.nodes.shared import read_robot
+from tendon_robot_ros.ros.shared.files import read_robot
 
 RATE = 0.01  # [s]
 

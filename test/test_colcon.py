@@ -1,10 +1,10 @@
 """A real colcon build: executables, ament index, and an installed command that runs."""
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
+import processes
 import pytest
 from source_tree import copy_to
 
@@ -19,11 +19,9 @@ def installed(tmp_path_factory):
     """Build a copy of the package in a workspace; return the folder it is installed in."""
     workspace = tmp_path_factory.mktemp('workspace')
     copy_to(workspace / 'src' / 'tendon_robot_ros')
-    build = subprocess.run(
+    build = processes.run(
         [sys.executable, '-m', 'colcon', '--log-base', 'log', 'build'],
         cwd=workspace,
-        capture_output=True,
-        text=True,
     )
     assert build.returncode == 0, build.stdout + build.stderr
     return workspace / 'install' / 'tendon_robot_ros'
@@ -32,12 +30,10 @@ def installed(tmp_path_factory):
 def run_installed(installed, *command):
     """Run in a shell that has sourced the workspace, from a folder that has no source tree."""
     environment = {key: os.environ[key] for key in os.environ if key != 'PYTHONPATH'}
-    return subprocess.run(
+    return processes.run(
         ['bash', '-c', '. "$0/setup.bash" && exec "$@"', installed.parent, *command],
         cwd=installed.parent,
         env=environment,
-        capture_output=True,
-        text=True,
     )
 
 

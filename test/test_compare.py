@@ -8,15 +8,15 @@ from measurements import blind
 from scipy import stats
 from source_tree import ROOT
 
-from tendon_robot_ros.analysis.compare import bending_axes, compare, turns
-from tendon_robot_ros.analysis.postures import default_postures
-from tendon_robot_ros.analysis.simulate import SimulatedNoise, simulate
+from tendon_robot_ros.common.errors import InputError, NoEquilibriumError
+from tendon_robot_ros.comparison.compare import bending_axes, compare, turns
 from tendon_robot_ros.data import Marker, load_dataset, save_dataset
-from tendon_robot_ros.exceptions import InputError, NoEquilibriumError
-from tendon_robot_ros.model.causes import Damage
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.model.plant import Plant
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.simulation.hidden import Damage
+from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
+from tendon_robot_ros.simulation.plant import Plant
+from tendon_robot_ros.workspace.postures import default_postures
 
 KATO = ROOT / 'config' / 'robots' / 'kato_10_1.yaml'
 SPATIAL = ROOT / 'config' / 'robots' / 'spatial_3.yaml'

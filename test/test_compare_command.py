@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from measurements import blind
 
-from tendon_robot_ros.analysis.compare import compare
-from tendon_robot_ros.analysis.comparison_file import from_json, load_comparison, to_json
 from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.common.errors import InputError
+from tendon_robot_ros.comparison.compare import compare
+from tendon_robot_ros.comparison.result import from_json, load_comparison, to_json
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.exceptions import InputError
 
 
 @pytest.fixture(scope='module')

@@ -77,6 +77,12 @@ def test_joint_values_are_put_in_the_order_of_the_robot():
         (['left', 'right', 'left'], [1.0, 2.0, 3.0], 'a name stands twice'),
         (['left', 'right'], [1.0], 'expected 2 values of effort, got 1'),
         ([], [], 'missing left, right'),
+        (
+            [f'n{i}' for i in range(100_000)],
+            [],
+            r'unknown n0, .*, n7 and 99992 more; expected left',
+        ),
+        (['left', 'x' * 10**6], [], r'unknown x{40}\.\.\.; expected left, right'),
     ],
 )
 def test_joint_names_must_be_those_of_the_robot(names, values, words):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from control_rig import CYCLE, Rig, model, reachable
 
+from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.control import Refusal, Target, Twist
-from tendon_robot_ros.control.report import report
-from tendon_robot_ros.exceptions import DriverError
+from tendon_robot_ros.control.status import controller_status
 
 
 def test_a_target_is_approached_at_the_rate_limit_and_reached():
@@ -22,15 +22,16 @@ def test_a_target_is_approached_at_the_rate_limit_and_reached():
     assert tip == pytest.approx(reachable().position, abs=1e-5)
 
 
-def test_before_the_driver_is_heard_there_are_no_commands():
+def test_before_the_driver_is_heard_there_are_no_commands_and_no_targets():
     rig = Rig()
     rig.alive = False
-    rig.core.aim(reachable())
+    with pytest.raises(Refusal, match='no tendon states; send it again'):
+        rig.core.aim(reachable())
     assert rig.run(0.1) is None
     assert rig.code() == 'waiting'
     rig.alive = True
     rig.run(1.0)
-    assert rig.code() == 'reached'
+    assert rig.code() == 'holding'
 
 
 def test_it_starts_from_what_the_driver_measures():
@@ -40,8 +41,9 @@ def test_it_starts_from_what_the_driver_measures():
     assert rig.code() == 'holding'
 
 
-def test_without_states_it_holds_the_last_command_and_then_begins_at_the_measured_state():
-    rig = Rig(rate_limit=2.0)
+def lost_and_found(**settings):
+    """Return a controller on its way to a target whose driver was away and is slack now."""
+    rig = Rig(rate_limit=2.0, **settings)
     rig.run(0.1)
     rig.core.aim(reachable())
     rig.run(0.1)
@@ -54,7 +56,44 @@ def test_without_states_it_holds_the_last_command_and_then_begins_at_the_measure
     rig.alive, rig.tensions = True, np.full(4, 0.2)
     assert np.abs(rig.run(CYCLE).tensions - 0.2).max() <= 2.0 * CYCLE + 1e-12
     rig.run(2.0)
+    return rig
+
+
+def test_a_driver_that_comes_back_is_held_where_it_is_until_a_new_target():
+    rig = lost_and_found()
+    assert rig.code() == 'holding'
+    assert rig.tensions.tolist() == [0.2] * 4
+    rig.core.aim(reachable())
+    rig.run(2.0)
     assert rig.code() == 'reached'
+
+
+def test_with_resume_a_driver_that_comes_back_is_led_to_the_old_target():
+    assert lost_and_found(resume=True).code() == 'reached'
+
+
+def test_a_driver_that_stays_away_finds_no_old_command_when_it_comes_back():
+    rig = Rig()
+    rig.run(0.1)
+    rig.core.aim(reachable())
+    rig.run(1.0)
+    rig.alive = False
+    assert rig.run(1.1) is not None  # a hiccup: the last command is held
+    assert rig.run(0.3) is None
+    assert 'no commands until they are back' in controller_status(rig.core, rig.now).message
+    rig.alive, rig.tensions = True, np.full(4, 0.2)
+    assert rig.run(0.5).tensions.tolist() == [0.2] * 4
+
+
+def test_a_controller_that_was_not_running_for_a_while_holds_what_it_finds():
+    rig = Rig()
+    rig.run(0.1)
+    rig.core.aim(reachable())
+    rig.run(1.0)
+    rig.now += 2.0  # it was stopped; the driver released the arm meanwhile
+    rig.tensions = np.full(4, 0.1)
+    assert rig.run(0.5).tensions.tolist() == [0.1] * 4
+    assert rig.code() == 'holding'
 
 
 def test_a_twist_moves_the_tip_and_ends_by_itself():
@@ -141,6 +180,6 @@ def test_out_of_reach_is_said_with_the_distance():
     rig.run(0.1)
     rig.core.aim(Target(np.array([0.2, 0.0, 0.2])))
     rig.run(3.0)
-    said = report(rig.core, rig.now)
+    said = controller_status(rig.core, rig.now)
     assert said.code in ('nearest', 'at_limit')
     assert 'mm' in said.message

@@ -1,12 +1,16 @@
 """The controller and its model: wire pulls, another model, and none that works."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from control_rig import CYCLE, Rig, model, reachable
 
+from tendon_robot_ros.common.errors import InputError, NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore
-from tendon_robot_ros.control.settings import Target
-from tendon_robot_ros.exceptions import InputError, NoEquilibriumError
+from tendon_robot_ros.control.state import Target
+from tendon_robot_ros.control.trajectory import Playing
 from tendon_robot_ros.model.model import Model
 
 
@@ -83,9 +87,44 @@ def test_without_equilibrium_it_halts_and_then_releases(monkeypatch):
         patch.setattr(model(), 'shape', fail)
         rig.run(0.4)
         held = rig.outputs[count:]
-        assert all(np.array_equal(held[0].pulls, output.pulls) for output in held)
+        settled = held[10:]  # the pieces of the way that were looked at before
+        assert all(np.array_equal(settled[0].pulls, output.pulls) for output in settled)
         assert len(held) == 80
         assert rig.run(0.3) is None
         assert rig.code() == 'no_equilibrium'
     assert rig.run(0.1) is not None
     assert rig.code() == 'refused_no_equilibrium'
+
+
+def test_a_trajectory_ends_within_the_limits_of_a_model_that_came_meanwhile():
+    rig = Rig(rate_limit=10.0)
+    rig.run(0.1)
+    rig.core.play(rig.now, Playing(np.array([1.0]), np.array([[1.1, 0.1, 0.1, 0.6]])))
+    rig.run(0.5)
+    rig.core.set_model(Model(replace(model().robot, tension_limits=(0.1, 0.4))))
+    rig.run(1.0)
+    assert rig.tensions == pytest.approx([0.4, 0.1, 0.1, 0.4])
+    assert rig.code() == 'played'
+
+
+def test_a_target_that_comes_while_a_model_is_looked_at_is_met_with_it():
+    rig = Rig()
+    rig.run(0.1)
+    rig.core.aim(reachable())
+    rig.run(1.0)
+    jobs, in_place = {}, rig.core.solver
+    held = SimpleNamespace(
+        post=lambda kind, *job, **more: jobs.update({kind: job}),
+        busy=lambda kind: kind in jobs,
+        serve=lambda: None,
+    )
+    stiffer = Model(model().robot.with_effect('backbone_stiffness', {'relative_change': 0.2}))
+    rig.core.solver = held
+    rig.core.set_model(stiffer)
+    rig.core.solver = in_place
+    new = reachable((0.1, 0.8, 0.3, 0.1))
+    rig.core.aim(new)
+    work, done = jobs['model']
+    done(work(lambda: False), None)
+    rig.run(1.0)
+    assert stiffer.shape(rig.tensions).tip_position == pytest.approx(new.position, abs=1e-4)

@@ -5,8 +5,8 @@ import pytest
 from control_rig import CYCLE, Rig, model, reachable
 
 from tendon_robot_ros.control import Refusal
-from tendon_robot_ros.control.playing import checked
-from tendon_robot_ros.control.report import report
+from tendon_robot_ros.control.status import controller_status
+from tendon_robot_ros.control.trajectory import checked
 
 LIMITS = np.array([[0.1, 5.0]] * 4)
 NAMES = ('prox_left', 'prox_right', 'dist_left', 'dist_right')
@@ -24,7 +24,7 @@ def test_tensions_follow_the_straight_lines_in_time_and_the_end_is_held():
     rig.run(0.5)
     assert rig.tensions == pytest.approx([0.6, 0.1, 0.1, 0.35], abs=1e-9)
     assert rig.code() == 'playing'
-    assert report(rig.core, rig.now).values['trajectory'] == '0.50 of 1.00 s'
+    assert controller_status(rig.core, rig.now).values['trajectory'] == '0.50 of 1.00 s'
     rig.run(1.0)
     assert rig.tensions == pytest.approx(END)
     assert rig.code() == 'played'

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tendon_robot_ros.common.errors import TendonRobotError
 from tendon_robot_ros.control import ControllerCore, Settings, Target, Twist, checks
-from tendon_robot_ros.exceptions import TendonRobotError
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 

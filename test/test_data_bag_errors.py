@@ -10,13 +10,13 @@ from recorded import BENT, LEFT, SMALL, Recorder
 from small_dataset import write
 
 from tendon_robot_ros.cli.main import main
-from tendon_robot_ros.data import bag_writer, load_dataset
-from tendon_robot_ros.data.bag_export import export_bag
-from tendon_robot_ros.data.bag_import import import_bag
-from tendon_robot_ros.data.bag_messages import STRING, Builder
-from tendon_robot_ros.data.bag_reader import Topics
-from tendon_robot_ros.data.bag_writer import BagWriter
-from tendon_robot_ros.exceptions import DataSetError, MissingExtraError, TendonRobotError
+from tendon_robot_ros.common.errors import DataSetError, MissingExtraError, TendonRobotError
+from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.data.recording import writer as bag_writer
+from tendon_robot_ros.data.recording.exporting import export_bag
+from tendon_robot_ros.data.recording.importing import import_bag
+from tendon_robot_ros.data.recording.reader import Topics
+from tendon_robot_ros.data.recording.writer import STRING, BagWriter, Builder
 
 STILL = [(BENT, LEFT, 0.0, 2.0)]
 

@@ -17,10 +17,9 @@ from geometry_msgs.msg import Pose, PoseArray
 from recorded import BENT, SMALL
 from sensor_msgs.msg import JointState
 
-from tendon_robot_ros.data.bag_import import import_bag
-from tendon_robot_ros.data.bag_messages import JOINT_STATE, POSE_ARRAY
-from tendon_robot_ros.data.bag_writer import BagWriter
-from tendon_robot_ros.data.stillness import Rule
+from tendon_robot_ros.data.recording.importing import import_bag
+from tendon_robot_ros.data.recording.still_segments import Rule
+from tendon_robot_ros.data.recording.writer import JOINT_STATE, POSE_ARRAY, BagWriter
 
 pytestmark = pytest.mark.ros
 

@@ -8,17 +8,17 @@ from measurements import TENTACLE, blind
 from numpy.testing import assert_array_equal
 from small_dataset import INPUTS, SHAPES, write
 
+from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.data import load_dataset, save_dataset
-from tendon_robot_ros.exceptions import DataSetError
 
 pytest.importorskip('rosbags')
 
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 
-from tendon_robot_ros.data.bag_export import Timing, export_bag
-from tendon_robot_ros.data.bag_import import import_bag
-from tendon_robot_ros.data.bag_messages import POSE_ARRAY, parse_pose_array
+from tendon_robot_ros.data.recording.exporting import Timing, export_bag
+from tendon_robot_ros.data.recording.importing import import_bag
+from tendon_robot_ros.data.recording.writer import POSE_ARRAY, parse_pose_array
 
 QUICK = Timing(hold=1.0, move=0.2, rate=20.0)
 
@@ -105,7 +105,7 @@ def test_a_recording_names_its_types_and_latches_what_it_says_once(tmp_path):
 def test_poses_are_read_as_rosbags_reads_them(frame):
     from rosbags.typesys import Stores, get_typestore
 
-    from tendon_robot_ros.data.bag_messages import Builder
+    from tendon_robot_ros.data.recording.writer import Builder
 
     types = get_typestore(Stores.ROS2_JAZZY)
     positions, turned = np.random.default_rng(0).normal(size=(2, 5, 4))

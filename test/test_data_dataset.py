@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_array_equal
 from small_dataset import INPUTS, ROBOT, write
 
+from tendon_robot_ros.common.errors import DataSetError, InputError
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.exceptions import DataSetError, InputError
 from tendon_robot_ros.robot import parse_robot
 
 

@@ -5,8 +5,8 @@ import bad_descriptions
 import pytest
 from small_dataset import write
 
+from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.exceptions import DataSetError
 
 BAD = bad_csv_files.BAD | bad_descriptions.BAD
 TURNED = 'posture,trial,marker,x,y,z,qx,qy,qz,qw\n0,0,1,0,0,0,{}\n1,0,1,0,0,0,0,0,0,1\n'

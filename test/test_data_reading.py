@@ -6,8 +6,8 @@ from measurements import LETTERS, TENTACLE, blind
 from numpy.testing import assert_array_equal
 from small_dataset import INPUTS, ROBOT, SHAPES, write
 
+from tendon_robot_ros.common.errors import DataSetError, RobotDescriptionError
 from tendon_robot_ros.data import Marker, default_markers, load_dataset
-from tendon_robot_ros.exceptions import DataSetError, RobotDescriptionError
 from tendon_robot_ros.robot import load_robot, parse_robot
 
 

@@ -2,11 +2,11 @@
 
 import os
 import re
-import subprocess
 import sys
 import time
 from pathlib import Path
 
+import processes
 import pytest
 
 pytest.importorskip('rclpy')
@@ -28,12 +28,11 @@ def children(namespace):
 
 
 def demo(folder):
-    return subprocess.Popen(
+    return processes.Process(
         [sys.executable, '-m', 'tendon_robot_ros', 'demo'],
         cwd=folder,
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        stdout=processes.PIPE,
+        stderr=processes.PIPE,
         env={**os.environ, 'PYTHONPATH': str(ROOT)},
     )
 

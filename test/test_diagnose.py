@@ -8,10 +8,10 @@ import simulated
 from measurements import blind, truth
 from simulated import NOISE, measure, measured, postures
 
-from tendon_robot_ros.analysis import session as sessions
-from tendon_robot_ros.analysis.diagnose import diagnose
+from tendon_robot_ros.common.errors import NoEquilibriumError, TendonRobotError
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.exceptions import NoEquilibriumError, TendonRobotError
+from tendon_robot_ros.diagnosis import session as sessions
+from tendon_robot_ros.diagnosis.diagnose import diagnose
 
 ROBOT = simulated.robot()
 NAMING = ('missing_effect', 'ambiguous', 'wrong_parameter', 'several')

@@ -10,27 +10,32 @@ from browser import assert_fine, open_page
 from measurements import blind
 from source_tree import ROOT
 
-from tendon_robot_ros.analysis.compare import compare
-from tendon_robot_ros.analysis.missing_moment import blocks_of, missing_moment
-from tendon_robot_ros.analysis.origin import Addition
-from tendon_robot_ros.analysis.postures import default_postures
-from tendon_robot_ros.analysis.result import (
+from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.comparison.compare import compare
+from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.diagnosis.add import Addition
+from tendon_robot_ros.diagnosis.missing_moment import blocks_of, missing_moment
+from tendon_robot_ros.diagnosis.result import (
     CandidateRow,
     Diagnosis,
     EffectFinding,
     NextMeasurement,
     Value,
 )
-from tendon_robot_ros.analysis.simulate import SimulatedNoise, simulate
-from tendon_robot_ros.analysis.staircase import Errors
-from tendon_robot_ros.cli.main import main
-from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.diagnosis.staircase import Errors
 from tendon_robot_ros.effects import load_catalogue
-from tendon_robot_ros.model.plant import make_plant
-from tendon_robot_ros.report.diagnosis_page import KINDS, diagnosis_page, write_diagnosis
-from tendon_robot_ros.report.diagnosis_pictures import pictures_of, with_effects
-from tendon_robot_ros.report.diagnosis_plots import heat_maps, moments
+from tendon_robot_ros.report.diagnosis_page import (
+    KINDS,
+    diagnosis_page,
+    pictures_of,
+    with_effects,
+    write_diagnosis,
+)
+from tendon_robot_ros.report.error_plots import heat_maps, moments
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
+from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.workspace.postures import default_postures
 
 LEVER = Value(1.58e-4, 1.52e-4, 1.65e-4, 'm')
 HINGE = EffectFinding('hinge_friction', {'lever': LEVER}, 0.99)

@@ -4,16 +4,21 @@ from dataclasses import replace
 
 import pytest
 
-from tendon_robot_ros.analysis.result import (
+from tendon_robot_ros.diagnosis.result import (
     CandidateRow,
     Diagnosis,
     EffectFinding,
     NextMeasurement,
     Value,
 )
-from tendon_robot_ros.report.diagnosis_text import alike, lines, untested, verdict
-from tendon_robot_ros.report.next_text import next_measurement
-from tendon_robot_ros.report.quantities import quantities, quantity, short_quantities
+from tendon_robot_ros.report.diagnosis_text import (
+    alike,
+    lines,
+    next_measurement,
+    untested,
+    verdict,
+)
+from tendon_robot_ros.report.numbers import quantities, quantity, short_quantities
 
 LEVER = Value(1.584e-4, 1.517e-4, 1.652e-4, 'm')
 HINGE = EffectFinding('hinge_friction', {'lever': LEVER}, 0.984)
@@ -57,6 +62,15 @@ def test_one_missing_effect():
     assert alike(FOUND) == (
         'cannot be told apart from: nothing (next best, tip_load, is 10^31 times less likely)'
     )
+
+
+@pytest.mark.parametrize(
+    ('number', 'text'), [(0.0, 'x 0'), (3.1e-250, 'x 3.1e-250'), (2.5e-9, 'x 2.5e-09')]
+)
+def test_numbers_next_to_nothing_are_no_row_of_zeros(number, text):
+    value = Value(number, number, number, '1')
+    assert short_quantities({'x': value}) == text
+    assert len(quantity('x', replace(value, low=0.9 * number, high=1.1 * number))) < 30
 
 
 def test_several_missing_effects():

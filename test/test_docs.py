@@ -43,7 +43,7 @@ FILE = re.compile(rf'(?<![\w/.-])({SCRIPT}/[\w./-]+\.(?:py|yaml|sh|csv|c|h|txt|m
 def run_at_once(page, folder, slow):
     for block in blocks(text_of(page)):
         if runs(block, slow):
-            shows(block, run(block, folder, 900 if slow else 120))
+            shows(block, run(block, folder, 900 if slow else 500))  # a hang, not a speed
 
 
 @pytest.mark.parametrize('page', [page for page in DOCS if page not in LIVE], ids=str)
@@ -117,8 +117,9 @@ def test_every_node_parameter_on_a_page_exists():
     for page, name, given in arguments():
         for parameter in re.findall(r'-p (\w+):=', given):
             module = COMMANDS[name]
-            if importlib.util.find_spec(f'{module}_setup'):
-                module += '_setup'
+            parameters = module.replace('.node', '.parameters')
+            if importlib.util.find_spec(parameters):
+                module = parameters
             known = [spec.name for spec in importlib.import_module(module).SPECS]
             seen += 1
             if parameter not in known:

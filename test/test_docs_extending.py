@@ -13,6 +13,10 @@ def test_the_effect_shown_is_the_example():
     assert shown in example
 
 
+def listed(quantities):
+    return '; '.join(f'{q.name} [{q.unit}]: {q.meaning}' for q in quantities) or 'nothing'
+
+
 def test_the_table_has_every_stage():
-    rows = [f'| `{name}` | {takes} | {gives} |' for name, (takes, gives) in STAGES.items()]
+    rows = [f'| `{s.name}` | {listed(s.given)} | {listed(s.outputs)} |' for s in STAGES.values()]
     assert '\n'.join(rows) in PAGE

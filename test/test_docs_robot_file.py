@@ -6,8 +6,9 @@ import re
 from source_tree import ROOT, parse
 
 from tendon_robot_ros.effects import load_catalogue
-from tendon_robot_ros.model.arrays import Arrays
-from tendon_robot_ros.robot import TOLERANCES, parse_robot
+from tendon_robot_ros.model.compile import KernelArrays
+from tendon_robot_ros.robot import parse_robot
+from tendon_robot_ros.robot.description import TOLERANCES
 
 PAGE = (ROOT / 'docs' / 'robot_file.md').read_text(encoding='utf-8')
 EXAMPLE = PAGE.split('```yaml\n')[1].split('```')[0]
@@ -15,7 +16,7 @@ EXAMPLE = PAGE.split('```yaml\n')[1].split('```')[0]
 
 def read_keys():
     """Return the keys that the reader of descriptions knows."""
-    for node in ast.walk(parse('tendon_robot_ros/robot.py')):
+    for node in ast.walk(parse('tendon_robot_ros/robot/description.py')):
         if isinstance(node, ast.Call) and getattr(node.func, 'attr', '') == 'only':
             yield from (a.value for a in node.args if isinstance(a, ast.Constant))
 
@@ -23,7 +24,7 @@ def read_keys():
 def test_the_example_is_accepted_and_all_its_effects_act():
     robot = parse_robot(EXAMPLE, 'example')
     assert robot.inputs == ('near_left', 'near_right', 'far_left', 'far_right')
-    Arrays(robot, load_catalogue())
+    KernelArrays(robot, load_catalogue())
 
 
 def test_every_key_is_explained():

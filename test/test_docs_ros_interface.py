@@ -2,20 +2,21 @@
 
 import math
 import re
+from importlib import import_module
 
 import pytest
+import yaml
 from source_tree import ROOT
 
 pytest.importorskip('rclpy')
 
-from tendon_robot_ros.nodes import (
-    controller_setup,
-    driver_setup,
-    monitor_setup,
-    robot_model,
-    teleop,
-    viewer,
-)
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from tendon_robot_ros.ros.commands import robot_model, teleop
+from tendon_robot_ros.ros.controller import parameters as controller_setup
+from tendon_robot_ros.ros.driver import parameters as driver_setup
+from tendon_robot_ros.ros.monitor import parameters as monitor_setup
+from tendon_robot_ros.ros.viewer import node as viewer
 
 DOC = (ROOT / 'docs' / 'ros_interface.md').read_text(encoding='utf-8')
 NODES = {'controller': controller_setup, 'driver': driver_setup, 'teleop': teleop}
@@ -57,20 +58,21 @@ def test_every_parameter_is_documented_as_it_is(node):
 
 @pytest.mark.parametrize('node', ['controller', 'driver'])
 def test_every_topic_and_service_is_documented(node):
-    files = [f'{node}.py', 'status.py']
-    files += ['prediction.py'] if node == 'controller' else ['tracker.py']
-    source = '\n'.join((ROOT / 'tendon_robot_ros' / 'nodes' / name).read_text() for name in files)
+    files = [f'{node}/node.py', 'shared/lifecycle.py', 'shared/inbox.py']
+    files += [f'{node}/model.py' if node == 'controller' else f'{node}/mock_arm.py']
+    source = '\n'.join((ROOT / 'tendon_robot_ros' / 'ros' / name).read_text() for name in files)
     made = r"(?:create_(?:publisher|subscription|service)|subscribe)\(\s*\w+,\s*'([^']+)'"
-    names = set(re.findall(made, source))
+    made += r"|Inbox\(\S+, \w+, '([^']+)'"
+    names = {name for pair in re.findall(made, source) for name in pair if name}
     assert len(names) >= 8
-    assert [name for name in names if f'`{name}`' not in DOC] == []
+    assert [name for name in names if f'`{name}`' not in section(node)] == []
 
 
 def test_every_status_code_is_documented():
     sources = [
         path.read_text()
-        for folder in ('control', 'nodes')
-        for path in (ROOT / 'tendon_robot_ros' / folder).glob('*.py')
+        for folder in ('control', 'ros')
+        for path in (ROOT / 'tendon_robot_ros' / folder).glob('**/*.py')
     ]
     text = '\n'.join(sources)
     codes = set(re.findall(r"Refusal\(\s*'(\w+)'", text))
@@ -78,3 +80,30 @@ def test_every_status_code_is_documented():
     codes |= set(re.findall(r"status\.say\(\s*[^,]+, '(\w+)'", text))
     assert len(codes) > 15
     assert [code for code in codes - {'mock_fault', 'reset'} if f'`{code}`' not in DOC] == []
+
+
+def fill(message, content):
+    """Put YAML into a message as `ros2 topic pub` does: only what its type has."""
+    for name, value in content.items():
+        field = getattr(message, name)
+        if isinstance(value, dict):
+            fill(field, value)
+        elif name == 'points':
+            setattr(message, name, [fill(JointTrajectoryPoint(), one) for one in value])
+        else:
+            setattr(message, name, value)
+    return message
+
+
+def test_what_a_person_types_is_a_message_of_that_topic():
+    typed = re.findall(
+        r'^\$ ros2 topic pub (?:--once|-r \d+) (\S+) (\S+)/msg/(\S+) "(.*)"$', DOC, re.M
+    )
+    assert len(typed) == 5
+    for topic, package, kind, text in typed:
+        message = fill(getattr(import_module(f'{package}.msg'), kind)(), yaml.safe_load(text))
+        node, _, name = topic.rpartition('/')
+        row = f'| `~/{name}` | {package}/{kind} |' if node else f'| `{name}` | {package}/{kind} |'
+        assert row in section(node or 'driver')
+        if hasattr(message, 'twist') or hasattr(message, 'pose') or hasattr(message, 'point'):
+            assert message.header.frame_id == 'kato_10_1_base'

@@ -9,8 +9,8 @@ import emulated_board
 import numpy as np
 import pytest
 
+from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import Driver, Reading, make_driver
-from tendon_robot_ros.exceptions import DriverError
 
 MODES = ('tension', 'pull')
 

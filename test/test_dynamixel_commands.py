@@ -8,13 +8,13 @@ import pytest
 import yaml
 
 from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.common.errors import DriverError, InputError
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.drivers.dynamixel.calibration import Point, fit
+from tendon_robot_ros.drivers.dynamixel.calibration import CurrentPoint, fit_current
 from tendon_robot_ros.drivers.dynamixel.config import read_config
-from tendon_robot_ros.drivers.emulator.arm import HangingWeights
-from tendon_robot_ros.drivers.emulator.commands import HELP, obey
-from tendon_robot_ros.drivers.emulator.process import EmulatorProcess
-from tendon_robot_ros.exceptions import DriverError, InputError
+from tendon_robot_ros.emulator.bus import HELP, obey_bus
+from tendon_robot_ros.emulator.process import EmulatorProcess
+from tendon_robot_ros.emulator.rig import HangingWeights
 
 pytest.importorskip('dynamixel_sdk')
 
@@ -71,13 +71,13 @@ def test_every_word_of_the_emulators_help_is_known():
                 'plug': '',
                 **words,
             }.get(word, '1')
-            assert obey(line, f'{word} {values}')
+            assert obey_bus(line, f'{word} {values}')
 
 
 @pytest.mark.parametrize('text', ['jump', 'silent 9', 'hot 1', 'slow fast', 'weight 1 0.1'])
 def test_a_wrong_word_for_the_emulator_is_refused(text):
     with emulated.line() as line, pytest.raises(InputError, match='type help'):
-        obey(line, text)
+        obey_bus(line, text)
 
 
 MASSES = (0.5, 1.0, 2.0, 4.0)  # [kg]
@@ -149,8 +149,8 @@ def test_a_port_lost_while_calibrating_is_one_line(scales, capsys):
 
 
 def test_two_lines_are_fitted_with_their_standard_errors():
-    points = [Point(t, 0.1 + 0.05 * t, -0.08 + 0.04 * t) for t in (1.0, 2.0, 4.0, 8.0)]
-    found = fit(points)
+    points = [CurrentPoint(t, 0.1 + 0.05 * t, -0.08 + 0.04 * t) for t in (1.0, 2.0, 4.0, 8.0)]
+    found = fit_current(points)
     lines = found.calibration
     assert (lines.wind.intercept, lines.wind.slope) == pytest.approx((0.1, 0.05))
     assert (lines.pay_out.intercept, lines.pay_out.slope) == pytest.approx((-0.08, 0.04))
@@ -164,8 +164,11 @@ def test_the_standard_errors_are_those_of_a_linear_regression():
     slopes, stated = [], []
     for _ in range(400):
         noise = random.normal(scale=0.01, size=9)
-        found = fit(
-            [Point(t, 0.1 + 0.05 * t + n, 0.04 * t) for t, n in zip(tensions, noise, strict=True)]
+        found = fit_current(
+            [
+                CurrentPoint(t, 0.1 + 0.05 * t + n, 0.04 * t)
+                for t, n in zip(tensions, noise, strict=True)
+            ]
         )
         slopes.append(found.calibration.wind.slope)
         stated.append(found.errors['wind'][1])
@@ -176,12 +179,19 @@ def test_the_standard_errors_are_those_of_a_linear_regression():
     ('points', 'words'),
     [
         (
-            [Point(1.0, 0.1, 0.0), Point(1.0, 0.1, 0.0), Point(2.0, 0.2, 0.1)],
+            [
+                CurrentPoint(1.0, 0.1, 0.0),
+                CurrentPoint(1.0, 0.1, 0.0),
+                CurrentPoint(2.0, 0.2, 0.1),
+            ],
             'at least 3 different weights, got 2',
         ),
-        ([Point(t, 0.1, 0.01 * t) for t in (1.0, 2.0, 3.0)], 'does not grow with the weight'),
+        (
+            [CurrentPoint(t, 0.1, 0.01 * t) for t in (1.0, 2.0, 3.0)],
+            'does not grow with the weight',
+        ),
     ],
 )
 def test_what_cannot_be_fitted_is_refused(points, words):
     with pytest.raises(InputError, match=words):
-        fit(points)
+        fit_current(points)

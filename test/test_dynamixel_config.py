@@ -9,22 +9,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.config import limits, read_config
 from tendon_robot_ros.drivers.dynamixel.motor import make_motors
-from tendon_robot_ros.drivers.dynamixel.tables import MODELS, REGISTERS, decode, encode
-from tendon_robot_ros.drivers.dynamixel.units import (
+from tendon_robot_ros.drivers.dynamixel.tables import (
+    MODELS,
+    REGISTERS,
     Calibration,
-    Line,
+    CurrentLine,
     Spool,
+    decode,
+    encode,
     from_data_sheet,
     resolution,
 )
-from tendon_robot_ros.exceptions import DriverError
 
 pytest.importorskip('dynamixel_sdk')
-from tendon_robot_ros.drivers.dynamixel.bus import without_header
-from tendon_robot_ros.drivers.dynamixel.port import UDEV_RULE, check_latency
+from tendon_robot_ros.drivers.dynamixel.bus import UDEV_RULE, check_latency, without_header
 
 
 def refusal(mode='tension', **changes):
@@ -75,7 +77,9 @@ def test_a_calibration_replaces_the_assumed_friction():
 
 
 def test_the_mean_line_converts_and_half_the_gap_is_the_uncertainty():
-    lines = Calibration(Line(0.10, 0.05), Line(-0.06, 0.03), measured=True, scatter=0.003)
+    lines = Calibration(
+        CurrentLine(0.10, 0.05), CurrentLine(-0.06, 0.03), measured=True, scatter=0.003
+    )
     assert lines.current(2.0) == pytest.approx(0.02 + 0.04 * 2.0)
     assert lines.tension(lines.current(2.0)) == pytest.approx(2.0)
     half_gap = 0.5 * ((0.10 + 0.05 * 2.0) - (-0.06 + 0.03 * 2.0))

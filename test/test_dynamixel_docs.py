@@ -7,13 +7,17 @@ from source_tree import ROOT
 
 pytest.importorskip('dynamixel_sdk')
 
+from tendon_robot_ros.common.yaml_reading import parse_yaml
 from tendon_robot_ros.drivers import make_driver
+from tendon_robot_ros.drivers.dynamixel.bus import UDEV_FILE, UDEV_RULE
 from tendon_robot_ros.drivers.dynamixel.config import KEYS
-from tendon_robot_ros.drivers.dynamixel.port import UDEV_FILE, UDEV_RULE
-from tendon_robot_ros.drivers.dynamixel.tables import MODELS
-from tendon_robot_ros.drivers.dynamixel.units import from_data_sheet, resolution, smallest_spool
+from tendon_robot_ros.drivers.dynamixel.tables import (
+    MODELS,
+    from_data_sheet,
+    resolution,
+    smallest_spool,
+)
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.robot_checks import parse_yaml
 
 PAGE = (ROOT / 'docs' / 'dynamixel.md').read_text(encoding='utf-8')
 

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from tendon_robot_ros.drivers.dynamixel.tables import MODELS, REGISTERS
-from tendon_robot_ros.drivers.emulator import servo as servos
-from tendon_robot_ros.drivers.emulator.arm import HangingWeights, RelaxedArm, SpringArm
-from tendon_robot_ros.drivers.emulator.rig import Rig, Wire
-from tendon_robot_ros.drivers.emulator.servo import Servo
+from tendon_robot_ros.emulator import servo as servos
+from tendon_robot_ros.emulator.rig import HangingWeights, RelaxedArm, Rig, SpringArm, Wire
+from tendon_robot_ros.emulator.servo import Servo
 
 pytest.importorskip('dynamixel_sdk')
 from tendon_robot_ros.drivers.dynamixel.bus import Bus

@@ -1,15 +1,15 @@
 """Every fault of bus and servos, at the driver: what it says, what the motors get, recovery."""
 
-import subprocess
 import sys
 import time
 
 import emulated
 import numpy as np
+import processes
 import pytest
 from emulated import arm_in, goals, healthy, settled, steps_are_small, until
 
-from tendon_robot_ros.exceptions import DriverError
+from tendon_robot_ros.common.errors import DriverError
 
 pytest.importorskip('dynamixel_sdk')
 
@@ -188,10 +188,8 @@ def test_a_second_process_is_kept_off_the_port(tense_arm):
         'd = make_driver("dynamixel", emulated.robot(), emulated.config(sys.argv[1]))\n'
         'd.open()'
     )
-    run = subprocess.run(
+    run = processes.run(
         [sys.executable, '-c', code, line.port],
-        capture_output=True,
-        text=True,
         cwd=emulated.HERE,
         env=emulated.environment(),
     )

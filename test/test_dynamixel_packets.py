@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tendon_robot_ros.drivers.emulator import packets
-from tendon_robot_ros.drivers.emulator.packets import Instruction, Receiver
+from tendon_robot_ros.emulator import protocol as packets
+from tendon_robot_ros.emulator.protocol import Instruction, InstructionReceiver
 
 
 def printed(text):
@@ -85,7 +85,7 @@ ANSWERS = {
 def test_the_receiver_understands_the_printed_instruction(name):
     text, identity, code, parameters = INSTRUCTIONS[name]
     expected = Instruction(identity, code, printed(parameters))
-    assert Receiver().feed(printed(text)) == [expected]
+    assert InstructionReceiver().feed(printed(text)) == [expected]
 
 
 @pytest.mark.parametrize('name', INSTRUCTIONS)
@@ -128,14 +128,14 @@ def test_the_crc_printed_for_the_fast_bulk_read_is_a_misprint():
 def test_every_half_of_a_packet_waits_for_the_other_half():
     text = printed(INSTRUCTIONS['sync write'][0])
     for cut in range(1, len(text)):
-        receiver = Receiver()
+        receiver = InstructionReceiver()
         assert receiver.feed(text[:cut]) == []
         assert len(receiver.feed(text[cut:])) == 1
 
 
 def test_a_wrong_crc_drops_the_packet_and_the_next_one_is_understood():
     text = printed(INSTRUCTIONS['read'][0])
-    receiver = Receiver()
+    receiver = InstructionReceiver()
     spoilt = text[:-1] + bytes([text[-1] ^ 1])
     assert receiver.feed(spoilt + text) == [Instruction(1, packets.READ, printed('84 00 04 00'))]
     assert receiver.broken == 1
@@ -144,17 +144,17 @@ def test_a_wrong_crc_drops_the_packet_and_the_next_one_is_understood():
 @given(st.binary(max_size=60))
 def test_stuffing_hides_every_header_and_comes_out_again(body):
     assert packets.HEADER not in packets.stuff(body)
-    receiver = Receiver()
+    receiver = InstructionReceiver()
     found = receiver.feed(packets.packet(5, b'\x03' + body))
     assert found == [Instruction(5, packets.WRITE, body)]
 
 
 @given(st.binary(max_size=400))
 def test_noise_never_breaks_the_receiver(noise):
-    receiver = Receiver()
+    receiver = InstructionReceiver()
     receiver.feed(noise)
     for _ in range(2):  # noise may have promised a long packet: silence ends no packet here
-        receiver.feed(bytes(packets.LONGEST))
+        receiver.feed(bytes(packets.PACKET_BYTES_MAX))
     assert receiver.feed(printed(INSTRUCTIONS['ping'][0]))[-1:] == [
         Instruction(1, packets.PING, b'')
     ]

@@ -1,9 +1,9 @@
 """One minute of random faults at 100 Hz; benchmarks/soak_dynamixel.py runs it for half an hour."""
 
-import subprocess
 import sys
 
 import emulated
+import processes
 import pytest
 from source_tree import ROOT
 
@@ -14,10 +14,8 @@ pytestmark = pytest.mark.slow
 
 @pytest.mark.parametrize('mode', ['tension', 'pull'])
 def test_a_minute_of_random_faults_loses_nothing_and_passes_no_limit(mode):
-    run = subprocess.run(
+    run = processes.run(
         [sys.executable, 'benchmarks/soak_dynamixel.py', '--minutes', '1', '--mode', mode],
-        capture_output=True,
-        text=True,
         cwd=ROOT,
         env=emulated.environment(),
     )

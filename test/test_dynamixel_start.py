@@ -6,9 +6,9 @@ import emulated
 import numpy as np
 import pytest
 
+from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.drivers.emulator.arm import SpringArm
-from tendon_robot_ros.exceptions import DriverError
+from tendon_robot_ros.emulator.rig import SpringArm
 
 pytest.importorskip('dynamixel_sdk')
 
@@ -58,7 +58,8 @@ def test_another_model_is_refused_by_name():
         ('drive_mode', 1, 'use direction: -1 in arm.yaml'),
         ('drive_mode', 8, 'torque on by goal update'),
         ('homing_offset', -7, 'homing offset (address 20): expected 0, got -7'),
-        ('status_return_level', 1, 'status return level (address 68): expected 2'),
+        ('status_return_level', 1, 'level (address 68): expected 2, got 1: whether it took a'),
+        ('status_return_level', 0, 'level (address 68): expected 2, got 0 as it seems: pings'),
     ],
 )
 def test_settings_under_which_it_would_not_be_safe_are_refused(name, value, words):
@@ -67,6 +68,7 @@ def test_settings_under_which_it_would_not_be_safe_are_refused(name, value, word
         message = refused_open(driver_for(line))
         assert words in message
         assert 'north (id 2)' in message
+        assert ' write ' in message
 
 
 def test_a_port_that_is_not_there_is_said_with_those_that_are():

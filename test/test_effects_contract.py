@@ -8,7 +8,6 @@ import pytest
 from arms import GRAVITY, TYPICAL, planar, spatial, turned, two_sections
 
 from tendon_robot_ros.effects import BUILT_IN, STAGES, load_catalogue
-from tendon_robot_ros.model.derivatives import parameter_derivative
 from tendon_robot_ros.model.model import Model
 
 CATALOGUE = load_catalogue()
@@ -138,11 +137,12 @@ def test_a_spatial_robot_turned_about_z_moves_the_same_way(effect):
 
 def slope(model, tensions, effect, parameter, step):
     """Fourth-order difference, each side solved from straight."""
-    here, total = model.arrays.get(effect, parameter), 0.0
+    row, total = model.arrays.layout.rows[effect, parameter], 0.0
+    here = model.arrays.values[row].copy()  # of every section: they move together
     for count, weight in ((1, 8.0), (-1, -8.0), (2, -1.0), (-2, 1.0)):
-        model.arrays.set(effect, parameter, None, here + count * step)
+        model.arrays.values[row] = here + count * step
         total = total + weight * model.measured(model.shapes(tensions).positions)
-    model.arrays.set(effect, parameter, None, here)
+    model.arrays.values[row] = here
     return total / (12.0 * step)
 
 
@@ -153,7 +153,7 @@ def slope(model, tensions, effect, parameter, step):
 def test_the_derivative_by_a_parameter_equals_the_difference(effect, parameter):
     model = Model(with_effects(two_sections(3, bends_as='hinge'), effect))
     tensions = np.array([[0.1, 0.7, 0.9, 0.2]])
-    found = parameter_derivative(model, tensions, effect, parameter)
+    found = model.derivatives(model.shapes(tensions), [(effect, parameter)])[..., 0]
     typical = {p.name: p.typical for p in CATALOGUE[effect].parameters}[parameter]
     expected = slope(model, tensions, effect, parameter, 0.01 * typical)
     assert np.allclose(found * typical, expected * typical, rtol=1e-4, atol=1e-9)

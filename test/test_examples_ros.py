@@ -1,9 +1,9 @@
 """The example moves the mock arm as the README says."""
 
 import os
-import subprocess
 import sys
 
+import processes
 import pytest
 
 pytest.importorskip('rclpy')
@@ -19,10 +19,8 @@ def test_the_example_sends_the_tip_to_a_point(tmp_path):
         station = Station('/')
         station.until_code(station.controller, 'holding', timeout=120.0)  # compiles when cold
         station.close()
-        run = subprocess.run(
+        run = processes.run(
             [sys.executable, ROOT / 'examples' / 'go_to.py', '0.06', '0.17'],
-            text=True,
-            capture_output=True,
             timeout=60,
             env=os.environ,
         )

@@ -3,18 +3,18 @@
 import re
 import shutil
 import struct
-import subprocess
 
 import numpy as np
+import processes
 import pytest
 from emulated_board import needs_compiler
 from source_tree import ROOT
 
-from tendon_robot_ros.drivers.emulator import firmware
-from tendon_robot_ros.drivers.emulator.arm import SpringArm
-from tendon_robot_ros.drivers.emulator.board import BoardRig
 from tendon_robot_ros.drivers.serial_board import messages
-from tendon_robot_ros.drivers.serial_board.frames import Receiver, encode
+from tendon_robot_ros.drivers.serial_board.messages import FrameReceiver, encode
+from tendon_robot_ros.emulator import firmware
+from tendon_robot_ros.emulator.board import BoardRig
+from tendon_robot_ros.emulator.rig import SpringArm
 
 SOURCE = ROOT / 'firmware'
 STRICT = ['-std=c99', '-pedantic', '-Wall', '-Wextra', '-Werror']
@@ -26,10 +26,8 @@ STRICT = ['-std=c99', '-pedantic', '-Wall', '-Wextra', '-Werror']
     ('mcu', 'channels', 'ram'), [('atmega2560', 4, 8192), ('atmega328p', 2, 2048)]
 )
 def test_it_compiles_for_the_board_and_fits_in(tmp_path, mcu, channels, ram):
-    run = subprocess.run(
+    run = processes.run(
         ['make', '-C', SOURCE, f'MCU={mcu}', f'CHANNELS={channels}', f'BUILD={tmp_path}'],
-        capture_output=True,
-        text=True,
     )
     assert run.returncode == 0, run.stderr
     assert (tmp_path / f'{mcu}.hex').stat().st_size > 1000
@@ -43,8 +41,22 @@ def test_it_compiles_for_the_board_and_fits_in(tmp_path, mcu, channels, ram):
 def test_its_portable_part_compiles_without_a_warning(tmp_path, channels):
     for part in ('protocol.c', 'control.c', 'board.c'):
         command = [firmware.compiler(), *STRICT, f'-DCHANNELS={channels}', '-c', SOURCE / part]
-        run = subprocess.run([*command, '-o', tmp_path / 'x.o'], capture_output=True, text=True)
+        run = processes.run([*command, '-o', tmp_path / 'x.o'])
         assert run.returncode == 0, run.stderr
+
+
+@needs_compiler
+@pytest.mark.parametrize('home', ['cache', 'none'])
+def test_a_board_leaves_nothing_in_the_temporary_folder(tmp_path, monkeypatch, home):
+    temporary = tmp_path / 'temporary'
+    temporary.mkdir()
+    monkeypatch.setattr('tempfile.tempdir', str(temporary))
+    (tmp_path / 'none').write_text('a file, where no folder can be made')
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / home))
+    board = firmware.Firmware(2)
+    board.step(1000)
+    assert list(temporary.iterdir()) == []
+    assert (tmp_path / 'cache').exists() == (home == 'cache')
 
 
 class Board:
@@ -52,7 +64,7 @@ class Board:
 
     def __init__(self):
         self.rig = BoardRig(SpringArm(np.full(4, 400.0), np.zeros(4)), 4)
-        self.receiver = Receiver()
+        self.receiver = FrameReceiver()
 
     def say(self, kind, payload=b''):
         """Send a message; return the code of the answer, None when there is none."""

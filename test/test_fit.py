@@ -7,13 +7,13 @@ import pytest
 import simulated
 from simulated import CATALOGUE, NOISE, measured
 
-from tendon_robot_ros.analysis.add import fit_effects
-from tendon_robot_ros.analysis.interval import intervals
-from tendon_robot_ros.analysis.noise import Whitener, input_slopes
-from tendon_robot_ros.analysis.predict import Predictor
-from tendon_robot_ros.analysis.report_rows import values_of
-from tendon_robot_ros.analysis.search import Fitter
-from tendon_robot_ros.analysis.session import Session
+from tendon_robot_ros.comparison.noise import Whitener, input_slopes
+from tendon_robot_ros.comparison.predict import Predictor
+from tendon_robot_ros.diagnosis.add import fit_effects
+from tendon_robot_ros.diagnosis.fit import Fitter
+from tendon_robot_ros.diagnosis.interval import intervals
+from tendon_robot_ros.diagnosis.report_rows import values_of
+from tendon_robot_ros.diagnosis.session import Session
 
 ROBOT = simulated.robot()
 HIDDEN = [
@@ -115,7 +115,7 @@ def test_what_no_posture_shows_has_no_interval():
 
 
 def test_a_declared_tolerance_takes_part_with_its_prior():
-    robot = replace(ROBOT, tolerances={'bending_stiffness': 0.05})
+    robot = replace(ROBOT, tolerances={'bending_stiffness': 0.05}, exact=True)
     dataset = measured(robot, {'backbone_stiffness': {'relative_change': 0.04}})
     session = Session(dataset, robot, CATALOGUE, workers=1)
     session.weigh({})

@@ -1,16 +1,14 @@
-"""The style that no tool checks: short files, short functions, nothing of a private machine."""
+"""The style that no tool checks: short functions, nothing of a private machine."""
 
 import ast
 import re
 
 from source_tree import ROOT, files, parse
 
-FILE_LINES, FUNCTION_LINES = 250, 40
+FUNCTION_LINES = 40
 
-# path, or path:function -> why splitting it would hurt
-LONGER = {
-    'tendon_robot_ros/model/kernel/inverse.py:aim': 'one loop whose steps share a dozen arrays',
-}
+# path:function -> why splitting it would hurt
+LONGER = {}
 
 PRIVATE = {
     'a path of one machine': re.compile(r'(?<![\w.])/(?:home|root|Users|work)/(?!<)\w'),
@@ -30,18 +28,16 @@ def functions(path):
 
 
 def too_long():
-    """List the files and functions over the limits."""
+    """List the functions over the limit."""
     for path in files('*.py'):
-        if len((ROOT / path).read_text(encoding='utf-8').splitlines()) > FILE_LINES:
-            yield str(path)
         for name, length in functions(path):
             if length > FUNCTION_LINES:
                 yield f'{path}:{name}'
 
 
-def test_files_and_functions_are_short():
+def test_functions_are_short():
     long = sorted(set(too_long()) - set(LONGER))
-    assert not long, f'over {FILE_LINES} or {FUNCTION_LINES} lines: {", ".join(long)}'
+    assert not long, f'over {FUNCTION_LINES} lines: {", ".join(long)}'
 
 
 def test_every_exception_is_still_needed():

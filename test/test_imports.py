@@ -1,32 +1,45 @@
-"""Imports run one way, ROS stays in nodes/, and what controls motors loads no compiler."""
+"""Imports run one way between folders and files, ROS stays in ros/, motors load no compiler."""
 
 import ast
-import subprocess
 import sys
+from collections import defaultdict
+from graphlib import CycleError, TopologicalSorter
 
-from source_tree import files, parse
+import processes
+from source_tree import ROOT, files, parse
 
 PACKAGE = 'tendon_robot_ros'
 ROS = {'rclpy', 'rcl_interfaces', 'std_srvs', 'tf2_ros', 'lifecycle_msgs', 'action_msgs'}
 
-# part -> the parts it may import besides itself
-ALLOWED = {'__init__': set(), 'exceptions': set()}
-ALLOWED['robot'] = ALLOWED['effects'] = {'exceptions'}
-ALLOWED['data'] = ALLOWED['drivers'] = {'exceptions', 'robot'}
-ALLOWED['model'] = {'exceptions', 'robot', 'effects'}
+# folder -> the folders it may import besides itself
+ALLOWED = {'common': set()}
+ALLOWED['robot'] = ALLOWED['effects'] = {'common'}
+ALLOWED['data'] = ALLOWED['drivers'] = {'common', 'robot'}
+ALLOWED['emulator'] = ALLOWED['drivers'] | {'drivers'}
+ALLOWED['model'] = {'common', 'robot', 'effects'}
 ALLOWED['control'] = ALLOWED['model'] | {'model', 'drivers'}
-ALLOWED['analysis'] = ALLOWED['model'] | {'model', 'data'}
-ALLOWED['report'] = ALLOWED['analysis'] | {'analysis'}
-ALLOWED['monitoring'] = ALLOWED['report'] | {'report'}
-ALLOWED['cli'] = ALLOWED['monitoring'] | {'drivers', 'control'}
-ALLOWED['nodes'] = ALLOWED['cli'] | {'monitoring'}
+ALLOWED['paths'] = ALLOWED['control'] | {'control'}
+ALLOWED['workspace'] = ALLOWED['paths'] | {'paths'}
+ALLOWED['simulation'] = ALLOWED['model'] | {'model', 'data', 'workspace'}
+ALLOWED['comparison'] = ALLOWED['model'] | {'model', 'data'}
+ALLOWED['diagnosis'] = ALLOWED['comparison'] | {'comparison', 'workspace'}
+ALLOWED['paper'] = ALLOWED['diagnosis'] | {'diagnosis', 'simulation'}
+ALLOWED['report'] = ALLOWED['paper'] | {'paper', 'paths'}
+ALLOWED['monitoring'] = ALLOWED['diagnosis'] | {'diagnosis', 'report'}
+ALLOWED['cli'] = ALLOWED['report'] | ALLOWED['emulator'] | {'report', 'emulator', 'control'}
+ALLOWED['ros'] = ALLOWED['report'] | {'report', 'control', 'drivers', 'monitoring'}
+# the package itself says what a notebook needs, and imports it when it is asked for
+ALLOWED['__init__'] = set(ALLOWED) - {'cli', 'ros'}
 ALLOWED['__main__'] = {'cli'}
 MODULES = files(f'{PACKAGE}/*.py')
 
 
-def part(name):
-    """Name the part that a module belongs to: robot_checks.py belongs to robot."""
-    return name if name.startswith('__') else name.split('_')[0]
+def name_of(path):
+    """Return the dotted name of a module."""
+    return '.'.join(path.with_suffix('').parts).removesuffix('.__init__')
+
+
+NAMES = {name_of(path): path for path in MODULES}
 
 
 def imported(path):
@@ -38,39 +51,94 @@ def imported(path):
         elif isinstance(node, ast.ImportFrom):
             base = list(package[: len(package) - node.level + 1]) if node.level else []
             base += node.module.split('.') if node.module else []
-            if base == [PACKAGE]:  # from .. import robot
-                yield from ('.'.join([*base, alias.name]) for alias in node.names)
-            else:
-                yield '.'.join(base)
+            # from . import messages: a module; from .link import ask: not
+            for alias in node.names:
+                inner = '.'.join([*base, alias.name])
+                yield inner if inner in NAMES else '.'.join(base)
 
 
-def test_imports_run_one_way():
+def folder(path):
+    """Name the folder of the layout that a module lies in."""
+    return path.with_suffix('').parts[1]
+
+
+def test_imports_between_folders_run_one_way():
     wrong = []
     for path in MODULES:
-        own = part(path.with_suffix('').parts[1])
-        assert own in ALLOWED, f'{path}: say in ALLOWED what this part may import'
+        own = folder(path)
+        assert own in ALLOWED, f'{path}: say in ALLOWED what this folder may import'
         for name in imported(path):
-            top, other = [*name.split('.'), '__init__'][:2]
-            if top == PACKAGE and part(other) not in ALLOWED[own] | {own, '__init__'}:
+            top, *rest = name.split('.')
+            if top == PACKAGE and rest and rest[0] not in ALLOWED[own] | {own}:
                 wrong.append(f'{path} imports {name}')
     assert not wrong, '\n'.join(wrong)
 
 
-def test_ros_is_imported_in_nodes_only():
+def test_what_the_table_allows_has_no_circle():
+    list(TopologicalSorter(ALLOWED).static_order())
+
+
+def test_no_files_import_each_other():
+    graph = {name: {n for n in imported(path) if n in NAMES} for name, path in NAMES.items()}
+    graph[PACKAGE] = set()  # what it offers is imported when it is asked for
+    try:
+        list(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        raise AssertionError(' imports '.join(reversed(error.args[1]))) from None
+
+
+def test_nodes_know_nothing_of_each_other():
+    wrong = []
+    for path in files(f'{PACKAGE}/ros/*/*.py'):
+        own = path.parts[2]
+        for name in imported(path):
+            _, *rest = name.split('.')
+            if rest[:1] == ['ros'] and rest[1:] and own != 'commands':
+                wrong += [] if rest[1] in (own, 'shared') else [f'{path} imports {name}']
+    assert not wrong, '\n'.join(wrong)
+
+
+def test_ros_is_imported_in_its_folder_only():
     wrong = []
     for path in MODULES:
         tops = {name.split('.')[0] for name in imported(path)}
-        if path.parts[1] != 'nodes':
+        if folder(path) != 'ros':
             wrong += [f'{path} imports {n}' for n in tops if n in ROS or n.endswith('_msgs')]
+    assert not wrong, '\n'.join(wrong)
+
+
+def test_a_class_name_means_one_thing():
+    places = defaultdict(list)
+    for path in MODULES:
+        for node in parse(path).body:
+            if isinstance(node, ast.ClassDef):
+                places[node.name].append(str(path))
+    assert {name: where for name, where in places.items() if len(where) > 1} == {}
+
+
+def test_every_folder_says_what_is_in_it():
+    wrong = []
+    for path in MODULES:
+        if path.name != '__init__.py' or path.parts[1] == '__init__.py':
+            continue
+        told = ast.get_docstring(parse(path)) or ''
+        beside = [p for p in (ROOT / path).parent.glob('*.py') if p.name != '__init__.py']
+        if path.parts[1] in ('effects', 'cli') or path.parts[-2] == 'kernel':
+            continue  # one file per effect, one per command; the kernel has a page of its own
+        wrong += [f'{path} does not name {p.name}' for p in beside if p.name not in told]
+        named = {line.split('.py')[0] + '.py' for line in told.splitlines() if '.py   ' in line}
+        gone = [n for n in named if not (ROOT / path).with_name(n).is_file()]
+        wrong += [f'{path} names {name}, which is not there' for name in gone]
     assert not wrong, '\n'.join(wrong)
 
 
 def light_modules():
     """List what a process that drives motors imports, and what every command pays for."""
     for path in MODULES:
-        light = path.parts[1] in ('drivers', 'data') or len(path.parts) == 2 or path.stem == 'main'
+        light = folder(path) in ('common', 'data', 'drivers', 'emulator', 'robot')
+        light = light or len(path.parts) == 2 or path.stem == 'main'
         if light and path.stem not in ('__main__', 'mock'):
-            yield '.'.join(path.with_suffix('').parts).removesuffix('.__init__')
+            yield name_of(path)
 
 
 def test_drivers_data_and_the_command_line_load_neither_compiler_nor_ros():
@@ -79,7 +147,5 @@ def test_drivers_data_and_the_command_line_load_neither_compiler_nor_ros():
         'for name in sys.argv[1:]: importlib.import_module(name)\n'
         'print(sorted({"llvmlite", "numba", "rclpy"} & set(sys.modules)))'
     )
-    run = subprocess.run(
-        [sys.executable, '-c', code, *light_modules()], capture_output=True, text=True
-    )
+    run = processes.run([sys.executable, '-c', code, *light_modules()])
     assert run.stdout.strip() == '[]', run.stdout + run.stderr

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tendon_robot_ros.drivers.limits import approach
+from tendon_robot_ros.drivers.safety import approach
 
 
 @given(st.lists(st.tuples(*[st.floats(-10, 10)] * 2), min_size=1), st.floats(0.0, 3.0))

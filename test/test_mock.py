@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tendon_robot_ros.common.errors import DriverError, InputError
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.mock import MockConfig, MockDriver
-from tendon_robot_ros.exceptions import DriverError, InputError
 from tendon_robot_ros.robot import load_robot
 
 ROBOTS = Path(__file__).parents[1] / 'config' / 'robots'

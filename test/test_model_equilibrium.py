@@ -9,7 +9,7 @@ from reference import Reference
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
-from tendon_robot_ros.exceptions import NoEquilibriumError
+from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.model.model import Model
 
 K, L = 0.027, 0.007

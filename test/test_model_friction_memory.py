@@ -8,7 +8,7 @@ import pytest
 from arms import GRAVITY, planar, spatial, two_sections
 from reference import Reference
 
-from tendon_robot_ros.exceptions import RobotDescriptionError
+from tendon_robot_ros.common.errors import RobotDescriptionError
 from tendon_robot_ros.model.model import Model
 
 R, MU, LENGTH = 0.0055, 0.4, 2e-4

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tendon_robot_ros.exceptions import InputError
+from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 
@@ -115,3 +115,13 @@ def test_the_papers_highest_posture_needs_one_tendon_of_each_section():
     wanted = model.shape([1.6, 0.1, 0.1, 2.0])
     found = model.reach(wanted.tip_position, wanted.tip_direction)
     assert found.tensions == pytest.approx([1.6, 0.1, 0.1, 2.0], abs=1e-3)
+
+
+def test_a_search_that_is_given_up_returns_the_best_found_so_far():
+    model = Model(load_robot(ROBOTS / 'kato_10_1.yaml'))
+    far = [0.15, 0.0, 0.25]  # [m] out of reach: every start is tried
+    asked = []
+    found = model.reach(far, guess=model.shape([0.1] * 4), give_up=lambda: not asked.append(1))
+    assert len(asked) == 2  # after the first start, and before the limits are questioned
+    assert found.status == 'nearest'
+    assert found.position_error < 0.15

@@ -5,7 +5,7 @@ import pytest
 from arms import planar, spatial
 from scipy.spatial.transform import Rotation
 
-from tendon_robot_ros.exceptions import InputError
+from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.model.model import Model
 
 L = 0.007

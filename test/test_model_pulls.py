@@ -7,7 +7,7 @@ import pytest
 from arms import GRAVITY, planar, spatial, two_sections
 from source_tree import ROOT
 
-from tendon_robot_ros.exceptions import InputError
+from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
 from tendon_robot_ros.robot import load_robot

@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
+from tendon_robot_ros.common.errors import DataSetError, InputError
 from tendon_robot_ros.data import load_dataset, save_dataset
 from tendon_robot_ros.effects import load_catalogue
-from tendon_robot_ros.exceptions import DataSetError, InputError
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring import History, Monitor, StillWindow
-from tendon_robot_ros.monitoring.rehearsal import choices, draw, refined, tour
-from tendon_robot_ros.monitoring.story import Story
-from tendon_robot_ros.monitoring.work import Work
-from tendon_robot_ros.nodes.shared import read_robot
+from tendon_robot_ros.monitoring.job import Work
+from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.simulation.rehearsal import Story, choices, draw, refined, tour
 
 NAN = np.full(4, np.nan)
 

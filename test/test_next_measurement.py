@@ -5,7 +5,7 @@ import pytest
 import simulated
 from simulated import measure, postures
 
-from tendon_robot_ros.analysis.diagnose import diagnose
+from tendon_robot_ros.diagnosis.diagnose import diagnose
 
 ROBOT = simulated.robot()
 ONE_TENDON = np.outer([0.3, 0.5, 0.7, 0.9, 1.1, 1.3], [1.0, 0.0])

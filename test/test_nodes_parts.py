@@ -1,25 +1,30 @@
 """Small parts of the nodes: orientations, frames, parameters, files, sequences of a loader."""
 
+import re
+import threading
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from source_tree import ROOT
 
 pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import Quaternion
 
-from tendon_robot_ros.control import Refusal
+from tendon_robot_ros.common.errors import EffectError, InputError, RobotDescriptionError
+from tendon_robot_ros.common.rotations import quaternions, towards
+from tendon_robot_ros.control import Refusal, loading
 from tendon_robot_ros.control.checks import direction
 from tendon_robot_ros.control.loading import Loader
-from tendon_robot_ros.exceptions import EffectError, InputError, RobotDescriptionError
-from tendon_robot_ros.nodes.frames import Frames, matrix
-from tendon_robot_ros.nodes.messages import quaternion, quaternions, towards
-from tendon_robot_ros.nodes.parameters import Spec
-from tendon_robot_ros.nodes.processes import _yaml
-from tendon_robot_ros.nodes.shared import read_mapping, read_robot
+from tendon_robot_ros.ros.driver import parameters as driver_setup
+from tendon_robot_ros.ros.shared.files import read_mapping, read_robot
+from tendon_robot_ros.ros.shared.frames import Frames, matrix
+from tendon_robot_ros.ros.shared.messages import quaternion
+from tendon_robot_ros.ros.shared.parameters import Spec
+from tendon_robot_ros.ros.shared.runtime import _yaml
 
 parts = st.floats(-1.0, 1.0)
 
@@ -115,6 +120,8 @@ def test_a_robot_comes_from_a_name_a_path_or_text(tmp_path):
     with pytest.raises(RobotDescriptionError, match='expected valid YAML'):
         read_robot(str(path))
     with pytest.raises(RobotDescriptionError, match='expected a readable YAML file'):
+        read_robot('nobody.yaml')
+    with pytest.raises(InputError, match=r'nobody: .*known names: kato_10_1, kato_10_1_single, '):
         read_robot('nobody')
     with pytest.raises(InputError, match='got nothing'):
         read_robot(' ')
@@ -126,11 +133,25 @@ def test_a_robot_comes_from_a_name_a_path_or_text(tmp_path):
         ('a: [', 'config: not valid YAML'),
         ('- a: 1', 'config: expected keys with values'),
         ('nowhere', 'config: nowhere: No such file'),
+        ('/dev/zero', 'config: expected at most 1,000,000 characters, got more'),
     ],
 )
 def test_a_configuration_that_cannot_be_read_says_why(text, words):
     with pytest.raises(InputError, match=words):
         read_mapping(text, 'config')
+
+
+@pytest.mark.parametrize('text', ['', 'mock', 'mock_twin'])
+@pytest.mark.parametrize('backend', ['dynamixel', 'serial', 'ros2_control'])
+@pytest.mark.parametrize('mode', ['tension', 'pull'])
+def test_motors_without_a_configuration_of_theirs_say_what_is_missing(backend, mode, text):
+    given = {'backend': backend, 'config': text, 'command_mode': mode}
+    with pytest.raises(InputError) as told:
+        driver_setup.make(read_robot('kato_10_1'), given, None)
+    words = rf'configuration of the motors for backend {backend}, got (none|that of the mock arm)'
+    assert re.search(words, str(told.value))
+    example = re.search(r'copy (config/\w+\.yaml), put in your motors', str(told.value)).group(1)
+    assert (ROOT / example).is_file()
 
 
 def test_a_configuration_comes_from_a_name_or_text():
@@ -148,13 +169,31 @@ def test_text_passes_the_command_line_as_text(text):
     assert yaml.safe_load(_yaml(text)) == text
 
 
+def test_a_loader_tells_what_takes_so_long(monkeypatch, tmp_path):
+    robot, doing = read_robot('kato_10_1'), []
+    monkeypatch.setattr(loading, 'compiled_mark', lambda catalogue: tmp_path / 'not_there')
+    monkeypatch.setattr(Loader, '_compile', lambda loader, _: doing.append(loader.doing))
+    monkeypatch.setattr(loading, 'load', lambda *_: doing.append(made.doing))
+    gate = threading.Event()
+
+    def read():
+        gate.wait(10.0)
+        return robot
+
+    made = Loader(read, [])
+    assert (made.doing, made.done) == ('loading', False)
+    gate.set()
+    made.result()
+    assert doing == ['compiling', 'building']
+
+
 def test_a_loader_refuses_effects_that_nobody_knows():
     robot = read_robot('kato_10_1').with_effect('magnetism', {'strength': 1.0})
     with pytest.raises(EffectError, match="unknown effect 'magnetism'"):
-        Loader(robot, [])
+        Loader(lambda: robot, []).result()
 
 
 def test_a_loader_says_what_is_wrong_with_the_values():
     robot = read_robot('kato_10_1').with_effect('eyelet_wrap', {'fraction': 7.0})
     with pytest.raises(Exception, match='fraction'):
-        Loader(robot, []).result()
+        Loader(lambda: robot, []).result()

@@ -1,10 +1,10 @@
 """package.xml, setup.py and the command table say the same."""
 
 import re
-import subprocess
 import sys
 from pathlib import Path
 
+import processes
 import pytest
 from catkin_pkg.cli.tag_changelog import get_forthcoming_label
 from catkin_pkg.package import parse_package
@@ -16,13 +16,11 @@ PACKAGE = parse_package(str(ROOT), warnings=(WARNINGS := []))
 
 
 def setup_py(*options):
-    result = subprocess.run(
+    result = processes.run(
         [sys.executable, 'setup.py', '-q', *options],
         cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
     )
+    assert result.returncode == 0, result.stderr
     return result.stdout.strip()
 
 
@@ -54,7 +52,7 @@ def test_the_release_tools_find_what_is_new():
 def test_messages_that_nodes_import_are_declared():
     declared = {dependency.name for dependency in PACKAGE.exec_depends}
     imported = set()
-    for path in (ROOT / 'tendon_robot_ros/nodes').glob('**/*.py'):
+    for path in (ROOT / 'tendon_robot_ros/ros').glob('**/*.py'):
         imported |= set(
             re.findall(r'^\s*(?:from|import) (\w+_msgs|std_srvs)\b', path.read_text(), re.M)
         )

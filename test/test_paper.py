@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from source_tree import ROOT
 
-from tendon_robot_ros.analysis.pairs import pairs_of
-from tendon_robot_ros.analysis.paper import displacement, motion, play, small, tension
-from tendon_robot_ros.analysis.paper.robots import at_view, pcca, with_cells
-from tendon_robot_ros.analysis.paper.whole import Row
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.paper import displacement, motion, small, tension
+from tendon_robot_ros.paper import robots as play
+from tendon_robot_ros.paper.robots import at_view, pcca, with_cells
+from tendon_robot_ros.paper.whole import Row
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.workspace.grid import pairs_of
 
 
 def kato(name):

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from control_rig import ROBOTS, model
 
-from tendon_robot_ros.control.path import set_points, tip_path
-from tendon_robot_ros.control.path_plan import Pace, plan, retreat, stretched, thinned
-from tendon_robot_ros.control.sweep import sweep
-from tendon_robot_ros.exceptions import InputError
+from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.paths.path import set_points, tip_path
+from tendon_robot_ros.paths.plan import Pace, plan, retreat, stretched, thinned
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.workspace.constant_view import sweep
 
 PLACES = np.array([[0.0, 0.0, 0.2], [0.06, 0.0, 0.17], [0.08, 0.0, 0.14]])
 NONE = np.full((3, 3), np.nan)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from source_tree import ROOT
 
+from tendon_robot_ros.common.errors import EffectError, InputError
 from tendon_robot_ros.drivers.mock import MockDriver
-from tendon_robot_ros.exceptions import EffectError, InputError
-from tendon_robot_ros.model.causes import CAUSES
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.model.plant import make_plant
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.simulation.hidden import CAUSES
+from tendon_robot_ros.simulation.plant import make_plant
 
 ARCS, HINGES = 'kato_10_1', 'spatial_3'
 TENSIONS = {

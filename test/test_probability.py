@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tendon_robot_ros.analysis import probability
+from tendon_robot_ros.comparison import statistics as probability
 
 RANDOM = np.random.default_rng(0)
 CASES = np.exp(RANDOM.uniform(0.0, 8.0, (60, 2)))

@@ -1,8 +1,8 @@
 """The README shows what its commands on comparing a model print."""
 
 import re
-import subprocess
 
+import processes
 from documents import appears, environment, prepare, typed
 from test_readme import README
 
@@ -21,12 +21,10 @@ def test_the_commands_print_what_the_readme_shows(tmp_path):
     parts = list(shown())
     assert len(parts) == 5, 'five commands'
     for command, lines in parts:
-        run = subprocess.run(
+        run = processes.run(
             ['bash', '-c', command],
             cwd=tmp_path,
             env=environment(),
-            capture_output=True,
-            text=True,
         )
         assert run.returncode == 0, run.stderr
         missing = [line for line in lines if not appears(line, run.stdout)]

@@ -10,23 +10,21 @@ from browser import assert_fine, open_page
 from measurements import blind
 from source_tree import ROOT
 
-from tendon_robot_ros.analysis.compare import compare
-from tendon_robot_ros.analysis.comparison_file import load_comparison
 from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.common.errors import MissingExtraError
+from tendon_robot_ros.common.words import commands, digits, listed, mm, probability, times
+from tendon_robot_ros.comparison.compare import compare
+from tendon_robot_ros.comparison.result import load_comparison
 from tendon_robot_ros.data import Marker, load_dataset
-from tendon_robot_ros.exceptions import MissingExtraError
 from tendon_robot_ros.report import page as page_module
 from tendon_robot_ros.report.comparison_page import comparison_page, write_comparison
 from tendon_robot_ros.report.error_plots import Step, staircase
 from tendon_robot_ros.report.page import Figure, Page
-from tendon_robot_ros.report.shape_plots import MOST, chosen_postures, is_planar, shape_figures
-from tendon_robot_ros.report.words import (
-    commands,
-    digits,
-    listed,
-    mm,
-    probability,
-    times,
+from tendon_robot_ros.report.shape_plots import (
+    POSTURES_DRAWN_MAX,
+    chosen_postures,
+    is_planar,
+    shape_figures,
 )
 
 SECTIONS = ('Where the models are off', 'Shapes', 'Angular displacement')
@@ -130,7 +128,7 @@ def test_few_postures_have_boxes_of_their_own():
 def test_many_postures_show_the_worst():
     found = compared(ROOT / 'data' / 'tentacle', pcca=False)
     chosen = chosen_postures(found)
-    assert len(chosen) == MOST == 12
+    assert len(chosen) == POSTURES_DRAWN_MAX == 12
     left = np.setdiff1d(np.arange(16), chosen)
     errors = found.best.per_posture_rms
     assert errors[left].max() <= errors[chosen].min()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from measurements import TENTACLE, blind
 from source_tree import ROOT
 
-from tendon_robot_ros.exceptions import InputError, RobotDescriptionError, TendonRobotError
+from tendon_robot_ros.common.errors import InputError, RobotDescriptionError, TendonRobotError
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import dump_robot, load_robot, parse_robot
 
@@ -112,13 +112,14 @@ BAD = [
     (('tension_limits',), None, 'tension_limits: expected a list of 2 numbers, got None'),
     (('gravity',), [0.0, 9.81], 'gravity: expected a list of 3 numbers, got [0.0, 9.81]'),
     (('tolerances', 'stiffness'), 0.1, 'tolerances.stiffness: expected one of bending_stiffness, '
-     "cell_stiffness, friction_coefficient, tension_gain, position, rotation, got 'stiffness'"),
+     "cell_stiffness, cell_kink, channel_gain, hole_radius, pull_zero, friction_coefficient, "
+     "tension_gain, position, rotation, got 'stiffness'"),
     (('effects', 'tendon_friction'), 0.3, 'effects.tendon_friction: expected keys with values, '
      'got 0.3'),
     (('effects', 'tendon_friction', 'friction_coefficient'), '.3.', 'effects.tendon_friction.'
      "friction_coefficient: expected a number [SI], got '.3.'"),
     (('limits',), [0, 1], "limits: expected one of name, sections, tendons, tension_limits, "
-     "effects, gravity, tolerances, fitted, got 'limits'"),
+     "effects, gravity, tolerances, fitted, exact, got 'limits'"),
 ]  # fmt: skip
 
 

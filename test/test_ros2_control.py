@@ -12,8 +12,8 @@ from group_station import JOINTS, Group
 from ros_station import HIGH, INPUTS, LOW, Station, last, point, start, values
 from source_tree import ROOT
 
+from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.exceptions import DriverError
 from tendon_robot_ros.robot import load_robot
 
 CONFIG = yaml.safe_load((ROOT / 'config/ros2_control.yaml').read_text())
@@ -123,10 +123,9 @@ def bridge(request, tmp_path):
     options = {'backend': 'ros2_control', 'config': yaml.safe_dump(config), 'command_mode': mode}
     station = Station(space)
     group = Group(station.node, mode)
-    patient = {'command_timeout': 0.5}, {'state_timeout': 1.0, 'command_mode': mode}
     with (
-        start('driver', space, tmp_path, **options, **patient[0]),
-        start('controller', space, tmp_path, **patient[1]),
+        start('driver', space, tmp_path, **options),
+        start('controller', space, tmp_path, command_mode=mode),
     ):
         station.until_code(station.controller, 'holding', timeout=120.0)
         yield station, group

@@ -1,6 +1,8 @@
 """Bad input: a clear message each, nothing moves for it, and the node goes on."""
 
 import math
+import time
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -10,20 +12,31 @@ pytest.importorskip('rclpy')
 from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
 from ros_station import BASE, HIGH, LOW, Station, last, point, start, values
 from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from tendon_robot_ros.robot import dump_robot
+from tendon_robot_ros.ros.shared.files import read_robot
 
 pytestmark = pytest.mark.ros
 SPACE = '/bad_input'
+LONG = 'name: x\n' + 'sections: [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]\n' * 25_000
 
 
 @pytest.fixture(scope='module')
-def station(tmp_path_factory):
+def running(tmp_path_factory):
     logs = tmp_path_factory.mktemp('logs')
     with start('driver', SPACE, logs), start('controller', SPACE, logs):
         station = Station(SPACE)
         station.until_code(station.controller, 'holding', timeout=120.0)  # compiles when cold
-        station.go_to_point(0.06, 0.17)
         yield station
         station.close()
+
+
+@pytest.fixture
+def station(running):
+    """Give every test an arm that stands at a target."""
+    running.go_to_point(0.06, 0.17)
+    return running
 
 
 def pose(**changes):
@@ -67,12 +80,16 @@ TOPICS = {PoseStamped: 'target_pose', PointStamped: 'target_point', TwistStamped
 @pytest.mark.parametrize(('message', 'code', 'words'), BAD, ids=lambda value: str(value)[:20])
 def test_a_bad_target_is_refused_and_the_arm_stays(station, message, code, words):
     before = station.tip()
-    station.send(f'controller/{TOPICS[type(message)]}', message)
-    station.until_code(station.controller, code)
+
+    def refused():  # twists are heard best effort
+        station.send(f'controller/{TOPICS[type(message)]}', message)
+        station.spin(0.05)
+        return station.code() == code
+
+    station.until(refused, code)
     assert words in last(station.controller).message
     station.spin(0.1)
     assert station.tip() == pytest.approx(before, abs=1e-6)
-    station.go_to_point(0.06, 0.17)
 
 
 def state(names, effort, position=None):
@@ -123,19 +140,18 @@ def test_a_bad_command_is_refused_by_the_driver(station, message, words):
     station.until_code(station.driver, 'following')
 
 
-def test_a_command_outside_the_limits_is_clipped_and_said(station):
+def test_a_command_of_another_sender_is_ignored_and_said_however_large_it_is(station):
     station.driver.clear()
     before = len(station.states)
 
-    def clipped():
+    def ignored():
         station.send('tendon_command', state(GOOD, [99.0, -5.0, 1.0, 1.0]))
-        return any('prox_left' in values(said).get('clipped', '') for _, said in station.driver)
+        return any(values(said).get('ignored') for _, said in station.driver)
 
-    station.until(clipped, 'the word clipped')
+    station.until(ignored, 'the word ignored')
     efforts = [message.effort.tolist() for _, message in station.states[before:]]
     assert max(map(max, efforts)) <= HIGH
     assert min(map(min, efforts)) >= LOW - 1e-9
-    station.go_to_point(0.06, 0.17)
 
 
 @pytest.mark.parametrize(
@@ -157,14 +173,34 @@ def test_a_bad_parameter_is_refused_with_its_reason(station, node, name, value, 
     assert words in result.reason
 
 
+def test_a_description_that_is_too_long_is_refused_at_once(station, tmp_path):
+    path = tmp_path / 'long.yaml'
+    path.write_text(LONG * 10)
+    for text in (LONG * 10, str(path)):
+        station.commands.clear()
+        result = station.set('controller', 'model', text)
+        assert not result.successful
+        assert 'expected at most 1,000,000 characters' in result.reason
+        assert len(station.commands) > 1
+
+
+def test_a_long_description_is_read_beside_the_commands_and_refused_in_the_status(station):
+    station.commands.clear()
+    began = time.monotonic()
+    assert station.set('controller', 'model', LONG[:999_000]).successful
+    station.until_code(station.controller, 'refused_model', timeout=120.0)
+    took = time.monotonic() - began
+    assert 'the old model stays' in last(station.controller).message
+    gaps = [b - a for (a, _), (b, _) in pairwise(station.commands)]
+    assert max(gaps) < 0.5 * took  # it is read in one piece
+    station.go_to_point(0.06, 0.17)
+
+
 def test_a_whole_number_is_as_good_as_a_decimal_one(station):
     assert station.set('controller', 'rate_limit', 10).successful
 
 
 def test_an_unknown_effect_is_refused_with_the_known_ones(station):
-    from tendon_robot_ros.nodes.shared import read_robot
-    from tendon_robot_ros.robot import dump_robot
-
     robot = read_robot('kato_10_1').with_effect('magnetism', {'strength': 1.0})
     result = station.set('controller', 'model', dump_robot(robot))
     assert not result.successful
@@ -172,10 +208,6 @@ def test_an_unknown_effect_is_refused_with_the_known_ones(station):
 
 
 def test_another_model_is_taken_without_a_jump(station):
-    from tendon_robot_ros.nodes.shared import read_robot
-    from tendon_robot_ros.robot import dump_robot
-
-    station.go_to_point(0.06, 0.17)
     station.commands.clear()
     robot = read_robot('kato_10_1').with_effect('backbone_stiffness', {'relative_change': 0.2})
     assert station.set('controller', 'model', dump_robot(robot)).successful
@@ -191,4 +223,27 @@ def test_another_model_is_taken_without_a_jump(station):
     ]
     assert 0.0 < max(steps) <= 10.0 * 0.05  # [N/s] times the longest cycle
     assert max(efforts[-1]) > 1.1 * max(efforts[0])
+    assert station.set('controller', 'model', 'kato_10_1').successful
+
+
+def test_with_a_model_its_name_limits_and_length_change_what_comes_in(station):
+    other = replace(read_robot('kato_10_1'), name='other', tension_limits=(0.1, 2.0))
+    assert station.set('controller', 'model', dump_robot(other)).successful
+    station.until(
+        lambda: values(last(station.controller)).get('model', '').startswith('other'),
+        'the new model',
+        timeout=60.0,
+    )
+    tips = station.hear(PoseStamped, 'controller/predicted_tip')
+    station.until(lambda: tips, 'a prediction')
+    assert last(tips).header.frame_id == 'other_base'
+    station.send('controller/target_point', point(0.06, 0.17))
+    station.until_code(station.controller, 'refused_frame')
+    station.go(point(0.06, 0.17, 'other_base'), 'controller/target_point')
+    message = JointTrajectory(joint_names=GOOD)
+    message.points = [JointTrajectoryPoint(effort=[3.0, 0.1, 0.1, 0.1])]
+    message.points[0].time_from_start.sec = 1
+    station.send('controller/tendon_trajectory', message)
+    station.until_code(station.controller, 'refused_limits')
+    assert 'expected 0.1 to 2 N, got 3' in last(station.controller).message
     assert station.set('controller', 'model', 'kato_10_1').successful

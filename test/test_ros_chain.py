@@ -15,7 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from visualization_msgs.msg import MarkerArray
 
-from tendon_robot_ros.nodes.qos import LATCHED
+from tendon_robot_ros.ros.shared.messages import LATCHED
 
 pytestmark = pytest.mark.ros
 SPACE = '/chain'
@@ -120,7 +120,7 @@ def test_the_stop_topic_stops_both_and_reset_is_refused_while_it_says_true(stati
         assert not answer.success
         assert 'topic stop says true' in answer.message
     station.send('stop', Bool(data=False), LATCHED)
-    assert station.trigger('driver/reset').success
+    station.until(lambda: station.trigger('driver/reset').success, 'a reset')
     station.until_code(station.driver, 'following', 'released')
     station.until(lambda: station.trigger('controller/reset').success, 'a reset')
     station.until_code(station.controller, 'holding')
@@ -154,7 +154,10 @@ def test_a_motor_error_takes_torque_and_is_said_by_both(station):
     assert station.set('driver', 'mock_fault', 'overload:dist_right').successful
     station.until_code(station.controller, 'driver_stopped')
     assert 'dist_right: overload' in last(station.controller).message
-    assert values(last(station.driver))['torque_off'] == 'dist_right'
+    station.until(
+        lambda: values(last(station.driver))['torque_off'] == 'dist_right',
+        'the word of the driver, which may come second',
+    )
     assert not station.trigger('driver/reset').success
     assert station.set('driver', 'mock_fault', '').successful
     station.until(lambda: station.trigger('driver/reset').success, 'a reset')

@@ -1,9 +1,9 @@
 """follow and go-to as a user runs them, against controller and mock driver."""
 
-import subprocess
 import sys
 
 import numpy as np
+import processes
 import pytest
 
 pytest.importorskip('rclpy')
@@ -24,10 +24,9 @@ time,x,y,z
 @pytest.fixture(scope='module')
 def station(tmp_path_factory):
     logs = tmp_path_factory.mktemp('logs')
-    patient = {'command_timeout': 0.5}, {'state_timeout': 1.0}  # the machine may be busy
     with (
-        start('driver', SPACE, logs, **patient[0]),
-        start('controller', SPACE, logs, **patient[1]),
+        start('driver', SPACE, logs),
+        start('controller', SPACE, logs),
     ):
         station = Station(SPACE)
         station.until_code(station.controller, 'holding', timeout=120.0)
@@ -38,15 +37,14 @@ def station(tmp_path_factory):
 def command(station, folder, *arguments):
     """Run a command while the station listens."""
     program = [sys.executable, '-m', 'tendon_robot_ros', *arguments]
-    process = subprocess.Popen(
+    process = processes.Process(
         [*program, '--ros-args', '-r', f'__ns:={SPACE}'],
         cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+        stdout=processes.PIPE,
+        stderr=processes.PIPE,
     )
     station.until(lambda: process.poll() is not None, 'the end of the command', 90.0)
-    return subprocess.CompletedProcess(arguments, process.returncode, *process.communicate())
+    return processes.CompletedProcess(arguments, process.returncode, *process.communicate())
 
 
 def commanded(station):
@@ -154,11 +152,9 @@ def test_a_long_trajectory_does_not_stall_the_commands(station):
 
 def test_without_a_controller_it_says_what_to_look_for(tmp_path):
     (tmp_path / 'path.csv').write_text(PATH)
-    done = subprocess.run(
+    done = processes.run(
         [sys.executable, '-m', 'tendon_robot_ros', 'follow', 'path.csv', '--controller', 'none'],
         cwd=tmp_path,
-        capture_output=True,
-        text=True,
         timeout=60,
     )
     assert done.returncode == 1

@@ -12,9 +12,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from ros_station import LATCHED, Station, last, values
 from std_msgs.msg import Float64, String
 
-from tendon_robot_ros.nodes.processes import NodeProcess
-from tendon_robot_ros.nodes.shared import read_robot
 from tendon_robot_ros.robot import dump_robot
+from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
 pytestmark = pytest.mark.ros
 LOADED = 120.0  # [s] a busy machine may need to load the model

@@ -2,9 +2,9 @@
 
 import os
 import re
-import subprocess
 import sys
 
+import processes
 import pytest
 from source_tree import ROOT
 
@@ -17,10 +17,8 @@ FARTHEST = {'tension': 250.0, 'pull': 7.0}  # [mm] the gears' friction bends the
 
 @pytest.mark.parametrize('mode', ['tension', 'pull'])
 def test_the_demo_with_servos_survives_a_pulled_plug(mode):
-    run = subprocess.run(
+    run = processes.run(
         [sys.executable, 'examples/pull_the_plug.py', mode],
-        capture_output=True,
-        text=True,
         cwd=ROOT,
         env={**os.environ, 'PYTHONPATH': str(ROOT), 'AMENT_PREFIX_PATH': sys.prefix},
     )
@@ -30,5 +28,6 @@ def test_the_demo_with_servos_survives_a_pulled_plug(mode):
     assert max(misses) < FARTHEST[mode]
     assert 'the port is gone; plug the adapter in again' in run.stdout
     assert len(re.findall(r'(reached|nearest)$', run.stdout, re.MULTILINE)) == 5
+    assert 'the controller holds the arm where it is; the target is sent again' in run.stdout
     again = re.search(r'followed ([\d.]+) s later', run.stdout)
     assert float(again[1]) < 5.0

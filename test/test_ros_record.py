@@ -2,11 +2,11 @@
 
 import re
 import signal
-import subprocess
 import sys
 import time
 
 import numpy as np
+import processes
 import pytest
 
 pytest.importorskip('rclpy')
@@ -16,12 +16,11 @@ from control_rig import ROBOTS
 from ros_station import INPUTS, Station, start
 from rosbags.highlevel import AnyReader
 
-from tendon_robot_ros.data.bag_import import import_bag
+from tendon_robot_ros.data.recording.importing import import_bag
 from tendon_robot_ros.robot import dump_robot, load_robot
 
 pytestmark = pytest.mark.ros
 SPACE = '/recorded'
-PATIENT = {'driver': {'command_timeout': 0.5}, 'controller': {'state_timeout': 1.0}}
 HIDDEN = ('tendon_stiffness', {'per_tendon': 4e-4})
 
 
@@ -31,38 +30,45 @@ def station(tmp_path_factory):
     logs = tmp_path_factory.mktemp('logs')
     stiff = load_robot(ROBOTS / 'kato_10_1.yaml').with_effect(*HIDDEN)
     config = 'plant: {twin: true}\ntracker: {noise: 0.0002}\nlag: 0.02'
-    driver = {'robot': dump_robot(stiff), 'config': config, **PATIENT['driver']}
+    driver = {'robot': dump_robot(stiff), 'config': config}
     with (
         start('driver', SPACE, logs, **driver),
-        start('controller', SPACE, logs, **PATIENT['controller']),
+        start('controller', SPACE, logs),
     ):
         station = Station(SPACE)
         station.until_code(station.controller, 'holding', timeout=120.0)
+        station.go_to_point(0.0, 0.2)  # from now on its targets are a topic
         yield station
         station.close()
 
 
 def begin(folder, *arguments, ros=True):
     program = [sys.executable, '-m', 'tendon_robot_ros', *arguments]
-    return subprocess.Popen(
+    return processes.Process(
         program + (['--ros-args', '-r', f'__ns:={SPACE}'] if ros else []),
         cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+        stdout=processes.PIPE,
+        stderr=processes.PIPE,
     )
 
 
 def finish(station, process, timeout=300.0):
     station.until(lambda: process.poll() is not None, f'the end of {process.args[3]}', timeout)
-    return subprocess.CompletedProcess(process.args, process.returncode, *process.communicate())
+    return processes.CompletedProcess(process.args, process.returncode, *process.communicate())
+
+
+def listeners(station):
+    names = ['tendon_states', 'tendon_command', 'measured_tip', 'measured_shape']
+    names += ['controller/status', 'controller/target_point']
+    return np.array([station.node.count_subscribers(f'{SPACE}/{name}') for name in names])
 
 
 def recorded(station, folder, name, act):
     """Record while something happens."""
+    before = listeners(station)
     process = begin(folder, 'record', name)
     assert process.stdout.readline() == f'recording to {name}; Ctrl-C ends\n'
-    station.spin(2.0)
+    station.until(lambda: (listeners(station) > before).all(), 'the recorder at every topic')
     act()
     station.spin(0.5)
     process.send_signal(signal.SIGINT)
@@ -174,10 +180,10 @@ def test_its_targets_are_replayed(station, tmp_path):
 
 
 def test_where_nothing_runs_it_says_so(tmp_path):
-    done = subprocess.run(
+    done = processes.run(
         [sys.executable, '-m', 'tendon_robot_ros', 'record', 'none', '--duration', '1',
          '--ros-args', '-r', '__ns:=/nobody'],
-        cwd=tmp_path, capture_output=True, text=True, timeout=60,
+        cwd=tmp_path, timeout=60,
     )  # fmt: skip
     assert done.returncode == 1
     assert 'nothing was published here: is the robot running, in this namespace?' in done.stdout

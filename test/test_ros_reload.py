@@ -9,8 +9,10 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
 from ros_station import Station, last, start, values
 
-from tendon_robot_ros.nodes.shared import read_robot
 from tendon_robot_ros.robot import dump_robot
+from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.ros.shared.robot_client import Pilot
+from tendon_robot_ros.ros.shared.runtime import Ending
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
@@ -51,6 +53,9 @@ def test_an_effect_of_the_users_own_is_loaded_while_the_arm_is_held(tmp_path, mo
         station.until(lambda: 'own' in values(last(station.controller))['model'], 'it', 300.0)
         station.until_code(station.controller, 'reached')
         station.spin(0.5)
+        pilot = Pilot('pilot', 'controller', Ending(), namespace='/reload')
+        assert pilot.model().acts('own')  # the controller's own effects, too
+        pilot.destroy_node()
         station.close()
     # linking the machine code holds Python for about 0.1 s in one piece: a release may just begin
     assert {values(said)['code'] for _, said in station.driver} <= {'following', 'releasing'}

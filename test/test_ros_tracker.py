@@ -11,8 +11,8 @@ from ros_station import INPUTS, LATCHED, Station, last, start, values
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.nodes.processes import NodeProcess
-from tendon_robot_ros.nodes.shared import read_robot
+from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
 pytestmark = pytest.mark.ros
 LOADED = 120.0  # [s] a busy machine may need to load the model

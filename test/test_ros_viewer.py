@@ -11,7 +11,7 @@ pytest.importorskip('viser')
 from diagnostic_msgs.msg import DiagnosticStatus
 from ros_station import LATCHED, Station, last, start, values
 
-from tendon_robot_ros.nodes.processes import NodeProcess
+from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
 pytestmark = pytest.mark.ros
 LOADED = 120.0  # [s] a busy machine may need to load the model

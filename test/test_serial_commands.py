@@ -10,12 +10,17 @@ import yaml
 from emulated_board import needs_compiler
 
 from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.common.errors import DriverError, InputError
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.drivers.emulator.board_commands import HELP, obey
-from tendon_robot_ros.drivers.emulator.process import EmulatorProcess
-from tendon_robot_ros.drivers.serial_board.calibration import Point, connect, fit, measure
+from tendon_robot_ros.drivers.serial_board.calibration import (
+    CountsPoint,
+    connect,
+    fit_counts,
+    measure,
+)
 from tendon_robot_ros.drivers.serial_board.config import read_config
-from tendon_robot_ros.exceptions import DriverError, InputError
+from tendon_robot_ros.emulator.board import HELP, obey_board
+from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.robot import load_robot
 
 pytest.importorskip('serial')
@@ -57,24 +62,24 @@ def test_every_word_of_the_emulators_help_is_known_and_others_are_refused():
     assert len(listed) > 15
     with emulated_board.board() as line:
         for word in listed:
-            assert obey(line, f'{word} {values.get(word, "0")}')
+            assert obey_board(line, f'{word} {values.get(word, "0")}')
         for wrong in ('jump', 'cell 9', 'weight 1', 'slow fast'):
             with pytest.raises(InputError, match='type help'):
-                obey(line, wrong)
+                obey_board(line, wrong)
 
 
 @needs_compiler
 def test_calibrate_finds_zero_and_scale_of_a_load_cell_with_their_errors(
     tmp_path, robot_file, monkeypatch, capsys
 ):
-    monkeypatch.setattr('tendon_robot_ros.cli.calibrate_cell.SECONDS', 0.5)
+    monkeypatch.setattr('tendon_robot_ros.cli.calibrate.SECONDS_PER_WEIGHT', 0.5)
     masses = (0.1, 0.2, 0.4)  # [kg]
     with emulated_board.board() as line:
         config = tmp_path / 'board.yaml'
         content = emulated_board.config(line, calibration='cells.yaml')
         config.write_text(yaml.safe_dump(content))
         pile = iter((0.0, *masses))
-        monkeypatch.setattr('builtins.input', lambda _: obey(line, f'weight 1 {next(pile)}'))
+        monkeypatch.setattr('builtins.input', lambda _: obey_board(line, f'weight 1 {next(pile)}'))
         out = tmp_path / 'cells.yaml'
         out.write_text('east: {zero: 8000.0, newtons_per_count: 6.0e-6}\n')
         command = ['calibrate', 'serial', str(config), '--robot', robot_file, '--tendon', 'north']
@@ -97,7 +102,7 @@ def test_a_weight_that_swings_is_refused(robot_file):
         content = emulated_board.config(line)
         config = read_config(emulated.robot(), content, 'tension', 'board.yaml')
         link, channels = connect(config)
-        timer = threading.Timer(0.4, lambda: obey(line, 'weight 0 0.2'))
+        timer = threading.Timer(0.4, lambda: obey_board(line, 'weight 0 0.2'))
         timer.start()
         with pytest.raises(DriverError, match='channel 0: the weight does not hang still'):
             measure(link, channels, 0, 0.0, 0.6)
@@ -107,14 +112,14 @@ def test_a_weight_that_swings_is_refused(robot_file):
 
 def test_weights_that_the_counts_do_not_follow_are_refused():
     with pytest.raises(InputError, match='do not follow the weight'):
-        fit([Point(t, 8000.0 + t, 30.0) for t in (0.0, 1.0, 2.0)])
+        fit_counts([CountsPoint(t, 8000.0 + t, 30.0) for t in (0.0, 1.0, 2.0)])
     with pytest.raises(InputError, match='at least 2 different weights'):
-        fit([Point(t, 8000.0 + 1e5 * t, 30.0) for t in (0.0, 1.0, 1.0)])
+        fit_counts([CountsPoint(t, 8000.0 + 1e5 * t, 30.0) for t in (0.0, 1.0, 1.0)])
 
 
 def test_a_straight_line_is_found_exactly_and_a_cell_mounted_backwards_too():
     for slope in (6e-6, -6e-6):
-        cell = fit([Point(t, -500.0 + t / slope, 0.0) for t in (0.0, 1.0, 2.0, 4.0)])
+        cell = fit_counts([CountsPoint(t, -500.0 + t / slope, 0.0) for t in (0.0, 1.0, 2.0, 4.0)])
         assert cell.zero == pytest.approx(-500.0, abs=1e-3)
         assert cell.newtons_per_count == pytest.approx(slope)
 

@@ -1,18 +1,18 @@
 """Every fault of board and port at the serial driver: what it says, how it recovers."""
 
-import subprocess
 import sys
 import time
 
 import emulated
 import emulated_board
 import numpy as np
+import processes
 import pytest
 from emulated import codes, healthy, until
 from emulated_board import needs_compiler
 
-from tendon_robot_ros.drivers.emulator.board_commands import obey
-from tendon_robot_ros.exceptions import DriverError
+from tendon_robot_ros.common.errors import DriverError
+from tendon_robot_ros.emulator.board import obey_board
 
 pytest.importorskip('serial')
 pytestmark = needs_compiler
@@ -126,7 +126,7 @@ QUICK = ('overheating', 'load_cell')
 def test_a_fault_of_a_channel_takes_its_torque_only_until_cause_and_fault_are_gone(arm, code):
     driver, line, command = arm
     broken, mended = FAULTS[code]
-    obey(line, broken)
+    obey_board(line, broken)
     hard = np.array(command) + [0.0, 0.0, 4.0 if code == 'encoder' else 0.0, 0.0]
     reading = until(driver, hard, lambda r: r.faults)
     (fault,) = reading.faults
@@ -141,7 +141,7 @@ def test_a_fault_of_a_channel_takes_its_torque_only_until_cause_and_fault_are_go
     if code in ('voltage', 'overheating', 'load_cell'):
         with pytest.raises(DriverError, match='west'):  # the cause is still there
             driver.reboot(['west'])
-    obey(line, mended)
+    obey_board(line, mended)
     time.sleep(0.1)
     driver.reboot()
     assert driver.read().faults == ()
@@ -202,6 +202,9 @@ def test_a_new_process_finds_an_arm_under_tension_and_lets_it_go_slowly(arm):
     other = emulated_board.driver_for(line)
     other.open()
     assert enabled(line) == [False] * 4
+    end = time.monotonic() + 10.0
+    while np.max(line.rig.tensions) >= 0.5 and time.monotonic() < end:  # on its way down
+        time.sleep(0.01)
     assert np.max(line.rig.tensions) < 0.5
     other.close()
 
@@ -209,13 +212,11 @@ def test_a_new_process_finds_an_arm_under_tension_and_lets_it_go_slowly(arm):
 def test_a_second_process_is_kept_off_the_port(arm):
     driver, line, command = arm
     code = (
-        'import sys; from tendon_robot_ros.drivers.serial_board.link import Link\n'
-        'Link(sys.argv[1], 1000000).open()'
+        'import sys; from tendon_robot_ros.drivers.serial_board.link import BoardLink\n'
+        'BoardLink(sys.argv[1], 1000000).open()'
     )
-    run = subprocess.run(
+    run = processes.run(
         [sys.executable, '-c', code, line.port],
-        capture_output=True,
-        text=True,
         env=emulated.environment(),
     )
     assert f'{line.port}: another process has the port (process ' in run.stderr
@@ -229,7 +230,7 @@ def test_no_tension_ever_passed_its_limit(arm):
 
 
 def test_a_port_without_a_board_is_refused_with_a_reason(monkeypatch):
-    monkeypatch.setattr('tendon_robot_ros.drivers.serial_board.handshake.BOOT_TIME', 0.2)
+    monkeypatch.setattr('tendon_robot_ros.drivers.serial_board.link.BOOT_TIME_S', 0.2)
     with emulated_board.board() as line:
         line.deaf = True
         driver = emulated_board.driver_for(line)

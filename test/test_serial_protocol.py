@@ -12,9 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from source_tree import ROOT
 
-from tendon_robot_ros.drivers.emulator import firmware
 from tendon_robot_ros.drivers.serial_board import messages
-from tendon_robot_ros.drivers.serial_board.frames import LONGEST, Receiver, crc16, decode, encode
+from tendon_robot_ros.drivers.serial_board.messages import (
+    FRAME_BYTES_MAX,
+    FrameReceiver,
+    crc16,
+    decode,
+    encode,
+)
+from tendon_robot_ros.emulator import firmware
 
 SLOW = pytest.param(100_000, marks=pytest.mark.slow, id='100000')
 PAYLOADS = st.binary(max_size=106) | st.lists(st.sampled_from([0, 1, 255]), max_size=106).map(
@@ -50,7 +56,7 @@ def test_the_frames_printed_in_the_document_are_those_that_are_sent():
 def test_every_frame_is_read_as_it_was_written(kind, sequence, payload):
     data = encode(kind, sequence, payload)
     assert data.count(0) == 2
-    assert len(data) - 2 <= LONGEST
+    assert len(data) - 2 <= FRAME_BYTES_MAX
     frame = decode(data[1:-1])
     assert (frame.version, frame.type, frame.sequence, frame.payload) == (
         1,
@@ -87,7 +93,7 @@ def firmware_of_eight():
 def test_a_frame_in_pieces_of_any_size_is_read_once():
     whole = b''.join(encode(messages.TELEMETRY, i, state(i)) for i in range(20))
     for size in (1, 2, 3, 7, 64, 1000):
-        receiver = Receiver()
+        receiver = FrameReceiver()
         pieces = (whole[k : k + size] for k in range(0, len(whole), size))
         frames = [frame for piece in pieces for frame in receiver.feed(piece)]
         assert [frame.sequence for frame in frames] == list(range(20))
@@ -95,17 +101,17 @@ def test_a_frame_in_pieces_of_any_size_is_read_once():
 
 
 def test_a_receiver_finds_the_next_frame_after_any_noise():
-    receiver = Receiver()
+    receiver = FrameReceiver()
     noise = random.Random(1).randbytes(10_000)
     assert receiver.feed(noise) == []
     assert [f.type for f in receiver.feed(encode(messages.RESULT, 1, b'abc'))] == [0x84]
 
 
 def test_noise_without_a_delimiter_is_not_collected_for_ever():
-    receiver = Receiver()
+    receiver = FrameReceiver()
     for _ in range(100):
         assert receiver.feed(b'\x55' * 1000) == []
-    assert len(receiver._rest) <= LONGEST + 1
+    assert len(receiver._rest) <= FRAME_BYTES_MAX + 1
     assert receiver.feed(b'\0') == []
 
 
@@ -131,7 +137,7 @@ def spoil(rng, data):
 @needs_compiler
 @pytest.mark.parametrize('count', [5_000, SLOW])
 def test_spoilt_frames_crash_nobody_and_give_no_wrong_value(count):
-    rng, receiver, board = random.Random(7), Receiver(), firmware_of_eight()
+    rng, receiver, board = random.Random(7), FrameReceiver(), firmware_of_eight()
     accepted = 0
     for i in range(count):
         payload = state(i) if i % 2 else rng.randbytes(rng.randrange(107))
@@ -164,7 +170,7 @@ def check_flips(campaign):
     board = firmware_of_eight()
     for bits in campaign(8 * len(whole)):
         data = flipped(whole, bits)
-        found = {(f.sequence, f.payload) for f in Receiver().feed(data)}
+        found = {(f.sequence, f.payload) for f in FrameReceiver().feed(data)}
         assert found <= sent, bits
         assert len(found) >= 3 - 2 * len(bits), bits
         for piece in data.split(b'\0'):

@@ -1,19 +1,20 @@
 """Simulated measurements: the noise that was asked for, postures that exercise the robot."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from source_tree import ROOT
 
-from tendon_robot_ros.analysis.postures import FULL, default_postures
-from tendon_robot_ros.analysis.simulate import SimulatedNoise, simulate
 from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.data import Marker, load_dataset
-from tendon_robot_ros.exceptions import InputError
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.model.plant import make_plant
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.simulation.imperfect import Workmanship
+from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
+from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.workspace.postures import SECTION_BEND_MAX_RAD, default_postures
 
 ROBOTS = sorted((ROOT / 'config' / 'robots').glob('*.yaml'))
 KATO = ROOT / 'config' / 'robots' / 'kato_10_1.yaml'
@@ -37,8 +38,8 @@ def test_default_postures_are_within_the_limits_and_bend_every_section(path):
     bend = Model(replace(robot, effects={})).shapes(tensions).bend
     edges = np.cumsum([section.cells for section in robot.sections])[:-1]
     last = np.linalg.norm(np.split(bend, edges, axis=1)[-1].sum(axis=1), axis=1)
-    assert last.max() < 1.3 * FULL
-    assert np.ptp(last) > 0.5 * FULL
+    assert last.max() < 1.3 * SECTION_BEND_MAX_RAD
+    assert np.ptp(last) > 0.5 * SECTION_BEND_MAX_RAD
 
 
 def test_a_check_has_other_postures_and_a_sequence_lets_go():
@@ -148,6 +149,30 @@ def test_the_command_writes_what_compare_and_diagnose_read(tmp_path, capsys):
     assert data.arc_lengths[-1] == pytest.approx(0.208)
     own = Model(data.robot).shapes(data.inputs).markers(data.arc_lengths, data.offsets)
     assert np.linalg.norm(own - data.mean, axis=2).max() > 5e-3
+
+
+def test_arms_are_built_with_imperfections_unless_told_otherwise(tmp_path, capsys):
+    arguments = ['simulate', str(KATO), '--count', '3', '--trials', '1', '--noise']
+    arguments += ['position=1e-9,setting=0,trial=0', '--output']
+    moved = {}
+    for name, options in {'built': [], 'exact': ['--exact'], 'bad': ['--level', '2']}.items():
+        assert main([*arguments, str(tmp_path / name), *options]) == 0
+        moved[name] = load_dataset(tmp_path / name).mean
+        said = capsys.readouterr().out
+        assert ('cells scatter by' in said) == (name != 'exact')
+    off = {name: np.linalg.norm(moved[name] - moved['exact'], axis=2).max() for name in moved}
+    assert 5e-4 < off['built'] < off['bad'] < 5e-2
+
+
+def test_every_imperfection_moves_the_markers_by_itself():
+    robot = load_robot(KATO)
+    none = Workmanship().times(0.0)
+    inputs = default_postures(robot, 3)
+    exact = simulate(make_plant(robot, work=none), inputs, noise=QUIET, trials=1).mean
+    for field in fields(Workmanship):
+        work = replace(none, **{field.name: getattr(Workmanship(), field.name)})
+        seen = simulate(make_plant(robot, work=work), inputs, noise=QUIET, trials=1).mean
+        assert np.linalg.norm(seen - exact, axis=2).max() > 5e-5, field.name
 
 
 def test_own_postures_and_gravity(tmp_path, capsys):

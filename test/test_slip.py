@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from source_tree import ROOT
 
-from tendon_robot_ros.analysis.slip import read_slip_angles, slip_friction, with_friction
 from tendon_robot_ros.cli.main import main
-from tendon_robot_ros.exceptions import DataSetError, InputError
+from tendon_robot_ros.common.errors import DataSetError, InputError
+from tendon_robot_ros.paper.slip import read_slip_angles, slip_friction, with_friction
 from tendon_robot_ros.robot import load_robot
 
 ROBOT = ROOT / 'config/robots/kato_10_1.yaml'

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tendon_robot_ros.analysis.statistics import estimate, half_width, paired_t
+from tendon_robot_ros.comparison.statistics import estimate, half_width, paired_t
 
 
 def test_intervals_and_tests_are_those_of_scipy():

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import Fault, Reading
 from tendon_robot_ros.drivers.safety import SafetyRules
-from tendon_robot_ros.drivers.supervisor import LONGEST_CYCLE, Supervisor
-from tendon_robot_ros.exceptions import DriverError
+from tendon_robot_ros.drivers.supervisor import CYCLE_MAX_S, Supervisor
 
 INPUTS = ('left', 'right')
 LOW, HIGH, RATE, RELEASE = 0.1, 5.0, 8.0, 4.0
@@ -101,7 +101,7 @@ def test_no_sequence_of_inputs_breaks_limits_or_rates(mode, first, sequence):
         assert np.all(np.isfinite(out))
         begins_again = faulty and not state.faults
         if not begins_again:
-            assert np.all(np.abs(out - before) <= rate * LONGEST_CYCLE * (1 + 1e-9))
+            assert np.all(np.abs(out - before) <= rate * CYCLE_MAX_S * (1 + 1e-9))
             assert np.all(out >= np.minimum(before, limits[:, 0]) - 1e-12)
             assert np.all(out <= np.maximum(before, limits[:, 1]) + 1e-12)
         if mode == 'tension':

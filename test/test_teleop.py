@@ -2,10 +2,10 @@
 
 import os
 import pty
-import subprocess
 import sys
 import time
 
+import processes
 import pytest
 
 pytest.importorskip('rclpy')
@@ -13,7 +13,7 @@ pytest.importorskip('rclpy')
 from geometry_msgs.msg import TwistStamped
 from ros_station import Station, last
 
-from tendon_robot_ros.nodes.keys import MOVES, Deadman
+from tendon_robot_ros.ros.commands.teleop import MOVES, Deadman
 
 pytestmark = pytest.mark.ros
 
@@ -37,7 +37,7 @@ def test_every_direction_has_a_key_either_way():
 @pytest.fixture
 def terminal():
     ours, theirs = pty.openpty()
-    process = subprocess.Popen(
+    process = processes.Process(
         [sys.executable, '-m', 'tendon_robot_ros', 'teleop', '--ros-args', '-r', '__ns:=/keys'],
         stdin=theirs,
         stdout=theirs,
@@ -79,11 +79,9 @@ def test_held_keys_move_letting_go_stops_and_q_ends(terminal):
 
 
 def test_without_a_terminal_it_says_so():
-    run = subprocess.run(
+    run = processes.run(
         [sys.executable, '-m', 'tendon_robot_ros', 'teleop'],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
+        stdin=processes.DEVNULL,
         timeout=30,
     )
     assert run.returncode == 1

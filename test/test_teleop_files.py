@@ -54,10 +54,9 @@ def test_every_parameter_is_one_of_teleop_twist_joy(name):
 @pytest.mark.parametrize(('name', 'axis', 'sign'), [('gamepad', 0, -1), ('spacemouse', 0, 1)])
 def test_the_tip_follows_the_stick_and_stops_with_it(name, axis, sign, tmp_path):
     space, told = f'{SPACE}_{name}', parameters(name)
-    patient = {'command_timeout': 0.5}, {'state_timeout': 1.0, 'twist_timeout': 0.3}
     with (
-        start('driver', space, tmp_path, **patient[0]),
-        start('controller', space, tmp_path, **patient[1]),
+        start('driver', space, tmp_path),
+        start('controller', space, tmp_path, twist_timeout=0.3),
     ):
         station = Station(space)
         station.until_code(station.controller, 'holding', timeout=120.0)

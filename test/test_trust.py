@@ -7,12 +7,17 @@ import pytest
 import simulated
 from simulated import CATALOGUE, NOISE, measured
 
-from tendon_robot_ros.analysis.diagnose import diagnose
-from tendon_robot_ros.analysis.predict import Predictor
-from tendon_robot_ros.analysis.sensitivity import noncentrality, smallest_sizes
-from tendon_robot_ros.analysis.session import Session
-from tendon_robot_ros.analysis.trust import assess, measure_again, wilson
-from tendon_robot_ros.report import trust_text
+from tendon_robot_ros.comparison.predict import Predictor
+from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.diagnosis.session import Session
+from tendon_robot_ros.diagnosis.trust import (
+    assess,
+    measure_again,
+    noncentrality,
+    smallest_sizes,
+    wilson,
+)
+from tendon_robot_ros.report import diagnosis_text as trust_text
 
 ROBOT = simulated.robot()
 
@@ -20,7 +25,7 @@ ROBOT = simulated.robot()
 @pytest.fixture(scope='module')
 def trust():
     dataset = measured(ROBOT, {'hinge_friction': {'lever': 2e-4}}, count=5, trials=3)
-    return assess(dataset, workers=1, runs=16, seconds=60.0)
+    return assess(dataset, workers=1, runs=16, seconds=500.0)  # enough
 
 
 def test_clean_data_rarely_alarms_and_small_effects_are_seen(trust):
@@ -35,8 +40,8 @@ def test_clean_data_rarely_alarms_and_small_effects_are_seen(trust):
 
 def test_it_is_told_in_words(trust):
     found = diagnose(measured(ROBOT, count=3))
-    assert trust_text.lines(found) == []
-    lines = trust_text.lines(replace(found, details={'trust': trust.to_json()}))
+    assert trust_text.trust_lines(found) == []
+    lines = trust_text.trust_lines(replace(found, details={'trust': trust.to_json()}))
     assert lines[0].startswith('With nothing missing, this procedure raises an alarm in ')
     assert '16 simulated on your postures' in lines[0]
     assert 'hinge_friction lever ' in lines[1]

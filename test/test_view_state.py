@@ -2,7 +2,7 @@
 
 import json
 
-from tendon_robot_ros.nodes.view_state import ViewState
+from tendon_robot_ros.ros.viewer.state import ViewState
 
 
 def said(state, **values):

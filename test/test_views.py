@@ -19,11 +19,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.nodes.processes import NodeProcess
-from tendon_robot_ros.nodes.qos import LATCHED
-from tendon_robot_ros.nodes.robot_model import stamped
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.robot_urdf import joint_angles, joint_names, transforms, urdf
+from tendon_robot_ros.robot.urdf import joint_angles, joint_names, transforms, urdf
+from tendon_robot_ros.ros.commands.robot_model import stamped
+from tendon_robot_ros.ros.shared.messages import LATCHED
+from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
 SPACE = '/views'
 RVIZ = yaml.safe_load((ROOT / 'config' / 'robot.rviz').read_text())['Visualization Manager']

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from arms import planar, spatial, two_sections
 
-from tendon_robot_ros.analysis.pairs import pairs_of
-from tendon_robot_ros.analysis.workspace import sweep
 from tendon_robot_ros.cli.main import main
-from tendon_robot_ros.exceptions import InputError
+from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import dump_robot
+from tendon_robot_ros.workspace.grid import pairs_of, sweep
 
 FRICTION = {'tendon_friction': {'friction_coefficient': 0.3}}
 
@@ -48,7 +47,7 @@ def test_chunks_do_not_change_what_is_found(monkeypatch):
     model = Model(two_sections(effects=FRICTION))
     whole = sweep(model, [1.0], step=0.5, tolerance=0.1)
     calls = []
-    monkeypatch.setattr('tendon_robot_ros.analysis.workspace.CHUNK', 50)
+    monkeypatch.setattr('tendon_robot_ros.workspace.grid.POSTURES_AT_ONCE', 50)
     parts = sweep(model, [1.0], step=0.5, tolerance=0.1, progress=lambda *a: calls.append(a))
     assert [len(family) for family in parts.families] == [len(f) for f in whole.families]
     np.testing.assert_array_equal(parts.families[0].positions, whole.families[0].positions)

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tendon_robot_ros.analysis.postures import default_postures
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.workspace.postures import default_postures
 
 ROOT = Path(__file__).resolve().parents[1]
 UP = (0.0, 0.0, -9.81)  # [m/s²] the arm stands: the weight points to its base

@@ -16,19 +16,20 @@ from __future__ import annotations
 import argparse
 import sys
 
-from ..analysis.add import add_effects
+from ..diagnosis.add import add_effects
 from ..effects import load_catalogue
-from ..model.compose import is_compiled
-from ..report.addition_text import lines
-from .description_file import (
+from ..model.compile import is_compiled
+from ..report.addition_text import addition_lines
+from .data_options import (
+    DATA_HELP,
     add_effect_files,
     add_overwrite,
     load_check,
+    load_measurements,
     next_step,
     refuse_existing,
     write_description,
 )
-from .measurements import DATA_HELP, load_measurements
 from .options import add_json, emit
 
 HELP = 'add a physical effect to a robot description, fitted on measurements'
@@ -58,5 +59,5 @@ def run(args: argparse.Namespace) -> int:
     made = add_effects(dataset, args.effects, None, catalogue, check)
     write_description(made.robot, args.output)
     content = {**made.to_json(), 'written': args.output}
-    emit(args, content, '\n'.join([*lines(made), next_step(args.output)]))
+    emit(args, content, '\n'.join([*addition_lines(made), next_step(args.output)]))
     return 0

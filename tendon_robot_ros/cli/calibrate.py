@@ -20,20 +20,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import yaml
 
-from ..exceptions import InputError, MissingExtraError
+from ..common.errors import InputError, MissingExtraError
+from ..common.yaml_reading import parse_yaml
 from ..robot import load_robot
-from ..robot_checks import parse_yaml
 
 if TYPE_CHECKING:
     from ..drivers.dynamixel.bus import Bus
-    from ..drivers.dynamixel.calibration import Fit, Point
+    from ..drivers.dynamixel.calibration import CurrentFit, CurrentPoint
     from ..drivers.dynamixel.motor import Motor
+    from ..drivers.serial_board.calibration import CountsPoint
 
 NAME = 'calibrate'
 HELP = 'calibrate tension with known weights: motor current, or load cells'
-UNITS = 'tendon: [intercept A, slope A/N] of current over tension'
+MOTOR_UNITS = 'tendon: [intercept A, slope A/N] of current over tension'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,9 +68,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _calibrate_cell(args: argparse.Namespace) -> int:
-    from . import calibrate_cell
 
-    _write(Path(args.out), args.tendon, calibrate_cell.run(args), calibrate_cell.UNITS)
+    _write(Path(args.out), args.tendon, measure_cell(args), CELL_UNITS)
     print(f'written: {args.out}')
     return 0
 
@@ -83,8 +84,8 @@ def _calibrate_motor(args: argparse.Namespace) -> int:
         points = [_weigh(args, bus, motor, mass, calibration) for mass in args.weights]
     finally:
         bus.close()
-    result = calibration.fit(points)
-    _write(Path(args.out), args.tendon, calibration.to_mapping(result, cap), UNITS)
+    result = calibration.fit_current(points)
+    _write(Path(args.out), args.tendon, calibration.to_mapping(result, cap), MOTOR_UNITS)
     picture = Path(args.picture or f'{Path(args.out).with_suffix("")}_{args.tendon}.png')
     draw(result, args.tendon, picture)
     _say(result, args, picture)
@@ -119,7 +120,7 @@ def _prepare(args: argparse.Namespace, gravity: float) -> tuple[Bus, Motor, Any]
 
 def _weigh(
     args: argparse.Namespace, bus: Bus, motor: Motor, mass: float, calibration: Any
-) -> Point:
+) -> CurrentPoint:
     print(
         f'hang {mass:g} kg on {args.tendon}: it stands on the ground, the wire is just taut; '
         'keep hands away',
@@ -127,7 +128,7 @@ def _weigh(
     )
     if not args.yes:
         input('press Enter when ready ')
-    point: Point = calibration.measure(
+    point: CurrentPoint = calibration.measure(
         bus, motor, mass * calibration.GRAVITY, args.travel, args.speed
     )
     print(
@@ -148,7 +149,7 @@ def _write(path: Path, tendon: str, lines: dict[str, Any], units: str) -> None:
     path.write_text(f'# {units}; written by calibrate\n{text}', encoding='utf-8')
 
 
-def _say(result: Fit, args: argparse.Namespace, picture: Path) -> None:
+def _say(result: CurrentFit, args: argparse.Namespace, picture: Path) -> None:
     lines = result.calibration
     print(
         f'{args.tendon}: winding I = {lines.wind.intercept:.4f} A + {lines.wind.slope:.4f} A/N T'
@@ -161,7 +162,7 @@ def _say(result: Fit, args: argparse.Namespace, picture: Path) -> None:
     print(f'written: {args.out}, {picture}')
 
 
-def draw(result: Fit, tendon: str, path: Path) -> None:
+def draw(result: CurrentFit, tendon: str, path: Path) -> None:
     """Draw currents and lines over tension."""
     import matplotlib
 
@@ -189,3 +190,52 @@ def draw(result: Fit, tendon: str, path: Path) -> None:
     axes.grid(alpha=0.3)
     figure.savefig(path, dpi=150)
     pyplot.close(figure)
+
+
+# -----------------------------------------------------------------------------
+# Calibrate the load cell of a board with known weights: the part of `calibrate serial`.
+
+SECONDS_PER_WEIGHT = 2.0  # per weight
+CELL_UNITS = 'tendon: tension = (counts - zero) * newtons_per_count [N]; errors are 1 sd'
+
+
+def measure_cell(args: argparse.Namespace) -> dict[str, Any]:
+    """Measure and fit; print what was found; return what is written for the tendon."""
+    from ..drivers.serial_board import calibration
+    from ..drivers.serial_board.config import read_config
+
+    robot = load_robot(args.robot)
+    content = parse_yaml(Path(args.config).read_text(encoding='utf-8'))
+    if not isinstance(content, dict):
+        raise InputError(f'{args.config}: expected keys with values, got {content!r}')
+    config = read_config(robot, content, 'tension', args.config, calibrated=False)
+    tendon = next((tendon for tendon in config.tendons if tendon.name == args.tendon), None)
+    if tendon is None:
+        raise InputError(
+            f'--tendon: expected one of {", ".join(robot.inputs)}, got {args.tendon!r}'
+        )
+    link, channels = calibration.connect(config)
+    points: list[CountsPoint] = []
+    try:
+        for mass in (0.0, *args.weights):
+            hang = f'hang {mass:g} kg on' if mass else 'nothing may pull at'
+            print(f'{hang} the load cell of {tendon}', file=sys.stderr)
+            if not args.yes:
+                input('press Enter when it hangs still ')
+            force = mass * calibration.GRAVITY
+            points.append(
+                calibration.measure(link, channels, tendon.channel, force, SECONDS_PER_WEIGHT)
+            )
+            print(
+                f'  {force:.3f} N: {points[-1].mean:.0f} ± {points[-1].spread:.0f} counts',
+                file=sys.stderr,
+            )
+    finally:
+        link.close()
+    cell = calibration.fit_counts(points)
+    heaviest = max(point.tension for point in points)
+    print(
+        f'{tendon}: tension = (counts - {cell.zero:.0f}) * {cell.newtons_per_count:.5g} N\n'
+        f'uncertainty: {cell.uncertainty(np.array(heaviest)):.2g} N (1 sd) at {heaviest:.3g} N'
+    )
+    return calibration.to_mapping(cell, points)

@@ -18,17 +18,16 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from ..analysis.compare import compare
-from ..analysis.comparison_file import to_json
-from ..analysis.statistics import ERRORS
+from ..common.errors import InputError
+from ..comparison.compare import compare
+from ..comparison.result import to_json
+from ..comparison.statistics import ERRORS
 from ..data import DataSet
 from ..effects import load_catalogue
-from ..exceptions import InputError
-from ..model.compose import is_compiled
+from ..model.compile import is_compiled
 from ..report.comparison_text import sentences, table
 from ..robot import Robot, load_robot
-from .description_file import add_effect_files
-from .measurements import DATA_HELP, load_measurements
+from .data_options import DATA_HELP, add_effect_files, load_measurements
 from .options import add_json, emit
 
 HELP = 'compare models with measurements'

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 
-from ..report.words import columns
+from ..common.words import columns
 from ..robot import Robot, Section, load_robot
 
 NAME = 'describe'
@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     """Read and print."""
     robot = load_robot(args.robot)
     if args.urdf:
-        from ..robot_urdf import urdf
+        from ..robot.urdf import urdf
 
         print(urdf(robot))
     else:

@@ -19,28 +19,27 @@ import sys
 from dataclasses import replace
 from typing import Any
 
-from ..analysis.add import add_effects
-from ..analysis.diagnose import diagnose
-from ..analysis.origin import Addition
-from ..analysis.result import Diagnosis
-from ..analysis.session import Progress
+from ..common.errors import InputError
 from ..data import DataSet
+from ..diagnosis.add import Addition, add_effects
+from ..diagnosis.diagnose import diagnose
+from ..diagnosis.result import Diagnosis
+from ..diagnosis.session import Progress
 from ..effects import Catalogue, load_catalogue
-from ..exceptions import InputError
-from ..model.compose import is_compiled
-from ..report import addition_text, trust_text
-from ..report.diagnosis_text import lines
-from .description_file import (
+from ..model.compile import is_compiled
+from ..report import addition_text
+from ..report.diagnosis_text import lines, trust_lines
+from .data_options import (
+    DATA_HELP,
     add_effect_files,
     add_overwrite,
     load_check,
+    load_measurements,
     next_step,
     refuse_existing,
     write_description,
 )
-from .measurements import DATA_HELP, load_measurements
-from .options import add_json, emit
-from .progress import progress
+from .options import add_json, emit, progress
 
 HELP = 'name the physical effect that a model lacks'
 REFUSED = 2
@@ -84,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
         if args.trust:
             found = _assessed(args, found, dataset, show)
     made = _addition(args, found, dataset, check, catalogue)
-    said = [*lines(found), *trust_text.lines(found)]
+    said = [*lines(found), *trust_lines(found)]
     content: dict[str, Any] = found.to_json()
     if made is not None:
         said += [addition_text.never_used(made), *addition_text.warnings(made)]
@@ -107,7 +106,7 @@ def _assessed(
     args: argparse.Namespace, found: Diagnosis, dataset: DataSet, show: Progress
 ) -> Diagnosis:
     """Put what a bootstrap says beside the verdict."""
-    from ..analysis.trust import assess
+    from ..diagnosis.trust import assess
 
     trust = assess(dataset, args.effect_file, args.workers, progress=show)
     details = {**found.details, 'trust': None if trust is None else trust.to_json()}
@@ -146,8 +145,7 @@ def _reported(
     made: Addition | None,
 ) -> str:
     """Write the page."""
-    from ..report.diagnosis_page import write_diagnosis
-    from ..report.diagnosis_pictures import pictures_of
+    from ..report.diagnosis_page import pictures_of, write_diagnosis
 
     pictures = pictures_of(found, dataset, catalogue, None if made is None else made.robot)
     return f'report: {write_diagnosis(found, pictures, args.report, made)}'

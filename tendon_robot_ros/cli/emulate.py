@@ -24,23 +24,20 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from ..drivers.dynamixel.tables import BAUD_RATES, MODELS
-from ..drivers.dynamixel.units import smallest_spool
-from ..drivers.emulator import board_commands
-from ..drivers.emulator.arm import Arm, HangingWeights, RelaxedArm, SpringArm
-from ..drivers.emulator.board import BoardLine, BoardRig
-from ..drivers.emulator.commands import obey
-from ..drivers.emulator.line import Line
-from ..drivers.emulator.plug import Plug
-from ..drivers.emulator.rig import Rig, Wire
-from ..drivers.emulator.servo import Servo
-from ..exceptions import InputError
+from ..common.errors import InputError
+from ..drivers.dynamixel.tables import BAUD_RATES, MODELS, smallest_spool
+from ..emulator import board
+from ..emulator.board import BoardRig, EmulatedBoard
+from ..emulator.bus import EmulatedBus, obey_bus
+from ..emulator.port import Plug
+from ..emulator.rig import Arm, HangingWeights, RelaxedArm, Rig, SpringArm, Wire
+from ..emulator.servo import Servo
 from ..robot import Robot, load_robot
 
 NAME = 'emulate'
 HELP = 'emulate motors on a port of their own, with faults on request'
 ARMS = ('plant', 'springs', 'weights')
-SPRING = 200.0  # [N/m]
+SPRING_STIFFNESS = 200.0  # [N/m]
 
 
 @dataclass(frozen=True)
@@ -135,7 +132,7 @@ def _servos(args: argparse.Namespace, robot: Robot) -> Emulated:
     many = range(1, len(robot.inputs) + 1)
     radius = args.spool_radius or smallest_spool(MODELS[args.model], robot.tension_limits[1])
     servos = [Servo(MODELS[args.model], i, args.baudrate) for i in many]
-    line = Line(Rig(servos, [Wire(i, radius) for i in many], _arm(args, robot)), args.port)
+    line = EmulatedBus(Rig(servos, [Wire(i, radius) for i in many], _arm(args, robot)), args.port)
     config: dict[str, Any] = {
         'port': line.port,
         'baudrate': args.baudrate,
@@ -145,24 +142,24 @@ def _servos(args: argparse.Namespace, robot: Robot) -> Emulated:
         'motors': {name: {'id': i} for name, i in zip(robot.inputs, many, strict=True)},
     }
     words = f'{len(servos)} x {args.model}, ids 1 to {len(servos)}, spools of {1e3 * radius:g} mm'
-    return Emulated(line, config, words, lambda text: obey(line, text))
+    return Emulated(line, config, words, lambda text: obey_bus(line, text))
 
 
 def _board(args: argparse.Namespace, robot: Robot) -> Emulated:
     rig = BoardRig(_arm(args, robot), len(robot.inputs))
-    line = BoardLine(rig, args.port)
+    line = EmulatedBoard(rig, args.port)
     words = f'a board with {rig.channels} motors and load cells, channels 0 to {rig.channels - 1}'
-    config = {'port': line.port, **board_commands.config(rig, robot.inputs)}
-    return Emulated(line, config, words, lambda text: board_commands.obey(line, text))
+    config = {'port': line.port, **board.config(rig, robot.inputs)}
+    return Emulated(line, config, words, lambda text: board.obey_board(line, text))
 
 
 def _arm(args: argparse.Namespace, robot: Robot) -> Arm:
     m = len(robot.inputs)
     if args.arm == 'springs':
-        return SpringArm(np.full(m, SPRING), np.full(m, args.slack))
+        return SpringArm(np.full(m, SPRING_STIFFNESS), np.full(m, args.slack))
     if args.arm == 'weights':
         return HangingWeights(np.zeros(m))
-    from ..model.plant import make_plant
+    from ..simulation.plant import make_plant
 
     plant = make_plant(robot)
     shown: dict[str, Any] = {}

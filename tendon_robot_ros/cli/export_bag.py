@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import argparse
 
+from ..common.errors import InputError
 from ..data import load_dataset
-from ..data.bag_export import Timing, export_bag
-from ..data.bag_writer import STORAGES
-from ..exceptions import InputError
+from ..data.recording.exporting import Timing, export_bag
+from ..data.recording.writer import STORAGES
 
 NAME = 'export-bag'
 HELP = 'write a data set as a ROS 2 recording'

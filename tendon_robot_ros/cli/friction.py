@@ -16,11 +16,11 @@ import argparse
 from datetime import UTC, datetime
 from pathlib import Path
 
-from ..analysis.slip import SlipFriction, read_slip_angles, slip_friction, with_friction
-from ..exceptions import InputError
-from ..report.words import listed
+from ..common.errors import InputError
+from ..common.words import listed
+from ..paper.slip import SlipFriction, read_slip_angles, slip_friction, with_friction
 from ..robot import load_robot
-from .description_file import add_overwrite, next_step, refuse_existing, write_description
+from .data_options import add_overwrite, next_step, refuse_existing, write_description
 from .options import add_json, emit
 
 HELP = 'friction coefficient from slip angles, into a robot description'

@@ -15,13 +15,12 @@ import argparse
 import sys
 from pathlib import Path
 
+from ..common.errors import InputError
 from ..data import save_dataset
-from ..data.bag_import import import_bag
-from ..data.bag_picture import PICTURES, draw_segments, summary
-from ..data.bag_reader import Topics
-from ..data.description import read_text
-from ..data.stillness import Rule
-from ..exceptions import InputError
+from ..data.folder.description import read_text
+from ..data.recording.importing import PICTURES, draw_segments, import_bag, summary
+from ..data.recording.reader import Topics
+from ..data.recording.still_segments import Rule
 
 NAME = 'import-bag'
 HELP = 'make a data set from a ROS 2 recording'

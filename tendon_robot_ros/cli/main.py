@@ -2,7 +2,7 @@
 Choose a command by its name and run it.
 
 A command in ``cli/`` is a module with ``HELP`` (one line), ``add_arguments(parser)`` and
-``run(args) -> int`` (the exit code); a node in ``nodes/`` has ``HELP`` and ``main(argv) -> int``,
+``run(args) -> int`` (the exit code); a module in ``ros/`` has ``HELP`` and ``main(argv) -> int``,
 or ``add_arguments`` and ``run(args, ros_arguments) -> int`` where it takes more than parameters.
 Only the chosen module is imported, so that no command pays for another one's dependencies;
 for the list of commands, ``HELP`` is read from the source.
@@ -22,11 +22,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from ..exceptions import InputError, MissingExtraError, TendonRobotError
+from ..common.errors import InputError, MissingExtraError, TendonRobotError
 
 # The one list of commands: `python -m`, `ros2 run` and setup.py all read it.
 COMMANDS: dict[str, str] = {
-    'demo': 'tendon_robot_ros.nodes.demo',
+    'demo': 'tendon_robot_ros.ros.commands.demo',
     'new-robot': 'tendon_robot_ros.cli.new_robot',
     'describe': 'tendon_robot_ros.cli.describe',
     'shape': 'tendon_robot_ros.cli.shape',
@@ -34,18 +34,18 @@ COMMANDS: dict[str, str] = {
     'workspace': 'tendon_robot_ros.cli.workspace',
     'friction': 'tendon_robot_ros.cli.friction',
     'paper': 'tendon_robot_ros.cli.paper',
-    'controller': 'tendon_robot_ros.nodes.controller',
-    'driver': 'tendon_robot_ros.nodes.driver',
-    'teleop': 'tendon_robot_ros.nodes.teleop',
-    'go-to': 'tendon_robot_ros.nodes.go_to',
-    'follow': 'tendon_robot_ros.nodes.follow',
+    'controller': 'tendon_robot_ros.ros.controller.node',
+    'driver': 'tendon_robot_ros.ros.driver.node',
+    'teleop': 'tendon_robot_ros.ros.commands.teleop',
+    'go-to': 'tendon_robot_ros.ros.commands.go_to',
+    'follow': 'tendon_robot_ros.ros.commands.follow',
     'sweep': 'tendon_robot_ros.cli.sweep',
-    'record': 'tendon_robot_ros.nodes.record',
+    'record': 'tendon_robot_ros.ros.commands.record',
     'plot': 'tendon_robot_ros.cli.plot',
-    'robot-model': 'tendon_robot_ros.nodes.robot_model',
-    'monitor': 'tendon_robot_ros.nodes.monitor',
-    'viewer': 'tendon_robot_ros.nodes.viewer',
-    'live': 'tendon_robot_ros.nodes.live',
+    'robot-model': 'tendon_robot_ros.ros.commands.robot_model',
+    'monitor': 'tendon_robot_ros.ros.monitor.node',
+    'viewer': 'tendon_robot_ros.ros.viewer.node',
+    'live': 'tendon_robot_ros.ros.commands.live',
     'compare': 'tendon_robot_ros.cli.compare',
     'diagnose': 'tendon_robot_ros.cli.diagnose',
     'add': 'tendon_robot_ros.cli.add',
@@ -124,7 +124,7 @@ def _run(name: str, arguments: list[str], program: str) -> int:
         near = difflib.get_close_matches(name, COMMANDS, n=1)
         hint = f'did you mean {near[0]}? ' if near else ''
         raise InputError(f'no command {name!r}; {hint}known: {", ".join(COMMANDS)}')
-    if '.nodes.' in module_name:
+    if '.ros.' in module_name:
         return _run_node(module_name, arguments, program)
     module = importlib.import_module(module_name)
     parser = Parser(prog=program, description=_documentation(module_name))

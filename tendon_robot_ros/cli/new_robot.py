@@ -13,16 +13,16 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO, TypeVar
 
 import yaml
 
-from ..data.atomic import new_file
-from ..exceptions import InputError, RobotDescriptionError
+from ..common.errors import InputError, RobotDescriptionError
+from ..common.files import new_file
 from ..robot import Robot, dump_robot, parse_robot
 from .describe import description
-from .questions import Questions
 
 NAME = 'new-robot'
 HELP = 'ask about a robot, write its description and draw it'
@@ -128,3 +128,68 @@ def _tendons(section: str, index: int, many: int, radius: float) -> list[dict[st
         }
         for j, a in enumerate(angles)
     ]
+
+
+# -----------------------------------------------------------------------------
+# Questions on a terminal or a pipe; a person is asked again, a pipe gets an error.
+
+T = TypeVar('T')
+
+
+class Questions:
+    """Asks one question per line; an empty answer takes the default."""
+
+    def __init__(self, answers: TextIO, prompts: TextIO) -> None:
+        """Answers come from one stream, prompts go to another."""
+        self._answers, self._prompts = answers, prompts
+        self._person = answers.isatty()
+
+    def text(self, question: str, default: str) -> str:
+        """Ask for a name."""
+        return self._ask(question, default, default, str)
+
+    def whole(self, question: str, default: int, low: int, high: int) -> int:
+        """Ask for a whole number within bounds."""
+
+        def read(answer: str) -> int:
+            value = int(answer)
+            if not low <= value <= high:
+                raise ValueError
+            return value
+
+        return self._ask(question, str(default), f'a whole number from {low} to {high}', read)
+
+    def number(self, question: str, default: float, low: float, high: float) -> float:
+        """Ask for a number within bounds."""
+
+        def read(answer: str) -> float:
+            value = float(answer)
+            if not (math.isfinite(value) and low <= value <= high):
+                raise ValueError
+            return value
+
+        return self._ask(question, f'{default:g}', f'a number from {low:g} to {high:g}', read)
+
+    def choice(self, question: str, known: tuple[str, ...]) -> str:
+        """Ask for one of some words; the first is the default."""
+
+        def read(answer: str) -> str:
+            if answer not in known:
+                raise ValueError
+            return answer
+
+        return self._ask(f'{question}: {", ".join(known)}', known[0], ' or '.join(known), read)
+
+    def _ask(self, question: str, default: str, expected: str, read: Callable[[str], T]) -> T:
+        while True:
+            print(f'{question} [{default}]: ', end='', file=self._prompts, flush=True)
+            answer = self._answers.readline().strip()
+            if not self._person:
+                print(answer, file=self._prompts)
+            try:
+                return read(answer or default)
+            except ValueError:
+                message = f'{question}: expected {expected}, got {answer!r}'
+                if not self._person:
+                    raise InputError(message) from None
+                print(message, file=self._prompts)

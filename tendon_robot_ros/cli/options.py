@@ -5,11 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..data.atomic import new_file
-from ..exceptions import InputError
+from tqdm import tqdm
+
+from ..common.errors import InputError
+from ..common.files import new_file
 from ..robot import load_robot
 
 if TYPE_CHECKING:
@@ -42,7 +46,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 def load_model(args: argparse.Namespace) -> Model:
     """Read the robot and make its model; the first one ever takes a while to compile."""
     from ..effects import load_catalogue
-    from ..model.compose import is_compiled
+    from ..model.compile import is_compiled
     from ..model.model import Model
 
     robot, catalogue = load_robot(args.robot), load_catalogue(args.effect_file)
@@ -109,3 +113,20 @@ def vector(option: str, text: str | None) -> list[float] | None:
     if len(values) != 3:
         raise InputError(f'{option}: expected three numbers x,y,z, got {text!r}')
     return values
+
+
+# -----------------------------------------------------------------------------
+# A progress bar on stderr, where a person watches.
+
+
+@contextmanager
+def progress() -> Iterator[Callable[[str, int, int], None]]:
+    """Give a function that shows (what, done, total); silent where stderr is no terminal."""
+    with tqdm(disable=None, leave=False, bar_format='{desc} {n_fmt}/{total_fmt} |{bar}|') as bar:
+
+        def show(what: str, done: int, total: int) -> None:
+            bar.set_description_str(what, refresh=False)
+            bar.total, bar.n = total, done
+            bar.refresh()
+
+        yield show

@@ -15,11 +15,11 @@ import json
 import sys
 from pathlib import Path
 
-from ..data.atomic import new_folder
-from ..exceptions import InputError
-from ..report.words import columns, digits
+from ..common.errors import InputError
+from ..common.files import new_folder
+from ..common.words import columns, digits
 from ..robot import load_robot
-from .progress import progress
+from .options import progress
 
 HELP = "the paper's experiments, published numbers beside ours, on one page"
 NAMES = ('kato_1_1', 'kato_10_1', 'kato_10_1_single', 'kato_2_1')
@@ -36,8 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run everything, print the table, write the page."""
-    from ..analysis.paper.robots import Robots
-    from ..analysis.paper.whole import reproduce
+    from ..paper.robots import Robots
+    from ..paper.whole import reproduce
     from ..report.paper_page import paper_page
 
     folder = Path(args.output)

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..analysis.flight import Flight
-from ..data.bag_moves import Moves, Places, read_moves
-from ..exceptions import InputError
-from ..report.flight_picture import PICTURES, draw_flight
+from ..common.errors import InputError
+from ..data.recording.reader import Moves, Places, read_moves
+from ..paths.run import PathRun
+from ..report.path_run import PICTURES, draw_run
 
 HELP = 'draw a recording: tip, targets, commands'
 
@@ -40,14 +40,14 @@ def run(args: argparse.Namespace) -> int:
         f'{seconds:.1f} s, {len(moves.targets)} targets, {len(moves.tips)} tips'
         f'{"" if moves.measured else " as the model sees them"}, {len(moves.commands)} commands'
     )
-    print(f'picture: {draw_flight(flight, output, f"{bag.name}, {seconds:.1f} s")}')
+    print(f'picture: {draw_run(flight, output, f"{bag.name}, {seconds:.1f} s")}')
     return 0
 
 
-def as_flight(moves: Moves) -> Flight:
+def as_flight(moves: Moves) -> PathRun:
     """Return a recording as a flight; a target stands until the next one."""
     targets = _standing(moves, float(moves.tips.times[-1]))
-    return Flight(
+    return PathRun(
         inputs=moves.inputs,
         asked_times=targets.times,
         asked=targets.positions,

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..exceptions import InputError
-from ..report.words import columns
+from ..common.errors import InputError
+from ..common.words import columns
 from .options import add_json, add_robot, emit, load_model, vector
 from .shape import tip_content, tip_line
 

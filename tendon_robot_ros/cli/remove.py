@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import argparse
 
-from ..analysis.origin import restore
+from ..diagnosis.add import restore
 from ..robot import load_robot
-from .description_file import add_overwrite, refuse_existing, write_description
+from .data_options import add_overwrite, refuse_existing, write_description
 
 HELP = 'take an effect out of a robot description'
 

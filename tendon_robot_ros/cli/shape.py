@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..report.words import columns
+from ..common.words import columns
 from .options import add_json, add_robot, emit, load_model, named_numbers
 
 if TYPE_CHECKING:

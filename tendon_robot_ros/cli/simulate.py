@@ -4,8 +4,10 @@ Write a data set of a robot that does more than its description says.
 The description beside the measurements is ROBOT as it stands; the robot that is measured also has
 the hidden effects: names of the catalogue, or causes outside it (soft_cell, tether,
 stiffness_gradient, posture_gain, posture_rotation). Without parameters an effect has its typical
-size; a value per section is written a/b. The measured robot differs from every model a little:
-finer cells, the capstan's exponential, stiffness that scatters from cell to cell.
+size; a value per section is written a/b. The measured robot differs from every model: finer cells,
+the capstan's exponential, and, unless --exact, the ordinary imperfections of a robot as it is
+built, which are printed: cells that scatter and are kinked, inputs, holes and a tracker that are
+a little off. --level 2 builds it twice as badly.
 
 example: python -m tendon_robot_ros simulate robot.yaml --output rehearsal
     --hidden hinge_friction soft_cell:cell=7,factor=0.5 --noise position=1e-4
@@ -19,16 +21,17 @@ from pathlib import Path
 
 import numpy as np
 
-from ..analysis.postures import default_postures
-from ..analysis.simulate import SimulatedNoise, simulate
+from ..common.errors import InputError
 from ..data import DataSet, Marker, save_dataset
 from ..data.dataset import INPUTS, PATHS
-from ..data.inputs import read_inputs
+from ..data.folder.tables import read_inputs
 from ..effects import load_catalogue
-from ..exceptions import InputError
-from ..model.plant import Plant, make_plant
 from ..robot import Robot, load_robot
-from .description_file import add_effect_files
+from ..simulation.imperfect import Workmanship
+from ..simulation.measurements import SimulatedNoise, simulate
+from ..simulation.plant import Plant, make_plant
+from ..workspace.postures import default_postures
+from .data_options import add_effect_files
 from .options import named_numbers, vector
 
 HELP = 'write measurements of a robot with hidden effects, to rehearse with'
@@ -39,8 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add('robot', metavar='ROBOT', help='robot description, as its owner believes it')
     add('--hidden', nargs='+', action='extend', default=[], metavar='EFFECT[:NAME=VALUE,...]')
-    scatter = "relative sd of the cells' stiffness (default: 0.02)"
-    add('--scatter', type=float, default=0.02, metavar='SD', help=scatter)
+    add('--exact', action='store_true', help='build the robot just as it is described')
+    level = 'how badly it is built (default: 1, as in an ordinary laboratory)'
+    add('--level', type=float, default=1.0, metavar='X', help=level)
+    scatter = "relative sd of the cells' stiffness (default: 0.03 times the level)"
+    add('--scatter', type=float, metavar='SD', help=scatter)
     add('--seed', type=int, default=0, help='another seed: another robot, other noise')
     add('--gravity', metavar='X,Y,Z', help='[m/s²] in the base frame (default: as in ROBOT)')
     add('--output', required=True, metavar='DIR', help='folder of the data set')
@@ -83,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
             'hidden gravity: ROBOT does not say where down is; give --gravity 0,0,9.81'
         )
     catalogue = load_catalogue(args.effect_file)
-    plant = make_plant(robot, hidden, scatter=args.scatter, seed=args.seed, catalogue=catalogue)
+    plant = make_plant(robot, hidden, seed=args.seed, catalogue=catalogue, work=_work(args))
     made = [(args.output, _measured(args, plant, 0))]
     if args.check:
         made.append((args.check, _measured(args, plant, 1)))
@@ -92,8 +98,16 @@ def run(args: argparse.Namespace) -> int:
         P, Q, J = dataset.positions.shape[:3]
         print(f'written: {folder}: {P} postures x {Q} trials x {J} markers')
     print(f'hidden:  {", ".join(args.hidden) or "nothing"}')
+    for line in () if args.exact else plant.built.text():
+        print(f'built:   {line}')
     print(f'next:    python -m tendon_robot_ros compare {args.output}')
     return 0
+
+
+def _work(args: argparse.Namespace) -> Workmanship:
+    """Read how well the robot is built."""
+    work = Workmanship().times(0.0 if args.exact else args.level)
+    return work if args.scatter is None else replace(work, stiffness=args.scatter)
 
 
 def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:

@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..data.atomic import new_file
-from ..data.path_file import TendonRows, TipRows, write_path
-from ..exceptions import InputError
+from ..common.errors import InputError
+from ..common.files import new_file
+from ..data.folder.path_file import TendonRows, TipRows, write_path
 from .options import add_robot, load_model
 
 HELP = 'write a path that keeps the view angle: looking around'
-RATE = 0.5  # [N/s] at which a path of tensions is timed
+TENSION_RATE_N_PER_S = 0.5  # [N/s] at which a path of tensions is timed
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,8 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Find the postures and write them."""
-    from ..control.path_plan import stretched
-    from ..control.sweep import sweep
+    from ..paths.plan import stretched
+    from ..workspace.constant_view import sweep
 
     if not 0.0 < args.view <= 180.0:
         raise InputError(f'--view: expected more than 0° and at most 180°, got {args.view:g}')
@@ -51,7 +51,9 @@ def run(args: argparse.Namespace) -> int:
     rows: TipRows | TendonRows = TipRows(None, places, np.array([p.direction for p in postures]))
     if args.tensions:
         tensions = np.array([posture.tensions for posture in postures])
-        rows = TendonRows(stretched(np.zeros(len(tensions)), tensions, RATE), tensions)
+        rows = TendonRows(
+            stretched(np.zeros(len(tensions)), tensions, TENSION_RATE_N_PER_S), tensions
+        )
     with new_file(Path(args.output)) as draft:
         write_path(draft, rows, model.inputs)
     low, high = 1e3 * places.min(axis=0), 1e3 * places.max(axis=0)

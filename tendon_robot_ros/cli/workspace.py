@@ -18,14 +18,12 @@ import argparse
 import math
 from pathlib import Path
 
-from ..analysis.workspace import Workspace, sweep
-from ..analysis.workspace_files import FILES, save_workspace
-from ..data.atomic import new_folder
-from ..exceptions import InputError
-from ..report.words import columns
-from ..report.workspace_figures import HEADER, missing, rows
-from .options import add_json, add_robot, emit, load_model
-from .progress import progress
+from ..common.errors import InputError
+from ..common.files import new_folder
+from ..common.words import columns
+from ..report.workspace_page import HEADER, missing, rows
+from ..workspace.grid import FILES, Workspace, save_workspace, sweep
+from .options import add_json, add_robot, emit, load_model, progress
 
 HELP = 'where the tip can be at a view angle, over all pairs of tensions'
 PAGE = 'workspace.html'

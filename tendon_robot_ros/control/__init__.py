@@ -1,8 +1,22 @@
-"""What the controller does, without ROS: checks of what comes in, and targets to tensions."""
+"""
+What the controller does, without ROS: what comes in is checked, targets become tensions.
+
+core.py         `ControllerCore`: the cycle; one object, no clock, no threads
+state.py        what it is told (settings, target), hears, and gives
+solver.py       where the model is evaluated: beside the commands
+seeking.py      a pose becomes tensions: a search for a limited time (by model/inverse.py)
+way.py          the way of an arm that is driven by wire lengths
+checks.py       refusals of what comes in, each with a code and a sentence
+jog.py          moving the tip with a velocity
+trajectory.py   trajectories of tensions or wire pulls
+tip_loop.py     an integral on the measured tip
+status.py       how the controller is, as level, code and sentence
+loading.py      loading a model while controlling
+"""
 
 from .checks import Refusal
 from .core import ControllerCore
 from .jog import Twist
-from .settings import Output, Settings, Target
+from .state import Output, Settings, Target
 
 __all__ = ['ControllerCore', 'Output', 'Refusal', 'Settings', 'Target', 'Twist']

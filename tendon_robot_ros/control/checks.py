@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..exceptions import InputError
+from ..common.errors import InputError
 
 Array = NDArray[np.float64]
+MOST_NAMES, LONGEST_NAME = 8, 40  # in a sentence; a message may hold a million of any length
 
 
 class Refusal(InputError):
@@ -106,6 +107,13 @@ def direction(quaternion: Sequence[float], what: str) -> Array:
     return np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
 
 
+def _listed(names: Sequence[str]) -> str:
+    """Show names in a message: the first few, each cut where it gets long."""
+    shown = [name if len(name) <= LONGEST_NAME else f'{name[:LONGEST_NAME]}...' for name in names]
+    more = len(names) - MOST_NAMES
+    return ', '.join(shown[:MOST_NAMES]) + (f' and {more} more' if more > 0 else '')
+
+
 def by_name(
     names: Sequence[str], values: Sequence[float], inputs: Sequence[str], what: str, quantity: str
 ) -> Array:
@@ -126,7 +134,7 @@ def by_name(
     missing = [name for name in inputs if name not in names]
     if unknown or missing or len(names) != len(inputs):
         problem = (
-            f'unknown {", ".join(unknown)}'
+            f'unknown {_listed(unknown)}'
             if unknown
             else (f'missing {", ".join(missing)}' if missing else 'a name stands twice')
         )
@@ -137,3 +145,12 @@ def by_name(
         )
     at = dict(zip(names, values, strict=True))
     return np.array([at[name] for name in inputs], dtype=float)
+
+
+def check_inputs(inputs: tuple[str, ...], expected: tuple[str, ...]) -> None:
+    """Refuse a model with other inputs than the one in use."""
+    if inputs != expected:
+        raise InputError(
+            f'the new model has the inputs {", ".join(inputs)}, expected {", ".join(expected)}; '
+            'restart the node to change them'
+        )

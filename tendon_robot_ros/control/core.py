@@ -2,51 +2,68 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..drivers.latch import StopLatch
-from ..drivers.limits import approach, bounded
-from ..exceptions import DriverError, InputError, NoEquilibriumError
-from .checks import Refusal
-from .closed_loop import TipLoop
-from .heard import Heard
-from .jog import Jog, Twist, follow_twist
-from .playing import Playing, in_pulls
-from .settings import Output, Settings, Target
-from .tracking import ShapeTracker
+from ..common.errors import DriverError, InputError, TendonRobotError
+from ..drivers.safety import StopLatch, approach, bounded
+from .checks import Refusal, check_inputs
+from .jog import Jog, Twist, follow_twist, start_jog
+from .seeking import TargetSearch, seek, solution_of
+from .solver import GiveUp, InPlace, Solver
+from .state import MeasuredState, Output, Settings, ShapeTracker, Target
+from .tip_loop import TipLoop
+from .trajectory import Playing, play_pulls
+from .way import Way
 
 if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Reach, Shape
 
 Array = NDArray[np.float64]
-STARTS = 12  # of a cold search; a twist only goes on from where it is
-LONGEST_CYCLE = 0.05  # [s]; after a stall the command does not catch up in one step
+CYCLE_MAX_S = 0.05  # [s]; after a stall the command does not catch up in one step
+HELD_SILENT_S = 1.0  # [s] for which the last command is held after the driver fell silent
+
+
+def raised(error: TendonRobotError | None) -> None:
+    """Raise an error, if there is one."""
+    if error is not None:
+        raise error
 
 
 @dataclass
 class ControllerCore:
-    """The state between two cycles; all times are monotonic seconds given by the caller."""
+    """
+    The state between two cycles; all times are monotonic seconds given by the caller.
+
+    Nothing here evaluates the model: the solver does, and answers when it can.
+    """
 
     model: Model
     settings: Settings = field(default_factory=Settings)
+    solver: Solver = field(default_factory=InPlace)
     target: Target | None = None
     solution: Reach | None = None
+    in_time: bool = True  # whether the search for it came to its end
+    search: TargetSearch | None = None  # for a target that is not yet followed
+    asked: TargetSearch | None = None  # the last one
     command: Array | None = None  # (m,) [N], None until the driver was heard
     driver_stopped: str = ''  # why the driver does not follow, as it says
     refusals: dict[str, Refusal] = field(default_factory=dict)  # kind of message -> why the last
     latch: StopLatch = field(default_factory=StopLatch)
     loop: TipLoop = field(default_factory=TipLoop)
     playing: Playing | None = None  # a trajectory of the tendons; its end is held
-    _jog: Jog | None = None
-    _heard: Heard | None = None
-    _pulls: Array | None = None  # (m,) [m] as commanded last, in pull mode
-    _lost: bool = True
-    _stepped: float = -np.inf
+    stepped: float = -np.inf  # [s] when it last did
+    way: Way | None = None  # in pull mode
+    jog: Jog | None = None  # while a twist moves the tip
+    _heard: MeasuredState | None = None
+    _lost: bool = True  # where the arm is
+    _silent: bool = True
+    _syncing: object | None = None  # while the solver looks where the arm is
     track: ShapeTracker = field(init=False)
 
     def __post_init__(self) -> None:
@@ -55,36 +72,48 @@ class ControllerCore:
 
     def measured(self, now: float, tensions: Array, pulls: Array) -> None:
         """Take what the driver measures, (m,) [N] and (m,) [m], nan where not observable."""
-        self._heard = Heard(tensions, pulls, now)
+        self._heard, self._silent = MeasuredState(tensions, pulls, now), False
 
     def aim(self, target: Target) -> None:
         """
-        Take a set point; it stays until the next one.
+        Take a set point; it stays until the next one. Tensions for it are looked for.
 
         Raises
         ------
         Refusal
-            The model finds no equilibrium for it, or a stop is latched.
+            A stop is latched, or there is no driver.
 
         """
         self._require_running()
-        try:
-            solution = self.solve(target)
-        except (NoEquilibriumError, InputError) as error:
-            raise Refusal('no_equilibrium', f'target refused: {error}') from None
-        self.target, self.solution, self._jog, self.playing = target, solution, None, None
+        if self._silent and not self.settings.resume:
+            raise Refusal('no_driver', 'target refused: no tendon states; send it again later')
+        seek(self, target)
+
+    def follow(self, target: Target, solution: Reach, in_time: bool = True) -> None:
+        """Go to where the tensions for a target are."""
+        self.target, self.solution, self.in_time = target, solution, in_time
+        self.jog = self.playing = None
 
     def twist(self, now: float, twist: Twist) -> None:
         """Take a velocity of the tip; it ends by itself after `twist_timeout`."""
         self._require_running()
         if self.command is None:
             raise Refusal('no_driver', 'twist refused: no tendon states yet')
-        if self._jog is None and not twist.moves:
+        if self.jog is None and not twist.moves:
             return  # a joystick at rest takes no target away
-        if self._jog is None:
-            self._jog = Jog.start(self.track.begin(self.command))
+        self.search = None
+        if self.jog is None:
+            self.jog = Jog()
             self.target = self.solution = self.playing = None
-        self._jog.take(now, twist)
+            start_jog(self, self.jog)
+        if self.jog is not None:
+            self.jog.take(now, twist)
+
+    def end_twist(self, jog: Jog, problem: str) -> None:
+        """End a twist that leads nowhere."""
+        if self.jog is jog:
+            self.jog = self.solution = None
+            self.refusals['target'] = Refusal('no_equilibrium', f'twist ended: {problem}')
 
     def play(self, now: float, trajectory: Playing | None) -> None:
         """Play a trajectory of the tendons; None ends the one that plays and holds."""
@@ -120,16 +149,18 @@ class ControllerCore:
     @property
     def jogging(self) -> bool:
         """Whether a twist moves the tip."""
-        return self._jog is not None
+        return self.jog is not None
 
     @property
     def commanded(self) -> Array | None:
         """What was commanded last, (m,) [N], or [m] in pull mode."""
-        return self.command if self._pulls is None else self._pulls
+        return self.command if self.way is None else self.way.pulls
 
     @property
     def moving(self) -> bool:
         """Whether the command is still on its way."""
+        if self.search is not None:
+            return True
         if self.playing is not None and self.commanded is not None:
             return not np.array_equal(self.commanded, self.playing.values[-1])
         if self.solution is None or self.command is None:
@@ -141,106 +172,190 @@ class ControllerCore:
         """Whether the driver was heard lately."""
         return self._heard is not None and now - self._heard.time <= self.settings.state_timeout
 
+    def gone(self, now: float) -> bool:
+        """Whether the driver is silent for so long that the last command is held no more."""
+        timeout = self.settings.state_timeout + HELD_SILENT_S
+        silent = self._heard is None or now - self._heard.time > timeout
+        return silent and not self.settings.resume
+
     def step(self, now: float) -> Output | None:
         """Return a command; None (stop, no equilibrium for `patience`, no driver) releases."""
-        passed = min(max(now - self._stepped, 0.0), LONGEST_CYCLE)
-        self._stepped = now
-        if not self.fresh(now):
-            self._lost, self.playing = True, None
-        elif self._lost or self.driver_stopped or self.command is None:
+        passed, self.stepped = now - self.stepped, now
+        self.solver.serve()
+        self._silent = not self.fresh(now)
+        stalled = np.isfinite(passed) and passed > self.settings.state_timeout
+        if self._silent or stalled:
+            self._lose()
+        if not self._silent and (self._lost or self.driver_stopped or self.command is None):
             self._resync()
-        if self.latch or self.command is None:
+        if self.latch or self.command is None or self.gone(now):
             return None
-        wanted = self.command
-        if self.fresh(now) and not self.driver_stopped:
-            wanted = self._advance(now, passed)
-        return self._output(now, wanted)
-
-    def predict(self, now: float) -> Shape | None:
-        """Return the arm as the model sees it: at measured tensions where observable."""
-        tensions = self.command
-        if self._heard is not None and self._heard.observed and self.fresh(now):
-            tensions = np.maximum(self._heard.tensions, 0.0)
-        return None if tensions is None else self.track.follow(now, tensions)
-
-    def set_model(self, model: Model) -> None:
-        """
-        Change the model; tensions then move to its solution at `rate_limit`.
-
-        Raises
-        ------
-        InputError
-            It has other inputs.
-        NoEquilibriumError
-            It finds none at the present tensions, or for the target: the old one stays.
-
-        """
-        if model.inputs != self.model.inputs:
-            raise InputError(
-                f'the new model has the inputs {", ".join(model.inputs)}, expected '
-                f'{", ".join(self.model.inputs)}; restart the node to change them'
-            )
-        if self.command is not None:
-            model.shape(self.command)
-        solution = None if self.target is None else self.solve(self.target, model)
-        self.model, self.solution = model, solution
-        self._jog, self.track = None, ShapeTracker(model)
-        self.loop.reset()
-
-    def _advance(self, now: float, passed: float) -> Array:
-        """Move the command towards where the target or the twist wants it, at the rate limit."""
-        assert self.command is not None
-        if self._jog is not None:
-            over = self._jog.over(now, self.settings.twist_timeout)
-            if over or not follow_twist(self, self._jog, passed):
-                self._jog = self.solution = None
-        goal = self.command
-        if self.playing is not None and not self.settings.pull_mode:
-            goal = self.playing.at(now)
-        elif self.solution is not None:
-            goal = self.loop.goal(self, self.solution.tensions)
-        goal = bounded(goal, self.settings.limits(self.model))
-        return approach(self.command, goal, np.full_like(goal, self.settings.rate_limit * passed))
-
-    def _output(self, now: float, wanted: Array) -> Output | None:
-        pulls = None
-        if self.settings.pull_mode:
-            wanted, pulls = in_pulls(self, now, wanted)
-        failing = self.track.failing(now) > self.settings.patience
-        if failing or (self.settings.pull_mode and pulls is None):
+        if self._silent:
+            return self._output()
+        if self._lost and not self.settings.pull_mode:
+            return None  # still looking for the tensions of what was measured
+        if not (self._lost or self.driver_stopped):
+            self._advance(now, min(max(passed, 0.0), CYCLE_MAX_S))
+        if self.track.failing > self.settings.patience:
             self._drop()
             self._lost = True
             self.refusals['target'] = Refusal('no_equilibrium', f'released: {self.track.problem}')
             return None
-        self.command, self._pulls = wanted, pulls
-        return Output(wanted.copy(), pulls)
+        return self._output()
 
-    def solve(self, target: Target, model: Model | None = None) -> Reach:
-        """Return tensions for a target, from where the arm is."""
-        model = model or self.model
-        guess = self.track.last if self.solution is None else self.solution.shape
-        same = guess is not None and len(guess.bend) == model.robot.cells
-        return model.reach(
-            position=target.position,
-            direction=target.direction,
-            guess=guess if same else None,
-            direction_weight=self.settings.direction_weight or None,
-            starts=STARTS if self._jog is None else 0,
-            by_pulls=self.settings.pull_mode,
-            relax=self._jog is None,
-        )
+    def predict(self, now: float, take: Callable[[Shape], None]) -> None:
+        """Give `take` the arm as the model sees it: at measured tensions where observable."""
+        tensions = self.command
+        if self._heard is not None and self._heard.observed and self.fresh(now):
+            tensions = np.maximum(self._heard.tensions, 0.0)
+        if tensions is None or self.solver.busy('predict'):
+            return
+        track, find = self.track, self.track.finding(tensions)
+
+        def done(shape: Shape | None, error: TendonRobotError | None) -> None:
+            if track is not self.track:
+                return  # of the model before
+            if shape is None:
+                track.failed(now, str(error))
+            else:
+                track.took(shape)
+                take(shape)
+
+        self.solver.post('predict', find, done)
+
+    def set_model(
+        self, model: Model, told: Callable[[TendonRobotError | None], None] = raised
+    ) -> None:
+        """
+        Change the model; tensions then move to its solution at `rate_limit`.
+
+        `told` hears None, or why the old one stays: an InputError for other inputs, a
+        NoEquilibriumError when it finds none at the present tensions or for the target.
+        """
+        try:
+            check_inputs(model.inputs, self.model.inputs)
+        except InputError as error:
+            told(error)
+            return
+        command, target = self.command, self.target
+        solve = None if target is None else solution_of(self, model, target)
+
+        def work(give_up: GiveUp) -> Reach | None:
+            if command is not None:
+                model.shape(command)
+            return None if solve is None else solve(give_up)
+
+        def done(solution: Reach | None, error: TendonRobotError | None) -> None:
+            if error is None:
+                self._use(model, target, solution)
+            told(error)
+
+        self.solver.post('model', work, done)
+
+    def _use(self, model: Model, target: Target | None, solution: Reach | None) -> None:
+        """Change the model: what was asked for, and what was accepted, goes on with it."""
+        self.model, self.jog, self.track = model, None, ShapeTracker(model)
+        self.loop.reset()
+        if self.way is not None:
+            self.way = self.way.anew()
+        if self.playing is not None and not self.settings.pull_mode:
+            values = bounded(self.playing.values, self.settings.limits(model))
+            self.playing = replace(self.playing, values=values)
+        searched = self.search.target if self.search is not None else None
+        if target is self.target:
+            self.solution = solution
+        elif searched is None:
+            searched = self.target  # it came meanwhile
+        if searched is not None:
+            seek(self, searched)
+
+    def _advance(self, now: float, passed: float) -> None:
+        """Move the command towards where the target or the twist wants it, at the rate limit."""
+        assert self.command is not None
+        if self.jog is not None:
+            over = self.jog.over(now, self.settings.twist_timeout)
+            if over or not follow_twist(self, self.jog, passed):
+                self.jog = self.solution = None
+        step = self.settings.rate_limit * passed
+        if self.way is not None and self.playing is not None:
+            play_pulls(self, self.way, self.playing, now)
+            return
+        if self.way is not None:
+            self.command = self.way.advance(self, self._goal(now), step)
+            return
+        goal = self._goal(now)
+        self.command = approach(self.command, goal, np.full_like(goal, step))
+
+    def _goal(self, now: float) -> Array:
+        assert self.command is not None
+        goal = self.command
+        if self.playing is not None:
+            goal = self.playing.at(now)
+        elif self.solution is not None:
+            goal = self.loop.goal(self, self.solution.tensions)
+        return bounded(goal, self.settings.limits(self.model))
+
+    def _output(self) -> Output | None:
+        assert self.command is not None
+        pulls = None if self.way is None else self.way.pulls.copy()
+        if self.settings.pull_mode and pulls is None:
+            return None
+        return Output(self.command.copy(), pulls)
+
+    def _lose(self) -> None:
+        """Forget what was asked for: a driver that comes back finds nothing to go to."""
+        self._lost, self.playing, self._syncing = True, None, None
+        if not self.settings.resume:
+            self._drop()
 
     def _resync(self) -> None:
         """Begin at the measured state."""
+        if self._syncing is not None and not self.driver_stopped:
+            return
         assert self._heard is not None
-        limits = self.settings.limits(self.model)
+        self.jog = self.playing = self._syncing = None
+        heard, limits, pull = (
+            self._heard,
+            self.settings.limits(self.model),
+            self.settings.pull_mode,
+        )
+        if not pull and heard.observed:
+            self._begin(bounded(np.maximum(heard.tensions, 0.0), limits), None)
+            return
         unknown = limits[:, 0] if self.command is None else self.command
-        tensions = self._heard.in_newtons(self.model, limits, self.track.last, unknown)
-        self.command = bounded(tensions, limits)
-        self._lost, self._jog, self.playing, self._pulls = False, None, None, None
+        if pull and heard.located:  # wires stay where they are, whatever tensions that takes
+            self.way, self.command = Way(heard.pulls), unknown
+        if not self.driver_stopped:
+            self._look(heard.observed_or(unknown), limits)
+
+    def _look(self, unknown: Array, limits: Array) -> None:
+        """Have the solver say what tensions belong to the measured wire pulls."""
+        assert self._heard is not None
+        heard, model, guess = self._heard, self.model, self.track.last
+        pull = self.settings.pull_mode
+        syncing = self._syncing = object()
+
+        def work(give_up: GiveUp) -> tuple[Array, Array | None]:
+            tensions = bounded(heard.in_newtons(model, limits, guess, unknown), limits)
+            return tensions, heard.complete(model, tensions) if pull else None
+
+        def done(found: tuple[Array, Array | None] | None, error: TendonRobotError | None) -> None:
+            if self._syncing is not syncing:
+                return
+            self._syncing = None
+            if found is None:
+                self.track.failed(self.stepped, str(error))
+            else:
+                self._begin(*found)
+
+        self.solver.post('resync', work, done)
+
+    def _begin(self, tensions: Array, pulls: Array | None) -> None:
+        self.command, self._lost = tensions, False
+        self.way = None if pulls is None else Way(pulls)
 
     def _drop(self) -> None:
-        self.target = self.solution = self._jog = self.playing = None
+        self.target = self.solution = self.search = self.jog = self.playing = None
         self.loop.reset()
 
     def _require_running(self) -> None:

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..exceptions import InputError, NoEquilibriumError
-from .checks import Refusal
-from .settings import Target
+from ..common.errors import TendonRobotError
+from ..common.rotations import rotated
+from .seeking import solution_of
+from .state import Controller, Target
 
 if TYPE_CHECKING:
-    from ..model.shape import Shape
-    from .core import ControllerCore
+    from ..model.shape import Reach, Shape
 
 Array = NDArray[np.float64]
-LEAD = 0.002  # [m] how far the wanted tip may be ahead of the reachable one
+LEAD_MAX_M = 0.002  # [m] how far the wanted tip may be ahead of the reachable one
+LATE_MAX_S = 0.05  # [s] by which a slow solution is made up for at once
+
+
+class Jogger(Controller, Protocol):
+    """A controller whose tip a twist may move."""
+
+    jog: Jog | None
+
+    def end_twist(self, jog: Jog, problem: str) -> None:
+        """End a twist that leads nowhere."""
 
 
 @dataclass(frozen=True)
@@ -38,16 +48,18 @@ class Twist:
 class Jog:
     """Where a stream of twists has moved the wanted tip."""
 
-    position: Array
-    direction: Array
-    axes: Array  # (3, 3) of the tip, as columns
+    position: Array = field(default_factory=lambda: np.full(3, np.nan))
+    direction: Array = field(default_factory=lambda: np.full(3, np.nan))
+    axes: Array = field(default_factory=lambda: np.eye(3))  # of the tip, as columns
+    begun: bool = False  # from a shape
+    due: float = 0.0  # [s] by which the wanted tip is to be moved
     twist: Twist | None = None
     received: float = -np.inf
 
-    @classmethod
-    def start(cls, shape: Shape) -> Jog:
+    def begin(self, shape: Shape) -> None:
         """Start at a shape."""
-        return cls(shape.tip_position.copy(), shape.tip_direction.copy(), shape.frames[-1].copy())
+        self.position, self.direction = shape.tip_position.copy(), shape.tip_direction.copy()
+        self.axes, self.begun = shape.frames[-1].copy(), True
 
     def take(self, now: float, twist: Twist) -> None:
         """Take the next velocity."""
@@ -57,12 +69,10 @@ class Jog:
         """Whether no velocity came for the timeout."""
         return now - self.received > timeout
 
-    def advance(self, passed: float, hold_direction: bool) -> tuple[Array, Array | None] | None:
-        """Return position and direction wanted after some time, None if nothing moves."""
+    def advance(self, passed: float, hold_direction: bool) -> tuple[Array, Array | None]:
+        """Return position and direction wanted after some time."""
         assert self.twist is not None
         linear, angular = self.twist.linear, self.twist.angular
-        if not self.twist.moves:
-            return None
         if self.twist.in_tip:
             linear, angular = self.axes @ linear, self.axes @ angular
         self.position = self.position + linear * passed
@@ -74,34 +84,45 @@ class Jog:
         """Learn where the tip can be: what is wanted stays within reach of that."""
         ahead = self.position - shape.tip_position
         distance = float(np.linalg.norm(ahead))
-        if distance > LEAD:
-            self.position = shape.tip_position + ahead * (LEAD / distance)
+        if distance > LEAD_MAX_M:
+            self.position = shape.tip_position + ahead * (LEAD_MAX_M / distance)
         self.axes = shape.frames[-1]
 
 
-def follow_twist(core: ControllerCore, jog: Jog, passed: float) -> bool:
+def start_jog(core: Jogger, jog: Jog) -> None:
+    """Have the solver say where the tip is."""
+    assert core.command is not None
+    track = core.track
+
+    def done(shape: Shape | None, error: TendonRobotError | None) -> None:
+        if shape is not None:
+            track.took(shape)
+            jog.begin(shape)
+        else:
+            core.end_twist(jog, str(error))
+
+    core.solver.post('twist', track.finding(core.command), done)
+
+
+def follow_twist(core: Jogger, jog: Jog, passed: float) -> bool:
     """Move the solution on by some time [s]; whether the twist goes on."""
-    aim = jog.advance(passed, core.settings.hold_direction)
-    if aim is None:  # a zero twist: stop where it is
-        return False
-    try:
-        core.solution = core.solve(Target(*aim))
-    except (NoEquilibriumError, InputError) as error:
-        core.refusals['target'] = Refusal('no_equilibrium', f'twist ended: {error}')
-        return False
-    jog.reached(core.solution.shape)
-    return True
+    assert jog.twist is not None
+    if not jog.twist.moves:
+        return False  # stop where it is
+    jog.due = min(jog.due + passed, LATE_MAX_S)
+    if not jog.begun or core.solver.busy('twist'):
+        return True
+    position, direction = jog.advance(jog.due, core.settings.hold_direction)
+    jog.due = 0.0
 
+    def done(solution: Reach | None, error: TendonRobotError | None) -> None:
+        if solution is None:
+            core.end_twist(jog, str(error))
+        elif core.jog is jog:
+            core.solution = solution
+            jog.reached(solution.shape)
 
-def rotated(vector: Array, rotation: Array) -> Array:
-    """Rotate a unit vector by a rotation vector [rad] (Rodrigues' formula)."""
-    angle = float(np.linalg.norm(rotation))
-    if angle < 1e-12:
-        return vector
-    axis = rotation / angle
-    turned: Array = (
-        vector * np.cos(angle)
-        + np.cross(axis, vector) * np.sin(angle)
-        + axis * (axis @ vector) * (1.0 - np.cos(angle))
+    core.solver.post(
+        'twist', solution_of(core, core.model, Target(position, direction), tracking=True), done
     )
-    return turned / np.linalg.norm(turned)
+    return core.jog is jog

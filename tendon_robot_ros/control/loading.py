@@ -7,23 +7,23 @@ import os
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..common.errors import TendonRobotError
+from ..common.processes import child_environment, end_with_parent, go_with_others
 from ..effects import Catalogue, load_catalogue
-from ..exceptions import TendonRobotError
 from ..robot import Robot, dump_robot, parse_robot
-from .parent import child_environment, end_with_parent
+from .checks import check_inputs
 
 if TYPE_CHECKING:
     from ..model.model import Model
 
-NICE = 10
+NICENESS = 10
 GENTLY = 'TENDON_ROBOT_ROS_GENTLY'
 
 
@@ -43,58 +43,44 @@ def load(robot: Robot, catalogue: Catalogue) -> Model:
 
 def compiled_mark(catalogue: Catalogue) -> Path:
     """Return the file that says that the kernel of a catalogue is in the cache."""
-    from ..model.compose import cache_folder, kernel_key
+    from ..model.compile import cache_folder, kernel_key
 
     return cache_folder() / f'tendon_robot_kernel_{kernel_key(catalogue)}' / 'controller_ready'
 
 
 class Loader:
-    """A child process that fills the cache; ask `done` now and then."""
+    """Reads a description, has a child process fill the cache, loads the model; ask `done`."""
 
-    def __init__(self, robot: Robot, effects: Sequence[str], gently: bool = False) -> None:
+    def __init__(
+        self,
+        read: Callable[[], Robot],
+        effects: Sequence[str],
+        inputs: tuple[str, ...] = (),
+    ) -> None:
         """
-        Start it, unless the cache is full; gently while something else is being controlled.
+        Begin, in a thread; `result` raises what is wrong.
 
-        Raises
-        ------
-        EffectError
-            An effect is unknown or its file is not usable.
+        Parameters
+        ----------
+        read : callable
+            Returns the robot; it may take long.
+        effects : sequence of str
+            Files with effects of the user's own.
+        inputs : tuple of str
+            Of the model in use: what replaces it has the same. Loading then gives way to it.
 
         """
-        self.robot, self.catalogue = robot, load_catalogue(effects)
-        for name in robot.effects:
-            self.catalogue[name]
+        self._read, self._effects, self._inputs = read, effects, inputs
         self._child: subprocess.Popen[str] | None = None
-        self._gently = gently
-        self._loading: Future[Model] | None = None
-        if not compiled_mark(self.catalogue).is_file():
-            command = [sys.executable, '-m', __name__, *effects]
-            self._child = subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-                start_new_session=True,
-                env=child_environment() | ({GENTLY: '1'} if gently else {}),
-            )  # Ctrl-C is for the parent, which ends it
-            assert self._child.stdin is not None
-            self._child.stdin.write(dump_robot(robot))
-            self._child.stdin.close()
-
-    @property
-    def compiling(self) -> bool:
-        """Whether the child is at work: that takes long."""
-        return self._child is not None and self._child.poll() is None
+        self._cancelled = False
+        self.doing = 'loading'  # then perhaps 'compiling', then 'building'
+        self._loading: Future[Model] = Future()
+        # not the thread that controls: reading, linking and checking take a moment
+        threading.Thread(target=self._load, name='model', daemon=True).start()
 
     @property
     def done(self) -> bool:
-        """Whether `result` returns at once; asking moves the loading on."""
-        if self.compiling:
-            return False
-        if self._loading is None:
-            self._loading = Future()
-            # not the thread that controls: reading the cache takes a moment, too
-            threading.Thread(target=self._load, name='model', daemon=True).start()
+        """Whether `result` returns at once."""
         return self._loading.done()
 
     def result(self) -> Model:
@@ -107,46 +93,65 @@ class Loader:
             The model does not work.
 
         """
-        while not self.done:
-            time.sleep(0.01)
-        assert self._loading is not None
         return self._loading.result()
-
-    def _load(self) -> None:
-        assert self._loading is not None
-        if self._gently:
-            _give_way()
-        try:
-            self._loading.set_result(self._read())
-        except Exception as error:
-            self._loading.set_exception(error)
-
-    def _read(self) -> Model:
-        """Say what the child found wrong, or load what it compiled."""
-        if self._child is not None:
-            assert self._child.stderr is not None
-            said = self._child.stderr.read().strip().splitlines()
-            self._child.stderr.close()
-            if code := self._child.returncode:
-                raise TendonRobotError(said[-1] if said else f'compiling ended with code {code}')
-        return load(self.robot, self.catalogue)
 
     def cancel(self) -> None:
         """End the child."""
+        self._cancelled = True
         if self._child is not None and self._child.poll() is None:
             self._child.kill()
             self._child.wait()
+
+    def _load(self) -> None:
+        if self._inputs:
+            _give_way()
+        try:
+            self._loading.set_result(self._make())
+        except Exception as error:
+            self._loading.set_exception(error)
+
+    def _make(self) -> Model:
+        robot = self._read()
+        if self._inputs:
+            check_inputs(robot.inputs, self._inputs)
+        catalogue = load_catalogue(self._effects)
+        for name in robot.effects:
+            catalogue[name]
+        if not compiled_mark(catalogue).is_file():
+            self.doing = 'compiling'
+            self._compile(robot)
+        self.doing = 'building'
+        return load(robot, catalogue)
+
+    def _compile(self, robot: Robot) -> None:
+        """Have the child compile; raise what it found wrong."""
+        child = self._child = subprocess.Popen(
+            [sys.executable, '-m', __name__, *self._effects],
+            stdin=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            env=child_environment() | ({GENTLY: '1'} if self._inputs else {}),
+        )  # Ctrl-C is for the parent, which ends it
+        if self._cancelled:
+            child.kill()
+        _, said = child.communicate(dump_robot(robot))
+        if child.returncode:
+            lines = said.strip().splitlines()
+            ended = f'compiling ended with code {child.returncode}'
+            raise TendonRobotError(lines[-1] if lines else ended)
 
 
 def _give_way() -> None:
     """Let the thread or process that controls go first."""
     with contextlib.suppress(OSError):  # a Linux thread has a priority of its own
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
 
 
 def main() -> int:
     """Compile for the robot on standard input and the effect files in the arguments."""
     end_with_parent()
+    go_with_others()
     if os.environ.pop(GENTLY, ''):
         _give_way()
     try:

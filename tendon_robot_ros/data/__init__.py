@@ -1,7 +1,12 @@
-"""Measurements: folders of plain files, and recordings of ROS 2."""
+"""
+Measurements: `DataSet`, and where it comes from.
+
+dataset.py    measured postures as frozen arrays; a missing value is nan (SI units)
+folder/       a data set as a folder of plain files, read strictly and written whole
+recording/    recordings of ROS 2, read and written without ROS
+"""
 
 from .dataset import DataSet, Marker, default_markers
-from .reading import load_dataset
-from .writing import save_dataset
+from .folder.folder import load_dataset, save_dataset
 
 __all__ = ['DataSet', 'Marker', 'default_markers', 'load_dataset', 'save_dataset']

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..exceptions import DataSetError, InputError
+from ..common.errors import DataSetError, InputError
 from ..robot import Robot
 
 FloatArray = NDArray[np.float64]
@@ -94,6 +94,18 @@ class DataSet:
                 )
             array.setflags(write=False)
             object.__setattr__(self, key, array)
+
+    def __repr__(self) -> str:
+        """Say what was measured of which robot."""
+        P, Q, J = self.positions.shape[:3]
+        unit = 'N' if self.input == 'tension' else 'm'
+        lost = 1.0 - self.mask[self.trial_mask].mean() if self.trial_mask.any() else 1.0
+        noise = '' if self.position_noise is None else f', noise {1e3 * self.position_noise:g} mm'
+        return (
+            f'<DataSet {self.name}: {P} postures x up to {Q} trials x {J} markers of '
+            f'{self.robot.name}; {self.input} [{unit}] of {", ".join(self.input_names)}; '
+            f'{100.0 * lost:.2g} % of the markers not seen{noise}>'
+        )
 
     @property
     def input_names(self) -> tuple[str, ...]:

@@ -12,8 +12,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..exceptions import DriverError, MissingExtraError
+from ..common.errors import DriverError, MissingExtraError
 from ..robot import Robot
+from .ports import travelled
 
 Array = NDArray[np.float64]
 MODES = ('tension', 'pull')
@@ -23,7 +24,7 @@ BACKENDS = {
     'mock': ('mock', 'MockDriver', '', ''),
     'dynamixel': ('dynamixel.driver', 'DynamixelDriver', 'dynamixel_sdk', 'dynamixel'),
     'serial': ('serial_board.driver', 'SerialDriver', 'serial', 'serial'),
-    'ros2_control': ('group', 'GroupDriver', '', ''),
+    'ros2_control': ('ros2_control', 'Ros2ControlDriver', '', ''),
 }
 
 
@@ -103,6 +104,8 @@ class Driver(abc.ABC):
         Lowest and highest command per input, in the unit of the mode.
     rates : ndarray, shape (m,)
         Largest change of the command per second, in the unit of the mode.
+    port : str
+        Path of the serial port, empty where there is none.
 
     """
 
@@ -111,6 +114,7 @@ class Driver(abc.ABC):
     mode: str
     limits: Array
     rates: Array
+    port: str = ''
 
     @abc.abstractmethod
     def open(self) -> None:
@@ -139,6 +143,10 @@ class Driver(abc.ABC):
     def reboot(self, inputs: Sequence[str] = ()) -> None:
         """Restart the named motors, or all, after a hardware error; leaves torque off."""
         raise DriverError(f'{type(self).__name__}: reboot: this kind of motor has no reboot')
+
+    def reset(self) -> None:
+        """Let searches for slack wind anew: a person has looked at the wires. Moves nothing."""
+        travelled(self.port).clear()
 
     def describe(self) -> dict[str, str]:
         """Return facts for diagnostics: names and values as text, with units."""

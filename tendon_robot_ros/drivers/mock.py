@@ -11,7 +11,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..exceptions import DriverError, TendonRobotError
+from ..common.errors import DriverError, TendonRobotError
 from ..robot import Robot
 from .interface import MODES, Driver, Fault, Reading
 
@@ -32,7 +32,7 @@ class PlantState(Protocol):
     pulls: Array  # (m,) [m]
 
 
-class Plant(Protocol):
+class MockPlant(Protocol):
     """An arm to be moved; the driver does not know how it works."""
 
     def respond(self, tensions: Array) -> PlantState:
@@ -80,7 +80,7 @@ class MockDriver(Driver):
     def __init__(
         self,
         robot: Robot,
-        plant: Plant,
+        plant: MockPlant,
         config: MockConfig | None = None,
         mode: str = 'tension',
         clock: Callable[[], float] = time.monotonic,
@@ -107,7 +107,7 @@ class MockDriver(Driver):
 
     @classmethod
     def from_config(
-        cls, robot: Robot, config: Mapping[str, Any], *, mode: str, source: str, plant: Plant
+        cls, robot: Robot, config: Mapping[str, Any], *, mode: str, source: str, plant: MockPlant
     ) -> Self:
         """Make the driver from what its configuration says."""
         return cls(robot, plant, MockConfig.checked(config, source), mode)

@@ -51,3 +51,26 @@ def present_ports() -> list[str]:
     """List the USB serial ports, by the name that stays when they are plugged in again."""
     by_id = sorted(str(path) for path in Path('/dev/serial/by-id').glob('*'))
     return by_id or sorted(str(path) for path in Path('/dev').glob('ttyUSB*'))
+
+
+# -----------------------------------------------------------------------------
+# How far motors have gone in searches for slack that failed.
+#
+# It belongs to the port and to this process, not to a driver: whoever tries again, with whatever
+# object, goes on from the same beginning, so that the bound of a search holds for all attempts
+# together. What a hand or a spring turns while the torque is off does not count: a person resets.
+
+_BY_PORT: dict[str, dict[int, float]] = {}
+
+
+def travelled(port: str) -> dict[int, float]:
+    """
+    Return what the motors of a port have gone since the first attempt; clear it to forget.
+
+    Returns
+    -------
+    dict of int to float
+        Motor (its id or channel) -> signed way, in the unit of the driver (ticks or m).
+
+    """
+    return _BY_PORT.setdefault(port, {})

@@ -1,4 +1,4 @@
-"""The rules that the supervisor holds, and what it decides in a cycle."""
+"""Two small rules that keep a command where it may be; used by drivers and by the controller."""
 
 from __future__ import annotations
 
@@ -7,10 +7,100 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..exceptions import DriverError
+from ..common.errors import DriverError
 from .interface import MODES
 
 Array = NDArray[np.float64]
+
+
+def approach(current: Array, goal: Array, step: Array) -> Array:
+    """
+    Move towards a goal on a straight line, no input by more than its step.
+
+    Every input arrives at the same time, so the arm passes through postures between the two.
+
+    Parameters
+    ----------
+    current, goal : ndarray, shape (m,) [N] or [m]
+        Where the command is and where it should go.
+    step : ndarray, shape (m,), same unit
+        Largest change of each input, >= 0.
+
+    Returns
+    -------
+    ndarray, shape (m,), same unit
+        Between `current` and `goal`.
+
+    """
+    way = goal - current
+    moving = np.abs(way) > step
+    if not moving.any():
+        return goal.copy()
+    part = float(np.min(step[moving] / np.abs(way[moving])))
+    low, high = np.minimum(current, goal), np.maximum(current, goal)
+    return np.clip(current + part * way, low, high)
+
+
+def bounded(command: Array, limits: Array) -> Array:
+    """Clip a command, shape (m,), to limits, shape (m, 2)."""
+    return np.clip(command, limits[:, 0], limits[:, 1])
+
+
+# -----------------------------------------------------------------------------
+# A stop that latches, and that nobody can reset while its cause lasts. Any thread may stop.
+
+
+class StopLatch:
+    """Why there is a stop: a sentence per cause."""
+
+    def __init__(self) -> None:
+        """Nothing is stopped."""
+        self._latched: dict[str, str] = {}
+        self._lasting: set[str] = set()
+
+    def __bool__(self) -> bool:
+        """Whether there is a stop."""
+        return bool(self._latched)
+
+    @property
+    def reasons(self) -> list[str]:
+        """One sentence per cause."""
+        return list(self._latched.values())
+
+    def stop(self, key: str, reason: str, lasting: bool = False) -> None:
+        """Latch a stop; while its cause is lasting, `reset` is refused."""
+        self._latched[key] = reason
+        if lasting:
+            self._lasting.add(key)
+
+    def cause_gone(self, key: str) -> None:
+        """Say that the cause of a stop is gone; the stop stays latched until `reset`."""
+        self._lasting.discard(key)
+
+    def forget(self, key: str) -> None:
+        """Take back a stop, for its sender only: people call `reset`."""
+        self._latched.pop(key, None)
+        self._lasting.discard(key)
+
+    def reset(self) -> None:
+        """
+        Clear the stops.
+
+        Raises
+        ------
+        DriverError
+            A cause is still there.
+
+        """
+        if self._lasting:
+            latched = list(self._latched.items())
+            reasons = [reason for key, reason in latched if key in self._lasting]
+            raise DriverError('reset refused: ' + '; '.join(reasons))
+        self._latched.clear()
+
+
+# -----------------------------------------------------------------------------
+# The rules that the supervisor holds, and what it decides in a cycle.
 
 
 @dataclass(frozen=True)

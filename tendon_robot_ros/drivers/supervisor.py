@@ -12,15 +12,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..exceptions import DriverError
+from ..common.errors import DriverError
 from .interface import Reading
-from .latch import StopLatch
-from .limits import approach, bounded
-from .safety import Decision, SafetyRules
+from .safety import Decision, SafetyRules, StopLatch, approach, bounded
 
 Array = NDArray[np.float64]
 OFF, FOLLOWING, RELEASING, RELEASED, LIMP = 'off', 'following', 'releasing', 'released', 'limp'
-LONGEST_CYCLE = 0.05  # [s]; after a stall the command does not catch up in one step
+CYCLE_MAX_S = 0.05  # [s]; after a stall the command does not catch up in one step
 
 
 @dataclass
@@ -93,7 +91,7 @@ class Supervisor:
 
         """
         passed = now - self._now
-        passed = min(max(passed, 0.0), LONGEST_CYCLE) if np.isfinite(passed) else 0.0
+        passed = min(max(passed, 0.0), CYCLE_MAX_S) if np.isfinite(passed) else 0.0
         self._now = max(now, self._now) if np.isfinite(now) else self._now
         self._accept(command)
         reasons = self._watch(reading) + self.latch.reasons

@@ -14,4 +14,5 @@ EFFECT = Effect(
     stage='length',
     law=law,
     parameters=(Parameter('compliance', '1/N', 0.0, 0.1, 0.0, typical=3e-3),),
+    divisible=True,
 )

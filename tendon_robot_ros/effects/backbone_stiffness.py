@@ -13,5 +13,10 @@ EFFECT = Effect(
     title='the backbone is stiffer or softer than described',
     stage='stiffness',
     law=law,
-    parameters=(Parameter('relative_change', '1', -0.8, 4.0, 0.0, typical=0.1),),
+    parameters=(
+        Parameter(
+            'relative_change', '1', -0.8, 4.0, 0.0, typical=0.1, tolerance='bending_stiffness'
+        ),
+    ),
+    divisible=True,
 )

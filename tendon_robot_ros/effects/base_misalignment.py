@@ -27,7 +27,12 @@ EFFECT = Effect(
     stage='measurement',
     law=law,
     parameters=tuple(
-        Parameter(f'shift_{axis}', 'm', -0.1, 0.1, 0.0, typical=1e-3) for axis in 'xyz'
+        Parameter(f'shift_{axis}', 'm', -0.1, 0.1, 0.0, typical=1e-3, tolerance='position')
+        for axis in 'xyz'
     )
-    + tuple(Parameter(f'rotation_{axis}', 'rad', -1.0, 1.0, 0.0, typical=1e-2) for axis in 'xyz'),
+    + tuple(
+        Parameter(f'rotation_{axis}', 'rad', -1.0, 1.0, 0.0, typical=1e-2, tolerance='rotation')
+        for axis in 'xyz'
+    ),
+    divisible=True,
 )

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from ..exceptions import EffectError
+from ..common.errors import EffectError
 from .effect import Effect
 
 # Order matters twice: laws of one stage apply in it, and exact twins are reported in it.
@@ -81,6 +81,18 @@ class Catalogue:
         """Key over names, order and sources of all effects."""
         text = ' '.join(f'{effect.name}:{effect.digest}' for effect in self)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def twin(self, tolerance: str) -> tuple[str, tuple[str, ...]] | None:
+        """Return the effect and its parameters that say the same as a declared tolerance."""
+        for effect in self:
+            parameters = tuple(p.name for p in effect.parameters if p.tolerance == tolerance)
+            if parameters:
+                return effect.name, parameters
+        return None
+
+    def needing(self, need: str) -> frozenset[str]:
+        """Return the names of the effects that need something of the measurements."""
+        return frozenset(effect.name for effect in self if effect.needs == need)
 
     def without(self, *names: str) -> Catalogue:
         """Return a catalogue that lacks some effects."""

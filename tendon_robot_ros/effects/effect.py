@@ -8,43 +8,35 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..exceptions import EffectError
+from ..common.errors import EffectError
+from .stage import STAGES
 
-# Stage -> (what the law takes before its parameters, what it returns). The kernel calls the laws
-# of a stage one after the other, each on what the one before returned.
-STAGES: dict[str, tuple[str, str]] = {
-    'actuation': ('tension', 'tension that enters the first cell [N]'),
-    'offset': ('scale', 'factor on every tendon offset [1]'),
-    'stiffness': ('stiffness, tendons', 'bending stiffness of the cell [N·m/rad]'),
-    'growth': ('factor, bend_squared', 'secant stiffness over initial stiffness [1]'),
-    'rest': ('rest_x, rest_y', '(x, y) bend of the unloaded cell [rad]'),
-    'arm': (
-        'travel, along, across, bend, sin_half, cos_half, radial, length, hinge',
-        '(travel [m], along [m], across [1]): path lost in a cell, its derivative by the '
-        'bend, and what multiplies the offset across the bend plane',
-    ),
-    'load': (
-        'force_x, force_y, force_z, mass_length, gravity_x, gravity_y, gravity_z',
-        '(x, y, z) force at mid-cell, base frame [N]; mass_length = mass_profile L [m]',
-    ),
-    'tip_load': ('force_x, force_y, force_z', '(x, y, z) force at the tip, base frame [N]'),
-    'moment': ('moment, total_tension, radius', 'size of the bending moment [N·m]'),
-    'hold': ('moment, total_tension', 'size of the moment left after friction in the joint [N·m]'),
-    'wrap': ('turning, mean', 'sine of half the angle that the tendon turns at the eyelet [1]'),
-    'slide': ('here, beyond', 'which travel decides the friction: of this cell or all beyond'),
-    'memory': ('sign, before, change', 'direction of friction, -1 to 1; change of travel [m]'),
-    'eyelet': ('passed, turning', 'tension behind the eyelet over tension before it [1]'),
-    'length': ('scale, total_tension', 'length of the cell over its length at rest [1]'),
-    'stretch': ('stretch, tension, length', 'elongation of the tendon in a cell [m]'),
-    'measurement': ('x, y, z', '(x, y, z) as the tracker sees it [m]'),
-}
-# Stages whose laws use the shape itself: one sweep is then not the answer.
-IMPLICIT_STAGES = ('arm', 'load', 'tip_load', 'wrap', 'slide', 'memory')
+# what the measurements of some effects need, as `Effect.needs` names it
+NEEDS = ('gravity', 'history', 'pulls')
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an effect; `typical` is a size that matters, used to scale and start fits."""
+    """
+    A parameter of an effect.
+
+    Attributes
+    ----------
+    name, unit : str
+    low, high : float
+        Bounds [unit].
+    neutral : float
+        Where the effect changes nothing.
+    typical : float
+        A size that matters, used to scale and start fits.
+    per_section : bool
+        Whether every section has a value of its own.
+    tolerance : str
+        The quantity under `tolerances` of a description whose deviation this parameter is.
+    parts_power : int
+        Power of the number of parts by which the value grows where a cell is divided.
+
+    """
 
     name: str
     unit: str
@@ -53,6 +45,8 @@ class Parameter:
     neutral: float
     typical: float
     per_section: bool = False
+    tolerance: str = ''
+    parts_power: int = 0
 
 
 @dataclass(frozen=True)
@@ -75,6 +69,14 @@ class Effect:
         The effect that this one shapes, and without which it does nothing.
     always_on : bool
         Whether it acts even at its neutral value once it is listed.
+    contains : tuple of str
+        Effects that are special cases of this one.
+    needs : str, optional
+        What the measurements must have for it to show: a known direction of `gravity`, the
+        `history` of postures, or commanded `pulls`.
+    divisible : bool
+        Whether its law also holds for a cell divided into finer ones, with the parameters
+        scaled as they say; else a plant leaves the cells whole.
 
     """
 
@@ -85,6 +87,9 @@ class Effect:
     law: Callable[..., Any]
     acts_on: str | None = None
     always_on: bool = False
+    contains: tuple[str, ...] = ()
+    needs: str | None = None
+    divisible: bool = False
     digest: str = field(default='', compare=False)
 
     def __post_init__(self) -> None:
@@ -101,12 +106,18 @@ class Effect:
             raise EffectError(
                 f'effect {self.name}: expected a stage of {", ".join(STAGES)}, got {self.stage!r}'
             )
+        if self.needs not in (None, *NEEDS):
+            raise EffectError(
+                f'effect {self.name}: needs: expected one of {", ".join(NEEDS)}, '
+                f'got {self.needs!r}'
+            )
         takes = len(inspect.signature(self.law).parameters)
-        wanted = STAGES[self.stage][0].count(',') + 1 + len(self.parameters)
+        inputs = [quantity.name for quantity in STAGES[self.stage].inputs]
+        wanted = len(inputs) + len(self.parameters)
         if takes != wanted:
             raise EffectError(
                 f'effect {self.name}: its law takes {takes} arguments, expected {wanted}: '
-                f'{STAGES[self.stage][0]}, then {", ".join(p.name for p in self.parameters)}'
+                f'{", ".join(inputs)}, then {", ".join(p.name for p in self.parameters)}'
             )
         for parameter in self.parameters:
             if not parameter.low <= parameter.neutral <= parameter.high:

@@ -24,4 +24,5 @@ EFFECT = Effect(
     stage='moment',
     law=law,
     parameters=(Parameter('clearance', 'm', 0.0, 2e-3, 0.0, typical=2e-4),),
+    divisible=True,
 )

@@ -23,6 +23,7 @@ EFFECT = Effect(
     stage='memory',
     always_on=True,
     acts_on='tendon_friction',
+    needs='history',
     law=law,
     parameters=(Parameter('presliding_length', 'm', 1e-6, 2e-3, 1e-6, typical=1e-4),),
 )

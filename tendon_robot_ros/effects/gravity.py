@@ -15,4 +15,6 @@ EFFECT = Effect(
     stage='load',
     law=law,
     parameters=(Parameter('linear_density', 'kg/m', 0.0, 20.0, 0.0, typical=0.05),),
+    needs='gravity',
+    divisible=True,
 )

@@ -18,4 +18,5 @@ EFFECT = Effect(
     stage='hold',
     parameters=(Parameter('lever', 'm', 0.0, 3e-3, 0.0, typical=3e-4),),
     law=law,
+    divisible=True,
 )

@@ -13,5 +13,6 @@ EFFECT = Effect(
     title='the backbone stiffens as it bends',
     stage='growth',
     law=law,
-    parameters=(Parameter('cubic', '1/rad²', -0.5, 100.0, 0.0, typical=3.0),),
+    parameters=(Parameter('cubic', '1/rad²', -0.5, 100.0, 0.0, typical=3.0, parts_power=2),),
+    divisible=True,
 )

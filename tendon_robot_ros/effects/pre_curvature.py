@@ -14,7 +14,8 @@ EFFECT = Effect(
     stage='rest',
     law=law,
     parameters=(
-        Parameter('angle_x', 'rad', -0.5, 0.5, 0.0, typical=0.01),
-        Parameter('angle_y', 'rad', -0.5, 0.5, 0.0, typical=0.01),
+        Parameter('angle_x', 'rad', -0.5, 0.5, 0.0, typical=0.01, parts_power=-1),
+        Parameter('angle_y', 'rad', -0.5, 0.5, 0.0, typical=0.01, parts_power=-1),
     ),
+    divisible=True,
 )

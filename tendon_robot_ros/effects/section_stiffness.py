@@ -14,4 +14,6 @@ EFFECT = Effect(
     stage='stiffness',
     law=law,
     parameters=(Parameter('relative_change', '1', -0.8, 4.0, 0.0, typical=0.1, per_section=True),),
+    contains=('backbone_stiffness',),
+    divisible=True,
 )

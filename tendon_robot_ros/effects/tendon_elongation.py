@@ -14,4 +14,6 @@ EFFECT = Effect(
     stage='stretch',
     law=law,
     parameters=(Parameter('compliance', '1/N', 0.0, 0.1, 0.0, typical=2e-3),),
+    needs='pulls',
+    divisible=True,
 )

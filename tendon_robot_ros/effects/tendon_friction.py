@@ -17,6 +17,17 @@ EFFECT = Effect(
     name='tendon_friction',
     title='friction between tendons and eyelets',
     stage='eyelet',
-    parameters=(Parameter('friction_coefficient', '1', 0.0, 1.0, 0.0, typical=0.3),),
+    parameters=(
+        Parameter(
+            'friction_coefficient',
+            '1',
+            0.0,
+            1.0,
+            0.0,
+            typical=0.3,
+            tolerance='friction_coefficient',
+        ),
+    ),
     law=law,
+    divisible=True,
 )

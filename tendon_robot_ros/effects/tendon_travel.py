@@ -19,4 +19,5 @@ EFFECT = Effect(
     parameters=(Parameter('fraction', '1', 0.0, 1.0, 0.0, typical=1.0),),
     law=law,
     acts_on='tendon_friction',
+    divisible=True,
 )

@@ -16,4 +16,5 @@ EFFECT = Effect(
     stage='actuation',
     law=law,
     parameters=(Parameter('offset', 'N', -2.0, 2.0, 0.0, typical=0.05),),
+    divisible=True,
 )

@@ -18,4 +18,5 @@ EFFECT = Effect(
         Parameter('force_y', 'N', -5.0, 5.0, 0.0, typical=3e-3),
         Parameter('force_z', 'N', -5.0, 5.0, 0.0, typical=3e-3),
     ),
+    divisible=True,
 )

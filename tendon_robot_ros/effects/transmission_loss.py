@@ -13,5 +13,6 @@ EFFECT = Effect(
     title='tension is lost before the base',
     stage='actuation',
     law=law,
-    parameters=(Parameter('fraction', '1', 0.0, 0.9, 0.0, typical=0.1),),
+    parameters=(Parameter('fraction', '1', 0.0, 0.9, 0.0, typical=0.1, tolerance='tension_gain'),),
+    divisible=True,
 )

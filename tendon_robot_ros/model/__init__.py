@@ -1,1 +1,16 @@
-"""The model: description and tensions to shape, and back."""
+"""
+The model: a description and tensions to a shape, and back.
+
+model.py         `Model`, the one object that everybody uses
+forward.py       what it stands on: tensions to shapes, batches and sequences of shapes
+shape.py         what it returns: `Shape`, batches of shapes, markers placed on them, `Reach`
+inverse.py       a target of the tip to tensions within the limits
+pulls.py         wire pulls to tensions, with slack wires
+inputs.py        what a caller commands, by name or in order, checked
+plot.py          arms drawn for notebooks
+derivatives.py   slopes of an equilibrium with respect to tensions and parameters
+compile.py       a robot as flat arrays, and the kernel composed from a catalogue and cached
+kernel/          the compiled laws; nothing else is compiled
+
+Whoever changes what a cell does works in effects/ or in kernel/, not here.
+"""

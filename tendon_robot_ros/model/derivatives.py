@@ -1,60 +1,176 @@
-"""Derivatives of the equilibrium, by differences of settled equilibria."""
+"""Derivatives of what an equilibrium shows, by tensions and by any parameter of any effect."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from ..common.errors import InputError
+from .shape import FIELDS, ShapeBatch
+
 if TYPE_CHECKING:
-    from .model import Model
+    from .forward import ForwardModel
 
 Floats = npt.NDArray[np.float64]
-TENSION_STEP = 3e-6  # [N]
-PARAMETER_STEP = 1e-4  # [1], of the parameter or of its typical size
+Seen = Callable[[ShapeBatch], Floats]
+Column = str | tuple[str, str] | tuple[str, str, int | None]
+TENSION_STEP = 1e-5  # [N]
+PARAMETER_STEP = 1e-5  # [1], of the parameter or of its typical size
+REMEMBERED_STEP = 10.0  # [1] longer steps where whole ways are solved twice
 
 
-def tip_jacobian(model: Model, tensions: Floats) -> Floats:
-    """
-    Return d (tip position, tip direction) / d tensions, (6, m) [m/N], [1/N].
+def tip_jacobian(model: ForwardModel, tensions: Floats) -> Floats:
+    """Return d (tip position, tip direction) / d tensions, (6, m) [m/N], [1/N]."""
+    if model.remembers:
+        tips: Floats = derivatives(model, model.shapes(tensions[None]), model.inputs, _tip)[0]
+        return tips
+    shape, m = model.shape(tensions), len(tensions)
+    slopes = np.empty((6 + m, m))
+    model.arrays.part('derivatives').jacobian(
+        model.arrays.address,
+        shape.inputs.copy(),
+        np.array([shape.bend, shape.bend]),
+        model.arrays.fresh_memory(),
+        model.scratch,
+        slopes,
+    )
+    return slopes[:6]
 
-    Central differences, each side settled from the same equilibrium; one-sided at zero tension.
-    """
-    m = len(tensions)
-    up, down = np.tile(tensions, (m, 1)), np.tile(tensions, (m, 1))
-    up[np.arange(m), np.arange(m)] += TENSION_STEP
-    down[np.arange(m), np.arange(m)] -= np.minimum(TENSION_STEP, tensions)
-    here = model.shape(tensions)
-    both = model.shapes(np.concatenate([up, down]), np.tile(here.bend, (2 * m, 1, 1)))
-    tips = np.concatenate([both.tip_position, both.tip_direction], axis=1)
-    widths = (up - down).sum(axis=1)
-    slopes: Floats = (tips[:m] - tips[m:]) / widths[:, None]
-    return slopes.T
 
-
-def parameter_derivative(
-    model: Model, tensions: Floats, effect: str, parameter: str, section: int | None = None
+def derivatives(
+    model: ForwardModel, shapes: ShapeBatch, columns: Sequence[Column], seen: Seen | None = None
 ) -> Floats:
     """
-    Return d measured positions / d parameter, (b, n, 3) [m per unit], at tensions (b, m) [N].
+    Return the derivatives (b, ..., q) of what is seen of equilibria, one column per quantity.
 
-    Central differences, one-sided where a bound is near; an effect that is off counts as on at its
-    neutral value. `section` None moves the parameter of all sections together.
+    By the implicit function theorem: one linear equation for all columns, no further equilibrium
+    (see the kernel's `derivatives`). An effect that is off counts as on at its neutral value.
+    Where friction remembers, the way there matters and each side is solved from straight.
+
+    Parameters
+    ----------
+    shapes : ShapeBatch
+        Equilibria of this model, each loaded from straight.
+    columns : sequence
+        Names of inputs [N], or effect and parameter, or those and the index of a section; without
+        one the parameter of all sections moves together.
+    seen : callable, optional
+        What is differentiated: shapes to an array (b, ...). Default: the positions as the tracker
+        sees them, (b, n, 3) [m].
+
+    Raises
+    ------
+    EffectError, InputError
+        An effect or an input is not known.
+
     """
-    arrays = model.arrays
-    (told,) = (p for p in model.catalogue[effect].parameters if p.name == parameter)
-    values, on = arrays.values.copy(), arrays.on.copy()
-    here = arrays.get(effect, parameter, section)
-    step = PARAMETER_STEP * max(abs(here), told.typical)
-    up, down = min(here + step, told.high), max(here - step, told.low)
-    guesses = model.shapes(tensions).bend
-    try:
+    seen = seen or (lambda batch: model.measured(batch.positions))
+    there = [_Move.of(model, shapes, column) for column in columns]
+    slopes = []
+    ways = None if model.remembers else _ways(model, shapes, there)
+    for q, move in enumerate(there):
         sides = []
-        for value in (up, down):
-            arrays.set(effect, parameter, section, value)
-            sides.append(model.measured(model.shapes(tensions, guesses).positions))
-    finally:
-        arrays.values[:], arrays.on[:] = values, on
-    slopes: Floats = (sides[0] - sides[1]) / (up - down)
-    return slopes
+        for side in (move.up, move.down):
+            with move.made(model, side):
+                if ways is None:
+                    moved = model.shapes(move.inputs(shapes, side), shapes.bend)
+                else:
+                    bend = shapes.bend + side[:, None, None] * ways[:, q]
+                    moved = _shown(model, shapes, move.inputs(shapes, side), bend)
+                sides.append(seen(moved))
+        width = (move.up - move.down).reshape(-1, *[1] * (sides[0].ndim - 1))
+        slopes.append((sides[0] - sides[1]) / width)
+    return np.stack(slopes, axis=-1)
+
+
+class _Move:
+    """One quantity and how far it moves up and down, (b,) each."""
+
+    def __init__(self, column: Column, up: Floats, down: Floats, j: int) -> None:
+        self.column, self.up, self.down, self.j = column, up, down, j
+
+    @classmethod
+    def of(cls, model: ForwardModel, shapes: ShapeBatch, column: Column) -> _Move:
+        """Choose the steps: central, one-sided at zero tension and at a parameter's bound."""
+        ones, longer = np.ones(len(shapes)), REMEMBERED_STEP if model.remembers else 1.0
+        if isinstance(column, str):
+            if column not in model.inputs:
+                raise InputError(f'unknown input {column!r}; known: {", ".join(model.inputs)}')
+            j, step = model.inputs.index(column), longer * TENSION_STEP
+            return cls(column, step * ones, -np.minimum(step, shapes.inputs[:, j]), j)
+        effect, name = column[:2]
+        told = {p.name: p for p in model.catalogue[effect].parameters}
+        if name not in told:
+            raise InputError(f'{effect}: unknown parameter {name!r}; known: {", ".join(told)}')
+        here = model.arrays.get(effect, name, _section(column))
+        step = longer * PARAMETER_STEP * max(abs(here), told[name].typical)
+        up, down = min(step, told[name].high - here), max(-step, told[name].low - here)
+        return cls(column, up * ones, down * ones, -1)
+
+    def inputs(self, shapes: ShapeBatch, side: Floats) -> Floats:
+        """Return the input tensions (b, m) [N] of one side."""
+        inputs = shapes.inputs.copy()
+        if self.j >= 0:
+            inputs[:, self.j] += side
+        return inputs
+
+    @contextmanager
+    def made(self, model: ForwardModel, side: Floats) -> Iterator[None]:
+        """Move the parameter, if it is one, while the block runs."""
+        arrays = model.arrays
+        values, on = arrays.values.copy(), arrays.on.copy()
+        try:
+            if not isinstance(self.column, str):
+                effect, name = self.column[:2]
+                section = _section(self.column)
+                row = arrays.layout.rows[effect, name]
+                arrays.values[row, slice(None) if section is None else section] += side[0]
+                arrays.on[arrays.layout.index[effect]] = 1
+            yield
+        finally:
+            arrays.values[:], arrays.on[:] = values, on
+
+
+def _section(column: Column) -> int | None:
+    return column[2] if len(column) == 3 else None  # type: ignore[return-value]
+
+
+def _ways(model: ForwardModel, shapes: ShapeBatch, there: Sequence[_Move]) -> Floats:
+    """Return how the bends follow every quantity, (b, q, n, 2) [rad per unit]."""
+    part, past = model.arrays.part('derivatives'), model.arrays.fresh_memory()
+    b, n = shapes.bend.shape[:2]
+    bends = np.ascontiguousarray(shapes.bend)
+    changes, rows = np.empty((b, len(there), 2 * n)), np.empty((b, len(there), 2 * n))
+    sides = np.empty((2, b, n, 2))
+    for q, move in enumerate(there):
+        for out, side in zip(sides, (move.up, move.down), strict=True):
+            with move.made(model, side):
+                inputs = move.inputs(shapes, side)
+                part.residuals(model.arrays.address, inputs, bends, past, model.scratch, out)
+        width = (move.up - move.down)[:, None]
+        changes[:, q] = (sides[0] - sides[1]).reshape(b, -1) / width
+    inputs = np.ascontiguousarray(shapes.inputs)
+    part.responses(model.arrays.address, inputs, bends, past, model.scratch, changes, rows)
+    return rows.reshape(b, len(there), n, 2)
+
+
+def _shown(model: ForwardModel, shapes: ShapeBatch, inputs: Floats, bend: Floats) -> ShapeBatch:
+    """Return what inputs (b, m) [N] and bends (b, n, 2) [rad] show, without solving."""
+    b, form = len(inputs), model.form
+    block = np.zeros(b * form.size)
+    fields = {name: form.rows(block, name, b) for name in FIELDS}
+    fields['inputs'][:], fields['bend'][:] = inputs, bend
+    past = model.arrays.fresh_memory()
+    model.arrays.part('shape').show_postures(
+        model.arrays.address, block, b, past.ctypes.data, model.scratch
+    )
+    return ShapeBatch(**fields, cell_length=shapes.cell_length, hinge=shapes.hinge)
+
+
+def _tip(batch: ShapeBatch) -> Floats:
+    """Position [m] and direction of the tip, (b, 6)."""
+    return np.concatenate([batch.tip_position, batch.tip_direction], axis=1)

@@ -8,14 +8,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ..exceptions import InputError
+from ..common.errors import InputError
 from ..robot import Robot
 
 Floats = npt.NDArray[np.float64]
-Given = Mapping[str, float] | Sequence[float] | Floats
+TensionsLike = Mapping[str, float] | Sequence[float] | Floats
 
 
-def tensions_of(robot: Robot, given: Given) -> Floats:
+def tensions_of(robot: Robot, given: TensionsLike) -> Floats:
     """
     Return input tensions (m,) [N]; names left out are slack (0).
 
@@ -58,7 +58,7 @@ def tension_rows(robot: Robot, given: npt.ArrayLike) -> Floats:
     return rows
 
 
-def wire_pulls(robot: Robot, given: Given) -> Floats:
+def wire_pulls(robot: Robot, given: TensionsLike) -> Floats:
     """
     Return wire pulls (m,) [m], NaN for slack; names left out are slack.
 
@@ -99,7 +99,7 @@ def finite(name: str, values: object, size: int) -> Floats:
     return array
 
 
-def _ordered(what: str, robot: Robot, given: Given, absent: float) -> object:
+def _ordered(what: str, robot: Robot, given: TensionsLike, absent: float) -> object:
     if not isinstance(given, Mapping):
         return given
     unknown = [name for name in given if name not in robot.inputs]

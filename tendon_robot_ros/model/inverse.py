@@ -1,36 +1,94 @@
-"""The inverse: tensions for a target of the tip, within limits."""
+"""Targets for an arm that is driven by wire lengths: they hold no two wires tight."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from ..exceptions import InputError, NoEquilibriumError
+from ..common.errors import InputError, NoEquilibriumError
 from .inputs import finite
-from .inverse_pulls import aim_by_pulls
+from .pulls import pull_shape
 from .shape import Reach, Shape
 
 if TYPE_CHECKING:
-    from .model import Model
+    from .forward import ForwardModel
 
 Floats = npt.NDArray[np.float64]
+Aim = Callable[[Floats, Floats, Floats], tuple[float, Floats]]
+HELD_WITHIN_N = 1e-3  # [N] difference of tensions that counts as held
+SLACK_BELOW_N = 1e-6  # [N]
+
+
+def limits_by_pulls(model: ForwardModel) -> Floats:
+    """Return tension limits (m, 2) [N] of wires that may be slack."""
+    return model.limits * [0.0, 1.0]
+
+
+def aim_by_pulls(
+    model: ForwardModel, aim: Aim, inputs: Floats, bend: Floats
+) -> tuple[float, Floats]:
+    """
+    Improve inputs (m,) [N] in place among those that wire lengths can hold.
+
+    Wires of given lengths keep up no tension against each other: the arm takes that one of the
+    states with these lengths in which the loose wires are slack. So the wires that the lengths do
+    not hold are set slack, one after the other, and the others aim again.
+
+    Parameters
+    ----------
+    aim : callable
+        Inputs (m,) [N], bends (n, 2) [rad] and limits (m, 2) [N] to the cost [m²] and the bends.
+
+    Returns
+    -------
+    cost : float [m²]
+        Infinite where nothing was found that is held.
+    bends : (n, 2) [rad]
+
+    """
+    taut = inputs > model.limits[:, 0] + SLACK_BELOW_N
+    for _ in range(len(inputs)):
+        limits = limits_by_pulls(model) * taut[:, None]
+        np.clip(inputs, *limits.T, out=inputs)
+        cost, bends = aim(inputs, bend, limits)
+        if not np.isfinite(cost):
+            break
+        try:
+            there = model.shape(inputs, bends)
+            held = pull_shape(model, there.pulls, there)
+        except (NoEquilibriumError, InputError):
+            break
+        if np.allclose(held.inputs, inputs, rtol=0.0, atol=HELD_WITHIN_N):
+            return cost, bends
+        lost = taut & (held.inputs < inputs - HELD_WITHIN_N)
+        if not lost.any():
+            break
+        taut[np.argmin(np.where(lost, held.inputs, np.inf))] = False
+        inputs[:], bend = held.inputs, held.bend
+    return np.inf, bend
+
+
+# -----------------------------------------------------------------------------
+# The inverse: tensions for a target of the tip, within limits.
+
 POSITION_THRESHOLD = 1e-4  # [m]
 DIRECTION_THRESHOLD = np.deg2rad(0.2)  # [rad]
-FINE = 1e-12  # [m²] cost below which no further start is tried: 1 µm
-STARTS_BY_PULLS = 4  # each is several searches
-HARDLY, LITTLE = 1e-6, 1e-2  # [1] gain of a step: a search goes on, tracking has the next tick
-NEAR = 128  # shapes of the library among which starts are chosen
-PREFERENCE = 1e-6  # [m/N] how little low tension counts
-RELAXING = (1e-2, 1e-3, 1e-4, 1e-5)  # [m/N] how it counts on the way there
+COST_REACHED_M2 = 1e-12  # [m²] cost below which no further start is tried: 1 µm
+PULL_STARTS = 4  # each is several searches
+# [1] gain of a step: a search goes on, tracking has the next tick
+GAIN_MIN, TRACKING_GAIN_MIN = 1e-6, 1e-2
+LIBRARY_NEIGHBOURS = 128  # shapes of the library among which starts are chosen
+LOW_TENSION_WEIGHT = 1e-6  # [m/N] how little low tension counts
+RELAXING_WEIGHTS = (1e-2, 1e-3, 1e-4, 1e-5)  # [m/N] how it counts on the way there
 
 
 def reach(
-    model: Model,
+    model: ForwardModel,
     position: npt.ArrayLike | None = None,
     direction: npt.ArrayLike | None = None,
     *,
@@ -40,6 +98,7 @@ def reach(
     starts: int = 24,
     by_pulls: bool = False,
     relax: bool = False,
+    give_up: Callable[[], bool] = lambda: False,
 ) -> Reach:
     """
     Find tensions within the limits that bring the tip to a target.
@@ -60,6 +119,8 @@ def reach(
         Only tensions that wire lengths can hold (see `inverse_pulls`); the lower limit is 0.
     relax : bool
         With a guess, too, go on from a solution to one of low tension, as a cold search does.
+    give_up : callable
+        Asked between starts; once it says True the best found so far is returned.
 
     Raises
     ------
@@ -69,43 +130,43 @@ def reach(
     """
     target = _target(model, position, direction, position_weight, direction_weight)
     best: tuple[float, Floats, Floats] | None = None
-    enough = HARDLY if guess is None else LITTLE
-    starts = min(starts, STARTS_BY_PULLS) if by_pulls else starts
+    enough = GAIN_MIN if guess is None else TRACKING_GAIN_MIN
+    starts = min(starts, PULL_STARTS) if by_pulls else starts
     for inputs, bend in _starts(model, target, guess, starts):
         aim = partial(_aim, model, target, enough)
         if by_pulls:
             cost, bends = aim_by_pulls(model, aim, inputs, bend)
         else:
             cost, bends = aim(inputs, bend, model.limits)
-        enough = HARDLY
+        enough = GAIN_MIN
         if best is None or cost < best[0]:
             best = (cost, inputs, bends)
-        if cost - _preferred(model, inputs) < FINE:
+        if cost - _preferred(model, inputs) < COST_REACHED_M2 or give_up():
             break
     assert best is not None
     if not np.isfinite(best[0]):
         raise NoEquilibriumError('any start of the search', model.implicit_effects, np.inf)
-    if (relax or guess is None) and not by_pulls:
+    if (relax or guess is None) and not by_pulls and not give_up():
         best = _relaxed(model, target, *best)
-    return _judge(model, target, *best)
+    return _judge(model, target, *best, in_time=not give_up())
 
 
 def _relaxed(
-    model: Model, target: Floats, cost: float, inputs: Floats, bend: Floats
+    model: ForwardModel, target: Floats, cost: float, inputs: Floats, bend: Floats
 ) -> tuple[float, Floats, Floats]:
     """Move from a solution along those that meet the target to one of low tension."""
-    if cost - _preferred(model, inputs) > FINE:
+    if cost - _preferred(model, inputs) > COST_REACHED_M2:
         return cost, inputs, bend
     less, bends = inputs.copy(), bend
-    for preference in (*RELAXING, PREFERENCE):
-        new, bends = _aim(model, target, HARDLY, less, bends, model.limits, preference)
-    if new < cost and new - _preferred(model, less) < FINE:
+    for preference in (*RELAXING_WEIGHTS, LOW_TENSION_WEIGHT):
+        new, bends = _aim(model, target, GAIN_MIN, less, bends, model.limits, preference)
+    if new < cost and new - _preferred(model, less) < COST_REACHED_M2:
         return new, less, bends
     return cost, inputs, bend
 
 
 def _target(
-    model: Model,
+    model: ForwardModel,
     position: npt.ArrayLike | None,
     direction: npt.ArrayLike | None,
     position_weight: float,
@@ -127,21 +188,21 @@ def _target(
 
 
 def _starts(
-    model: Model, target: Floats, guess: Shape | None, count: int
+    model: ForwardModel, target: Floats, guess: Shape | None, count: int
 ) -> Iterator[tuple[Floats, Floats]]:
     """
     Yield tensions and bends to start from; made only when needed.
 
-    The guess, then the shape of the library whose tip is nearest, then, of the nearest `NEAR`, the
-    one whose tensions are furthest from those tried: the same tip is often met with much tension
-    against much tension, and from little there is no way down to it.
+    The guess, then the shape of the library whose tip is nearest, then, of the nearest
+    `LIBRARY_NEIGHBOURS`, the one whose tensions are furthest from those tried: the same tip is
+    often met with much tension against much tension, and from little there is no way down to it.
     """
     if guess is not None:
         yield np.clip(guess.inputs, *model.limits.T), guess.bend
     library = model.library
     tips = np.concatenate([library.tip_position, library.tip_direction], axis=1)
     miss = np.repeat(target[6:], 3) * (tips - target[:6])
-    near = np.argsort((miss * miss).sum(axis=1))[:NEAR]
+    near = np.argsort((miss * miss).sum(axis=1))[:LIBRARY_NEIGHBOURS]
     places = library.inputs[near] / model.limits[:, 1]
     away, row = np.full(len(near), np.inf), 0
     for _ in range(min(count, len(near))):
@@ -150,19 +211,19 @@ def _starts(
         row = int(np.argmax(away))
 
 
-def _preferred(model: Model, inputs: Floats) -> float:
+def _preferred(model: ForwardModel, inputs: Floats) -> float:
     """Share of the cost [m²] that only says how much tension there is."""
-    return float(0.5 * ((PREFERENCE * (inputs - model.limits[:, 0])) ** 2).sum())
+    return float(0.5 * ((LOW_TENSION_WEIGHT * (inputs - model.limits[:, 0])) ** 2).sum())
 
 
 def _aim(
-    model: Model,
+    model: ForwardModel,
     target: Floats,
     enough: float,
     inputs: Floats,
     bend: Floats,
     limits: Floats,
-    preference: float = PREFERENCE,
+    preference: float = LOW_TENSION_WEIGHT,
 ) -> tuple[float, Floats]:
     """
     Improve inputs in place; return the cost [m²] and the bends of the equilibrium.
@@ -195,7 +256,9 @@ def _errors(shape: Shape, target: Floats) -> tuple[float, float]:
     return position, math.atan2(across, ax * bx + ay * by + az * bz)
 
 
-def _judge(model: Model, target: Floats, cost: float, inputs: Floats, bend: Floats) -> Reach:
+def _judge(
+    model: ForwardModel, target: Floats, cost: float, inputs: Floats, bend: Floats, in_time: bool
+) -> Reach:
     shape = model.shape(inputs, bend)
     position, direction = _errors(shape, target)
     top = model.limits[:, 1]
@@ -206,17 +269,16 @@ def _judge(model: Model, target: Floats, cost: float, inputs: Floats, bend: Floa
     )
     status = 'reached'
     if position > POSITION_THRESHOLD or direction > DIRECTION_THRESHOLD:
-        status = (
-            'at_limit' if at_limit and _limits_bind(model, target, inputs, bend) else 'nearest'
-        )
+        bind = at_limit and in_time and _limits_bind(model, target, inputs, bend)
+        status = 'at_limit' if bind else 'nearest'
     return Reach(shape, position, direction, status, at_limit)
 
 
-def _limits_bind(model: Model, target: Floats, inputs: Floats, bend: Floats) -> bool:
+def _limits_bind(model: ForwardModel, target: Floats, inputs: Floats, bend: Floats) -> bool:
     """Tell whether the target would be reached with three times the tension."""
     wide = model.limits * [1.0, 3.0]
     more = inputs.copy()
-    cost, bends = _aim(model, target, LITTLE, more, bend, wide)
+    cost, bends = _aim(model, target, TRACKING_GAIN_MIN, more, bend, wide)
     if not np.isfinite(cost):
         return False
     try:

@@ -8,22 +8,23 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from ..exceptions import InputError, NoEquilibriumError
-from .inputs import Given, wire_pulls
+from ..common.errors import InputError, NoEquilibriumError
+from .inputs import TensionsLike, wire_pulls
 
 if TYPE_CHECKING:
-    from .model import Model
+    from .forward import ForwardModel
     from .shape import Shape, ShapeBatch
 
 Floats = npt.NDArray[np.float64]
-SETTLED = 1e-8  # [m] gap at which a search ends
-LOOSE = 0.1  # [N] that the stretched wires may be off
-NEAR = 5e-6  # [m] gap that is no reason to refuse: friction near standstill turns within 2e-6
-SPRINGS = (1e-1, 1e-2, 1e-3, 1e-4)  # stretch of the wires, over the arm's compliance
-MOST, FEW = 20, 6  # steps of a search; of one that begins near
+GAP_CLOSED_M = 1e-8  # [m] gap at which a search ends
+STRETCH_OFF_N = 0.1  # [N] that the stretched wires may be off
+# [m] gap that is no reason to refuse: friction near standstill turns within 2e-6
+GAP_ACCEPTED_M = 5e-6
+SPRING_COMPLIANCES = (1e-1, 1e-2, 1e-3, 1e-4)  # stretch of the wires, over the arm's compliance
+SEARCH_STEPS_MAX, NEAR_SEARCH_STEPS_MAX = 20, 6  # steps of a search; of one that begins near
 
 
-def pull_shape(model: Model, pulls: Given, guess: Shape | None = None) -> Shape:
+def pull_shape(model: ForwardModel, pulls: TensionsLike, guess: Shape | None = None) -> Shape:
     """
     Return the shape whose wire pulls are met by tensions >= 0.
 
@@ -44,7 +45,7 @@ def pull_shape(model: Model, pulls: Given, guess: Shape | None = None) -> Shape:
 
 
 def pull_shapes(
-    model: Model,
+    model: ForwardModel,
     pulls: Floats,
     tensions: Floats | None = None,
     bends: Floats | None = None,
@@ -83,7 +84,7 @@ def pull_shapes(
 
 
 def _tensions(
-    model: Model, target: Floats, start: tuple[Floats, Floats] | None, past: Floats
+    model: ForwardModel, target: Floats, start: tuple[Floats, Floats] | None, past: Floats
 ) -> tuple[Floats, Floats]:
     """
     Find tensions (m,) [N] and bends (n, 2) [rad] that meet wire pulls (m,) [m].
@@ -97,12 +98,12 @@ def _tensions(
         given = (model.arrays.address, inputs, target, bends, past, model.scratch)
         if not _settles(model, begin, given):
             continue
-        left = float(model.arrays.part('pulls').pulled(*given, MOST))
+        left = float(model.arrays.part('pulls').solve_stiff_wires(*given, SEARCH_STEPS_MAX))
         if left < gap:
             gap, best = left, (inputs, bends[0])
         if gap < begin.enough:
             return best
-    if gap > NEAR:
+    if gap > GAP_ACCEPTED_M:
         _refuse(model, target, gap)
     return best
 
@@ -113,40 +114,44 @@ class _Beginning:
 
     tensions: Floats
     bend: Floats
-    springs: tuple[float, ...] = SPRINGS
-    steps: int = MOST
-    enough: float = SETTLED  # [m]
+    springs: tuple[float, ...] = SPRING_COMPLIANCES
+    steps: int = SEARCH_STEPS_MAX
+    enough: float = GAP_CLOSED_M  # [m]
 
 
 def _beginnings(
-    model: Model, target: Floats, start: tuple[Floats, Floats] | None
+    model: ForwardModel, target: Floats, start: tuple[Floats, Floats] | None
 ) -> list[_Beginning]:
     """List what is tried: from near, from straight, and at last for wires that do not stretch."""
     straight = np.zeros((model.arrays.chain.n, 2))
     pulled, taut = (np.where(on, 0.1, 0.0) for on in (target > 0.0, ~np.isnan(target)))
-    near = [] if start is None else [_Beginning(*start, SPRINGS[-1:], FEW, NEAR)]
+    near = (
+        []
+        if start is None
+        else [_Beginning(*start, SPRING_COMPLIANCES[-1:], NEAR_SEARCH_STEPS_MAX, GAP_ACCEPTED_M)]
+    )
     through = [_Beginning(pulled, straight), _Beginning(taut, straight)]
     stiff = [_Beginning(pulled, straight, ()), _Beginning(3.0 * taut, straight, ())]
     return near + through + stiff
 
 
-def _settles(model: Model, begin: _Beginning, given: tuple[Any, ...]) -> bool:
+def _settles(model: ForwardModel, begin: _Beginning, given: tuple[Any, ...]) -> bool:
     """Take tensions and bends in place through the springs; tell whether each one held."""
     for share in begin.springs:
         stretch = share * _compliance(model)
-        gap = model.arrays.part('springs').stretched(*given, stretch, begin.steps)
-        if not gap < LOOSE * stretch:
+        gap = model.arrays.part('springs').solve_elastic_wires(*given, stretch, begin.steps)
+        if not gap < STRETCH_OFF_N * stretch:
             return False  # stiffer wires will do no better
     return True
 
 
-def _compliance(model: Model) -> float:
+def _compliance(model: ForwardModel) -> float:
     """Wire pull per tension [m/N] of the tendon that bends the arm most, in PCCA."""
     cells, offset = model.arrays.cells, model.arrays.offset
     return float(((offset**2).sum(axis=2) / cells[:, 1:2]).sum(axis=0).max())
 
 
-def _refuse(model: Model, target: Floats, gap: float) -> NoReturn:
+def _refuse(model: ForwardModel, target: Floats, gap: float) -> NoReturn:
     if not np.isfinite(gap):
         raise NoEquilibriumError('these wire pulls', model.implicit_effects, gap)
     named = ', '.join(

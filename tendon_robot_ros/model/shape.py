@@ -1,14 +1,150 @@
-"""What the model returns: shapes, batches of shapes, and tension solutions."""
+"""Where the results of postures lie in the one array that the kernel fills."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from .form import Form
+from ..common.errors import InputError
+from ..common.rotations import bent
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ResultLayout:
+    """
+    Sizes of a robot's results: n cells, k tendons, m inputs.
+
+    A block of b postures holds one field after the other, each (b, ...), in the order of
+    `fields`, which is the kernel's (`postures`); that of a single posture also a friction memory.
+    """
+
+    n: int
+    k: int
+    m: int
+    memory: int  # floats that the friction memory takes
+    cell_length: Floats  # (n,) [m] at rest
+    hinge: npt.NDArray[np.bool_]  # (n,)
+
+    @cached_property
+    def fields(self) -> dict[str, tuple[int, ...]]:
+        """Name and shape of the fields of one posture."""
+        n, k, m = self.n, self.k, self.m
+        return {
+            'inputs': (m,),
+            'bend': (n, 2),
+            'tendon_tensions': (n, k),
+            'frames': (n, 3, 3),
+            'positions': (n, 3),
+            'tendon_pulls': (k,),
+            'pulls': (m,),
+            'change': (),
+        }
+
+    @cached_property
+    def starts(self) -> dict[str, int]:
+        """Floats of one posture that lie before each field."""
+        starts, size = {}, 0
+        for name, shape in self.fields.items():
+            starts[name] = size
+            size += math.prod(shape)
+        return starts
+
+    @cached_property
+    def size(self) -> int:
+        """Floats of one posture without the memory."""
+        return self.starts['change'] + 1
+
+    @cached_property
+    def one(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
+        """Where each field of a single posture lies, and its shape."""
+        return {
+            name: (slice(start, start + math.prod(self.fields[name])), self.fields[name])
+            for name, start in self.starts.items()
+        }
+
+    def rows(self, block: Floats, name: str, count: int) -> Floats:
+        """Field (count, ...) of a block of `count` postures."""
+        shape = self.fields[name]
+        start = self.starts[name] * count
+        return block[start : start + count * math.prod(shape)].reshape(count, *shape)
+
+
+# -----------------------------------------------------------------------------
+# Markers anywhere along the arm, with offsets.
+
+
+def place_markers(shapes: ShapeBatch, arc_length: Floats, offset: Floats) -> Floats:
+    """Positions (b, j, 3) [m] of markers; see `ShapeBatch.markers`."""
+    ends = np.cumsum(shapes.cell_length)
+    if np.any(arc_length > ends[-1] + 1e-9) or np.any(arc_length < 0.0):
+        raise InputError(
+            f'markers: expected arc lengths from 0 to {ends[-1]:g} m (the tip), '
+            f'got {arc_length.max():g} m'
+        )
+    cells = np.minimum(np.searchsorted(ends + 1e-9, arc_length), len(ends) - 1)
+    into = arc_length - (ends - shapes.cell_length)[cells]
+    share = np.clip(into / shapes.cell_length[cells], 0.0, 1.0)
+    at_end = np.abs(share - 1.0) * shapes.cell_length[cells] < 1e-9
+    if at_end.all():
+        frames, points = shapes.frames[:, cells], shapes.positions[:, cells]
+    else:
+        frames, points = _inside(shapes, cells, share)
+    placed: Floats = points + np.einsum('bjrc,jc->bjr', frames, offset)
+    return placed
+
+
+def _inside(
+    shapes: ShapeBatch, cells: npt.NDArray[np.intp], share: Floats
+) -> tuple[Floats, Floats]:
+    """Frames (b, j, 3, 3) and points (b, j, 3) at a share of the way through cells."""
+    base = np.broadcast_to(np.eye(3), (len(shapes), 1, 3, 3))
+    frames = np.concatenate([base, shapes.frames], axis=1)[:, cells]
+    points = np.concatenate([np.zeros((len(shapes), 1, 3)), shapes.positions], axis=1)
+    step = np.linalg.norm(np.diff(points, axis=1), axis=2)[:, cells]
+    points = points[:, cells]
+    bend = shapes.bend[:, cells]
+    angle = np.linalg.norm(bend, axis=2)
+    toward = np.where(
+        angle[..., None] > 1e-300, bend / np.maximum(angle, 1e-300)[..., None], [1.0, 0.0]
+    )
+    hinge = shapes.hinge[cells]
+    after = share > 0.5
+    turned = angle * np.where(hinge, after, share)
+    # the cell's own length now (it may be compressed): chord / chord of a unit cell
+    unit = np.where(hinge, np.cos(0.5 * angle), np.sinc(0.5 * angle / np.pi))
+    length = step / np.maximum(unit, 1e-12)
+    across, along = _point(turned, angle, share, hinge, length)
+    local = np.concatenate([toward * across[..., None], along[..., None]], axis=2)
+    return (frames @ bent(toward, turned), points + np.einsum('bjrc,bjc->bjr', frames, local))
+
+
+def _point(
+    turned: Floats, angle: Floats, share: Floats, hinge: npt.NDArray[np.bool_], length: Floats
+) -> tuple[Floats, Floats]:
+    """Point inside a cell: (towards the bend, along z) [m]."""
+    half = np.sinc(0.5 * turned / np.pi)
+    arc_across = length * share * half * np.sin(0.5 * turned)
+    arc_along = length * share * half * np.cos(0.5 * turned)
+    beyond = length * np.maximum(share - 0.5, 0.0)
+    hinge_along = length * np.minimum(share, 0.5) + beyond * np.cos(angle)
+    return (
+        np.where(hinge, beyond * np.sin(angle), arc_across),
+        np.where(hinge, hinge_along, arc_along),
+    )
+
+
+# -----------------------------------------------------------------------------
+# What the model returns: shapes, batches of shapes, and tension solutions.
 
 FIELDS = (
     'inputs',
@@ -19,7 +155,6 @@ FIELDS = (
     'tendon_pulls',
     'pulls',
 )
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -39,6 +174,10 @@ class ShapeBatch:
     def __len__(self) -> int:
         """Count the postures."""
         return len(self.inputs)
+
+    def __repr__(self) -> str:
+        """Say how many postures of how many cells."""
+        return f'<ShapeBatch: {len(self)} postures of {len(self.cell_length)} cells>'
 
     @property
     def tip_position(self) -> Floats:
@@ -73,17 +212,39 @@ class ShapeBatch:
             A marker lies beyond the tip.
 
         """
-        from .markers import place_markers
-
         return place_markers(self, np.asarray(arc_length, float), np.asarray(offset, float))
 
 
 class Shape:
     """One posture: the fields of `ShapeBatch` without the first axis."""
 
-    def __init__(self, form: Form, block: Floats) -> None:
+    def __init__(self, form: ResultLayout, block: Floats) -> None:
         """Take a block that the kernel filled; its fields are made when they are asked for."""
         self.form, self.block = form, block
+
+    def __repr__(self) -> str:
+        """Say tensions and tip."""
+        return f'<Shape: tensions [{_numbers(self.inputs)}] N, {_tip_text(self)}>'
+
+    def plot(self, axes: Axes | None = None, **style: Any) -> Axes:
+        """
+        Draw the arm [mm] with matplotlib: in the x-z plane, or in space where it leaves it.
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+            To draw another arm into the same picture; in space it must be three-dimensional.
+        **style
+            Of the line, as for `Axes.plot`.
+
+        Returns
+        -------
+        Axes
+
+        """
+        from .plot import plot_arms
+
+        return plot_arms(self.positions[None], axes, **style)
 
     def _field(self, name: str) -> Floats:
         where, shape = self.form.one[name]
@@ -166,6 +327,15 @@ class Reach:
     status: str  # 'reached', 'nearest' or 'at_limit'
     at_limit: tuple[str, ...]  # inputs at their upper limit
 
+    def __repr__(self) -> str:
+        """Say how near it came, and with what."""
+        limits = f', at its limit: {", ".join(self.at_limit)}' if self.at_limit else ''
+        return (
+            f'<Reach: {self.status}, {1e3 * self.position_error:.3g} mm and '
+            f'{math.degrees(self.direction_error):.3g}° from the target{limits}; '
+            f'tensions [{_numbers(self.tensions)}] N, {_tip_text(self.shape)}>'
+        )
+
     @property
     def tensions(self) -> Floats:
         """Input tensions (m,) [N]."""
@@ -175,3 +345,14 @@ class Reach:
     def pulls(self) -> Floats:
         """Wire pulls (m,) [m] of that equilibrium."""
         return self.shape.pulls
+
+
+def _numbers(values: Floats) -> str:
+    return ', '.join(f'{value:.3g}' for value in values)
+
+
+def _tip_text(shape: Shape) -> str:
+    return (
+        f'tip at ({_numbers(1e3 * shape.tip_position)}) mm towards '
+        f'({_numbers(shape.tip_direction)})'
+    )

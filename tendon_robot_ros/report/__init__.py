@@ -1,1 +1,17 @@
-"""Tables, pictures and pages that people read."""
+"""
+Tables, pictures and pages that people read.
+
+page.py               a page that opens without a network; page.css and page.js are in it
+numbers.py            fitted values and arrays as people and figures need them
+comparison_text.py    a comparison in words; comparison_page.py is its page
+diagnosis_text.py     a diagnosis in words, and how far to trust it
+arm_text.py           an arm as it is built, and left-out readings, in words
+diagnosis_page.py     the page of a diagnosis, with pictures
+addition_text.py      what was added, in words
+error_plots.py        errors per cell, posture and angle; heat maps and moments
+shape_plots.py        shapes, measured and predicted
+path_run.py           what was reached against what was asked
+paper_page.py         the page of the paper's experiments
+workspace_page.py     the page of a workspace
+robot_picture.py      a picture of a robot
+"""

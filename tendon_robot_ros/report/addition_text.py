@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from ..analysis.origin import Addition
-from ..analysis.staircase import Errors
-from .quantities import quantities
-from .words import columns, digits, mm
+from ..common.words import columns, digits, mm
+from ..diagnosis.add import Addition
+from ..diagnosis.staircase import Errors
+from .numbers import quantities
 
 
-def lines(made: Addition) -> list[str]:
+def addition_lines(made: Addition) -> list[str]:
     """Return values, staircase, tolerances and warnings."""
     said = [f'{name}: {quantities(values)}' for name, values in made.values.items()]
     said.append(staircase(made))

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..analysis.comparison import Comparison, ModelErrors
+from ..common.words import capital, mm
+from ..comparison.result import Comparison, ModelErrors
 from . import comparison_text as say
 from .error_plots import Step, angles, per_marker, per_posture, staircase, tip_boxes
 from .page import Page
 from .shape_plots import chosen_postures, shape_figures, shape_key
-from .words import capital, mm
 
-SHOWN = 4  # postures whose angular displacements are drawn
+POSTURES_WITH_ANGLES = 4  # postures whose angular displacements are drawn
 
 
 def write_comparison(comparison: Comparison, path: str | Path) -> Path:
@@ -33,7 +33,7 @@ def comparison_page(comparison: Comparison) -> Page:
 def add_verdict(page: Page, comparison: Comparison) -> None:
     """Add the verdict, the table of models and the tests between them."""
     floor = comparison.noise_floor
-    good = floor is not None and comparison.best.rms < say.GOOD * floor
+    good = floor is not None and comparison.best.rms < say.GOOD_WITHIN_FLOORS * floor
     worst = f'Worst is {say.worst(comparison, comparison.best)}'
     lines = [say.verdict(comparison), worst, say.next_step(comparison)]
     page.box(filter(None, lines), 'verdict good' if good else 'verdict')
@@ -98,7 +98,7 @@ def add_angles(page: Page, comparison: Comparison) -> None:
         )
         return
     errors = comparison.best.per_posture_rms
-    worst = sorted(chosen_postures(comparison), key=lambda p: -errors[p])[:SHOWN]
+    worst = sorted(chosen_postures(comparison), key=lambda p: -errors[p])[:POSTURES_WITH_ANGLES]
     page.text(
         'The turn from each chord between markers to the next, '
         + ('in the postures that are predicted worst.' if len(worst) > 1 else 'in this posture.')

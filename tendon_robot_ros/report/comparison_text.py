@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..analysis.comparison import Comparison, ModelErrors
-from ..analysis.statistics import Estimate, PairedT
-from .words import PROGRAM, columns, commands, digits, mm, probability, times
+from ..common.words import PROGRAM, columns, commands, digits, mm, probability, times
+from ..comparison.result import Comparison, ModelErrors
+from ..comparison.statistics import Estimate, PairedT
 
-GOOD = 1.3  # times the noise floor: as good as the measurements can tell
+GOOD_WITHIN_FLOORS = 1.3  # times the noise floor: as good as the measurements can tell
 
 
 def table(comparison: Comparison) -> str:
@@ -109,7 +109,7 @@ def verdict(comparison: Comparison) -> str:
             'or write position_noise into dataset.yaml.'
         )
     ratio = best.rms / floor
-    if ratio < GOOD:
+    if ratio < GOOD_WITHIN_FLOORS:
         return (
             f'{who} is as good as your measurements can tell: its error is {digits(ratio, 2)} '
             'times your repeatability.'
@@ -120,7 +120,7 @@ def verdict(comparison: Comparison) -> str:
 def next_step(comparison: Comparison) -> str:
     """Say what to type next; empty when nothing is to be explained."""
     floor = comparison.noise_floor
-    if floor is not None and comparison.best.rms < GOOD * floor:
+    if floor is not None and comparison.best.rms < GOOD_WITHIN_FLOORS * floor:
         return ''
     return f'Ask why: `{PROGRAM} diagnose {comparison.measured.data}`'
 

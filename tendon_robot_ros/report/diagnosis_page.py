@@ -1,21 +1,98 @@
-"""The page of a diagnosis: verdict first, then what to do, then the evidence."""
+"""What the pictures of a diagnosis show: the model before and after, and what it lacks where."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
-from ..analysis.origin import Addition
-from ..analysis.result import CandidateRow, Diagnosis
-from ..analysis.staircase import Errors
-from . import addition_text, diagnosis_text, trust_text
+from ..common.errors import NoEquilibriumError
+from ..common.words import PROGRAM, capital, listed, mm, probability
+from ..comparison.compare import compare
+from ..comparison.result import Comparison
+from ..data import DataSet
+from ..diagnosis.add import Addition
+from ..diagnosis.missing_moment import MissingMoment, missing_moment
+from ..diagnosis.result import CandidateRow, Diagnosis
+from ..diagnosis.staircase import Errors
+from ..effects import Catalogue, load_catalogue
+from ..robot import Robot
+from ..robot.description import EffectValues
+from . import addition_text, diagnosis_text
 from .comparison_page import add_shapes
-from .diagnosis_pictures import Pictures
-from .diagnosis_plots import heat_maps, moments
-from .error_plots import Step, per_marker, per_posture, staircase
-from .next_text import next_measurement
+from .diagnosis_text import next_measurement, trust_lines
+from .error_plots import Step, heat_maps, moments, per_marker, per_posture, staircase
+from .numbers import quantities
 from .page import Page
-from .quantities import quantities
-from .words import PROGRAM, capital, listed, mm, probability
+
+BEFORE = 'as described'
+
+
+@dataclass(frozen=True, eq=False)
+class Pictures:
+    """Measurements against the description before and, where something is to add, after."""
+
+    comparison: Comparison
+    before: MissingMoment | None
+    after: MissingMoment | None
+
+
+def pictures_of(
+    found: Diagnosis,
+    dataset: DataSet,
+    catalogue: Catalogue | None = None,
+    changed: Robot | None = None,
+) -> Pictures | None:
+    """
+    Compute the pictures of a diagnosis.
+
+    Parameters
+    ----------
+    found : Diagnosis
+    dataset : DataSet
+        With the description that was judged.
+    catalogue : Catalogue, optional
+    changed : Robot, optional
+        The description with what was added; default: with the values that were found.
+
+    Returns
+    -------
+    Pictures, or None where the description has no equilibrium in a posture.
+
+    """
+    catalogue = catalogue or load_catalogue()
+    robot = dataset.robot
+    models = [(BEFORE, robot)]
+    if found.effects:
+        after = changed or with_effects(found, robot)
+        models.append((f'with {" and ".join(effect.name for effect in found.effects)}', after))
+    try:
+        comparison = compare(dataset, models, catalogue)
+    except NoEquilibriumError:
+        return None
+    lacks = [missing_moment(dataset, one, comparison.measured, catalogue) for _, one in models]
+    return Pictures(comparison, lacks[0], lacks[1] if len(lacks) > 1 else None)
+
+
+def with_effects(found: Diagnosis, robot: Robot) -> Robot:
+    """Return a description with the effects at the values that were found."""
+    for effect in found.effects:
+        values: EffectValues = dict(robot.effects.get(effect.name, {}))
+        sections = [section.name for section in robot.sections]
+        for key, value in effect.parameters.items():
+            name, _, section = key.partition('[')
+            if not section:
+                values[name] = value.value
+                continue
+            old = values.get(name, 0.0)
+            each = list(old) if isinstance(old, tuple) else [old] * len(sections)
+            each[sections.index(section.removesuffix(']'))] = value.value
+            values[name] = tuple(each)
+        robot = robot.with_effect(effect.name, values)
+    return robot
+
+
+# -----------------------------------------------------------------------------
+# The page of a diagnosis: verdict first, then what to do, then the evidence.
 
 KINDS = {
     'adequate': 'good',
@@ -181,7 +258,7 @@ def add_pictures(page: Page, pictures: Pictures) -> None:
 
 def add_assumptions(page: Page, found: Diagnosis) -> None:
     """Add what was taken as exact, and how far to trust the procedure."""
-    said = [*diagnosis_text.declared(found), *trust_text.lines(found)]
+    said = [*diagnosis_text.declared(found), *trust_lines(found)]
     if said:
         page.heading('What this rests on')
         page.text(*map(capital, said))

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from ..analysis.result import Diagnosis, EffectFinding
-from .next_text import next_measurement
-from .quantities import described_quantity, quantities, short_quantities
-from .words import digits, listed, mm
+from ..common.words import commands, digits, listed, mm
+from ..diagnosis.result import Diagnosis, EffectFinding, NextMeasurement
+from .arm_text import as_built, left_out
+from .numbers import described_quantity, quantities, short_quantities
 
 UNIQUE = ('missing_effect', 'several', 'wrong_parameter')
 
 
 def lines(found: Diagnosis) -> list[str]:
     """Return all lines: what was taken as exact, the verdict, what is left, what else."""
-    said = [size(found), *declared(found), '', verdict(found)]
+    said = [size(found), *declared(found), *left_out(found), '', verdict(found)]
     if found.verdict == 'cannot_judge':
         return said
     said.append(found.remainder)
+    said += as_built(found)
     said += [line for line in (alike(found), untested(found), detectable(found)) if line]
     if found.next_measurement is not None:
         said.append(next_measurement(found))
@@ -46,11 +48,15 @@ def declared(found: Diagnosis) -> list[str]:
     if 'tolerances' not in details:
         return []
     said = [_tolerance(name, size) for name, size in details['tolerances'].items()]
-    first = (
-        f'declared tolerances (1 sd): {", ".join(said)}; everything else is taken as exact'
-        if said
-        else 'no tolerances declared: the description is taken as exact'
-    )
+    if details.get('exact', True):
+        first = (
+            f'declared tolerances (1 sd): {", ".join(said)}; everything else is taken as exact'
+            if said
+            else 'no tolerances declared: the description is taken as exact'
+        )
+    else:
+        first = 'the arm is taken as it is built: cells, tendons and tracker may be a little off'
+        first += f'; declared (1 sd): {", ".join(said)}' if said else ''
     noise = details['noise']
     if noise['source'] == 'trials':
         second = f'noise, from the trials: {mm(noise["position"], 2)} per coordinate'
@@ -66,9 +72,9 @@ def declared(found: Diagnosis) -> list[str]:
 
 
 def _tolerance(name: str, size: float) -> str:
-    if name == 'position':
+    if name in ('position', 'pull_zero'):
         return f'{name} {mm(size, 2)}'
-    if name == 'rotation':
+    if name in ('rotation', 'cell_kink'):
         return f'{name} {digits(np.degrees(size))}°'
     return f'{name} {digits(100.0 * size)} %'
 
@@ -177,6 +183,7 @@ def _outside(found: Diagnosis) -> str:
 
 def _rival(name: str) -> str:
     return {
+        'contact': 'a force somewhere along the arm',
         'soft_cell': 'a single soft cell',
         'taper': 'a stiffness that changes along the arm',
         'gain_per_posture': 'a factor of its own on the inputs of every posture',
@@ -245,3 +252,90 @@ def detectable(found: Diagnosis) -> str:
         for name, one in seen.items()
     ]
     return 'smallest size that would have been seen (four times in five): ' + ', '.join(parts)
+
+
+# -----------------------------------------------------------------------------
+# The next measurement in words.
+
+TRIALS = 5
+
+
+def next_measurement(found: Diagnosis) -> str:
+    """Say what to measure next, and what that will show."""
+    step = found.next_measurement
+    if step is None:
+        return ''
+    names = found.cannot_tell_apart
+    if step.difference < 2.0 * step.noise / np.sqrt(TRIALS):
+        return (
+            f'No posture within the limits separates {listed(names)}: they differ by '
+            f'{_small(step.difference)} at most, your noise is {mm(step.noise, 2)}. '
+            'Either describes this robot; measure the quantity itself to know which it is.'
+        )
+    kind = found.details.get('input', 'tension')
+    where = commands(dict(step.input), kind)
+    if step.gravity is not None:
+        down = ', '.join(digits(g, 3) for g in step.gravity)
+        where += f', with the base turned so that gravity is [{down}] m/s²'
+    if step.after is not None:
+        where += f', coming from {commands(dict(step.after), kind)}'
+    return f'Measure this next: {where}, {TRIALS} trials. {_predicted(step)}'
+
+
+def _small(metres: float) -> str:
+    return mm(metres, 2) if metres >= 1e-5 else 'less than 0.01 mm'
+
+
+def _predicted(step: NextMeasurement) -> str:
+    """Say which prediction stands apart from the others, and by how much."""
+    names, tips = list(step.predictions), np.array(list(step.predictions.values()))
+    end = f'your noise there is {mm(step.noise, 2)}.'
+    if len(names) < 2:
+        return f'The predictions differ by {mm(step.difference, 2)} at the tip; {end}'
+    apart = np.linalg.norm(tips[:, None] - tips[None, :], axis=2)
+    nearest = np.where(np.eye(len(names), dtype=bool), np.inf, apart).min(axis=1)
+    odd = int(np.argmax(nearest))
+    if len(names) == 2:
+        return f'{listed(names)} predict tips {mm(step.difference, 2)} apart; {end}'
+    if nearest[odd] < step.noise:
+        return f'The predictions differ by up to {mm(step.difference, 2)} at the tip; {end}'
+    return (
+        f'{names[odd]} predicts the tip at least {mm(float(nearest[odd]), 2)} from the '
+        f'others; {end}'
+    )
+
+
+# -----------------------------------------------------------------------------
+# How far to trust a diagnosis, in words.
+
+
+def trust_lines(found: Diagnosis) -> list[str]:
+    """Return what the bootstrap says; nothing where it was not asked for."""
+    trust = found.details.get('trust')
+    if not trust or not trust['runs']:
+        return []
+    low, high = 100.0 * trust['alarm_rate_low'], 100.0 * trust['alarm_rate_high']
+    said = [
+        f'With nothing missing, this procedure raises an alarm in '
+        f'{digits(100.0 * trust["alarm_rate"])} % of cases ({trust["runs"]} simulated on your '
+        f'postures; 95 %: {digits(low)} to {digits(high)} %).'
+    ]
+    sizes = [_sizes(name, sizes) for name, sizes in trust['detectable'].items()]
+    said.append('Smallest sizes that raise it four times in five: ' + '; '.join(sizes) + '.')
+    if trust['checked']:
+        share = 100.0 * trust['detected'] / trust['checked']
+        said.append(
+            f'Of {trust["checked"]} simulated robots with an effect of such a size, '
+            f'{share:.0f} % raised it.'
+        )
+    return said
+
+
+def _sizes(name: str, sizes: dict[str, Any]) -> str:
+    shown = [
+        f'{key} too small to see'
+        if one['size'] is None
+        else described_quantity(key, one['unit'], [one['size']], 2)
+        for key, one in sizes.items()
+    ]
+    return f'{name} {", ".join(shown)}'

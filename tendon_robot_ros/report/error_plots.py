@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis.comparison import Comparison
+from ..common.colours import BAND, DIVERGING, FLOOR, MEASURED, look
+from ..common.words import capital, mm
+from ..comparison.result import Comparison, Floats
+from ..diagnosis.missing_moment import MissingMoment
 from .comparison_text import posture_name
-from .numbers import degrees_list, mm_list
+from .numbers import degrees_list, mm_list, plain
 from .page import Figure
-from .palette import BAND, FLOOR, MEASURED, look
-from .words import capital, mm
 
-FEW = 6  # postures up to which each has its own boxes
-WIDE = 25.0  # times the noise floor from which errors need a logarithmic axis
+POSTURES_WITH_OWN_BOXES = 6  # postures up to which each has its own boxes
+LOG_AXIS_FROM_FLOORS = 25.0  # times the noise floor from which errors need a logarithmic axis
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,7 @@ def tip_boxes(comparison: Comparison) -> Figure:
     """Tip error over all trials, as figure 15: median, quartiles, data within 1.5 of them."""
     measured = comparison.measured
     seen = [p for p in range(len(measured.postures)) if measured.trials[p]]
-    apart = len(seen) <= FEW and len(comparison.models) > 1
+    apart = len(seen) <= POSTURES_WITH_OWN_BOXES and len(comparison.models) > 1
     data: list[dict[str, Any]] = []
     for i, model in enumerate(comparison.models):
         values = model.tip_errors[seen]
@@ -217,7 +218,9 @@ def _colour(step: Step) -> str:
 def _error_axis(comparison: Comparison, title: str) -> dict[str, Any]:
     """Return the axis of errors: logarithmic where the noise would else lie on the zero line."""
     floor = comparison.noise_floor
-    wide = floor and max(model.tip_rms for model in comparison.models) > WIDE * floor
+    wide = (
+        floor and max(model.tip_rms for model in comparison.models) > LOG_AXIS_FROM_FLOORS * floor
+    )
     kind = {'type': 'log', 'dtick': 1, 'minor': {'showgrid': True, 'gridcolor': '#f0f2f4'}}
     return {'title': {'text': title}, **(kind if wide else {'rangemode': 'tozero'})}
 
@@ -233,3 +236,86 @@ def places(comparison: Comparison) -> list[float | None]:
 def place_title(comparison: Comparison) -> str:
     """Name the axis along the arm."""
     return 'cell' if comparison.measured.per_cell else 'distance from the base along the arm [mm]'
+
+
+# -----------------------------------------------------------------------------
+# Figures of a diagnosis: where the model is off, signed; and the moment that it lacks.
+
+COLOURS_END_AT_SD = 30.0  # [noise sd] at which colours end
+CAPTIONS = {
+    'total tension [N]': 'A straight line through zero is friction in the hinges.',
+    'tension difference [N]': 'A line through zero: tension or moment arm are not as described.',
+    'bend of a cell, model [°]': 'A line through zero: the stiffness is not as described.',
+    'distance to the tip [mm]': 'Larger towards the base in every posture: a load at the tip.',
+}
+
+
+def heat_maps(comparison: Comparison, before: MissingMoment, after: MissingMoment | None) -> (
+        list[Figure]):  # fmt: skip
+    """Return signed deviations, marker by posture, before and after, in the same colours."""
+    largest = float(np.clip(np.nanmax(np.abs(before.deviation)), 4.0, COLOURS_END_AT_SD))
+    names = [model.name for model in comparison.models]
+    lacks = [one for one in (before, after) if one is not None]
+    return [_heat(comparison, one.deviation, largest, name)
+            for one, name in zip(lacks, names, strict=False)]  # fmt: skip
+
+
+def _heat(comparison: Comparison, values: Floats, largest: float, name: str) -> Figure:
+    measured = comparison.measured
+    rows = [p for p in range(len(measured.postures)) if measured.trials[p]]
+    data: list[dict[str, Any]] = [
+        {
+            'type': 'heatmap',
+            'x': places(comparison),
+            'y': [escape(measured.postures[p]) for p in rows],
+            'z': [plain(values[p], places=2) for p in rows],
+            'zmin': -largest,
+            'zmax': largest,
+            'colorscale': DIVERGING,
+            'colorbar': {'title': {'text': 'noise sd', 'side': 'right'}, 'thickness': 12},
+            'hovertemplate': '%{x}, posture %{y}: %{z:.1f} sd<extra></extra>',
+        }
+    ]
+    layout = {
+        'xaxis': {'title': {'text': place_title(comparison)}},
+        'yaxis': {'title': {'text': 'posture'}, 'type': 'category', 'autorange': 'reversed'},
+        'margin': {'l': 56, 'r': 8, 't': 8, 'b': 44},
+    }
+    height = int(np.clip(150 + 18 * len(rows), 260, 560))
+    return Figure(data, layout, f'Deviation, {name}', '', height)
+
+
+def moments(lacks: MissingMoment) -> list[Figure]:
+    """Return the missing moment against four causes that it may follow."""
+    bend = np.degrees(lacks.model_bend)
+    causes = (lacks.total_tension, lacks.tension_difference, bend, 1e3 * lacks.lever)
+    return [
+        _moments(lacks, cause, title, caption)
+        for cause, (title, caption) in zip(causes, CAPTIONS.items(), strict=True)
+    ]
+
+
+def _moments(lacks: MissingMoment, cause: Floats, title: str, caption: str) -> Figure:
+    data: list[dict[str, Any]] = []
+    for b, name in enumerate(lacks.blocks):
+        style = look(b)
+        data.append(
+            {
+                'x': plain(cause[:, b]),
+                'y': plain(lacks.moment[:, b], 1e3),
+                'error_y': {
+                    'type': 'data',
+                    'array': plain(1.96 * lacks.moment_sd[:, b], 1e3),
+                    'thickness': 1,
+                    'width': 0,
+                },
+                'name': escape(name),
+                'mode': 'markers',
+                'marker': {'color': style.colour, 'symbol': style.symbol, 'size': 8},
+            }
+        )
+    layout = {
+        'xaxis': {'title': {'text': title}, 'rangemode': 'tozero'},
+        'yaxis': {'title': {'text': 'missing moment [mN·m]'}, 'zeroline': True},
+    }
+    return Figure(data, layout, '', caption)

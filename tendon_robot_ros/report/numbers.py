@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 import numpy.typing as npt
+
+from ..common.words import PREFIXES, digits
+from ..diagnosis.result import Value
 
 
 def plain(values: npt.ArrayLike, scale: float = 1.0, places: int = 4) -> list[float | None]:
@@ -20,3 +26,87 @@ def mm_list(metres: npt.ArrayLike) -> list[float | None]:
 def degrees_list(radians: npt.ArrayLike) -> list[float | None]:
     """Return angles in degrees."""
     return plain(radians, 180.0 / np.pi)
+
+
+# -----------------------------------------------------------------------------
+# Fitted parameters as people read them: value ± half, in the unit that suits the size.
+
+MOST = 7  # places behind the point; what is smaller is shown with an exponent
+
+
+def scale_of(unit: str, size: float, name: str = '') -> tuple[float, str]:
+    """Return the factor and the unit in which a person reads values of a size."""
+    if unit.startswith('rad'):
+        return 180.0 / math.pi, '°' + unit.removeprefix('rad')
+    if unit == '1' and name.startswith('relative_change'):
+        return 100.0, '%'
+    if unit == 'kg/m' and size < 0.1:
+        return 1e3, 'g/m'
+    if unit in ('1', 'kg/m') or unit.startswith('1/'):
+        return 1.0, '' if unit == '1' else unit
+    scale, prefix = next(((s, p) for s, p in PREFIXES if size >= 0.1 * s), (1.0, ''))
+    return 1.0 / scale, prefix + unit
+
+
+def with_unit(number: str, unit: str) -> str:
+    """Join a number and its unit."""
+    return f'{number}{unit}' if not unit or unit.startswith('°') else f'{number} {unit}'
+
+
+def quantity(name: str, value: Value, size: float = 0.0) -> str:
+    """
+    Say 'lever = 0.158 ± 0.007 mm', or the ends of an interval that is not symmetric.
+
+    `size` [unit of the value] chooses the prefix together with the value.
+    """
+    number, down, up = value.value, value.value - value.low, value.high - value.value
+    half = 0.5 * (down + up)
+    factor, unit = scale_of(value.unit, max(abs(number), half, size), name)
+    note = f' ({value.note})' if value.note else ''
+    if not math.isfinite(half) or half <= 0.0:
+        return f'{name} = {with_unit(digits(factor * number, 3), unit)}{note}'
+    places = decimals(factor * half)
+    shown = rounded(factor * number, places)
+    if abs(up - down) <= 0.2 * half:
+        return f'{name} = {with_unit(f"{shown} ± {rounded(factor * half, places)}", unit)}{note}'
+    ends = f'{rounded(factor * value.low, places)} to {rounded(factor * value.high, places)}'
+    extra = f', {value.note}' if value.note else ''
+    return f'{name} = {with_unit(shown, unit)} (95 %: {ends}{extra})'
+
+
+def quantities(values: Mapping[str, Value]) -> str:
+    """Join the parameters of an effect."""
+    return ', '.join(quantity(name, v, _largest(values, v.unit)) for name, v in values.items())
+
+
+def short_quantities(values: Mapping[str, Value]) -> str:
+    """Join the parameters without their intervals: 'relative_change -8 %'."""
+    parts = []
+    for name, value in values.items():
+        factor, unit = scale_of(value.unit, _largest(values, value.unit), name)
+        places = decimals(0.2 * factor * max(_largest(values, value.unit), 1e-300))
+        parts.append(f'{name} {with_unit(rounded(factor * value.value, places), unit)}')
+    return ', '.join(parts)
+
+
+def described_quantity(name: str, unit: str, numbers: Sequence[float], count: int = 3) -> str:
+    """Say what a description holds: 'relative_change 5/10 %'."""
+    factor, shown = scale_of(unit, max(abs(number) for number in numbers), name)
+    return f'{name} {with_unit("/".join(digits(factor * n, count) for n in numbers), shown)}'
+
+
+def _largest(values: Mapping[str, Value], unit: str) -> float:
+    return max(abs(value.value) for value in values.values() if value.unit == unit)
+
+
+def decimals(half: float) -> int:
+    """Places behind the point that show a half width with one digit, two if it begins with 1."""
+    exponent = math.floor(math.log10(half))
+    leading = half / 10.0**exponent
+    return max((1 if leading < 2.0 else 0) - exponent, 0)
+
+
+def rounded(value: float, places: int) -> str:
+    """Show a number with so many places behind the point, never as -0 nor as a row of zeros."""
+    text = f'{value:.{places}f}' if places <= MOST else digits(value, 3)
+    return text.removeprefix('-') if float(text) == 0.0 else text

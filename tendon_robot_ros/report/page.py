@@ -11,8 +11,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from ..data.atomic import new_file
-from ..exceptions import MissingExtraError
+from ..common.errors import MissingExtraError
+from ..common.files import new_file
 
 HERE = Path(__file__).parent
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif'

@@ -1,22 +1,161 @@
-"""The page that `paper` writes: every number and figure of section IV beside ours."""
+"""What the reproduction of the paper assumes, in words."""
 
 from __future__ import annotations
 
 from collections import Counter
+from html import escape
+from typing import Any
 
-from ..analysis.paper.displacement import DisplacementExperiment, Heights
-from ..analysis.paper.motion import VIEWS, Motion, Stiffening
-from ..analysis.paper.tension import TensionExperiment
-from ..analysis.paper.whole import Paper, Row
-from ..analysis.result import Diagnosis
+import numpy as np
+
+from ..common.colours import MEASURED, look
+from ..common.words import capital, commands, digits, listed, mm
+from ..comparison.result import Comparison
+from ..comparison.statistics import half_width
+from ..data import DataSet
+from ..diagnosis.result import Diagnosis
+from ..paper.displacement import DisplacementExperiment, Heights
+from ..paper.motion import VIEWS, MotionExperiment, Stiffening
+from ..paper.tension import TensionExperiment
+from ..paper.whole import Paper, Row
 from . import comparison_text as say
 from .error_plots import angles, tip_boxes
-from .page import Page
-from .paper_figures import arrangements, error_per_cell, posture
-from .paper_text import ASSUMED, SOURCE
-from .quantities import quantities
-from .words import capital, commands, digits, listed, mm
-from .workspace_figures import HEADER, rows, view_figures
+from .numbers import mm_list, plain, quantities
+from .page import Figure, Page
+from .workspace_page import HEADER, rows, view_figures
+
+SOURCE = (
+    'T. Kato, I. Okumura, S.-E. Song, A. J. Golby, N. Hata: Tendon-Driven Continuum Robot for '
+    'Endoscopic Surgery: Preclinical Development and Validation of a Tension Propagation Model, '
+    'IEEE/ASME Transactions on Mechatronics 20 (2015), doi 10.1109/TMECH.2014.2372635. "Trials" '
+    'on this page are simulated.'
+)
+ASSUMED = (
+    ['slip angles (IV.A, Table II)', 'drawn: SD 0.03, read to 0.1°',
+     'only mean and n are printed'],
+    ['wires of a group (Table I)', 'three at one place, arm 0.65 mm, 5 N each',
+     'gives the published 50 mm; others are shown'],
+    ['"180°" on a grid of 0.1 N', 'within ±2.5°', 'an exact 180° is hardly ever on the grid'],
+    ['inputs that are not pulled (IV.B)', '0.1 N', 'pretension, as published'],
+    ['arm of the 10:1 prototype (Table III)', '5.5 mm',
+     'FKM and PCCA then differ as IV.D requires'],
+    ['cells of the 10:1 prototype', '208 mm / 30, arcs', 'the FKM of the paper chains arcs'],
+    ['hinge friction', 'lever 0.40 mm, hidden in the simulated prototype',
+     'one number for all four errors of IV.D; the suspect of section V'],
+    ['wires and pulls of IV.C (Table IV)', 'opposite sides, no other wires; from the FKM',
+     'FKM and PCCA then differ as the published errors require'],
+    ['three tip heights', 'highest, median, lowest with taut wires and no S-shape',
+     'the tensions are not printed'],
+    ['scatter of the cells', '2° of every prototype, 1° from trial to trial',
+     '2° is published; what varies between trials is not'],
+    ['hand and camera', '0.1 mm of wire pull, 0.09 mm of position', 'caliper; a pixel'],
+    ['IV.D', 'tensions known to 5 %, 2 % and 1 mm from trial to trial, friction to 10 %, '
+     'stiffness to 5 %', 'weights behind pulleys; nothing is printed'],
+    ['2:1 prototype', 'one section of 60 mm, 30 cells, arm 1.3 mm', 'twice the target scale'],
+)  # fmt: skip
+
+
+# -----------------------------------------------------------------------------
+# Figures 12 to 14, 16 and 17 of Kato et al. 2015: postures with error bars, error per cell.
+
+
+def posture(comparison: Comparison, data: DataSet, p: int) -> Figure:
+    """Measured mean position of every cell with its interval, and what the models predict."""
+    traces: list[dict[str, Any]] = []
+    for i, model in enumerate(comparison.models):
+        points = np.concatenate([np.zeros((1, 3)), model.markers[p]])
+        traces.append(
+            {
+                'x': mm_list(points[:, 0]),
+                'y': mm_list(points[:, 2]),
+                'name': escape(model.name),
+                'mode': 'lines',
+                'line': {'color': look(i).colour, 'dash': look(i).dash, 'width': 2.5},
+            }
+        )
+    half = half_width(data.positions[p], comparison.error)
+    mean = comparison.measured.mean[p]
+    traces.append(
+        {
+            'x': mm_list(mean[:, 0]),
+            'y': mm_list(mean[:, 2]),
+            'error_x': _bars(half[:, 0]),
+            'error_y': _bars(half[:, 2]),
+            'name': f'trials, mean ± {_what(comparison)}',
+            'mode': 'markers',
+            'marker': {'color': MEASURED, 'size': 5},
+        }
+    )
+    layout = {
+        'xaxis': {'title': {'text': 'x [mm]'}},
+        'yaxis': {'title': {'text': 'z [mm]'}, 'scaleanchor': 'x'},
+    }
+    return Figure(traces, layout, capital(comparison.measured.postures[p]), '', height=430)
+
+
+def error_per_cell(comparison: Comparison, data: DataSet, p: int) -> Figure:
+    """Mean distance between trials and models, cell by cell, with its interval."""
+    traces: list[dict[str, Any]] = []
+    cells = plain(np.arange(1, data.positions.shape[2] + 1))
+    for i, model in enumerate(comparison.models):
+        errors = np.linalg.norm(data.positions[p] - model.markers[p], axis=2)
+        traces.append(
+            {
+                'x': cells,
+                'y': mm_list(np.nanmean(errors, axis=0)),
+                'error_y': _bars(half_width(errors, comparison.error)),
+                'name': escape(model.name),
+                'mode': 'lines+markers',
+                'line': {'color': look(i).colour, 'dash': look(i).dash, 'width': 1.5},
+                'marker': {'symbol': look(i).symbol, 'size': 8},
+            }
+        )
+    layout = {
+        'xaxis': {'title': {'text': 'cell'}},
+        'yaxis': {'title': {'text': f'position error ± {_what(comparison)} [mm]'},
+                  'rangemode': 'tozero'},
+    }  # fmt: skip
+    return Figure(traces, layout, f'{capital(comparison.measured.postures[p])}: error', '')
+
+
+def arrangements(motion: MotionExperiment, published: float) -> Figure:
+    """Range of the tips for every arrangement of the wires in a group, against 50 mm."""
+    names = [one.name.replace(', ', '<br>') for one in motion.arrangements]
+    across = np.array([one.across for one in motion.arrangements])
+    low = across - [one.low for one in motion.arrangements]
+    high = np.array([one.high for one in motion.arrangements]) - across
+    bar = {
+        'type': 'bar',
+        'x': names,
+        'y': mm_list(across),
+        'error_y': {**_bars(high), 'symmetric': False, 'arrayminus': mm_list(low)},
+        'marker': {'color': look(0).colour},
+        'name': 'ours; whisker: "180°" is ±1° to ±5°',
+    }
+    line = {
+        'x': names,
+        'y': mm_list([published] * len(names)),
+        'mode': 'lines',
+        'line': {'color': look(1).colour, 'dash': 'dash'},
+        'name': 'published: 50 mm',
+    }
+    layout = {
+        'xaxis': {'type': 'category', 'tickangle': 0, 'tickfont': {'size': 11}},
+        'yaxis': {'title': {'text': 'tip positions, across [mm]'}, 'rangemode': 'tozero'},
+    }
+    return Figure([bar, line], layout, 'Three wires in a group', '')
+
+
+def _bars(half: Any) -> dict[str, Any]:
+    return {'type': 'data', 'array': mm_list(half), 'thickness': 1, 'width': 2}
+
+
+def _what(comparison: Comparison) -> str:
+    return '95 %' if comparison.error == 'ci' else 'standard error'
+
+
+# -----------------------------------------------------------------------------
+# The page that `paper` writes: every number and figure of section IV beside ours.
 
 TABLE = ('', 'what', 'published', 'ours', 'difference', 'range left open', 'met', 'why')
 
@@ -56,7 +195,7 @@ def _row(row: Row) -> list[str]:
     ]  # fmt: skip
 
 
-def _motion(page: Page, found: Motion) -> None:
+def _motion(page: Page, found: MotionExperiment) -> None:
     page.heading('IV.B Range of motion (figures 7 and 8)')
     first, *others = found.arrangements
     near = [one for one in others if abs(one.across / first.across - 1.0) < 0.15]

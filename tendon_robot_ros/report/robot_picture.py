@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..exceptions import NoEquilibriumError
+from ..common.colours import COLOURS
+from ..common.errors import NoEquilibriumError
 from ..model.model import Model
 
 Floats = npt.NDArray[np.float64]
-BEND = 0.5 * np.pi  # [rad] that a posture of the picture bends a section by, if it may
-COLOURS = ('#2f6fab', '#d9822b', '#3a9a5b', '#b0413e', '#7a5ca8', '#8a6d3b', '#c46fa4', '#5b6770')
+BEND_RAD = 0.5 * np.pi  # [rad] that a posture of the picture bends a section by, if it may
 
 
 def draw_robot(model: Model, path: Path) -> None:
@@ -47,14 +47,14 @@ def postures(model: Model) -> list[tuple[str, Floats]]:
 
 
 def _tension_for(model: Model, j: int) -> float:
-    """Tension [N] at which input j alone bends the section it ends in by `BEND` (PCCA)."""
+    """Tension [N] at which input j alone bends the section it ends in by `BEND_RAD` (PCCA)."""
     cells, offset = model.arrays.cells, model.arrays.offset
     members = model.robot.input_tendons[j]
     last = max(model.robot.tendon_cells[k] for k in members) - 1
     section = cells[:, 4] == cells[last, 4]
     moment = np.linalg.norm(offset[:, members].sum(axis=1), axis=1)
     rate = float((moment / cells[:, 1])[section].sum())
-    return BEND / rate if rate > 0.0 else 0.0
+    return BEND_RAD / rate if rate > 0.0 else 0.0
 
 
 def _with_base(positions: Floats) -> Floats:

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis.comparison import Comparison, Floats, ModelErrors
+from ..common.colours import FLOOR, MEASURED, look
+from ..common.words import capital, mm
+from ..comparison.result import Comparison, Floats, ModelErrors
 from .comparison_text import posture_name
 from .numbers import mm_list
 from .page import Figure, symbol
-from .palette import FLOOR, MEASURED, look
-from .words import capital, mm
 
-MOST = 12  # postures that are drawn
-FLAT = 0.03  # of the arm's length: farther from the x-z plane is spatial
+POSTURES_DRAWN_MAX = 12  # postures that are drawn
+FLAT_WITHIN_SHARE = 0.03  # of the arm's length: farther from the x-z plane is spatial
 Trace = dict[str, Any]
 
 
@@ -39,14 +39,14 @@ def chosen_postures(comparison: Comparison) -> list[int]:
     """Return the postures to draw, in their order: all, or the worst of the best model."""
     errors = np.nan_to_num(comparison.best.per_posture_rms, nan=-1.0)
     seen = np.flatnonzero(errors >= 0.0)
-    return sorted(seen[np.argsort(-errors[seen], kind='stable')][:MOST].tolist())
+    return sorted(seen[np.argsort(-errors[seen], kind='stable')][:POSTURES_DRAWN_MAX].tolist())
 
 
 def is_planar(comparison: Comparison) -> bool:
     """Tell whether all shapes lie in the x-z plane."""
     length = comparison.measured.arc_lengths.max()
     shapes = [comparison.measured.mean, *(model.markers for model in comparison.models)]
-    return all(np.nanmax(np.abs(shape[..., 1])) < FLAT * length for shape in shapes)
+    return all(np.nanmax(np.abs(shape[..., 1])) < FLAT_WITHIN_SHARE * length for shape in shapes)
 
 
 def _planar(comparison: Comparison, p: int) -> Figure:

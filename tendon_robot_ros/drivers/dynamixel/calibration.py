@@ -17,13 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from ...exceptions import DriverError, InputError
+from ...common.errors import DriverError, InputError
 from .bus import Bus, PortLostError
+from .config import WireConfig
 from .motor import Motor
-from .tables import CURRENT_POSITION_MODE
+from .tables import CURRENT_POSITION_MODE, Calibration, CurrentLine
 from .torque import read_state, torque_off, torque_on
-from .units import Calibration, Line
-from .wires import WireConfig
 
 GRAVITY = 9.80665  # [m/s²]
 PERIOD = 0.01  # [s]
@@ -33,7 +32,7 @@ FEWEST_SAMPLES = 5
 
 
 @dataclass(frozen=True)
-class Point:
+class CurrentPoint:
     """Currents with one weight on the wire: mean while winding and while paying out [A]."""
 
     tension: float  # [N]
@@ -42,7 +41,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Fit:
+class CurrentFit:
     """
     Two fitted lines and how well they are known.
 
@@ -56,7 +55,7 @@ class Fit:
 
     calibration: Calibration
     errors: dict[str, tuple[float, float]]
-    points: tuple[Point, ...]
+    points: tuple[CurrentPoint, ...]
 
     @property
     def half_gap(self) -> float:
@@ -64,7 +63,7 @@ class Fit:
         return self.calibration.uncertainty(max(point.tension for point in self.points))
 
 
-def fit(points: Sequence[Point]) -> Fit:
+def fit_current(points: Sequence[CurrentPoint]) -> CurrentFit:
     """
     Fit the two lines.
 
@@ -91,10 +90,10 @@ def fit(points: Sequence[Point]) -> Fit:
                 f'({lines[name].slope:.3g} A/N); does the weight hang free?'
             )
     calibration = Calibration(lines['wind'], lines['pay_out'], measured=True, scatter=max(spread))
-    return Fit(calibration, errors, tuple(points))
+    return CurrentFit(calibration, errors, tuple(points))
 
 
-def _line(x: np.ndarray, y: np.ndarray) -> tuple[Line, tuple[float, float], float]:
+def _line(x: np.ndarray, y: np.ndarray) -> tuple[CurrentLine, tuple[float, float], float]:
     """Fit a line: the line, the standard errors of intercept and slope, and the scatter."""
     slope, intercept = np.polyfit(x, y, 1)
     rest = y - intercept - slope * x
@@ -104,10 +103,10 @@ def _line(x: np.ndarray, y: np.ndarray) -> tuple[Line, tuple[float, float], floa
         scatter * math.sqrt(1.0 / len(x) + x.mean() ** 2 / spread),
         scatter / math.sqrt(spread),
     )
-    return Line(float(intercept), float(slope)), errors, scatter
+    return CurrentLine(float(intercept), float(slope)), errors, scatter
 
 
-def to_mapping(result: Fit, wire: WireConfig) -> dict[str, Any]:
+def to_mapping(result: CurrentFit, wire: WireConfig) -> dict[str, Any]:
     """Return what is written to the calibration file for one tendon."""
     lines = result.calibration
     return {
@@ -124,7 +123,7 @@ def to_mapping(result: Fit, wire: WireConfig) -> dict[str, Any]:
     }
 
 
-def measure(bus: Bus, motor: Motor, tension: float, travel: float, speed: float) -> Point:
+def measure(bus: Bus, motor: Motor, tension: float, travel: float, speed: float) -> CurrentPoint:
     """
     Wind a hanging weight up and let it down again; torque is off before and after.
 
@@ -164,7 +163,7 @@ def measure(bus: Bus, motor: Motor, tension: float, travel: float, speed: float)
         raise
     finally:
         motor.guided = None
-    return Point(tension, up, down)
+    return CurrentPoint(tension, up, down)
 
 
 def _go(bus: Bus, motor: Motor, end: int, duration: float) -> float:

@@ -1,25 +1,25 @@
-"""Dynamixel servos behind the driver interface: fails safe, comes back from where the arm is."""
+"""What the servos say, as a reading, and as text for diagnostics."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ...exceptions import DriverError
+from ...common.errors import DriverError, MovedError
 from ...robot import Robot
-from ..interface import Array, Driver, Fault, Reading
-from ..limits import approach, bounded
-from .bus import Bus, PortLostError
-from .config import Config, limits, read_config
-from .facts import facts, reading
+from ..hardware import HardwareDriver
+from ..interface import Array, Fault, Reading
+from .bus import Bus, PortLostError, check_latency
+from .config import DynamixelConfig, limits, read_config
 from .handshake import shake_hands
 from .homing import find_slack
 from .motor import Motor, make_motors
-from .port import check_latency
 from .torque import (
+    Watch,
     come_back,
     operating_mode,
     read_state,
@@ -27,14 +27,79 @@ from .torque import (
     torque_on,
     watchdog_counts,
 )
-from .watch import Watch
-
-LONGEST_STEP = 0.1  # [s]; after a pause the command does not catch up
-RETRY = 0.2  # [s] between two attempts to get a port or a servo back
-REBOOT_TIME = 2.0  # [s]
 
 
-class DynamixelDriver(Driver):
+def driver_facts(
+    bus: Bus, config: DynamixelConfig, motors: Iterable[Motor], latency: int | None
+) -> dict[str, str]:
+    """Describe port, reading, failures and every servo: names to values with units."""
+    out = {
+        'port': f'{config.port} at {config.baud} baud',
+        'latency_timer': 'none' if latency is None else f'{latency} ms',
+        'group read': 'fast sync read' if bus.fast else 'sync read',
+        'tension uncertainty': f'{_doubt(config):.3g} N',
+        'bus watchdog': f'{config.watchdog:g} s' if config.watchdog else 'off',
+    }
+    out |= {what: str(count) for what, count in bus.failures.items()}
+    for motor in motors:
+        warm = '' if motor.temperature is None else f', {motor.temperature:.0f} °C'
+        power = '' if motor.voltage is None else f', {motor.voltage:.1f} V'
+        torque = 'on' if motor.wanted else 'off'
+        out[str(motor)] = (
+            f'{motor.model.name} firmware {motor.firmware}, torque {torque}{warm}{power}'
+        )
+        for wire in motor.wires:
+            known = 'calibrated' if wire.calibration.measured else 'data sheet, not calibrated'
+            out[f'tension of {wire.name}'] = f'{wire.resolution}; {known}'
+    return out
+
+
+def _doubt(config: DynamixelConfig) -> float:
+    """Return the largest uncertainty of a tension told from current [N]."""
+    return max(wire.resolution.band for wire in config.wires)
+
+
+def driver_reading(
+    config: DynamixelConfig,
+    motors: Mapping[int, Motor],
+    observable: NDArray[np.bool_],
+    now: float,
+    faults: tuple[Fault, ...] | None = None,
+) -> Reading:
+    """
+    Put together what was last read.
+
+    Parameters
+    ----------
+    config : DynamixelConfig
+    motors : mapping of id to Motor
+    observable : ndarray of bool, shape (m,)
+        Inputs whose tension the current shows well enough.
+    now : float
+        `time.monotonic()` [s].
+    faults : tuple of Fault, optional
+        Instead of the motors' own: they cannot be asked.
+
+    """
+    pairs = [(motors[wire.motor], wire) for wire in config.wires]
+    tensions = np.where(observable, [motor.tension(wire) for motor, wire in pairs], np.nan)
+    spread = [
+        wire.calibration.uncertainty(t) for (_, wire), t in zip(pairs, tensions, strict=True)
+    ]
+    if faults is None:
+        every = (motor.faults(config.port) for motor in motors.values())
+        faults = tuple(fault for some in every for fault in some)
+    pulls = np.array([motor.pull(wire) for motor, wire in pairs])
+    return Reading(now, pulls, tensions, 'current', np.array(spread), faults)
+
+
+# -----------------------------------------------------------------------------
+# Dynamixel servos behind the driver interface: fails safe, comes back from where the arm is.
+
+REBOOT_TIME_S = 2.0  # [s]
+
+
+class DynamixelDriver(HardwareDriver):
     """
     Drives the wires of a robot with Dynamixel servos.
 
@@ -45,10 +110,11 @@ class DynamixelDriver(Driver):
 
     """
 
-    def __init__(self, robot: Robot, config: Config, mode: str) -> None:
+    def __init__(self, robot: Robot, config: DynamixelConfig, mode: str) -> None:
         """Take robot, checked configuration, and `tension` or `pull`."""
-        self.robot, self.inputs, self.mode, self.config = robot, robot.inputs, mode, config
-        self.limits, self.rates = limits(config, robot, mode)
+        super().__init__(robot, mode, config.port, *limits(config, robot, mode))
+        self.config = config
+        self.port = config.port
         self.motors = make_motors(config, mode)
         self.bus = Bus(config.port, config.baud, config.answer_time)
         self.cancelled: Callable[[], bool] = lambda: False
@@ -56,11 +122,8 @@ class DynamixelDriver(Driver):
         self._watchdog = watchdog_counts(config)
         self._watch = Watch(self.bus, self._operating, self._watchdog)
         self._latency: int | None = None
-        self._is_open = False
         self._lost: list[Motor] = []
         self._turn = 0
-        self._goal = np.zeros(len(self.inputs))
-        self._written = self._retried = time.monotonic()
         observable = config.allow_coarse or mode == 'tension'
         self._observable = np.array([observable or not w.resolution.coarse for w in config.wires])
 
@@ -93,21 +156,26 @@ class DynamixelDriver(Driver):
 
     def enable(self) -> None:
         """Torque on where the arm is; with `zero: find`, wind up the slack first."""
-        self._must_be_open('enable')
+        self._require_open('enable')
         motors = list(self.motors.values())
+        failed: type[DriverError] = DriverError
         try:
             if self.config.zero == 'find' and any(motor.zero is None for motor in motors):
                 find_slack(self.bus, self.config, motors, self.cancelled)
+                failed = MovedError
             torque_on(self.bus, motors, self._operating, self._watchdog)
+        except MovedError:
+            self.disable()
+            raise
         except (DriverError, PortLostError) as error:
             self.disable()
-            raise DriverError(str(error)) from None
+            raise failed(str(error)) from None
         self._zero_here()
         self._start_from_measured(motors)
 
     def disable(self, inputs: Sequence[str] = ()) -> None:
         """Torque off at once; a motor that two inputs share goes off with either."""
-        chosen = self._chosen(inputs)
+        chosen = self._motors_of(inputs)
         try:
             torque_off(self.bus, chosen)
         except PortLostError:
@@ -116,14 +184,14 @@ class DynamixelDriver(Driver):
 
     def reboot(self, inputs: Sequence[str] = ()) -> None:
         """Restart motors after a hardware error; their torque is off and their turns unknown."""
-        self._must_be_open('reboot')
-        chosen = self._chosen(inputs)
+        self._require_open('reboot')
+        chosen = self._motors_of(inputs)
         try:
             torque_off(self.bus, chosen)
             for motor in chosen:
                 self.bus.reboot(motor.identity)
                 motor.zero = None
-            deadline = time.monotonic() + REBOOT_TIME
+            deadline = time.monotonic() + REBOOT_TIME_S
             waiting = list(chosen)
             while waiting and time.monotonic() < deadline:
                 waiting = [m for m in waiting if self.bus.ping(m.identity) is None]
@@ -140,16 +208,12 @@ class DynamixelDriver(Driver):
 
     def describe(self) -> dict[str, str]:
         """Return facts about bus and servos."""
-        return facts(self.bus, self.config, self.motors.values(), self._latency)
+        return driver_facts(self.bus, self.config, self.motors.values(), self._latency)
 
     def write(self, command: Array) -> None:
         """Command tensions [N] or pulls [m], shape (m,), kept within limits and rates."""
-        self._must_be_open('write')
-        wanted = bounded(self.checked(command), self.limits)
-        now = time.monotonic()
-        step = self.rates * min(now - self._written, LONGEST_STEP)
-        self._written = now
-        self._goal = approach(self._goal, wanted, step)
+        self._require_open('write')
+        self._goal = self._towards(self.checked(command), self.limits, self._since_write())
         goals, bounds = {}, {}
         for identity, motor in self.motors.items():
             if motor.wanted:
@@ -168,7 +232,7 @@ class DynamixelDriver(Driver):
 
     def read(self) -> Reading:
         """Read every motor; look after errors, watchdogs and what was lost."""
-        self._must_be_open('read')
+        self._require_open('read')
         now = time.monotonic()
         try:
             if self.bus.connected or self._reopened(now):
@@ -185,8 +249,7 @@ class DynamixelDriver(Driver):
         before, self._lost = self._lost, [m for m in self.motors.values() if not m.answers]
         if len(self._lost) > len(before):
             self._retried = now  # say so first; looking for it costs time
-        elif self._lost and now - self._retried > RETRY:
-            self._retried = now
+        elif self._lost and self._may_retry(now):
             self._look_for_lost()
 
     def _look_for_lost(self) -> None:
@@ -200,10 +263,7 @@ class DynamixelDriver(Driver):
 
     def _reopened(self, now: float) -> bool:
         """Try to get a lost port back; whoever was lost with it is looked for at once."""
-        if now - self._retried < RETRY:
-            return False
-        self._retried = now
-        if not self.bus.reopen():
+        if not self._may_retry(now) or not self.bus.reopen():
             return False
         self._retried, self._lost = -np.inf, list(self.motors.values())
         return True
@@ -215,7 +275,7 @@ class DynamixelDriver(Driver):
                 motor.answers = False
             gone = f'{self.config.port}: the port is gone; plug the adapter in again'
             faults = (Fault('port', gone),)
-        return reading(self.config, self.motors, self._observable, now, faults)
+        return driver_reading(self.config, self.motors, self._observable, now, faults)
 
     def _start_from_measured(self, motors: list[Motor]) -> None:
         """Let the next command begin at what these motors measure."""
@@ -231,16 +291,8 @@ class DynamixelDriver(Driver):
                 if motor.zero is None and motor.ticks is not None:
                     motor.zero = float(motor.ticks)
 
-    def _chosen(self, inputs: Sequence[str]) -> list[Motor]:
-        unknown = [name for name in inputs if name not in self.inputs]
-        if unknown:
-            raise DriverError(
-                f'expected inputs of {", ".join(self.inputs)}, got {", ".join(unknown)}'
-            )
-        return [
-            motor for motor in self.motors.values() if not inputs or set(inputs) & set(motor.names)
-        ]
-
-    def _must_be_open(self, what: str) -> None:
-        if not self._is_open:
-            raise DriverError(f'{self.config.port}: {what}: the driver is not open')
+    def _motors_of(self, inputs: Sequence[str]) -> list[Motor]:
+        names = {
+            name for name, named in zip(self.inputs, self._chosen(inputs), strict=True) if named
+        }
+        return [motor for motor in self.motors.values() if names & set(motor.names)]

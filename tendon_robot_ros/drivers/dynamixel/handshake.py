@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ...exceptions import DriverError
+from ...common.errors import DriverError
 from .bus import Bus, PortLostError
-from .config import Config
+from .config import DynamixelConfig
 from .motor import Motor
 from .tables import MODEL_NAMES, VOLT_PER_COUNT
 
@@ -13,7 +13,7 @@ TRIES = 3
 OTHER_RATES = (57600, 1_000_000)  # as delivered, and what most people set
 
 
-def shake_hands(bus: Bus, config: Config, motors: dict[int, Motor]) -> None:
+def shake_hands(bus: Bus, config: DynamixelConfig, motors: dict[int, Motor]) -> None:
     """
     Check every servo: there, the right model, settings that are safe to use.
 
@@ -63,10 +63,15 @@ def _ask(bus: Bus, motor: Motor, name: str) -> int:
             return value
         else:
             last = value
+    if bus.ping(motor.identity) is not None:
+        raise DriverError(
+            f'{bus.path}: {motor}: status return level (address 68): expected 2, got 0 as it '
+            'seems: pings are answered, reads are not; write 2, or check the cable'
+        )
     raise DriverError(f'{bus.path}: {motor}: {name}: no answer in {TRIES} tries; check the cable')
 
 
-def _check_settings(bus: Bus, config: Config, motor: Motor) -> None:
+def _check_settings(bus: Bus, config: DynamixelConfig, motor: Motor) -> None:
     """Refuse settings under which this driver would not do what it says."""
     drive_mode = _ask(bus, motor, 'drive_mode')
     if drive_mode & (REVERSE | TORQUE_BY_GOAL):
@@ -81,8 +86,12 @@ def _check_settings(bus: Bus, config: Config, motor: Motor) -> None:
             f'{bus.path}: {motor}: homing offset (address 20): expected 0, got {offset}: with '
             'some firmwares a tripped bus watchdog then makes the motor run; write 0'
         )
-    if _ask(bus, motor, 'status_return_level') != 2:
-        raise DriverError(f'{bus.path}: {motor}: status return level (address 68): expected 2')
+    level = _ask(bus, motor, 'status_return_level')
+    if level != 2:
+        raise DriverError(
+            f'{bus.path}: {motor}: status return level (address 68): expected 2, got {level}: '
+            'whether it took a command stays unknown; write 2'
+        )
 
 
 def describe(found: dict[int, int]) -> str:

@@ -13,26 +13,28 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ...exceptions import DriverError
-from .bus import Bus
-from .config import Config
+from ...common.errors import DriverError, MovedError
+from ..ports import travelled
+from .bus import Bus, PortLostError
+from .config import DynamixelConfig
 from .motor import Motor
 from .tables import CURRENT_POSITION_MODE, RPM_PER_COUNT, TICKS_PER_TURN
 from .torque import read_state, torque_off, torque_on
 
-PERIOD = 0.01  # [s]
-BACK_OFF = 0.002  # [m]
-LAG = 0.001  # [m] behind the goal: it does not follow any more
-STALLED_FOR = 0.15  # [s]
-MOST_MISSED = 5  # answers in a row
+CYCLE_S = 0.01  # [s]
+BACK_OFF_M = 0.002  # [m]
+LAG_MAX_M = 0.001  # [m] behind the goal: it does not follow any more
+STALLED_AFTER_S = 0.15  # [s]
+MISSED_ANSWERS_MAX = 5  # answers in a row
 
 
 @dataclass
-class Search:
+class SlackSearch:
     """One motor on its way: which way it winds now and since when it stands still."""
 
     motor: Motor
     start: int  # ticks
+    origin: float  # ticks; where the first attempt began
     goal: float  # ticks
     way: int  # +1 or -1, the direction of the ticks
     backing: bool
@@ -54,37 +56,34 @@ class Search:
 
 
 def find_slack(
-    bus: Bus, config: Config, motors: list[Motor], cancelled: Callable[[], bool]
+    bus: Bus, config: DynamixelConfig, motors: list[Motor], cancelled: Callable[[], bool]
 ) -> None:
     """
     Wind the slack up and set the zero of every motor; torque is off afterwards.
 
     Raises
     ------
+    MovedError
+        A motor does not turn, finds no resistance within `home_travel` of where the first
+        attempt began, or fails.
     DriverError
-        A motor does not turn, finds no resistance within `home_travel`, or fails.
+        The torque does not come on: nothing has moved.
 
     """
     searches = _prepare(bus, config, motors)
     try:
         torque_on(bus, motors, CURRENT_POSITION_MODE, watchdog=10)
-        deadline = time.monotonic() + 3.0 * config.home_travel / config.home_speed + 5.0
-        while not all(search.done for search in searches):
-            if cancelled():
-                raise DriverError(f'{bus.path}: looking for slack was cancelled; torque is off')
-            if time.monotonic() > deadline:
-                raise DriverError(f'{bus.path}: looking for slack took too long; torque is off')
-            _cycle(bus, config, searches)
-            time.sleep(PERIOD)
-        for search in searches:
-            search.motor.zero = search.middle
+        try:
+            _search(bus, config, searches, cancelled)
+        except MovedError:
+            raise
+        except (DriverError, PortLostError) as error:
+            raise MovedError(str(error)) from None
     finally:
-        torque_off(bus, motors)
-        for motor in motors:
-            motor.guided = None
+        _end(bus, searches)
 
 
-def _prepare(bus: Bus, config: Config, motors: list[Motor]) -> list[Search]:
+def _prepare(bus: Bus, config: DynamixelConfig, motors: list[Motor]) -> list[SlackSearch]:
     read_state(bus, motors)
     searches = []
     for motor in motors:
@@ -92,22 +91,61 @@ def _prepare(bus: Bus, config: Config, motors: list[Motor]) -> list[Search]:
             raise DriverError(f'{bus.path}: {motor}: no answer; check the cable')
         wire = motor.wires[0]
         alone = len(motor.wires) == 1
-        search = Search(motor, motor.ticks, motor.ticks, wire.spool.direction, backing=alone)
-        reach = math.ceil(search.ticks(config.home_travel + 2.0 * BACK_OFF))
+        origin = motor.ticks - travelled(bus.path).get(motor.identity, 0.0)
+        search = SlackSearch(
+            motor, motor.ticks, origin, motor.ticks, wire.spool.direction, backing=alone
+        )
+        _stay_near(config, search)
+        reach = search.ticks(config.home_travel + 2.0 * BACK_OFF_M)
         amperes = max(w.calibration.wind.current(config.home_tension) for w in motor.wires)
         counts = max(1, math.ceil(amperes / motor.model.current_unit))
-        motor.guided = (counts, (motor.ticks - reach, motor.ticks + reach))
+        motor.guided = (counts, (math.ceil(origin - reach), math.floor(origin + reach)))
         searches.append(search)
     return searches
 
 
-def _cycle(bus: Bus, config: Config, searches: list[Search]) -> None:
+def _search(
+    bus: Bus, config: DynamixelConfig, searches: list[SlackSearch], cancelled: Callable[[], bool]
+) -> None:
+    """Move all motors until every zero is known."""
+    deadline = time.monotonic() + 3.0 * config.home_travel / config.home_speed + 5.0
+    while not all(search.done for search in searches):
+        if cancelled():
+            raise DriverError(f'{bus.path}: looking for slack was cancelled; torque is off')
+        if time.monotonic() > deadline:
+            raise DriverError(f'{bus.path}: looking for slack took too long; torque is off')
+        _cycle(bus, config, searches)
+        time.sleep(CYCLE_S)
+    for search in searches:
+        search.motor.zero = search.middle
+
+
+def _end(bus: Bus, searches: list[SlackSearch]) -> None:
+    """Torque off; remember how far those went whose zero is not known."""
+    motors = [search.motor for search in searches]
+    try:
+        torque_off(bus, motors)
+        read_state(bus, motors)
+    except PortLostError:  # their watchdogs stop them, at the goal at the furthest
+        for motor in motors:
+            motor.wanted = motor.answers = False
+    gone = travelled(bus.path)
+    for search in searches:
+        motor = search.motor
+        motor.guided = None
+        end = motor.ticks if motor.answers and motor.ticks is not None else search.goal
+        gone[motor.identity] = end - search.origin
+    if all(motor.zero is not None for motor in motors):
+        gone.clear()
+
+
+def _cycle(bus: Bus, config: DynamixelConfig, searches: list[SlackSearch]) -> None:
     """Move every goal a little, look at every motor."""
     read_state(bus, [search.motor for search in searches])
     now = time.monotonic()
     for search in searches:
         search.missed = 0 if search.motor.answers else search.missed + 1
-        if search.missed > MOST_MISSED:
+        if search.missed > MISSED_ANSWERS_MAX:
             raise DriverError(f'{bus.path}: {search.motor}: no answer while looking for slack')
         if search.missed:
             continue
@@ -123,12 +161,12 @@ def _cycle(bus: Bus, config: Config, searches: list[Search]) -> None:
     )
 
 
-def _back_off(config: Config, search: Search, now: float) -> None:
+def _back_off(config: DynamixelConfig, search: SlackSearch, now: float) -> None:
     """Pay out a little; refuse a motor that does not turn."""
     ticks = search.motor.ticks or 0
-    search.goal = search.start - search.way * search.ticks(BACK_OFF)
+    search.goal = search.start - search.way * search.ticks(BACK_OFF_M)
     moved = abs(ticks - search.start)
-    if moved >= 0.5 * search.ticks(BACK_OFF):
+    if moved >= 0.5 * search.ticks(BACK_OFF_M):
         search.backing, search.goal = False, float(ticks)
         search.still_since = None
         return
@@ -141,35 +179,42 @@ def _back_off(config: Config, search: Search, now: float) -> None:
         )
 
 
-def _wind(config: Config, search: Search, now: float) -> None:
+def _wind(config: DynamixelConfig, search: SlackSearch, now: float) -> None:
     """Let the goal run ahead; a motor that stays behind and stands still has found the wire."""
     motor, ticks = search.motor, search.motor.ticks or 0
-    lag, step = search.ticks(LAG), search.ticks(config.home_speed * PERIOD)
+    lag, step = search.ticks(LAG_MAX_M), search.ticks(config.home_speed * CYCLE_S)
     search.goal += search.way * min(step, max(0.0, 2.0 * lag - abs(search.goal - ticks)))
-    slow = abs(motor.velocity) * RPM_PER_COUNT / 60.0 * TICKS_PER_TURN < 0.1 * step / PERIOD + 30.0
+    slow = (
+        abs(motor.velocity) * RPM_PER_COUNT / 60.0 * TICKS_PER_TURN < 0.1 * step / CYCLE_S + 30.0
+    )
     if abs(search.goal - ticks) < lag or not slow:
         search.still_since = None
     elif search.still_since is None:
         search.still_since = now
-    elif now - search.still_since > STALLED_FOR:
+    elif now - search.still_since > STALLED_AFTER_S:
         _stalled(search, ticks)
         return
-    if abs(ticks - search.start) > search.ticks(config.home_travel):
-        raise DriverError(
-            f'{config.port}: {motor}: no resistance within home_travel = '
+    _stay_near(config, search)
+
+
+def _stay_near(config: DynamixelConfig, search: SlackSearch) -> None:
+    """Refuse to go further than `home_travel`, over all attempts."""
+    if abs((search.motor.ticks or 0) - search.origin) > search.ticks(config.home_travel):
+        raise MovedError(
+            f'{config.port}: {search.motor}: no resistance within home_travel = '
             f'{config.home_travel:g} m; is the wire on its spool, is direction right? torque is '
             'off'
         )
 
 
-def _stalled(search: Search, ticks: int) -> None:
+def _stalled(search: SlackSearch, ticks: int) -> None:
     search.stalls += (ticks,)
     search.goal, search.still_since = float(ticks), None
     search.way = -search.way
 
 
-def _return(config: Config, search: Search, middle: float) -> None:
+def _return(config: DynamixelConfig, search: SlackSearch, middle: float) -> None:
     """Go to the zero: a motor with two wires comes back half-way."""
-    step = search.ticks(config.home_speed * PERIOD)
+    step = search.ticks(config.home_speed * CYCLE_S)
     search.goal += max(-step, min(step, middle - search.goal))
-    search.done = abs((search.motor.ticks or 0) - middle) < search.ticks(LAG)
+    search.done = abs((search.motor.ticks or 0) - middle) < search.ticks(LAG_MAX_M)

@@ -7,16 +7,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ..interface import Fault
-from .config import Config
+from .config import DynamixelConfig, WireConfig
 from .tables import (
     HARDWARE_ERRORS,
     HIGHEST_POSITION,
     REGISTERS,
     VOLT_PER_COUNT,
-    Model,
+    ServoModel,
     decode,
 )
-from .wires import WireConfig
 
 STATE = (REGISTERS['present_current'].address, 10)  # current, velocity, position: 126 to 135
 HEALTH = (REGISTERS['present_input_voltage'].address, 3)  # voltage and temperature: 144 to 146
@@ -72,7 +71,7 @@ class Motor:
     guided: tuple[int, tuple[int, int]] | None = None  # while the driver itself moves it
 
     @property
-    def model(self) -> Model:
+    def model(self) -> ServoModel:
         """Its model."""
         return self.wires[0].model
 
@@ -191,6 +190,6 @@ class Motor:
         self.temperature = float(data[2])
 
 
-def make_motors(config: Config, mode: str) -> dict[int, Motor]:
+def make_motors(config: DynamixelConfig, mode: str) -> dict[int, Motor]:
     """Make the motors of a configuration: id to motor."""
     return {i: Motor(i, config.on(i), mode) for i in config.ids}

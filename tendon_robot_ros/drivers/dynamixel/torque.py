@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 
-from ...exceptions import DriverError
+from ...common.errors import DriverError
 from .bus import Bus
-from .config import Config
-from .motor import STATE, Motor
+from .config import DynamixelConfig
+from .motor import HEALTH, STATE, Motor
 from .tables import (
     CURRENT_MODE,
     CURRENT_POSITION_MODE,
     EXTENDED_MODE,
     HARDWARE_ERRORS,
+    REGISTERS,
     WATCHDOG_TRIPPED,
     WATCHDOG_UNIT,
 )
@@ -21,12 +24,12 @@ from .tables import (
 TRIES = 3
 
 
-def watchdog_counts(config: Config) -> int:
+def watchdog_counts(config: DynamixelConfig) -> int:
     """Return the value of address 98: at least one unit when it is on at all."""
     return min(127, math.ceil(config.watchdog / WATCHDOG_UNIT - 1e-9))
 
 
-def operating_mode(config: Config, mode: str) -> int:
+def operating_mode(config: DynamixelConfig, mode: str) -> int:
     """Return the value of address 11."""
     if mode == 'tension':
         return CURRENT_MODE
@@ -173,3 +176,92 @@ def recover_watchdog(bus: Bus, motor: Motor, mode: int, watchdog: int, tripped: 
     if tripped:
         bus.write(motor.identity, 'bus_watchdog', watchdog)
     motor.tripped = False
+
+
+# -----------------------------------------------------------------------------
+# What is polled beside the state, one kind per cycle, whichever is most overdue.
+#
+# The alert bit of a status packet is hidden in group reads, so hardware errors are read from
+# address 70. Whatever looks bad is read once more before anybody acts on it: a late answer of
+# another read may look like it.
+
+
+@dataclass
+class Watch:
+    """The timetable of the polls."""
+
+    bus: Bus
+    mode: int  # operating mode, address 11
+    watchdog: int  # address 98
+    due: dict[str, float] = field(default_factory=dict)
+    tripped: list[Motor] = field(default_factory=list)  # whose watchdog this poll found tripped
+    _shown: float = -math.inf
+
+    def poll(self, motors: list[Motor], now: float) -> None:
+        """Do the most overdue poll, if any, for the servos that answer."""
+        self.tripped = []
+        for motor in motors:
+            motor.tripped = motor.tripped and now - self._shown < TRIP_TOLD_FOR_S
+        late = {name: now - self.due.get(name, 0.0) for name in POLL_PERIODS}
+        name = max(late, key=lambda n: late[n] / POLL_PERIODS[n])
+        if late[name] < 0.0 or not motors:
+            return
+        self.due[name] = now + POLL_PERIODS[name]
+        register = REGISTERS.get(name)  # or health: several in a row
+        where = HEALTH if register is None else (register.address, register.size)
+        found = self.bus.block(*where, [motor.identity for motor in motors])
+        for motor in motors:
+            data = found.get(motor.identity)
+            if data is None:
+                motor.answers = False  # asked twice: no need to ask for its state, too
+            elif register is None:
+                motor.take_health(data)
+            else:
+                POLLS[name](self, motor, data[0])
+
+    def confirmed(self, motor: Motor, name: str, value: int) -> bool:
+        """Read a suspicious value once more."""
+        return self.bus.read(motor.identity, name) == value
+
+    def errors(self, motor: Motor, value: int) -> None:
+        """Note hardware errors; torque goes off at once for that motor."""
+        if value == motor.errors or not self.confirmed(motor, 'hardware_error_status', value):
+            return
+        motor.errors = value
+        if value:
+            torque_off(self.bus, [motor])
+
+    def dog(self, motor: Motor, value: int) -> None:
+        """Notice a tripped watchdog, and a servo that has forgotten it."""
+        if not motor.wanted or value == self.watchdog:
+            return
+        if not self.confirmed(motor, 'bus_watchdog', value):
+            return
+        if value == WATCHDOG_TRIPPED:
+            recover_watchdog(self.bus, motor, self.mode, self.watchdog, tripped=True)
+            motor.tripped, self._shown = True, time.monotonic()
+            self.tripped.append(motor)
+        elif value == 0:
+            lost_power(motor)
+            self.bus.write(motor.identity, 'torque_enable', 0)
+
+    def torque(self, motor: Motor, value: int) -> None:
+        """Notice torque that went off by itself: by a hardware error, or with the power."""
+        if motor.wanted and not value and self.confirmed(motor, 'torque_enable', 0):
+            self.errors(motor, self.bus.read(motor.identity, 'hardware_error_status') or 0)
+            if not motor.errors:
+                lost_power(motor)
+
+
+TRIP_TOLD_FOR_S = 0.5  # [s] for which a tripped watchdog is told of
+POLL_PERIODS = {
+    'hardware_error_status': 0.020,
+    'bus_watchdog': 0.045,
+    'torque_enable': 0.025,
+    'health': 0.250,
+}  # [s]
+POLLS: dict[str, Callable[[Watch, Motor, int], None]] = {
+    'hardware_error_status': Watch.errors,
+    'bus_watchdog': Watch.dog,
+    'torque_enable': Watch.torque,
+}

@@ -1,1 +1,9 @@
-"""Own electronics: a microcontroller with load cells; the bytes are in docs/serial_protocol.md."""
+"""
+Own electronics: a microcontroller with load cells (docs/serial_board.md, docs/serial_protocol.md).
+
+driver.py        the driver: readings, faults, homing
+config.py        the configuration: channels, spools, limits, load cells
+messages.py      frames and messages of the protocol; the words of a fault bit
+link.py          the port, and the questions that the board must answer
+calibration.py   counts against tension, from known weights
+"""

@@ -16,23 +16,22 @@ from typing import Any
 
 import numpy as np
 
-from ...exceptions import DriverError, InputError
+from ...common.errors import DriverError, InputError
 from ..interface import Array
-from . import handshake, messages
-from .config import Config
-from .link import Link, LinkLostError
-from .tendons import Cell
+from . import messages
+from .config import BoardConfig, Cell
+from .link import BoardLink, LinkLostError, identify, wait_for
 
 GRAVITY = 9.80665  # [m/s²]
-SAMPLE = 0.0125  # [s] between two values of an HX711
+SAMPLE_S = 0.0125  # [s] between two values of an HX711
 FEWEST_WEIGHTS = 3  # nothing hung included
 SATURATED = 0x7FFFFF
 FEWEST_VALUES = 5
-SETTLE = 0.2  # [s] not counted: values from before the weight hung
+SETTLE_S = 0.2  # [s] not counted: values from before the weight hung
 
 
 @dataclass(frozen=True)
-class Point:
+class CountsPoint:
     """Counts with one weight: tension [N], mean and standard deviation [counts]."""
 
     tension: float
@@ -40,7 +39,7 @@ class Point:
     spread: float
 
 
-def fit(points: Sequence[Point]) -> Cell:
+def fit_counts(points: Sequence[CountsPoint]) -> Cell:
     """
     Fit the line.
 
@@ -77,7 +76,7 @@ def fit(points: Sequence[Point]) -> Cell:
     )
 
 
-def to_mapping(cell: Cell, points: Sequence[Point]) -> dict[str, Any]:
+def to_mapping(cell: Cell, points: Sequence[CountsPoint]) -> dict[str, Any]:
     """Return what is written to the calibration file for one tendon."""
     heaviest = max(point.tension for point in points)
     return {
@@ -92,24 +91,26 @@ def to_mapping(cell: Cell, points: Sequence[Point]) -> dict[str, Any]:
     }
 
 
-def connect(config: Config) -> tuple[Link, int]:
+def connect(config: BoardConfig) -> tuple[BoardLink, int]:
     """Open the port and ask who is there; return the link and the number of channels."""
-    link = Link(config.port, config.baud)
+    link = BoardLink(config.port, config.baud)
     link.open()
     try:
-        return link, handshake.identify(link, config).channels
+        return link, identify(link, config).channels
     except (DriverError, LinkLostError) as error:
         link.close()
         raise DriverError(str(error)) from None
 
 
-def measure(link: Link, channels: int, channel: int, tension: float, seconds: float) -> Point:
+def measure(
+    link: BoardLink, channels: int, channel: int, tension: float, seconds: float
+) -> CountsPoint:
     """
     Read a load cell for some seconds; the motors stay as they are.
 
     Parameters
     ----------
-    link : Link
+    link : BoardLink
     channels : int
         Of the board.
     channel : int
@@ -137,20 +138,20 @@ def measure(link: Link, channels: int, channel: int, tension: float, seconds: fl
             f'{link.path}: channel {channel}: the weight does not hang still: {spread:.0f} counts '
             f'(1 sd), the noise is {noise:.0f}; begin again'
         )
-    return Point(tension, float(values.mean()), spread)
+    return CountsPoint(tension, float(values.mean()), spread)
 
 
-def _counts(link: Link, channels: int, channel: int, seconds: float) -> Array:
+def _counts(link: BoardLink, channels: int, channel: int, seconds: float) -> Array:
     counts: list[float] = []
     began = time.monotonic()
     try:
-        while (passed := time.monotonic() - began) < SETTLE + seconds:
+        while (passed := time.monotonic() - began) < SETTLE_S + seconds:
             link.send(messages.RAW)
-            for frame in handshake.wait_for(link, messages.RAW_CELLS, 0.1):
+            for frame in wait_for(link, messages.RAW_CELLS, 0.1):
                 found = messages.read_cells(frame, channels)
-                if found is not None and passed > SETTLE:
+                if found is not None and passed > SETTLE_S:
                     counts.append(float(found[channel]))
-            time.sleep(SAMPLE)
+            time.sleep(SAMPLE_S)
     except LinkLostError as error:
         raise DriverError(f'{error}: lost while calibrating') from None
     return np.array(counts)

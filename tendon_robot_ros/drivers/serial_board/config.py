@@ -1,17 +1,180 @@
-"""The driver's configuration: channels, spools, limits, load cells (docs/serial_board.md)."""
+"""The tendons of the configuration: channel, spool, limits and load cell of every input."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ...common.yaml_reading import ConfigFields, parse_yaml
 from ...robot import Robot
-from ..fields import Fields
 from ..interface import Array
-from .tendons import TendonConfig, read_tendons
+
+TENDON_KEYS = (
+    'channel',
+    'direction',
+    'spool_radius',
+    'ticks_per_turn',
+    'tension_limit',
+    'pull_limits',
+)
+CHANNELS_MAX = 8  # most a board can have
+PULL_RANGE_DEFAULT_M = 1.0  # [m] of wire either way, where no pull limits are given
+
+
+@dataclass(frozen=True)
+class Cell:
+    """
+    Calibration of a load cell: tension = (counts - zero) * newtons_per_count.
+
+    Parameters
+    ----------
+    zero : float
+        [counts]
+    newtons_per_count : float
+        [N/count], negative where the cell is mounted the other way round.
+    zero_error, slope_error : float
+        Standard errors [counts], [N/count].
+    scatter : float
+        Standard deviation of the counts about the line [counts].
+
+    """
+
+    zero: float
+    newtons_per_count: float
+    zero_error: float = 0.0
+    slope_error: float = 0.0
+    scatter: float = 0.0
+
+    def uncertainty(self, tension: Array) -> Array:
+        """Return the standard uncertainty [N] at tensions [N], any shape."""
+        fixed = self.newtons_per_count * math.hypot(self.zero_error, self.scatter)
+        share = self.slope_error / self.newtons_per_count
+        return np.hypot(fixed, share * tension)
+
+
+@dataclass(frozen=True)
+class TendonConfig:
+    """One input: its channel, spool [m per tick, > 0 winds] and limits [N], [m]."""
+
+    name: str
+    channel: int
+    metres_per_tick: float
+    tension_limit: float
+    pull_limits: tuple[float, float]
+    cell: Cell | None
+
+    def __str__(self) -> str:
+        """Name it for messages."""
+        return f'{self.name} (channel {self.channel})'
+
+
+def read_tendons(
+    top: ConfigFields, robot: Robot, mode: str, calibrated: bool
+) -> tuple[TendonConfig, ...]:
+    """Read the channel of every input; `calibrated` tells whether load cells must be."""
+    tendons = top.child('tendons')
+    tendons.only(*robot.inputs)
+    missing = [name for name in robot.inputs if not tendons.has(name)]
+    if missing:
+        raise top.error(
+            'tendons', 'a channel for every input of the robot', f'none for {", ".join(missing)}'
+        )
+    cells = _calibrations(top)
+    made = tuple(_tendon(top, name, cells, robot, mode, calibrated) for name in robot.inputs)
+    numbers = [tendon.channel for tendon in made]
+    for tendon in made:
+        if numbers.count(tendon.channel) > 1:
+            raise top.error('tendons', 'a channel of its own for every input', str(tendon))
+    return made
+
+
+def _tendon(
+    top: ConfigFields, name: str, cells: ConfigFields, robot: Robot, mode: str, calibrated: bool
+) -> TendonConfig:
+    item = top.child('tendons').child(name)
+    item.only(*TENDON_KEYS)
+    channel = item.content.get('channel')
+    if (
+        isinstance(channel, bool)
+        or not isinstance(channel, int)
+        or not 0 <= channel < CHANNELS_MAX
+    ):
+        raise item.error('channel', f'a whole number from 0 to {CHANNELS_MAX - 1}', channel)
+    direction = item.content.get('direction', 1)
+    if isinstance(direction, bool) or direction not in (1, -1):
+        raise item.error('direction', '1 (growing encoder ticks wind) or -1', direction)
+    radius = _where(item, top, 'spool_radius').number('spool_radius', 5e-4, 0.2, 'm')
+    ticks = _where(item, top, 'ticks_per_turn').number('ticks_per_turn', 1.0, 1e7, 'ticks')
+    low, high = robot.tension_limits
+    if calibrated and not cells.has(name):
+        raise top.error(
+            'calibration',
+            f'the load cell of every input; none for {name}: type '
+            f'calibrate serial CONFIG --robot ROBOT --tendon {name} --weights KG KG KG',
+            list(cells.content),
+        )
+    return TendonConfig(
+        name=name,
+        channel=channel,
+        metres_per_tick=direction * 2.0 * math.pi * radius / ticks,
+        tension_limit=item.value('tension_limit', high, low + 1e-6, high, 'N'),
+        pull_limits=_pull_limits(_where(item, top, 'pull_limits'), mode),
+        cell=_cell(cells.child(name)) if cells.has(name) else None,
+    )
+
+
+def _where(item: ConfigFields, top: ConfigFields, key: str) -> ConfigFields:
+    return item if item.has(key) else top
+
+
+def _pull_limits(where: ConfigFields, mode: str) -> tuple[float, float]:
+    if not where.has('pull_limits') and mode == 'tension':
+        return -PULL_RANGE_DEFAULT_M, PULL_RANGE_DEFAULT_M
+    low, high = where.vector('pull_limits', 2)
+    if not -PULL_RANGE_DEFAULT_M <= low < high <= PULL_RANGE_DEFAULT_M:
+        raise where.error('pull_limits', '[lowest, highest] [m], lowest < highest', [low, high])
+    return low, high
+
+
+def _calibrations(top: ConfigFields) -> ConfigFields:
+    """Open the calibrations: a mapping, or the path of the file that `calibrate` wrote."""
+    value = top.content.get('calibration')
+    if not isinstance(value, str):
+        return ConfigFields(top.source, 'calibration', value)
+    file = Path(top.source).parent / value
+    try:
+        return ConfigFields(str(file), '', parse_yaml(file.read_text(encoding='utf-8')))
+    except FileNotFoundError:
+        return ConfigFields(str(file), '', {})
+    except (OSError, ValueError) as error:
+        raise top.error('calibration', 'a readable YAML file', f'{file}: {error}') from None
+
+
+def _cell(item: ConfigFields) -> Cell:
+    slope = item.number('newtons_per_count', -1e-3, 1e-3, 'N/count')
+    if abs(slope) < 1e-9:
+        raise item.error('newtons_per_count', 'a slope of at least 1e-9 N/count', slope)
+    return Cell(
+        item.number('zero', -8e6, 8e6, 'counts'),
+        slope,
+        *(
+            item.value(key, 0.0, 0.0, 1e6, unit)
+            for key, unit in (
+                ('zero_error', 'counts'),
+                ('slope_error', 'N/count'),
+                ('scatter', 'counts'),
+            )
+        ),
+    )
+
+
+# -----------------------------------------------------------------------------
+# The driver's configuration: channels, spools, limits, load cells (docs/serial_board.md).
 
 KEYS = (
     'port',
@@ -30,6 +193,7 @@ KEYS = (
     'zero',
     'home_tension',
     'home_time',
+    'home_travel',
     'calibration',
     'tendons',
 )
@@ -37,7 +201,7 @@ BAUD_RATES = (115_200, 230_400, 250_000, 500_000, 1_000_000, 2_000_000)
 
 
 @dataclass(frozen=True)
-class Config:
+class BoardConfig:
     """Everything the driver needs to know; SI units."""
 
     source: str
@@ -54,12 +218,13 @@ class Config:
     zero: str  # 'find' slack at enabling, or 'here': pull 0 is where it is opened
     home_tension: float  # [N]
     home_time: float  # [s]
+    home_travel: float  # [m]
     tendons: tuple[TendonConfig, ...]
 
 
 def read_config(
     robot: Robot, content: Mapping[str, Any], mode: str, source: str, *, calibrated: bool = True
-) -> Config:
+) -> BoardConfig:
     """
     Check a configuration for a robot; `calibrated` tells whether load cells must be.
 
@@ -69,14 +234,14 @@ def read_config(
         With file, key, what was expected and what came.
 
     """
-    top = Fields(source, '', dict(content))
+    top = ConfigFields(source, '', dict(content))
     top.only(*KEYS)
     low, high = robot.tension_limits
     baud = top.content.get('baudrate', 1_000_000)
     if baud not in BAUD_RATES:
         raise top.error('baudrate', f'one of {", ".join(map(str, BAUD_RATES))}', baud)
     lowest = max(low, 0.05 * high)
-    return Config(
+    return BoardConfig(
         source=source,
         port=top.port(),
         baud=int(baud),
@@ -91,11 +256,12 @@ def read_config(
         zero=top.choice('zero', ('find', 'here'), 'find' if mode == 'pull' else 'here'),
         home_tension=top.value('home_tension', lowest, 1e-6, high, 'N'),
         home_time=top.value('home_time', 10.0, 0.5, 120.0, 's'),
+        home_travel=top.value('home_travel', 0.05, 1e-4, 1.0, 'm'),
         tendons=read_tendons(top, robot, mode, calibrated),
     )
 
 
-def limits(config: Config, robot: Robot, mode: str) -> tuple[Array, Array]:
+def limits(config: BoardConfig, robot: Robot, mode: str) -> tuple[Array, Array]:
     """Return command limits, shape (m, 2), and rates, shape (m,), in the unit of the mode."""
     if mode == 'tension':
         rows = [(robot.tension_limits[0], tendon.tension_limit) for tendon in config.tendons]

@@ -6,21 +6,24 @@ import os
 import select
 import time
 
+import numpy as np
 import serial
 
-from ...exceptions import DriverError
+from ...common.errors import DriverError
+from ..interface import Array
 from ..ports import LOST, take_alone, why_not
 from . import messages
-from .frames import Frame, Receiver, encode
+from .config import BoardConfig
+from .messages import VERSION, Frame, FrameReceiver, Identity, Telemetry, encode
 
-CHUNK = 65536
+CHUNK_BYTES = 65536
 
 
 class LinkLostError(Exception):
     """The port is gone; `reopen` may bring it back."""
 
 
-class Link:
+class BoardLink:
     """
     One port with one board.
 
@@ -38,7 +41,7 @@ class Link:
         """Take the path of the port and its baud rate."""
         self.path, self.baud = path, baud
         self.missed, self.sent_at = 0, -1e9
-        self._receiver = Receiver()
+        self._receiver = FrameReceiver()
         self._port: serial.Serial | None = None
         self._sequence = 0
         self._expected: int | None = None
@@ -79,7 +82,7 @@ class Link:
         except LOST:
             port.close()
             raise
-        receiver = Receiver()
+        receiver = FrameReceiver()
         receiver.bad = self._receiver.bad
         self._port, self._receiver, self._expected = port, receiver, None
 
@@ -110,7 +113,7 @@ class Link:
             file = port.fileno()
             if not select.select([file], [], [], max(wait, 0.0))[0]:
                 return []
-            data = os.read(file, CHUNK)
+            data = os.read(file, CHUNK_BYTES)
         except LOST as error:
             self._lost(error)
         if not data:
@@ -140,3 +143,145 @@ class Link:
     def _lost(self, error: BaseException) -> None:
         self.close()
         raise LinkLostError(f'{self.path}: {error}') from None
+
+
+# -----------------------------------------------------------------------------
+# Questions to the board that it must answer: who it is, and that it took its configuration.
+
+BOOT_TIME_S = 4.0  # [s]; opening the port restarts many boards, their boot loader waits 2 s
+ANSWER_TIMEOUT_S = 0.1  # [s]
+ATTEMPTS = 8
+RELEASE_TIME_S = 10.0  # [s] that a board left running by another process gets
+
+
+def identify(link: BoardLink, config: BoardConfig) -> Identity:
+    """
+    Ask who is there until it answers.
+
+    Raises
+    ------
+    DriverError
+        Nobody, another version of the protocol, or too few channels.
+
+    """
+    deadline = time.monotonic() + BOOT_TIME_S
+    while time.monotonic() < deadline:
+        link.send(messages.HELLO)
+        for frame in wait_for(link, messages.IDENTITY, ANSWER_TIMEOUT_S):
+            identity = messages.read_identity(frame)
+            if identity is not None:
+                return _suits(link, config, identity)
+    raise DriverError(
+        f'{link.path}: no answer at {config.baud} baud for {BOOT_TIME_S:g} s; is the firmware on '
+        'the board, and is the baud rate that of pins.h?'
+    )
+
+
+def _suits(link: BoardLink, config: BoardConfig, identity: Identity) -> Identity:
+    if identity.version != VERSION:
+        raise DriverError(
+            f'{link.path}: protocol: expected version {VERSION}, got {identity.version}; '
+            'put the firmware of this package on the board'
+        )
+    for tendon in config.tendons:
+        if tendon.channel >= identity.channels:
+            raise DriverError(
+                f'{config.source}: {tendon}: the board has channels 0 to {identity.channels - 1}'
+            )
+    return identity
+
+
+def wait_for(link: BoardLink, kind: int, wait: float) -> list[Frame]:
+    """Return the frames of a kind as soon as there is one; none after `wait` [s]."""
+    deadline = time.monotonic() + wait
+    while (left := deadline - time.monotonic()) > 0.0:
+        found = [frame for frame in link.receive(left) if frame.type == kind]
+        if found:
+            return found
+    return []
+
+
+def ask(link: BoardLink, kind: int, payload: bytes, attempts: int = ATTEMPTS) -> None:
+    """
+    Send a message until the board says what it did with it.
+
+    Raises
+    ------
+    DriverError
+        It refuses, or does not answer.
+
+    """
+    for _ in range(attempts):
+        sequence = link.send(kind, payload)
+        deadline = time.monotonic() + ANSWER_TIMEOUT_S
+        while (left := deadline - time.monotonic()) > 0.0:
+            for frame in wait_for(link, messages.RESULT, left):
+                if frame.payload[:2] == bytes((kind, sequence)) and len(frame.payload) == 3:
+                    if frame.payload[2] == 0:
+                        return
+                    reason = messages.REFUSALS.get(frame.payload[2], 'an unknown reason')
+                    raise DriverError(
+                        f'{link.path}: the board refused {messages.NAMES[kind]}: {reason}'
+                    )
+    raise DriverError(f'{link.path}: no answer to {messages.NAMES[kind]}; check cable and supply')
+
+
+def configure(link: BoardLink, config: BoardConfig, zeros: Array) -> None:
+    """Give the board all it must know; its motors are off. `zeros`: shape (m,) [m]."""
+    for tendon in config.tendons:
+        cell = tendon.cell
+        if cell is not None:
+            values = (cell.zero, cell.newtons_per_count, tendon.metres_per_tick)
+            ask(link, messages.CALIBRATION, messages.calibration(tendon.channel, *values))
+    give_limits(link, config, zeros)
+    content = messages.settings(
+        config.timeout,
+        config.release_to,
+        config.period,
+        config.release_rate,
+        config.rest,
+        config.gain,
+    )
+    ask(link, messages.SETTINGS, content)
+
+
+def give_limits(
+    link: BoardLink, config: BoardConfig, zeros: Array, pulls: tuple[float, float] | None = None
+) -> None:
+    """
+    Give the board the limits; it counts wire from its own zero.
+
+    Parameters
+    ----------
+    link : BoardLink
+    config : BoardConfig
+    zeros : ndarray, shape (m,)
+        [m]
+    pulls : tuple of float, optional
+        Lowest and highest [m] from there; those of the tendons if not given.
+
+    """
+    for tendon, zero in zip(config.tendons, zeros, strict=True):
+        low, high = (limit + zero for limit in pulls or tendon.pull_limits)
+        values = (0.0, tendon.tension_limit, low, high, config.tension_rate, config.pull_rate)
+        ask(link, messages.LIMITS, messages.limits(tendon.channel, np.array(values)))
+
+
+def telemetry(link: BoardLink, channels: int, wait: float) -> Telemetry | None:
+    """Return the newest telemetry; waits for one up to `wait` [s]."""
+    for frame in reversed(wait_for(link, messages.TELEMETRY, wait)):
+        if messages.is_telemetry(frame, channels):
+            return messages.read_telemetry(frame)
+    return None
+
+
+def let_go(link: BoardLink, channels: int) -> None:
+    """Release what another process has left under tension, then torque off."""
+    found = telemetry(link, channels, 0.3)
+    if found is not None and found.enabled:
+        ask(link, messages.RELEASE, bytes((messages.RELEASES['limp'],)))
+        deadline = time.monotonic() + RELEASE_TIME_S
+        while found is not None and found.enabled and time.monotonic() < deadline:
+            link.send(messages.HEARTBEAT)
+            found = telemetry(link, channels, 0.1)
+    ask(link, messages.DISABLE, b'\xff')

@@ -35,10 +35,10 @@ def scale_lengths(chain, work):
 
 @compiled
 def path_lost(chain, i, k, bend, ux, uy, sin_half, cos_half, scale):
-    """Path that tendon k loses in cell i [m], its arm along the bend [m], factor across [1]."""
+    """Path that tendon k loses in cell i [m], its arm along the bend and across it [m]."""
     offset = floats(chain.offset + 16 * (chain.k * i + k))
     radial = scale * (offset[0] * ux + offset[1] * uy)
-    return arm(
+    lost, along, across = arm(
         radial * bend,
         radial,
         1.0,
@@ -51,6 +51,23 @@ def path_lost(chain, i, k, bend, ux, uy, sin_half, cos_half, scale):
         chain,
         section_of(chain, i),
     )
+    return lost, along, scale * (offset[1] * ux - offset[0] * uy) * across
+
+
+@compiled
+def moment_of_tendons(chain, i, x, y, tensions, scale):
+    """Moment (x, y) [N·m] of tensions (k,) [N] on cell i bent by (x, y), tendons straight."""
+    tendon = words(chain.tendon)
+    s, c = half_turn(x * x + y * y)
+    a, ux, uy, sin_half, cos_half = polar(x, y, s, c)
+    mx, my = 0.0, 0.0
+    for k in range(chain.k):
+        t = floats(tensions)[k]
+        if i < tendon[2 * k] and t != 0.0:
+            _, along, side = path_lost(chain, i, k, a, ux, uy, sin_half, cos_half, scale)
+            mx += t * (along * ux - side * uy)
+            my += t * (along * uy + side * ux)
+    return mx, my
 
 
 @compiled
@@ -68,6 +85,27 @@ def plain_travel(chain, bend, scale, work):
 
 
 @compiled
+def straight_travel(chain, i, x, y, s, c, scale, work):
+    """Fill work.travel [m] and work.arms [m] of cell i, bent by (x, y) with half angles s, c."""
+    travel, arms, tendon = floats(work.travel), floats(work.arms), words(chain.tendon)
+    a, ux, uy, sin_half, cos_half = polar(x, y, s, c)
+    x0, y0 = rest(0.0, 0.0, chain, section_of(chain, i))
+    s0, c0 = half_turn(x0 * x0 + y0 * y0)
+    a0, ux0, uy0, sin0, cos0 = polar(x0, y0, s0, c0)
+    for k in range(chain.k):
+        at = chain.k * i + k
+        if i >= tendon[2 * k]:
+            travel[at] = 0.0
+            continue
+        lost, along, side = path_lost(chain, i, k, a, ux, uy, sin_half, cos_half, scale)
+        if a0 > 0.0:
+            lost -= path_lost(chain, i, k, a0, ux0, uy0, sin0, cos0, scale)[0]
+        travel[at] = lost
+        arms[2 * at] = along * ux - side * uy
+        arms[2 * at + 1] = along * uy + side * ux
+
+
+@compiled
 def tendon_travel(chain, bend, scale, work):
     """
     Fill work.travel (n, k) [m] since the rest shape and, if needed, work.arms (n, k, 2) [m].
@@ -77,28 +115,10 @@ def tendon_travel(chain, bend, scale, work):
     if not arm_acts(chain):
         plain_travel(chain, bend, scale, work)
         return
-    travel, arms, tendon = floats(work.travel), floats(work.arms), words(chain.tendon)
     bends, half = floats(bend), floats(work.half)
     for i in range(chain.n):
-        a, ux, uy, sin_half, cos_half = polar(
-            bends[2 * i], bends[2 * i + 1], half[2 * i], half[2 * i + 1]
-        )
-        x0, y0 = rest(0.0, 0.0, chain, section_of(chain, i))
-        s0, c0 = half_turn(x0 * x0 + y0 * y0)
-        a0, ux0, uy0, sin0, cos0 = polar(x0, y0, s0, c0)
-        for k in range(chain.k):
-            at = chain.k * i + k
-            if i >= tendon[2 * k]:
-                travel[at] = 0.0
-                continue
-            lost, along, across = path_lost(chain, i, k, a, ux, uy, sin_half, cos_half, scale)
-            if a0 > 0.0:
-                lost -= path_lost(chain, i, k, a0, ux0, uy0, sin0, cos0, scale)[0]
-            travel[at] = lost
-            offset = floats(chain.offset + 16 * at)
-            side = scale * (offset[1] * ux - offset[0] * uy) * across
-            arms[2 * at] = along * ux - side * uy
-            arms[2 * at + 1] = along * uy + side * ux
+        x, y, s, c = bends[2 * i], bends[2 * i + 1], half[2 * i], half[2 * i + 1]
+        straight_travel(chain, i, x, y, s, c, scale, work)
 
 
 @compiled

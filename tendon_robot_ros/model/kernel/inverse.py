@@ -4,34 +4,27 @@ import math
 
 import numpy as np
 
-from .layout import (
-    address,
-    chain_at,
-    compiled,
-    entry,
-    floats,
-    memory_in,
-    memory_size,
-    work_in,
-    work_size,
-)
-from .newton import TOLERANCE, solve_small
-from .shape import place, posture
+from .derivatives import output_slopes
+from .layout import address, chain_at, compiled, entry, floats, workspace
+from .newton import solve_small
+from .shape import accept, balance, place, predict
 
 # Target: x, y, z [m], direction x, y, z, weight of position [1], weight of direction [m/rad].
-DIFFERENCE = 1e-5  # [N]
 THERE = 1e-14  # [m²] half the squared error of a tip that is where it should be: 0.14 µm
 
 
 @compiled
-def miss(chain, inputs, work, past, now, bend, before, target, f):
-    """Weighted tip error (6,) [m] at inputs (m,); infinite where there is no equilibrium."""
-    change = posture(chain, address(inputs), work, past, now, bend, before)
-    if not change < TOLERANCE:
+def tip_residual(chain, inputs, there, bend, target, f):
+    """
+    Weighted tip error (6,) [m] at inputs (m,); infinite where there is no equilibrium.
+
+    `bend` (n, 2) holds a guess and takes the equilibrium.
+    """
+    if not balance(chain, inputs, there, bend):
         f[:] = math.inf
         return
-    place(chain, bend, work)
-    frames, origins = floats(work.frames), floats(work.origins)
+    place(chain, bend, there.work)
+    frames, origins = floats(there.work.frames), floats(there.work.origins)
     for r in range(3):
         f[r] = target[6] * (origins[3 * chain.n + r] - target[r])
         f[3 + r] = target[7] * (frames[9 * chain.n + 3 * r + 2] - target[3 + r])
@@ -64,48 +57,69 @@ def free_inputs(inputs, gradient, low, high, free):
 
 
 @compiled
-def lower(jacobian, f, inputs, low, high, preference, damping, trial, normal, step, free):
-    """Damped Gauss-Newton step within the limits into `trial`; return the free inputs' count."""
+def normal_equations(jacobian, f, inputs, low, preference, damping, normal, gradient):
+    """Fill the damped normal matrix (m, m) and the gradient (m,) of the cost."""
     m = inputs.shape[0]
-    gradient = np.empty(m)
     for j in range(m):
         gradient[j] = preference * preference * (inputs[j] - low[j])
         for r in range(6):
             gradient[j] += jacobian[r, j] * f[r]
-    count = free_inputs(inputs, gradient, low, high, free)
-    for p in range(count):
-        for q in range(count):
-            total = 0.0
+        for q in range(m):
+            normal[j, q] = 0.0
             for r in range(6):
-                total += jacobian[r, free[p]] * jacobian[r, free[q]]
-            normal[p, q] = total
-    for p in range(count):
-        normal[p, p] += preference * preference + damping * (normal[p, p] + 1e-12)
-        step[p] = -gradient[free[p]]
-    solve_small(normal, step, count)
+                normal[j, q] += jacobian[r, j] * jacobian[r, q]
+        normal[j, j] += preference * preference + damping * (normal[j, j] + 1e-12)
+
+
+@compiled
+def gauss_newton_step(jacobian, f, inputs, low, high, preference, damping, trial, free):
+    """
+    Damped Gauss-Newton step into `trial`; return the count of the inputs that could move.
+
+    Linear least squares with bounds: where a step would leave the limits, the input that leaves
+    them by most stays at its limit and the others step anew.
+    """
+    m = inputs.shape[0]
+    normal, part, step = np.empty((m, m)), np.empty((m, m)), np.empty(m)
+    gradient, move = np.empty(m), np.zeros(m)
+    normal_equations(jacobian, f, inputs, low, preference, damping, normal, gradient)
+    count = free_inputs(inputs, gradient, low, high, free)
+    moving = count
+    while moving > 0:
+        for p in range(moving):
+            step[p] = -gradient[free[p]]
+            for j in range(m):
+                step[p] -= normal[free[p], j] * move[j]
+            for q in range(moving):
+                part[p, q] = normal[free[p], free[q]]
+        solve_small(part, step, moving)
+        worst, most = -1, 0.0
+        for p in range(moving):
+            there = inputs[free[p]] + step[p]
+            over = max(low[free[p]] - there, there - high[free[p]])
+            if over > most:
+                worst, most = p, over
+        if worst < 0:
+            for p in range(moving):
+                move[free[p]] = step[p]
+            break
+        j = free[worst]
+        move[j] = (low[j] if step[worst] < 0.0 else high[j]) - inputs[j]
+        moving -= 1
+        for p in range(worst, moving):
+            free[p] = free[p + 1]
     for j in range(m):
-        trial[j] = inputs[j]
-    for p in range(count):
-        j = free[p]
-        trial[j] = min(max(inputs[j] + step[p], low[j]), high[j])
+        trial[j] = min(max(inputs[j] + move[j], low[j]), high[j])
     return count
 
 
 @compiled
-def tip_jacobian(
-    chain, inputs, high, work, past, now, bend, near, before, target, f, moved, jacobian
-):
-    """Fill the derivative (6, m) of the weighted tip error by the inputs [m/N], by differences."""
-    for j in range(inputs.shape[0]):
-        h = DIFFERENCE if inputs[j] + DIFFERENCE <= high[j] else -DIFFERENCE
-        keep = inputs[j]
-        inputs[j] = keep + h
-        for i in range(2 * chain.n):
-            floats(near)[i] = floats(bend)[i]
-        miss(chain, inputs, work, past, now, near, before, target, moved)
-        inputs[j] = keep
-        for r in range(6):
-            jacobian[r, j] = (moved[r] - f[r]) / h
+def weighted_slopes(chain, inputs, there, target, ways, slopes):
+    """Fill slopes (6 + m, m): of the weighted tip error by the inputs [m/N] in its first rows."""
+    output_slopes(chain, address(inputs), there, ways, slopes)
+    for r in range(6):
+        for j in range(inputs.shape[0]):
+            slopes[r, j] *= target[6] if r < 3 else target[7]
 
 
 @entry()
@@ -117,50 +131,33 @@ def aim(robot, inputs, bends, target, low, high, preference, most, enough, past,
     `THERE`, the search ends with a step that gains less than `enough` of the cost.
     """
     chain = chain_at(robot)
-    n, m = chain.n, chain.m
-    work = work_in(chain, scratch)
-    now = memory_in(chain, scratch + 8 * work_size(n, chain.k))
-    before = now.bend + 8 * memory_size(n, chain.k, m)
-    then = memory_in(chain, address(past))
-    bend, near = address(bends), address(bends) + 16 * n
-    f, moved, jacobian = np.empty(6), np.empty(6), np.zeros((6, m))
-    trial, step, normal = np.empty(m), np.empty(m), np.empty((m, m))
-    free = np.empty(m, np.int64)
-    miss(chain, inputs, work, then, now, bend, before, target, f)
-    cost = cost_of(f, inputs, low, preference)
-    damping = 1e-9
+    m, there = chain.m, workspace(chain, bends, past, scratch)
+    f, moved, jacobian = np.empty(6), np.empty(6), np.zeros((6 + m, m))
+    trial, free, ways = np.empty(m), np.empty(m, np.int64), np.empty((m, 2 * chain.n))
+    tip_residual(chain, inputs, there, there.bend, target, f)
+    cost, damping = cost_of(f, inputs, low, preference), 1e-9
     for _ in range(most):
         if not cost < math.inf:
-            return cost
-        tip_jacobian(
-            chain, inputs, high, work, then, now, bend, near, before, target, f, moved, jacobian
-        )
+            break
+        weighted_slopes(chain, inputs, there, target, ways, jacobian)
         gain = 0.0
         for _ in range(12):
-            if (
-                lower(
-                    jacobian, f, inputs, low, high, preference, damping, trial, normal, step, free
-                )
-                == 0
-            ):
+            given = (jacobian, f, inputs, low, high, preference, damping)
+            if gauss_newton_step(*given, trial, free) == 0:
                 return cost
-            for i in range(2 * n):
-                floats(near)[i] = floats(bend)[i]
-            miss(chain, trial, work, then, now, near, before, target, moved)
+            predict(chain, there, ways, inputs, trial)
+            tip_residual(chain, trial, there, there.near, target, moved)
             new = cost_of(moved, trial, low, preference)
             if new < cost:
                 gain = cost - new
                 break
             damping = max(4.0 * damping, 1e-6)
         if gain == 0.0:
-            return cost
+            break
         damping = max(0.05 * damping, 1e-13)
-        inputs[:] = trial
-        f[:] = moved
-        for i in range(2 * n):
-            floats(bend)[i] = floats(near)[i]
+        accept(chain, there, trial, moved, inputs, f)
         cost -= gain
-        there = cost_of(f, low, low, preference) < THERE
-        if gain < 1e-6 * cost or cost < 1e-16 or (there and gain < enough * cost):
-            return cost
+        is_there = cost_of(f, low, low, preference) < THERE
+        if gain < 1e-6 * cost or cost < 1e-16 or (is_there and gain < enough * cost):
+            break
     return cost

@@ -33,9 +33,11 @@ def entry(*signature):
 #   values  (rows, sections) effect parameters; on (effects,) uint8, which effects act
 #   gravity (3,)      [m/s²], base frame
 # radius: largest distance of a tendon from the centroid [m]
-# step, settle: addresses of these two functions
+# step, residual, respond, newton, settle: addresses of these functions
 Chain = namedtuple(
-    'Chain', 'n k m sections cells offset tendon values on gravity radius step settle'
+    'Chain',
+    'n k m sections cells offset tendon values on gravity radius step residual respond newton '
+    'settle',
 )
 LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT = range(6)
 COLUMNS = 6
@@ -44,21 +46,31 @@ COLUMNS = 6
 # travel (n, k) [m], inputs (m,) [N]; one array, in this order.
 Memory = namedtuple('Memory', 'bend sign travel inputs')
 
-# Work: scratch of one posture. half (n, 2): half angles, see `turning`; slip (3,): smoothing
+# Work: scratch of one posture. half (n, 2): half angles, see `turning`; wrench (n, 6): force [N]
+# and torque [N·m] at the cells' ends of the loads beyond; lag (2, n, k): travel [m] that `stick`
+# has not taken over, here and beyond, else zeros; slip (3,): smoothing
 # length [m], load scale [1], and whether a sweep looks at the guess (1) or goes without (0).
-Work = namedtuple('Work', 'arms travel beyond load lengths tensions frames origins half slip')
+Work = namedtuple(
+    'Work', 'arms travel beyond load lengths tensions frames origins half wrench lag slip'
+)
+
+# Workspace of a search: scratch, memory before and after, the bends kept and those of a trial
+# (n, 2), more bends (n, 2) as scratch, wire pulls of the tendons (k,) and of the inputs (m,).
+Workspace = namedtuple('Workspace', 'work past now bend near before pulls means')
 
 # numba takes types of one name for one type, but each catalogue has a kernel of its own
-for _kind in (Chain, Memory, Work):
+for _kind in (Chain, Memory, Work, Workspace):
     _kind.__name__ += '_' + __name__.partition('.')[0].rpartition('_')[2]
 
 SLIP_LENGTH = 2e-6  # [m] travel over which the sign of friction is smoothed
 
 WORD = types.int64
-CHAIN = types.NamedTuple((WORD,) * 10 + (types.float64, WORD, WORD), Chain)
+CHAIN = types.NamedTuple((WORD,) * 10 + (types.float64,) + (WORD,) * 5, Chain)
 MEMORY = types.NamedUniTuple(WORD, 4, Memory)
-WORK = types.NamedUniTuple(WORD, 10, Work)
+WORK = types.NamedUniTuple(WORD, 12, Work)
 STEP = types.void(CHAIN, WORD, WORD, WORK, MEMORY, WORD)
+RESPOND = types.int64(CHAIN, WORD, WORD, WORD, WORK, MEMORY, WORD)
+NEWTON = types.float64(CHAIN, WORD, WORD, WORK, MEMORY, WORD)
 SETTLE = types.float64(CHAIN, WORD, WORK, MEMORY, WORD)
 
 
@@ -102,7 +114,9 @@ def _function_at(signature):
 floats = _pointer_to(types.float64)
 words = _pointer_to(types.int64)
 flags = _pointer_to(types.uint8)
-step_at = _function_at(STEP)
+step_at = residual_at = _function_at(STEP)
+respond_at = _function_at(RESPOND)
+newton_at = _function_at(NEWTON)
 settle_at = _function_at(SETTLE)
 
 
@@ -121,7 +135,7 @@ def memory_size(n, k, m):
 @register_jitable
 def work_size(n, k):
     """Floats that the scratch of one posture takes."""
-    return 4 * n * k + 2 * n + n + n * k + 12 * (n + 1) + 2 * n + 3
+    return 4 * n * k + 2 * n + n + n * k + 12 * (n + 1) + 8 * n + 2 * n * k + 3
 
 
 @compiled
@@ -131,11 +145,33 @@ def address(array):
 
 
 @compiled
+def keep(array):
+    """Hold an array up to here whose address is in use: numba drops it after its last mention."""
+
+
+@compiled
 def chain_at(start):
     """Chain whose fields lie one after the other at an address."""
     w = words(start)
     radius = floats(start)[10]
-    return Chain(w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7], w[8], w[9], radius, w[11], w[12])
+    return Chain(
+        w[0],
+        w[1],
+        w[2],
+        w[3],
+        w[4],
+        w[5],
+        w[6],
+        w[7],
+        w[8],
+        w[9],
+        radius,
+        w[11],
+        w[12],
+        w[13],
+        w[14],
+        w[15],
+    )
 
 
 @compiled
@@ -159,11 +195,27 @@ def work_in(chain, start):
     frames = tensions + 8 * n * k
     origins = frames + 8 * 9 * (n + 1)
     half = origins + 8 * 3 * (n + 1)
-    slip = half + 8 * 2 * n
+    wrench = half + 8 * 2 * n
+    lag = wrench + 8 * 6 * n
+    slip = lag + 8 * 2 * n * k
     floats(slip)[0], floats(slip)[1], floats(slip)[2] = SLIP_LENGTH, 1.0, 1.0
     for r in range(3):
         floats(frames)[4 * r] = 1.0
-    return Work(start, travel, beyond, load, lengths, tensions, frames, origins, half, slip)
+    return Work(
+        start, travel, beyond, load, lengths, tensions, frames, origins, half, wrench, lag, slip
+    )
+
+
+@compiled
+def workspace(chain, bends, past, scratch):
+    """Lay out what a search needs; `bends` (2, n, 2) and `past` are kept alive outside."""
+    n, k = chain.n, chain.k
+    now = memory_in(chain, scratch + 8 * work_size(n, k))
+    before = now.bend + 8 * memory_size(n, k, chain.m)
+    pulls, bend = before + 16 * n, address(bends)
+    then = memory_in(chain, address(past))
+    work = work_in(chain, scratch)
+    return Workspace(work, then, now, bend, bend + 16 * n, before, pulls, pulls + 8 * k)
 
 
 @compiled
@@ -179,6 +231,8 @@ def with_results(work, tensions, frames, origins):
         frames,
         origins,
         work.half,
+        work.wrench,
+        work.lag,
         work.slip,
     )
 

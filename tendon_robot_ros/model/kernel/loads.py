@@ -2,7 +2,7 @@
 
 from .layout import HINGE, MASS, cell, compiled, floats, section_of
 from .stages import load, load_acts, tip_load, tip_load_acts
-from .turning import curl, halved
+from .turning import arc_factor, halved
 
 NONE = (0.0, 0.0, 0.0)
 
@@ -89,7 +89,7 @@ def cell_moment(x, y, s, c, force, torque, own, cell_length, hinge):
     """
     q = x * x + y * y
     sinc, versine = 2.0 * s * c, 2.0 * s * s
-    whole = curl(q, s, c)
+    whole = arc_factor(q, s, c)
     tx, ty = turn_moment(x, y, torque, sinc, versine, versine - whole)
     if hinge > 0.5:
         half = 0.5 * cell_length
@@ -97,7 +97,7 @@ def cell_moment(x, y, s, c, force, torque, own, cell_length, hinge):
         return tx + fx, ty + fy, 0.0, half
     s2, c2 = halved(s, c)
     s4, c4 = halved(s2, c2)
-    part, quarter = curl(0.25 * q, s2, c2), curl(0.0625 * q, s4, c4)
+    part, quarter = arc_factor(0.25 * q, s2, c2), arc_factor(0.0625 * q, s4, c4)
     half, lean = 0.5 * cell_length, cell_length * s2 * s2
     fx, fy = shift_moment(
         x, y, force, cell_length * versine, -half * s * part, -cell_length * whole
@@ -111,7 +111,8 @@ def load_moments(chain, bend, work):
     """
     Fill work.load (n, 2) [N·m]: minus the gradient of the loads' potential energy by each bend.
 
-    work.half, work.frames and work.origins are those of these bends.
+    work.half, work.frames and work.origins are those of these bends. work.wrench (n, 6) becomes
+    the force [N] and the torque [N·m] at the end of each cell, of all beyond it.
     """
     bends, moments, origins = floats(bend), floats(work.load), floats(work.origins)
     half, lengths = floats(work.half), floats(work.lengths)
@@ -120,6 +121,9 @@ def load_moments(chain, bend, work):
     for i in range(chain.n - 1, -1, -1):
         x, y = bends[2 * i], bends[2 * i + 1]
         f = floats(work.frames + 72 * i)
+        wrench = floats(work.wrench + 48 * i)
+        wrench[0], wrench[1], wrench[2] = force
+        wrench[3], wrench[4], wrench[5] = torque
         own = scaled(scale, weight(chain, i))
         own_here = local(f, own)
         mx, my, lean, rise = cell_moment(

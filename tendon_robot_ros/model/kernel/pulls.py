@@ -1,91 +1,38 @@
 """Tensions for wire pulls: each commanded wire is either taut at its pull, or slack."""
 
 import math
-from collections import namedtuple
 
 import numpy as np
 
-from .layout import (
-    address,
-    chain_at,
-    compiled,
-    entry,
-    floats,
-    memory_in,
-    memory_size,
-    work_in,
-    work_size,
-)
-from .newton import TOLERANCE, solve_small
-from .shape import copy, mean_pulls, posture, wire_pulls
+from .derivatives import output_slopes
+from .layout import address, chain_at, compiled, entry, floats, workspace
+from .newton import solve_small
+from .shape import accept, balance, mean_pulls, predict, wire_pulls
 
 SETTLED = 1e-10  # [m] largest difference between a wire's pull and what was asked
-DIFFERENCE = 1e-5  # [N]
-
-
-# Room: addresses; bends here and at a trial, memory after and before, and scratch.
-Room = namedtuple('Room', 'work past now bend near before pulls')
-Room.__name__ += '_' + __name__.partition('.')[0].rpartition('_')[2]
 
 
 @compiled
-def room(chain, bends, past, scratch):
-    """Lay out what a search for tensions needs; `bends` (2, n, 2) are kept alive outside."""
-    n, k = chain.n, chain.k
-    now = memory_in(chain, scratch + 8 * work_size(n, k))
-    before = now.bend + 8 * memory_size(n, k, chain.m)
-    bend = address(bends)
-    return Room(
-        work_in(chain, scratch),
-        memory_in(chain, address(past)),
-        now,
-        bend,
-        bend + 16 * n,
-        before,
-        before + 16 * n,
-    )
-
-
-@compiled
-def gaps(chain, inputs, target, there, f, here):
-    """
-    Wire pull minus what was asked (m,) [m], zero where nothing was; False: no equilibrium.
-
-    The bends are those kept (`here`), or a trial that starts from them.
-    """
-    n = chain.n
-    bend = there.bend if here else there.near
-    if not here:
-        copy(there.bend, bend, 2 * n)
-    change = posture(chain, address(inputs), there.work, there.past, there.now, bend, there.before)
-    if not change < TOLERANCE:
+def pull_residuals(chain, inputs, target, there, f, bend):
+    """Wire pull minus what was asked (m,) [m], zero where nothing was; False: no equilibrium."""
+    if not balance(chain, inputs, there, bend):
         return False
     wire_pulls(chain, bend, there.work, there.pulls)
-    means = there.pulls + 8 * chain.k
-    mean_pulls(chain, there.pulls, means)
+    mean_pulls(chain, there.pulls, there.means)
     for j in range(inputs.shape[0]):
-        f[j] = 0.0 if math.isnan(target[j]) else floats(means)[j] - target[j]
+        f[j] = 0.0 if math.isnan(target[j]) else floats(there.means)[j] - target[j]
     return True
 
 
 @compiled
-def pull_slopes(chain, inputs, target, there, f, moved, slopes):
-    """Fill the derivative (m, m) [m/N] of the gaps by the tensions, by differences."""
-    for j in range(inputs.shape[0]):
-        keep = inputs[j]
-        inputs[j] = keep + DIFFERENCE
-        good = gaps(chain, inputs, target, there, moved, False)
-        inputs[j] = keep
-        for r in range(inputs.shape[0]):
-            slopes[r, j] = (moved[r] - f[r]) / DIFFERENCE if good else 0.0
-
-
-@compiled
-def accept(chain, there, trial, moved, inputs, f):
-    """Go to where a trial was."""
-    inputs[:] = trial
-    f[:] = moved
-    copy(there.near, there.bend, 2 * chain.n)
+def pull_slopes(chain, inputs, target, there, ways, slopes):
+    """Fill the derivative (m, m) [m/N] of the residuals by the tensions."""
+    m = inputs.shape[0]
+    both = np.empty((6 + m, m))
+    output_slopes(chain, address(inputs), there, ways, both)
+    for r in range(m):
+        for j in range(m):
+            slopes[r, j] = 0.0 if math.isnan(target[r]) else both[6 + r, j]
 
 
 @compiled
@@ -126,7 +73,7 @@ def taut_step(jacobian, f, inputs, target, damping, trial):
 
 
 @entry()
-def pulled(robot, inputs, target, bends, past, scratch, most):
+def solve_stiff_wires(robot, inputs, target, bends, past, scratch, most):
     """
     Find tensions (m,) [N] >= 0 whose wire pulls are `target` (m,) [m]; NaN: a slack wire.
 
@@ -134,22 +81,24 @@ def pulled(robot, inputs, target, bends, past, scratch, most):
     finds no equilibrium.
     """
     chain = chain_at(robot)
-    m, there = chain.m, room(chain, bends, past, scratch)
+    m, there = chain.m, workspace(chain, bends, past, scratch)
+    ways = np.zeros((m, 2 * chain.n))
     f, moved, slopes, trial = np.empty(m), np.empty(m), np.zeros((m, m)), np.empty(m)
     for j in range(m):
         inputs[j] = 0.0 if math.isnan(target[j]) else inputs[j]
-    if not gaps(chain, inputs, target, there, f, True):
+    if not pull_residuals(chain, inputs, target, there, f, there.bend):
         return math.inf
     damping = 1e-10
     for _ in range(most):
         wrong = violation(inputs, target, f)
         if wrong < SETTLED * SETTLED:
             break
-        pull_slopes(chain, inputs, target, there, f, moved, slopes)
+        pull_slopes(chain, inputs, target, there, ways, slopes)
         new = math.inf
         for _ in range(14):
             taut_step(slopes, f, inputs, target, damping, trial)
-            if gaps(chain, trial, target, there, moved, False):
+            predict(chain, there, ways, inputs, trial)
+            if pull_residuals(chain, trial, target, there, moved, there.near):
                 new = violation(trial, target, moved)
             if new < wrong:
                 break

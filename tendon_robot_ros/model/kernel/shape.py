@@ -1,5 +1,9 @@
 """Everything a posture tells: bends, frames, wire pulls; friction memory; batches."""
 
+import math
+
+import numpy as np
+
 from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import (
     LENGTH,
@@ -11,6 +15,7 @@ from .layout import (
     floats,
     memory_in,
     memory_size,
+    residual_at,
     section_of,
     settle_at,
     with_results,
@@ -22,6 +27,8 @@ from .newton import TOLERANCE
 from .stages import measurement, memory_acts, offset, slide_acts, stretch, stretch_acts
 from .sweep import slip_direction
 from .turning import chain_frames
+
+LEAP = 0.3  # [rad] step of a bend over which a derivative is no guess
 
 
 @compiled
@@ -136,47 +143,110 @@ def mean_pulls(chain, pulls, means):
         floats(means)[j] = total / max(members, 1)
 
 
-@entry()
-def postures(robot, block, count, begin, end, past, scratch, carry):
-    """
-    Solve postures `begin` to `end` of a block; return the worst of their last changes [rad].
+@compiled
+def balance(chain, inputs, there, bend):
+    """Solve for the bends at an address from what is there; tell whether they balance."""
+    change = posture(chain, address(inputs), there.work, there.past, there.now, bend, there.before)
+    return change < TOLERANCE
 
-    The block (see `model.form`) holds inputs (count, m) [N] and guesses of the bends and takes
-    the rest. `carry` 1: each posture follows the one before and friction remembers (`past`
-    moves on); 0: every posture comes from the memory in `past`, which stays. `past` and
-    `scratch` are addresses; `past` 0: it lies in the block behind the results.
+
+@compiled
+def predict(chain, there, ways, inputs, trial):
+    """Guess the bends of a trial: those kept, and how they follow the inputs (m, 2n) [rad/N]."""
+    near, longest = floats(there.near), 0.0
+    copy(there.bend, there.near, 2 * chain.n)
+    for q in range(2 * chain.n):
+        move = 0.0
+        for j in range(chain.m):
+            move += ways[j, q] * (trial[j] - inputs[j])
+        near[q] += move
+        longest = max(longest, abs(move)) if move == move else math.inf
+    if not longest < LEAP:
+        copy(there.bend, there.near, 2 * chain.n)
+
+
+@compiled
+def accept(chain, there, trial, moved, inputs, f):
+    """Go to where a trial was: its tensions, residuals and bends."""
+    inputs[:] = trial
+    f[:] = moved
+    copy(there.near, there.bend, 2 * chain.n)
+
+
+@compiled
+def results_at(chain, block, count, b, work):
     """
-    chain = chain_at(robot)
+    Where posture b of a block (see `model.form`) lies.
+
+    Returns inputs, bends, pulls of the tendons, pulls of the inputs, the last change, and scratch
+    whose tensions, frames and origins are those of the block.
+    """
     n, k, m = chain.n, chain.k, chain.m
-    work = work_in(chain, scratch)
-    now = memory_in(chain, scratch + 8 * work_size(n, k))
-    before = now.bend + 8 * memory_size(n, k, m)
-    inputs = address(block)
-    bends = inputs + 8 * m * count
+    bends = block + 8 * m * count
     tensions = bends + 16 * n * count
     frames = tensions + 8 * n * k * count
     origins = frames + 72 * n * count
     pulls = origins + 24 * n * count
     means = pulls + 8 * k * count
     changes = means + 8 * m * count
-    then = memory_in(chain, past if past != 0 else changes + 8 * count)
+    here = with_results(
+        work, tensions + 8 * n * k * b, frames + 72 * (n * b - 1), origins + 24 * (n * b - 1)
+    )
+    row = (block + 8 * m * b, bends + 16 * n * b, pulls + 8 * k * b, means + 8 * m * b)
+    return row, changes + 8 * b, here
+
+
+@compiled
+def show(chain, row, here):
+    """Fill frames, positions and wire pulls of a posture whose bends and tensions are there."""
+    place(chain, row[1], here)
+    wire_pulls(chain, row[1], here, row[2])
+    mean_pulls(chain, row[2], row[3])
+
+
+@entry()
+def postures(robot, block, count, begin, end, past, scratch, carry):
+    """
+    Solve postures `begin` to `end` of a block; return the worst of their last changes [rad].
+
+    The block holds inputs (count, m) [N] and guesses of the bends and takes the rest. `carry` 1:
+    each posture follows the one before and friction remembers (`past` moves on); 0: every
+    posture comes from the memory in `past`, which stays. `past` and `scratch` are addresses;
+    `past` 0: it lies in the block behind the results.
+    """
+    chain = chain_at(robot)
+    n, k, m = chain.n, chain.k, chain.m
+    work = work_in(chain, scratch)
+    now = memory_in(chain, scratch + 8 * work_size(n, k))
+    before = now.bend + 8 * memory_size(n, k, m)
+    start = address(block)
+    behind = results_at(chain, start, count, count, work)[1]
+    then = memory_in(chain, past if past != 0 else behind)
     worst = 0.0
     for b in range(begin, end):
-        bend = bends + 16 * n * b
-        here = with_results(
-            work, tensions + 8 * n * k * b, frames + 72 * (n * b - 1), origins + 24 * (n * b - 1)
-        )
+        row, change_at, here = results_at(chain, start, count, b, work)
         solving = with_results(work, here.tensions, work.frames, work.origins)
-        change = posture(chain, inputs + 8 * m * b, solving, then, now, bend, before)
-        floats(changes)[b] = change
+        change = posture(chain, row[0], solving, then, now, row[1], before)
+        floats(change_at)[0] = change
         if not change <= worst:
             worst = change
         if carry != 0:
             copy(now.bend, then.bend, 2 * n + 2 * n * k + m)
-        place(chain, bend, here)
-        wire_pulls(chain, bend, here, pulls + 8 * k * b)
-        mean_pulls(chain, pulls + 8 * k * b, means + 8 * m * b)
+        show(chain, row, here)
     return worst
+
+
+@entry()
+def show_postures(robot, block, count, past, scratch):
+    """Fill a block from its inputs and bends as they are, without solving."""
+    chain = chain_at(robot)
+    work, then = work_in(chain, scratch), memory_in(chain, past)
+    f = np.empty(2 * chain.n)
+    for b in range(count):
+        row, _, here = results_at(chain, address(block), count, b, work)
+        solving = with_results(work, here.tensions, work.frames, work.origins)
+        residual_at(chain.residual)(chain, row[0], row[1], solving, then, address(f))
+        show(chain, row, here)
 
 
 @entry()

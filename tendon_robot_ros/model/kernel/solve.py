@@ -4,20 +4,25 @@ import math
 
 import numpy as np
 
-from .layout import SETTLE, SLIP_LENGTH, address, compiled, entry, floats, step_at
+from .layout import SETTLE, SLIP_LENGTH, address, compiled, entry, floats, newton_at, step_at
 from .loads import loaded
-from .newton import TOLERANCE, dot, largest, newton, solve_small
+from .march import march
+from .newton import TOLERANCE, dot, largest, solve_small
 from .stability import SAFE, descend, load_ratio
-from .stages import memory_acts
+from .stages import eyelet_acts, memory_acts, slide_acts
+from .stick import solve_sliding
 from .sweep import is_implicit
 from .turning import half_turns
 
 WIDTHS = (1000.0, 100.0, 30.0, 10.0, 3.0, 1.0)  # of the smoothing of friction's sign, on the way
+WIDE, SHRINK = 1000.0, (0.3, 0.5)  # of the slip length at the start, and at every good step
+TRIES, MOST = 8, 30  # steps from a guess, and from a wide slip length
+STRIDES = 16  # of the continuation, before there is said to be no equilibrium
 DEPTH = 5  # guesses that the acceleration remembers
 
 
 @compiled
-def mix(x, f, steps, changes, used, gram, factor, weights):
+def anderson_step(x, f, steps, changes, used, gram, factor, weights):
     """Anderson's next guess: x + f - (steps + changes) weights, weights from least squares."""
     for p in range(used):
         for q in range(p + 1):
@@ -50,8 +55,9 @@ def repeat_sweeps(chain, inputs, x, work, past, most):
         if change < TOLERANCE:
             x[:] = flat
             return change
-        if change > 1e4 * best or change == math.inf or (turn == 9 and change > 1e-2 * first):
-            return change  # too slow: Newton is quicker from where it began
+        slow = (turn == 4 and change > 3e-2 * first) or (turn == 9 and change > 1e-2 * first)
+        if change > 1e4 * best or change == math.inf or slow:
+            return change  # Newton is quicker from where it began
         best = min(best, change)
         if turn == 0:
             first = change
@@ -64,7 +70,7 @@ def repeat_sweeps(chain, inputs, x, work, past, most):
                 gram[slot, p] = gram[p, slot] = dot(changes[slot], changes[p])
         old_x[:] = x
         old_f[:] = f
-        mix(x, f, steps, changes, min(turn, DEPTH), gram, factor, weights)
+        anderson_step(x, f, steps, changes, min(turn, DEPTH), gram, factor, weights)
     return change
 
 
@@ -81,7 +87,7 @@ def sharpen(chain, inputs, x, work, past):
         change = repeat_sweeps(chain, inputs, x, work, past, 25)
         if not change < TOLERANCE:
             x[:] = before
-            change = newton(chain, inputs, x, work, past, 15)
+            change = newton_at(chain.newton)(chain, inputs, address(x), work, past, 15)
         if not change < TOLERANCE:
             break
     slip[0] = SLIP_LENGTH
@@ -96,12 +102,12 @@ def continuation(chain, inputs, x, work, past):
     done, stride = 0.0, 0.25
     last = x.copy()
     change = math.inf
-    for _ in range(60):
+    for _ in range(STRIDES):
         aim = min(1.0, done + stride)
         slip[0] = SLIP_LENGTH * 10.0 ** (3.0 * (1.0 - aim))
         slip[1] = aim
         x[:] = last
-        change = newton(chain, inputs, x, work, past, 30)
+        change = newton_at(chain.newton)(chain, inputs, address(x), work, past, 10)
         if change < TOLERANCE:
             if aim == 1.0:
                 slip[0], slip[1] = SLIP_LENGTH, 1.0
@@ -126,8 +132,70 @@ def is_zero(x):
     return True
 
 
+@compiled
+def is_planar(x):
+    """Tell whether nothing bends the arm across x."""
+    for j in range(1, x.shape[0], 2):
+        if x[j] != 0.0:
+            return False
+    return True
+
+
+@compiled
+def is_causal(chain):
+    """Tell whether nothing beyond a cell decides about it."""
+    return not loaded(chain) and not (slide_acts(chain) and eyelet_acts(chain))
+
+
+@compiled
+def step_plainly(chain, inputs, x, work, past):
+    """Fill x (2n,) with the bends that there are without the effects of shape."""
+    floats(work.slip)[2] = 0.0
+    step_at(chain.step)(chain, inputs, address(x), work, past, address(x))
+    floats(work.slip)[2] = 1.0
+
+
+@compiled
+def begin_again(chain, inputs, x, bend, work, past, cold):
+    """Fill x (2n,) with the bends in `bend`, or where there is no guess with the plain ones."""
+    for j in range(x.shape[0]):
+        x[j] = floats(bend)[j]
+    if cold:
+        step_plainly(chain, inputs, x, work, past)
+
+
+@compiled
+def solve_stuck(chain, inputs, x, bend, work, past, cold):
+    """Solve where tendons may stick: near a guess at once, else from a wide slip length."""
+    change = math.inf
+    begin_again(chain, inputs, x, bend, work, past, cold)
+    if not cold:
+        change = solve_sliding(chain, inputs, x, work, past, 1.0, 1.0, TRIES)
+    for shrink in SHRINK:
+        if change < TOLERANCE:
+            break
+        step_plainly(chain, inputs, x, work, past)
+        change = solve_sliding(chain, inputs, x, work, past, WIDE, shrink, MOST)
+    return change
+
+
+@compiled
+def solve_smooth(chain, inputs, x, bend, work, past, cold):
+    """Newton from the guess, or cell by cell, else while the sign of friction sharpens."""
+    begin_again(chain, inputs, x, bend, work, past, cold)
+    if is_causal(chain):
+        change = march(chain, inputs, x, work, past)
+        if change < TOLERANCE:
+            return change
+        begin_again(chain, inputs, x, bend, work, past, cold)
+    change = newton_at(chain.newton)(chain, inputs, address(x), work, past, 12)
+    if not change < TOLERANCE and eyelet_acts(chain):
+        change = sharpen(chain, inputs, x, work, past)
+    return change
+
+
 @entry(SETTLE)
-def settle(chain, inputs, work, past, bend):
+def solve_equilibrium(chain, inputs, work, past, bend):
     """
     Find the equilibrium for input tensions (m,) [N] from the bends (n, 2) [rad] in `bend`.
 
@@ -145,20 +213,19 @@ def settle(chain, inputs, work, past, bend):
     x = np.empty(size)
     for j in range(size):
         x[j] = bends[j]
-    if is_zero(x) and not memory_acts(chain):  # nothing known: begin without the effects of shape
-        floats(work.slip)[2] = 0.0
-        step_at(chain.step)(chain, inputs, address(x), work, past, address(x))
-        floats(work.slip)[2] = 1.0
-    change = repeat_sweeps(chain, inputs, x, work, past, 25)
-    swept = change < TOLERANCE
-    if not swept:
-        for j in range(size):
-            x[j] = bends[j]
-        change = newton(chain, inputs, x, work, past, 12)
-        if change >= TOLERANCE:
-            change = sharpen(chain, inputs, x, work, past)
-        if change >= TOLERANCE:
-            change = continuation(chain, inputs, x, work, past)
+    cold = is_zero(x) and not memory_acts(chain)
+    if cold:  # nothing known: begin without the effects of shape
+        step_plainly(chain, inputs, x, work, past)
+    swept, change = False, math.inf
+    if memory_acts(chain) or is_planar(x):
+        change = repeat_sweeps(chain, inputs, x, work, past, 25)
+        swept = change < TOLERANCE
+    if not swept and slide_acts(chain) and eyelet_acts(chain) and not memory_acts(chain):
+        change = solve_stuck(chain, inputs, x, bend, work, past, cold)
+    elif not swept:
+        change = solve_smooth(chain, inputs, x, bend, work, past, cold)
+    if not change < TOLERANCE:
+        change = continuation(chain, inputs, x, work, past)
     if change < TOLERANCE and loaded(chain):
         ratio = load_ratio(chain)
         if ratio > SAFE:

@@ -9,9 +9,10 @@ import math
 
 import numpy as np
 
-from .layout import chain_at, compiled, entry
-from .newton import invert
-from .pulls import accept, gaps, pull_slopes, room
+from .elimination import solve_rows
+from .layout import chain_at, compiled, entry, workspace
+from .pulls import pull_residuals, pull_slopes
+from .shape import accept, predict
 
 CLOSE = 1e-2  # largest gap, over the stretch of a wire by 1 N
 FAR, LEAST = 3.0, 0.01  # longest step, over the largest tension and this more [N]
@@ -38,20 +39,19 @@ def spring_step(slopes, f, inputs, target, stretch, move):
             top = max(top, abs(gap))
     if count == 0:
         return 0.0
-    part, high = np.empty((count, count)), 0.0
+    part, step, high = np.empty((count, count)), np.empty((count, 1)), 0.0
     for p in range(count):
         for q in range(count):
             part[p, q] = slopes[taut[p], taut[q]]
         part[p, p] += stretch
+        step[p, 0] = f[taut[p]] + stretch * inputs[taut[p]]
         high = max(high, inputs[taut[p]])
-    inverse = invert(part)
-    if math.isnan(inverse[0, 0]):
+    if not solve_rows(part, step, count):
         return -1.0
     longest = 0.0
     for p in range(count):
-        for q in range(count):
-            move[taut[p]] -= inverse[p, q] * (f[taut[q]] + stretch * inputs[taut[q]])
-        longest = max(longest, abs(move[taut[p]]))
+        move[taut[p]] = -step[p, 0]
+        longest = max(longest, abs(step[p, 0]))
     share = min(1.0, FAR * (high + LEAST) / max(longest, 1e-300))
     for p in range(count):
         move[taut[p]] *= share  # where pulls hardly change, no step is a leap
@@ -81,25 +81,26 @@ def tried(inputs, move, share, trial):
 
 
 @entry()
-def stretched(robot, inputs, target, bends, past, scratch, stretch, most):
+def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, most):
     """
     Find tensions (m,) [N] >= 0 of wires that stretch by `stretch` [m/N]; NaN: a slack wire.
 
-    Arguments as in `pulls.pulled`. Returns the largest remaining gap [m], infinite where the
-    model finds no equilibrium.
+    Arguments as in `pulls.solve_stiff_wires`. Returns the largest remaining gap [m], infinite
+    where the model finds no equilibrium.
     """
     chain = chain_at(robot)
-    m, there = chain.m, room(chain, bends, past, scratch)
+    m, there = chain.m, workspace(chain, bends, past, scratch)
+    ways = np.zeros((m, 2 * chain.n))
     f, moved, slopes = np.empty(m), np.empty(m), np.zeros((m, m))
     trial, move, ahead = np.empty(m), np.empty(m), np.empty(m)
     for j in range(m):
         inputs[j] = 0.0 if math.isnan(target[j]) else inputs[j]
-    if not gaps(chain, inputs, target, there, f, True):
+    if not pull_residuals(chain, inputs, target, there, f, there.bend):
         return math.inf
     fresh, stale, top, slow = False, True, math.inf, 0
     for _ in range(most):
         if stale:
-            pull_slopes(chain, inputs, target, there, f, moved, slopes)
+            pull_slopes(chain, inputs, target, there, ways, slopes)
             fresh, stale = True, False
             top = spring_step(slopes, f, inputs, target, stretch, move)
         if top < CLOSE * stretch or slow > SLOW:
@@ -107,7 +108,8 @@ def stretched(robot, inputs, target, bends, past, scratch, stretch, most):
         share, better = 1.0, False
         for _ in range(8 if fresh else 2):
             tried(inputs, move, share, trial)
-            good = gaps(chain, trial, target, there, moved, False)
+            predict(chain, there, ways, inputs, trial)
+            good = pull_residuals(chain, trial, target, there, moved, there.near)
             new = spring_step(slopes, moved, trial, target, stretch, ahead)
             better = good and 0.0 <= new < (1.0 - 1e-3 * share) * top
             if better:

@@ -59,7 +59,7 @@ def slip_direction(chain, work, past, at, section, here, slides, remembers):
 
 
 @fused
-def near_one(x):
+def fast_log(x):
     """log(x), by a series where x is near 1."""
     w = (x - 1.0) / (x + 1.0)
     if not abs(w) < 0.03:
@@ -73,7 +73,7 @@ def near_one(x):
 
 
 @fused
-def near_zero(x):
+def fast_exp(x):
     """exp(x), by a series where x is near 0."""
     if not abs(x) < 0.06:
         return math.exp(x)
@@ -93,11 +93,11 @@ def times_power(t, passed, s):
         return t / passed
     if not passed > 0.0:
         return t * passed**s
-    return t * near_zero(s * near_one(passed))
+    return t * fast_exp(s * fast_log(passed))
 
 
 @inlined
-def enter(chain, inputs, work, arms):
+def base_tensions(chain, inputs, work, arms):
     """Tensions of the first cell, their moment (x, y) [N·m] and sum [N]."""
     tensions, tendon = floats(work.tensions), words(chain.tendon)
     mx, my, total = 0.0, 0.0, 0.0
@@ -111,7 +111,7 @@ def enter(chain, inputs, work, arms):
 
 
 @compiled
-def how(chain, shaped):
+def active_stages(chain, shaped):
     """Tell which act: friction, straight arms, wrap, slide, memory; `shaped`: a guess counts."""
     return (
         eyelet_acts(chain),
@@ -173,13 +173,13 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
     False: as if no effect needed the shape. work.half becomes that of the new bends.
     """
     load, bends, guesses, half = floats(work.load), floats(out), floats(guess), floats(work.half)
-    flags = how(chain, shaped)
+    flags = active_stages(chain, shaped)
     loads, linear = shaped and loaded(chain), is_linear(chain)
     friction_scale = offset(1.0, chain, 0)
     arms, scale = chain.offset, friction_scale
     if flags[1]:
         arms, scale = work.arms, 1.0
-    mx, my, total = enter(chain, inputs, work, arms)
+    mx, my, total = base_tensions(chain, inputs, work, arms)
     for i in range(chain.n):
         load_x, load_y = 0.0, 0.0
         if loads:  # else the scratch may still hold those of another model
@@ -200,9 +200,19 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
 
 
 @compiled
+def carry_tensions(chain, inputs, bend, work, past, flags, arms, scale):
+    """Fill work.tensions (n, k) [N] at bends (n, 2); work.half, travel and beyond are theirs."""
+    bends = floats(bend)
+    base_tensions(chain, inputs, work, arms)
+    for i in range(chain.n - 1):
+        x, y, next_x, next_y = bends[2 * i], bends[2 * i + 1], bends[2 * i + 2], bends[2 * i + 3]
+        pass_eyelet(chain, work, past, i, x, y, next_x, next_y, arms, scale, flags)
+
+
+@compiled
 def prepare(chain, inputs, guess, work, past):
     """Fill the arms, travel, travel beyond, and load moments that a guess of the bends gives."""
-    scale, flags = offset(1.0, chain, 0), how(chain, True)
+    scale, flags = offset(1.0, chain, 0), active_stages(chain, True)
     friction, straight, _, slides, _ = flags
     slides = friction and slides
     if straight or loaded(chain):
@@ -213,22 +223,7 @@ def prepare(chain, inputs, guess, work, past):
         travel_beyond(chain, work)
     if loaded(chain):
         if length_acts(chain):
-            guesses = floats(guess)
-            enter(chain, inputs, work, chain.offset)
-            for i in range(chain.n - 1):
-                pass_eyelet(
-                    chain,
-                    work,
-                    past,
-                    i,
-                    guesses[2 * i],
-                    guesses[2 * i + 1],
-                    guesses[2 * i + 2],
-                    guesses[2 * i + 3],
-                    chain.offset,
-                    scale,
-                    flags,
-                )
+            carry_tensions(chain, inputs, guess, work, past, flags, chain.offset, scale)
         scale_lengths(chain, work)
         chain_frames(chain, guess, work)
         load_moments(chain, guess, work)

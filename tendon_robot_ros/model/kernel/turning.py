@@ -50,7 +50,7 @@ def halved(s, c):
 
 
 @fused
-def curl(q, s, c):
+def arc_factor(q, s, c):
     """(sin(a)/a - cos(a)) / a² for S and C of a bend whose square is q [rad²]."""
     if not q < 0.25:
         return (2.0 * s * c - 1.0 + 2.0 * s * s * q) / q

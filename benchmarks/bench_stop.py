@@ -1,0 +1,272 @@
+"""
+How soon a stop acts on the motors, whatever it is that stops: worst of many trials.
+
+    python benchmarks/bench_stop.py [--trials 200] [--busy 0] [--release-rate 10] [--json FILE]
+
+Real controller and driver, each a process, on emulated servos in another one; a target bends the
+arm, then something stops it. The emulator tells when which motor got which current and what the
+wires carried. A release ramps (an elastic arm that is let go whips), so there are two figures:
+
+- `begun_ms`: from the cause until the first motor gets less current;
+- `rest_ms`: until every motor is at pretension; `ramp_ms` is what the ramp alone takes.
+
+The controller that is killed or told to stop says no more: the driver then waits for its time-out,
+motors whose port is gone for their watchdog.
+`above_ramp` is the largest tension [N] after 100 ms (and the time-out, where silence is the cause)
+above a ramp that begins then: 0 means that nothing was late.
+"""
+
+import argparse
+import json
+import os
+import signal
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from chain import TARGETS, Chain, Load
+from emulated_bus import driver_for
+from machine import machine
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+
+SOON = 0.1  # [s]
+LEAST = 0.8  # [N] before a stop
+BEFORE = 0.1  # [s] of the trace before the cause
+AFTER = 0.25  # [s] more than the ramp should take
+TRIES = 3
+SETTLE = 0.3  # [s]
+FALLEN = 0.97  # of the current before: the release has begun
+NEAR = 0.03  # [N], four counts of current: at pretension
+
+
+class Stops:
+    """The causes; each method stops the arm and returns when it did [s], its undoing is beside."""
+
+    def __init__(self, chain):
+        self.chain, self.user = chain, chain.user
+        kinds = [(r, d) for r in ReliabilityPolicy for d in DurabilityPolicy]
+        wanted = ('RELIABLE', 'BEST_EFFORT'), ('VOLATILE', 'TRANSIENT_LOCAL')
+        self.publishers = [
+            self.user.create_publisher(
+                Bool, 'stop', QoSProfile(depth=1, reliability=r, durability=d)
+            )
+            for r, d in kinds
+            if r.name in wanted[0] and d.name in wanted[1]
+        ]
+        self.turn = 0
+
+    def topic(self):
+        self.turn += 1
+        now = time.monotonic()
+        self.publishers[self.turn % 4].publish(Bool(data=True))
+        return now
+
+    def topic_off(self):
+        for publisher in self.publishers:
+            publisher.publish(Bool(data=False))
+        self.user.spin(0.1)
+
+    def _service(self, name):
+        client = self.user.ready(name)
+        now = time.monotonic()
+        client.call_async(client.srv_type.Request())
+        return now
+
+    def service_of_driver(self):
+        return self._service('driver/stop')
+
+    def service_of_controller(self):
+        return self._service('controller/stop')
+
+    def _signal(self, name, number):
+        now = time.monotonic()
+        self.chain.signal(name, number)
+        return now
+
+    def sigint(self):
+        return self._signal('driver', signal.SIGINT)
+
+    def sigterm(self):
+        return self._signal('driver', signal.SIGTERM)
+
+    def driver_again(self):
+        self.chain.again('driver')
+
+    def killed_controller(self):
+        return self._signal('controller', signal.SIGKILL)
+
+    def controller_again(self):
+        self.chain.again('controller', -signal.SIGKILL)
+
+    def pulled_port(self):
+        now = time.monotonic()
+        self.chain.servos.say('unplug')
+        return now
+
+    def plug(self):
+        self.chain.servos.say('plug')
+
+    def nothing(self):
+        """Services need no undoing but a reset."""
+
+
+KINDS = {
+    'any publisher': (Stops.topic, Stops.topic_off),
+    'service of the driver': (Stops.service_of_driver, Stops.nothing),
+    'service of the controller': (Stops.service_of_controller, Stops.nothing),
+    'SIGINT': (Stops.sigint, Stops.driver_again),
+    'SIGTERM': (Stops.sigterm, Stops.driver_again),
+    'killed controller': (Stops.killed_controller, Stops.controller_again),
+    'pulled port': (Stops.pulled_port, Stops.plug),
+}
+
+
+SILENCE = 'killed controller', 'service of the controller'
+
+
+class Scale:
+    """Turns the currents of the motors into the tensions that the driver means by them."""
+
+    def __init__(self, servos):
+        driver = driver_for(servos)
+        wires = driver.config.wires
+        self.lines = [(wire.calibration.mean, wire.spool.direction) for wire in wires]
+        self.rest = float(driver.limits[0, 0])
+
+    def __call__(self, currents):
+        rows = [
+            (way * currents[:, i] - line.intercept) / line.slope
+            for i, (line, way) in enumerate(self.lines)
+        ]
+        return np.array(rows).T
+
+
+def judge(trace, cause, scale, rate, allowed):
+    """Return the figures of one trial, None where the arm was not held when it was stopped."""
+    times = np.array([moment[0] for moment in trace]) - cause
+    tensions = scale(np.array([moment[1] for moment in trace]))
+    wires = np.array([moment[2] for moment in trace])
+    before = tensions[times <= 0.0]
+    if not len(before) or before[-1].max() < LEAST or np.ptp(before, axis=0).max() > 0.2:
+        return None
+    start = before[-1]
+    pulling = start > scale.rest + 5.0 * NEAR
+    later = times > 0.0
+    fallen = later & np.any(tensions[:, pulling] < FALLEN * start[pulling], axis=1)
+    high = later & np.any(tensions > scale.rest + NEAR, axis=1)
+    if not fallen.any():
+        return {'begun_ms': np.inf, 'rest_ms': np.inf, 'ramp_ms': 0.0, 'above_ramp': np.inf,
+                'rise': 0.0}  # fmt: skip
+    ramp = np.maximum(scale.rest, start.max() - rate * np.maximum(times - SOON - allowed, 0.0))
+    late = times > SOON + allowed
+    return {
+        'begun_ms': 1e3 * float(times[fallen][0]),
+        'rest_ms': np.inf if high[-1] else 1e3 * float(times[high][-1]),
+        'ramp_ms': 1e3 * float(start.max() - scale.rest) / rate,
+        'above_ramp': max(0.0, float((tensions.max(axis=1) - ramp)[late].max()) - NEAR),
+        'rise': float((wires[later].max(axis=0) - wires[~later][-1]).max()),
+    }
+
+
+def trial(chain, stops, kind, scale, args, number):
+    """Bend the arm, stop it, look; return the figures or None."""
+    stop, undo = KINDS[kind]
+    held = chain.up(TARGETS[number % 2], LEAST)
+    chain.user.spin(SETTLE)
+    allowed = dict.fromkeys(SILENCE, args.command_timeout) | {'pulled port': args.watchdog}
+    cause = stop(stops)
+    time_needed = SOON + allowed.get(kind, 0.0) + args.high / args.release_rate + AFTER
+    chain.user.spin(time_needed)
+    seconds = time.monotonic() - cause
+    trace = chain.servos.ask(f'trace {seconds + BEFORE}')
+    undo(stops)
+    if not held:
+        return None
+    return judge(trace, cause, scale, args.release_rate, allowed.get(kind, 0.0))
+
+
+def measure(args):
+    """Make all trials; kinds take turns, so that each meets the same machine."""
+    found = {kind: [] for kind in args.kinds}
+    skipped = dict.fromkeys(args.kinds, 0)
+    load = Load(args.busy)
+    chain = Chain(
+        args.logs, arm='springs', servos={'watchdog': args.watchdog},
+        release_rate=args.release_rate, command_timeout=args.command_timeout,
+    )  # fmt: skip
+    try:
+        stops, scale = Stops(chain), Scale(chain.servos)
+        end = time.monotonic() + 60.0 * args.minutes
+        for number in range(args.trials):
+            for kind in args.kinds:
+                if time.monotonic() > end:
+                    break
+                for _ in range(TRIES):
+                    got = trial(chain, stops, kind, scale, args, number)
+                    if got is not None:
+                        break
+                if got is None:
+                    skipped[kind] += 1
+                else:
+                    found[kind].append(got)
+        return found, skipped, chain.died
+    finally:
+        load.end()
+        chain.close()
+
+
+def summary(rows):
+    if not rows:
+        return {'trials': 0}
+    columns = {key: np.array([row[key] for row in rows]) for key in rows[0]}
+    figures = {'trials': len(rows)}
+    for key in ('begun_ms', 'rest_ms'):
+        p50, p99, worst = np.percentile(columns[key], [50, 99, 100], method='higher')
+        figures |= {key: {'p50': round(p50, 1), 'p99': round(p99, 1), 'worst': round(worst, 1)}}
+    figures['ramp_ms'] = round(float(columns['ramp_ms'].max()), 1)
+    figures['above_ramp'] = round(float(columns['above_ramp'].max()), 3)
+    figures['late'] = int(np.sum(columns['above_ramp'] > 0.0))
+    figures['rise'] = round(float(columns['rise'].max()), 3)
+    return figures
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    parser.add_argument('--trials', type=int, default=200)
+    parser.add_argument('--minutes', type=float, default=1e6, help='stop after so long')
+    parser.add_argument('--busy', type=int, default=0, help='busy processes beside it')
+    parser.add_argument('--release-rate', type=float, default=10.0, help='[N/s]')
+    parser.add_argument('--command-timeout', type=float, default=0.1, help='[s]')
+    parser.add_argument('--watchdog', type=float, default=0.2, help='[s] of the motors')
+    parser.add_argument('--high', type=float, default=2.0, help='[N] that may have to ramp down')
+    parser.add_argument('--kinds', nargs='+', default=list(KINDS), choices=list(KINDS))
+    parser.add_argument('--logs', type=Path, default=Path(tempfile.gettempdir(), 'bench_stop'))
+    parser.add_argument('--json', type=Path)
+    args = parser.parse_args()
+    begun = os.getloadavg()
+    found, skipped, died = measure(args)
+    result = {
+        **machine(),
+        'load_average': [round(begun[0], 1), round(os.getloadavg()[1], 1)],
+        'busy processes': args.busy,
+        'release_rate': args.release_rate,
+        'command_timeout': args.command_timeout,
+        'watchdog': args.watchdog,
+        'died': died,
+        **{kind: {**summary(rows), 'not held': skipped[kind]} for kind, rows in found.items()},
+    }
+    text = json.dumps(result, indent=1)
+    print(text)
+    if args.json:
+        args.json.write_text(text)
+    return (
+        1
+        if died or any(row.get('late') for row in result.values() if isinstance(row, dict))
+        else 0
+    )
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,219 @@
+"""
+Break the whole chain for half an hour: controller and driver on emulated servos, a user beside.
+
+    python benchmarks/soak_chain.py [--minutes 30] [--seed 1] [--mode pull] [--busy 2]
+
+Targets come five times a second, a fault every ten seconds on average: of the bus and the motors
+(those of soak_dynamixel.py), stops of every kind, killed, ended and frozen processes, a second
+controller, commands and targets that are wrong, models that are broken. Targets: no goal beyond
+the limits, no tension beyond its limit, no process that died, no wire wound beyond the bound.
+The wires pull springs: on the mock arm the emulated motors, which have no inertia, overshoot by
+newtons in milliseconds, faults or not.
+"""
+
+import argparse
+import json
+import math
+import os
+import signal
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from chain import Chain, Load
+from emulated_bus import driver_for
+from machine import machine
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from sensor_msgs.msg import JointState
+from soak_dynamixel import KINDS as OF_THE_BUS
+from soak_dynamixel import Breaker, too_strong
+from std_msgs.msg import Bool
+
+from tendon_robot_ros.drivers.dynamixel.homing import BACK_OFF_M
+from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
+
+BETWEEN = 10.0  # [s] from fault to fault, on average
+PERIOD = 0.2  # [s] of the targets
+ROUND = 20.0  # [s] of a round of the path
+BOUNDS = {'pull_limits': [-0.03, 0.03], 'home_travel': 0.02}  # [m]
+NOT_HERE = ('busy process', 'second process')  # they need a driver in this process
+BROKEN_MODELS = ('name: [', 'nobody', 'x: ' + 'y' * 2_000_000)
+
+
+class ChainBreaker(Breaker):
+    """Breaks bus, motors, processes and topics; mends later, without waiting."""
+
+    def __init__(self, chain, seed):
+        super().__init__(chain.servos, None, seed)
+        self.chain, self.user = chain, chain.user
+        self.later = []  # (time, what to do then)
+        self.stop = self.user.create_publisher(Bool, 'stop', COMMAND)
+        self.latched_stop = self.user.create_publisher(Bool, 'stop', LATCHED)
+        self.rival = self.user.create_publisher(JointState, 'tendon_command', COMMAND)
+        self.model = self.user.create_client(SetParameters, 'controller/set_parameters')
+
+    def for_a_while(self, broken, mended):
+        self.servos.say(broken)
+        self.in_a_while(lambda: self.servos.say(mended))
+
+    def in_a_while(self, action, longest=1.5):
+        self.later.append((time.monotonic() + self.random.uniform(0.05, longest), action))
+
+    def work(self, now):
+        """Do what is due."""
+        due, self.later = ([e for e in self.later if (e[0] <= now) == is_due]
+                           for is_due in (True, False))  # fmt: skip
+        for _, action in due:
+            action()
+
+    def strike(self):
+        name = self.random.choice(sorted(ALL))
+        self.done[name] += 1
+        ALL[name](self, self.random.randint(1, 4))
+
+    def stop_topic(self, _):
+        publisher = self.random.choice((self.stop, self.latched_stop))
+        publisher.publish(Bool(data=True))
+        self.in_a_while(lambda: publisher.publish(Bool(data=False)))
+
+    def end(self, name, number):
+        self.chain.signal(name, number)
+        self.chain.again(name, -number if number == signal.SIGKILL else 0)
+
+    def freeze(self, name):
+        self.chain.signal(name, signal.SIGSTOP)
+        self.in_a_while(lambda: self.chain.signal(name, signal.SIGCONT))
+
+    def wrong_targets(self, _):
+        for x, z in ((math.nan, 0.1), (5.0, 0.1), (1e300, 0.0), (0.0, -0.3)):
+            self.user.aim(x, z)
+
+    def rival_commands(self, value):
+        names = list(load_robot(self.chain.robot).inputs)
+        for _ in range(30):
+            message = JointState(name=names)
+            message.effort = message.position = [value] * len(names)
+            self.rival.publish(message)
+            self.user.spin(0.01)
+
+    def new_model(self, text):
+        value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=text)
+        request = SetParameters.Request(parameters=[Parameter(name='model', value=value)])
+        if self.model.service_is_ready():
+            self.model.call_async(request)
+
+
+def _service(name):
+    return lambda breaker, _: breaker.user.call(name, 1.0)
+
+
+def _end(name, number):
+    return lambda breaker, _: breaker.end(name, number)
+
+
+OF_THE_CHAIN = {
+    'stop topic': ChainBreaker.stop_topic,
+    'stop of the driver': _service('driver/stop'),
+    'stop of the controller': _service('controller/stop'),
+    'controller killed': _end('controller', signal.SIGKILL),
+    'controller ended': _end('controller', signal.SIGTERM),
+    'driver killed': _end('driver', signal.SIGKILL),
+    'driver ended': _end('driver', signal.SIGINT),
+    'controller frozen': lambda breaker, _: breaker.freeze('controller'),
+    'driver frozen': lambda breaker, _: breaker.freeze('driver'),
+    'wrong targets': ChainBreaker.wrong_targets,
+    'second controller': lambda breaker, _: breaker.rival_commands(1e3),
+    'commands that are no numbers': lambda breaker, _: breaker.rival_commands(math.nan),
+    'broken model': lambda breaker, _: breaker.new_model(breaker.random.choice(BROKEN_MODELS)),
+    'model again': lambda breaker, _: breaker.new_model(str(breaker.chain.robot)),
+}
+ALL = {**{k: v for k, v in OF_THE_BUS.items() if k not in NOT_HERE}, **OF_THE_CHAIN}
+
+
+def follow(chain, breaker, args):
+    """Send targets and break things until the time is up; return how often it followed."""
+    begin = time.monotonic()
+    due = begin + breaker.random.expovariate(1.0 / BETWEEN)
+    following = ticks = 0
+    while (now := time.monotonic()) < begin + 60.0 * args.minutes:
+        angle = 2.0 * math.pi * (now - begin) / ROUND
+        chain.user.aim(0.05 * math.sin(angle), 0.18)
+        chain.user.spin(PERIOD)
+        breaker.work(time.monotonic())
+        if now > due:
+            breaker.strike()
+            due = now + breaker.random.expovariate(1.0 / BETWEEN)
+        frozen = bool(breaker.later)
+        if not frozen:
+            chain.look()
+            chain.mend()
+        ticks += 1
+        following += chain.user.code('driver') == 'following'
+    return following / max(1, ticks)
+
+
+def judge(chain, args):
+    """Return what was passed: goals, tensions and wire."""
+    driver = driver_for(chain.servos, args.mode)
+    beyond = too_strong(chain.servos, driver)
+    state = chain.servos.ask('state')
+    high = load_robot(chain.robot).tension_limits[1]
+    within = BOUNDS['home_travel'] + 2.0 * BACK_OFF_M + BOUNDS['pull_limits'][1]
+    wound = np.maximum(np.abs(state['least']), state['most'])
+    if max(state['highest']) > high:
+        beyond.append(f'tension {max(state["highest"]):.2f} N, limit {high:g} N')
+    if wound.max() > within:
+        beyond.append(f'wire {wound.max():.4f} m, bound {within:g} m')
+    return {
+        'beyond limits': beyond,
+        'highest tension [N]': round(float(max(state['highest'])), 3),
+        'most wire wound [m]': round(float(wound.max()), 4),
+    }
+
+
+def run(args):
+    load = Load(args.busy)
+    chain = Chain(args.logs, args.mode, arm='springs', servos={**BOUNDS})
+    try:
+        breaker = ChainBreaker(chain, args.seed)
+        chain.user.until(lambda: chain.user.code('driver') == 'following', 60.0)
+        followed = follow(chain, breaker, args)
+        breaker.work(math.inf)
+        chain.user.spin(1.0)
+        return {
+            'following': round(followed, 3),
+            'faults': sum(breaker.done.values()),
+            'kinds': dict(sorted(breaker.done.items())),
+            'died': chain.died,
+            **judge(chain, args),
+        }
+    finally:
+        load.end()
+        chain.close()
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    parser.add_argument('--minutes', type=float, default=30.0)
+    parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--mode', choices=('tension', 'pull'), default='tension')
+    parser.add_argument('--busy', type=int, default=2, help='busy processes beside it')
+    parser.add_argument('--logs', type=Path, default=Path(tempfile.gettempdir(), 'soak_chain'))
+    parser.add_argument('--json', type=Path)
+    args = parser.parse_args()
+    begun = os.getloadavg()
+    found = run(args)
+    given = {'minutes': args.minutes, 'seed': args.seed, 'mode': args.mode, 'busy': args.busy}
+    load = [round(begun[0], 1), round(os.getloadavg()[1], 1)]
+    text = json.dumps({**machine(), 'load_average': load, **given, **found}, indent=1)
+    print(text)
+    if args.json:
+        args.json.write_text(text)
+    return 1 if found['died'] or found['beyond limits'] else 0
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

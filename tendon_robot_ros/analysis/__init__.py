@@ -1,1 +1,0 @@
-"""From measurements to the missing effect: compare, fit, diagnose, add, simulate."""

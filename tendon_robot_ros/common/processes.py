@@ -1,0 +1,51 @@
+"""Child processes that end with the process that started them, however it ends (Linux)."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import sys
+
+PARENT = 'TENDON_ROBOT_ROS_PARENT'
+PR_SET_PDEATHSIG = 1
+
+
+def child_environment() -> dict[str, str]:
+    """Return the environment for a child that is to call `end_with_parent`."""
+    return {**os.environ, 'PYTHONUNBUFFERED': '1', PARENT: str(os.getpid())}
+
+
+def end_with_parent() -> None:
+    """Have the kernel send SIGINT to this process when its parent dies, if it was told so."""
+    parent = os.environ.pop(PARENT, '')
+    if not parent or not sys.platform.startswith('linux'):
+        return
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT)
+    if os.getppid() != int(parent):  # it died before that
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+# -----------------------------------------------------------------------------
+# What controls motors goes before other work of the machine, where that is allowed (Linux).
+
+FIRST_NICENESS = -15  # nice value; the kernel's own threads stay before it
+
+
+def go_first() -> None:
+    """
+    Have this thread, and all it starts, preferred to others; do nothing where it may not.
+
+    Who was started with a nice value of its own keeps it. Needs root, CAP_SYS_NICE or a line
+    `nice -15` in /etc/security/limits.conf.
+    """
+    if os.getpriority(os.PRIO_PROCESS, 0) == 0:
+        with contextlib.suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, 0, FIRST_NICENESS)
+
+
+def go_with_others() -> None:
+    """Take back what was inherited from a process that goes first."""
+    if os.getpriority(os.PRIO_PROCESS, 0) < 0:
+        os.setpriority(os.PRIO_PROCESS, 0, 0)

@@ -1,0 +1,91 @@
+"""Rotations: matrices, rotation vectors, quaternions (x, y, z, w)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def bent(toward: Array, angle: Array) -> Array:
+    """Rotation (..., 3, 3) by an angle [rad] towards a unit vector (..., 2), without twist."""
+    x, y = toward[..., 0], toward[..., 1]
+    s, v = np.sin(angle), 1.0 - np.cos(angle)
+    rows = [
+        [1.0 - v * x * x, -v * x * y, s * x],
+        [-v * x * y, 1.0 - v * y * y, s * y],
+        [-s * x, -s * y, 1.0 - v],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def about(axis: int, angle: float) -> Array:
+    """Return the rotation about the x (0) or y (1) axis."""
+    s, c = math.sin(angle), math.cos(angle)
+    rows = [[1, 0, 0], [0, c, -s], [0, s, c]] if axis == 0 else [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+    return np.array(rows, dtype=float)
+
+
+def rotated(vector: Array, rotation: Array) -> Array:
+    """Rotate a unit vector by a rotation vector [rad] (Rodrigues' formula)."""
+    angle = float(np.linalg.norm(rotation))
+    if angle < 1e-12:
+        return vector
+    axis = rotation / angle
+    turned: Array = (
+        vector * np.cos(angle)
+        + np.cross(axis, vector) * np.sin(angle)
+        + axis * (axis @ vector) * (1.0 - np.cos(angle))
+    )
+    return turned / np.linalg.norm(turned)
+
+
+def towards(direction: Array) -> Array:
+    """Return a rotation matrix whose z axis is a unit vector, turned there the shortest way."""
+    x, y, z = direction
+    across = x * x + y * y
+    if z < 0.0 and across < 1e-24:
+        return np.diag([1.0, -1.0, -1.0])
+    k = 1.0 / (1.0 + z) if z >= 0.0 else (1.0 - z) / across  # the same, without cancellation
+    return np.array([[1 - k * x * x, -k * x * y, x], [-k * x * y, 1 - k * y * y, y], [-x, -y, z]])
+
+
+def quaternions(rotations: Array) -> Array:
+    """Return quaternions (n, 4) x, y, z, w of rotation matrices (n, 3, 3)."""
+    r = rotations
+    # four times the square of each component; the largest one is safe to divide by
+    squares = np.stack(
+        [
+            1 + r[:, 0, 0] - r[:, 1, 1] - r[:, 2, 2],
+            1 - r[:, 0, 0] + r[:, 1, 1] - r[:, 2, 2],
+            1 - r[:, 0, 0] - r[:, 1, 1] + r[:, 2, 2],
+            1 + r[:, 0, 0] + r[:, 1, 1] + r[:, 2, 2],
+        ],
+        1,
+    )
+    a, b, c = r[:, 2, 1], r[:, 0, 2], r[:, 1, 0]
+    d, e, f = r[:, 1, 2], r[:, 2, 0], r[:, 0, 1]
+    rows = np.stack(
+        [
+            np.stack([squares[:, 0], c + f, b + e, a - d], 1),
+            np.stack([c + f, squares[:, 1], a + d, b - e], 1),
+            np.stack([b + e, a + d, squares[:, 2], c - f], 1),
+            np.stack([a - d, b - e, c - f, squares[:, 3]], 1),
+        ],
+        1,
+    )
+    best = rows[np.arange(len(r)), np.argmax(squares, 1)]
+    return best / np.linalg.norm(best, axis=1, keepdims=True)
+
+
+def from_quaternion(quaternion: Sequence[float]) -> Array:
+    """Return the rotation matrix (3, 3) of a unit quaternion x, y, z, w."""
+    *axis, w = quaternion
+    v = np.array(axis)
+    cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    turn: Array = np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+    return turn

@@ -1,0 +1,250 @@
+"""Checked reading of a YAML mapping: every refusal names file, key, expectation and value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, Self
+
+import yaml
+
+from .errors import DriverError, RobotDescriptionError, TendonRobotError
+
+DEEPEST = 100  # brackets within brackets
+SHORT = 4_000  # characters that are read once more for a better message
+Loader: Any = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # compiled: a tenth of the time
+
+
+class _Plain(Loader):  # type: ignore[misc]
+    """Counts how deep it is: compiled code would run out of memory without a word."""
+
+    depth = 0
+
+    def descend_resolver(self, node: object, index: object) -> None:
+        """Go into a node."""
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise ValueError('brackets nested too deeply')
+
+    def ascend_resolver(self) -> None:
+        """Go out of a node."""
+        self.depth -= 1
+
+
+def parse_yaml(text: str) -> Any:
+    """
+    Read YAML text into plain values; nothing in it is ever executed.
+
+    Raises
+    ------
+    ValueError
+        With the reason on one line.
+
+    """
+    try:
+        return yaml.load(text, Loader=_Plain)
+    except yaml.MarkedYAMLError as refused:
+        error = _retold(text, refused)
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise ValueError(f'line {line}: {error.problem}') from None
+    except (yaml.YAMLError, ValueError) as error:  # a date such as 2000-99-99 is a ValueError
+        raise ValueError(' '.join(str(error).split())) from None
+
+
+def _retold(text: str, error: yaml.MarkedYAMLError) -> yaml.MarkedYAMLError:
+    """Return what the interpreted loader says: it knows better where the mistake is."""
+    if len(text) <= SHORT:
+        try:
+            yaml.safe_load(text)
+        except yaml.MarkedYAMLError as told:
+            return told
+    return error
+
+
+class Reader:
+    """A mapping of a description file, with the path of keys that leads to it."""
+
+    def __init__(self, source: str, path: str, content: Any) -> None:
+        """Refuse what is no mapping."""
+        self.source, self.path = source, path
+        if content is None:
+            content = {}
+        if not isinstance(content, dict):
+            raise self.error('', 'keys with values', content)
+        self.content: dict[str, Any] = content
+
+    def error(self, key: str, expected: str, got: object) -> TendonRobotError:
+        """Build the error for a key of this mapping; a reader of other files overrides it."""
+        return RobotDescriptionError(self.source, self._where(key), expected, got)
+
+    def has(self, key: str) -> bool:
+        """Tell whether a key is there and not empty."""
+        return self.content.get(key) is not None
+
+    def only(self, *known: str) -> None:
+        """Refuse keys that nothing reads."""
+        for key in self.content:
+            if key not in known:
+                raise self.error(str(key), 'one of ' + ', '.join(known), str(key))
+
+    def child(self, key: str, optional: bool = False) -> Self:
+        """Open the mapping below a key."""
+        if optional and not self.has(key):
+            return type(self)(self.source, self._where(key), {})
+        return type(self)(self.source, self._where(key), self.content.get(key))
+
+    def mapping(self, key: str) -> dict[str, Any]:
+        """Return the mapping below a key, empty when absent."""
+        return self.child(key, optional=True).content
+
+    def items(self, key: str) -> Iterator[Self]:
+        """Open each entry of a list."""
+        value = self.content.get(key)
+        if not isinstance(value, list) or not value:
+            raise self.error(key, 'a list with at least one entry', value)
+        for index, item in enumerate(value):
+            yield type(self)(self.source, f'{self._where(key)}[{index}]', item)
+
+    def unique(self, key: str, names: list[str]) -> None:
+        """Refuse a name that stands twice."""
+        for name in names:
+            if names.count(name) > 1:
+                raise self.error(key, 'names that differ', name)
+
+    def name(self, key: str) -> str:
+        """Return a name; YAML reads y, n, on, off and numbers as something else."""
+        value = self.content.get(key)
+        if isinstance(value, (bool, int, float)):
+            raise self.error(key, 'a name (put it in quotes: YAML reads it otherwise)', value)
+        if not isinstance(value, str) or not value.strip():
+            raise self.error(key, 'a name', value)
+        if any(character in value for character in ',=\n\t'):
+            raise self.error(key, 'a name without comma, equals sign or line break', value)
+        return value
+
+    def choice(self, key: str, known: tuple[str, ...], default: str | None = None) -> str:
+        """Return one of the known words."""
+        value = self.content.get(key, default)
+        if value not in known:
+            raise self.error(key, 'one of ' + ', '.join(known), value)
+        return str(value)
+
+    def flag(self, key: str) -> bool:
+        """Return true or false; false when absent."""
+        value = self.content.get(key, False)
+        if not isinstance(value, bool):
+            raise self.error(key, 'true or false', value)
+        return value
+
+    def count(self, key: str) -> int:
+        """Return a whole number of at least one."""
+        value = self.content.get(key)
+        if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= 10000:
+            raise self.error(key, 'a whole number from 1 to 10000', value)
+        return value
+
+    def number(
+        self, key: str, low: float = -math.inf, high: float = math.inf, unit: str = '1'
+    ) -> float:
+        """Return a finite number within bounds."""
+        return self._number(key, self.content.get(key), low, high, unit)
+
+    def numbers(self, key: str) -> float | tuple[float, ...]:
+        """Return one number, or a list of them."""
+        value = self.content.get(key)
+        if isinstance(value, list):
+            return tuple(
+                self._number(f'{key}[{i}]', v, -math.inf, math.inf, 'SI')
+                for i, v in enumerate(value)
+            )
+        return self._number(key, value, -math.inf, math.inf, 'SI')
+
+    def vector(self, key: str, size: int) -> tuple[Any, ...]:
+        """Return a list of finite numbers."""
+        value = self.content.get(key)
+        if not isinstance(value, list) or len(value) != size:
+            raise self.error(key, f'a list of {size} numbers', value)
+        return tuple(
+            self._number(f'{key}[{i}]', v, -math.inf, math.inf, 'SI') for i, v in enumerate(value)
+        )
+
+    def limits(self, key: str) -> tuple[float, float]:
+        """Return [lowest, highest] tension, 0 <= lowest < highest [N]."""
+        low, high = self.vector(key, 2)
+        if not 0.0 <= low < high:
+            raise self.error(key, '[lowest, highest] with 0 <= lowest < highest [N]', [low, high])
+        return low, high
+
+    def per_cell(
+        self, key: str, cells: int, unit: str, default: float | None = None
+    ) -> tuple[float, ...]:
+        """Return one positive value per cell from a number or a list."""
+        value = self.content.get(key, default)
+        values = value if isinstance(value, list) else [value] * cells
+        if len(values) != cells:
+            raise self.error(
+                key, f'one number or {cells} of them (one per cell)', f'{len(values)} numbers'
+            )
+        return tuple(self._number(key, v, 1e-12, 1e6, unit) for v in values)
+
+    def offset(self, key: str) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return the offsets [m] at the base and at the end of a tendon."""
+        if isinstance(self.content.get(key), dict):
+            taper = self.child(key)
+            taper.only('base', 'end')
+            base, end = taper._offset('base'), taper._offset('end')
+        else:
+            base = end = self._offset(key)
+        return base, end
+
+    def _offset(self, key: str) -> tuple[float, float]:
+        x, y = self.vector(key, 2)
+        if max(abs(x), abs(y)) > 1.0:
+            raise self.error(key, 'an offset below 1 m (is it in mm?)', [x, y])
+        return x, y
+
+    def _number(self, key: str, value: Any, low: float, high: float, unit: str) -> float:
+        bounds = '' if low == -math.inf else f' from {low:g} to {high:g}'
+        if isinstance(value, str):
+            try:  # YAML 1.1 reads 2e-4 as text
+                value = float(value)
+            except ValueError:
+                pass
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self.error(key, f'a number{bounds} [{unit}]', value)
+        if not (math.isfinite(value) and low <= value <= high):
+            raise self.error(key, f'a finite number{bounds} [{unit}]', value)
+        return float(value)
+
+    def _where(self, key: str) -> str:
+        return '.'.join(filter(None, (self.path, key))) or 'file'
+
+
+# -----------------------------------------------------------------------------
+# Checked reading of a configuration of a driver.
+
+
+class ConfigFields(Reader):
+    """Checked reading of the configuration."""
+
+    def error(self, key: str, expected: str, got: object) -> DriverError:
+        """Build the error for a key."""
+        return DriverError(f'{self.source}: {self._where(key)}: expected {expected}, got {got!r}')
+
+    def value(self, key: str, default: float, low: float, high: float, unit: str) -> float:
+        """Return a number, or the default when absent."""
+        return self.number(key, low, high, unit) if self.has(key) else default
+
+    def flag(self, key: str) -> bool:
+        """Return true or false, false when absent."""
+        value = self.content.get(key, False)
+        if not isinstance(value, bool):
+            raise self.error(key, 'true or false', value)
+        return value
+
+    def port(self) -> str:
+        """Return the path of the serial port."""
+        value = self.content.get('port')
+        if not isinstance(value, str) or not value:
+            raise self.error('port', 'the path of a serial port, such as /dev/ttyUSB0', value)
+        return value

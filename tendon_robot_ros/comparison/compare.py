@@ -1,0 +1,215 @@
+"""The shapes of a model in the postures of a data set, or the reason why there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import InputError, NoEquilibriumError
+from ..data import DataSet, default_markers
+from ..effects import Catalogue, load_catalogue
+from ..model.model import Model
+from ..model.pulls import pull_shapes
+from ..model.shape import ShapeBatch
+from ..robot import Robot
+from .noise import Whitener, estimate_noise, input_slopes
+from .predict import Predictor, mean_inputs
+from .result import Comparison, Measured, ModelErrors
+from .statistics import ERRORS
+
+
+def equilibria(dataset: DataSet, model: Model) -> ShapeBatch:
+    """
+    Return the shapes of the postures, reached as the data set's were.
+
+    Raises
+    ------
+    NoEquilibriumError, InputError
+        With the posture and what acts in it.
+
+    """
+    inputs = mean_inputs(dataset)
+    carry = model.remembers and dataset.path == 'sequence'
+    if dataset.input == 'displacement':
+        memory = model.arrays.fresh_memory() if carry else None
+        return pull_shapes(model, inputs, memory=memory)
+    return model.sequence(inputs) if carry else model.shapes(inputs)
+
+
+# -----------------------------------------------------------------------------
+# Compare models with measurements.
+
+Floats = npt.NDArray[np.float64]
+
+
+def compare(
+    dataset: DataSet,
+    models: Sequence[tuple[str, Robot]] = (),
+    catalogue: Catalogue | None = None,
+    error: str = 'ci',
+) -> Comparison:
+    """
+    Compare models with the measurements of a data set.
+
+    Parameters
+    ----------
+    dataset : DataSet
+    models : sequence of (name, Robot), optional
+        Default: the data set's robot description.
+    catalogue : Catalogue, optional
+        With the user's own effects.
+    error : str
+        'ci' for 95 % t-intervals of means, 'sem' for standard errors.
+
+    Raises
+    ------
+    InputError
+        A robot has other inputs than the data set's, or names stand twice.
+    NoEquilibriumError
+        A model has no equilibrium in a posture.
+
+    """
+    if error not in ERRORS:
+        raise InputError(f'error: expected {" or ".join(ERRORS)}, got {error!r}')
+    named = list(models) or [(dataset.robot.name, dataset.robot)]
+    names = [name for name, _ in named]
+    if len(set(names)) < len(names):
+        raise InputError(f'models: expected different names, got {", ".join(names)}')
+    catalogue = catalogue or load_catalogue()
+    for name, robot in named:
+        _check(dataset, name, robot)
+    predictors = [Predictor(dataset, robot, catalogue) for _, robot in named]
+    markers = [_predict(predictor) for predictor in predictors]
+    axes = bending_axes(markers[0]) if on_the_centreline(dataset) else None
+    found = tuple(_errors(dataset, named[i], markers[i], axes) for i in range(len(named)))
+    if axes is None:
+        lines = [_centreline(dataset, robot, catalogue) for _, robot in named]
+        found = tuple(
+            replace(model, centreline=line) for model, line in zip(found, lines, strict=True)
+        )
+    best = int(np.argmin([model.rms for model in found]))
+    angles = None if axes is None else _angles(dataset.positions.swapaxes(0, 1), axes)
+    return Comparison(_measured(dataset, predictors[best], angles), found, error)
+
+
+def _check(dataset: DataSet, name: str, robot: Robot) -> None:
+    if robot.inputs != dataset.robot.inputs:
+        raise InputError(
+            f'model {name}: expected the inputs {", ".join(dataset.robot.inputs)} of '
+            f'{dataset.name}, got {", ".join(robot.inputs)}'
+        )
+
+
+def _predict(predictor: Predictor) -> Floats:
+    markers = predictor.markers({})
+    if markers is None:
+        equilibria(predictor.dataset, predictor.model)  # says in which posture
+        raise NoEquilibriumError(predictor.dataset.name, predictor.model.implicit_effects, np.nan)
+    return markers
+
+
+def _errors(
+    dataset: DataSet, named: tuple[str, Robot], markers: Floats, axes: Floats | None
+) -> ModelErrors:
+    name, robot = named
+    distance = np.linalg.norm(markers - dataset.mean, axis=2)
+    tips = np.linalg.norm(dataset.positions[:, :, -1] - markers[:, None, -1], axis=2)
+    angles = None if axes is None else _angles(markers, axes)
+    return ModelErrors(name, tuple(robot.effects), markers, angles, distance, tips)
+
+
+def _angles(positions: Floats, axes: Floats) -> Floats:
+    """Angular displacements (..., P, J) [rad] about the axes (P, 3) of the postures."""
+    return np.asarray((turns(positions) * axes[:, None, :]).sum(axis=-1))
+
+
+def _centreline(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> Floats:
+    """Return the ends of the cells (P, n, 3) [m] as the tracker would see them."""
+    cells = default_markers(robot)
+    shape = (*dataset.positions.shape[:2], len(cells), 3)
+    unseen = replace(dataset, markers=cells, positions=np.zeros(shape), orientations=None)
+    return _predict(Predictor(unseen, robot, catalogue))
+
+
+def _measured(dataset: DataSet, predictor: Predictor, angles: Floats | None) -> Measured:
+    slopes = input_slopes(predictor, {})
+    noise = estimate_noise(dataset, slopes)
+    floor = None
+    if noise is not None:
+        floor = _floor(dataset, Whitener(dataset, noise, slopes))
+    return Measured(
+        data=dataset.name,
+        input=dataset.input,
+        input_names=dataset.input_names,
+        inputs=predictor.inputs,
+        postures=dataset.postures,
+        trials=dataset.trials,
+        markers=tuple(marker.name for marker in dataset.markers),
+        arc_lengths=dataset.arc_lengths,
+        per_cell=dataset.markers == default_markers(dataset.robot),
+        mean=dataset.mean,
+        tips=dataset.positions[:, :, -1],
+        angles=angles,
+        position_noise=None if noise is None else noise.position,
+        floor=floor,
+    )
+
+
+def _floor(dataset: DataSet, whitener: Whitener) -> Floats:
+    """Return the expected squared distance (P, J) [m²] of a perfect model."""
+    squared = np.full((len(dataset.postures), 3 * len(dataset.markers)), np.nan)
+    for p, (rows, variance) in enumerate(zip(whitener.rows, whitener.variance, strict=True)):
+        squared[p, rows] = variance
+    return np.asarray(squared.reshape(*squared.shape[:1], -1, 3).sum(axis=2))
+
+
+def on_the_centreline(dataset: DataSet) -> bool:
+    """Tell whether chords between the markers follow the arm: then they tell how it bends."""
+    inside = (dataset.offsets == 0.0).all() and len(dataset.markers) > 1
+    return bool(inside and (np.diff(dataset.arc_lengths, prepend=0.0) > 0.0).all())
+
+
+def turns(positions: Floats) -> Floats:
+    """
+    Turn from one chord of the arm to the next, as rotation vectors.
+
+    The chord of a cell leads from the marker before it (the base for the first) to its own; the
+    first turns from +z: the angular displacement of a cell based on the cell before it (Kato et
+    al. 2015, section IV).
+
+    Parameters
+    ----------
+    positions : (..., J, 3) [m]
+
+    Returns
+    -------
+    (..., J, 3) [rad]
+
+    """
+    base = np.zeros((*positions.shape[:-2], 1, 3))
+    after = np.diff(np.concatenate([base, positions], axis=-2), axis=-2)
+    first = np.broadcast_to([0.0, 0.0, 1.0], base.shape)
+    before = np.concatenate([first, after[..., :-1, :]], axis=-2)
+    cross = np.cross(before, after)
+    size = np.linalg.norm(cross, axis=-1, keepdims=True)
+    angle = np.arctan2(size, (before * after).sum(axis=-1, keepdims=True))
+    return np.asarray(cross / np.where(size > 0.0, size, 1.0) * angle)
+
+
+def bending_axes(markers: Floats) -> Floats:
+    """
+    Axis (P, 3) about which each predicted posture (P, J, 3) turns most.
+
+    +y in a planar arm, so that bends towards +x are positive; in a spatial one the whole posture
+    turns by a positive angle.
+    """
+    axes = np.tile([0.0, 1.0, 0.0], (len(markers), 1))
+    for p, turned in enumerate(turns(markers)):
+        values, vectors = np.linalg.eigh(turned.T @ turned)
+        axis = vectors[:, -1]
+        if values[-1] > 0.0 and abs(axis[1]) < 0.999:
+            axes[p] = axis * (1.0 if turned.sum(axis=0) @ axis >= 0.0 else -1.0)
+    return axes

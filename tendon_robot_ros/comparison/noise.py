@@ -1,0 +1,210 @@
+"""The noise of a data set: repeatability of the trials, input noise through the model, floor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ..data import DataSet
+from .predict import Point, Predictor
+from .statistics import minimum
+
+Floats = npt.NDArray[np.float64]
+TRIAL_DOF_MIN = 30  # degrees of freedom within postures from which the trials tell the noise
+
+
+@dataclass(frozen=True)
+class Noise:
+    """
+    Noise of the marker means of a data set.
+
+    Attributes
+    ----------
+    position : float [m]
+        1 sd per coordinate and trial.
+    trial, setting : float [1]
+        Relative 1 sd of a tendon's input, per trial and shared by the trials of a posture.
+    freedom : float
+        Degrees of freedom that the trials gave the estimate; infinite when it was declared.
+    source : str
+        'trials' or 'declared'.
+
+    """
+
+    position: float
+    trial: float
+    setting: float
+    freedom: float
+    source: str
+
+
+def input_steps(dataset: DataSet, inputs: Floats) -> Floats:
+    """Step (P, m) of the inputs that carries their noise through the model: about one sd."""
+    relative = np.hypot(dataset.setting_noise, dataset.trial_noise) or 0.005
+    return np.asarray(relative * np.abs(np.nan_to_num(inputs)))
+
+
+def input_slopes(predictor: Predictor, point: Point) -> Floats:
+    """
+    Return how markers answer to the inputs, relative: (P, m, J, 3) [m] per unit of T.
+
+    Central differences of about one noise sd with a full solution each: friction is kinked. An
+    input without a solution on both sides counts as without influence.
+    """
+    inputs, dataset = predictor.inputs, predictor.dataset
+    steps = input_steps(dataset, inputs)
+    slopes = np.zeros((*inputs.shape, len(dataset.markers), 3))
+    for j in range(inputs.shape[1]):
+        side = []
+        for sign in (1.0, -1.0):
+            moved = inputs.copy()
+            moved[:, j] += sign * steps[:, j]
+            side.append(predictor.markers(point, moved))
+        if side[0] is None or side[1] is None:
+            continue
+        width = np.where(steps[:, j] > 0.0, 2.0 * steps[:, j], np.inf)
+        scale = np.abs(np.nan_to_num(inputs[:, j])) / width
+        slopes[:, j] = (side[0] - side[1]) * scale[:, None, None]
+    return slopes
+
+
+def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
+    """
+    Estimate the noise from deviations within postures only (REML), else take what is declared.
+
+    Model error is the same in all trials of a posture, so it cannot leak in. None: neither trials
+    nor a declared `position_noise`.
+    """
+    total, parts = 0.0, []
+    for p in range(len(dataset.postures)):
+        seen = dataset.trial_mask[p]
+        complete = dataset.mask[p][seen].all(axis=0)
+        trials, markers = int(seen.sum()), int(complete.sum())
+        if trials < 2 or not markers:
+            continue
+        moves = dataset.positions[p][seen][:, complete].reshape(trials, -1)
+        g = slopes[p][:, complete].reshape(len(slopes[p]), -1).T  # (3 J, m)
+        if dataset.trial_inputs is not None:
+            moves = moves - _measured_share(dataset, p, seen, g)
+        moves = moves - moves.mean(axis=0)
+        u, s, _ = np.linalg.svd(g, full_matrices=False)
+        along = ((moves @ u) ** 2).sum(axis=0)
+        rest = max(float((moves**2).sum() - along.sum()), 0.0)
+        parts.append((trials - 1, s, along, moves.shape[1] - len(s), rest))
+        total += (trials - 1) * moves.shape[1]
+    if total < TRIAL_DOF_MIN:
+        if dataset.position_noise is None:
+            return None
+        return Noise(
+            dataset.position_noise, dataset.trial_noise, dataset.setting_noise, np.inf, 'declared'
+        )
+    position, trial = _restricted_likelihood(parts)
+    return Noise(position, trial, dataset.setting_noise, total, 'trials')
+
+
+def _measured_share(dataset: DataSet, p: int, seen: npt.NDArray[np.bool_], g: Floats) -> Floats:
+    """Return what the measured differences of the inputs explain (trials, 3 J) [m]."""
+    assert dataset.trial_inputs is not None
+    inputs = np.nan_to_num(dataset.trial_inputs[p][seen])
+    mean = inputs.mean(axis=0)
+    relative = (inputs - mean) / np.where(mean == 0.0, np.inf, mean)
+    return np.asarray(relative @ g.T)
+
+
+def _restricted_likelihood(
+    parts: list[tuple[int, Floats, Floats, int, float]],
+) -> tuple[float, float]:
+    """
+    Maximise the likelihood of the deviations over the two standard deviations.
+
+    Only their ratio needs a search: given it, the position noise has a closed form.
+    """
+    count = sum(nu * (len(s) + rest) for nu, s, _, rest, _ in parts)
+    nus = np.concatenate([np.full(len(s), nu) for nu, s, *_ in parts])
+    sizes = np.concatenate([s for _, s, *_ in parts]) ** 2
+    along = np.concatenate([a for _, _, a, *_ in parts])
+    rest = float(sum(r for *_, r in parts))
+    largest = max(float(sizes.max(initial=0.0)), 1e-30)
+
+    def position2(ratio: float) -> float:
+        return max((float(np.sum(along / (1.0 + ratio * sizes))) + rest) / count, 1e-24)
+
+    def cost(log: float) -> float:
+        ratio = math.exp(log) / largest
+        spread = float(np.sum(nus * np.log1p(ratio * sizes)))
+        return spread + count * math.log(position2(ratio))
+
+    grid = np.arange(-14.0, 21.0, 1.0)
+    best = float(grid[int(np.argmin([cost(float(log)) for log in grid]))])
+    log, lowest = minimum(cost, best - 1.0, best + 1.0, 1e-3)
+    if best == grid[0] or lowest > count * math.log(position2(0.0)):
+        return math.sqrt(position2(0.0)), 0.0
+    ratio = math.exp(log) / largest
+    position = math.sqrt(position2(ratio))
+    return position, min(math.sqrt(ratio) * position, 0.3)
+
+
+class Whitener:
+    """
+    Covariance of the marker means, a block per posture, and its inverse root.
+
+    (position noise + trial noise) / trials + setting noise, which the trials of a posture share.
+    `extra` (P, q, 3 J) adds further common error, one sd each [m].
+    """
+
+    def __init__(
+        self, dataset: DataSet, noise: Noise, slopes: Floats, accuracy: float = 0.0
+    ) -> None:
+        """Factor the blocks."""
+        self.rows = [np.flatnonzero(np.repeat(counts > 0, 3)) for counts in dataset.counts]
+        self.factors, self.variance = [], []
+        for p, rows in enumerate(self.rows):
+            counts = np.repeat(np.maximum(dataset.counts[p], 1), 3)[rows]
+            g = slopes[p].reshape(len(slopes[p]), -1)[:, rows]
+            share = noise.setting**2 + noise.trial**2 / max(int(dataset.trials[p]), 1)
+            block = np.diag(noise.position**2 / counts) + share * (g.T @ g)
+            self.variance.append(np.diag(block).copy())
+            if accuracy:
+                block += common_error(dataset, p, rows, accuracy)
+            self.factors.append(
+                np.linalg.inv(np.linalg.cholesky(block)) if len(rows) else np.zeros((0, 0))
+            )
+        self.size = sum(len(rows) for rows in self.rows)
+
+    def white(self, difference: Floats) -> Floats:
+        """Whiten differences (..., P, J, 3) [m] into (..., N)."""
+        lead = difference.shape[:-3]
+        flat = difference.reshape(*lead, difference.shape[-3], -1)
+        return np.concatenate(
+            [
+                flat[..., p, rows] @ factor.T
+                for p, (rows, factor) in enumerate(zip(self.rows, self.factors, strict=True))
+            ],
+            axis=-1,
+        )
+
+    @property
+    def owners(self) -> npt.NDArray[np.int64]:
+        """Posture (N,) that each whitened value belongs to."""
+        return np.repeat(np.arange(len(self.rows)), [len(rows) for rows in self.rows])
+
+    def floor(self) -> float:
+        """Return the expected rms [m] of the distance for a perfect model, setting noise too."""
+        total = sum(float(variance.sum()) for variance in self.variance)
+        return float(np.sqrt(3.0 * total / max(self.size, 1)))
+
+
+def common_error(dataset: DataSet, p: int, rows: npt.NDArray[np.int64], accuracy: float) -> Floats:
+    """Covariance of an error of one posture that grows along the arm up to `accuracy` [m]."""
+    share = np.repeat(dataset.arc_lengths / dataset.robot.length, 3)[rows]
+    same = (rows[:, None] % 3) == (rows[None, :] % 3)
+    return np.asarray(accuracy**2 / 3.0 * np.minimum.outer(share, share) * same)
+
+
+def rms(difference: Floats) -> float:
+    """Root mean square 3-D distance [m] over what was seen; difference (P, J, 3)."""
+    distance2 = (difference**2).sum(axis=-1)
+    return float(np.sqrt(np.nanmean(distance2)))

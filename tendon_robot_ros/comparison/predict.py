@@ -1,0 +1,176 @@
+"""What a model with freed parameters predicts for the postures and markers of a data set."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import TendonRobotError
+from ..data import DataSet
+from ..effects import Catalogue, Effect, Parameter
+from ..model.forward import TOLERANCE
+from ..model.model import Model
+from ..model.shape import ShapeBatch
+from ..robot import Robot
+
+Floats = npt.NDArray[np.float64]
+CELLS = 'cell_stiffness'  # no effect: every cell's own deviation, where a tolerance declares it
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """One parameter of an effect that a fit may move: of the robot, of a section or a cell."""
+
+    effect: str
+    parameter: Parameter
+    section: int | None = None
+    label: str = ''  # the section's name
+
+    @property
+    def key(self) -> str:
+        """Name within its effect, as reports print it."""
+        return f'{self.parameter.name}[{self.label}]' if self.label else self.parameter.name
+
+
+def free_parameters(effect: Effect, robot: Robot) -> tuple[FreeParameter, ...]:
+    """All parameters of an effect; one per section where sections have their own."""
+    frees: list[FreeParameter] = []
+    for parameter in effect.parameters:
+        if parameter.per_section:
+            frees += [
+                FreeParameter(effect.name, parameter, i, section.name)
+                for i, section in enumerate(robot.sections)
+            ]
+        else:
+            frees.append(FreeParameter(effect.name, parameter))
+    return tuple(frees)
+
+
+Point = Mapping[FreeParameter, float]
+
+
+@dataclass(frozen=True)
+class SettledShapes:
+    """Where the equilibria of P postures were found: a start for their neighbours."""
+
+    tensions: Floats  # (P, m) [N]
+    bend: Floats  # (P, n, 2) [rad]
+
+
+class Predictor:
+    """A model whose parameters move; one per thread."""
+
+    def __init__(self, dataset: DataSet, robot: Robot, catalogue: Catalogue) -> None:
+        """Build the model under the gravity of the data set."""
+        self.dataset = dataset
+        self.robot = replace(robot, gravity=dataset.gravity_for(robot))
+        self.model = Model(self.robot, catalogue)
+        arrays = self.model.arrays
+        self._values, self._on, self._cells = (
+            arrays.values.copy(),
+            arrays.on.copy(),
+            arrays.cells.copy(),
+        )
+        self.inputs = mean_inputs(dataset)
+        self.settled: SettledShapes | None = None  # of the last prediction
+        self._first: SettledShapes | None = None
+
+    def value(self, free: FreeParameter) -> float:
+        """Value that the description gives a parameter (neutral where it is not listed)."""
+        if free.effect == CELLS:
+            return 0.0
+        return float(
+            self._values[
+                self.model.arrays.layout.rows[free.effect, free.parameter.name], free.section or 0
+            ]
+        )
+
+    def markers(
+        self,
+        point: Point,
+        inputs: Floats | None = None,
+        stiffness: Floats | None = None,
+        near: SettledShapes | None = None,
+    ) -> Floats | None:
+        """
+        Predict marker positions (P, J, 3) [m]; None where a posture has no equilibrium.
+
+        Parameters
+        ----------
+        point : mapping
+            Values of freed parameters; all others as described.
+        inputs : (P, m) [N] or [m], optional
+            Instead of the data set's.
+        stiffness : (n,) [1], optional
+            Factor on the bending stiffness of every cell.
+        near : SettledShapes, optional
+            To start from (`settled` of a neighbouring point); default: the first one.
+
+        """
+        arrays = self.model.arrays
+        arrays.values[:], arrays.on[:], arrays.cells[:] = self._values, self._on, self._cells
+        if stiffness is not None:
+            arrays.cells[:, 1] *= stiffness
+        for free, value in point.items():
+            if free.effect == CELLS:
+                arrays.cells[free.section, 1] *= 1.0 + value
+            else:
+                arrays.set(free.effect, free.parameter.name, free.section, value)
+        given = self.inputs if inputs is None else inputs
+        shapes = (
+            self._pulled(given, near or self._first)
+            if self.dataset.input == 'displacement'
+            else self._pull(given, near or self._first)
+        )
+        if shapes is None:
+            return None
+        self.settled = SettledShapes(shapes.inputs, shapes.bend)
+        if self._first is None:  # later ones would make results depend on the order
+            self._first = self.settled
+        placed = shapes.markers(self.dataset.arc_lengths, self.dataset.offsets)
+        return self.model.measured(placed)
+
+    def _pull(self, inputs: Floats, near: SettledShapes | None) -> ShapeBatch | None:
+        """Shapes under tensions; None without equilibrium."""
+        if self.model.remembers:
+            return self._remembering(inputs)
+        batch, changes = self.model.solve(inputs, None if near is None else near.bend)
+        if near is not None and not (changes < TOLERANCE).all():
+            batch, changes = self.model.solve(inputs)
+        return batch if (changes < TOLERANCE).all() else None
+
+    def _remembering(self, inputs: Floats) -> ShapeBatch | None:
+        carry = self.dataset.path == 'sequence'
+        batch, changes = self.model.solve(inputs, carry=carry)
+        return batch if (changes < TOLERANCE).all() else None
+
+    def _pulled(self, pulls: Floats, near: SettledShapes | None) -> ShapeBatch | None:
+        """Shapes under wire pulls; None where there are none."""
+        from ..model.pulls import pull_shapes
+
+        carry = self.model.remembers and self.dataset.path == 'sequence'
+        memory = self.model.arrays.fresh_memory() if carry else None
+        tensions, bends = (None, None) if near is None else (near.tensions, near.bend)
+        try:
+            return pull_shapes(self.model, pulls, tensions, bends, memory)
+        except TendonRobotError:
+            return None
+
+
+def mean_inputs(dataset: DataSet) -> Floats:
+    """Return the inputs (P, m) of the postures, the mean of the trials' where measured."""
+    if dataset.trial_inputs is None:
+        return np.array(dataset.inputs)
+    seen = dataset.trial_mask[..., None]
+    total = np.where(seen, dataset.trial_inputs, 0.0).sum(axis=1)
+    counts = seen.sum(axis=1)
+    return np.where(counts > 0, total / np.maximum(counts, 1), dataset.inputs)
+
+
+def frees_of(names: Iterable[str], catalogue: Catalogue, robot: Robot) -> Iterator[FreeParameter]:
+    """Yield the free parameters of several effects."""
+    for name in names:
+        yield from free_parameters(catalogue[name], robot)

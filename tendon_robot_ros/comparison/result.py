@@ -1,0 +1,397 @@
+"""What a comparison holds: measured and predicted shapes, and the errors that follow."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import InputError
+from .statistics import Estimate, PairedT, estimate, half_width, paired_t
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Floats = npt.NDArray[np.float64]
+GROWN_FROM_FLOORS = 2.0  # times the noise floor: an error that is no longer noise
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """The measurements of a comparison: P postures, Q trials, J markers, m inputs."""
+
+    data: str  # name of the data set
+    input: str  # 'tension' or 'displacement'
+    input_names: tuple[str, ...]  # (m,)
+    inputs: Floats  # (P, m) [N] or [m], NaN = slack
+    postures: tuple[str, ...]  # (P,)
+    trials: npt.NDArray[np.int64]  # (P,)
+    markers: tuple[str, ...]  # (J,)
+    arc_lengths: Floats  # (J,) [m]
+    per_cell: bool  # one marker at the end of every cell, and no other
+    mean: Floats  # (P, J, 3) [m]
+    tips: Floats  # (P, Q, 3) [m] the last marker, trial by trial
+    angles: Floats | None  # (Q, P, J) [rad] angular displacement, where the markers tell it
+    position_noise: float | None  # [m] 1 sd per coordinate and trial
+    floor: Floats | None  # (P, J) [m²] expected squared distance for a perfect model
+
+    @cached_property
+    def noise_floor(self) -> float | None:
+        """Expected rms [m] for a perfect model over postures and markers."""
+        return None if self.floor is None else root_mean(self.floor)
+
+    @cached_property
+    def floor_per_marker(self) -> Floats | None:
+        """Expected rms (J,) [m] for a perfect model over postures."""
+        return None if self.floor is None else np.sqrt(mean_over(self.floor, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class ModelErrors:
+    """A model's predictions and their distances from the measurements."""
+
+    name: str
+    effects: tuple[str, ...]
+    markers: Floats  # (P, J, 3) [m]
+    angles: Floats | None  # (P, J) [rad]
+    distance: Floats  # (P, J) [m] from the trial mean
+    tip_errors: Floats  # (P, Q) [m] of the last marker, trial by trial: the residual distance
+    centreline: Floats | None = None  # (P, n, 3) [m], where the markers do not lie on it
+
+    @cached_property
+    def rms(self) -> float:
+        """Over postures and markers [m]."""
+        return root_mean(self.distance**2)
+
+    @cached_property
+    def tip_rms(self) -> float:
+        """Of the last marker, over postures [m]."""
+        return root_mean(self.distance[:, -1] ** 2)
+
+    @cached_property
+    def max(self) -> float:
+        """Largest distance [m]."""
+        return float(np.nanmax(self.distance))
+
+    @cached_property
+    def per_marker_rms(self) -> Floats:
+        """Over postures (J,) [m]."""
+        return np.sqrt(mean_over(self.distance**2, 0))
+
+    @cached_property
+    def per_posture_rms(self) -> Floats:
+        """Over markers (P,) [m]."""
+        return np.sqrt(mean_over(self.distance**2, 1))
+
+    def tip_error(self, error: str = 'ci') -> Estimate:
+        """Mean tip error over the postures."""
+        return estimate(mean_over(self.tip_errors, 1), error)
+
+    def tip_error_of(self, posture: int, error: str = 'ci') -> Estimate:
+        """Mean tip error over the trials of a posture."""
+        return estimate(self.tip_errors[posture], error)
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Measurements against models, side by side."""
+
+    measured: Measured
+    models: tuple[ModelErrors, ...]
+    error: str = 'ci'  # 95 % t-interval, or 'sem'
+
+    def __repr__(self) -> str:
+        """Say the errors of every model, and the noise floor."""
+        rows = [f'{m.name}: rms {_mm(m.rms)}, tip {_mm(m.tip_rms)}' for m in self.models]
+        if self.noise_floor is not None:
+            rows.append(f'a perfect model: {_mm(self.noise_floor)}')
+        return f'<Comparison with {self.measured.data}: {"; ".join(rows)}>'
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """
+        Draw the error of every model along the arm [mm] above the noise floor, with matplotlib.
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+
+        Returns
+        -------
+        Axes
+
+        """
+        return plot_errors(self, axes)
+
+    @property
+    def noise_floor(self) -> float | None:
+        """Expected rms [m] for a perfect model."""
+        return self.measured.noise_floor
+
+    @property
+    def best(self) -> ModelErrors:
+        """The model with the smallest rms."""
+        return min(self.models, key=lambda model: model.rms)
+
+    @cached_property
+    def paired_t(self) -> tuple[PairedT, ...]:
+        """Paired t-tests of the tip errors: over the postures, and over the trials of each."""
+        tests = []
+        for a, b in combinations(self.models, 2):
+            names = (a.name, b.name)
+            means = mean_over(a.tip_errors, 1), mean_over(b.tip_errors, 1)
+            tests.append(paired_t(names, *means, None))
+            for p, posture in enumerate(self.measured.postures):
+                tests.append(paired_t(names, a.tip_errors[p], b.tip_errors[p], posture))
+        return tuple(test for test in tests if test is not None)
+
+    def worst_posture(self, model: ModelErrors) -> int:
+        """Index of the posture with the largest rms."""
+        return int(np.nanargmax(model.per_posture_rms))
+
+    def grows_from(self, model: ModelErrors) -> int | None:
+        """
+        Index of the marker from which the error is more than noise up to the tip.
+
+        None where it nowhere is, or nothing tells the noise.
+        """
+        floor = self.measured.floor_per_marker
+        if floor is None:
+            return None
+        seen = np.flatnonzero(np.isfinite(floor))
+        low = seen[~(model.per_marker_rms[seen] > GROWN_FROM_FLOORS * floor[seen])]
+        later = seen[seen > (low[-1] if len(low) else -1)]
+        return int(later[0]) if len(later) else None
+
+    def angle_bands(self) -> tuple[Floats, Floats] | None:
+        """Measured angular displacement (P, J) [rad]: mean, and half the width of its interval."""
+        if self.measured.angles is None:
+            return None
+        angles = self.measured.angles
+        return mean_over(angles, 0), half_width(angles, self.error)
+
+
+def mean_over(values: Floats, axis: int) -> Floats:
+    """Mean along an axis; NaN = missing, and where all is missing."""
+    count = np.isfinite(values).sum(axis=axis)
+    total = np.nansum(values, axis=axis)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
+def root_mean(squares: Floats) -> float:
+    """Root of the mean of squares; NaN = missing."""
+    return float(np.sqrt(np.nanmean(squares)))
+
+
+def _mm(metres: float) -> str:
+    return f'{1e3 * metres:.3g} mm'
+
+
+# -----------------------------------------------------------------------------
+# A comparison to JSON and back; lengths in m, angles in rad, null where nothing was measured.
+
+FORMAT = 'tendon_robot_ros/comparison@1'
+
+
+def to_json(comparison: Comparison) -> dict[str, Any]:
+    """Return plain data: what to read first, then everything that a report draws."""
+    measured, error = comparison.measured, comparison.error
+    return {
+        'format': FORMAT,
+        'data': measured.data,
+        'noise_floor': _number(measured.noise_floor),
+        'noise_floor_per_marker': _numbers(measured.floor_per_marker),
+        'position_noise': _number(measured.position_noise),
+        'error': error,
+        'models': [_model(comparison, model) for model in comparison.models],
+        'paired_t': [_test(test) for test in comparison.paired_t],
+        'markers': [
+            {'name': name, 'arc_length': float(s)}
+            for name, s in zip(measured.markers, measured.arc_lengths, strict=True)
+        ],
+        'per_cell': measured.per_cell,
+        'input': measured.input,
+        'measured': [_posture(measured, p) for p in range(len(measured.postures))],
+    }
+
+
+def save_comparison(comparison: Comparison, path: str | Path) -> None:
+    """Write the JSON file."""
+    text = json.dumps(to_json(comparison), indent=1, allow_nan=False)
+    Path(path).write_text(text + '\n', encoding='utf-8')
+
+
+def load_comparison(path: str | Path) -> Comparison:
+    """
+    Read a comparison that `compare --json` wrote.
+
+    Raises
+    ------
+    InputError
+        It is no such file.
+
+    """
+    try:
+        return from_json(json.loads(Path(path).read_text(encoding='utf-8')))
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f'{path}: expected the JSON of a comparison ({FORMAT}), got something else ({error})'
+        ) from None
+
+
+def from_json(content: dict[str, Any]) -> Comparison:
+    """Return the comparison that `to_json` wrote down."""
+    if content['format'] != FORMAT:
+        raise ValueError(f'format {content["format"]!r}')
+    rows = content['measured']
+    angles = None if rows[0]['angles'] is None else _array(r['angles'] for r in rows)
+    floor = None if rows[0]['floor'] is None else _array(r['floor'] for r in rows) ** 2
+    measured = Measured(
+        data=content['data'],
+        input=content['input'],
+        input_names=tuple(rows[0]['input']),
+        inputs=_array(list(row['input'].values()) for row in rows),
+        postures=tuple(row['posture'] for row in rows),
+        trials=np.array([row['trials'] for row in rows]),
+        markers=tuple(marker['name'] for marker in content['markers']),
+        arc_lengths=_array(marker['arc_length'] for marker in content['markers']),
+        per_cell=content['per_cell'],
+        mean=_array(row['shape'] for row in rows),
+        tips=_array(row['tips'] for row in rows),
+        angles=None if angles is None else angles.swapaxes(0, 1),
+        position_noise=content['position_noise'],
+        floor=floor,
+    )
+    models = tuple(_read_model(model) for model in content['models'])
+    return Comparison(measured, models, content['error'])
+
+
+def _model(comparison: Comparison, model: ModelErrors) -> dict[str, Any]:
+    error, from_marker = comparison.error, comparison.grows_from(model)
+    names = comparison.measured.markers
+    return {
+        'name': model.name,
+        'effects': list(model.effects),
+        'rms': model.rms,
+        'tip_rms': model.tip_rms,
+        'max': model.max,
+        'tip_error': _estimate(model.tip_error(error)),
+        'per_marker_rms': _numbers(model.per_marker_rms),
+        'grows_from': None if from_marker is None else names[from_marker],
+        'worst_posture': comparison.measured.postures[comparison.worst_posture(model)],
+        'per_posture': [_errors(comparison, model, p) for p in range(len(model.distance))],
+    }
+
+
+def _errors(comparison: Comparison, model: ModelErrors, p: int) -> dict[str, Any]:
+    distance = model.distance[p]
+    seen = np.isfinite(distance).any()
+    return {
+        'posture': comparison.measured.postures[p],
+        'rms': _number(model.per_posture_rms[p]),
+        'tip': _number(distance[-1]),
+        'max': _number(np.nanmax(distance)) if seen else None,
+        'tip_error': _estimate(model.tip_error_of(p, comparison.error)),
+        'tip_errors': _numbers(model.tip_errors[p]),
+        'error': _numbers(distance),
+        'angles': None if model.angles is None else _numbers(model.angles[p]),
+        'shape': _numbers(model.markers[p]),
+        'centreline': None if model.centreline is None else _numbers(model.centreline[p]),
+    }
+
+
+def _read_model(content: dict[str, Any]) -> ModelErrors:
+    rows = content['per_posture']
+    angles = None if rows[0]['angles'] is None else _array(row['angles'] for row in rows)
+    line = None if rows[0]['centreline'] is None else _array(row['centreline'] for row in rows)
+    return ModelErrors(
+        name=content['name'],
+        effects=tuple(content['effects']),
+        markers=_array(row['shape'] for row in rows),
+        angles=angles,
+        distance=_array(row['error'] for row in rows),
+        tip_errors=_array(row['tip_errors'] for row in rows),
+        centreline=line,
+    )
+
+
+def _posture(measured: Measured, p: int) -> dict[str, Any]:
+    return {
+        'posture': measured.postures[p],
+        'input': dict(zip(measured.input_names, _numbers(measured.inputs[p]) or (), strict=True)),
+        'trials': int(measured.trials[p]),
+        'shape': _numbers(measured.mean[p]),
+        'tips': _numbers(measured.tips[p]),
+        'angles': None if measured.angles is None else _numbers(measured.angles[:, p]),
+        'floor': None if measured.floor is None else _numbers(np.sqrt(measured.floor[p])),
+    }
+
+
+def _estimate(value: Estimate) -> dict[str, Any]:
+    return {
+        'mean': _number(value.mean),
+        'low': _number(value.low),
+        'high': _number(value.high),
+        'n': value.n,
+    }
+
+
+def _test(test: PairedT) -> dict[str, Any]:
+    return {
+        'models': list(test.models),
+        'posture': test.posture,
+        'difference': test.difference,
+        'low': test.low,
+        'high': test.high,
+        't': _number(test.t),
+        'p': test.p,
+        'n': test.n,
+    }
+
+
+def _number(value: float | np.floating[Any] | None) -> float | None:
+    return float(value) if value is not None and np.isfinite(value) else None
+
+
+def _numbers(values: Floats | None) -> list[Any] | None:
+    """Nested lists with null for what is missing."""
+    if values is None:
+        return None
+    array = np.asarray(values, dtype=float)
+    return list(np.where(np.isfinite(array), array, np.array(None, dtype=object)).tolist())
+
+
+def _array(rows: Any) -> Floats:
+    return np.array(list(rows), dtype=float)
+
+
+# -----------------------------------------------------------------------------
+# Pictures of comparisons for notebooks, with matplotlib; the pages have figures of their own.
+
+
+def plot_errors(comparison: Comparison, axes: Axes | None = None) -> Axes:
+    """Draw the rms error per marker [mm] of every model along the arm [mm], and the floor."""
+    from matplotlib import pyplot as plt
+
+    measured = comparison.measured
+    if axes is None:
+        axes = plt.figure(layout='constrained').add_subplot()
+    along = 1e3 * measured.arc_lengths
+    for model in comparison.models:
+        axes.plot(along, 1e3 * model.per_marker_rms, '.-', label=model.name)
+    if measured.floor_per_marker is not None:
+        floor = 1e3 * measured.floor_per_marker
+        axes.fill_between(along, 0.0, floor, color='0.8', label='noise of the measurements')
+    axes.set(
+        xlabel='along the arm [mm]',
+        ylabel='rms error [mm]',
+        title=f'{measured.data}: {len(measured.postures)} postures',
+        ylim=(0.0, None),
+    )
+    axes.legend()
+    return axes

@@ -1,0 +1,173 @@
+"""Where the model is evaluated: in a thread of its own, so that no command waits for it."""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from ..common.errors import TendonRobotError
+
+GiveUp = Callable[[], bool]
+Work = Callable[[GiveUp], Any]  # reads no state that the commanding thread changes
+Done = Callable[[Any, TendonRobotError | None], None]
+# [s] for which the solver's Python may hold up the commands (default 5 ms)
+SWITCH_INTERVAL_S = 0.001
+END_TIMEOUT_S = 0.2  # [s] to wait for what is being evaluated
+
+
+class Solver(Protocol):
+    """Evaluates the model; of the jobs of one kind only the newest counts."""
+
+    def post(
+        self, kind: str, work: Work, done: Done, budget: float = math.inf, urgent: bool = False
+    ) -> None:
+        """
+        Have something evaluated.
+
+        Parameters
+        ----------
+        kind : str
+            A job that waits is replaced by one of its kind, one that runs is asked to give up.
+        work : callable
+            Is given `give_up`, to be asked now and then; returns the result, or raises.
+        done : callable
+            Takes the result and the error, one of them None, in the thread of `serve`. What was
+            given up answers, too: the callable knows whether the answer is still wanted.
+        budget : float [s]
+            Time after which `give_up` says True.
+        urgent : bool
+            The answer is not to wait for the next cycle.
+
+        """
+
+    def busy(self, kind: str) -> bool:
+        """Whether an answer of this kind is to come."""
+
+    def serve(self) -> None:
+        """Hand out the answers."""
+
+
+class InPlace:
+    """Evaluates at once, in the thread that asks: nothing is ever waited for."""
+
+    def post(
+        self, kind: str, work: Work, done: Done, budget: float = math.inf, urgent: bool = False
+    ) -> None:
+        """Evaluate and answer."""
+        result, error = None, None
+        try:
+            result = work(lambda: False)
+        except TendonRobotError as raised:
+            error = raised
+        done(result, error)
+
+    def busy(self, kind: str) -> bool:
+        """Return False."""
+        return False
+
+    def serve(self) -> None:
+        """Do nothing: all is answered."""
+
+
+@dataclass
+class _Job:
+    work: Work
+    done: Done
+    deadline: float
+    urgent: bool
+    cancelled: bool = False
+    result: Any = None
+    error: Exception | None = None
+
+    def give_up(self) -> bool:
+        return self.cancelled or time.monotonic() > self.deadline
+
+
+class Worker:
+    """Evaluates in a thread; one job after the other, in the order of their coming."""
+
+    def __init__(self, wake: Callable[[], None] = lambda: None) -> None:
+        """
+        Start the thread.
+
+        Parameters
+        ----------
+        wake : callable
+            Called from the thread when an urgent answer is there.
+
+        """
+        self._wake = wake
+        self._changed = threading.Condition()
+        self._waiting: dict[str, _Job] = {}
+        self._running: tuple[str, _Job] | None = None
+        self._answered: deque[tuple[str, _Job]] = deque()
+        self._open: Counter[str] = Counter()
+        self._ended = False
+        sys.setswitchinterval(SWITCH_INTERVAL_S)
+        self._thread = threading.Thread(target=self._work, name='solver', daemon=True)
+        self._thread.start()
+
+    def post(
+        self, kind: str, work: Work, done: Done, budget: float = math.inf, urgent: bool = False
+    ) -> None:
+        """Leave a job for the thread."""
+        job = _Job(work, done, time.monotonic() + budget, urgent)
+        with self._changed:
+            if kind not in self._waiting:
+                self._open[kind] += 1
+            self._waiting[kind] = job  # keeps the place in the queue of the one it replaces
+            if self._running is not None and self._running[0] == kind:
+                self._running[1].cancelled = True
+            self._changed.notify()
+
+    def busy(self, kind: str) -> bool:
+        """Whether an answer of this kind is to come."""
+        return self._open[kind] > 0
+
+    def serve(self) -> None:
+        """Hand out the answers; raise what no user's mistake can explain."""
+        while self._answered:
+            kind, job = self._answered.popleft()
+            self._open[kind] -= 1
+            if job.error is not None and not isinstance(job.error, TendonRobotError):
+                raise job.error
+            job.done(job.result, job.error)
+
+    def close(self) -> None:
+        """End the thread, or leave it to the end of the process if it is busy."""
+        with self._changed:
+            self._ended = True
+            self._waiting.clear()
+            if self._running is not None:
+                self._running[1].cancelled = True
+            self._changed.notify()
+        self._thread.join(END_TIMEOUT_S)
+
+    def _work(self) -> None:
+        while (taken := self._next()) is not None:
+            _, job = taken
+            try:
+                job.result = job.work(job.give_up)
+            except Exception as error:
+                job.error = error
+            with self._changed:
+                self._running = None
+            self._answered.append(taken)
+            if job.urgent:
+                self._wake()
+
+    def _next(self) -> tuple[str, _Job] | None:
+        with self._changed:
+            while not self._waiting and not self._ended:
+                self._changed.wait()
+            if self._ended:
+                return None
+            kind = next(iter(self._waiting))
+            self._running = kind, self._waiting.pop(kind)
+            return self._running

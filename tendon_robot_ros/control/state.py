@@ -1,0 +1,182 @@
+"""What the controller is told, and what it gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from ..common.errors import InputError, NoEquilibriumError
+from ..model.inverse import limits_by_pulls
+from .solver import GiveUp
+
+if TYPE_CHECKING:
+    from ..drivers.safety import StopLatch
+    from ..model.model import Model
+    from ..model.shape import Reach, Shape
+    from .checks import Refusal
+    from .solver import Solver
+
+Array = NDArray[np.float64]
+STREAM_PERIOD_S = 0.25  # [s]: targets that come faster are a path, slower ones set points
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How the controller behaves; all of it may change at run time."""
+
+    rate_limit: float = 10.0  # [N/s] of every tension
+    state_timeout: float = 0.25  # [s] without tendon states the driver counts as gone
+    twist_timeout: float = 0.1  # [s]
+    patience: float = 0.5  # [s] without equilibrium, then the arm is released
+    hold_direction: bool = False  # keep the view while a twist moves the tip
+    direction_weight: float = 0.0  # [m/rad], 0: a fifth of the robot's length
+    pull_mode: bool = False
+    tip_gain: float = 0.0  # [1/s] of the integral on the measured tip, 0: open loop
+    resume: bool = False  # go to the old target when the driver comes back
+
+    def limits(self, model: Model) -> Array:
+        """Return tension limits (m, 2) [N]; wires that are driven by their length may be slack."""
+        return limits_by_pulls(model) if self.pull_mode else model.limits
+
+
+@dataclass(frozen=True)
+class Target:
+    """A set point of the tip in the base frame: position [m], approach direction, or both."""
+
+    position: Array | None = None
+    direction: Array | None = None
+    stamp: str = ''  # as its sender gave it, to tell targets apart
+
+
+@dataclass(frozen=True)
+class Output:
+    """A command: tensions (m,) [N] and, in pull mode, the wire pulls (m,) [m] they belong to."""
+
+    tensions: Array
+    pulls: Array | None = None
+
+
+# -----------------------------------------------------------------------------
+# What the driver last measured, and how long ago that was.
+
+
+@dataclass
+class MeasuredState:
+    """Tensions (m,) [N] and wire pulls (m,) [m] as measured, nan where not observable."""
+
+    tensions: Array
+    pulls: Array
+    time: float  # monotonic [s]
+
+    @property
+    def observed(self) -> bool:
+        """Whether every tension was."""
+        return bool(np.all(np.isfinite(self.tensions)))
+
+    @property
+    def located(self) -> bool:
+        """Whether every wire pull was."""
+        return bool(np.all(np.isfinite(self.pulls)))
+
+    def observed_or(self, unknown: Array) -> Array:
+        """Return the measured tensions (m,) [N], or others where they are not observable."""
+        return np.maximum(self.tensions, 0.0) if self.observed else unknown
+
+    def complete(self, model: Model, tensions: Array) -> Array:
+        """Return the wire pulls (m,) [m]; those of tensions where they are not observable."""
+        if self.located:
+            return self.pulls
+        return np.where(np.isfinite(self.pulls), self.pulls, model.shape(tensions).pulls)
+
+    def in_newtons(
+        self, model: Model, limits: Array, guess: Shape | None, unknown: Array
+    ) -> Array:
+        """Return the tensions (m,) [N] of the wire pulls, or others where none belong to them."""
+        if not np.isfinite(self.pulls).any():
+            return unknown
+        low, high = limits.T
+        try:
+            shape = model.pull_shape(self.pulls, guess)
+            if np.all((shape.inputs >= low) & (shape.inputs <= high)):
+                return shape.inputs
+            # a slack tendon is below its limit: look for the same pulls within the limits
+            start = np.clip(shape.inputs, low + 1e-6, high - 1e-6)
+            known = np.isfinite(self.pulls)
+            found = least_squares(
+                lambda tensions: 1e3 * (model.shape(tensions).pulls - self.pulls)[known],  # [mm]
+                start,
+                bounds=(low, high),
+                max_nfev=30,
+            )
+        except (NoEquilibriumError, InputError):
+            return unknown
+        return np.asarray(found.x, dtype=float)
+
+
+# -----------------------------------------------------------------------------
+# The shape that the model gives from time to time, and for how long it has given none.
+
+
+class ShapeTracker:
+    """Starts each search for an equilibrium at the one before."""
+
+    def __init__(self, model: Model) -> None:
+        """Begin straight."""
+        self.model = model
+        self.last: Shape | None = None
+        self.problem = ''
+        self._failed: tuple[float, float] | None = None  # [s] first and last time, in a row
+
+    def finding(self, tensions: Array, before: Shape | None = None) -> Callable[[GiveUp], Shape]:
+        """Return how to find the shape under tensions (m,) [N] after another, or the last, one."""
+        model, before = self.model, before or self.last
+        guess = None if before is None else before.bend
+        memory = before.memory if before is not None and model.remembers else None
+        return lambda give_up: model.shape(tensions, guess=guess, memory=memory)
+
+    def took(self, shape: Shape) -> None:
+        """Remember a shape."""
+        self.last = shape
+        self.works()
+
+    def works(self) -> None:
+        """Remember that there is an equilibrium."""
+        self.problem, self._failed = '', None
+
+    def failed(self, now: float, problem: str) -> None:
+        """Remember that there is none."""
+        self.problem = problem
+        self._failed = (now if self._failed is None else self._failed[0], now)
+
+    @property
+    def failing(self) -> float:
+        """For how long there has been none [s]."""
+        return 0.0 if self._failed is None else self._failed[1] - self._failed[0]
+
+
+class Controller(Protocol):
+    """
+    What the parts of the controller read of it, and change; `ControllerCore` is all of it.
+
+    Each part adds what it needs besides, so that none of them imports the core.
+    """
+
+    model: Model
+    settings: Settings
+    solver: Solver
+    target: Target | None
+    solution: Reach | None
+    command: Array | None  # (m,) [N]
+    driver_stopped: str
+    refusals: dict[str, Refusal]
+    latch: StopLatch
+    stepped: float  # [s]
+    track: ShapeTracker
+
+    def fresh(self, now: float) -> bool:
+        """Whether the driver was heard lately."""

@@ -1,0 +1,113 @@
+"""How the controller is, as a level, a code, a sentence and values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import degrees
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ..model.shape import Reach
+    from .core import ControllerCore
+    from .seeking import TargetSearch
+
+OK, WARN, ERROR = 'ok', 'warn', 'error'
+
+
+@dataclass(frozen=True)
+class ControllerStatus:
+    """The first thing that a person should know comes as level, code and message."""
+
+    level: str
+    code: str
+    message: str
+    values: dict[str, str]
+
+
+def controller_status(core: ControllerCore, now: float) -> ControllerStatus:
+    """Say how the controller is; codes are listed in docs/ros_interface.md."""
+    level, code, message = _condition(core, now)
+    values = {'moving': str(core.moving).lower()}
+    if core.target is not None:
+        values['target_stamp'] = core.target.stamp
+    if core.search is not None:
+        values['target_stamp'] = core.search.target.stamp
+    elif core.playing is not None:
+        values['target_stamp'] = core.playing.stamp
+    if core.playing is not None:
+        values['trajectory'] = core.playing.progress(now)
+    if core.solution is not None:
+        values.update(_solution(core.solution))
+    if core.command is not None:
+        values['tensions'] = ', '.join(
+            f'{name} {tension:.3f} N'
+            for name, tension in zip(core.model.inputs, core.command, strict=True)
+        )
+    if core.settings.tip_gain > 0.0:
+        values.update(core.loop.values(now))
+    return ControllerStatus(level, code, message, values)
+
+
+def _condition(core: ControllerCore, now: float) -> tuple[str, str, str]:
+    if core.latch:
+        return ERROR, 'stopped', '; '.join(core.latch.reasons) + '; call reset to go on'
+    if core.driver_stopped:
+        return ERROR, 'driver_stopped', f'the driver does not follow: {core.driver_stopped}'
+    if not core.fresh(now):
+        if core.command is None:
+            return WARN, 'waiting', 'no tendon_states yet: is the driver running?'
+        return ERROR, 'no_driver', _silence(core.settings.state_timeout, core.gone(now))
+    if core.no_equilibrium:
+        return ERROR, 'no_equilibrium', core.no_equilibrium
+    for refusal in core.refusals.values():
+        return WARN, f'refused_{refusal.code}', str(refusal)
+    if core.search is not None:
+        return _searching(core.search, now)
+    if core.jogging:
+        return OK, 'jogging', 'following a twist'
+    if core.playing is not None:
+        if core.playing.over(now) and not core.moving:
+            return OK, 'played', 'at the end of the trajectory of the tendons'
+        return OK, 'playing', f'playing a trajectory: {core.playing.progress(now)}'
+    if core.solution is None:
+        return OK, 'holding', 'waiting for a target'
+    if core.moving:
+        return OK, 'moving', 'moving to the target'
+    return _arrived(core.solution, core.in_time)
+
+
+def _silence(timeout: float, gone: bool) -> str:
+    if gone:
+        return f'no tendon_states for {timeout:g} s; no commands until they are back'
+    return f'no tendon_states for {timeout:g} s; holding the last command'
+
+
+def _searching(search: TargetSearch, now: float) -> tuple[str, str, str]:
+    passed = now - search.began
+    if search.streamed and passed < search.budget:
+        return OK, 'moving', 'moving to the target'
+    return OK, 'searching', f'looking for tensions for the target, for {passed:.1f} s'
+
+
+def _arrived(solution: Reach, in_time: bool) -> tuple[str, str, str]:
+    error = f'{1e3 * solution.position_error:.2f} mm and {degrees(solution.direction_error):.2f}°'
+    if solution.status == 'reached':
+        return OK, 'reached', f'at the target within {error}, as the model sees it'
+    limits = ', '.join(solution.at_limit)
+    limits = f'; at its limit: {limits}' if limits else ''
+    if not in_time:
+        return WARN, solution.status, f'as near as found in time, {error} from the target{limits}'
+    return WARN, solution.status, f'as near as it can, {error} from the target{limits}'
+
+
+def _solution(solution: Reach) -> dict[str, str]:
+    finite = [solution.position_error, solution.direction_error]
+    position, direction = np.nan_to_num(finite)
+    return {
+        'solution': solution.status,
+        'position_error': f'{1e3 * position:.3f} mm',
+        'direction_error': f'{degrees(direction):.3f} deg',
+        'at_limit': ', '.join(solution.at_limit),
+    }

@@ -1,0 +1,117 @@
+"""Trajectories of tensions or wire pulls: checked as a whole, then played in time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.errors import TendonRobotError
+from ..drivers.safety import bounded
+from .checks import Refusal
+from .solver import GiveUp
+from .state import Controller, MeasuredState
+
+if TYPE_CHECKING:
+    from .way import Way
+
+Array = NDArray[np.float64]
+LIMIT_ROUNDING = 1e-9  # [N] or [m] by which a value may be outside for rounding
+
+
+class Player(Controller, Protocol):
+    """A controller that may play a trajectory."""
+
+    playing: Playing | None
+
+
+@dataclass
+class Playing:
+    """
+    Values (n, m) [N], or [m] in pull mode, at times (n,) [s] since the trajectory came.
+
+    Between the points values go in straight lines. The first leg begins where the command is; when
+    the first time is 0 the command goes there at the rate limit. The end is held.
+    """
+
+    times: Array
+    values: Array
+    stamp: str = ''
+    began: float = np.inf  # monotonic [s]
+
+    def begin(self, now: float, here: Array | None) -> Playing:
+        """Start the clock at a command (m,)."""
+        times, values = self.times, self.values
+        if times[0] > 0.0 and here is not None:
+            times, values = np.concatenate([[0.0], times]), np.vstack([here, values])
+        return replace(self, times=times, values=values, began=now)
+
+    def at(self, now: float) -> Array:
+        """Return the values (m,) that are due."""
+        passed = now - self.began
+        return np.array([np.interp(passed, self.times, column) for column in self.values.T])
+
+    def over(self, now: float) -> bool:
+        """Whether the last point is due."""
+        return bool(now - self.began >= self.times[-1])
+
+    def progress(self, now: float) -> str:
+        """Say how far it is."""
+        return f'{min(now - self.began, self.times[-1]):.2f} of {self.times[-1]:.2f} s'
+
+
+def play_pulls(core: Player, way: Way, playing: Playing, now: float) -> None:
+    """Command the wire pulls of a trajectory; the solver says what tensions belong to them."""
+    way.pulls = playing.at(now)
+    way.ahead.clear()
+    if core.solver.busy('playing') or core.command is None:
+        return
+    model, guess, unknown = core.model, core.track.last, core.command
+    limits = core.settings.limits(model)
+    heard = MeasuredState(np.full(len(way.pulls), np.nan), way.pulls, now)
+
+    def work(give_up: GiveUp) -> Array:
+        return bounded(heard.in_newtons(model, limits, guess, unknown), limits)
+
+    def done(tensions: Array | None, error: TendonRobotError | None) -> None:
+        if tensions is not None and core.playing is playing and core.model is model:
+            core.command = tensions
+
+    core.solver.post('playing', work, done)
+
+
+def checked(times: Array, values: Array, limits: Array | None, inputs: tuple[str, ...]) -> Playing:
+    """
+    Refuse a trajectory that cannot be played as it stands.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,) [s]
+        Since its beginning, growing.
+    values : ndarray, shape (n, m) [N] or [m]
+        In the order of `inputs`.
+    limits : ndarray, shape (m, 2), optional
+        Lowest and highest value of each input.
+    inputs : tuple of str
+        Their names, for the message.
+
+    """
+    what = 'tendon_trajectory'
+    if not (np.isfinite(times).all() and np.isfinite(values).all()):
+        raise Refusal('not_finite', f'{what}: expected finite numbers')
+    if times[0] < 0.0 or np.any(np.diff(times) <= 0.0):
+        raise Refusal('times', f'{what}: expected times from 0 that grow from point to point')
+    if limits is None:
+        return Playing(times, values)
+    outside = (values < limits[:, 0] - LIMIT_ROUNDING) | (values > limits[:, 1] + LIMIT_ROUNDING)
+    if outside.any():
+        point, column = np.argwhere(outside)[0]
+        low, high = limits[column]
+        raise Refusal(
+            'limits',
+            f'{what}: point {point + 1}: {inputs[column]}: expected {low:g} to {high:g} N, '
+            f'got {values[point, column]:g}; nothing of it was played',
+        )
+    return Playing(times, bounded(values, limits))

@@ -1,0 +1,178 @@
+"""A folder of plain files to a data set; nothing is taken that does not fit."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ...common.errors import DataSetError
+from ...common.files import new_folder
+from ...robot import Robot, dump_robot, load_robot
+from ..dataset import DataSet, default_markers
+from .description import describe, dump_description, find_robot, read_fields, read_text
+from .tables import KEYS, ORIENTATION, POSITION, read_inputs, read_shapes
+
+
+def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) -> DataSet:
+    """
+    Read and check a data set; nothing in its files is ever executed.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Holds dataset.yaml, inputs.csv and shapes.csv.
+    robot : Robot or path, optional
+        The robot to use instead of the one that dataset.yaml names.
+
+    Raises
+    ------
+    DataSetError
+        With file, row, what is wrong and what to do.
+    RobotDescriptionError
+        The robot description is not valid.
+
+    """
+    folder = Path(folder)
+    path = folder / 'dataset.yaml'
+    fields = read_fields(read_text(path), str(path))
+    if robot is None:
+        robot = find_robot(fields, folder)
+    elif not isinstance(robot, Robot):
+        robot = load_robot(robot)
+    said = describe(fields, robot)
+    markers = said.markers or default_markers(robot)
+    names = tuple(marker.name for marker in markers)
+    commands = read_inputs(folder / 'inputs.csv', robot, said.input)
+    shapes = read_shapes(folder / 'shapes.csv', robot, names, commands, said.path == 'sequence')
+    seen = np.isfinite(shapes.positions[..., 0]).any(axis=(0, 1))
+    if said.markers and not seen.all():
+        raise DataSetError(
+            f'{path}: markers',
+            f'{names[int(seen.argmin())]!r} was never seen in shapes.csv',
+            'correct the name or remove the marker',
+        )
+    turned = shapes.orientations
+    return DataSet(
+        name=str(folder),
+        robot=robot,
+        robot_path=Path(robot.source),
+        markers=tuple(marker for marker, one in zip(markers, seen, strict=True) if one),
+        postures=commands.postures,
+        inputs=commands.by_posture(),
+        trial_names=shapes.trials,
+        trial_inputs=commands.by_trial(shapes.trials),
+        positions=shapes.positions[:, :, seen],
+        orientations=None if turned is None else turned[:, :, seen],
+        input=said.input,
+        path=said.path,
+        gravity=said.gravity,
+        accuracy=said.accuracy,
+        position_noise=said.position_noise,
+        setting_noise=said.setting_noise,
+        trial_noise=said.trial_noise,
+    )
+
+
+# -----------------------------------------------------------------------------
+# A data set to a folder of plain files: whole, or not at all.
+
+FILES = ('dataset.yaml', 'inputs.csv', 'robot.yaml', 'shapes.csv')
+
+
+def save_dataset(dataset: DataSet, folder: str | Path, overwrite: bool = False) -> Path:
+    """
+    Write a data set with its robot description; `load_dataset` reads the same values back.
+
+    Parameters
+    ----------
+    dataset : DataSet
+        Markers that no trial saw are left out.
+    folder : str or Path
+        A new or empty folder.
+    overwrite : bool
+        Replace a data set; a folder with any other file in it is never replaced.
+
+    Raises
+    ------
+    DataSetError
+        The folder is not empty or cannot be written, or there is no measurement to write.
+
+    """
+    unmeasured = dataset.trials == 0
+    if unmeasured.all() or (unmeasured.any() and dataset.path == 'from_straight'):
+        posture = dataset.postures[int(unmeasured.argmax())]
+        raise DataSetError(
+            f'{dataset.name}: posture {posture!r}',
+            'has no measurement to write',
+            'select the measured postures',
+        )
+    if not overwrite and (Path(folder) / 'dataset.yaml').is_file():
+        raise DataSetError(
+            str(folder), 'holds a data set already', 'name a new folder or allow --overwrite'
+        )
+    dataset = _without_unseen(dataset)
+    with new_folder(Path(folder), FILES if overwrite else ()) as new:
+        (new / 'dataset.yaml').write_text(dump_description(dataset), encoding='utf-8')
+        (new / 'robot.yaml').write_text(dump_robot(dataset.robot), encoding='utf-8')
+        _write(new / 'inputs.csv', _input_rows(dataset))
+        _write(new / 'shapes.csv', _shape_rows(dataset))
+    return Path(folder)
+
+
+def _without_unseen(dataset: DataSet) -> DataSet:
+    seen = dataset.mask.any(axis=(0, 1))
+    if seen.all():
+        return dataset
+    turned = dataset.orientations
+    return replace(
+        dataset,
+        markers=tuple(m for m, one in zip(dataset.markers, seen, strict=True) if one),
+        positions=dataset.positions[:, :, seen],
+        orientations=None if turned is None else turned[:, :, seen],
+    )
+
+
+def _write(path: Path, rows: Iterable[Iterable[object]]) -> None:
+    with path.open('w', encoding='utf-8', newline='') as file:
+        csv.writer(file, lineterminator='\n').writerows(rows)
+
+
+def _cells(values: Iterable[float]) -> list[object]:
+    """Show floats so that reading gives the same ones; NaN as an empty cell."""
+    return ['' if math.isnan(value) else value for value in values]
+
+
+def _input_rows(dataset: DataSet) -> Iterator[Iterable[object]]:
+    if dataset.trial_inputs is None:
+        yield ('posture', *dataset.input_names)
+        for posture, values in zip(dataset.postures, dataset.inputs.tolist(), strict=True):
+            yield (posture, *_cells(values))
+        return
+    yield ('posture', 'trial', *dataset.input_names)
+    for p, posture in enumerate(dataset.postures):
+        measured = dataset.trial_mask[p] if dataset.path == 'from_straight' else ...
+        for q in range(len(dataset.trial_names)):
+            if measured is ... or measured[q]:
+                yield (
+                    posture,
+                    dataset.trial_names[q],
+                    *_cells(dataset.trial_inputs[p, q].tolist()),
+                )
+
+
+def _shape_rows(dataset: DataSet) -> Iterator[Iterable[object]]:
+    turned = dataset.orientations
+    yield (*KEYS, *POSITION, *(ORIENTATION if turned is not None else ()))
+    for p, posture in enumerate(dataset.postures):
+        positions = dataset.positions[p].tolist()
+        quaternions = [] if turned is None else turned[p].tolist()
+        for q, trial in enumerate(dataset.trial_names):
+            for j, marker in enumerate(dataset.markers):
+                if dataset.mask[p, q, j]:
+                    rest = quaternions[q][j] if quaternions else ()
+                    yield (posture, trial, marker.name, *positions[q][j], *_cells(rest))

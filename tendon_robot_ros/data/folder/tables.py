@@ -1,0 +1,316 @@
+"""inputs.csv: what was commanded, or measured, in every posture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...common.errors import DataSetError
+from ...robot import Robot
+from ..dataset import FloatArray, listing
+from .csv_file import CsvFile, IntArray, Table
+
+TENSION_MAX_LIMITS = 3.0  # tension limits; a larger tension is in another unit
+
+
+@dataclass(frozen=True)
+class Commands:
+    """The R rows of inputs.csv."""
+
+    file: CsvFile
+    table: Table
+    values: FloatArray  # (R, m) [N] or [m], NaN = slack
+
+    @property
+    def postures(self) -> tuple[str, ...]:
+        """Names of the postures (P,), in the order of the file."""
+        return self.table.labels['posture']
+
+    @property
+    def trials(self) -> tuple[str, ...] | None:
+        """Names of the trials, None where the values hold for all trials of a posture."""
+        return self.table.labels.get('trial')
+
+    def by_posture(self) -> FloatArray:
+        """
+        Return the values of every posture, the mean over its trials, (P, m) [N] or [m].
+
+        Raises
+        ------
+        DataSetError
+            A tendon is slack in some trials of a posture and pulled in others.
+
+        """
+        posture = self.table.codes['posture']
+        shape = (len(self.postures), self.values.shape[1])
+        total, pulled, rows = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        slack = np.isnan(self.values)
+        np.add.at(total, posture, np.where(slack, 0.0, self.values))
+        np.add.at(pulled, posture, ~slack)
+        np.add.at(rows, posture, 1.0)
+        mixed = (pulled > 0) & (pulled < rows)
+        if mixed.any():
+            row = int(np.argmax((slack & mixed[posture]).any(axis=1)))
+            raise self.file.error(
+                row + 2,
+                'a tendon is slack here and pulled in other trials of '
+                f'posture {self.postures[posture[row]]!r}',
+                'give postures of different inputs different names',
+            )
+        return np.where(pulled > 0, total / np.maximum(pulled, 1), np.nan)
+
+    def by_trial(self, trials: tuple[str, ...]) -> FloatArray | None:
+        """Return the values of every trial, (P, Q, m), None where the file has none."""
+        if self.trials is None:
+            return None
+        values = np.full((len(self.postures), len(trials), self.values.shape[1]), np.nan)
+        values[self.table.codes['posture'], self.table.translate('trial', trials)] = self.values
+        return values
+
+
+def read_inputs(path: Path, robot: Robot, kind: str) -> Commands:
+    """
+    Read and check inputs.csv.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    robot : Robot
+        Says which columns there must be, and which tensions can be.
+    kind : str
+        'tension' [N] or 'displacement' [m].
+
+    Raises
+    ------
+    DataSetError
+        With row and remedy.
+
+    """
+    required, known = ('posture', *robot.inputs), ('posture', 'trial', *robot.inputs)
+    file = CsvFile(path, required, known, 'write the value that was set')
+    names = ('posture', 'trial') if 'trial' in file.header else ('posture',)
+    table = file.read(names, robot.inputs)
+    values = np.stack([table.numbers[name] for name in robot.inputs], axis=1)
+    _check(file, values, robot, kind)
+    return Commands(file, table, values)
+
+
+def _check(file: CsvFile, values: FloatArray, robot: Robot, kind: str) -> None:
+    def refuse(where: NDArray[np.bool_], problem: str, remedy: str) -> None:
+        if where.any():
+            row, column = np.argwhere(where)[0]
+            text = problem.format(name=robot.inputs[column], value=values[row, column])
+            raise file.error(int(row) + 2, text, remedy)
+
+    if kind == 'displacement':
+        refuse(
+            np.abs(values) > robot.length,
+            f'{{name}} is pulled by {{value:g}} m, but the robot is only {robot.length:g} m long',
+            'write metres (is it in mm?)',
+        )
+        return
+    limit = robot.tension_limits[1]
+    refuse(
+        np.isnan(values),
+        '{name} is empty',
+        'write 0 for a slack tendon (an empty cell means slack only with input: displacement)',
+    )
+    refuse(values < 0.0, '{name} is {value:g} N', 'a tendon cannot push: write 0 or more')
+    refuse(
+        values > TENSION_MAX_LIMITS * limit,
+        f'{{name}} is {{value:g}} N, but tension_limits end at {limit:g} N',
+        'write newtons (is it in g or mN?)',
+    )
+
+
+# -----------------------------------------------------------------------------
+# shapes.csv: where the markers were in every trial of every posture.
+
+KEYS = ('posture', 'trial', 'marker')
+POSITION = ('x', 'y', 'z')  # [m]
+ORIENTATION = ('qx', 'qy', 'qz', 'qw')
+# robot lengths; a marker farther from the base is in another unit or frame
+DISTANCE_MAX_LENGTHS = 3.0
+Places = tuple[IntArray, IntArray, NDArray[np.bool_], tuple[str, ...]]
+VALUES_MAX = 20_000_000  # postures x trials x markers that the arrays may hold
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Arrays in the order of the postures of inputs.csv; NaN where nothing was seen."""
+
+    trials: tuple[str, ...]  # (Q,)
+    positions: FloatArray  # (P, Q, J, 3) [m]
+    orientations: FloatArray | None  # (P, Q, J, 4), unit quaternions
+
+
+def read_shapes(
+    path: Path, robot: Robot, markers: tuple[str, ...], commands: Commands, sequence: bool
+) -> Shapes:
+    """
+    Read and check shapes.csv.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    robot : Robot
+        Says how far a marker can be.
+    markers : tuple of str
+        Names that may occur.
+    commands : Commands
+        What inputs.csv says.
+    sequence : bool
+        Every trial replays the postures in order: one may stand without a measurement.
+
+    Raises
+    ------
+    DataSetError
+        With row and remedy.
+
+    """
+    required = (*KEYS, *POSITION)
+    missing = 'leave the cell empty where the marker was not seen'
+    file = CsvFile(path, required, (*required, *ORIENTATION), missing)
+    turned = tuple(name for name in ORIENTATION if name in file.header)
+    if turned and turned != ORIENTATION:
+        raise file.error(
+            1,
+            f'{", ".join(turned)} alone are no quaternion',
+            f'write {", ".join(ORIENTATION)}, or none of them',
+        )
+    table = file.read(KEYS, (*POSITION, *turned))
+    xyz = np.stack([table.numbers[name] for name in POSITION], axis=1)
+    _check_positions(file, xyz, robot)
+    trials = sort_trials((*table.labels['trial'], *(commands.trials or ())))
+    posture = _known(file, table, 'posture', commands.postures, 'inputs.csv has no such posture')
+    marker = _known(file, table, 'marker', markers, 'dataset.yaml has no such marker')
+    trial = table.translate('trial', trials)
+    sizes = len(commands.postures), len(trials), len(markers)
+    if np.prod(sizes, dtype=float) > VALUES_MAX:
+        raise DataSetError(
+            str(path),
+            '{} postures x {} trials x {} markers are too many'.format(*sizes),
+            'count the trials of every posture from 0',
+        )
+    seen = ~np.isnan(xyz[:, 0])
+    _check_trials(file, table, commands, (posture, trial, seen, trials), sequence)
+    positions = np.full((*sizes, 3), np.nan)
+    positions[posture, trial, marker] = xyz
+    orientations = None
+    if turned:
+        orientations = np.full((*sizes, 4), np.nan)
+        orientations[posture, trial, marker] = _quaternions(file, table, seen)
+    return Shapes(trials, positions, orientations)
+
+
+def _refuse(file: CsvFile, where: NDArray[np.bool_], problem: str, remedy: str) -> None:
+    """Raise the error for the first row where something holds."""
+    if where.any():
+        raise file.error(int(where.argmax()) + 2, problem, remedy)
+
+
+def _known(
+    file: CsvFile, table: Table, key: str, known: tuple[str, ...], problem: str
+) -> IntArray:
+    places = table.translate(key, known)
+    if (places < 0).any():
+        row = int((places < 0).argmax())
+        name = table.labels[key][table.codes[key][row]]
+        raise file.error(row + 2, f'{key} {name!r}: {problem}', f'use one of {listing(known)}')
+    return places
+
+
+def _check_positions(file: CsvFile, xyz: FloatArray, robot: Robot) -> None:
+    missing = np.isnan(xyz)
+    _refuse(
+        file,
+        missing.any(axis=1) & ~missing.all(axis=1),
+        'only part of x, y, z is there',
+        'write all three, or leave all three empty where the marker was not seen',
+    )
+    beyond = (np.abs(xyz) > DISTANCE_MAX_LENGTHS * robot.length).any(axis=1)
+    far = np.abs(xyz[int(beyond.argmax())]).max()
+    _refuse(
+        file,
+        beyond,
+        f'the marker is {far:g} m away, but the robot is only {robot.length:g} m long',
+        'write metres in the base frame (are these mm?)',
+    )
+
+
+def sort_trials(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return each trial name once: numbers in order, others as they appear."""
+    unique = tuple(dict.fromkeys(names))
+    if all(name.isascii() and name.isdigit() and len(name) < 19 for name in unique):
+        return tuple(sorted(unique, key=int))
+    return unique
+
+
+def _check_trials(
+    file: CsvFile, table: Table, commands: Commands, places: Places, sequence: bool
+) -> None:
+    """Refuse trials without a measurement, measurements without inputs and the reverse."""
+    posture, trial, seen, trials = places
+    measured = np.zeros((len(commands.postures), len(trials)), dtype=bool)
+    measured[posture[seen], trial[seen]] = True
+    empty = ~measured[posture, trial]
+    _refuse(
+        file,
+        empty,
+        f'{table.name(int(empty.argmax()), *KEYS[:2])}: no marker was seen in this trial',
+        'remove its rows',
+    )
+    codes = commands.table.codes
+    if commands.trials is None:
+        done = measured.any(axis=1)[codes['posture']]
+    else:
+        rows = codes['posture'], commands.table.translate('trial', trials)
+        commanded = np.zeros_like(measured)
+        commanded[rows] = True
+        alone = ~commanded[posture, trial]
+        _refuse(
+            file,
+            alone,
+            f'{table.name(int(alone.argmax()), *KEYS[:2])}: inputs.csv has no row for this trial',
+            'add its inputs there or remove its rows here',
+        )
+        done = measured[rows]
+    if not sequence and not done.all():
+        row = int(done.argmin())
+        raise commands.file.error(
+            row + 2,
+            f'{commands.table.name(row)}: {file.path.name} has no such measurement',
+            'add it there or remove this row',
+        )
+
+
+def _quaternions(file: CsvFile, table: Table, seen: NDArray[np.bool_]) -> FloatArray:
+    """Return unit quaternions, (n, 4)."""
+    q = np.stack([table.numbers[name] for name in ORIENTATION], axis=1)
+    missing = np.isnan(q)
+    _refuse(
+        file,
+        missing.any(axis=1) & ~missing.all(axis=1),
+        'only part of the quaternion is there',
+        'write qx, qy, qz and qw, or leave all four empty',
+    )
+    _refuse(
+        file,
+        ~missing.all(axis=1) & ~seen,
+        'an orientation without a position',
+        'write x, y, z too, or leave the quaternion empty',
+    )
+    norm = np.linalg.norm(q, axis=1)
+    _refuse(file, norm < 1e-6, 'the quaternion is zero', 'leave it empty where it is unknown')
+    _refuse(
+        file,
+        np.abs(norm - 1.0) > 0.05,
+        'the quaternion is not of length 1',
+        'write qx, qy, qz, qw of a unit quaternion, in this order',
+    )
+    return q / norm[:, None]

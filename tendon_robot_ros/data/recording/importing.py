@@ -1,0 +1,329 @@
+"""A ROS 2 recording to a data set: every still segment is a measurement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...common.errors import DataSetError
+from ...common.files import new_file
+from ...robot import Robot, load_robot, parse_robot
+from ..dataset import DataSet, FloatArray, Marker, default_markers, listing
+from ..folder.description import Description, describe, read_fields
+from ..folder.tables import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
+from .reader import Recording, Topics, read_bag
+from .still_segments import ArmMotion, Rule, Segment, assemble, find_segments, motion
+from .writer import DESCRIPTION, ROBOT
+
+NOISE_MIN_M = 1e-7  # [m] of noise that is assumed where frames do not differ
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A data set and where in the recording it comes from."""
+
+    dataset: DataSet
+    segments: tuple[Segment, ...]
+    motion: ArmMotion
+    state_times: FloatArray  # (T,) [s]
+    inputs: FloatArray  # (T, m) [N] or [m]
+    rule: Rule
+    left_out: tuple[str, ...]  # one line about each measurement that could not be used
+
+
+def import_bag(
+    bag: str | Path,
+    robot: Robot | str | Path | None = None,
+    rule: Rule | None = None,
+    topics: Topics | None = None,
+    description: str | None = None,
+    rest: float | None = None,
+) -> Imported:
+    """
+    Make a data set from a recording.
+
+    Segments in which all inputs are the same within the rule's change are trials of one posture;
+    in a sequence every segment is a posture of its own. Where the recording says which posture
+    and trial a measurement is, as `export_bag` does, that holds.
+
+    Parameters
+    ----------
+    bag : str or Path
+        A rosbag2 folder, or a single .mcap or .db3 file.
+    robot : Robot or path, optional
+        By default the one that the recording holds.
+    rule : Rule, optional
+        When the arm counts as still.
+    topics : Topics, optional
+        Where the recording holds what.
+    description : str, optional
+        Text of a dataset.yaml, for example with the markers; by default the recording's.
+    rest : float, optional
+        [N] or [m] segments whose inputs all stay below are no measurements but the rest between.
+
+    Raises
+    ------
+    DataSetError
+        It is no recording, something in it is missing, or the arm never stands still.
+    MissingExtraError
+        The package rosbags is not installed.
+
+    """
+    recording = read_bag(bag, topics)
+    robot = _robot(recording, robot)
+    said = _describe(recording, robot, description)
+    markers = _markers(recording, robot, said)
+    inputs = _inputs(recording, robot, said.input)
+    rule = (rule or Rule()).fill(robot, said.input)
+    moved = motion(recording, inputs, rule)
+    segments, left_out = find_segments(
+        recording, inputs, moved, rule, sequence=said.path == 'sequence'
+    )
+    if rest is not None:
+        segments = [one for one in segments if (np.nan_to_num(one.inputs) >= rest).any()]
+    if not any(np.isfinite(one.positions).any() for one in segments):
+        raise _never_still(recording.name, moved, rule)
+    segments = _plausible(recording.name, segments, robot, said.input, rule)
+    dataset = _dataset(recording.name, segments, robot, said, markers)
+    return Imported(
+        dataset, tuple(segments), moved, recording.state_times, inputs, rule, tuple(left_out)
+    )
+
+
+def _dataset(
+    bag: str,
+    segments: list[Segment],
+    robot: Robot,
+    said: Description,
+    markers: tuple[Marker, ...],
+) -> DataSet:
+    arrays = assemble(bag, segments)
+    noise = said.position_noise
+    if noise is None and len(arrays.trials) == 1:  # no trials to tell it: the frames have to
+        noise = max(float(np.sqrt(np.nanmean([one.noise**2 for one in segments]))), NOISE_MIN_M)
+    return DataSet(
+        name=bag,
+        robot=robot,
+        markers=markers,
+        postures=arrays.postures,
+        inputs=arrays.inputs,
+        trial_inputs=arrays.trial_inputs,
+        trial_names=arrays.trials,
+        positions=arrays.positions,
+        orientations=arrays.orientations,
+        input=said.input,
+        path=said.path,
+        gravity=said.gravity,
+        position_noise=noise,
+        setting_noise=said.setting_noise,
+        trial_noise=said.trial_noise,
+        accuracy=said.accuracy,
+    )
+
+
+def _robot(recording: Recording, robot: Robot | str | Path | None) -> Robot:
+    if isinstance(robot, Robot):
+        return robot
+    if robot is not None:
+        return load_robot(robot)
+    if recording.robot is None:
+        raise DataSetError(
+            recording.name, 'it holds no robot description', 'name one with --robot robot.yaml'
+        )
+    return parse_robot(recording.robot, f'{recording.name}: {ROBOT}')
+
+
+def _describe(recording: Recording, robot: Robot, text: str | None) -> Description:
+    source = 'description' if text is not None else f'{recording.name}: {DESCRIPTION}'
+    text = recording.description if text is None else text
+    fields = read_fields(text or '', source)
+    said = describe(fields, robot)
+    if fields.has('input'):
+        return said
+    # a driver that observes no tension gives NaN
+    observed = np.isfinite(recording.inputs(robot.inputs, 'tension')).any()
+    return replace(said, input='tension' if observed else 'displacement')
+
+
+def _markers(recording: Recording, robot: Robot, said: Description) -> tuple[Marker, ...]:
+    """Return the marker of every pose, in the order of the recording."""
+    markers = said.markers or default_markers(robot)
+    names = recording.marker_names
+    if not names:
+        count = recording.tracks[0].positions.shape[1]
+        if count != len(markers):
+            raise DataSetError(
+                recording.name,
+                f'the shape has {count} poses, but there are {len(markers)} markers',
+                'list the markers in a dataset.yaml and name it with --description',
+            )
+        return markers
+    known = {marker.name: marker for marker in markers}
+    if said.markers is None:
+        known.setdefault('tip', Marker('tip', robot.length))
+    for name in names:
+        if name not in known:
+            raise DataSetError(
+                recording.name,
+                f'no marker {name!r} is described; known: {listing(known)}',
+                'list it in a dataset.yaml and name that with --description',
+            )
+    return tuple(known[name] for name in names)
+
+
+def _inputs(recording: Recording, robot: Robot, kind: str) -> FloatArray:
+    inputs = recording.inputs(robot.inputs, kind)
+    field = 'effort' if kind == 'tension' else 'position'
+    listed = {name for state in recording.states for name in state.name}
+    for name, column in zip(robot.inputs, inputs.T, strict=True):
+        if name not in listed:
+            raise DataSetError(
+                recording.name,
+                f'the tendon states do not name {name!r}; they name {listing(sorted(listed))}',
+                'use the robot description of the robot that was recorded',
+            )
+        if kind == 'tension' and not np.isfinite(column).any():
+            raise DataSetError(
+                recording.name,
+                f'the tension of {name!r} was not observed ({field} is empty or NaN)',
+                'say input: displacement in a dataset.yaml and name it with --description',
+            )
+    return inputs
+
+
+def _plausible(
+    bag: str, segments: list[Segment], robot: Robot, kind: str, rule: Rule
+) -> list[Segment]:
+    """Refuse what is in another unit; what a load cell shows below zero at rest is zero."""
+    far = max(float(np.nan_to_num(np.abs(one.positions)).max()) for one in segments)
+    if far > DISTANCE_MAX_LENGTHS * robot.length:
+        raise DataSetError(
+            bag,
+            f'a marker is {far:g} m away, but the robot is only {robot.length:g} m long',
+            'record metres in the base frame (are these mm?)',
+        )
+    inputs = np.nan_to_num([one.inputs for one in segments])
+    unit, limit = ('m', robot.length) if kind == 'displacement' else ('N', robot.tension_limits[1])
+    highest = limit if kind == 'displacement' else TENSION_MAX_LIMITS * limit
+    lowest = -limit if kind == 'displacement' else -(rule.change or 0.0)
+    for value in (inputs.min(), inputs.max()):
+        if not lowest <= value <= highest:
+            raise DataSetError(
+                bag,
+                f'a tendon has {value:g} {unit}, outside {lowest:g} to {highest:g} {unit}',
+                f'record {unit} (in the unit of the robot description)',
+            )
+    if kind == 'displacement':
+        return segments
+    return [replace(one, inputs=np.maximum(one.inputs, 0.0)) for one in segments]
+
+
+def _never_still(bag: str, moved: ArmMotion, rule: Rule) -> DataSetError:
+    slowest = 1e3 * float(moved.speed.min(initial=np.inf))
+    return DataSetError(
+        bag,
+        f'the arm is never slower than {1e3 * rule.speed:g} mm/s for {rule.duration:g} s (at its '
+        f'slowest moment {slowest:.2g} mm/s)',
+        'allow a higher speed or a shorter duration',
+    )
+
+
+# -----------------------------------------------------------------------------
+# A picture of what an import took from a recording.
+
+PICTURES = ('.png', '.svg', '.pdf')
+NAMES_DRAWN_MAX = 80  # more do not fit beside each other
+PICTURE_WIDTH_MAX_IN = 40.0  # [inches]
+
+
+def draw_segments(imported: Imported, path: str | Path) -> Path:
+    """
+    Draw speed and inputs over time with the segments that became measurements.
+
+    Parameters
+    ----------
+    imported : Imported
+        What `import_bag` returned.
+    path : str or Path
+        Where the picture goes; the ending says the format, one of `PICTURES`.
+
+    Raises
+    ------
+    DataSetError
+        Nothing can be written there.
+
+    """
+    from matplotlib.figure import Figure
+
+    width = min(max(8.0, 0.22 * len(imported.segments)), PICTURE_WIDTH_MAX_IN)
+    figure = Figure(figsize=(width, 5.5), layout='constrained')
+    above, below = figure.subplots(2, 1, sharex=True)
+    _draw_speed(above, imported)
+    _draw_inputs(below, imported)
+    for axes in (above, below):
+        for one in imported.segments:
+            axes.axvspan(one.begin, one.end, color='tab:green', alpha=0.25, linewidth=0)
+        axes.spines[['top', 'right']].set_visible(False)
+    figure.legend(loc='outside lower right', ncols=6, fontsize='small')
+    figure.suptitle(summary(imported), x=0.01, ha='left', fontsize='large')
+    with new_file(Path(path)) as draft:
+        figure.savefig(draft, dpi=110)
+    return Path(path)
+
+
+def summary(imported: Imported) -> str:
+    """Say in one line what was found."""
+    trials = imported.dataset.trials
+    each = f'{trials.min()}' if trials.min() == trials.max() else f'{trials.min()}..{trials.max()}'
+    return (
+        f'{len(imported.segments)} still segments: {len(trials)} postures x {each} trials x '
+        f'{len(imported.dataset.markers)} markers'
+    )
+
+
+def _draw_speed(axes: Any, imported: Imported) -> None:
+    moved, limit = imported.motion, 1e3 * imported.rule.speed
+    speed = np.where(np.isfinite(moved.speed), 1e3 * moved.speed, np.nan)
+    lowest = limit / 100
+    axes.semilogy(moved.times, np.maximum(speed, lowest), color='tab:blue', linewidth=0.8)
+    axes.axhline(limit, color='tab:red', linestyle='--', linewidth=0.8)
+    axes.annotate(
+        f'{limit:g} mm/s for {imported.rule.duration:g} s counts as still',
+        (0.005, limit),
+        xycoords=('axes fraction', 'data'),
+        xytext=(0, 3),
+        textcoords='offset points',
+        color='tab:red',
+        fontsize='small',
+        bbox={'color': 'white', 'alpha': 0.7, 'pad': 1},
+    )
+    axes.set_ylabel('speed [mm/s]')
+    if len(imported.segments) > NAMES_DRAWN_MAX:
+        return
+    single = len(imported.dataset.trial_names) == 1
+    for one in imported.segments:
+        axes.annotate(
+            one.posture if single else f'{one.posture}, {one.trial}',
+            ((one.begin + one.end) / 2, 1.0),
+            xycoords=('data', 'axes fraction'),
+            xytext=(0, 2),
+            textcoords='offset points',
+            rotation=90,
+            ha='center',
+            va='bottom',
+            fontsize='x-small',
+        )
+
+
+def _draw_inputs(axes: Any, imported: Imported) -> None:
+    data = imported.dataset
+    tension = data.input == 'tension'
+    for name, values in zip(data.input_names, imported.inputs.T, strict=True):
+        axes.plot(
+            imported.state_times, values * (1 if tension else 1e3), linewidth=0.9, label=name
+        )
+    axes.set_ylabel('tension [N]' if tension else 'wire pull [mm]')
+    axes.set_xlabel('time [s]')

@@ -1,0 +1,388 @@
+"""Where a recorded arm stands still: the segments that count as measurements."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...common.errors import DataSetError, short
+from ...robot import Robot
+from ..dataset import FloatArray
+from ..folder.tables import sort_trials
+from .reader import Recording, Track
+
+STEPS_PER_WINDOW = 10  # of the time grid, per window
+GRID_VALUES_MAX = 2e7  # instants x markers
+NO_CUTS = np.zeros(0)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """
+    When the arm counts as still.
+
+    Its speed is the distance between the mean positions in the two halves of a window, so that
+    the noise of a tracker is no motion; the window is half the duration.
+    """
+
+    speed: float = 0.002  # [m/s], rms over the markers
+    duration: float = 1.0  # [s]
+    change: float | None = None  # [N] or [m], of any input within a window; None: see `fill`
+
+    def fill(self, robot: Robot, kind: str) -> Rule:
+        """Return the rule with a change of 1 % of the tension limit or 0.2 % of the length."""
+        if self.change is not None:
+            return self
+        change = 0.01 * robot.tension_limits[1] if kind == 'tension' else 0.002 * robot.length
+        return replace(self, change=change)
+
+
+@dataclass(frozen=True)
+class ArmMotion:
+    """How the arm moved, on a regular grid of times."""
+
+    times: FloatArray  # (G,) [s]
+    speed: FloatArray  # (G,) [m/s], inf where no marker was seen
+    change: FloatArray  # (G,) [N] or [m], largest of the inputs
+
+
+def motion(recording: Recording, inputs: FloatArray, rule: Rule) -> ArmMotion:
+    """
+    Compute speed and change of inputs.
+
+    Parameters
+    ----------
+    recording : Recording
+        Gives the markers and the times.
+    inputs : ndarray
+        (T, m) [N] or [m] at `recording.state_times`.
+    rule : Rule
+        Gives the window.
+
+    Raises
+    ------
+    DataSetError
+        The recording is too long for so short a window.
+
+    """
+    window = rule.duration / 2
+    ends = [track.times[[0, -1]] for track in recording.tracks]
+    start, end = max(e[0] for e in ends), min(e[1] for e in ends)
+    size = sum(track.positions.shape[1] for track in recording.tracks)
+    if (end - start) / window * STEPS_PER_WINDOW * size > GRID_VALUES_MAX:
+        raise DataSetError(
+            recording.name,
+            f'{end - start:.0f} s are too long to look for {rule.duration:g} s of stillness',
+            'ask for a longer duration or import a part of the recording',
+        )
+    times = np.arange(start + window / 2, end - window / 2 + 1e-9, window / STEPS_PER_WINDOW)
+    squares = [_speeds(track, times, window) ** 2 for track in recording.tracks]
+    together = np.concatenate(squares, axis=1)  # (G, J)
+    seen = np.isfinite(together)
+    mean = np.where(seen, together, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+    return ArmMotion(
+        times,
+        np.where(seen.any(axis=1), np.sqrt(mean), np.inf),
+        _changes(recording.state_times, inputs, times, window),
+    )
+
+
+def still_stretches(
+    moved: ArmMotion, rule: Rule, cuts: FloatArray = NO_CUTS
+) -> list[tuple[float, float]]:
+    """
+    Return begin and end [s] of every stretch in which the rule holds.
+
+    Parameters
+    ----------
+    moved : ArmMotion
+        Speed and change of inputs.
+    rule : Rule
+        What counts as still.
+    cuts : ndarray, optional
+        (C,) [s] where measurements begin and end, if that is known: no stretch goes across, and
+        one that is a little too short will do.
+
+    """
+    shortest = rule.duration / 4 if len(cuts) else rule.duration / 2  # plus half a window per end
+    still = (moved.speed < rule.speed) & (moved.change < (rule.change or np.inf))
+    part = np.searchsorted(cuts, moved.times, side='right')
+    run = np.cumsum(np.diff(still * (part + 1), prepend=0) != 0)  # counts up where a run begins
+    found = []
+    for number in np.unique(run[still]):
+        begin, end = moved.times[np.flatnonzero(run == number)[[0, -1]]]
+        if end - begin >= shortest - 1e-9:
+            found.append((float(begin), float(end)))
+    return found
+
+
+def sample_means(
+    times: FloatArray, values: FloatArray, begin: FloatArray, end: FloatArray
+) -> FloatArray:
+    """
+    Return means over stretches of time.
+
+    Parameters
+    ----------
+    times : ndarray
+        (S,) [s], ascending.
+    values : ndarray
+        (S, n); a NaN does not count.
+    begin, end : ndarray
+        (G,) [s], both included.
+
+    Returns
+    -------
+    ndarray
+        (G, n), NaN where there is no value.
+
+    """
+    seen = np.isfinite(values)
+    zero = np.zeros((1, values.shape[1]))
+    sums = np.concatenate([zero, np.cumsum(np.where(seen, values, 0.0), axis=0)])
+    counts = np.concatenate([zero, np.cumsum(seen, axis=0)])
+    first = np.searchsorted(times, begin - 1e-9)
+    last = np.searchsorted(times, end + 1e-9)
+    count = counts[last] - counts[first]
+    mean = (sums[last] - sums[first]) / np.maximum(count, 1)
+    return np.where(count > 0, mean, np.nan)
+
+
+def held_means(
+    times: FloatArray, values: FloatArray, begin: FloatArray, end: FloatArray
+) -> FloatArray:
+    """Return `sample_means`, or the last value before where a stretch has no sample."""
+    means = sample_means(times, values, begin, end)
+    last = np.searchsorted(times, end + 1e-9) - 1
+    empty = last < np.searchsorted(times, begin - 1e-9)
+    return np.where(empty[:, None], values[np.maximum(last, 0)], means)
+
+
+def _changes(times: FloatArray, inputs: FloatArray, grid: FloatArray, window: float) -> FloatArray:
+    """Return the largest change of an input between the halves of a window, (G,)."""
+    before = held_means(times, inputs, grid - window / 2, grid)
+    after = held_means(times, inputs, grid, grid + window / 2)
+    slackened = np.isnan(before) != np.isnan(after)
+    return np.where(slackened, np.inf, np.nan_to_num(np.abs(after - before))).max(axis=1)
+
+
+def _speeds(track: Track, times: FloatArray, window: float) -> FloatArray:
+    """Return the speed of every marker, (G, J) [m/s], NaN where it was not seen."""
+    S, J = track.positions.shape[:2]
+    flat = track.positions.reshape(S, 3 * J)
+    before = sample_means(track.times, flat, times - window / 2, times)
+    after = sample_means(track.times, flat, times, times + window / 2)
+    return np.linalg.norm((after - before).reshape(len(times), J, 3), axis=2) / (window / 2)
+
+
+# -----------------------------------------------------------------------------
+# Still segments of a recording: averaged, named, and put together to a data set.
+
+DIGITS = 9  # a mean is rounded to nanometres and nanonewtons
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of time in which the arm stood still, and what was measured then."""
+
+    begin: float  # [s] since the recording began
+    end: float  # [s]
+    inputs: FloatArray  # (m,) [N] or [m]
+    positions: FloatArray  # (J, 3) [m]
+    orientations: FloatArray  # (J, 4)
+    noise: float = 0.0  # [m] 1 sd of a mean position, from the frames; NaN where there is one
+    posture: str = ''
+    trial: str = ''
+
+
+@dataclass(frozen=True)
+class SegmentArrays:
+    """Segments as the arrays of a data set."""
+
+    postures: tuple[str, ...]
+    trials: tuple[str, ...]
+    inputs: FloatArray  # (P, m)
+    trial_inputs: FloatArray | None  # (P, Q, m) where they differ between the trials
+    positions: FloatArray  # (P, Q, J, 3)
+    orientations: FloatArray | None  # (P, Q, J, 4)
+
+
+def find_segments(
+    recording: Recording, inputs: FloatArray, moved: ArmMotion, rule: Rule, sequence: bool
+) -> tuple[list[Segment], list[str]]:
+    """
+    Return the measurements of a recording, and one line about each that is left out.
+
+    Parameters
+    ----------
+    recording : Recording
+        Gives the markers, and the labels if there are any.
+    inputs : ndarray
+        (T, m) [N] or [m] at `recording.state_times`.
+    moved : ArmMotion
+        Speed and change of inputs.
+    rule : Rule
+        What counts as still.
+    sequence : bool
+        Every trial replays the postures in order: one may stand without a measurement.
+
+    """
+    if not any(text for _, text in recording.labels):
+        found = [_average(recording, inputs, *part) for part in still_stretches(moved, rule)]
+        return _named(found, rule, sequence), []
+    segments, left_out = [], []
+    ends = [time for time, _ in recording.labels[1:]] + [np.inf]
+    stretches = still_stretches(moved, rule, np.array([time for time, _ in recording.labels]))
+    for (begin, text), end in zip(recording.labels, ends, strict=True):
+        if not text:
+            continue
+        posture, trial = _label(recording.name, text)
+        inside = [part for part in stretches if begin <= part[0] and part[1] <= end]
+        if inside:
+            longest = max(inside, key=lambda part: part[1] - part[0])
+            one = _average(recording, inputs, *longest)
+        elif sequence:
+            one = _unseen(recording, inputs, begin, end - 1e-6)
+        else:
+            left_out.append(f'posture {posture}, trial {trial}: the arm did not stand still')
+            continue
+        segments.append(replace(one, posture=posture, trial=trial))
+    return segments, left_out
+
+
+def _label(bag: str, text: str) -> tuple[str, str]:
+    try:
+        label = json.loads(text)
+        return str(label['posture']), str(label['trial'])
+    except (ValueError, TypeError, KeyError):
+        raise DataSetError(
+            bag, f'label {short(text)}', 'write {"posture": ..., "trial": ...} as JSON, or nothing'
+        ) from None
+
+
+def _average(recording: Recording, inputs: FloatArray, begin: float, end: float) -> Segment:
+    """Average over a stretch of time."""
+    first, last = np.array([begin]), np.array([end])
+    positions, orientations, noise = [], [], []
+    for track in recording.tracks:
+        count = track.positions.shape[1]
+        flat = track.positions.reshape(-1, 3 * count)
+        positions.append(sample_means(track.times, flat, first, last).reshape(count, 3))
+        inside = (track.times >= begin - 1e-9) & (track.times <= end + 1e-9)
+        orientations.append(_mean_turn(track.orientations[inside]))
+        noise.append(_noise(track.positions[inside]))
+    return Segment(
+        begin,
+        end,
+        held_means(recording.state_times, inputs, first, last)[0].round(DIGITS),
+        np.concatenate(positions).round(DIGITS),
+        np.concatenate(orientations),
+        float(np.sqrt(np.mean(np.square(noise)))),
+    )
+
+
+def _noise(positions: FloatArray) -> float:
+    """Return 1 sd [m] of the mean of frames (S, J, 3), per coordinate."""
+    seen = np.isfinite(positions)
+    count = seen.sum(axis=0)
+    mean = np.where(seen, positions, 0.0).sum(axis=0) / np.maximum(count, 1)
+    squares = np.where(seen, (positions - mean) ** 2, 0.0).sum(axis=0)
+    known = count > 1
+    if not known.any():
+        return float('nan')
+    return float(np.sqrt(np.mean(squares[known] / (count[known] * (count[known] - 1)))))
+
+
+def _unseen(recording: Recording, inputs: FloatArray, begin: float, end: float) -> Segment:
+    """Return a segment of a sequence in which only the inputs are known."""
+    one = _average(recording, inputs, begin, end)
+    nothing = np.full_like(one.positions, np.nan), np.full_like(one.orientations, np.nan)
+    return replace(one, positions=nothing[0], orientations=nothing[1])
+
+
+def _mean_turn(turned: FloatArray) -> FloatArray:
+    """Return the mean of quaternions that differ little, (S, J, 4) to (J, 4)."""
+    known = np.abs(np.linalg.norm(turned, axis=2, keepdims=True) - 1.0) < 0.05
+    values = np.where(known, turned, 0.0)
+    reference = values[known.argmax(axis=0)[:, 0], np.arange(values.shape[1])]
+    total = (values * np.where((values * reference).sum(axis=2) < 0, -1, 1)[..., None]).sum(axis=0)
+    norm = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.where(norm > 0, total / np.maximum(norm, 1e-12), np.nan)
+
+
+def _named(found: list[Segment], rule: Rule, sequence: bool) -> list[Segment]:
+    """Name segments: the same inputs are trials of one posture; in a sequence all differ."""
+    if sequence:
+        return [replace(one, posture=str(i), trial='0') for i, one in enumerate(found)]
+    postures: list[FloatArray] = []
+    counts: list[int] = []
+    named = []
+    for one in found:
+        same = (
+            i for i, inputs in enumerate(postures) if _alike(inputs, one.inputs, rule.change or 0)
+        )
+        index = next(same, len(postures))
+        if index == len(postures):
+            postures.append(one.inputs)
+            counts.append(0)
+        named.append(replace(one, posture=str(index), trial=str(counts[index])))
+        counts[index] += 1
+    return named
+
+
+def _alike(a: FloatArray, b: FloatArray, change: float) -> bool:
+    return bool(np.allclose(a, b, rtol=0.0, atol=change, equal_nan=True))
+
+
+def assemble(bag: str, segments: list[Segment]) -> SegmentArrays:
+    """
+    Put named segments together.
+
+    Raises
+    ------
+    DataSetError
+        Two segments have the same names.
+
+    """
+    postures = tuple(dict.fromkeys(one.posture for one in segments))
+    trials = sort_trials(tuple(one.trial for one in segments))
+    places = {name: i for i, name in enumerate(postures)}, {n: i for i, n in enumerate(trials)}
+    size = len(postures), len(trials)
+    J, m = len(segments[0].positions), len(segments[0].inputs)
+    inputs = np.full((*size, m), np.nan)
+    positions, turned = np.full((*size, J, 3), np.nan), np.full((*size, J, 4), np.nan)
+    done = np.zeros(size, dtype=bool)
+    for one in segments:
+        place = places[0][one.posture], places[1][one.trial]
+        if done[place]:
+            raise DataSetError(
+                bag,
+                f'posture {one.posture!r}, trial {one.trial!r} is labelled twice',
+                'record it again with labels that differ',
+            )
+        done[place] = True
+        inputs[place], positions[place], turned[place] = (
+            one.inputs,
+            one.positions,
+            one.orientations,
+        )
+    known = np.isfinite(turned)
+    plain = not known.any() or np.all(turned[known].reshape(-1, 4) == [0.0, 0.0, 0.0, 1.0])
+    mean = sample_mean(inputs, done)
+    spread = np.nan_to_num(np.abs(inputs - mean[:, None]))[done]
+    return SegmentArrays(
+        postures,
+        trials,
+        mean,
+        inputs if spread.max() > 10.0**-DIGITS else None,
+        positions,
+        None if plain else turned,
+    )
+
+
+def sample_mean(inputs: FloatArray, done: FloatArray) -> FloatArray:
+    """Return the mean over the trials that were done, (P, m)."""
+    counts = done.sum(axis=1)[:, None]
+    return (np.where(done[..., None], inputs, 0.0).sum(axis=1) / counts).round(DIGITS)

@@ -1,0 +1,237 @@
+"""Write ROS 2 recordings (mcap or sqlite3) without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from ...common.errors import DataSetError, MissingExtraError
+from ..dataset import FloatArray
+
+STORAGES = ('mcap', 'sqlite3')
+
+# Topics that hold what messages cannot: latched std_msgs/String
+DESCRIPTION = '/dataset/description'  # the text of dataset.yaml, its markers written out
+ROBOT = '/dataset/robot'  # the text of robot.yaml
+LABEL = (
+    '/dataset/label'  # {"posture": ..., "trial": ...} when a measurement begins, '' when it ends
+)
+
+
+def need_rosbags() -> None:
+    """
+    Check that recordings can be read and written.
+
+    Raises
+    ------
+    MissingExtraError
+        The package rosbags is not installed.
+
+    """
+    if find_spec('rosbags') is None:
+        raise MissingExtraError('rosbags', 'bags')
+
+
+class BagWriter:
+    """
+    Write messages to a new rosbag2 folder; closing it completes the recording.
+
+    Messages are given as they come from a raw subscription (bytes), or as fields.
+    """
+
+    def __init__(self, folder: str | Path, storage: str = 'mcap') -> None:
+        """
+        Create the folder.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Must not exist.
+        storage : str
+            'mcap' or 'sqlite3'.
+
+        Raises
+        ------
+        DataSetError
+            The folder exists or cannot be made, or the storage is unknown.
+        MissingExtraError
+            The package rosbags is not installed.
+
+        """
+        need_rosbags()
+        from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
+        from rosbags.typesys import Stores, get_typestore
+
+        if storage not in STORAGES:
+            raise DataSetError(str(folder), f'no storage {storage!r}', f'use one of {STORAGES}')
+        self.types = get_typestore(Stores.ROS2_JAZZY)
+        plugin = StoragePlugin.MCAP if storage == 'mcap' else StoragePlugin.SQLITE3
+        try:
+            self._writer = Writer(Path(folder), version=9, storage_plugin=plugin)
+            self._writer.open()
+        except WriterError:
+            raise DataSetError(str(folder), 'is there already', 'name a new folder') from None
+        except OSError as error:
+            raise DataSetError(
+                str(folder), f'cannot be made ({error.strerror})', 'name another place'
+            ) from None
+        self._connections: dict[str, Any] = {}
+
+    def add_topic(self, topic: str, kind: str, latched: bool = False) -> None:
+        """
+        Announce a topic before its first message.
+
+        Parameters
+        ----------
+        topic : str
+            Its name, such as '/tendon_states'.
+        kind : str
+            Its type, such as 'sensor_msgs/msg/JointState'.
+        latched : bool
+            Whoever subscribes later gets the last message (transient local).
+
+        """
+        self._connections[topic] = self._writer.add_connection(
+            topic, kind, typestore=self.types, offered_qos_profiles=[_quality(latched)]
+        )
+
+    def write(self, topic: str, time: int, message: object) -> None:
+        """Write one message of an announced topic; `time` is in nanoseconds."""
+        connection = self._connections[topic]
+        if isinstance(message, bytes):
+            self._writer.write(connection, time, message)
+            return
+        raw = self.types.serialize_cdr(message, connection.msgtype)
+        self._writer.write(connection, time, raw)
+
+    def close(self) -> None:
+        """Complete the recording."""
+        self._writer.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _quality(latched: bool) -> Any:
+    """Return the quality of service of a publisher: reliable, and latched or not."""
+    from rosbags import interfaces as ros
+
+    unlimited = ros.QosTime(2147483647, 4294967295)
+    return ros.Qos(
+        history=ros.QosHistory.KEEP_LAST,
+        depth=1 if latched else 10,
+        reliability=ros.QosReliability.RELIABLE,
+        durability=ros.QosDurability.TRANSIENT_LOCAL if latched else ros.QosDurability.VOLATILE,
+        deadline=unlimited,
+        lifespan=unlimited,
+        liveliness=ros.QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=unlimited,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+# -----------------------------------------------------------------------------
+# The messages of a measurement, built for and taken from recordings without ROS.
+
+STRING = 'std_msgs/msg/String'
+JOINT_STATE = 'sensor_msgs/msg/JointState'
+POSE_ARRAY = 'geometry_msgs/msg/PoseArray'
+POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
+
+
+class Builder:
+    """Build messages of the types that a `BagWriter` knows."""
+
+    def __init__(self, types: Any, frame: str = 'base') -> None:
+        """Take the writer's types and the frame in which shapes are measured."""
+        self._types, self._frame = types.types, frame
+
+    def string(self, text: str) -> object:
+        """Build a std_msgs/String."""
+        return self._types[STRING](data=text)
+
+    def joint_state(
+        self, time: int, names: Sequence[str], pull: FloatArray, tension: FloatArray
+    ) -> object:
+        """Build a JointState: wire pulls [m] as positions, tensions [N] as efforts; time [ns]."""
+        return self._types[JOINT_STATE](
+            header=self._header(time),
+            name=list(names),
+            position=np.asarray(pull, dtype=float),
+            velocity=np.zeros(0),
+            effort=np.asarray(tension, dtype=float),
+        )
+
+    def pose_array(self, time: int, positions: FloatArray, turned: FloatArray) -> object:
+        """Build a PoseArray from positions (J, 3) [m] and quaternions (J, 4); time [ns]."""
+        poses = [self._pose(*pair) for pair in zip(positions, turned, strict=True)]
+        return self._types[POSE_ARRAY](header=self._header(time), poses=poses)
+
+    def _pose(self, position: FloatArray, turned: FloatArray) -> object:
+        types = self._types
+        return types['geometry_msgs/msg/Pose'](
+            position=types['geometry_msgs/msg/Point'](*map(float, position)),
+            orientation=types['geometry_msgs/msg/Quaternion'](*map(float, turned)),
+        )
+
+    def _header(self, time: int) -> object:
+        stamp = self._types['builtin_interfaces/msg/Time'](sec=time // 10**9, nanosec=time % 10**9)
+        return self._types['std_msgs/msg/Header'](stamp=stamp, frame_id=self._frame)
+
+
+def poses_of(message: Any) -> tuple[str, FloatArray]:
+    """Take the frame and x, y, z [m], qx, qy, qz, qw of a PoseStamped, (1, 7)."""
+    p, q = message.pose.position, message.pose.orientation
+    return message.header.frame_id, np.array([[p.x, p.y, p.z, q.x, q.y, q.z, q.w]])
+
+
+def parse_pose_array(data: bytes) -> tuple[str, FloatArray]:
+    """
+    Take the frame and the poses (J, 7) from the bytes of a PoseArray.
+
+    Ten minutes of thirty markers at 100 Hz are two million poses: as objects they take half a
+    minute, so that the one message that holds many numbers is read here.
+
+    Raises
+    ------
+    ValueError
+        The bytes are no PoseArray.
+
+    """
+    order = '<' if data[1] == 1 else '>'  # CDR: four bytes that say how, then aligned fields
+    body = memoryview(data)[4:]
+
+    def count(place: int) -> int:
+        return int(np.frombuffer(body, f'{order}u4', 1, place)[0])
+
+    size = count(8)  # after the stamp
+    frame = bytes(body[12 : 12 + size]).rstrip(b'\0').decode()
+    place = -(-(12 + size) // 4) * 4
+    number = count(place)
+    place = -(-(place + 4) // 8) * 8
+    values = np.frombuffer(body, f'{order}f8', 7 * number, place) if number else np.zeros(0)
+    return frame, values.reshape(number, 7).astype(float)
+
+
+def joints_of(message: Any, names: Sequence[str]) -> tuple[list[float], list[float]]:
+    """Take pulls [m] and tensions [N] of the named tendons of a JointState; NaN = not there."""
+    places = {name: place for place, name in enumerate(message.name)}
+
+    def pick(values: Sequence[float]) -> list[float]:
+        found = (places.get(name, len(values)) for name in names)
+        return [float(values[i]) if i < len(values) else float('nan') for i in found]
+
+    return pick(message.position), pick(message.effort)

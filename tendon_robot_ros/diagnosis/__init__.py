@@ -1,0 +1,29 @@
+"""
+Which physical effect is missing, and how sure is that.
+
+Candidates are fitted to the data (session, fit), what was gathered is judged (evidence, diagnose),
+and comes out as a result that the reports read.
+
+decide.py             every threshold: of the alarm, of adequate, of what cannot be told apart
+diagnose.py           `diagnose`: from the evidence to a verdict
+evidence.py           fits of the base model and of every candidate; what remains unexplained
+candidates.py         effects that may be missing; which of them the postures test
+session.py            one diagnosis at work: noise, weights, and the fits that it asks for
+fit.py                a settled fit, and the search that finds it
+interval.py           95 % intervals of fitted parameters
+cells.py              cells whose stiffness scatters
+as_built.py           imperfections of an arm, and how they move the markers
+marginal.py           the likelihood in which they are random
+arm_report.py         how much an arm scatters, and what is out of line
+outliers.py           readings and trials that the others contradict
+setup_mistakes.py     swapped columns, turned axes, wrong units: before physics
+rivals.py             patterns without physics: does the catalogue lack the cause
+result.py             `Diagnosis`: what the reports and other tools read
+report_rows.py        from fits to the rows and numbers of a result
+next_measurement.py   the posture that would separate what the present ones cannot
+missing_moment.py     which moment the model lacks where: what the pictures show
+add.py                write effects into a description, and undo it
+written.py            what was found of an arm as built, in its description
+staircase.py          the error before, after, and left out
+trust.py              how far to trust a diagnosis on the user's own postures
+"""

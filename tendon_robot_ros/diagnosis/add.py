@@ -1,0 +1,325 @@
+"""What an addition writes into a robot description, and how that is undone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import date
+from typing import Any
+
+import numpy as np
+
+from ..common.errors import InputError, NoEquilibriumError
+from ..comparison.predict import FreeParameter, Point
+from ..data import DataSet
+from ..effects import Catalogue, load_catalogue
+from ..robot import Robot
+from .candidates import Candidate, is_tested, why_untested
+from .decide import P_ONE
+from .fit import Fit
+from .interval import intervals
+from .outliers import find_outliers
+from .report_rows import values_of
+from .result import EffectFinding, Value
+from .session import Session
+from .staircase import Errors, errors_on, left_out
+from .written import with_members
+
+
+@dataclass(frozen=True)
+class Addition:
+    """A description with fitted effects, and what they do to the error."""
+
+    robot: Robot
+    values: dict[str, dict[str, Value]]  # effect -> parameter -> value with its interval
+    fitted: Errors  # on the postures of the fit
+    check: Errors  # on a check set, else on postures left out in turn
+    probability: float  # of so much remaining error if nothing else is at work
+    moved: dict[str, float] = field(default_factory=dict)  # tolerance -> declared sd it moved
+    more_at_work: str = ''  # what the file says when the effects are not the whole story
+
+    def __repr__(self) -> str:
+        """Say what was added, and how the errors fell."""
+        errors = '; '.join(
+            f'{e.kind}: {1e3 * e.before:.3g} mm -> {1e3 * e.after:.3g} mm'
+            for e in (self.fitted, self.check)
+        )
+        return f'<Addition of {", ".join(self.values)} to {self.robot.name}: {errors}>'
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {
+            'effects': {
+                name: {key: vars(value) for key, value in values.items()}
+                for name, values in self.values.items()
+            },
+            'fitted': vars(self.fitted),
+            'check': vars(self.check),
+            'probability': self.probability,
+            'moved': self.moved,
+            'more_at_work': self.more_at_work,
+        }
+
+
+def changed_robot(robot: Robot, catalogue: Catalogue, fit: Fit, dataset: DataSet) -> Robot:
+    """Return the description with the fitted effects."""
+    fitted: dict[str, dict[str, list[float]]] = {}
+    for free, value in zip(fit.frees, fit.values, strict=False):
+        items = fitted.setdefault(free.effect, {})
+        items.setdefault(free.parameter.name, []).append(float(f'{value:.6g}'))
+    for name, items in fitted.items():
+        wide = {p.name for p in catalogue[name].parameters if p.per_section}
+        robot = robot.with_effect(
+            name,
+            {key: tuple(v) if key in wide and len(v) > 1 else v[0] for key, v in items.items()},
+        )
+        if catalogue[name].needs == 'gravity' and robot.gravity is None:
+            robot = replace(robot, gravity=dataset.gravity)
+    return robot
+
+
+def with_origin(made: Addition, before: Robot) -> Robot:
+    """Return the description with where its fitted values come from."""
+    robot = made.robot
+    error: dict[str, Any] = {'unit': 'm'}
+    for one in (made.fitted, made.check):
+        numbers = {key: _short(getattr(one, key)) for key in ('before', 'after', 'floor')}
+        error[one.kind.replace(' ', '_')] = {'data': one.data, **numbers}
+    for name, values in made.values.items():
+        origin: dict[str, Any] = {
+            'parameters': {key: _plain(value) for key, value in values.items()},
+            'data': made.fitted.data,
+            'date': date.today().isoformat(),
+            'error': error,
+        }
+        if len(made.values) > 1:
+            origin['together_with'] = [other for other in made.values if other != name]
+        if name in before.effects:
+            origin['replaces'] = _listed(before.effects[name])
+        if made.moved:
+            origin['tolerances_moved'] = {key: _short(z) for key, z in made.moved.items()}
+        if made.more_at_work:
+            origin['more_at_work'] = made.more_at_work
+        robot = robot.with_effect(name, robot.effects[name], origin)
+    return robot
+
+
+def more_at_work(errors: Errors, probability: float) -> str:
+    """Say that the effects are not the whole story."""
+    floor = errors.floor or 0.0
+    left = (
+        f'{errors.after / floor:.1f} times the noise'
+        if floor > 0.0
+        else f'{1e3 * errors.after:.2g} mm'
+    )
+    return (
+        f'more is at work than these effects: what is left on the fitted postures is {left} '
+        f'(p = {probability:.1g})'
+    )
+
+
+def restore(robot: Robot, name: str) -> tuple[Robot, Mapping[str, Any] | None]:
+    """
+    Undo an addition: what the effect was before comes back, else the effect goes.
+
+    Returns
+    -------
+    robot : Robot
+    values : mapping, optional
+        What came back.
+
+    Raises
+    ------
+    InputError
+        The description does not list that effect.
+
+    """
+    without = robot.without_effect(name)
+    origin = robot.fitted.get(name)
+    values = origin.get('replaces') if isinstance(origin, dict) else None
+    if not isinstance(values, dict):
+        return without, None
+    back = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+    return robot.with_effect(name, back), back
+
+
+def _plain(value: Value) -> dict[str, Any]:
+    plain = {key: _short(getattr(value, key)) for key in ('value', 'low', 'high')}
+    return {**plain, 'unit': value.unit, **({'note': value.note} if value.note else {})}
+
+
+def _listed(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: list(v) if isinstance(v, tuple) else v for key, v in values.items()}
+
+
+def _short(value: float | None) -> float | None:
+    return None if value is None else float(f'{value:.4g}')
+
+
+# -----------------------------------------------------------------------------
+# Add effects to a robot description: fit their parameters and watch the error fall.
+
+
+def add_effects(
+    dataset: DataSet,
+    names: Sequence[str],
+    robot: Robot | None = None,
+    catalogue: Catalogue | None = None,
+    check: DataSet | None = None,
+    start: Sequence[EffectFinding] = (),
+    partial: bool = False,
+) -> Addition:
+    """
+    Fit effects on a data set and write their values into a description.
+
+    Declared tolerances take part in the fit and stay out of the description. Effects that the
+    description lists already get new values.
+
+    Parameters
+    ----------
+    dataset : DataSet
+    names : sequence of str
+        Effects, fitted together.
+    robot : Robot, optional
+        Default: the data set's.
+    catalogue : Catalogue, optional
+    check : DataSet, optional
+        Other postures to judge by; default: groups of postures are left out in turn.
+    start : sequence of EffectFinding, optional
+        Values to start from, as a diagnosis found them.
+    partial : bool
+        Something outside the catalogue is known to be at work, too.
+
+    Raises
+    ------
+    EffectError, InputError
+        An effect is unknown, or these postures say nothing about it.
+    NoEquilibriumError
+
+    """
+    described = robot or dataset.robot
+    session = Session(dataset, described, catalogue or load_catalogue(), workers=1)
+    if session.predictor.markers({}) is None:
+        raise NoEquilibriumError(
+            f'a posture of {dataset.name}', session.predictor.model.implicit_effects, np.inf
+        )
+    if not session.weigh({}):
+        raise InputError(
+            f'{dataset.name}: one trial per posture and no position_noise in '
+            'dataset.yaml: repeat the postures, or declare the noise of the tracker'
+        )
+    session.leave_out(find_outliers(session.predictor, {}))
+    dataset = session.dataset
+    fit = fit_effects(session, names, _point(session, names, start))
+    probability = fit.probability(session.freedom)
+    scale = 1.0 if probability > P_ONE else max(1.0, fit.chi2 / max(fit.freedom, 1))
+    values = _values(session, fit, scale)
+    changed = with_members(
+        changed_robot(described, session.catalogue, fit, dataset), fit, dataset.input
+    )
+    fitted = errors_on(dataset, described, changed, session.catalogue, 'fitted')
+    on_check = (
+        left_out(session.fitters[0], fit, fitted, session.moves)
+        if check is None
+        else errors_on(check, described, changed, session.catalogue, 'check')
+    )
+    more = more_at_work(fitted, probability) if partial or probability <= P_ONE else ''
+    made = Addition(changed, values, fitted, on_check, probability, fit.pulls, more)
+    return replace(made, robot=with_origin(made, described))
+
+
+def add_effect(dataset: DataSet, name: str, **options: Any) -> Addition:
+    """
+    Fit one effect on a data set and write its values into a description.
+
+    Parameters
+    ----------
+    dataset : DataSet
+    name : str
+        An effect of the catalogue.
+    **options
+        As of `add_effects`: robot, catalogue, check, partial.
+
+    Returns
+    -------
+    Addition
+        The new description is its `robot`.
+
+    """
+    return add_effects(dataset, [name], **options)
+
+
+def fit_effects(session: Session, names: Sequence[str], start: Point | None = None) -> Fit:
+    """Fit effects together, one joining after the other; weights are retaken twice at the fit."""
+    fit, together = None, None
+    for name in dict.fromkeys(names):
+        candidate = _candidate(session, name)
+        if start is None:
+            _refuse_untested(session, candidate, fit)
+        together = candidate if together is None else together.with_(candidate)
+        if start is None:
+            fit = _fit(session, together, None if fit is None else fit.point)
+    if together is None:
+        raise InputError('add: expected the name of an effect, got none')
+    point = start if fit is None else fit.point
+    for _ in range(2):
+        session.weigh(point or {}, None if fit is None else fit.members)
+        fit = _fit(session, together, point)
+        point = fit.point
+    assert fit is not None
+    return fit
+
+
+def _fit(session: Session, candidate: Candidate, start: Point | None) -> Fit:
+    try:
+        return session.fitters[0].fit(candidate.frees, start)
+    except (ArithmeticError, np.linalg.LinAlgError):
+        raise NoEquilibriumError(
+            f'a posture of {session.dataset.name}', candidate.names, np.inf
+        ) from None
+
+
+def _candidate(session: Session, name: str) -> Candidate:
+    effect = session.catalogue[name]
+    return next(c for c in session.candidates if c.names == (effect.name,))
+
+
+def _refuse_untested(session: Session, candidate: Candidate, fit: Fit | None) -> None:
+    """Raise InputError where the postures say nothing about an effect."""
+    effect = session.catalogue[candidate.names[0]]
+    point = {} if fit is None else fit.point
+    here = session.predictor.markers(point)
+    acts = (
+        effect.acts_on is None
+        or effect.acts_on in session.robot.effects
+        or any(free.effect == effect.acts_on for free in point)
+    )
+    if (
+        acts
+        and here is not None
+        and is_tested(candidate, session.predictor, session.whitener, point, here)
+    ):
+        return
+    reason = why_untested(effect, session.dataset, session.robot, session.catalogue)
+    raise InputError(
+        f'{effect.name}: these measurements cannot tell its value ({reason}); nothing was written'
+    )
+
+
+def _point(
+    session: Session, names: Sequence[str], start: Sequence[EffectFinding]
+) -> dict[FreeParameter, float] | None:
+    """Return the values of a diagnosis as a point; None where an effect is not among them."""
+    found = {effect.name: effect for effect in start}
+    if not names or not set(names) <= set(found):
+        return None
+    frees = [free for name in names for free in _candidate(session, name).frees]
+    return {free: found[free.effect].parameters[free.key].value for free in frees}
+
+
+def _values(session: Session, fit: Fit, scale: float) -> dict[str, dict[str, Value]]:
+    """Values with intervals: Gaussian ones, and profiles where those do not hold."""
+    values = values_of(fit, scale)
+    for free, (low, high) in intervals(session.fitters[0], fit, scale).items():
+        values[free.effect][free.key] = replace(values[free.effect][free.key], low=low, high=high)
+    return values

@@ -1,0 +1,184 @@
+"""Why the postures of a data set say nothing about an effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from ..comparison.noise import Whitener
+from ..comparison.predict import CELLS, FreeParameter, Point, Predictor, free_parameters
+from ..comparison.statistics import chi2_sf
+from ..data import DataSet
+from ..effects import Catalogue, Effect
+from ..robot import Robot
+from .cells import cell_nuisances
+from .decide import TESTED_FROM
+from .fit import Fit, Nuisance
+
+
+def why_untested(effect: Effect, dataset: DataSet, robot: Robot, catalogue: Catalogue) -> str:
+    """Say in a few words why an effect does not show, and so cannot be judged."""
+    if effect.acts_on and effect.acts_on not in robot.effects:
+        return f'acts on {effect.acts_on}, which the description lacks'
+    if effect.needs == 'history':
+        return _memory(dataset)
+    if effect.needs == 'pulls' and dataset.input == 'tension':
+        return 'wire pulls not commanded'
+    if effect.needs == 'gravity':
+        gravity = dataset.gravity_for(robot)
+        if gravity is None:
+            return 'direction of gravity unknown'
+        if not np.any(gravity):
+            return 'set to zero'
+    return 'these postures hardly show it'
+
+
+def _memory(dataset: DataSet) -> str:
+    if dataset.path != 'sequence':
+        return 'every posture loaded from straight'
+    steps = np.diff(np.nan_to_num(dataset.inputs), axis=0)
+    return 'these postures hardly show it' if (steps < 0.0).any() else 'no unloading'
+
+
+# -----------------------------------------------------------------------------
+# The candidates of a diagnosis: effects that may be missing, and those whose value may be off.
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One or several effects whose parameters are freed together."""
+
+    names: tuple[str, ...]
+    frees: tuple[FreeParameter, ...]
+    present: bool  # already in the description: its value may be wrong
+
+    @property
+    def label(self) -> str:
+        """Name to print."""
+        return ' + '.join(self.names)
+
+    def with_(self, other: Candidate) -> Candidate:
+        """Both together."""
+        return Candidate(
+            self.names + other.names, self.frees + other.frees, self.present and other.present
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """A candidate with its fit and what it is worth."""
+
+    candidate: Candidate
+    fit: Fit
+    noise_freedom: float  # degrees of freedom behind the noise
+    owners: npt.NDArray[np.int64]  # posture (N,) of each whitened value
+
+    @cached_property
+    def probability(self) -> float:
+        """Chance of so large a chi² if it is the truth."""
+        return self.fit.probability(self.noise_freedom)
+
+    @cached_property
+    def _left_out(self) -> tuple[float, float]:
+        return self.fit.held_out(self.owners)
+
+    @property
+    def held_out(self) -> float:
+        """Chi² of postures predicted from the others."""
+        return self._left_out[0]
+
+    @property
+    def trust(self) -> float:
+        """Chance of so much more than the fitted chi²."""
+        return self._left_out[1]
+
+    @property
+    def score(self) -> float:
+        """Chi² plus twice the number of parameters: smaller is better."""
+        return self.fit.deviance + 2.0 * self.fit.rank
+
+
+def nuisances_of(robot: Robot, catalogue: Catalogue, predictor: Predictor) -> list[Nuisance]:
+    """Return declared tolerances as parameters with priors; friction only where there is some."""
+    found = []
+    for quantity, spread in robot.tolerances.items():
+        if quantity == CELLS and spread > 0.0 and robot.exact:
+            found += cell_nuisances(robot, spread)
+        twin = catalogue.twin(quantity)
+        if twin is None or spread <= 0.0:
+            continue
+        effect, parameters = twin
+        for free in free_parameters(catalogue[effect], robot):
+            if free.parameter.name not in parameters:
+                continue
+            centre = predictor.value(free)
+            size = spread * centre if quantity == 'friction_coefficient' else spread
+            if size > 0.0:
+                found.append(Nuisance(quantity, free, centre, size))
+    return found
+
+
+def candidates_of(robot: Robot, catalogue: Catalogue) -> list[Candidate]:
+    """Every effect of the catalogue, in its order."""
+    return [
+        Candidate((effect.name,), free_parameters(effect, robot), effect.name in robot.effects)
+        for effect in catalogue
+    ]
+
+
+def is_tested(
+    candidate: Candidate, predictor: Predictor, whitener: Whitener, point: Point, here: np.ndarray
+) -> bool:
+    """Tell whether the postures would show a typical size of the effect at a point."""
+    effect = predictor.model.catalogue[candidate.names[0]]
+    if effect.stage == 'memory' and not candidate.present and not unloads(predictor.dataset):
+        return False
+    if effect.always_on and not candidate.present:
+        # its absence is the base; what shows is what it changes there
+        moves = [
+            {free: factor * free.parameter.typical for free in candidate.frees}
+            for factor in (1.0,)
+        ]
+    else:
+        moves = [
+            {free: _moved(point.get(free, predictor.value(free)), free)}
+            for free in candidate.frees
+        ]
+    for move in moves:
+        there = predictor.markers({**point, **move})
+        if there is None:
+            return True
+        white = whitener.white(there - here)
+        if float(white @ white) > TESTED_FROM:
+            return True
+    return False
+
+
+def _moved(value: float, free: FreeParameter) -> float:
+    """Move a value by its typical size, to the side that has room."""
+    parameter = free.parameter
+    up = value + parameter.typical
+    return up if up <= parameter.high else max(value - parameter.typical, parameter.low)
+
+
+def unloads(dataset: DataSet) -> bool:
+    """Tell whether a sequence ever lets an input go."""
+    steps = np.diff(np.nan_to_num(dataset.inputs), axis=0)
+    return dataset.path == 'sequence' and bool((steps < 0.0).any())
+
+
+def gain_probability(base: Fit, fit: Fit, described: Sequence[float]) -> float:
+    """Chance of so much gain in chi² by luck (likelihood ratio; one-sided at a bound: half)."""
+    gain, rank = base.deviance - fit.deviance, max(fit.rank, 1)
+    if gain <= 0.0:
+        return 1.0
+    probability = chi2_sf(gain, rank)
+    one_sided = len(fit.frees) == 1 and described[0] in (
+        fit.frees[0].parameter.low,
+        fit.frees[0].parameter.high,
+    )
+    return 0.5 * probability if one_sided else probability

@@ -1,0 +1,248 @@
+"""Diagnose: which physical effect is missing, and how sure is that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..comparison.noise import rms
+from ..data import DataSet
+from ..effects import Catalogue, load_catalogue
+from ..robot import Robot
+from .candidates import Ranked
+from .decide import APART_FROM, P_ONE, STRAY_SD_MAX
+from .evidence import Evidence, best_rival, gather, is_alarming, outside_by_itself, remainder_text
+from .next_measurement import propose
+from .outliers import find_outliers
+from .report_rows import details_of, finding, rows_of
+from .result import Diagnosis
+from .rivals import Pattern
+from .session import Progress, Session, indistinct, joined, several
+from .setup_mistakes import Mistake, find_mistake
+
+
+def diagnose(
+    dataset: DataSet,
+    robot: Robot | None = None,
+    catalogue: Catalogue | None = None,
+    workers: int = 2,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """
+    Name the physical effect whose absence explains the error of a model on a data set.
+
+    Parameters
+    ----------
+    dataset : DataSet
+    robot : Robot, optional
+        The description to judge; default: the data set's.
+    catalogue : Catalogue, optional
+        The effects to consider; default: the built-in ones and installed ones.
+    workers : int
+        Threads.
+    progress : callable, optional
+        Called with (what, done, total).
+
+    Raises
+    ------
+    TendonRobotError
+        The description does not fit the catalogue, or the model finds no equilibrium at all.
+
+    """
+    session = Session(
+        dataset, robot or dataset.robot, catalogue or load_catalogue(), workers, progress
+    )
+    lacking = _what_is_lacking(session)
+    if lacking:
+        return _cannot_judge(session, lacking)
+    session.leave_out(find_outliers(session.predictor, {}))
+    mistake = find_mistake(session.predictor, session.whitener.floor())
+    if mistake is not None:
+        return _mistaken(session, mistake)
+    found = gather(session)
+    if not is_alarming(found):
+        return _adequate(found)
+    verdict = decide(found)
+    if verdict.verdict == 'outside_catalogue' and session.accuracy and not session.use_accuracy:
+        session.use_accuracy = True
+        found = gather(session)
+        return _adequate(found) if not is_alarming(found) else decide(found)
+    return verdict
+
+
+def _what_is_lacking(session: Session) -> str:
+    """Say what is needed before anything can be judged; empty when nothing is."""
+    dataset = session.dataset
+    measured = int((dataset.trials > 0).sum())
+    if measured < 2:
+        return f'{measured} measured posture(s): two or more are needed, six are better'
+    if session.predictor.markers({}) is None:
+        from ..common.errors import NoEquilibriumError
+
+        raise NoEquilibriumError(
+            'a posture of this data set', session.predictor.model.implicit_effects, np.inf
+        )
+    if not session.weigh({}):
+        return (
+            'one trial per posture and no position_noise in dataset.yaml: repeat the '
+            'postures, or declare the noise of the tracker'
+        )
+    return ''
+
+
+def decide(found: Evidence) -> Diagnosis:
+    """Say what explains the error: one effect, a class, several, or nothing in the catalogue."""
+    session = found.session
+    adequate = [r for r in found.singles if r.probability > P_ONE]
+    if adequate:
+        group = indistinct(session, adequate, P_ONE)
+        found.rival = best_rival(found, group[0].score) or _nameless(found, group[0])
+        if found.rival:
+            return _outside(found, group[0])
+        more = joined(session, group[0]) if found.base.built is not None else None
+        return _named(found, group) if more is None else _several(found, more)
+    combined = several(session, found.singles) if found.singles else None
+    if combined is not None:  # the weights have moved
+        found.base = session.base_fit()
+        found.__dict__.pop('patterns', None)
+        found.singles = session.fit_all(
+            [r.candidate for r in found.singles],
+            {r.candidate.label: r.fit for r in found.singles},
+        )
+        found.best = session.best(found.singles)
+    candidates = [r for r in (combined, found.best) if r is not None]
+    best_overall = min(candidates, key=lambda r: r.score) if candidates else None
+    found.rival = None
+    if best_overall is not None:
+        found.rival = best_rival(found, best_overall.score)
+    if combined is not None and session.holds(combined) and found.rival is None:
+        return _several(found, combined)
+    return _outside(found, found.best)
+
+
+def _nameless(found: Evidence, best: Ranked) -> Pattern | None:
+    """Return the pattern that raised the alarm where the effect alone would not have."""
+    session, base = found.session, found.base
+    if base.built is None or session.stands_out(base, best, len(found.singles)):
+        return None
+    return outside_by_itself(found)
+
+
+def _named(found: Evidence, group: Sequence[Ranked]) -> Diagnosis:
+    """Verdict for a class of adequate single effects, best first."""
+    best = group[0]
+    names = [r.candidate.names[0] for r in group]
+    twins = {quantity: found.session.catalogue.twin(quantity) for quantity in found.base.pulls}
+    strays = [
+        quantity
+        for quantity, z in found.base.pulls.items()
+        if abs(z) > STRAY_SD_MAX and (twin := twins[quantity]) is not None and twin[0] in names
+    ]
+    if strays or all(r.candidate.present for r in group):
+        verdict = 'wrong_parameter'
+    else:
+        verdict = 'missing_effect' if len(group) == 1 else 'ambiguous'
+    if strays:  # the declared quantity is what moved: its twin is what to add
+        said_by = twins[strays[0]]
+        best = next(r for r in group if said_by and r.candidate.names[0] == said_by[0])
+    together = tuple(names) if len(group) > 1 or strays else ()
+    return _result(
+        found,
+        verdict,
+        [best],
+        together,
+        strays,
+        propose(found.session, group) if len(group) > 1 else None,
+    )
+
+
+def _several(found: Evidence, combined: Ranked) -> Diagnosis:
+    return _result(found, 'several', [combined], (), [], None)
+
+
+def _outside(found: Evidence, best: Ranked | None) -> Diagnosis:
+    """Nothing in the catalogue is adequate, or something simpler outside it is better."""
+    if best is not None:
+        found.scale = max(1.0, best.fit.chi2 / max(best.fit.freedom, 1))
+    helpful = best is not None and best.score < found.base.deviance - APART_FROM * found.scale
+    near = [
+        r.candidate.label
+        for r in found.singles
+        if best is not None and r.score <= best.score + APART_FROM * found.scale and r is not best
+    ]
+    return _result(
+        found,
+        'outside_catalogue',
+        [best] if helpful and best else [],
+        (best.candidate.label, *near) if helpful and best and near else (),
+        [],
+        None,
+    )
+
+
+def _adequate(found: Evidence) -> Diagnosis:
+    return _result(found, 'adequate', [], (), [], None)
+
+
+def _result(
+    found: Evidence,
+    verdict: str,
+    chosen: Sequence[Ranked],
+    together: tuple[str, ...],
+    strays: Sequence[str],
+    following: object,
+) -> Diagnosis:
+    session = found.session
+    measured = session.dataset.mean
+    after = chosen[0].fit.markers if chosen else found.base.markers
+    as_described = session.predictor.markers({})
+    assert as_described is not None
+    untested = tuple(
+        c.names[0]
+        for c in found.not_tested
+        if c.names[0] not in {name for r in chosen for name in r.candidate.names}
+    )
+    effects = tuple(item for r in chosen for item in finding(found, r))
+    return Diagnosis(
+        verdict=verdict,
+        effects=effects,
+        cannot_tell_apart=together,
+        not_tested=untested,
+        out_of_tolerance=tuple(strays),
+        error_before=rms(measured - as_described),
+        error_after=rms(measured - after),
+        noise_floor=session.whitener.floor(),
+        next_measurement=following,  # type: ignore[arg-type]
+        remainder=remainder_text(found, chosen[0] if chosen else None, verdict),
+        candidates=rows_of(found, chosen, together),
+        details=details_of(found, chosen, together, verdict),
+    )
+
+
+def _mistaken(session: Session, mistake: Mistake) -> Diagnosis:
+    """Say the mistake of the set-up; no effect is judged before it is mended."""
+    markers = session.predictor.markers({})
+    assert markers is not None
+    found = _cannot_judge(session, mistake.text(rms(session.dataset.mean - markers)))
+    return replace(found, noise_floor=session.whitener.floor(), error_after=mistake.after)
+
+
+def _cannot_judge(session: Session, lacking: str) -> Diagnosis:
+    markers = session.predictor.markers({})
+    before = float('nan') if markers is None else rms(session.dataset.mean - markers)
+    return Diagnosis(
+        'cannot_judge',
+        (),
+        (),
+        (),
+        (),
+        before,
+        before,
+        float('nan'),
+        None,
+        lacking,
+        (),
+        {'needed': lacking},
+    )

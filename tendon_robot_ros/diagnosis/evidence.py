@@ -1,0 +1,159 @@
+"""What a diagnosis gathers before it decides: fits of the base model and of every candidate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..comparison.noise import rms
+from .candidates import Candidate, Ranked
+from .decide import ALARM_LEVEL, APART_FROM, STRAY_SD_MAX
+from .fit import Fit
+from .rivals import Pattern, Rivals
+from .session import Session
+
+SAME_EVERYWHERE = ('contact', 'soft_cell', 'taper')  # patterns that a remainder is not
+
+
+@dataclass
+class Evidence:
+    """All that the decision looks at."""
+
+    session: Session
+    base: Fit
+    singles: list[Ranked]
+    not_tested: list[Candidate]
+    best: Ranked | None = None
+    rival: Pattern | None = None
+    scale: float = 1.0  # chi² over freedom of the best, where nothing is adequate
+
+    @cached_property
+    def patterns(self) -> list[Pattern]:
+        """What from outside may compete with the effects, on top of the base."""
+        return Rivals(self.session.fitters[0], self.base).all()
+
+
+def gather(session: Session) -> Evidence:
+    """Fit the base and every candidate; weights are taken twice at the best candidate's fit."""
+    session.weigh({})
+    base = session.base_fit()
+    tested, not_tested = session.split_tested(base.point)
+    singles = session.fit_all(tested)
+    for _ in range(2):
+        if not singles:
+            break
+        best = session.best(singles)
+        session.weigh(best.fit.point, best.fit.members)
+        base = session.base_fit()
+        starts = {r.candidate.label: r.fit for r in singles}
+        singles = session.fit_all([r.candidate for r in singles], starts)
+    found = Evidence(session, base, singles, not_tested)
+    found.best = session.best(singles) if singles else None
+    return found
+
+
+def is_alarming(found: Evidence) -> bool:
+    """Tell whether the base model is off: as a whole, beyond a tolerance, or one effect gains."""
+    session, base = found.session, found.base
+    if base.probability(session.freedom) < ALARM_LEVEL:
+        return True
+    if any(abs(z) > STRAY_SD_MAX for z in base.pulls.values()):
+        return True
+    if base.built is not None and outside_by_itself(found) is not None:
+        return True
+    return any(session.stands_out(base, r, len(found.singles)) for r in found.singles)
+
+
+def outside_by_itself(found: Evidence) -> Pattern | None:
+    """Return the pattern from outside that gains more than luck over no effect, if any."""
+    base = found.base
+    likely = [
+        p
+        for p in found.patterns
+        if p.name in SAME_EVERYWHERE and p.luck(base.deviance) < ALARM_LEVEL
+    ]
+    return min(likely, key=lambda pattern: pattern.score, default=None)
+
+
+def best_rival(found: Evidence, score: float) -> Pattern | None:
+    """Return the pattern from outside that beats a score by more than luck, if any."""
+    top = min(found.patterns, key=lambda pattern: pattern.score, default=None)
+    return top if top is not None and top.score < score - APART_FROM else None
+
+
+# -----------------------------------------------------------------------------
+# What remains unexplained, in plain words from the patterns that fit it.
+
+
+def remainder_text(found: Evidence, chosen: Ranked | None, verdict: str) -> str:
+    """Say how much remains after the chosen effects (or none), and what it looks like."""
+    session = found.session
+    fit = chosen.fit if chosen else found.base
+    left, floor = rms(session.dataset.mean - fit.markers), session.whitener.floor()
+    text = f'What is left ({1e3 * left:.2f} mm) ' + (
+        f'equals your repeatability ({1e3 * floor:.2f} mm).'
+        if left < 1.25 * floor
+        else f'is {left / floor:.1f} times your repeatability ({1e3 * floor:.2f} mm).'
+    )
+    if verdict != 'outside_catalogue':
+        return text
+    pattern = found.rival or best_pattern(found, chosen)
+    return f'{text} {pattern_text(found, pattern)}' if pattern else f'{text} {_worst(found, fit)}'
+
+
+def best_pattern(found: Evidence, chosen: Ranked | None) -> Pattern | None:
+    """Return the pattern that takes a third or more of what is left, if there is one."""
+    fit = chosen.fit if chosen else found.base
+    patterns = Rivals(found.session.fitters[0], fit).all()
+    top = min(patterns, key=lambda pattern: pattern.score, default=None)
+    excess = fit.chi2 - fit.freedom
+    if top is None or fit.deviance - top.deviance < 0.33 * excess:
+        return None
+    return top
+
+
+def pattern_text(found: Evidence, pattern: Pattern) -> str:
+    """Describe a pattern so that a person knows where to look."""
+    names = found.session.dataset.postures
+    if pattern.name == 'contact':
+        return (
+            f'The remainder looks like a force of {1e3 * pattern.size:.2g} mN at cell '
+            f'{pattern.cell}, the same in every posture: does a cable pull there, or something '
+            'touch?'
+        )
+    if pattern.name == 'soft_cell':
+        return (
+            f'The remainder is the same in every posture: cell {pattern.cell} bends '
+            f'{pattern.size:.1f} times as much as it should. Look at that cell.'
+        )
+    if pattern.name == 'taper':
+        way = 'stiffer' if pattern.size > 0.0 else 'softer'
+        return (
+            f'The remainder is the same in every posture: the arm is {way} towards the tip, '
+            f'by {100.0 * abs(pattern.size):.0f} % from base to tip.'
+        )
+    values = np.array(pattern.values)
+    worst = names[int(np.argmax(np.abs(values)))]
+    if pattern.name == 'gain_per_posture':
+        return (
+            f'The remainder looks like tensions that were not what was set: by '
+            f'{100.0 * np.std(values):.1f} % (sd) from posture to posture, most in {worst}. '
+            'Check how tensions are set, or declare tension_noise: setting.'
+        )
+    return (
+        'The remainder looks like a base that turns from posture to posture: by '
+        f'{np.degrees(np.max(np.abs(values))):.1f}° in {worst}. Check the mount.'
+    )
+
+
+def _worst(found: Evidence, fit: object) -> str:
+    dataset = found.session.dataset
+    markers = fit.markers  # type: ignore[attr-defined]
+    distance = np.linalg.norm(dataset.mean - markers, axis=2)
+    posture, marker = np.unravel_index(np.nanargmax(distance), distance.shape)
+    return (
+        f'No pattern fits it. It is largest in posture {dataset.postures[posture]} at marker '
+        f'{dataset.markers[marker].name} ({1e3 * distance[posture, marker]:.1f} mm).'
+    )

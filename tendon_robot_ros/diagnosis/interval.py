@@ -1,0 +1,135 @@
+"""95 % intervals of fitted parameters: from the curvature, or by profile likelihood."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
+from ..comparison.statistics import normal_ppf
+from .fit import Fit, Fitter
+
+Floats = npt.NDArray[np.float64]
+QUANTILE = normal_ppf(0.975)
+PROFILE_FROM_ERROR = 0.1  # relative error of a Gaussian endpoint from which the profile decides
+SEARCH_STEPS_MAX = 6  # of the search for an endpoint
+
+
+class Pinned(Predictor):
+    """A predictor some of whose parameters stay where they are put."""
+
+    def __init__(self, predictor: Predictor, values: Point) -> None:
+        """Share everything with the predictor."""
+        self.__dict__.update(predictor.__dict__)
+        self._inner, self._pinned = predictor, dict(values)
+
+    def markers(
+        self,
+        point: Point,
+        inputs: Floats | None = None,
+        stiffness: Floats | None = None,
+        near: SettledShapes | None = None,
+    ) -> Floats | None:
+        """Predict markers (P, J, 3) [m]; see `Predictor.markers`."""
+        found = self._inner.markers({**point, **self._pinned}, inputs, stiffness, near)
+        self.settled = self._inner.settled
+        return found
+
+
+def intervals(
+    fitter: Fitter, fit: Fit, scale: float = 1.0
+) -> dict[FreeParameter, tuple[float, float]]:
+    """
+    Return 95 % intervals of the free parameters of a settled fit.
+
+    An endpoint comes from the curvature at the fit where chi² there is what the curvature says;
+    else (bounds, asymmetry, friction's kinks) it is where the profile of chi² has risen by 3.84.
+
+    Parameters
+    ----------
+    fitter : Fitter
+        The one of the fit.
+    fit : Fit
+    scale : float
+        Chi² over freedom where the fit is not adequate: intervals widen by its root.
+
+    """
+    wide = QUANTILE * math.sqrt(scale)
+    if fit.built is not None:
+        fitter.take(fit.built.sizes)
+    found = {}
+    for i, free in enumerate(fit.frees):
+        spread = float(np.sqrt(max(fit.covariance[i, i], 0.0)))
+        if not np.isfinite(spread):
+            found[free] = (free.parameter.low, free.parameter.high)
+            continue
+        low, high = (_endpoint(fitter, fit, i, side * spread, wide) for side in (-1.0, 1.0))
+        found[free] = (low, high)
+    return found
+
+
+def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> float:
+    """Where the profile has risen by wide² on one side; the bound where it never does."""
+    value, parameter = float(fit.values[i]), fit.frees[i].parameter
+    bound = parameter.high if spread > 0.0 else parameter.low
+    end = value + wide * spread
+    outside = end > parameter.high if spread > 0.0 else end < parameter.low
+    if not outside:
+        rise = _ridge_rise(fitter, fit, i, end)
+        if abs(rise - wide) < PROFILE_FROM_ERROR * wide:
+            return end
+    if value == bound:
+        return value
+    end = bound if outside else end
+    rise = _profile_rise(fitter, fit, i, end)
+    if outside and rise < wide:
+        return bound
+    for _ in range(SEARCH_STEPS_MAX):
+        if abs(rise - wide) < 0.02 * wide or not np.isfinite(rise):
+            break
+        stretch = float(np.clip(wide / max(rise, 1e-6), 0.2, 5.0))
+        end = float(np.clip(value + (end - value) * stretch, parameter.low, parameter.high))
+        rise = _profile_rise(fitter, fit, i, end)
+        if end == bound and rise < wide:
+            break
+    return end if np.isfinite(rise) else value + wide * spread
+
+
+def _ridge_rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
+    """Root of the rise of chi² where the curvature says the profile runs; NaN: no equilibrium."""
+    share = fit.covariance[:, i] / fit.covariance[i, i]
+    moved = (fit.values + np.nan_to_num(share) * (end - fit.values[i]))[: len(fit.all_frees)]
+    lows = [f.parameter.low for f in fit.frees] + [-np.inf] * len(fit.nuisances)
+    highs = [f.parameter.high for f in fit.frees] + [np.inf] * len(fit.nuisances)
+    moved = np.clip(moved, lows, highs)
+    point = dict(zip(fit.all_frees, moved.tolist(), strict=True))
+    markers = fitter.predictor.markers(point)
+    if markers is None:
+        return float('nan')
+    white = fitter.lift(fitter.whitener.white(fitter.measured - markers))
+    prior = [
+        (value - n.centre) / n.spread
+        for value, n in zip(moved[len(fit.frees) :], fit.nuisances, strict=True)
+    ]
+    rise = float(white @ white) + float(np.sum(np.square(prior))) - fit.chi2
+    return float(np.sqrt(max(rise, 0.0)))
+
+
+def _profile_rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
+    """Root of the rise of chi² with one parameter put somewhere and all others refitted."""
+    free, others = fit.frees[i], fit.frees[:i] + fit.frees[i + 1 :]
+    pinned = Fitter(
+        Pinned(fitter.predictor, {free: end}),
+        fitter.whitener,
+        fit.nuisances,
+        fitter.columns,
+        fitter.random,
+    )
+    sizes = None if fit.built is None else fit.built.sizes
+    try:
+        refit = pinned.fit(others, fit.point, turns=8, sizes=sizes)
+    except (ArithmeticError, np.linalg.LinAlgError):
+        return float('inf')
+    return float(np.sqrt(max(refit.chi2 - fit.chi2, 0.0)))

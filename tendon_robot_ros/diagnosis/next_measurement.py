@@ -1,0 +1,174 @@
+"""The posture that would separate effects which the present postures cannot tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+
+from ..comparison.noise import Whitener, input_slopes
+from ..comparison.predict import Predictor
+from ..data import DataSet
+from ..workspace.postures import default_postures
+from .candidates import Ranked
+from .fit import Fit
+from .result import NextMeasurement
+from .session import Session
+
+Floats = npt.NDArray[np.float64]
+GRID_POSTURES_MAX = 400  # postures that the grid may hold
+PULL_POSTURES_MAX = 40  # postures of wire pulls: those are slower
+DISTANCE_MAX = 30.0  # squared whitened distance beyond which more does not help
+
+
+def propose(session: Session, group: Sequence[Ranked]) -> NextMeasurement | None:
+    """
+    Propose the posture at which the predictions of a class differ most against the noise.
+
+    Distances are refitted ones: what the fitted parameters could still give way is taken off.
+    """
+    best: tuple[float, NextMeasurement] | None = None
+    for gravity, after, inputs in _conditions(session, group):
+        worth = _compare(session, group[:6], inputs, gravity, after)
+        if worth is not None and (best is None or worth[0] > best[0]):
+            best = worth
+    return best[1] if best else None
+
+
+def _conditions(session: Session, group: Sequence[Ranked]):  # type: ignore[no-untyped-def]
+    """Yield gravity, posture to come from, and the grid of inputs."""
+    if session.dataset.input == 'displacement':
+        yield None, None, default_postures(session.robot, PULL_POSTURES_MAX, 1, 'displacement')
+        return
+    grid = input_grid(session.dataset, session.robot.tension_limits)
+    yield None, None, grid
+    names = {name for r in group for name in r.candidate.names}
+    gravity = np.array(session.predictor.robot.gravity or (0.0, 0.0, 0.0))
+    if names & session.catalogue.needing('gravity') and np.linalg.norm(gravity) > 0.0:
+        yield (-gravity).tolist(), None, grid
+    history = names & session.catalogue.needing('history')
+    if session.dataset.path == 'sequence' and history:
+        yield None, grid[np.argmax(grid.sum(axis=1))], grid
+
+
+def input_grid(dataset: DataSet, limits: tuple[float, float]) -> Floats:
+    """Feasible inputs (b, m) [N]: up to a little beyond what was used, within the limits."""
+    used = np.nan_to_num(dataset.inputs)
+    m = used.shape[1]
+    top = np.minimum(
+        np.where(used.max(axis=0) > 0.0, 1.25 * used.max(axis=0), used.max()), limits[1]
+    )
+    low = max(limits[0], 0.0)
+    levels = {1: 12, 2: 8, 3: 6, 4: 4}.get(m, 3)
+    shares = np.linspace(0.0, 1.0, levels)
+    if levels**m <= 2 * GRID_POSTURES_MAX:
+        unit = np.array(list(product(shares, repeat=m)))
+    else:
+        unit = np.random.default_rng(0).choice(shares, (GRID_POSTURES_MAX, m))
+    grid = low + unit * (top - low)
+    grid = grid[grid.sum(axis=1) > 1.5 * used.sum(axis=1).min()]
+    return grid[grid.sum(axis=1) <= 2.0 * max(used.sum(axis=1).max(), used.max())]
+
+
+def _posture_set(
+    session: Session, inputs: Floats, gravity: list[float] | None, after: Floats | None
+) -> DataSet:
+    """Return a data set of the grid without measurements, as if measured once."""
+    old = session.dataset
+    if after is not None:
+        inputs = np.stack([np.broadcast_to(after, inputs.shape), inputs], axis=1).reshape(
+            -1, inputs.shape[1]
+        )
+    shape = (len(inputs), 1, len(old.markers), 3)
+    return replace(
+        old,
+        postures=tuple(str(i) for i in range(len(inputs))),
+        inputs=inputs,
+        positions=np.zeros(shape),
+        orientations=None,
+        path='from_straight' if after is None else old.path,
+        trial_inputs=None,
+        trial_names=('0',),
+        gravity=old.gravity if gravity is None else (gravity[0], gravity[1], gravity[2]),
+    )
+
+
+def _compare(
+    session: Session,
+    group: Sequence[Ranked],
+    inputs: Floats,
+    gravity: list[float] | None,
+    after: Floats | None,
+) -> tuple[float, NextMeasurement] | None:
+    """Find the best posture of a grid and how well it separates the class."""
+    grid = _posture_set(session, inputs, gravity, after)
+    predictor = Predictor(grid, session.robot, session.catalogue)
+    assert session.noise is not None
+    slopes = input_slopes(predictor, group[0].fit.point)
+    whitener = Whitener(grid, session.noise, slopes)
+    shown = slice(1, None, 2) if after is not None else slice(None)
+    predictions, sloped = [], []
+    for ranked in group:
+        markers = predictor.markers(ranked.fit.point)
+        if markers is None:
+            return None
+        predictions.append(markers)
+        sloped.append(_parameter_slopes(predictor, ranked.fit, markers))
+    worth = np.zeros(len(grid.inputs))
+    for p in range(len(worth)):
+        worth[p] = _separation(group, whitener, predictions, sloped, p)
+    worth = worth[shown]
+    p = int(np.argmax(worth))
+    row = p * 2 + 1 if after is not None else p
+    tips = np.array([markers[row, -1] for markers in predictions])
+    apart = np.linalg.norm(tips[:, None] - tips[None, :], axis=2)
+    names, digits = session.robot.inputs, 3 if grid.input == 'tension' else 5
+    noise = float(np.sqrt(whitener.variance[row][-3:].sum()))
+    return float(worth[p]), NextMeasurement(
+        dict(zip(names, grid.inputs[row].round(digits).tolist(), strict=True)),
+        None if after is None else dict(zip(names, after.round(3).tolist(), strict=True)),
+        gravity,
+        float(apart.max()),
+        noise,
+        {r.candidate.label: tip.tolist() for r, tip in zip(group, tips, strict=True)},
+    )
+
+
+def _parameter_slopes(predictor: Predictor, fit: Fit, markers: Floats) -> Floats:
+    """Return the derivative (q, P, J, 3) of the markers by the fitted parameters."""
+    slopes = []
+    for free, value in fit.point.items():
+        h = 1e-3 * free.parameter.typical
+        moved = predictor.markers({**fit.point, free: value + h})
+        slopes.append(np.zeros_like(markers) if moved is None else (moved - markers) / h)
+    return np.array(slopes).reshape(-1, *markers.shape)
+
+
+def _separation(
+    group: Sequence[Ranked],
+    whitener: Whitener,
+    predictions: Sequence[Floats],
+    sloped: Sequence[Floats],
+    p: int,
+) -> float:
+    """Sum over the pairs of the capped squared distance that refitting leaves at a posture."""
+    rows, factor = whitener.rows[p], whitener.factors[p]
+    white = [factor @ markers[p].reshape(-1)[rows] for markers in predictions]
+    give = []
+    for ranked, slopes in zip(group, sloped, strict=True):
+        columns = slopes[:, p].reshape(len(slopes), -1)[:, rows] @ factor.T
+        own = slice(0, len(slopes))  # imperfections move all members of the class alike
+        root = np.linalg.svd(np.nan_to_num(ranked.fit.covariance[own, own], posinf=1e6))
+        give.append((root[0] * np.sqrt(root[1])).T @ columns)
+    total = 0.0
+    for a in range(len(group)):
+        for b in range(a):
+            d = white[a] - white[b]
+            u = np.concatenate([give[a], give[b]])
+            small = np.eye(len(u)) + u @ u.T
+            left = d @ d - (u @ d) @ np.linalg.solve(small, u @ d)
+            total += min(float(left), DISTANCE_MAX)
+    return total

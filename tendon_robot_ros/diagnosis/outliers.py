@@ -1,0 +1,108 @@
+"""Readings that the other trials of the same posture contradict: named, and left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from ..comparison.noise import input_slopes
+from ..comparison.predict import Point, Predictor
+from ..comparison.statistics import chi2_isf
+from ..data import DataSet
+
+Floats = npt.NDArray[np.float64]
+CHANCE = 1e-3  # that the most extreme of all readings, or trials, is called an outlier by luck
+FEWEST = 3  # trials of a posture from which two can contradict one
+MOST = 0.5  # share of the markers of a trial beyond which the trial itself is off
+TURNS = 4  # of the robust scale
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """What the other trials contradict."""
+
+    readings: npt.NDArray[np.bool_]  # (P, Q, J) single marker readings
+    trials: npt.NDArray[np.bool_]  # (P, Q) whole trials
+    distance: Floats  # (P, Q, J) [m] from what the other trials say
+
+    @property
+    def any(self) -> bool:
+        """Whether there are some."""
+        return bool(self.readings.any() or self.trials.any())
+
+    def without(self, dataset: DataSet) -> DataSet:
+        """Return the data set without them; a posture keeps at least one trial."""
+        out = self.readings | self.trials[..., None]
+        positions = np.where(out[..., None], np.nan, dataset.positions)
+        return replace(dataset, positions=positions)
+
+
+def find_outliers(predictor: Predictor, point: Point) -> Outliers:
+    """
+    Find readings and trials that the others of their posture contradict.
+
+    Inputs that differ from trial to trial move all markers along known directions; what is left
+    after these is the tracker. A reading stands out against the robust spread of all readings, a
+    trial by its inputs against those of all trials, or when half of its markers stand out.
+    """
+    dataset = predictor.dataset
+    slopes = input_slopes(predictor, point)
+    P, Q, J = dataset.mask.shape
+    left = np.full((P, Q, J, 3), np.nan)
+    inputs = np.zeros((P, Q))
+    for p in range(P):
+        seen = np.flatnonzero(dataset.trial_mask[p])
+        if len(seen) < FEWEST:
+            continue
+        moves = dataset.positions[p, seen] - np.nanmedian(dataset.positions[p, seen], axis=0)
+        g = slopes[p].reshape(len(slopes[p]), -1).T
+        for q, move in zip(seen, moves.reshape(len(seen), -1), strict=True):
+            left[p, q], inputs[p, q] = _without_inputs(move, g, predictor)
+    distance = np.linalg.norm(left, axis=-1)
+    readings = distance > _limit(distance, 3)
+    trials = np.abs(inputs) > 1.5 * _limit(np.where(inputs == 0.0, np.nan, np.abs(inputs)), 1)
+    counted = np.maximum(dataset.mask.sum(axis=2), 1)
+    trials |= (readings.sum(axis=2) > MOST * counted) & (counted > 2)
+    trials &= (trials.sum(axis=1) < 0.5 * dataset.trials)[:, None]  # the rest must agree
+    moved = np.linalg.norm(
+        dataset.positions - np.nanmedian(dataset.positions, axis=1, keepdims=True), axis=-1
+    )
+    return Outliers(readings & ~trials[..., None], trials, moved)
+
+
+def _without_inputs(move: Floats, g: Floats, predictor: Predictor) -> tuple[Floats, float]:
+    """
+    Take off a trial's move what its inputs explain, robustly.
+
+    Returns
+    -------
+    left : (J, 3) [m]
+    size : float
+        How far the inputs were off, relative, of all that these postures show.
+
+    """
+    seen = np.isfinite(move)
+    weights = np.ones(int(seen.sum()))
+    a, y = g[seen], move[seen]
+    scale = max(float(np.linalg.norm(a)), 1e-30)
+    along = np.zeros(a.shape[1])
+    for _ in range(TURNS):
+        normal = (a * weights[:, None]).T @ a + 1e-6 * scale**2 * np.eye(a.shape[1])
+        along = np.linalg.solve(normal, (a * weights[:, None]).T @ y)
+        off = np.abs(y - a @ along)
+        spread = max(1.4826 * float(np.median(off)), 1e-9)
+        weights = np.minimum(1.0, 2.0 * spread / np.maximum(off, 1e-12))
+    left = np.full(len(move), np.nan)
+    left[seen] = y - a @ along
+    return left.reshape(-1, 3), float(np.linalg.norm(a @ along)) / scale
+
+
+def _limit(sizes: Floats, freedom: int) -> float:
+    """Return the size beyond which one is an outlier, from the robust spread of all."""
+    seen = sizes[np.isfinite(sizes)]
+    if len(seen) < 10:
+        return np.inf
+    spread = float(np.median(seen)) / np.sqrt(chi2_isf(0.5, freedom))
+    return float(spread * np.sqrt(chi2_isf(CHANCE / len(seen), freedom)))

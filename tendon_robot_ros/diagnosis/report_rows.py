@@ -1,0 +1,253 @@
+"""From fits to the rows and numbers of a result: values with intervals, shares, errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..comparison.noise import rms
+from ..comparison.statistics import chi2_isf, normal_ppf
+from .arm_report import arm_report
+from .candidates import Ranked, why_untested
+from .decide import ALARM_LEVEL, APART_FROM, CORRELATED_FROM, P_ONE
+from .fit import Fit, Fitter
+from .result import CandidateRow, EffectFinding, Value
+from .session import Session
+
+if TYPE_CHECKING:
+    from .evidence import Evidence
+
+
+def explained_share(found: Evidence, fit: Fit) -> float:
+    """
+    1 - (chi²_c - nu_c) / (chi²_0 - nu_0), clipped to [0, 1].
+
+    Of an arm as built: both with the imperfections of the best candidate's fit and no remainder,
+    so that scatter which only a wrong model needs counts as its error.
+    """
+    base, best = found.base, found.best
+    before, after = base.chi2, fit.chi2
+    if best is not None and best.fit.built is not None and base.built is not None:
+        fitter = found.session.fitters[0]
+        sizes = best.fit.built.sizes.copy()
+        sizes[-1] = 0.0
+        before, after = (_chi2_with(fitter, one, sizes) for one in (base, fit))
+    excess = before - base.freedom
+    if excess <= 0.0:
+        return 0.0
+    return float(np.clip(1.0 - (after - fit.freedom) / excess, 0.0, 1.0))
+
+
+def _chi2_with(fitter: Fitter, fit: Fit, sizes: np.ndarray) -> float:
+    """Chi² of a fit's parameters with imperfections of given sizes."""
+    fitter.take(sizes)
+    white = fitter.lift(fitter.whitener.white(fitter.measured - fit.markers))
+    return float(white @ white) + sum(z * z for z in fit.pulls.values())
+
+
+def values_of(fit: Fit, scale: float = 1.0) -> dict[str, dict[str, Value]]:
+    """Values with 95 % intervals by effect; `scale` widens them (chi² over freedom)."""
+    quantile = normal_ppf(0.975) * np.sqrt(scale)
+    spread = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    found: dict[str, dict[str, Value]] = {}
+    for i, free in enumerate(fit.frees):
+        value, half = float(fit.values[i]), float(quantile * spread[i])
+        low = float(max(value - half, free.parameter.low))
+        high = float(min(value + half, free.parameter.high))
+        found.setdefault(free.effect, {})[free.key] = Value(
+            value, low, high, free.parameter.unit, _note(fit, i, half)
+        )
+    return found
+
+
+def _note(fit: Fit, i: int, half: float) -> str:
+    parameter = fit.frees[i].parameter
+    if not half < (parameter.high - parameter.low):
+        return 'not determined by these postures'
+    if fit.values[i] in (parameter.low, parameter.high):
+        return 'at its bound'
+    spread = np.sqrt(np.diag(fit.covariance))
+    for j in range(len(fit.frees)):
+        if (
+            j != i
+            and np.isfinite(spread[j])
+            and (abs(fit.covariance[i, j]) > CORRELATED_FROM * spread[i] * spread[j] > 0.0)
+        ):
+            return f'correlated with {fit.frees[j].key}'
+    return ''
+
+
+def finding(found: Evidence, ranked: Ranked) -> list[EffectFinding]:
+    """Return the effects of a candidate, with what they explain together."""
+    values = values_of(ranked.fit, found.scale)
+    share = explained_share(found, ranked.fit)
+    return [
+        EffectFinding(name, values[name], share, name in found.session.robot.effects)
+        for name in ranked.candidate.names
+    ]
+
+
+def rows_of(
+    found: Evidence, chosen: Sequence[Ranked], together: Sequence[str]
+) -> tuple[CandidateRow, ...]:
+    """Return the candidate table, best first."""
+    ranked = list(found.singles)
+    ranked += [r for r in chosen if r not in ranked]
+    return tuple(_row(found, r, chosen, together) for r in sorted(ranked, key=lambda r: r.score))
+
+
+def _row(
+    found: Evidence, ranked: Ranked, chosen: Sequence[Ranked], together: Sequence[str]
+) -> CandidateRow:
+    fit, session = ranked.fit, found.session
+    if ranked in chosen:
+        status = 'best'
+    elif ranked.candidate.label in together:
+        status = 'cannot be told apart'
+    elif ranked.probability > P_ONE:
+        status = 'adequate, less likely'
+    else:
+        status = 'rejected'
+    values = {
+        f'{effect}.{key}' if len(ranked.candidate.names) > 1 else key: value
+        for effect, items in values_of(fit, found.scale).items()
+        for key, value in items.items()
+    }
+    error = rms(session.dataset.mean - fit.markers)
+    inflate = np.sqrt(max(ranked.held_out, 1e-12) / max(fit.chi2, 1e-12))
+    return CandidateRow(
+        ranked.candidate.label,
+        values,
+        fit.chi2,
+        fit.freedom,
+        ranked.probability,
+        explained_share(found, fit),
+        error,
+        float(error * inflate),
+        status,
+        ranked.candidate.present,
+    )
+
+
+def details_of(
+    found: Evidence, chosen: Sequence[Ranked], together: Sequence[str], verdict: str
+) -> dict[str, Any]:
+    """Return the numbers that reports print beside the verdict."""
+    session, base = found.session, found.base
+    noise = session.noise
+    assert noise is not None
+    details: dict[str, Any] = {
+        'robot': session.robot.name,
+        'data': session.dataset.name,
+        'postures': int((session.dataset.trials > 0).sum()),
+        'input': session.dataset.input,
+        'trials': int(session.dataset.trials.sum()),
+        'markers': len(session.dataset.markers),
+        'noise': {
+            'position': noise.position,
+            'trial': noise.trial,
+            'setting': noise.setting,
+            'source': noise.source,
+        },
+        'exact': session.robot.exact,
+        'outliers': outliers_of(session),
+        'as_built': arm_report(session, chosen[0].fit if chosen else base),
+        'tolerances': dict(session.robot.tolerances),
+        'moved': base.pulls,
+        'base': {
+            'chi2': base.chi2,
+            'deviance': base.deviance,
+            'freedom': base.freedom,
+            'probability': base.probability(session.freedom),
+        },
+        'relative_to_remainder': found.scale if verdict == 'outside_catalogue' else None,
+        'accuracy': session.accuracy if session.use_accuracy else None,
+    }
+    details |= _alternatives(found, chosen, together)
+    if verdict == 'adequate':
+        details['detectable'] = smallest_seen(found)
+    return details
+
+
+def outliers_of(session: Session) -> list[dict[str, Any]]:
+    """Name the readings and trials that were left out."""
+    found, dataset = session.outliers, session.dataset
+    if found is None:
+        return []
+    named = [
+        {'posture': dataset.postures[p], 'trial': dataset.trial_names[q], 'marker': None}
+        for p, q in np.argwhere(found.trials)
+    ]
+    return named + [
+        {
+            'posture': dataset.postures[p],
+            'trial': dataset.trial_names[q],
+            'marker': dataset.markers[j].name,
+            'distance': float(found.distance[p, q, j]),
+        }
+        for p, q, j in np.argwhere(found.readings)
+    ]
+
+
+def _alternatives(
+    found: Evidence, chosen: Sequence[Ranked], together: Sequence[str]
+) -> dict[str, Any]:
+    """Return what competes with the chosen effects, and what was not tested, with reasons."""
+    session, details = found.session, dict[str, Any]()
+    if found.rival is not None:
+        details['rival'] = {
+            'name': found.rival.name,
+            'deviance': found.rival.deviance,
+            'parameters': found.rival.parameters,
+        }
+    details['next_best'], details['wider'] = _next_best(found, chosen, together)
+    details['described'] = {
+        name: session.robot.effects[name]
+        for r in chosen
+        for name in r.candidate.names
+        if name in session.robot.effects
+    }
+    details['not_tested_because'] = {
+        c.names[0]: why_untested(
+            session.catalogue[c.names[0]], session.dataset, session.robot, session.catalogue
+        )
+        for c in found.not_tested
+    }
+    return details
+
+
+def _next_best(
+    found: Evidence, chosen: Sequence[Ranked], together: Sequence[str]
+) -> tuple[dict[str, Any] | None, list[str]]:
+    """Best beyond the class, and what fits as well but contains one of the class."""
+    others = [r for r in found.singles if r not in chosen and r.candidate.label not in together]
+    if not chosen or not others:
+        return None, []
+    near = [r for r in others if r.probability > P_ONE and r.score <= chosen[0].score + APART_FROM]
+    wider = [r.candidate.label for r in near]
+    others = [r for r in others if r not in near]
+    if not others:
+        return None, wider
+    other = min(others, key=lambda r: r.score)
+    ratio = (other.score - chosen[0].score) / (2.0 * np.log(10.0) * found.scale)
+    return {'name': other.candidate.label, 'log10_likelihood_ratio': float(ratio)}, wider
+
+
+def smallest_seen(found: Evidence) -> dict[str, dict[str, Any]]:
+    """Smallest size of each single-parameter effect that these postures would have shown."""
+    count = max(len(found.singles), 1)
+    threshold = np.sqrt(chi2_isf(2.0 * ALARM_LEVEL / count, 1)) + normal_ppf(0.8)
+    seen = {}
+    for ranked in found.singles:
+        if len(ranked.fit.frees) == 1 and not ranked.candidate.present:
+            spread = np.sqrt(ranked.fit.covariance[0, 0])
+            if np.isfinite(spread):
+                free = ranked.fit.frees[0]
+                seen[ranked.candidate.label] = {
+                    'size': float(threshold * spread),
+                    'parameter': free.key,
+                    'unit': free.parameter.unit,
+                }
+    return seen

@@ -1,0 +1,132 @@
+"""What a diagnosis says: a typed result, and the JSON that reports and other tools read."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+FORMAT = 'tendon_robot_ros/diagnosis@1'
+VERDICTS = (
+    'adequate',
+    'missing_effect',
+    'ambiguous',
+    'several',
+    'wrong_parameter',
+    'outside_catalogue',
+    'cannot_judge',
+)
+
+
+@dataclass(frozen=True)
+class Value:
+    """A fitted parameter with its 95 % interval [unit]."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+    note: str = ''  # 'at its bound', 'not determined by these postures', 'correlated with ...'
+
+
+@dataclass(frozen=True)
+class EffectFinding:
+    """An effect that should be added (or changed)."""
+
+    name: str
+    parameters: dict[str, Value]
+    explained: float  # share of the explainable error that this verdict explains, 0 to 1
+    present: bool = False
+
+    def __repr__(self) -> str:
+        """Say name and values."""
+        values = ', '.join(
+            f'{key} = {v.value:.4g} ({v.low:.4g} to {v.high:.4g}) {v.unit}'
+            for key, v in self.parameters.items()
+        )
+        return f'{self.name}: {values}'
+
+
+@dataclass(frozen=True)
+class CandidateRow:
+    """A row of the candidate table."""
+
+    name: str
+    parameters: dict[str, Value]
+    chi2: float
+    freedom: int
+    probability: float
+    explained: float
+    error: float  # [m] rms
+    held_out: float  # [m] rms, postures predicted from the others (linear)
+    status: str  # 'best', 'cannot be told apart', 'rejected', 'present, value off', ...
+    present: bool
+
+
+@dataclass(frozen=True)
+class NextMeasurement:
+    """The posture that would separate the class."""
+
+    input: dict[str, float]  # [N] or [m]
+    after: dict[str, float] | None  # come from this posture, else from straight
+    gravity: list[float] | None  # [m/s²] turn the robot so that this acts, else as it is
+    difference: float  # [m] largest tip distance between the predictions
+    noise: float  # [m] sd of a tip measurement there
+    predictions: dict[str, list[float]] = field(default_factory=dict)  # tip [m] per candidate
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Verdict, effects to add, alternatives, what was not tested, errors and remainder."""
+
+    verdict: str
+    effects: tuple[EffectFinding, ...]
+    cannot_tell_apart: tuple[str, ...]
+    not_tested: tuple[str, ...]
+    out_of_tolerance: tuple[str, ...]
+    error_before: float  # [m] rms over postures and markers
+    error_after: float
+    noise_floor: float
+    next_measurement: NextMeasurement | None
+    remainder: str
+    candidates: tuple[CandidateRow, ...]
+    details: dict[str, Any] = field(default_factory=dict)
+    format: str = FORMAT
+
+    def __repr__(self) -> str:
+        """Say the verdict, the effects with their intervals, and the errors."""
+        rows = [f'{effect!r}' for effect in self.effects]
+        if self.cannot_tell_apart:
+            rows.append(f'cannot be told apart: {", ".join(self.cannot_tell_apart)}')
+        before, after, floor = (
+            f'{1e3 * error:.3g} mm'
+            for error in (self.error_before, self.error_after, self.noise_floor)
+        )
+        rows += [f'error {before} -> {after}, noise floor {floor}', self.remainder]
+        return f'<Diagnosis {self.verdict}: {"; ".join(filter(None, rows))}>'
+
+    @property
+    def adds(self) -> bool:
+        """Whether there is something to add without the user insisting."""
+        return self.verdict in ('missing_effect', 'several', 'wrong_parameter', 'ambiguous')
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data for JSON, NaN and infinity as null."""
+        plain = asdict(self)
+        first = {key: plain.pop(key) for key in ('format', 'verdict', 'effects')}
+        return dict(_plain({**first, **plain}))
+
+    def save(self, path: str | Path) -> None:
+        """Write the JSON file."""
+        Path(path).write_text(json.dumps(self.to_json(), indent=1), encoding='utf-8')
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not abs(value) < 1e300:
+        return None
+    return value

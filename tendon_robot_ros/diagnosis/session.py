@@ -1,0 +1,374 @@
+"""One diagnosis at work: noise, weights, base fit, and the fits of all candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from copy import copy
+
+import numpy as np
+import numpy.typing as npt
+
+from ..comparison.noise import Noise, Whitener, estimate_noise, input_slopes
+from ..comparison.predict import Point, Predictor
+from ..data import DataSet
+from ..effects import Catalogue
+from ..robot import Robot
+from .as_built import Members, imperfections
+from .candidates import Candidate, Ranked, candidates_of, gain_probability, is_tested, nuisances_of
+from .cells import cell_slopes
+from .decide import (
+    ALARM_LEVEL,
+    APART_FROM,
+    EFFECTS_MAX,
+    GAIN_MIN,
+    P_ONE,
+    P_SEVERAL,
+    SAME_WITHIN,
+    TIE_WITHIN,
+)
+from .fit import Fit, Fitter
+from .marginal import RandomEffects
+from .outliers import Outliers
+
+Floats = npt.NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+
+
+class Session:
+    """Fits of one data set and description; weights move to the best candidate's fit."""
+
+    def __init__(
+        self,
+        dataset: DataSet,
+        robot: Robot,
+        catalogue: Catalogue,
+        workers: int = 2,
+        progress: Progress | None = None,
+    ) -> None:
+        """Build a predictor per worker."""
+        self.robot, self.catalogue = robot, catalogue
+        self.workers = max(1, workers)
+        self.progress = progress or (lambda what, done, total: None)
+        self._measured_by(dataset)
+        self.outliers: Outliers | None = None
+        self.nuisances = nuisances_of(robot, catalogue, self.predictor)
+        self.candidates = candidates_of(robot, catalogue)
+        self.accuracy = dataset.accuracy or 0.0
+        self.use_accuracy = False
+        self.noise: Noise | None = None
+        self.random: RandomEffects | None = None  # None: the description is exact
+        self.moves: Floats | None = None  # (q, P, J, 3) [m] by a unit of each imperfection
+
+    def _measured_by(self, dataset: DataSet) -> None:
+        """Take measurements."""
+        self.dataset = dataset
+        self.predictors = [
+            Predictor(dataset, self.robot, self.catalogue) for _ in range(self.workers)
+        ]
+        self.predictor = self.predictors[0]
+
+    def leave_out(self, outliers: Outliers) -> None:
+        """Go on without measurements that the other trials contradict."""
+        self.outliers = outliers
+        if outliers.any:
+            self._measured_by(outliers.without(self.dataset))
+            self.weigh({})
+
+    def weigh(self, point: Point, at: Members | None = None) -> bool:
+        """
+        Estimate the noise and set the weights at a point; False: nothing tells the noise.
+
+        Imperfections are linear around those that are given (`at`).
+        """
+        slopes = input_slopes(self.predictor, point)
+        self.noise = estimate_noise(self.dataset, slopes)
+        if self.noise is None:
+            return False
+        self.whitener = Whitener(
+            self.dataset, self.noise, slopes, self.accuracy if self.use_accuracy else 0.0
+        )
+        changes = cell_slopes(self.predictor, self.nuisances, point)
+        self._columns = {free: -self.whitener.white(change) for free, change in changes.items()}
+        floors = None if self.random is None else self.random.floors
+        self.random = None if self.robot.exact else self._random(point, at)
+        if self.random is not None and floors is not None:
+            self.random.floors = floors
+        self.fitters = [self.fitter(predictor) for predictor in self.predictors]
+        return True
+
+    def _random(self, point: Point, at: Members | None) -> RandomEffects | None:
+        """Imperfections of the arm as it is built, at a point."""
+        found = imperfections(self.predictor, point, at)
+        self._bend = 0.0 if found is None else found.bend
+        self.moves = None if found is None else found.moves
+        if found is None:
+            return None
+        white = self.whitener.white(found.moves).T
+        return RandomEffects(white, found.owners, found.kinds)
+
+    def fitter(self, predictor: Predictor) -> Fitter:
+        """Return a fitter with the weights of now."""
+        made = Fitter(predictor, self.whitener, self.nuisances, self._columns, self.random)
+        if self.random is not None:
+            made.bend, made.measured = self._bend, made.measured - self._bend
+        return made
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom behind the noise."""
+        assert self.noise is not None
+        return self.noise.freedom
+
+    def rank(self, candidate: Candidate, fit: Fit) -> Ranked:
+        """Judge a fit."""
+        return Ranked(candidate, fit, self.freedom, self.whitener.owners)
+
+    def fit_all(
+        self,
+        candidates: Sequence[Candidate],
+        starts: Mapping[str, Fit] | None = None,
+        what: str = 'effects',
+    ) -> list[Ranked]:
+        """
+        Fit candidates, spread over the workers; those without equilibrium drop out.
+
+        `starts` are fits of their own, or of a part of them, to start from.
+        """
+        found: list[Ranked | None] = [None] * len(candidates)
+        done = 0
+
+        def work(worker: int) -> None:
+            nonlocal done
+            for i in range(worker, len(candidates), self.workers):
+                candidate = candidates[i]
+                start = None if starts is None else starts.get(candidate.label)
+                try:
+                    fit = self.fitters[worker].fit(
+                        candidate.frees,
+                        None if start is None else start.point,
+                        begin=None if start is None or start.built is None else start.built.sizes,
+                    )
+                except (ArithmeticError, np.linalg.LinAlgError):
+                    continue
+                finally:
+                    done += 1
+                    self.progress(what, done, len(candidates))
+                found[i] = self.rank(candidate, fit)
+
+        if self.workers == 1 or len(candidates) == 1:
+            for worker in range(self.workers):
+                work(worker)
+        else:
+            with ThreadPoolExecutor(self.workers) as pool:
+                list(pool.map(work, range(self.workers)))
+        return [ranked for ranked in found if ranked is not None]
+
+    def holds(self, ranked: Ranked) -> bool:
+        """Tell whether several effects are adequate, for left-out postures as well."""
+        return ranked.probability > P_SEVERAL and ranked.trust > P_ONE
+
+    def base_fit(self) -> Fit:
+        """Fit the declared tolerances and the imperfections alone."""
+        if self.random is None:
+            return self.fitters[0].fit(())
+        self.random.floors = np.zeros(len(self.random.kinds))
+        base = self.fitters[0].fit(())
+        assert base.built is not None
+        self.random.keep(base.built.sizes)
+        return base
+
+    def split_tested(self, point: Point) -> tuple[list[Candidate], list[Candidate]]:
+        """Split the candidates into those that these postures show at a point, and the rest."""
+        here = self.predictor.markers(point)
+        tested = [
+            c
+            for c in self.candidates
+            if here is not None and is_tested(c, self.predictor, self.whitener, point, here)
+        ]
+        return tested, [c for c in self.candidates if c not in tested]
+
+    def luck(self, base: Fit, ranked: Ranked) -> float:
+        """Chance of a candidate's gain by luck."""
+        described = [self.predictor.value(free) for free in ranked.candidate.frees]
+        return gain_probability(base, ranked.fit, described)
+
+    def stands_out(self, base: Fit, ranked: Ranked, among: int) -> bool:
+        """Tell whether a candidate gains more than the best of so many would by luck."""
+        held, _ = base.held_out(self.whitener.owners)
+        return self.luck(base, ranked) * among < ALARM_LEVEL and ranked.held_out < held
+
+    def hints(self, current: Ranked, larger: Candidate) -> bool:
+        """Tell whether a first step of further parameters would gain; kinked ones always may."""
+        random, built, point = self.random, current.fit.built, current.fit.point
+        if random is None or built is None:
+            return True
+        n, columns = len(random.columns), [current.fit.jacobian[:, : len(current.fit.all_frees)]]
+        raw = self.whitener.white(self.fitters[0].measured - current.fit.markers)
+        for free in larger.frees:
+            if free in point:
+                continue
+            value = point.get(free, self.predictor.value(free))
+            step = 0.05 * free.parameter.typical
+            if value + step > free.parameter.high:
+                step = -step
+            moved = self.predictor.markers({**point, free: value + step})
+            if moved is None or self.catalogue[free.effect].always_on:
+                return True
+            columns.append(self.whitener.white(current.fit.markers - moved)[:, None] / step)
+        slopes = np.column_stack([column[:n] for column in columns])
+        estimated = random.estimate(raw, slopes, built.sizes)
+        return current.fit.deviance - estimated.deviance > GAIN_MIN
+
+    def best(self, ranked: Sequence[Ranked]) -> Ranked:
+        """Return the best by score; within a tie the first of the catalogue."""
+        top = min(r.score for r in ranked)
+        return next(r for r in ranked if r.score <= top + TIE_WITHIN)
+
+
+def indistinct(session: Session, ranked: Sequence[Ranked], gate: float) -> list[Ranked]:
+    """
+    Return the adequate candidates that cannot be told apart, the best first.
+
+    Within chi² + 2 k of 9.21 of the best; a larger candidate that contains a smaller one of the
+    class drops out; among ties the first of the catalogue is best.
+    """
+    adequate = [r for r in ranked if r.probability > gate]
+    top = min(r.score for r in adequate)
+    near = [r for r in adequate if r.score <= top + APART_FROM]
+    kept = [
+        r
+        for r in near
+        if not any(small is not r and contains(session, r, small) for small in near)
+    ]
+    best = session.best(kept)
+    return sorted(kept, key=lambda r: r is not best)
+
+
+def contains(session: Session, large: Ranked, small: Ranked) -> bool:
+    """Tell whether the larger candidate can predict just what the smaller one predicts here."""
+    if small.candidate.names[0] in session.catalogue[large.candidate.names[0]].contains:
+        return True
+    if set(small.candidate.names) < set(large.candidate.names):
+        return True
+    if large.fit.rank <= small.fit.rank:
+        return False
+    fitter = session.fitter(session.predictor)
+    fitter.measured = small.fit.markers  # without imperfections, as these predict it
+    sizes = None if small.fit.built is None else small.fit.built.sizes
+    mimic = fitter.fit(large.candidate.frees, large.fit.point, sizes=sizes)
+    return mimic.chi2 < SAME_WITHIN
+
+
+def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
+    """
+    Search two or three effects that are adequate together: greedy, then pairs and swaps.
+
+    Returns the best combination found, adequate or not; None when nothing could be combined.
+    """
+    order = sorted(singles, key=lambda r: r.score)
+    current: Ranked = order[0]
+    best: Ranked | None = None
+    for size in range(2, EFFECTS_MAX + 1):
+        found = _extended(session, current)
+        if not found:
+            break
+        if size == 2 and not any(session.holds(f) for f in found):
+            found += _pairs(session, order[:7], {f.candidate.label for f in found})
+        current = best = min(found, key=lambda r: r.score)
+        if session.holds(best):
+            best = reweighed(session, best)
+            if session.holds(best):
+                break
+    return best
+
+
+def joined(session: Session, best: Ranked) -> Ranked | None:
+    """
+    Join a second effect, and a third, to an adequate one while the gain is more than luck.
+
+    An arm as built may scatter as much as a second effect needs; that it need not is told by the
+    likelihood. None where one effect is enough.
+    """
+    current = best
+    while len(current.candidate.names) < EFFECTS_MAX:
+        better = [
+            r
+            for r in _hinted(session, current) + _hinted_around_none(session, current)
+            if session.stands_out(current.fit, r, len(session.candidates))
+            and r.score < current.score - APART_FROM
+        ]
+        if not better:
+            break
+        current = reweighed(session, min(better, key=lambda r: r.score))
+    return None if current is best else current
+
+
+def _hinted(session: Session, current: Ranked) -> list[Ranked]:
+    """Fit the extensions of an effect whose first step gains."""
+    order = [c for c in _extensions(session, current) if session.hints(current, c)]
+    starts = {c.label: current.fit for c in order}
+    return session.fit_all(order, starts, f'{len(current.candidate.names) + 1} effects')
+
+
+def _hinted_around_none(session: Session, current: Ranked) -> list[Ranked]:
+    """
+    Fit the same with slopes around no imperfections; the session stays as it is.
+
+    What imperfections do beyond their slopes stays when an effect takes over from them: it would
+    find the best fit around them good enough already.
+    """
+    around_none = copy(session)
+    around_none.weigh(current.fit.point)
+    again = around_none.fit_all([current.candidate], {current.candidate.label: current.fit})
+    return [extended for ranked in again for extended in _hinted(around_none, ranked)]
+
+
+def reweighed(session: Session, ranked: Ranked) -> Ranked:
+    """Fit a candidate again with noise and weights taken at its own fit."""
+    for _ in range(2):
+        session.weigh(ranked.fit.point, ranked.fit.members)
+        ranked = session.fit_all([ranked.candidate], {ranked.candidate.label: ranked.fit})[0]
+    return ranked
+
+
+def _extended(session: Session, current: Ranked) -> list[Ranked]:
+    """Fit the current effects with each other one that the postures show there."""
+    have, combined = set(current.candidate.names), _extensions(session, current)
+    starts = {c.label: current.fit for c in combined}
+    return session.fit_all(combined, starts, f'{len(have) + 1} effects')
+
+
+def _extensions(session: Session, current: Ranked) -> list[Candidate]:
+    """List the current effects with each other one that the postures show there."""
+    tested, _ = session.split_tested(current.fit.point)
+    have = set(current.candidate.names)
+    return [
+        current.candidate.with_(c)
+        for c in tested
+        if not have & set(c.names) and not _overlaps(session.catalogue, c, have)
+    ]
+
+
+def _pairs(session: Session, order: Sequence[Ranked], known: set[str]) -> list[Ranked]:
+    """Fit the pairs among the best single effects that are not fitted yet."""
+    pairs, starts = [], {}
+    for i, first in enumerate(order):
+        for second in order[i + 1 :]:
+            pair = first.candidate.with_(second.candidate)
+            names = set(pair.names)
+            if any(set(label.split(' + ')) == names for label in known) or _overlaps(
+                session.catalogue, second.candidate, set(first.candidate.names)
+            ):
+                continue
+            pairs.append(pair)
+            starts[pair.label] = first.fit
+    return session.fit_all(pairs, starts, 'pairs')
+
+
+def _overlaps(catalogue: Catalogue, candidate: Candidate, have: set[str]) -> bool:
+    """Tell whether a candidate contains, or is contained in, one that is already there."""
+    name = candidate.names[0]
+    return bool(set(catalogue[name].contains) & have) or any(
+        name in catalogue[other].contains for other in have
+    )

@@ -1,0 +1,335 @@
+"""The smallest size of every effect that the postures of a data set would show."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import islice
+from multiprocessing.pool import Pool
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..comparison.noise import Noise
+from ..comparison.predict import FreeParameter, Point, Predictor
+from ..comparison.statistics import chi2_isf
+from ..data import DataSet
+from ..effects import load_catalogue
+from ..robot import Robot
+from .candidates import Candidate
+from .decide import ALARM_LEVEL
+from .evidence import gather, is_alarming
+from .fit import Fit
+from .session import Progress, Session
+
+Floats = npt.NDArray[np.float64]
+SHOWN_SHARE = 0.8  # share of cases in which such a size raises the alarm
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Smallest size of one parameter; None where no size within its bounds would show."""
+
+    free: FreeParameter
+    size: float | None
+
+
+def smallest_sizes(
+    session: Session, base: Fit, candidates: Sequence[Candidate]
+) -> tuple[Seen, ...]:
+    """
+    Return the smallest sizes of missing effects, parameter by parameter.
+
+    The size at which the whitened change of the markers, less what the declared tolerances can
+    take up, is long enough for the likelihood ratio to raise the alarm in `SHOWN_SHARE` of the
+    cases.
+    """
+    found = []
+    for candidate in candidates:
+        effect = session.catalogue[candidate.names[0]]
+        if candidate.present or effect.always_on or effect.stage == 'memory':
+            continue
+        for free in candidate.frees:
+            one_sided = len(candidate.frees) == 1 and free.parameter.neutral in (
+                free.parameter.low,
+                free.parameter.high,
+            )
+            alpha = ALARM_LEVEL / max(len(candidates), 1) * (2.0 if one_sided else 1.0)
+            length = np.sqrt(noncentrality(len(candidate.frees), alpha))
+            found.append(Seen(free, _size(session, base, free, float(length))))
+    return tuple(found)
+
+
+def _size(session: Session, base: Fit, free: FreeParameter, length: float) -> float | None:
+    """Return the size whose change of the markers is so long, by scaling it until it fits."""
+    parameter, size = free.parameter, 0.1 * free.parameter.typical
+    start = base.point.get(free, session.predictor.value(free))
+    side = 1.0 if start + size <= parameter.high else -1.0
+    for _ in range(8):
+        change = _change(session, base, free, start + side * size)
+        if change is None or change <= 0.0:
+            return None
+        ratio = length / change
+        size *= float(np.clip(ratio, 0.1, 10.0))
+        if abs(ratio - 1.0) < 0.02:
+            break
+    return size if parameter.low <= start + side * size <= parameter.high else None
+
+
+def _change(session: Session, base: Fit, free: FreeParameter, value: float) -> float | None:
+    """Length of the whitened change of the markers, after the tolerances took up their part."""
+    markers = session.predictor.markers({**base.point, free: value})
+    if markers is None:
+        return None
+    if not session.nuisances and base.built is None:
+        change = session.whitener.white(markers - base.markers)
+        return float(np.linalg.norm(change))
+    fitter = session.fitter(session.predictor)
+    fitter.measured = markers
+    try:
+        sizes = None if base.built is None else base.built.sizes
+        return float(np.sqrt(fitter.fit((), base.point, sizes=sizes).chi2))
+    except (ArithmeticError, np.linalg.LinAlgError):
+        return None
+
+
+@cache
+def noncentrality(freedom: int, alpha: float) -> float:
+    """Squared length that lifts chi² over its threshold in `SHOWN_SHARE` of the cases."""
+    threshold = chi2_isf(alpha, freedom)
+    noise = np.random.default_rng(0).normal(size=(20_000, freedom))
+    rest = (noise[:, 1:] ** 2).sum(axis=1)
+    low, high = 0.0, 100.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        power = float(((noise[:, 0] + middle) ** 2 + rest > threshold).mean())
+        low, high = (middle, high) if power < SHOWN_SHARE else (low, middle)
+    return high**2
+
+
+# -----------------------------------------------------------------------------
+# How far to trust a diagnosis: its alarm rate and what it can see, on the user's own postures.
+
+THREADS = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
+Task = tuple[int, FreeParameter | None, float]  # seed, hidden parameter and its size
+
+
+@dataclass(frozen=True)
+class Trust:
+    """What a bootstrap of the whole procedure says."""
+
+    runs: int  # simulated data sets with nothing missing
+    alarms: int
+    low: float  # 95 % interval of the alarm rate
+    high: float
+    detectable: tuple[Seen, ...]  # smallest sizes that raise an alarm four times in five
+    checked: int  # simulated data sets with one such effect
+    detected: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data; sizes in SI, null where no size within the bounds would show."""
+        sizes: dict[str, dict[str, Any]] = {}
+        for one in self.detectable:
+            sizes.setdefault(one.free.effect, {})[one.free.key] = {
+                'size': one.size,
+                'unit': one.free.parameter.unit,
+            }
+        rate = self.alarms / self.runs if self.runs else None
+        return {
+            'alarm_rate': rate,
+            'alarm_rate_low': self.low,
+            'alarm_rate_high': self.high,
+            'runs': self.runs,
+            'detectable': sizes,
+            'checked': self.checked,
+            'detected': self.detected,
+        }
+
+
+def assess(
+    dataset: DataSet,
+    files: Sequence[str] = (),
+    workers: int = 1,
+    seconds: float = 50.0,
+    runs: int = 200,
+    progress: Progress | None = None,
+) -> Trust | None:
+    """
+    Simulate measurements of the description, with the noise of the data, and diagnose them.
+
+    Parameters
+    ----------
+    dataset : DataSet
+        Its robot is the truth of the simulations, its postures are measured again.
+    files : sequence of str
+        The user's own effects.
+    workers : int
+        Processes.
+    seconds : float
+        When to stop.
+    runs : int
+        Largest number of clean simulations; half as many with an effect hidden.
+    progress : callable, optional
+        Called with (what, done, total).
+
+    Returns
+    -------
+    Trust
+        None where nothing tells the noise.
+
+    """
+    robot, show = dataset.robot, progress or (lambda what, done, total: None)
+    session = Session(dataset, robot, load_catalogue(files), workers=1)
+    if session.predictor.markers({}) is None or not session.weigh({}):
+        return None
+    found = gather(session)
+    assert session.noise is not None
+    seen = smallest_sizes(session, found.base, [r.candidate for r in found.singles])
+    hidden = [one for one in seen if one.size is not None]
+    clean: list[Task] = [(seed, None, 0.0) for seed in range(runs)]
+    sized: list[Task] = [
+        (10_000 + i, hidden[i % len(hidden)].free, hidden[i % len(hidden)].size or 0.0)
+        for i in range(runs // 2 if hidden else 0)
+    ]
+    job = Job(dataset, robot, session.noise, tuple(files))
+    start, quiet, loud = time.monotonic(), Tally(), Tally()
+    with _workers(workers) as spread:
+        quiet.collect(
+            spread(job.alarm, clean, start + 0.65 * seconds), len(clean), 'alarm rate', show
+        )
+        loud.collect(spread(job.alarm, sized, start + seconds), len(sized), 'sizes', show)
+    low, high = wilson(quiet.hits, quiet.runs)
+    return Trust(quiet.runs, quiet.hits, low, high, seen, loud.runs, loud.hits)
+
+
+@dataclass(frozen=True)
+class Job:
+    """What every simulation needs; goes to the worker processes."""
+
+    dataset: DataSet
+    robot: Robot
+    noise: Noise
+    files: tuple[str, ...]
+
+    def alarm(self, task: Task) -> bool | None:
+        """Simulate a data set and tell whether it raises the alarm; None: no equilibrium."""
+        seed, free, size = task
+        catalogue = load_catalogue(self.files)
+        session = Session(self.dataset, self.robot, catalogue, workers=1)
+        random = np.random.default_rng([seed, 71])
+        point: dict[FreeParameter, float] = {
+            n.free: float(random.normal(n.centre, n.spread)) for n in session.nuisances
+        }
+        if free is not None:
+            point[free] = size
+        simulated = measure_again(session.predictor, point, self.noise, random)
+        if simulated is None:
+            return None
+        session = Session(simulated, self.robot, catalogue, workers=1)
+        return is_alarming(gather(session)) if session.weigh({}) else None
+
+
+def measure_again(
+    predictor: Predictor, point: Point, noise: Noise, random: np.random.Generator
+) -> DataSet | None:
+    """Return the data set as it might have come out if the model at a point were the truth."""
+    dataset = predictor.dataset
+    given = dataset.inputs_by_trial
+    P, Q, m = given.shape
+    setting = 1.0 + noise.setting * random.normal(size=(P, 1, m))
+    factors = np.maximum(setting * (1.0 + noise.trial * random.normal(size=(P, Q, m))), 0.0)
+    trials = [predictor.markers(point, given[:, q] * factors[:, q]) for q in range(Q)]
+    if any(trial is None for trial in trials):
+        return None
+    positions = np.stack([trial for trial in trials if trial is not None], axis=1)
+    positions = positions + random.normal(0.0, noise.position, positions.shape)
+    return replace(dataset, positions=np.where(dataset.mask[..., None], positions, np.nan))
+
+
+@dataclass
+class Tally:
+    """Simulated data sets, and how many raised the alarm."""
+
+    runs: int = 0
+    hits: int = 0
+
+    def collect(
+        self, alarms: Iterable[bool | None], total: int, what: str, show: Progress
+    ) -> None:
+        """Count what comes; simulations without equilibrium do not count."""
+        for done, alarm in enumerate(alarms):
+            show(what, done + 1, total)
+            self.runs += alarm is not None
+            self.hits += bool(alarm)
+
+
+Spread = Callable[[Callable[[Task], bool | None], Sequence[Task], float], Iterator[bool | None]]
+
+
+@contextmanager
+def _workers(count: int) -> Iterator[Spread]:
+    """Give a map with a time to end; what is not done by then is dropped."""
+    if count == 1:
+        yield _one_by_one
+        return
+    with single_threaded(), multiprocessing.get_context('spawn').Pool(count) as pool:
+        yield _few_ahead(pool, count)
+
+
+def _one_by_one(
+    work: Callable[[Task], bool | None], tasks: Sequence[Task], end: float
+) -> Iterator[bool | None]:
+    for task in tasks:
+        yield work(task)
+        if time.monotonic() > end:
+            return
+
+
+def _few_ahead(pool: Pool, count: int) -> Spread:
+    """Hand out few tasks ahead, so that the next kind of task need not wait for the last."""
+
+    def spread(
+        work: Callable[[Task], bool | None], tasks: Sequence[Task], end: float
+    ) -> Iterator[bool | None]:
+        coming = iter(tasks)
+        waiting = deque(pool.apply_async(work, (task,)) for task in islice(coming, 2 * count))
+        while waiting:
+            try:
+                yield waiting.popleft().get(max(end - time.monotonic(), 0.001))
+            except multiprocessing.TimeoutError:
+                return
+            waiting.extend(pool.apply_async(work, (task,)) for task in islice(coming, 1))
+
+    return spread
+
+
+@contextmanager
+def single_threaded() -> Iterator[None]:
+    """Keep the linear algebra of processes started here to one thread each."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, '1'))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def wilson(hits: int, runs: int) -> tuple[float, float]:
+    """Return the 95 % interval of a rate."""
+    if runs == 0:
+        return 0.0, 1.0
+    z2, share = 1.96**2, hits / runs
+    centre = (share + z2 / (2 * runs)) / (1.0 + z2 / runs)
+    half = np.sqrt(z2 * (share * (1.0 - share) / runs + z2 / (4 * runs**2))) / (1.0 + z2 / runs)
+    return max(float(centre - half), 0.0), min(float(centre + half), 1.0)

@@ -1,0 +1,80 @@
+"""What a fit found of an arm as it is built, written into its description."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from ..comparison.predict import CELLS
+from ..robot import Robot
+from ..robot.description import EffectValues
+from .as_built import GAIN, HOLE, POSITION, ROTATION
+from .fit import Fit
+
+Floats = npt.NDArray[np.float64]
+WRITTEN = (CELLS, GAIN, HOLE, POSITION, ROTATION)  # kinds that a description can hold
+
+
+def written_share(fit: Fit) -> Floats:
+    """Return 1 for every imperfection (b,) that a description can hold, else 0."""
+    assert fit.built is not None
+    kept = np.array([kind.name in WRITTEN for kind in fit.built.kinds], dtype=float)
+    return np.asarray(kept[fit.built.owners])
+
+
+def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
+    """
+    Return a description with the cells, tendons and the registration as a fit found them.
+
+    The gain of a tension is written as an offset of its tendons: their product is what bends.
+    Kinks have no place in a description, nor gains and zeros of wire pulls.
+    """
+    found = fit.members
+    if found is None:
+        return robot
+    off = found.get(CELLS, np.zeros(robot.cells))
+    ends = np.cumsum([section.cells for section in robot.sections])
+    sections = tuple(
+        replace(
+            section,
+            bending_stiffness=tuple(
+                _short(k * (1.0 + change))
+                for k, change in zip(
+                    section.bending_stiffness, off[end - section.cells : end], strict=True
+                )
+            ),
+        )
+        for section, end in zip(robot.sections, ends, strict=True)
+    )
+    scale = np.ones(len(robot.tendons))
+    if input == 'tension':
+        for change, members in zip(found.get(GAIN, ()), robot.input_tendons, strict=False):
+            scale[list(members)] *= 1.0 + change
+    scale *= 1.0 + found.get(HOLE, np.zeros(len(scale)))
+    tendons = tuple(
+        replace(t, base=_scaled(t.base, factor), end=_scaled(t.end, factor))
+        for t, factor in zip(robot.tendons, scale.tolist(), strict=True)
+    )
+    return _registered(replace(robot, sections=sections, tendons=tendons), found)
+
+
+def _registered(robot: Robot, found: dict[str, Floats]) -> Robot:
+    """Add the registration to what the description says of it."""
+    before, values = robot.effects.get('base_misalignment', {}), EffectValues()
+    for kind, key in ((POSITION, 'shift'), (ROTATION, 'rotation')):
+        for axis, change in zip('xyz', found.get(kind, np.zeros(3)).tolist(), strict=True):
+            old = before.get(f'{key}_{axis}', 0.0)
+            values[f'{key}_{axis}'] = _short((old if isinstance(old, float) else old[0]) + change)
+    if not any(found.get(kind, np.zeros(3)).any() for kind in (POSITION, ROTATION)):
+        return robot
+    return robot.with_effect('base_misalignment', values, robot.fitted.get('base_misalignment'))
+
+
+def _scaled(offset: tuple[float, float], factor: float) -> tuple[float, float]:
+    return (_short(offset[0] * factor), _short(offset[1] * factor))
+
+
+def _short(value: float) -> float:
+    return float(f'{value:.6g}')

@@ -1,1 +1,0 @@
-"""Emulated servos that speak real bytes over a pseudo-terminal; nothing here needs hardware."""

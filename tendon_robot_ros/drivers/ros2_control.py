@@ -1,0 +1,211 @@
+"""
+Joints of ros2_control behind the driver interface: a group controller commands them.
+
+The robot's limits, rates and releases hold as for every backend; what the motors do when this
+process dies is up to the hardware component (docs/operate.md).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from ..common.errors import DriverError
+from ..common.yaml_reading import ConfigFields
+from ..robot import Robot
+from .hardware import HardwareDriver
+from .interface import Array, Fault, Reading
+
+KEYS = ('command_topic', 'state_topic', 'joints', 'spool_radius', 'timeout', 'tension_source',
+        'tension_rate', 'pull_rate', 'pull_limits', 'tendons')  # fmt: skip
+JOINT_KEYS = ('joint', 'spool_radius', 'direction', 'zero')
+
+
+class JointLink(Protocol):
+    """What carries commands and joint states; topics in a running system."""
+
+    def send(self, values: list[float]) -> None:
+        """Send one value per joint of the group controller."""
+
+    def states(self) -> Mapping[str, tuple[float, float, float]]:
+        """Return joint -> (monotonic time [s], position, effort), the newest of each."""
+
+    def close(self) -> None:
+        """Give it back."""
+
+
+MakeLink = Callable[[str, str], JointLink]  # of the topics of commands and states
+
+
+@dataclass(frozen=True)
+class Ros2ControlConfig:
+    """Which joint is which tendon; arrays (m,) in the order of the robot's inputs."""
+
+    command_topic: str
+    state_topic: str
+    joints: tuple[str, ...]  # as the group controller lists them
+    names: tuple[str, ...]  # joint of every input
+    radii: Array  # [m] of the spools, 1 for prismatic joints
+    directions: Array  # 1: growing positions wind
+    zeros: Array  # [rad] or [m], position of the joint at zero pull
+    timeout: float  # [s] of silence of a joint
+    source: str
+    tension_rate: float  # [N/s]
+    pull_rate: float  # [m/s]
+    pull_limits: tuple[float, float]  # [m]
+
+    @classmethod
+    def checked(cls, robot: Robot, content: Mapping[str, Any], mode: str, source: str) -> Self:
+        """Read a mapping; DriverError says key, what was expected and what came."""
+        top = ConfigFields(source, '', dict(content))
+        top.only(*KEYS)
+        tendons = top.child('tendons')
+        tendons.only(*robot.inputs)
+        if missing := [name for name in robot.inputs if not tendons.has(name)]:
+            raise top.error('tendons', 'a joint for every input of the robot', f'none for '
+                            f'{", ".join(missing)}')  # fmt: skip
+        items = [tendons.child(name) for name in robot.inputs]
+        for item in items:
+            item.only(*JOINT_KEYS)
+        names = tuple(item.name('joint') for item in items)
+        joints = top.content.get('joints')
+        if not isinstance(joints, list) or sorted(map(str, joints)) != sorted(names):
+            expected = f'the joints of the tendons, {", ".join(names)}, as the controller has them'
+            raise top.error('joints', expected, joints)
+        kind = 'effort' if mode == 'tension' else 'position'
+        low, high = top.vector('pull_limits', 2) if top.has('pull_limits') else (-0.05, 0.05)
+        if not -10.0 <= low < high <= 10.0:
+            raise top.error('pull_limits', '[lowest, highest] [m]', [low, high])
+        return cls(
+            str(top.content.get('command_topic') or f'{kind}_group_controller/commands'),
+            str(top.content.get('state_topic') or '/joint_states'),
+            tuple(map(str, joints)),
+            names,
+            np.array([_radius(item, top) for item in items]),
+            np.array([_direction(item) for item in items]),
+            np.array([item.value('zero', 0.0, -1e6, 1e6, 'rad or m') for item in items]),
+            top.value('timeout', 0.1, 0.005, 10.0, 's'),
+            top.choice('tension_source', ('load_cell', 'current'), 'current'),
+            top.value('tension_rate', 20.0, 0.01, 1000.0, 'N/s'),
+            top.value('pull_rate', 0.05, 1e-5, 10.0, 'm/s'),
+            (float(low), float(high)),
+        )
+
+
+def _radius(item: ConfigFields, top: ConfigFields) -> float:
+    own = item if item.has('spool_radius') else top
+    return own.value('spool_radius', 1.0, 5e-4, 0.2, 'm') if own.has('spool_radius') else 1.0
+
+
+def _direction(item: ConfigFields) -> int:
+    direction = item.content.get('direction', 1)
+    if isinstance(direction, bool) or direction not in (1, -1):
+        raise item.error('direction', '1 (growing positions wind) or -1', direction)
+    return int(direction)
+
+
+class Ros2ControlDriver(HardwareDriver):
+    """
+    Tension mode: efforts to an effort group controller; pull mode: positions to a position one.
+
+    A group controller has no torque to switch off: what is disabled gets no effort, or in pull
+    mode stays where it is.
+    """
+
+    def __init__(
+        self, robot: Robot, config: Ros2ControlConfig, mode: str, link: JointLink
+    ) -> None:
+        """Take robot, checked configuration, `tension` or `pull`, and what carries messages."""
+        low, high = robot.tension_limits if mode == 'tension' else config.pull_limits
+        rate = config.tension_rate if mode == 'tension' else config.pull_rate
+        m = len(robot.inputs)
+        limits, rates = np.tile([low, high], (m, 1)), np.full(m, rate)
+        super().__init__(robot, mode, config.command_topic, limits, rates)
+        self.config, self.link = config, link
+        self._order = [config.names.index(joint) for joint in config.joints]
+        self._on = np.zeros(m, dtype=bool)
+
+    @classmethod
+    def from_config(
+        cls, robot: Robot, config: Mapping[str, Any], *, mode: str, source: str, link: MakeLink
+    ) -> Self:
+        """Make the driver from what its configuration file says."""
+        checked = Ros2ControlConfig.checked(robot, config, mode, source)
+        return cls(robot, checked, mode, link(checked.command_topic, checked.state_topic))
+
+    def open(self) -> None:
+        """Begin to listen; nothing is sent."""
+        self._is_open = True
+
+    def close(self) -> None:
+        """Say no more."""
+        if self._is_open:
+            self.link.close()
+        self._is_open = False
+
+    def enable(self) -> None:
+        """Begin at the measured state; DriverError while a joint is silent."""
+        self._require_open('enable')
+        reading = self.read()
+        if reading.faults:
+            raise DriverError(reading.faults[0].message)
+        here = reading.tensions if self.mode == 'tension' else reading.pulls
+        if not np.isfinite(here).all():
+            raise DriverError(f'{self.config.state_topic}: effort is not there: expected it for '
+                              f'every joint in tension mode')  # fmt: skip
+        self._goal = np.maximum(here, 0.0) if self.mode == 'tension' else here
+        self._on[:], self._written = True, time.monotonic()
+        self._send()
+
+    def disable(self, inputs: Sequence[str] = ()) -> None:
+        """No effort for the named inputs, or all; in pull mode they stay where they are."""
+        which = self._chosen(inputs)
+        self._on &= ~which
+        if not self._is_open:
+            return
+        if self.mode == 'tension':
+            self._goal = np.where(which, 0.0, self._goal)
+        self._send()
+
+    def write(self, command: Array) -> None:
+        """Command every input within limits and rates; what is off stays off."""
+        self._require_open('write')
+        values = self.checked(command)
+        lowest = np.column_stack([np.minimum(self._goal, self.limits[:, 0]), self.limits[:, 1]])
+        goal = self._towards(values, lowest, self._since_write())
+        self._goal = np.where(self._on, goal, self._goal)
+        self._send()
+
+    def read(self) -> Reading:
+        """Return the newest joint states; joints that are silent are nan."""
+        self._require_open('read')
+        now, heard, config = time.monotonic(), self.link.states(), self.config
+        values = np.array([heard.get(name, (-np.inf, np.nan, np.nan)) for name in config.names])
+        silent = now - values[:, 0] > config.timeout
+        values[silent, 1:] = np.nan
+        turned = (values[:, 1] - config.zeros) * config.directions
+        faults: tuple[Fault, ...] = ()
+        if silent.any():
+            names = [n for n, quiet in zip(config.names, silent, strict=True) if quiet]
+            inputs = tuple(n for n, quiet in zip(self.inputs, silent, strict=True) if quiet)
+            text = (f'{config.state_topic}: nothing of {", ".join(names)} for {config.timeout:g} '
+                    's; is joint_state_broadcaster active?')  # fmt: skip
+            faults = (Fault('silent', text, inputs=inputs),)
+        tensions = values[:, 2] * config.directions / config.radii
+        return Reading(now, turned * config.radii, tensions, config.source, faults=faults)
+
+    def describe(self) -> dict[str, str]:
+        """Name the topics."""
+        return {'commands': self.config.command_topic, 'states': self.config.state_topic}
+
+    def _send(self) -> None:
+        config = self.config
+        if self.mode == 'tension':
+            values = self._goal * config.radii * config.directions
+        else:
+            values = self._goal / config.radii * config.directions + config.zeros
+        self.link.send(values[self._order].tolist())

@@ -1,0 +1,75 @@
+"""The command `emulate` in a process of its own, for tests, benchmarks and demonstrations."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import IO, Any, Self, cast
+
+import yaml
+
+from ..common.errors import DriverError
+
+
+class EmulatorProcess:
+    """
+    Emulated motors of a robot.
+
+    Attributes
+    ----------
+    port : str
+        The port to give to a driver.
+    config : Path
+        A configuration for the driver, written by `emulate`.
+
+    """
+
+    def __init__(self, robot: str | Path, *arguments: str, kind: str = 'dynamixel') -> None:
+        """Start `emulate KIND` for a robot description, with more of its arguments."""
+        self._folder = tempfile.TemporaryDirectory(prefix='tendon_robot_ros_')
+        self.config = Path(self._folder.name, 'motors.yaml')
+        command = [sys.executable, '-m', 'tendon_robot_ros', 'emulate', kind]
+        command += ['--ends-with-input']
+        command += ['--robot', str(robot), '--write-config', str(self.config), *arguments]
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        self._to = cast(IO[str], self.process.stdin)
+        self._from = cast(IO[str], self.process.stdout)
+        self.port = self._from.readline().strip()
+        if not self.port:
+            self.end()
+            raise DriverError('emulate ended at once; its message is above')
+
+    def say(self, text: str) -> str:
+        """Give one of its commands; return the answer."""
+        self._to.write(text + '\n')
+        self._to.flush()
+        return self._from.readline().strip()
+
+    def ask(self, text: str) -> Any:
+        """Give a command that answers in JSON; return the answer."""
+        return json.loads(self.say(text))
+
+    def content(self) -> dict[str, Any]:
+        """Return the configuration for the driver."""
+        return cast(dict[str, Any], yaml.safe_load(self.config.read_text(encoding='utf-8')))
+
+    def end(self) -> None:
+        """End it."""
+        self.process.terminate()
+        self.process.wait(10.0)
+        self._to.close()
+        self._from.close()
+        self._folder.cleanup()
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End it."""
+        self.end()

@@ -1,0 +1,338 @@
+"""
+Motor, gear and wires of an emulated servo: current in, turning out, with dry friction.
+
+The gear's dry friction is what a geared servo shows: below it nothing moves, winding needs more
+current than the wire's pull alone, paying out less.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ..drivers.dynamixel import tables
+from ..drivers.dynamixel.tables import (
+    CURRENT_MODE,
+    CURRENT_POSITION_MODE,
+    REGISTERS,
+    TICKS_PER_TURN,
+    WATCHDOG_TRIPPED,
+    Register,
+    ServoModel,
+)
+
+TICK = 2.0 * math.pi / TICKS_PER_TURN  # [rad]
+STEP_S = 1e-3  # [s], longest step of the integration
+_DAMPING = 0.01  # share of stall torque over no-load speed; the current loop hides the rest
+_POSITION_GAIN = 40.0  # [1/s]
+
+
+@dataclass
+class ServoMotion:
+    """
+    State of one motor.
+
+    Parameters
+    ----------
+    model : ServoModel
+        Torque per ampere, friction and top speed.
+    angle : float
+        Of the output shaft since the servo's zero [rad].
+    speed : float
+        [rad/s]
+    current : float
+        [A], signed like the torque.
+
+    """
+
+    model: ServoModel
+    angle: float = 0.0
+    speed: float = 0.0
+    current: float = 0.0
+
+    @property
+    def friction(self) -> float:
+        """Dry friction of the gear at the output [N·m]."""
+        return self.model.friction_current * self.model.torque_per_ampere
+
+    @property
+    def ticks(self) -> int:
+        """Position as the encoder counts it."""
+        return math.floor(self.angle / TICK + 0.5)
+
+    def limp(self, load: float, step: float) -> None:
+        """Turn without power: only a load above the friction turns the gear backwards."""
+        self.current = 0.0
+        self._turn(0.0, load, step)
+
+    def drive_current(self, current: float, load: float, step: float) -> None:
+        """Give a current [A] against a load torque [N·m] for one step [s]."""
+        self.current = current
+        self._turn(current * self.model.torque_per_ampere, load, step)
+
+    def drive_position(self, goal: float, limit: float, load: float, step: float) -> None:
+        """Turn towards an angle [rad] with at most the given current [A]."""
+        way = goal - self.angle
+        wanted = max(
+            -self.model.no_load_speed, min(self.model.no_load_speed, _POSITION_GAIN * way)
+        )
+        friction = math.copysign(self.friction, wanted) if abs(way) > 0.5 * TICK else 0.0
+        needed = (load + friction + self._damping * wanted) / self.model.torque_per_ampere
+        if abs(needed) <= limit:
+            self.current, self.speed = needed, wanted
+            self.angle += wanted * step
+        else:
+            self.drive_current(math.copysign(limit, needed), load, step)
+
+    @property
+    def _damping(self) -> float:
+        return _DAMPING * self.model.stall_torque / self.model.no_load_speed
+
+    def _turn(self, torque: float, load: float, step: float) -> None:
+        net = torque - load
+        if abs(net) <= self.friction:
+            self.speed = 0.0
+            return
+        speed = (net - math.copysign(self.friction, net)) / self._damping
+        top = self.model.no_load_speed
+        self.speed = max(-top, min(top, speed))
+        self.angle += self.speed * step
+
+
+def drive(
+    motion: ServoMotion,
+    mode: int,
+    goals: tuple[float, float],
+    limit: float,
+    load: float,
+    step: float,
+) -> None:
+    """
+    Advance a motor whose torque is on.
+
+    Parameters
+    ----------
+    motion : ServoMotion
+    mode : int
+        Operating mode, address 11.
+    goals : tuple of float
+        Goal current [A] and goal angle [rad].
+    limit : float
+        Current limit [A].
+    load : float
+        Torque of the wires against positive turning [N·m].
+    step : float
+        [s]
+
+    """
+    current, angle = goals
+    if mode == CURRENT_MODE:
+        motion.drive_current(max(-limit, min(limit, current)), load, step)
+    else:
+        strongest = min(limit, abs(current)) if mode == CURRENT_POSITION_MODE else limit
+        motion.drive_position(angle, strongest, load, step)
+
+
+# -----------------------------------------------------------------------------
+# One emulated servo: its control table, what it answers, how it protects itself.
+#
+# What happens on a watchdog trip is what the e-manual's "Bus Watchdog(98)" says and no more: the
+# servo stops, 98 reads -1, goal values are read-only (Data Range Error) until 0 is written to 98.
+# The manual does not say whether a stopped servo holds; here it is powerless in current mode and
+# holds its position in the position modes.
+
+RESULT_FAIL, INSTRUCTION_ERROR, CRC_ERROR = 0x01, 0x02, 0x03
+DATA_RANGE, DATA_LENGTH, DATA_LIMIT, ACCESS = 0x04, 0x05, 0x06, 0x07
+ALERT = 0x80
+TABLE_END = 147
+EEPROM_END = 64
+READ_ONLY = (
+    'model_number',
+    'firmware_version',
+    'hardware_error_status',
+    'moving',
+    'present_current',
+    'present_velocity',
+    'present_position',
+    'present_input_voltage',
+    'present_temperature',
+)
+GOALS = ('goal_pwm', 'goal_current', 'goal_velocity', 'goal_position')
+BY_ADDRESS = {register.address: name for name, register in REGISTERS.items()}
+
+
+class Servo:
+    """A servo of one model with an id."""
+
+    def __init__(
+        self, model: tables.ServoModel, identity: int, baud: int = 1_000_000, firmware: int = 48
+    ) -> None:
+        """Switch the power on."""
+        self.model, self.identity, self.firmware = model, identity, firmware
+        self.motion = ServoMotion(model)
+        self.temperature = 30.0  # [°C]
+        self.voltage = 0.5 * sum(model.voltage)  # [V]
+        self._bytes = bytearray(TABLE_END)
+        self._eeprom = {
+            'model_number': model.number,
+            'firmware_version': firmware,
+            'id': identity,
+            'baud_rate': next(k for k, v in tables.BAUD_RATES.items() if v == baud),
+            'return_delay_time': 250,
+            'operating_mode': 3,
+            'shutdown': model.shutdown,
+            'temperature_limit': model.temperature_limit,
+            'current_limit': model.current_limit,
+            'max_voltage_limit': round(10 * model.voltage[1]) + 12,
+            'min_voltage_limit': round(10 * model.voltage[0]) - 5,
+        }
+        for name, value in self._eeprom.items():
+            self.put(name, value)
+        self.boot()
+
+    def boot(self) -> None:
+        """Start the firmware: RAM goes to its defaults, turns are forgotten."""
+        self._bytes[EEPROM_END:] = bytes(TABLE_END - EEPROM_END)
+        self.put('status_return_level', 2)
+        self.motion.angle = self.motion.ticks % tables.TICKS_PER_TURN * TICK
+        self.motion.speed = self.motion.current = 0.0
+        self.silence = 0.0  # [s] since the last instruction packet
+        self._goals_to_defaults()
+        self.refresh()
+
+    def get(self, name: str) -> int:
+        """Read a register by name."""
+        register = REGISTERS[name]
+        start = register.address
+        return tables.decode(register, bytes(self._bytes[start : start + register.size]))
+
+    def put(self, name: str, value: int) -> None:
+        """Set a register by name, without any check: what the firmware itself does."""
+        register = REGISTERS[name]
+        start = register.address
+        self._bytes[start : start + register.size] = tables.encode(register, value)
+
+    @property
+    def torque(self) -> bool:
+        """Whether the torque is on."""
+        return self.get('torque_enable') == 1
+
+    @property
+    def tripped(self) -> bool:
+        """Whether the bus watchdog has tripped."""
+        return self.get('bus_watchdog') == WATCHDOG_TRIPPED
+
+    @property
+    def alert(self) -> int:
+        """Alert bit of every status packet."""
+        return ALERT if self.get('hardware_error_status') else 0
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Answer a read: error byte and data."""
+        if length < 1 or address + length > TABLE_END:
+            return ACCESS | self.alert, b''
+        return self.alert, bytes(self._bytes[address : address + length])
+
+    def write(self, address: int, data: bytes) -> int:
+        """Carry out a write; return the error byte."""
+        position = 0
+        while position < len(data):
+            name = BY_ADDRESS.get(address + position)
+            if name is None or name in READ_ONLY:
+                return ACCESS | self.alert
+            register = REGISTERS[name]
+            part = data[position : position + register.size]
+            if len(part) < register.size:
+                return DATA_LENGTH | self.alert
+            error = self._write_one(name, register, tables.decode(register, part))
+            if error:
+                return error | self.alert
+            position += register.size
+        return self.alert
+
+    def _write_one(self, name: str, register: Register, value: int) -> int:
+        if register.address < EEPROM_END and self.torque:
+            return ACCESS
+        if name in GOALS and self.tripped:
+            return DATA_RANGE
+        if name == 'goal_current' and abs(value) > self.get('current_limit'):
+            return DATA_LIMIT
+        if name == 'torque_enable' and (value > 1 or (value and self._shut_down())):
+            return DATA_RANGE if value > 1 else RESULT_FAIL
+        if name == 'bus_watchdog' and (value > 127 or (value and self.tripped)):
+            return DATA_RANGE
+        if name == 'torque_enable' and value and not self.torque:
+            self.put('goal_position', self.motion.ticks + self.get('homing_offset'))
+            if self.get('operating_mode') == CURRENT_MODE:
+                self.put('goal_current', 0)
+        self.put(name, value)
+        if name == 'operating_mode':
+            self._goals_to_defaults()
+        self.refresh()
+        return 0
+
+    def _shut_down(self) -> bool:
+        """Tell whether a hardware error keeps the torque off until a reboot."""
+        return bool(self.get('hardware_error_status') & self.get('shutdown'))
+
+    def _goals_to_defaults(self) -> None:
+        in_current_mode = self.get('operating_mode') == CURRENT_MODE
+        self.put('goal_current', 0 if in_current_mode else self.get('current_limit'))
+        self.put('goal_pwm', 885)
+
+    def heard(self) -> None:
+        """Note that an instruction packet went over the bus: it feeds the watchdog."""
+        self.silence = 0.0
+
+    def fail(self, bits: int) -> None:
+        """Set hardware errors; the ones that the shutdown mask names switch the torque off."""
+        self.put('hardware_error_status', self.get('hardware_error_status') | bits)
+        if self._shut_down():
+            self.put('torque_enable', 0)
+
+    def protect(self, passed: float) -> None:
+        """Let time [s] pass for the watchdog, the temperature and the voltage."""
+        self.silence += passed
+        watchdog = self.get('bus_watchdog') * tables.WATCHDOG_UNIT
+        if self.torque and not self.tripped and 0 < watchdog < self.silence:
+            self._stop()
+        if self.temperature > self.get('temperature_limit'):
+            self.fail(0x04)
+        low, high = self.get('min_voltage_limit'), self.get('max_voltage_limit')
+        if not low <= self.voltage / tables.VOLT_PER_COUNT <= high:
+            self.fail(0x01)
+
+    def _stop(self) -> None:
+        """Trip the watchdog."""
+        self.put('bus_watchdog', WATCHDOG_TRIPPED)
+        self.put('goal_position', self.motion.ticks + self.get('homing_offset'))
+        if self.get('operating_mode') == CURRENT_MODE:
+            self.put('goal_current', 0)
+
+    def step(self, step: float, load: float) -> None:
+        """Let the motor turn for at most 1 ms [s] against a load torque [N·m]."""
+        if not self.torque:
+            self.motion.limp(load, step)
+            return
+        unit = self.model.current_unit
+        angle = (self.get('goal_position') - self.get('homing_offset')) * TICK
+        drive(
+            self.motion,
+            self.get('operating_mode'),
+            (self.get('goal_current') * unit, angle),
+            self.get('current_limit') * unit,
+            load,
+            step,
+        )
+
+    def refresh(self) -> None:
+        """Put what the sensors say into the table."""
+        motion = self.motion
+        self.put('present_position', motion.ticks + self.get('homing_offset'))
+        self.put('present_current', round(motion.current / self.model.current_unit))
+        self.put(
+            'present_velocity', round(motion.speed / (2 * math.pi) * 60 / tables.RPM_PER_COUNT)
+        )
+        self.put('present_temperature', round(self.temperature))
+        self.put('present_input_voltage', round(self.voltage / tables.VOLT_PER_COUNT))
+        self.put('moving', int(abs(motion.speed) > 0.01))

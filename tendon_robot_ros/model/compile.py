@@ -1,0 +1,329 @@
+"""Compose the compiled kernel from a catalogue of effects and cache it under a key of sources."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import os
+import shutil
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import EffectError, RobotDescriptionError
+from ..effects import STAGES, Catalogue
+from ..robot import Robot
+
+KERNEL = Path(__file__).parent / 'kernel'
+_COMPOSED: dict[str, ModuleType] = {}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each effect of a catalogue lives in the kernel's flat arrays."""
+
+    rows: dict[tuple[str, str], int]  # (effect, parameter) -> row of Chain.values
+    index: dict[str, int]  # effect -> entry of Chain.on
+
+
+def layout(catalogue: Catalogue) -> Layout:
+    """Give every parameter and effect of a catalogue its number."""
+    names = [(effect.name, p.name) for effect in catalogue for p in effect.parameters]
+    return Layout(
+        {name: row for row, name in enumerate(names)},
+        {effect.name: index for index, effect in enumerate(catalogue)},
+    )
+
+
+def stages_source(catalogue: Catalogue) -> str:
+    """Write the module in which each stage calls its laws one after the other."""
+    where = layout(catalogue)
+    lines = [
+        '"""Stages of a catalogue of effects; generated, do not edit."""',
+        '',
+        'from tendon_robot_ros.effects.catalogue import registered',
+        '',
+        'from .layout import compiled, flags, floats',
+        '',
+    ]
+    for effect in catalogue:
+        number = where.index[effect.name]
+        lines.append(
+            f'law_{number} = compiled(registered({effect.name!r}, {effect.digest!r}).law)'
+        )
+    for stage in STAGES.values():
+        takes = ', '.join(quantity.name for quantity in stage.inputs)
+        value = ', '.join(quantity.name for quantity in stage.outputs)
+        members = [effect for effect in catalogue if effect.stage == stage.name]
+        lines += ['', '', '@compiled', f'def {stage.name}({takes}, chain, section):']
+        if members:
+            lines.append('    values, on = floats(chain.values), flags(chain.on)')
+        for effect in members:
+            rows = [where.rows[effect.name, p.name] for p in effect.parameters]
+            parameters = ', '.join(f'values[{row} * chain.sections + section]' for row in rows)
+            number = where.index[effect.name]
+            lines += [
+                f'    if on[{number}] != 0:',
+                f'        {value} = law_{number}({takes}, {parameters})',
+            ]
+        lines += [f'    return {value}', '', '', '@compiled', f'def {stage.name}_acts(chain):']
+        acts = ' or '.join(
+            f'flags(chain.on)[{where.index[effect.name]}] != 0' for effect in members
+        )
+        lines.append(f'    return {acts or "False"}')
+    return '\n'.join(lines) + '\n'
+
+
+@cache
+def cache_folder() -> Path:
+    """Folder for compiled kernels: NUMBA_CACHE_DIR, XDG_CACHE_HOME, home, else temporary."""
+    candidates = [os.environ.get('NUMBA_CACHE_DIR')]
+    if os.environ.get('XDG_CACHE_HOME'):
+        candidates.append(os.path.join(os.environ['XDG_CACHE_HOME'], 'tendon_robot_ros'))
+    elif os.path.expanduser('~') != '~':
+        candidates.append(os.path.join(os.path.expanduser('~'), '.cache', 'tendon_robot_ros'))
+    for candidate in candidates:
+        if not candidate:
+            continue
+        try:
+            path = Path(candidate).resolve()
+            path.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=path):
+                return path
+        except OSError:
+            continue
+    warnings.warn(
+        'no writable cache folder: the model is compiled anew by every process; '
+        'set NUMBA_CACHE_DIR to a writable folder',
+        stacklevel=2,
+    )
+    return Path(tempfile.mkdtemp(prefix='tendon_robot_ros_'))
+
+
+def kernel_key(catalogue: Catalogue) -> str:
+    """Key over the sources of the kernel and of every effect, Python and numba."""
+    digest = hashlib.sha256(catalogue.digest.encode())
+    for path in sorted(KERNEL.glob('*.py')):
+        digest.update(path.read_bytes())
+    digest.update(Path(__file__).read_bytes())
+    version = importlib.import_module('numba').__version__
+    digest.update(f'{sys.version} {version}'.encode())
+    return digest.hexdigest()[:20]
+
+
+def compose(catalogue: Catalogue) -> Callable[[str], ModuleType]:
+    """
+    Return a function that imports a module of the kernel composed for a catalogue.
+
+    The composed package lies in `cache_folder()`; numba caches its machine code beside it.
+    """
+    key = kernel_key(catalogue)
+    name = f'tendon_robot_kernel_{key}'
+    if name not in _COMPOSED:
+        folder = cache_folder() / name
+        if not (folder / 'stages.py').is_file():
+            _write(folder, stages_source(catalogue))
+        spec = importlib.util.spec_from_file_location(
+            name, folder / '__init__.py', submodule_search_locations=[str(folder)]
+        )
+        assert spec is not None and spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        spec.loader.exec_module(module)
+        _COMPOSED[name] = module
+    return cache(lambda part: importlib.import_module(f'{name}.{part}'))
+
+
+def is_compiled(catalogue: Catalogue) -> bool:
+    """Tell whether machine code for a catalogue lies in the cache."""
+    # beside the sources, or with NUMBA_CACHE_DIR in a folder of that name and a hash
+    return any(cache_folder().glob(f'tendon_robot_kernel_{kernel_key(catalogue)}*/**/*.nbc'))
+
+
+def _write(folder: Path, stages: str) -> None:
+    """Write the package beside its place and move it there, so that no process sees half."""
+    scratch = Path(tempfile.mkdtemp(dir=folder.parent, prefix='composing_'))
+    for path in sorted(KERNEL.glob('*.py')):
+        shutil.copyfile(path, scratch / path.name)
+    (scratch / 'stages.py').write_text(stages, encoding='utf-8')
+    try:
+        scratch.rename(folder)
+    except OSError:  # another process was faster
+        shutil.rmtree(scratch)
+
+
+# -----------------------------------------------------------------------------
+# A robot and a catalogue as the flat arrays that the kernel reads, kept alive together.
+
+Floats = npt.NDArray[np.float64]
+
+
+class KernelArrays:
+    """Flat arrays of a robot with its effects, and the composed kernel's modules."""
+
+    def __init__(self, robot: Robot, catalogue: Catalogue) -> None:
+        """Check the effects against the catalogue and fill the arrays."""
+        self.robot, self.catalogue = robot, catalogue
+        self.kernel = compose(catalogue)
+        self.layout = layout(catalogue)
+        self.cells = _cells(robot)
+        self.offset = tendon_offsets(robot)
+        self.tendon = np.array(
+            [
+                [robot.tendon_cells[k], j]
+                for k in range(len(robot.tendons))
+                for j, members in enumerate(robot.input_tendons)
+                if k in members
+            ],
+            dtype=np.int64,
+        )
+        self.gravity = np.array(robot.gravity or (0.0, 0.0, 0.0))
+        self.values = np.empty((len(self.layout.rows), len(robot.sections)))
+        self.on = np.zeros(len(self.layout.index), dtype=np.uint8)
+        for effect in catalogue:
+            for parameter in effect.parameters:
+                self.values[self.layout.rows[effect.name, parameter.name]] = parameter.neutral
+        for name, values in robot.effects.items():
+            self._read(name, values)
+        self.chain = self._chain()
+        radius = np.float64(self.chain.radius).view(np.int64)
+        self._words = np.array(self.chain._replace(radius=radius), dtype=np.int64)
+        self.address = int(self._words.ctypes.data)  # of the chain's fields, for the kernel
+
+    def part(self, name: str) -> ModuleType:
+        """Return a module of the composed kernel."""
+        return self.kernel(name)
+
+    def set(self, effect: str, parameter: str, section: int | None, value: float) -> None:
+        """Set one parameter (of one section, or of all) and switch its effect on."""
+        row = self.layout.rows[effect, parameter]
+        self.values[row, slice(None) if section is None else section] = value
+        self.on[self.layout.index[effect]] = 1
+
+    def get(self, effect: str, parameter: str, section: int | None = None) -> float:
+        """Return one parameter (of one section)."""
+        return float(self.values[self.layout.rows[effect, parameter], section or 0])
+
+    def switch(self, effect: str, on: bool) -> None:
+        """Switch an effect on or off; its parameters stay."""
+        self.on[self.layout.index[effect]] = on
+
+    def _read(self, name: str, values: dict[str, Any]) -> None:
+        robot = self.robot
+        try:
+            effect = self.catalogue[name]
+        except EffectError as error:
+            raise EffectError(f'{robot.source}: effects: {error}') from None
+        known = {parameter.name: parameter for parameter in effect.parameters}
+        for key, value in values.items():
+            where = f'effects.{name}.{key}'
+            if key not in known:
+                raise RobotDescriptionError(robot.source, where, 'one of ' + ', '.join(known), key)
+            parameter = known[key]
+            many = isinstance(value, tuple)
+            if many and (not parameter.per_section or len(value) != len(robot.sections)):
+                wanted = (
+                    f'{len(robot.sections)} numbers (one per section)'
+                    if parameter.per_section
+                    else 'one number'
+                )
+                raise RobotDescriptionError(robot.source, where, wanted, list(value))
+            for number in value if many else (value,):
+                if not parameter.low <= number <= parameter.high:
+                    raise RobotDescriptionError(
+                        robot.source,
+                        where,
+                        f'a number from {parameter.low:g} to '
+                        f'{parameter.high:g} [{parameter.unit}]',
+                        number,
+                    )
+            self.values[self.layout.rows[name, key]] = value
+        missing = [key for key in known if key not in values]
+        if effect.always_on and missing:
+            raise RobotDescriptionError(robot.source, f'effects.{name}', ', '.join(missing), None)
+        rows = [self.layout.rows[name, key] for key in known]
+        neutral = np.array([[known[key].neutral] for key in known])
+        acts = effect.always_on or bool(np.any(self.values[rows] != neutral))
+        self.on[self.layout.index[name]] = acts
+
+    def _chain(self) -> Any:
+        lay = self.part('layout')
+        at = {
+            key: getattr(self, key).ctypes.data
+            for key in ('cells', 'offset', 'tendon', 'values', 'on', 'gravity')
+        }
+        robot = self.robot
+        return lay.Chain(
+            n=robot.cells,
+            k=len(robot.tendons),
+            m=len(robot.inputs),
+            sections=len(robot.sections),
+            radius=float(np.linalg.norm(self.offset, axis=2).max()),
+            step=lay.address_of(self.part('sweep').step),
+            residual=lay.address_of(self.part('residual').residual),
+            respond=lay.address_of(self.part('elimination').respond),
+            newton=lay.address_of(self.part('newton').newton),
+            settle=lay.address_of(self.part('solve').solve_equilibrium),
+            **at,
+        )
+
+    def scratch(self) -> Floats:
+        """Return scratch memory for one thread."""
+        lay, chain = self.part('layout'), self.chain
+        return np.zeros(
+            lay.work_size(chain.n, chain.k)
+            + 2 * chain.n
+            + lay.memory_size(chain.n, chain.k, chain.m)
+            + chain.k
+            + chain.m
+        )
+
+    def fresh_memory(self) -> Floats:
+        """Return the friction memory of the straight, tension-free arm."""
+        chain = self.chain
+        return np.zeros(self.part('layout').memory_size(chain.n, chain.k, chain.m))
+
+
+def _cells(robot: Robot) -> Floats:
+    rows: list[list[float]] = []
+    for index, section in enumerate(robot.sections):
+        for i in range(section.cells):
+            present = sum(len(rows) < cells for cells in robot.tendon_cells)
+            rows.append(
+                [
+                    section.cell_length,
+                    section.bending_stiffness[i],
+                    section.mass_profile[i] * section.cell_length,
+                    float(section.bends_as == 'hinge'),
+                    float(index),
+                    float(present),
+                ]
+            )
+    return np.array(rows)
+
+
+def tendon_offsets(robot: Robot) -> Floats:
+    """
+    Return the offset of every tendon in every cell, (n, k, 2) [m].
+
+    Linear in arc length from the base to the end of the tendon's last cell, taken at mid-cell.
+    """
+    lengths = np.concatenate([[s.cell_length] * s.cells for s in robot.sections])
+    ends = np.cumsum(lengths)
+    offset = np.zeros((robot.cells, len(robot.tendons), 2))
+    for k, tendon in enumerate(robot.tendons):
+        cells = robot.tendon_cells[k]
+        share = (ends - 0.5 * lengths)[:cells, None] / ends[cells - 1]
+        base, end = np.array(tendon.base), np.array(tendon.end)
+        offset[:cells, k] = base + share * (end - base)
+    return offset

@@ -1,0 +1,259 @@
+"""Shapes all over the workspace: where a cold inverse search starts from."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import NoEquilibriumError
+from ..effects import STAGES, Catalogue, load_catalogue
+from ..robot import Robot
+from .compile import KernelArrays
+from .inputs import TensionsLike, tension_rows, tensions_of
+from .shape import FIELDS, ResultLayout, Shape, ShapeBatch
+
+USEFUL_BEND_RAD = 1.5 * np.pi  # [rad] of one section: bends beyond it are rarely wanted
+
+
+def workspace_library(model: ForwardModel) -> ShapeBatch:
+    """
+    Return shapes under random tensions within the limits; seeded, so always the same.
+
+    Tensions concentrate where a section bends by less than three quarters of a turn, and half of
+    the postures leave one of two opposing tendons at its lower limit.
+    """
+    count = 1024 if model.implicit else 4096
+    random = np.random.default_rng(1)
+    low, high = model.limits.T
+    scale = np.minimum(high, low + _useful(model))
+    spread = random.random((count, len(low)))
+    spread *= random.random((count, len(low))) < 0.6
+    top = np.where(random.random((count, 1)) < 0.25, high, scale)
+    inputs = low + spread * (top - low)
+    batch, changes = model.solve(inputs)
+    good = changes < TOLERANCE
+    return replace(batch, **{name: getattr(batch, name)[good] for name in FIELDS})
+
+
+def _useful(model: ForwardModel) -> np.ndarray:
+    """Tension (m,) [N] at which an input alone bends its section by `USEFUL_BEND_RAD` (PCCA)."""
+    cells, offset = model.arrays.cells, model.arrays.offset
+    per_newton = np.linalg.norm(offset, axis=2) / cells[:, 1:2]  # (n, k) [rad/N]
+    sections = cells[:, 4].astype(int)
+    useful = []
+    for members in model.robot.input_tendons:
+        rate = max(
+            sum(per_newton[sections == s, k].sum() for k in members)
+            for s in range(len(model.robot.sections))
+        )
+        useful.append(USEFUL_BEND_RAD / rate)
+    return np.array(useful)
+
+
+# -----------------------------------------------------------------------------
+# The model of a robot: one object for prediction, control, fitting and the mock robot.
+
+Floats = npt.NDArray[np.float64]
+TOLERANCE = 1e-10  # [rad] as in the kernel
+THREADS = 2
+
+
+class ForwardModel:
+    """
+    A frictionless chain of cells plus the physical effects that a robot description lists.
+
+    PCCA is the chain alone; with `tendon_friction` it is the FKM of Kato et al. 2015.
+    """
+
+    def __init__(self, robot: Robot, catalogue: Catalogue | None = None) -> None:
+        """
+        Compile (or load from the cache) the kernel and read the robot.
+
+        Raises
+        ------
+        EffectError, RobotDescriptionError
+            An effect is not known, or a parameter is out of its bounds.
+
+        """
+        self.robot = robot
+        self.catalogue = catalogue or load_catalogue()
+        self.arrays = KernelArrays(robot, self.catalogue)
+        self.inputs = robot.inputs
+        self.limits: Floats = np.array([robot.tension_limits] * len(robot.inputs))
+        self._own = threading.local()
+
+    @property
+    def implicit(self) -> bool:
+        """Whether an effect acts that needs the shape itself."""
+        return bool(self.implicit_effects)
+
+    @property
+    def implicit_effects(self) -> tuple[str, ...]:
+        """Effects that act and need the shape."""
+        friction = any(e.stage == 'eyelet' and self.acts(e.name) for e in self.catalogue)
+        return tuple(
+            e.name
+            for e in self.catalogue
+            if STAGES[e.stage].implicit and self.acts(e.name) and (friction or e.acts_on is None)
+        )
+
+    def acts(self, effect: str) -> bool:
+        """Tell whether an effect is listed with a parameter off its neutral value."""
+        return bool(self.arrays.on[self.arrays.layout.index[effect]])
+
+    @property
+    def remembers(self) -> bool:
+        """Whether friction remembers the loading history."""
+        return any(e.stage == 'memory' and self.acts(e.name) for e in self.catalogue)
+
+    def tensions(self, given: TensionsLike) -> Floats:
+        """
+        Return input tensions (m,) [N] from names or numbers; names left out are slack (0).
+
+        Raises
+        ------
+        InputError
+            Unknown names, or values that are negative or not finite.
+
+        """
+        return tensions_of(self.robot, given)
+
+    def shape(
+        self,
+        tensions: TensionsLike,
+        guess: Floats | None = None,
+        memory: Floats | None = None,
+    ) -> Shape:
+        """
+        Return the shape under input tensions.
+
+        Parameters
+        ----------
+        tensions : mapping or (m,) [N]
+        guess : (n, 2) [rad], optional
+            Bends to start an implicit model from.
+        memory : optional
+            Friction memory of the posture before (`Shape.memory`); default: from straight.
+
+        Raises
+        ------
+        InputError, NoEquilibriumError
+
+        """
+        form = self.form
+        block = np.zeros(form.size + form.memory)
+        block[: form.m] = self.tensions(tensions)
+        if guess is not None:
+            block[form.one['bend'][0]] = np.asarray(guess, float).reshape(-1)
+        if memory is not None:
+            block[form.size :] = memory
+        change = self._postures(self.arrays.address, block, 1, 0, 1, 0, self.scratch, 1)
+        if not change < TOLERANCE:
+            self._refuse(block[None, : form.m], np.array([change]))
+        return Shape(form, block)
+
+    def shapes(self, tensions: npt.ArrayLike, guesses: Floats | None = None) -> ShapeBatch:
+        """
+        Return the shapes under input tensions (b, m) [N], each loaded from straight.
+
+        Raises
+        ------
+        InputError, NoEquilibriumError
+
+        """
+        inputs = tension_rows(self.robot, tensions)
+        batch, changes = self.solve(inputs, guesses)
+        self._refuse(inputs, changes)
+        return batch
+
+    def sequence(self, tensions: npt.ArrayLike, memory: Floats | None = None) -> ShapeBatch:
+        """Return the shapes (b) of postures one after the other; friction remembers."""
+        inputs = tension_rows(self.robot, tensions)
+        past = self.arrays.fresh_memory() if memory is None else memory
+        batch, changes = self.solve(inputs, None, past, carry=True)
+        self._refuse(inputs, changes)
+        return batch
+
+    def solve(
+        self,
+        inputs: Floats,
+        guesses: Floats | None = None,
+        memory: Floats | None = None,
+        carry: bool = False,
+    ) -> tuple[ShapeBatch, Floats]:
+        """
+        Return the shapes under inputs (b, m) [N] and the last changes (b,) [rad].
+
+        A change above `TOLERANCE` marks a posture without equilibrium. `memory` moves on when
+        carried; batches of many postures that carry nothing use both cores.
+        """
+        b, form = len(inputs), self.form
+        block = np.empty(b * form.size)
+        fields = {name: form.rows(block, name, b) for name in FIELDS}
+        fields['inputs'][:] = inputs
+        fields['bend'][:] = 0.0 if guesses is None else guesses
+        past = self.arrays.fresh_memory() if memory is None else memory
+        where, remembered = self.arrays.address, past.ctypes.data
+
+        def part(begin: int, end: int) -> None:
+            self._postures(where, block, b, begin, end, remembered, self.scratch, int(carry))
+
+        if carry or b < 64:
+            part(0, b)
+        else:
+            edges = np.linspace(0, b, THREADS + 1).astype(int).tolist()
+            with ThreadPoolExecutor(THREADS) as pool:
+                list(pool.map(part, edges[:-1], edges[1:]))
+        batch = ShapeBatch(**fields, cell_length=form.cell_length, hinge=form.hinge)
+        return batch, form.rows(block, 'change', b)
+
+    @cached_property
+    def form(self) -> ResultLayout:
+        """Where the results of a posture lie."""
+        chain, cells = self.arrays.chain, self.arrays.cells
+        lengths = np.ascontiguousarray(cells[:, 0])
+        memory = len(self.arrays.fresh_memory())
+        return ResultLayout(chain.n, chain.k, chain.m, memory, lengths, cells[:, 3] > 0.5)
+
+    @cached_property
+    def _postures(self) -> Callable[..., float]:
+        run: Callable[..., float] = self.arrays.part('shape').postures
+        return run
+
+    @cached_property
+    def library(self) -> ShapeBatch:
+        """Shapes all over the workspace, from which a cold search starts."""
+        return workspace_library(self)
+
+    @property
+    def scratch(self) -> int:
+        """Address of this thread's scratch memory."""
+        own = self._own
+        if not hasattr(own, 'address'):
+            own.memory = self.arrays.scratch()
+            own.address = own.memory.ctypes.data
+        address: int = own.address
+        return address
+
+    def measured(self, points: Floats) -> Floats:
+        """Move points (..., 3) [m] from the robot's base frame to the tracker's."""
+        moved = np.array(points, dtype=float, order='C')
+        if self.acts('base_misalignment') if 'base_misalignment' in self.catalogue else False:
+            self.arrays.part('shape').measured(self.arrays.address, moved.reshape(-1, 3))
+        return moved
+
+    def _refuse(self, inputs: Floats, changes: Floats) -> None:
+        bad = np.flatnonzero(~(changes < TOLERANCE))
+        if len(bad):
+            named = ', '.join(
+                f'{name} {value:g} N'
+                for name, value in zip(self.inputs, inputs[bad[0]], strict=True)
+            )
+            where = f'posture {bad[0]} ({named})' if len(inputs) > 1 else named
+            raise NoEquilibriumError(where, self.implicit_effects, float(changes[bad[0]]))

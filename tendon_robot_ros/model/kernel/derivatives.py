@@ -1,0 +1,140 @@
+"""
+Derivatives of an equilibrium by the implicit function theorem.
+
+How the residual changes with a tension or a parameter at the same bends is a difference of
+residuals; one elimination with these as right-hand sides says how the bends follow. What a
+posture shows is then differentiated along both, without solving again.
+"""
+
+import numpy as np
+
+from .layout import (
+    address,
+    chain_at,
+    compiled,
+    entry,
+    floats,
+    keep,
+    memory_in,
+    residual_at,
+    respond_at,
+    work_in,
+    workspace,
+)
+from .shape import mean_pulls, place, wire_pulls
+from .stages import length_acts, stretch_acts
+from .turning import half_turns
+
+TENSION_STEP = 1e-5  # [N]
+
+
+@compiled
+def input_response(chain, inputs, bend, work, past, rows):
+    """Fill how the bends follow the input tensions, rows (m, 2n) [rad/N]."""
+    m, size = chain.m, 2 * chain.n
+    changes, low = np.empty((m, size)), np.empty(size)
+    tension = floats(inputs)
+    for j in range(m):
+        was = tension[j]
+        width = TENSION_STEP + min(was, TENSION_STEP)
+        tension[j] = was + TENSION_STEP
+        residual_at(chain.residual)(
+            chain, inputs, bend, work, past, address(changes) + 8 * size * j
+        )
+        tension[j] = was + TENSION_STEP - width
+        residual_at(chain.residual)(chain, inputs, bend, work, past, address(low))
+        tension[j] = was
+        for q in range(size):
+            changes[j, q] = (changes[j, q] - low[q]) / width
+    residual_at(chain.residual)(chain, inputs, bend, work, past, address(low))
+    respond_at(chain.respond)(chain, bend, address(changes), m, work, past, address(rows))
+    keep(changes)
+    keep(low)
+
+
+@compiled
+def place_as(chain, inputs, bend, work, past):
+    """Fill work.frames, work.origins and, where they matter, work.tensions at given bends."""
+    if length_acts(chain) or stretch_acts(chain):
+        f = np.empty(2 * chain.n)
+        residual_at(chain.residual)(chain, inputs, bend, work, past, address(f))
+        keep(f)
+    half_turns(chain, bend, work)
+    place(chain, bend, work)
+
+
+@compiled
+def move_along(chain, inputs, bend, rows, j, step, trial):
+    """Move input j and the bends, into `trial` (n, 2), along their derivative; undo: minus."""
+    floats(inputs)[j] += step
+    for q in range(2 * chain.n):
+        floats(trial)[q] = floats(bend)[q] + step * rows[j, q]
+
+
+@compiled
+def output_slopes(chain, inputs, there, ways, slopes):
+    """
+    Fill slopes (6 + m, m): tip position [m/N], tip direction [1/N], wire pulls [m/N] by inputs.
+
+    At the bends kept in the workspace, which balance inputs (m,) at an address. `ways` (m, 2n)
+    takes how the bends follow [rad/N].
+    """
+    n, m, bend, work, past = chain.n, chain.m, there.bend, there.work, there.past
+    input_response(chain, inputs, bend, work, past, ways)
+    frames, origins = floats(work.frames), floats(work.origins)
+    slopes[:] = 0.0
+    for j in range(m):
+        was = floats(inputs)[j]
+        down = min(was, TENSION_STEP)
+        for side in range(2):
+            step, sign = (TENSION_STEP, 1.0) if side == 0 else (-down, -1.0)
+            move_along(chain, inputs, bend, ways, j, step, there.near)
+            place_as(chain, inputs, there.near, work, past)
+            floats(inputs)[j] = was
+            wire_pulls(chain, there.near, work, there.pulls)
+            mean_pulls(chain, there.pulls, there.means)
+            scale = sign / (TENSION_STEP + down)
+            for r in range(3):
+                slopes[r, j] += scale * origins[3 * n + r]
+                slopes[3 + r, j] += scale * frames[9 * n + 3 * r + 2]
+            for r in range(m):
+                slopes[6 + r, j] += scale * floats(there.means)[r]
+
+
+@entry()
+def jacobian(robot, inputs, bends, past, scratch, slopes):
+    """Fill `output_slopes` (6 + m, m) at the equilibrium bends[0] of inputs (m,) [N]."""
+    chain = chain_at(robot)
+    there = workspace(chain, bends, past, scratch)
+    output_slopes(chain, address(inputs), there, np.empty((chain.m, 2 * chain.n)), slopes)
+
+
+@entry()
+def residuals(robot, inputs, bends, past, scratch, out):
+    """Fill the residuals `out` (b, n, 2) [rad] at inputs (b, m) [N] and bends (b, n, 2)."""
+    chain = chain_at(robot)
+    work, then = work_in(chain, scratch), memory_in(chain, address(past))
+    for b in range(inputs.shape[0]):
+        at = 16 * chain.n * b
+        residual_at(chain.residual)(
+            chain,
+            address(inputs) + 8 * chain.m * b,
+            address(bends) + at,
+            work,
+            then,
+            address(out) + at,
+        )
+
+
+@entry()
+def responses(robot, inputs, bends, past, scratch, changes, rows):
+    """Fill how equilibrium bends follow, rows (b, q, 2n), rates of the residual (b, q, 2n)."""
+    chain = chain_at(robot)
+    work, then = work_in(chain, scratch), memory_in(chain, address(past))
+    f, count = np.empty(2 * chain.n), rows.shape[1]
+    for b in range(inputs.shape[0]):
+        tension, bend = address(inputs) + 8 * chain.m * b, address(bends) + 16 * chain.n * b
+        residual_at(chain.residual)(chain, tension, bend, work, then, address(f))
+        at = 16 * chain.n * count * b
+        given, ways = address(changes) + at, address(rows) + at
+        respond_at(chain.respond)(chain, bend, given, count, work, then, ways)

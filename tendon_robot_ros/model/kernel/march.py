@@ -1,0 +1,81 @@
+"""
+Cell after cell from the base, where nothing beyond a cell decides about it.
+
+Without loads and with friction that follows the bend of its own cell, all that cell i needs is
+known once those before it are solved. Each is two equations; together they may be so stiff that no
+solver of all cells at once ends: the sign of friction of a tendon across the bend turns with the
+last digit of the bend.
+"""
+
+import numpy as np
+
+from .bending import bend_cell
+from .geometry import straight_travel
+from .layout import address, compiled, floats, residual_at
+from .newton import largest
+from .residual import levers, tendon_moment
+from .stages import arm_acts, offset
+from .sweep import active_stages, base_tensions, pass_eyelet
+from .turning import half_turn
+
+STEP = 1e-7  # [rad] of the differences
+CLOSE = 1e-13  # [rad] residual of a cell that is solved
+MOST = 30
+
+
+@compiled
+def cell_residual(chain, work, past, i, last_x, last_y, x, y):
+    """Residual (x, y) [rad] of cell i, bent by (x, y), behind a cell bent by the last ones."""
+    half, scale = floats(work.half), offset(1.0, chain, 0)
+    half[2 * i], half[2 * i + 1] = half_turn(x * x + y * y)
+    if arm_acts(chain):
+        straight_travel(chain, i, x, y, half[2 * i], half[2 * i + 1], scale, work)
+    arms, factor = levers(chain, work)
+    if i > 0:
+        flags = active_stages(chain, True)
+        pass_eyelet(chain, work, past, i - 1, last_x, last_y, x, y, arms, scale, flags)
+    mx, my, total = tendon_moment(chain, work, i, arms, factor)
+    bx, by = bend_cell(chain, past, i, mx, my, total)
+    return x - bx, y - by
+
+
+@compiled
+def solve_cell_alone(chain, work, past, i, last_x, last_y, x, y):
+    """Newton on the two equations of cell i from (x, y); return its bend."""
+    fx, fy = cell_residual(chain, work, past, i, last_x, last_y, x, y)
+    for _ in range(MOST):
+        if abs(fx) + abs(fy) < CLOSE:
+            break
+        ax, ay = cell_residual(chain, work, past, i, last_x, last_y, x + STEP, y)
+        bx, by = cell_residual(chain, work, past, i, last_x, last_y, x, y + STEP)
+        a, c, b, d = (ax - fx) / STEP, (ay - fy) / STEP, (bx - fx) / STEP, (by - fy) / STEP
+        over = 1.0 / (a * d - b * c)
+        dx, dy = over * (d * fx - b * fy), over * (a * fy - c * fx)
+        share, best = 1.0, abs(fx) + abs(fy)
+        for _ in range(12):
+            gx, gy = cell_residual(
+                chain, work, past, i, last_x, last_y, x - share * dx, y - share * dy
+            )
+            if abs(gx) + abs(gy) < best:
+                break
+            share *= 0.5
+        if not abs(gx) + abs(gy) < best:
+            break
+        x, y, fx, fy = x - share * dx, y - share * dy, gx, gy
+    cell_residual(chain, work, past, i, last_x, last_y, x, y)  # leaves its tensions behind
+    return x, y
+
+
+@compiled
+def march(chain, inputs, x, work, past):
+    """Solve for the bends x (2n,) from the base to the tip; return the residual [rad]."""
+    arms, _ = levers(chain, work)
+    f, last_x, last_y = np.empty(x.shape[0]), 0.0, 0.0
+    base_tensions(chain, inputs, work, arms)
+    for i in range(chain.n):
+        last_x, last_y = solve_cell_alone(
+            chain, work, past, i, last_x, last_y, x[2 * i], x[2 * i + 1]
+        )
+        x[2 * i], x[2 * i + 1] = last_x, last_y
+    residual_at(chain.residual)(chain, inputs, address(x), work, past, address(f))
+    return largest(f)

@@ -1,1 +1,0 @@
-"""The ROS 2 nodes; the only part of the package that imports rclpy."""

@@ -1,0 +1,187 @@
+"""What was reached against what was asked, as a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..common.colours import COLOURS, FLOOR, INK, MEASURED, PREDICTED
+from ..common.files import new_file
+from ..common.words import columns
+from ..paths.run import PathRun
+
+ROWS_PRINTED_MAX = 30  # rows of a table for a person
+
+
+def lines(flight: PathRun) -> list[str]:
+    """Return the table, and what was between the rows."""
+    rows = _tendon_rows(flight) if flight.wanted is not None else _tip_rows(flight)
+    head, *body = rows
+    shown = np.arange(len(body))
+    if len(body) > ROWS_PRINTED_MAX:
+        shown = np.unique(np.linspace(0, len(body) - 1, ROWS_PRINTED_MAX).round().astype(int))
+    said = [columns([head, *(body[i] for i in shown)])]
+    if len(shown) < len(body):
+        said.append(f'{len(shown)} of {len(body)} rows')
+    if flight.wanted is not None:
+        said.insert(0, f'tendons: {", ".join(flight.inputs)}')
+    else:
+        rms, worst, across = flight.on_the_way()
+        said.append(
+            f'on the way: {_mm(rms)} rms and {_mm(worst)} at most from the target of the moment, '
+            f'{_mm(across)} at most from the path'
+        )
+    if not flight.measured:
+        said.append('no tracker: the tip is where the model sees it')
+    return said
+
+
+def _tip_rows(flight: PathRun) -> list[list[str]]:
+    errors, turns = flight.errors(flight.row_times)
+    asked, views = flight.asked_at(flight.row_times)
+    reached, _ = flight.tip_at(flight.row_times)
+    rows = [['row', 'time [s]', 'asked x, y, z [mm]', 'reached [mm]', 'error', 'turned by']]
+    for i, time in enumerate(flight.row_times):
+        turn = '' if np.isnan(views[i]).any() else f'{np.degrees(turns[i]):.2f}°'
+        rows.append(
+            [str(i + 1), f'{time:.2f}', place(asked[i]), place(reached[i]), _mm(errors[i]), turn]
+        )
+    return rows
+
+
+def _tendon_rows(flight: PathRun) -> list[list[str]]:
+    assert flight.wanted is not None
+    scale, unit = (1e3, 'mm') if flight.pull else (1.0, 'N')
+    reached, _ = flight.tip_at(flight.row_times)
+    given = flight.commanded_at(flight.row_times)
+    rows = [['row', 'time [s]', f'asked [{unit}]', f'commanded [{unit}]', 'tip [mm]']]
+    for i, time in enumerate(flight.row_times):
+        asked, came = (
+            ', '.join(f'{scale * v:.2f}' for v in values)
+            for values in (flight.wanted[i], given[i])
+        )
+        rows.append([str(i + 1), f'{time:.2f}', asked, came, place(reached[i])])
+    return rows
+
+
+def place(position: np.ndarray) -> str:
+    """Show a position in mm, without a minus before a zero."""
+    return ', '.join(f'{round(1e3 * value, 1) + 0.0:.1f}' for value in position)
+
+
+def _mm(metres: float) -> str:
+    return f'{1e3 * metres:.2f} mm'
+
+
+# -----------------------------------------------------------------------------
+# What was reached against what was asked, as a picture.
+
+FLAT_WITHIN_SHARE = 0.03  # of the largest extent
+ROWS_DRAWN_MAX = 60  # more marks would hide the path
+PICTURES = ('.png', '.svg', '.pdf')
+
+
+def draw_run(flight: PathRun, path: str | Path, title: str) -> Path:
+    """
+    Draw the path from two sides, the distance from the target, and the commands.
+
+    Parameters
+    ----------
+    flight : PathRun
+        What was flown.
+    path : str or Path
+        Where the picture goes; the ending says the format, one of `PICTURES`.
+    title : str
+        Stands above.
+
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0, 6.5), layout='constrained')
+    sides = {'xz': 0, 'yz': 1}
+    spans = np.ptp(flight.tips, axis=0)
+    if spans[1] < FLAT_WITHIN_SHARE * spans.max():
+        del sides['yz']  # all of it is in the x-z plane
+    left = [*sides]
+    parts = figure.subplot_mosaic(
+        [[*left, 'error'], [*left, 'command']], width_ratios=[*[2.0 / len(left)] * len(left), 1.5]
+    )
+    for name, axis in sides.items():
+        _draw_side(parts[name], flight, axis)
+    _draw_errors(parts['error'], flight)
+    _draw_commands(parts['command'], flight)
+    for axes in parts.values():
+        axes.spines[['top', 'right']].set_visible(False)
+        axes.grid(alpha=0.25)
+    figure.suptitle(title, x=0.01, ha='left', fontsize='medium')
+    with new_file(Path(path)) as draft:
+        figure.savefig(draft, dpi=110)
+    return Path(path)
+
+
+def _draw_side(axes: Any, flight: PathRun, axis: int) -> None:
+    """Draw asked and reached path, with arrows where a row asks for a direction."""
+    reached, _ = flight.tip_at(flight.row_times)
+    if len(flight.asked):
+        asked, views = flight.asked_at(flight.row_times)
+        axes.plot(*_seen(flight.asked, axis), '--', color=FLOOR, linewidth=1.2, label='asked')
+        if len(asked) <= ROWS_DRAWN_MAX:
+            axes.plot(*_seen(asked, axis), 'o', color=FLOOR, markersize=5, fillstyle='none')
+        shown = np.unique(np.linspace(0, len(asked) - 1, min(len(asked), 15)).round().astype(int))
+        for place, view in zip(asked[shown], views[shown], strict=True):
+            if np.isfinite(view).all() and np.hypot(view[axis], view[2]) > 0.1:
+                (x, z), tip = _seen(place, axis), 8.0 * view[[axis, 2]]
+                arrow = {'arrowstyle': '->', 'color': FLOOR}
+                axes.annotate('', (x + tip[0], z + tip[1]), (x, z), arrowprops=arrow)
+    label = 'measured' if flight.measured else 'as the model sees it'
+    colour = _tip_colour(flight)
+    axes.plot(*_seen(flight.tips, axis), '-', color=colour, linewidth=1.0, label=label)
+    if len(reached) <= ROWS_DRAWN_MAX:
+        axes.plot(*_seen(reached, axis), 'x', color=colour, markersize=5)
+    axes.set(xlabel=f'{"xy"[axis]} [mm]', ylabel='z [mm]')
+    axes.set_aspect('equal', adjustable='datalim')
+    if axis == 0:
+        axes.legend(fontsize='small', loc='best')
+
+
+def _tip_colour(flight: PathRun) -> str:
+    return MEASURED if flight.measured else PREDICTED
+
+
+def _seen(places: Any, axis: int) -> tuple[Any, Any]:
+    return 1e3 * places[..., axis], 1e3 * places[..., 2]
+
+
+def _draw_errors(axes: Any, flight: PathRun) -> None:
+    if not len(flight.asked):
+        axes.plot(flight.tip_times, 1e3 * flight.tips, linewidth=1.0, label=['x', 'y', 'z'])
+        axes.set_ylabel('tip [mm]')
+        axes.legend(fontsize='small', ncols=3)
+        return
+    errors, _ = flight.errors(flight.tip_times)
+    axes.plot(
+        flight.tip_times,
+        1e3 * errors,
+        color=_tip_colour(flight),
+        label='from the target of the moment',
+    )
+    axes.plot(flight.tip_times, 1e3 * flight.across(), ':', color=INK, label='from the path')
+    at, _ = flight.errors(flight.row_times)
+    if len(at) <= ROWS_DRAWN_MAX:
+        axes.plot(flight.row_times, 1e3 * at, 'x', color=COLOURS[2], label='at the rows')
+    axes.set(ylabel='error of the tip [mm]', ylim=(0.0, None))
+    axes.legend(fontsize='small')
+
+
+def _draw_commands(axes: Any, flight: PathRun) -> None:
+    scale = 1e3 if flight.pull else 1.0
+    for i, name in enumerate(flight.inputs):
+        colour = COLOURS[i % len(COLOURS)]
+        axes.plot(flight.command_times, scale * flight.commands[:, i], color=colour, label=name)
+        if flight.wanted is not None:
+            axes.plot(flight.row_times, scale * flight.wanted[:, i], 'o', color=colour, ms=4,
+                      fillstyle='none')  # fmt: skip
+    axes.set(xlabel='time [s]', ylabel='wire pull [mm]' if flight.pull else 'tension [N]')
+    axes.legend(fontsize='small', ncols=2)

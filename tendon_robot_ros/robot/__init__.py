@@ -1,0 +1,12 @@
+"""
+The description of a robot: sections, tendons, limits, and the effects of its model.
+
+description.py   YAML to frozen, validated dataclasses and back (docs/robot_file.md)
+urdf.py          the same robot as a URDF with its joints, for RViz and TF
+
+A new key of the description is read and written in description.py.
+"""
+
+from .description import Robot, Section, Tendon, dump_robot, load_robot, parse_robot
+
+__all__ = ['Robot', 'Section', 'Tendon', 'dump_robot', 'load_robot', 'parse_robot']

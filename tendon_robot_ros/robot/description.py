@@ -1,0 +1,296 @@
+"""The robot description: YAML to frozen, validated dataclasses and back (SI units)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ..common.errors import InputError, RobotDescriptionError
+from ..common.yaml_reading import Reader, parse_yaml
+
+__all__ = ['Robot', 'Section', 'Tendon', 'dump_robot', 'load_robot', 'parse_robot']
+
+TOLERANCES = (
+    'bending_stiffness',
+    'cell_stiffness',
+    'cell_kink',
+    'channel_gain',
+    'hole_radius',
+    'pull_zero',
+    'friction_coefficient',
+    'tension_gain',
+    'position',
+    'rotation',
+)
+EffectValues = dict[str, float | tuple[float, ...]]
+
+
+@dataclass(frozen=True)
+class Section:
+    """An independently actuated run of equal-length cells."""
+
+    name: str
+    cells: int
+    cell_length: float  # [m]
+    bending_stiffness: tuple[float, ...]  # (cells,) [N·m/rad]
+    mass_profile: tuple[float, ...]  # (cells,) [1]
+    bends_as: str  # 'arc' or 'hinge'
+
+
+@dataclass(frozen=True)
+class Tendon:
+    """A tendon: its offset from the centroid, the section it ends in, the input that pulls it."""
+
+    name: str
+    base: tuple[float, float]  # [m] at the base
+    end: tuple[float, float]  # [m] where it ends
+    section: str
+    group: str | None = None
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A validated robot description; every field in SI units."""
+
+    name: str
+    sections: tuple[Section, ...]
+    tendons: tuple[Tendon, ...]
+    tension_limits: tuple[float, float]  # [N], of every input
+    effects: dict[str, EffectValues] = field(default_factory=dict)
+    gravity: tuple[float, float, float] | None = None  # [m/s²], base frame, points down
+    tolerances: dict[str, float] = field(default_factory=dict)  # 1 sd
+    fitted: dict[str, Any] = field(default_factory=dict)  # effect -> where its values come from
+    exact: bool = False  # nothing scatters but what `tolerances` declare
+    source: str = 'robot'
+
+    def __repr__(self) -> str:
+        """Say what a person would of the arm."""
+        sections = ', '.join(f'{s.name} of {s.cells} cells' for s in self.sections)
+        return (
+            f'<Robot {self.name}: {1e3 * self.length:.4g} mm; sections: {sections}; '
+            f'{len(self.tendons)} tendons, inputs {", ".join(self.inputs)}; '
+            f'effects: {", ".join(self.effects) or "none (PCCA)"}>'
+        )
+
+    @cached_property
+    def inputs(self) -> tuple[str, ...]:
+        """Names that can be commanded, in file order: a group once, else the tendon."""
+        return tuple(dict.fromkeys(tendon.group or tendon.name for tendon in self.tendons))
+
+    @cached_property
+    def input_tendons(self) -> tuple[tuple[int, ...], ...]:
+        """Indices of the tendons that each input pulls."""
+        return tuple(
+            tuple(k for k, t in enumerate(self.tendons) if (t.group or t.name) == name)
+            for name in self.inputs
+        )
+
+    @cached_property
+    def cells(self) -> int:
+        """Number of cells of all sections."""
+        return sum(section.cells for section in self.sections)
+
+    @cached_property
+    def length(self) -> float:
+        """Length of the straight backbone [m]."""
+        return sum(section.cells * section.cell_length for section in self.sections)
+
+    @cached_property
+    def tendon_cells(self) -> tuple[int, ...]:
+        """Number of cells that each tendon runs through."""
+        total, end = 0, {}
+        for section in self.sections:
+            total += section.cells
+            end[section.name] = total
+        return tuple(end[tendon.section] for tendon in self.tendons)
+
+    def with_effect(self, name: str, values: EffectValues, fitted: Any = None) -> Robot:
+        """Return a copy with an effect added or replaced."""
+        origin = {key: value for key, value in self.fitted.items() if key != name}
+        if fitted is not None:
+            origin[name] = fitted
+        return replace(self, effects={**self.effects, name: dict(values)}, fitted=origin)
+
+    def without_effect(self, name: str) -> Robot:
+        """
+        Return a copy without an effect.
+
+        Raises
+        ------
+        InputError
+            The description does not list that effect.
+
+        """
+        if name not in self.effects:
+            listed = ', '.join(self.effects) or 'none'
+            raise InputError(f'{self.source}: effects: no {name!r} to remove; listed: {listed}')
+        keep = {key: value for key, value in self.effects.items() if key != name}
+        origin = {key: value for key, value in self.fitted.items() if key != name}
+        return replace(self, effects=keep, fitted=origin)
+
+
+LONGEST = 1_000_000  # characters of a description
+
+
+def load_robot(path: str | Path) -> Robot:
+    """
+    Read a robot description from a YAML file.
+
+    Raises
+    ------
+    RobotDescriptionError
+        With file, key, what was expected and what came.
+
+    """
+    path = Path(path)
+    try:
+        with path.open(encoding='utf-8') as file:
+            text = file.read(LONGEST + 1)
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, 'strerror', None) or 'not a text file'
+        raise RobotDescriptionError(str(path), 'file', 'a readable YAML file', reason) from None
+    return parse_robot(text, str(path))
+
+
+def parse_robot(text: str, source: str = 'robot') -> Robot:
+    """Read a robot description from YAML text; `source` names it in messages."""
+    if len(text) > LONGEST:
+        expected = f'at most {LONGEST:,} characters'
+        raise RobotDescriptionError(source, 'file', expected, 'more than that')
+    try:
+        content = parse_yaml(text)
+    except ValueError as error:
+        raise RobotDescriptionError(source, 'file', 'valid YAML', str(error)) from None
+    return _robot(Reader(source, '', content))
+
+
+def _robot(top: Reader) -> Robot:
+    top.only(
+        'name',
+        'sections',
+        'tendons',
+        'tension_limits',
+        'effects',
+        'gravity',
+        'tolerances',
+        'fitted',
+        'exact',
+    )
+    sections = tuple(_section(item) for item in top.items('sections'))
+    top.unique('sections', [section.name for section in sections])
+    names = tuple(section.name for section in sections)
+    tendons = tuple(_tendon(item, names) for item in top.items('tendons'))
+    top.unique('tendons', [tendon.name for tendon in tendons])
+    groups = {tendon.group for tendon in tendons if tendon.group}
+    for tendon in tendons:
+        if tendon.name in groups:
+            raise top.error('tendons', 'group names that are not tendon names', tendon.name)
+    return Robot(
+        name=top.name('name'),
+        sections=sections,
+        tendons=tendons,
+        tension_limits=top.limits('tension_limits'),
+        effects=_effects(top),
+        gravity=top.vector('gravity', 3) if top.has('gravity') else None,
+        tolerances=_tolerances(top),
+        fitted=dict(top.mapping('fitted')),
+        exact=top.flag('exact'),
+        source=top.source,
+    )
+
+
+def _section(item: Reader) -> Section:
+    item.only('name', 'cells', 'cell_length', 'bending_stiffness', 'mass_profile', 'bends_as')
+    cells = item.count('cells')
+    return Section(
+        name=item.name('name'),
+        cells=cells,
+        cell_length=item.number('cell_length', low=1e-6, high=10.0, unit='m'),
+        bending_stiffness=item.per_cell('bending_stiffness', cells, 'N·m/rad'),
+        mass_profile=item.per_cell('mass_profile', cells, '1', default=1.0),
+        bends_as=item.choice('bends_as', ('arc', 'hinge'), default='arc'),
+    )
+
+
+def _tendon(item: Reader, sections: tuple[str, ...]) -> Tendon:
+    item.only('name', 'offset', 'section', 'group')
+    base, end = item.offset('offset')
+    return Tendon(
+        name=item.name('name'),
+        base=base,
+        end=end,
+        section=item.choice('section', sections),
+        group=item.name('group') if item.has('group') else None,
+    )
+
+
+def _effects(top: Reader) -> dict[str, EffectValues]:
+    effects: dict[str, EffectValues] = {}
+    for name in top.mapping('effects'):
+        effect = top.child('effects').child(str(name))
+        effects[str(name)] = {str(key): effect.numbers(str(key)) for key in effect.content}
+    return effects
+
+
+def _tolerances(top: Reader) -> dict[str, float]:
+    tolerances = top.child('tolerances', optional=True)
+    tolerances.only(*TOLERANCES)
+    return {key: tolerances.number(key, low=0.0, high=1.0) for key in tolerances.content}
+
+
+# -----------------------------------------------------------------------------
+# The robot description back to YAML.
+
+
+def dump_robot(robot: Robot) -> str:
+    """Write a robot description as YAML text; `parse_robot` reads the same robot back."""
+    content: dict[str, Any] = {
+        'name': robot.name,
+        'sections': [_plain_section(section) for section in robot.sections],
+        'tendons': [_plain_tendon(tendon) for tendon in robot.tendons],
+        'tension_limits': list(robot.tension_limits),
+    }
+    if robot.gravity is not None:
+        content['gravity'] = list(robot.gravity)
+    if robot.tolerances:
+        content['tolerances'] = dict(robot.tolerances)
+    if robot.exact:
+        content['exact'] = True
+    content['effects'] = {
+        name: {
+            key: list(value) if isinstance(value, tuple) else value
+            for key, value in values.items()
+        }
+        for name, values in robot.effects.items()
+    }
+    if robot.fitted:
+        content['fitted'] = robot.fitted
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True)
+
+
+def _plain_section(section: Section) -> dict[str, Any]:
+    def short(values: tuple[float, ...]) -> float | list[float]:
+        return values[0] if len(set(values)) == 1 else list(values)
+
+    plain = {
+        'name': section.name,
+        'cells': section.cells,
+        'cell_length': section.cell_length,
+        'bending_stiffness': short(section.bending_stiffness),
+    }
+    if set(section.mass_profile) != {1.0}:
+        plain['mass_profile'] = short(section.mass_profile)
+    return {**plain, 'bends_as': section.bends_as}
+
+
+def _plain_tendon(tendon: Tendon) -> dict[str, Any]:
+    straight = tendon.base == tendon.end
+    offset = (
+        list(tendon.base) if straight else {'base': list(tendon.base), 'end': list(tendon.end)}
+    )
+    plain = {'name': tendon.name, 'offset': offset, 'section': tendon.section}
+    return plain if tendon.group is None else {**plain, 'group': tendon.group}

@@ -1,0 +1,11 @@
+"""
+Commands that speak to running nodes, or start them.
+
+demo.py, live.py   whole demonstrations, with their processes
+director.py        takes the arm through postures for live
+follow.py          along a path
+go_to.py           to one place
+record.py          a recording of all that is said
+teleop.py          the keyboard
+robot_model.py     the arm for RViz and Foxglove
+"""

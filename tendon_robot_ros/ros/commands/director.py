@@ -1,0 +1,166 @@
+"""Takes the arm through postures and watches, over topics only."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped, Vector3Stamped
+from numpy.typing import NDArray
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger
+
+from ...common.errors import TendonRobotError
+from ...simulation.rehearsal import TourPosture
+from ..shared.messages import LATCHED, LISTEN, STATE, seconds
+from ..shared.robot_client import RobotClient
+from ..shared.runtime import Ending
+
+Array = NDArray[np.float64]
+STARTING_CODES = (None, 'loading', 'compiling', 'building', 'not_ready')
+POSTURE_STAY_S = 1.0  # [s] at a stop
+TIP_AVERAGE_S = 0.5  # [s] over which the tip is taken there
+TIP_MESSAGES_MIN = 5  # messages in that time
+POSTURE_TIMEOUT_S = 20.0  # [s] for a stop
+RECORDING_TIMEOUT_S = 6.0  # [s] that a posture may take to be recorded: machines are busy
+
+
+class Director(RobotClient):
+    """Speaks to controller, driver and monitor as any other node could."""
+
+    def __init__(self, namespace: str, base: str, ending: Ending) -> None:
+        """Connect."""
+        super().__init__('tour', ending, namespace, base, watched=('monitor',))
+        self.progress, self.verdict = '', dict[str, Any]()
+        self.touring = True  # the page may switch it off
+        self._tips: list[tuple[float, Array]] = []
+        self._errors: list[tuple[float, Array]] = []
+        self._tensions: list[tuple[float, Array]] = []
+        self.create_subscription(PoseStamped, 'measured_tip', self._tip, LISTEN)
+        self.create_subscription(Vector3Stamped, 'monitor/error', self._error, LISTEN)
+        self.create_subscription(JointState, 'tendon_states', self._states, LISTEN)
+        self.create_subscription(String, 'monitor/progress', self._hear_progress, STATE)
+        self.create_subscription(String, 'monitor/verdict', self._hear_verdict, LATCHED)
+        self.create_subscription(Bool, 'tour', self._hear_tour, LATCHED)
+
+    def wait_until_up(self) -> None:
+        """Wait for all nodes."""
+        self.wait(
+            lambda: (
+                self.status.get('code') not in STARTING_CODES
+                and self.statuses['monitor'].get('code') == 'comparing'
+                and self._errors
+                and self.has_listener
+            ),
+            120.0,
+            'controller, driver and monitor to start',
+        )
+
+    def go(self, stop: TourPosture) -> bool:
+        """
+        Send a target and wait until the arm has stood there for a while.
+
+        Returns
+        -------
+        bool
+            Whether it did, and was seen; what `tip` and `tensions` say is then of this posture.
+
+        """
+        stamp, since = self.send(stop.position, stop.direction), [np.inf]
+
+        def stood() -> bool:
+            settled = self.settled(stamp)
+            since[0] = min(since[0], time.monotonic()) if settled else np.inf
+            standing = time.monotonic() - since[0] > POSTURE_STAY_S and self._seen()
+            return standing or not self.touring
+
+        return (
+            self.wait(stood, POSTURE_TIMEOUT_S, 'the arm to stand', strict=False) and self.touring
+        )
+
+    def record(self, stop: TourPosture) -> bool:
+        """Go to a posture and wait until the monitor has recorded it; return whether it did."""
+        before = self.recorded
+        if not self.go(stop):
+            return False
+        return self.wait(
+            lambda: self.recorded > before, RECORDING_TIMEOUT_S, 'a recording', strict=False
+        )
+
+    @property
+    def recorded(self) -> int:
+        """How many postures the monitor has."""
+        return int(self.statuses['monitor'].get('postures', '0'))
+
+    def uses(self, effects: Sequence[str]) -> bool:
+        """Whether controller and monitor have these effects in their model."""
+        models = [values.get('model', '') for values in self.statuses.values()]
+        return all(name in model for name in effects for model in models)
+
+    def tip(self) -> Array:
+        """Return the mean measured tip (3,) [m] over the last moment."""
+        return self._mean(self._tips)
+
+    def error(self) -> float:
+        """Return how far the tip is off [m]: the mean error over the last moment."""
+        return float(np.linalg.norm(self._mean(self._errors)))
+
+    def tensions(self) -> Array:
+        """Return the mean measured tensions (m,) [N] over the last moment."""
+        return self._mean(self._tensions)
+
+    def call(self, name: str) -> str:
+        """Call a Trigger service; raise what it refuses."""
+        client = self.create_client(Trigger, name)
+        self.wait(client.service_is_ready, 20.0, f'the service {name}')
+        future = client.call_async(Trigger.Request())
+        self.wait(future.done, 20.0, f'an answer of {name}')
+        self.destroy_client(client)
+        answer = future.result()
+        if not answer.success:
+            raise TendonRobotError(f'{name}: {answer.message}')
+        return str(answer.message)
+
+    def _recent(self, heard: Sequence[tuple[float, Array]]) -> list[Array]:
+        """Return what was measured lately, by stamps: a busy machine hears late."""
+        now = 1e-9 * self.get_clock().now().nanoseconds
+        recent = [value for at, value in heard if now - at < TIP_AVERAGE_S]
+        return [value for value in recent if np.isfinite(value).all()]
+
+    def _seen(self) -> bool:
+        kinds = (self._tips, self._errors, self._tensions)
+        return all(len(self._recent(heard)) >= TIP_MESSAGES_MIN for heard in kinds)
+
+    def _mean(self, heard: Sequence[tuple[float, Array]]) -> Array:
+        recent = self._recent(heard)
+        return np.array(np.mean(recent, axis=0)) if recent else np.full(3, np.nan)
+
+    def _tip(self, message: PoseStamped) -> None:
+        p = message.pose.position
+        _keep(self._tips, seconds(message.header.stamp), np.array([p.x, p.y, p.z]))
+
+    def _error(self, message: Vector3Stamped) -> None:
+        v = message.vector
+        _keep(self._errors, seconds(message.header.stamp), np.array([v.x, v.y, v.z]))
+
+    def _states(self, message: JointState) -> None:
+        _keep(self._tensions, seconds(message.header.stamp), np.array(message.effort))
+
+    def _hear_progress(self, message: String) -> None:
+        self.progress = message.data
+
+    def _hear_verdict(self, message: String) -> None:
+        self.verdict = json.loads(message.data)
+
+    def _hear_tour(self, message: Bool) -> None:
+        self.touring = message.data
+
+
+def _keep(heard: list[tuple[float, Array]], at: float, value: Array) -> None:
+    heard.append((at, value))
+    while heard[0][0] < at - 2.0 * TIP_AVERAGE_S:
+        heard.pop(0)

@@ -1,0 +1,257 @@
+"""
+Take the running controller along a path: FILE.csv, or what a recording (BAG) was sent.
+
+A CSV file has the columns x,y,z [m] in the base frame; as you like dx,dy,dz (where the tip looks)
+and time [s]. Or time and the robot's tendons, in newtons; in metres where the controller is in
+pull mode. Slower than `time` where the limits ask for it. A table and a picture say what was
+reached.
+
+example: python -m tendon_robot_ros follow sweep.csv --retreat
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...common.errors import InputError
+from ...control.trajectory import Playing
+from ...data.folder.path_file import TendonRows, TipRows, read_path
+from ...data.recording.reader import is_bag, read_moves
+from ...paths.path import TipPath, set_points, tip_path
+from ...paths.plan import Pace, Plan, plan, retreat, stretched, thinned
+from ...paths.run import PathRun
+from ...report.path_run import PICTURES, draw_run, lines
+from ..controller.incoming import POINTS_MAX
+from ..shared.robot_client import Pilot, add_controller
+from ..shared.runtime import ros
+
+HELP = 'take the tip along a path, or replay a recording; say what was reached'
+TARGET_RATE_HZ = 50.0  # [Hz] of targets
+FLAGS = {
+    'backwards': 'from the last row to the first',
+    'retreat': 'at the end go back by the way flown, the whole arm, to where it was before',
+    'hold-direction': 'keep looking where the tip looks now, all along the path',
+    'linear': 'straight lines between rows (default: a smooth curve through them)',
+    'commands': 'of a recording: play its tendon commands, not its targets',
+    'plan': 'say what would be done, move nothing',
+    'anyway': 'start although part of the path is out of reach: as near as it can',
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add, pace = parser.add_argument, Pace()
+    add('path', metavar='FILE', help='CSV file, rosbag2 folder, or .mcap or .db3 file')
+    for name, text in FLAGS.items():
+        add(f'--{name}', action='store_true', help=text)
+    for name, value, text in (
+        ('speed', 1e3 * pace.speed, 'mm/s of the tip'),
+        ('turning', math.degrees(pace.turning), '°/s of its direction'),
+        ('tension-rate', pace.tension, 'N/s of every tension'),
+        ('pull-rate', 1e3 * pace.pull, 'mm/s of every wire, in pull mode'),
+    ):
+        text = f'at most so many {text} (default: {value:.3g})'
+        add(f'--{name}', type=float, default=value, metavar='LIMIT', help=text)
+    add('--picture', default='follow.png', metavar='PNG', help='(default: follow.png)')
+    add_controller(parser)
+
+
+def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
+    """Follow and report; Ctrl-C leaves the arm at the target of the moment."""
+    pace = _pace(args)
+    if Path(args.picture).suffix not in PICTURES:
+        raise InputError(f'--picture {args.picture}: end the name with {", ".join(PICTURES)}')
+    with ros(ros_arguments) as ending:
+        pilot = Pilot('follow', args.controller, ending)
+        try:
+            return _follow(pilot, args, pace)
+        finally:
+            pilot.destroy_node()
+
+
+def _follow(pilot: Pilot, options: argparse.Namespace, pace: Pace) -> int:
+    pilot.connect()
+    rows = _read(options, pilot)
+    if isinstance(rows, TendonRows):
+        flight = _tendons(pilot, rows, options, pace)
+    else:
+        flight = _tips(pilot, rows, options, pace)
+    if flight is None:
+        return 0
+    said = lines(flight)
+    print('\n'.join(said))
+    title = f'{Path(options.path).name}: asked and reached'
+    print(f'picture: {draw_run(flight, options.picture, title)}', flush=True)
+    if options.retreat:
+        run_back(pilot, pace)
+        print('retreated by the way flown')
+    return 0
+
+
+def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) -> PathRun | None:
+    directions = rows.directions
+    if options.hold_direction:
+        directions = np.tile(pilot.tip()[1], (len(rows.positions), 1))
+    if rows.held:
+        assert rows.times is not None
+        path = set_points(rows.times, rows.positions, directions)
+    else:
+        path = tip_path(rows.times, rows.positions, directions, smooth=not options.linear)
+    if options.backwards:
+        path = path.backwards()
+    model = pilot.model()
+    start = model.shape(_tensions(pilot, model.limits))
+    planned = plan(model, path, pace, start)
+    print(_outlook(path, planned, rows.times is not None))
+    if problem := planned.out_of_reach():
+        if not (options.anyway or options.plan):
+            raise InputError(f'{options.path}: {problem}; nothing moved (--anyway would)')
+        print(problem)
+    elif detour := planned.detour():
+        print(detour)
+    return None if options.plan else run_tips(pilot, planned, TARGET_RATE_HZ)
+
+
+def _tendons(
+    pilot: Pilot, rows: TendonRows, options: argparse.Namespace, pace: Pace
+) -> PathRun | None:
+    times, values = rows.times, rows.values
+    if options.backwards:
+        times, values = times[-1] - times[::-1], values[::-1]
+    print(f'{len(times)} rows of {"wire pulls" if pilot.pull else "tensions"}, {times[-1]:.1f} s')
+    if options.plan:
+        return None
+    return run_tendons(pilot, times, values, pace.pull if pilot.pull else pace.tension)
+
+
+def _read(options: argparse.Namespace, pilot: Pilot) -> TipRows | TendonRows:
+    """Read the file, or what a recording was sent: its targets, else its commands."""
+    if not is_bag(options.path):
+        return read_path(options.path, pilot.inputs)
+    moves = read_moves(options.path)
+    if len(moves.targets) and not options.commands:
+        targets = moves.targets
+        times = targets.times - targets.times[0]
+        return TipRows(times, targets.positions, targets.directions, held=True)
+    if moves.inputs and set(moves.inputs) == set(pilot.inputs) and moves.pull == pilot.pull:
+        order = [moves.inputs.index(name) for name in pilot.inputs]
+        kept = np.unique(np.append(np.arange(0, len(moves.commands), 20), len(moves.commands) - 1))
+        times = moves.command_times[kept]
+        return TendonRows(times - times[0], moves.commands[kept][:, order])
+    raise InputError(
+        f'{options.path}: its tendon_command holds {", ".join(moves.inputs) or "nothing"} in '
+        f'{"pull" if moves.pull else "tension"} mode; the controller commands '
+        f'{", ".join(pilot.inputs)} in {"pull" if pilot.pull else "tension"} mode'
+    )
+
+
+def _tensions(pilot: Pilot, limits: np.ndarray) -> np.ndarray:
+    """Return the tensions at which the search begins; in pull mode nobody says them."""
+    return limits[:, 0] if pilot.pull else pilot.commands()[1][-1]
+
+
+def _outlook(path: TipPath, planned: Plan, timed: bool) -> str:
+    length = np.linalg.norm(np.diff(path.positions, axis=0), axis=1).sum()
+    asked = ''
+    if timed and planned.duration > planned.asked + 0.01:
+        asked = f' instead of {planned.asked:.1f} s, to keep the limits'
+    return f'{len(path.rows)} rows, {1e3 * length:.0f} mm of path, {planned.duration:.1f} s{asked}'
+
+
+def _pace(options: argparse.Namespace) -> Pace:
+    given = options.speed, options.turning, options.tension_rate, options.pull_rate
+    names = '--speed', '--turning', '--tension-rate', '--pull-rate'
+    for name, value in zip(names, given, strict=True):
+        if not 0.0 < value < 1e6:
+            raise InputError(f'{name}: expected more than 0, got {value:g}')
+    speed, turning, tension, pull = given
+    return Pace(1e-3 * speed, math.radians(turning), tension, 1e-3 * pull)
+
+
+# -----------------------------------------------------------------------------
+# Flights: a path of the tip or of the tendons sent in time, and what came of it.
+
+Array = NDArray[np.float64]
+APPROACH_TIMEOUT_S = 60.0  # [s] to the first row at most
+
+
+def run_tips(pilot: Pilot, plan: Plan, rate: float) -> PathRun:
+    """Go to the first row of a plan, then send targets in time, and wait until the arm stands."""
+    pilot.clear()
+    stamp = pilot.send(*plan.at(0.0))
+    pilot.settle(stamp, APPROACH_TIMEOUT_S, 'the arm at the first row')
+    pilot.stand()
+    began = due = time.monotonic()
+    sent: list[tuple[float, Array, Array]] = []
+    passed = 0.0
+    while passed < plan.duration or not sent:
+        passed = min(time.monotonic() - began, plan.duration)
+        position, direction = plan.at(passed)
+        stamp = pilot.send(position, direction)
+        view = np.full(3, np.nan) if direction is None else direction
+        sent.append((passed, position, view))
+        due += 1.0 / rate
+        pilot.spin(max(due - time.monotonic(), 0.001))
+        pilot.require_good()
+    pilot.settle(stamp, APPROACH_TIMEOUT_S, 'the arm at the last row')
+    pilot.stand()
+    sent.append((time.monotonic() - began, *sent[-1][1:]))  # a target stands until the next
+    rows = plan.path.times[plan.path.rows].copy()
+    rows[-1] = sent[-1][0]  # the last row counts when the arm stands there
+    return _path_run(pilot, began, sent, rows)
+
+
+def run_tendons(pilot: Pilot, times: Array, values: Array, rate: float) -> PathRun:
+    """Play values (n, m) of the tendons, from where they are; see `stretched` for the rate."""
+    pilot.clear()
+    here = pilot.commands()[1][-1]
+    first = max(float(np.abs(values[0] - here).max()) / rate, 0.05)
+    due = stretched(times, values, rate)
+    sent = thinned(due, values) if len(due) > POINTS_MAX else np.arange(len(due))
+    when = first + due
+    began = time.monotonic()
+    stamp = pilot.play(Playing(when[sent], values[sent]))
+    pilot.settle(stamp, when[-1] + APPROACH_TIMEOUT_S, 'the end of the trajectory')
+    pilot.stand()
+    rows = when.copy()
+    rows[-1] = time.monotonic() - began
+    return replace(_path_run(pilot, began, [], rows), wanted=values)
+
+
+def run_back(pilot: Pilot, pace: Pace) -> None:
+    """Play the commands since the last `clear` backwards: the arm leaves by the way it came."""
+    times, commands = pilot.commands()
+    back = retreat(times, commands, pace.pull if pilot.pull else pace.tension)
+    pilot.clear()
+    stamp = pilot.play(back)
+    pilot.settle(stamp, back.times[-1] + APPROACH_TIMEOUT_S, 'the arm back where it came from')
+
+
+def _path_run(
+    pilot: Pilot, began: float, sent: list[tuple[float, Array, Array]], rows: Array
+) -> PathRun:
+    measured, tip_times, tips, views = pilot.tips()
+    command_times, commands = pilot.commands()
+    seen, given = tip_times >= began, command_times >= began
+    return PathRun(
+        inputs=pilot.inputs,
+        asked_times=np.array([at for at, _, _ in sent]),
+        asked=np.array([place for _, place, _ in sent]).reshape(-1, 3),
+        asked_directions=np.array([view for _, _, view in sent]).reshape(-1, 3),
+        row_times=rows,
+        tip_times=tip_times[seen] - began,
+        tips=tips[seen],
+        tip_directions=views[seen],
+        measured=measured,
+        command_times=command_times[given] - began,
+        commands=commands[given],
+        pull=pilot.pull,
+    )

@@ -1,0 +1,68 @@
+"""
+Send the tip of the running robot to a place [mm] in the base frame, and say where it went.
+
+example: python -m tendon_robot_ros go-to 60 0 170
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...common.errors import InputError
+from ...report.path_run import place
+from ..shared.robot_client import Pilot, add_controller
+from ..shared.runtime import ros
+
+HELP = 'send the tip to a place, say where it went'
+ARRIVAL_TIMEOUT_S = 60.0  # [s]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    for axis in 'xyz':
+        parser.add_argument(axis, type=float, help='[mm]')
+    parser.add_argument(
+        '--direction',
+        type=float,
+        nargs=3,
+        metavar=('DX', 'DY', 'DZ'),
+        help='where the tip is to look, of any length (default: as it comes)',
+    )
+    add_controller(parser)
+
+
+def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
+    """Send a target and wait until the arm stands."""
+    target, along = 1e-3 * np.array([args.x, args.y, args.z]), None
+    if args.direction is not None:
+        along = np.array(args.direction)
+        size = float(np.linalg.norm(along))
+        if not 1e-9 < size < np.inf:
+            raise InputError(f'--direction: expected a direction, got {args.direction}')
+        along /= size
+    with ros(ros_arguments) as ending:
+        pilot = Pilot('go_to', args.controller, ending)
+        try:
+            pilot.connect()
+            pilot.clear()
+            pilot.settle(pilot.send(target, along), ARRIVAL_TIMEOUT_S, 'the arm to stand there')
+            pilot.stand()
+            return _report(pilot, target, along)
+        finally:
+            pilot.destroy_node()
+
+
+def _report(pilot: Pilot, target: np.ndarray, along: np.ndarray | None) -> int:
+    tip, looks = pilot.tip()
+    measured = pilot.tips()[0]
+    miss = f'{1e3 * np.linalg.norm(tip - target):.2f} mm'
+    if along is not None:
+        miss += f' and {np.degrees(np.arccos(np.clip(looks @ along, -1.0, 1.0))):.2f}°'
+    print(
+        f'tip at ({place(tip)}) mm{"" if measured else ", as the model sees it"}: '
+        f'{miss} from the target; {pilot.status["message"]}'
+    )
+    return 0

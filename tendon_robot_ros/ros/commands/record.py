@@ -1,0 +1,202 @@
+"""
+Record what the running robot says, until Ctrl-C: a rosbag2 folder with one .mcap file.
+
+All topics of the namespace are recorded as they come, with their message definitions, so that
+Foxglove, PlotJuggler and `ros2 bag play` open the file. The description of the robot, as the
+controller has it, goes in, too: `compare`, `diagnose`, `plot`, `follow` and `import-bag` take the
+recording as it is.
+
+example: python -m tendon_robot_ros record run1
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from ...common.errors import InputError, TendonRobotError
+from ...data.recording.writer import (
+    DESCRIPTION,
+    ROBOT,
+    STORAGES,
+    STRING,
+    BagWriter,
+    Builder,
+    need_rosbags,
+)
+from ...robot import dump_robot
+from ..shared.files import read_robot
+from ..shared.parameters import RemoteText
+from ..shared.robot_client import add_controller
+from ..shared.runtime import ros
+
+HELP = 'record the running robot to an mcap file'
+TOPICS_LEFT_OUT = ('/rosout', '/parameter_events')
+TOPIC_LOOK_PERIOD_S = 0.5  # [s] between looks for new topics
+POLL_PERIOD_S = 0.02  # [s]
+QUEUE_DEPTH = 2000  # messages of a topic that may wait
+# a robot that moves from posture to posture; its tensions are known to 0.2 %, as in the monitor
+MEASURED = 'path: sequence\ntension_noise: {setting: 0.002}\n'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    named = time.strftime('recording_%Y-%m-%d_%H-%M-%S')
+    parser.add_argument(
+        'output', nargs='?', default=named, metavar='DIR', help='new folder (default: by the time)'
+    )
+    parser.add_argument('--duration', type=float, metavar='S', help='seconds (default: to Ctrl-C)')
+    parser.add_argument(
+        '--topics', nargs='+', default=[], metavar='TOPIC', help='only these (default: all)'
+    )
+    parser.add_argument(
+        '--storage', choices=STORAGES, default='mcap', help='of the folder (default: mcap)'
+    )
+    add_controller(parser)
+
+
+def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
+    """Record until a signal comes or the time is over."""
+    need_rosbags()
+    if args.duration is not None and not args.duration > 0.0:
+        raise InputError(f'--duration: expected more than 0, got {args.duration:g}')
+    with ros(ros_arguments) as ending, BagWriter(args.output, args.storage) as writer:
+        recorder = Recorder(writer, args.controller, args.topics)
+        executor = SingleThreadedExecutor()
+        executor.add_node(recorder)
+        print(f'recording to {args.output}; Ctrl-C ends', flush=True)
+        began = time.monotonic()
+        try:
+            while not ending.signal:
+                executor.spin_once(timeout_sec=POLL_PERIOD_S)
+                recorder.drain()
+                passed = time.monotonic() - began
+                if args.duration is not None and passed >= args.duration:
+                    break
+            recorder.drain()
+        finally:
+            executor.shutdown()
+            recorder.destroy_node()
+    print(recorder.summary(args.output, time.monotonic() - began), flush=True)
+    return 0 if recorder.counts else 1
+
+
+class Polled(CallbackGroup):
+    """
+    Subscriptions that no executor serves: `drain` takes what has come.
+
+    An executor takes one message per wait, which is late on a busy machine; here the time of a
+    message is that of its arrival, however late it is taken.
+    """
+
+    def can_execute(self, entity: object) -> bool:
+        """Keep executors away."""
+        return False
+
+    def beginning_execution(self, entity: object) -> bool:
+        """Keep executors away."""
+        return False
+
+    def ending_execution(self, entity: object) -> None:
+        """Do nothing: nothing was begun."""
+
+
+class Recorder(Node):
+    """Subscribes to whatever is published, raw, and writes it."""
+
+    def __init__(self, writer: BagWriter, controller: str, topics: Sequence[str]) -> None:
+        """Look for topics at once, and again and again."""
+        super().__init__('record')
+        self._writer, self.counts = writer, dict[str, int]()
+        self._only = {self.resolve_topic_name(topic) for topic in topics}
+        self._seen: set[str] = set()
+        self._polled, self._ears = Polled(), list[tuple[str, Any]]()
+        self._robot = RemoteText(self, controller, 'model')
+        self._robot_written = False
+        for topic in (DESCRIPTION, ROBOT):
+            writer.add_topic(topic, STRING, latched=True)
+        self._write_text(DESCRIPTION, MEASURED)
+        self.create_timer(TOPIC_LOOK_PERIOD_S, self._look)
+        self._look()
+
+    def summary(self, output: str, seconds: float) -> str:
+        """Say what was recorded."""
+        total = sum(self.counts.values())
+        said = f'{total} messages of {len(self.counts)} topics in {seconds:.1f} s: {output}'
+        if not total:
+            return f'{said}\nnothing was published here: is the robot running, in this namespace?'
+        if not self._robot_written:
+            said += '\nno description of the robot: name it with --robot when you use this'
+        return f'{said}\nnext: python -m tendon_robot_ros plot {output}'
+
+    def _look(self) -> None:
+        space = self.get_namespace().rstrip('/') + '/'
+        for topic, kinds in self.get_topic_names_and_types():
+            wanted = topic in self._only or (not self._only and topic.startswith(space))
+            if wanted and topic not in self._seen and topic not in TOPICS_LEFT_OUT:
+                publishers = self.get_publishers_info_by_topic(topic)
+                if publishers:
+                    self._seen.add(topic)
+                    self._subscribe(topic, kinds[0], publishers)
+        if not self._robot_written:
+            self._robot.ask(self._write_robot)
+
+    def _subscribe(self, topic: str, kind: str, publishers: Sequence[Any]) -> None:
+        package, _, name = kind.partition('/msg/')
+        profiles = [publisher.qos_profile for publisher in publishers]
+        reliable = all(one.reliability == ReliabilityPolicy.RELIABLE for one in profiles)
+        latched = all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in profiles)
+        try:
+            message = getattr(importlib.import_module(f'{package}.msg'), name)
+            self._writer.add_topic(topic, kind, latched)
+        except Exception as error:  # a type that is not installed, or that rosbags does not know
+            print(f'left out: {topic}: {kind} is not known here ({error})', file=sys.stderr)
+            return
+        qos = QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=QUEUE_DEPTH,
+            reliability=(
+                ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+            ),
+            durability=(
+                DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+            ),
+        )
+        ear = self.create_subscription(
+            message, topic, print, qos, raw=True, callback_group=self._polled
+        )
+        self._ears.append((topic, ear))
+
+    def drain(self) -> None:
+        """Write everything that has come, with the time of its arrival."""
+        for topic, ear in self._ears:
+            with ear.handle:
+                while (taken := ear.handle.take_message(ear.msg_type, True)) is not None:
+                    data, about = taken
+                    time = about['received_timestamp'] or about['source_timestamp']
+                    self.counts[topic] = self.counts.get(topic, 0) + 1
+                    self._writer.write(topic, time or self.get_clock().now().nanoseconds, data)
+
+    def _write_robot(self, text: str) -> None:
+        if self._robot_written:
+            return
+        self._robot_written = True
+        try:
+            robot = dump_robot(read_robot(text))
+        except (TendonRobotError, OSError) as error:
+            print(f'the robot cannot be read: {error}', file=sys.stderr)
+            return
+        self._write_text(ROBOT, robot)
+
+    def _write_text(self, topic: str, text: str) -> None:
+        message = Builder(self._writer.types).string(text)
+        self._writer.write(topic, self.get_clock().now().nanoseconds, message)

@@ -1,0 +1,132 @@
+"""
+The arm for RViz and Foxglove: its URDF, its joints, and its frames where tf2_ros is installed.
+
+Topics: controller/predicted_shape (subscribed); robot_description (latched), cell_joint_states,
+/tf (published). Parameters and units: docs/ros_interface.md.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseArray, TransformStamped
+from numpy.typing import NDArray
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from ...common.errors import TendonRobotError
+from ...robot import Robot
+from ...robot.urdf import joint_angles, joint_names, transforms, urdf
+from ..shared.files import read_robot
+from ..shared.frames import matrix
+from ..shared.messages import LATCHED, LISTEN, STATE, joint_state, quaternion
+from ..shared.parameters import Parameters, RemoteText, Spec
+from ..shared.runtime import run
+
+HELP = 'show RViz and Foxglove the robot: URDF, joints, frames'
+SPECS = (
+    Spec(
+        'robot',
+        '',
+        'robot description: a path, the name of a robot in config/robots, or YAML text; empty: '
+        'that of the controller',
+        read_only=True,
+    ),
+    Spec('controller', 'controller', 'name of the controller node', read_only=True),
+    Spec('frame_prefix', '', 'put before frame names', read_only=True),
+    Spec('publish_tf', True, 'frames of all cells, where tf2_ros is installed', read_only=True),
+)
+ASK_PERIOD_S = 1.0  # [s] between two questions to the controller
+Array = NDArray[np.float64]
+
+
+class RobotModelNode(Node):
+    """Turns predicted shapes into joints and frames of the URDF."""
+
+    def __init__(self) -> None:
+        """Read the robot, or wait for that of the controller."""
+        super().__init__('robot_model')
+        self.parameters = Parameters(self, SPECS)
+        controller = self.parameters['controller']
+        self._robot: Robot | None = None
+        self._prefix, self._problem = '', ''
+        self._description = self.create_publisher(String, 'robot_description', LATCHED)
+        self._joints = self.create_publisher(JointState, 'cell_joint_states', STATE)
+        self._broadcaster: Any = None
+        if self.parameters['publish_tf'] and importlib.util.find_spec('tf2_ros') is not None:
+            from tf2_ros import TransformBroadcaster
+
+            self._broadcaster = TransformBroadcaster(self)
+        self.create_subscription(PoseArray, f'{controller}/predicted_shape', self._shape, LISTEN)
+        self._remote = RemoteText(self, controller, 'model')
+        if self.parameters['robot']:
+            self._take(self.parameters['robot'])
+        else:
+            self.create_timer(ASK_PERIOD_S, self._ask)
+
+    @property
+    def node(self) -> Node:
+        """Return itself, for `run`."""
+        return self
+
+    def start(self) -> None:
+        """Say where the frames are."""
+        if self._broadcaster is None:
+            self.get_logger().info('no tf2_ros, or publish_tf is false: frames are not published')
+
+    def running(self) -> bool:
+        """Go on until a signal comes."""
+        return True
+
+    def end(self, spin: Callable[[float], None]) -> None:
+        """End at once."""
+
+    def _ask(self) -> None:
+        """Ask the controller for its model; effects may change at run time, cells may not."""
+        if self._robot is None:
+            self._remote.ask(self._hear)
+
+    def _hear(self, text: str) -> None:
+        try:
+            self._take(text)
+        except (TendonRobotError, OSError) as error:
+            if str(error) != self._problem:
+                self._problem = str(error)
+                self.get_logger().error(f'the model of the controller: {error}')
+
+    def _take(self, text: str) -> None:
+        robot = read_robot(text)
+        self._robot, self._prefix = robot, f'{self.parameters["frame_prefix"]}{robot.name}_'
+        self._description.publish(String(data=urdf(robot, self._prefix)))
+
+    def _shape(self, message: PoseArray) -> None:
+        robot = self._robot
+        if robot is None or len(message.poses) != robot.cells:
+            return
+        frames = np.array([matrix(pose.orientation) for pose in message.poses])
+        angles = joint_angles(frames)
+        stamp = message.header.stamp
+        self._joints.publish(joint_state(stamp, joint_names(robot), angles))
+        if self._broadcaster is not None:
+            self._broadcaster.sendTransform(stamped(robot, angles, self._prefix, stamp))
+
+
+def stamped(robot: Robot, angles: Array, prefix: str, stamp: object) -> list[TransformStamped]:
+    """Return the frames of all links as messages."""
+    messages = []
+    for parent, child, rotation, up in transforms(robot, angles, prefix):
+        message = TransformStamped(child_frame_id=child)
+        message.header.frame_id, message.header.stamp = parent, stamp
+        message.transform.rotation = quaternion(rotation)
+        message.transform.translation.z = up
+        messages.append(message)
+    return messages
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the node until a signal comes."""
+    return run(RobotModelNode, arguments)

@@ -1,0 +1,209 @@
+"""
+Move the tip with the keyboard; letting go stops it.
+
+Topics: ~/delta_twist remapped to that of the controller (published). Services called: stop and
+reset of the controller. Parameters and units: docs/ros_interface.md.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import termios
+import time
+import tty
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from geometry_msgs.msg import TwistStamped, Vector3
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from ...common.errors import InputError
+from ..shared.messages import COMMAND
+from ..shared.parameters import Parameters, Spec
+from ..shared.runtime import run
+
+HELP = 'move the tip with the keyboard'
+SPECS = (
+    Spec('controller', 'controller', 'name of the controller node', read_only=True),
+    Spec(
+        'robot',
+        'kato_10_1',
+        'name of the robot: its frames are <robot>_base and <robot>_tip',
+        read_only=True,
+    ),
+    Spec('frame_prefix', '', 'put before frame names', read_only=True),
+    Spec('linear_speed', 0.01, 'speed of the tip', 'm/s', 0.0001, 0.5),
+    Spec('angular_speed', 0.3, 'turning speed of the tip', 'rad/s', 0.001, 5.0),
+    Spec('hold', 0.15, 'time after the last repeat of a key until the tip stops', 's', 0.05, 1.0),
+)
+TWIST_RATE_HZ = 50.0  # [Hz]
+
+
+class TeleopNode(Node):
+    """Keys in, twists out."""
+
+    def __init__(self) -> None:
+        """Take the terminal."""
+        super().__init__('teleop')
+        if not sys.stdin.isatty():
+            raise InputError('teleop: expected a terminal to read keys from, got a pipe or file')
+        self.parameters = Parameters(self, SPECS)
+        name = self.parameters['controller']
+        self._twists = self.create_publisher(TwistStamped, f'{name}/delta_twist', COMMAND)
+        self._calls = {
+            key: self.create_client(Trigger, f'{name}/{service}')
+            for key, service in ((' ', 'stop'), ('c', 'reset'))
+        }
+        self._deadman = Deadman(self.parameters['hold'])
+        self._factor, self._in_tip, self._quit, self._moved = 1.0, False, False, False
+        self._keyboard = keyboard()
+        self._keyboard.__enter__()
+        self.create_timer(1.0 / TWIST_RATE_HZ, self._cycle)
+
+    @property
+    def node(self) -> Node:
+        """Return itself, for `run`."""
+        return self
+
+    def start(self) -> None:
+        """Tell the keys."""
+        print(LEGEND, end='', flush=True)
+
+    def running(self) -> bool:
+        """Go on until q."""
+        return not self._quit
+
+    def end(self, spin: Callable[[float], None]) -> None:
+        """Stop the tip and give the terminal back."""
+        self._send([0.0] * 6)
+        self._keyboard.__exit__(None, None, None)
+
+    def _cycle(self) -> None:
+        now = time.monotonic()
+        for key in pressed(0.0):
+            self._press(key, now)
+        scale, self._deadman.hold = self._factor, self.parameters['hold']
+        velocity = self._deadman.velocity(
+            now, scale * self.parameters['linear_speed'], scale * self.parameters['angular_speed']
+        )
+        if velocity is not None or self._moved:  # one zero twist ends it at once
+            self._send(velocity or [0.0] * 6)
+        self._moved = velocity is not None
+
+    def _press(self, key: str, now: float) -> None:
+        if key in MOVES:
+            self._deadman.press(key, now)
+        elif key in ('+', '-'):
+            self._factor = min(max(self._factor * (1.25 if key == '+' else 0.8), 0.05), 10.0)
+            print(f'speed x {self._factor:.2f}')
+        elif key == 't':
+            self._in_tip = not self._in_tip
+            print('axes of the ' + ('tip' if self._in_tip else 'base'))
+        elif key == 'q':
+            self._quit = True
+        elif key in self._calls:
+            self._call(key)
+
+    def _call(self, key: str) -> None:
+        client = self._calls[key]
+        if not client.service_is_ready():
+            print(f'{client.srv_name}: no such service; is the controller running?')
+            return
+        client.call_async(Trigger.Request()).add_done_callback(
+            lambda future: print(f'{client.srv_name}: {future.result().message}')
+        )
+
+    def _send(self, velocity: list[float]) -> None:
+        message = TwistStamped()
+        message.header.stamp = self.get_clock().now().to_msg()
+        axes = 'tip' if self._in_tip else 'base'
+        message.header.frame_id = (
+            f'{self.parameters["frame_prefix"]}{self.parameters["robot"]}_{axes}'
+        )
+        x, y, z, a, b, c = map(float, velocity)
+        message.twist.linear, message.twist.angular = (
+            Vector3(x=x, y=y, z=z),
+            Vector3(x=a, y=b, z=c),
+        )
+        self._twists.publish(message)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the node until q or a signal."""
+    return run(TeleopNode, arguments)
+
+
+# -----------------------------------------------------------------------------
+# Keys of the teleop: which velocity they mean, and for how long.
+
+# key -> (linear x y z, angular x y z), in units of the speeds
+MOVES = {
+    'd': (1, 0, 0, 0, 0, 0),
+    'a': (-1, 0, 0, 0, 0, 0),
+    'w': (0, 1, 0, 0, 0, 0),
+    's': (0, -1, 0, 0, 0, 0),
+    'r': (0, 0, 1, 0, 0, 0),
+    'f': (0, 0, -1, 0, 0, 0),
+    'i': (0, 0, 0, 1, 0, 0),
+    'k': (0, 0, 0, -1, 0, 0),
+    'l': (0, 0, 0, 0, 1, 0),
+    'j': (0, 0, 0, 0, -1, 0),
+}
+ARROWS = {'\x1b[C': 'd', '\x1b[D': 'a', '\x1b[A': 'r', '\x1b[B': 'f'}
+LEGEND = """\
+hold a key to move the tip, let go to stop
+  a d   -x +x  (arrows left, right)      j l   turn about -y +y
+  s w   -y +y                            k i   turn about -x +x
+  f r   -z +z  (arrows down, up)         + -   faster, slower
+  t     base or tip axes                 space stop (latched)   c reset   q quit
+"""
+
+
+@dataclass
+class Deadman:
+    """
+    A velocity that lives only as long as its key repeats.
+
+    Terminals do not tell when a key is let go; they repeat it while it is held. The tip stops
+    `hold` seconds after the last repeat.
+    """
+
+    hold: float = 0.15  # [s]
+    key: str = ''
+    until: float = -1.0
+
+    def press(self, key: str, now: float) -> None:
+        """Take a key."""
+        self.key, self.until = key, now + self.hold
+
+    def velocity(self, now: float, linear: float, angular: float) -> list[float] | None:
+        """Return the six components [m/s, rad/s], or None when nothing is held."""
+        if now >= self.until or self.key not in MOVES:
+            return None
+        speeds = [linear] * 3 + [angular] * 3
+        return [part * speed for part, speed in zip(MOVES[self.key], speeds, strict=True)]
+
+
+@contextmanager
+def keyboard() -> Iterator[None]:
+    """Read single keys from the terminal; it is itself again afterwards."""
+    before = termios.tcgetattr(sys.stdin)
+    tty.setcbreak(sys.stdin)
+    try:
+        yield
+    finally:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+
+
+def pressed(wait: float) -> list[str]:
+    """Return the keys that were pressed, after at most some seconds."""
+    if not select.select([sys.stdin], [], [], wait)[0]:
+        return []
+    text = os.read(sys.stdin.fileno(), 1024).decode(errors='ignore')
+    for arrow, key in ARROWS.items():
+        text = text.replace(arrow, key)
+    return list(text)

@@ -1,0 +1,136 @@
+"""What comes in over the controller's topics, checked and brought into the base frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
+from numpy.typing import NDArray
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectory
+
+from ...control import Refusal, Target, Twist
+from ...control.checks import by_name, check_frame, check_stamp, direction, finite, position
+from ...control.trajectory import Playing, checked
+from ...model.model import Model
+from ..shared.frames import Frames
+from ..shared.messages import seconds
+from ..shared.parameters import Parameters
+
+Array = NDArray[np.float64]
+POINTS_MAX = 500  # of a trajectory: more would hold up the commands while they are read
+
+
+class Incoming:
+    """Turns messages into targets, twists and states; raises `Refusal`."""
+
+    def __init__(self, node: Node, parameters: Parameters, model: Model) -> None:
+        """Begin with a model."""
+        self._node, self._parameters = node, parameters
+        self._frames = Frames(node, '')
+        self.use(model)
+
+    def use(self, model: Model) -> None:
+        """Know the names and limits of a model; frames are named after its robot."""
+        parameters, robot = self._parameters, model.robot
+        prefix = parameters['frame_prefix']
+        self.base = prefix + (parameters['base_frame'] or f'{robot.name}_base')
+        self.tip = prefix + (parameters['tip_frame'] or f'{robot.name}_tip')
+        self._frames.base, self._model = self.base, model
+        self._farthest = 1.5 * robot.length  # [m]
+
+    def pose(self, message: PoseStamped) -> Target:
+        """Return a target with position and approach direction (+z of the orientation)."""
+        rotation, shift = self._header(message.header, 'target_pose')
+        p, q = message.pose.position, message.pose.orientation
+        along = direction([q.x, q.y, q.z, q.w], 'target_pose')
+        place = rotation @ finite([p.x, p.y, p.z], 'target_pose') + shift
+        place = position(place.tolist(), self._farthest, 'target_pose')
+        return Target(place, rotation @ along, _text(message.header))
+
+    def point(self, message: PointStamped) -> Target:
+        """Return a target with a position alone."""
+        rotation, shift = self._header(message.header, 'target_point')
+        p = message.point
+        place = rotation @ finite([p.x, p.y, p.z], 'target_point') + shift
+        place = position(place.tolist(), self._farthest, 'target_point')
+        return Target(place, stamp=_text(message.header))
+
+    def measured_tip(self, message: PoseStamped) -> Array:
+        """Return a measured tip [m]."""
+        rotation, shift = self._header(message.header, 'measured_tip')
+        p = message.pose.position
+        place = rotation @ finite([p.x, p.y, p.z], 'measured_tip') + shift
+        return position(place.tolist(), self._farthest, 'measured_tip')
+
+    def twist(self, message: TwistStamped) -> Twist:
+        """Return a velocity, in the axes of base or tip."""
+        self._stamp(message.header, 'delta_twist')
+        check_frame(message.header.frame_id, [self.base, self.tip], 'delta_twist')
+        linear, angular = message.twist.linear, message.twist.angular
+        values = finite(
+            [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z], 'delta_twist'
+        )
+        if np.abs(values[:3]).max() > 1.0 or np.abs(values[3:]).max() > 10.0:
+            raise Refusal(
+                'too_fast',
+                f'delta_twist: expected at most 1 m/s and 10 rad/s, got {values.tolist()}',
+            )
+        return Twist(values[:3], values[3:], message.header.frame_id == self.tip)
+
+    def states(self, message: JointState) -> tuple[Array, Array]:
+        """Return tensions [N] and wire pulls [m]; nan where not observable."""
+        self._stamp(message.header, 'tendon_states')
+        inputs, names = self._model.inputs, message.name
+        found = []
+        for quantity, values in (('effort', message.effort), ('position', message.position)):
+            values = values or [np.nan] * len(names)
+            found.append(by_name(names, values, inputs, 'tendon_states', quantity))
+            if np.isinf(found[-1]).any():
+                raise Refusal('not_finite', f'tendon_states: {quantity} is infinite')
+        if np.isnan(found).all():
+            raise Refusal('not_finite', 'tendon_states: neither effort nor position is a number')
+        return found[0], found[1]
+
+    def trajectory(self, message: JointTrajectory) -> Playing | None:
+        """Return a trajectory of tensions, or of wire pulls in pull mode; None ends one."""
+        what, pull = 'tendon_trajectory', self._parameters['command_mode'] == 'pull'
+        self._stamp(message.header, what)
+        if not message.points:
+            return None
+        quantity = 'positions' if pull else 'effort'
+        rows = [list(getattr(point, quantity)) for point in message.points]
+        if not any(rows):
+            mode = self._parameters['command_mode']
+            raise Refusal(
+                'mode', f'{what}: the controller is in {mode} mode: expected {quantity}, got none'
+            )
+        inputs = self._model.inputs
+        if len(rows) > POINTS_MAX or len(set(map(len, rows))) > 1:
+            raise Refusal(
+                'length',
+                f'{what}: expected at most {POINTS_MAX} points with {len(inputs)} values of '
+                f'{quantity} each, got {len(rows)} points with {min(map(len, rows))} to '
+                f'{max(map(len, rows))}',
+            )
+        by_name(message.joint_names, rows[0], inputs, what, quantity)
+        order = [message.joint_names.index(name) for name in inputs]
+        values = np.array(rows)[:, order]
+        times = np.array([seconds(point.time_from_start) for point in message.points])
+        limits = None if pull else self._model.limits
+        return replace(checked(times, values, limits, inputs), stamp=_text(message.header))
+
+    def _header(self, header: Header, what: str) -> tuple[Array, Array]:
+        self._stamp(header, what)
+        return self._frames.to_base(header.frame_id, what)
+
+    def _stamp(self, header: Header, what: str) -> None:
+        now = 1e-9 * self._node.get_clock().now().nanoseconds
+        check_stamp(seconds(header.stamp), now, self._parameters['stamp_tolerance'], what)
+
+
+def _text(header: Header) -> str:
+    return f'{header.stamp.sec}.{header.stamp.nanosec:09d}'

@@ -1,0 +1,320 @@
+"""
+The controller node: takes targets of the tip and publishes the tendon commands that reach them.
+
+Topics: ~/target_pose, ~/target_point, ~/delta_twist, ~/tendon_trajectory, tendon_states, stop
+(subscribed);
+tendon_command, ~/predicted_shape, ~/predicted_tip, ~/markers, ~/status, /diagnostics (published).
+Services: ~/stop, ~/reset. Parameters and units: docs/ros_interface.md.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from ...common.errors import TendonRobotError
+from ...control import ControllerCore, Refusal
+from ...control.solver import Worker
+from ...control.status import controller_status
+from ...model.model import Model
+from ..shared.inbox import REASON, Inbox, Received, StopTopic
+from ..shared.lifecycle import LEVELS, ManagedNode, Status
+from ..shared.messages import COMMAND, JOINTS, LATCHED, LISTEN, joint_state
+from ..shared.parameters import Parameters
+from ..shared.runtime import run
+from ..shared.senders import OtherPublishers, Senders, signature
+from . import parameters
+from .incoming import Incoming
+from .model import ModelLoading, Prediction
+
+HELP = 'move the tip to targets: poses, points or twists in, tendon commands out'
+
+TELL_PERIOD = 0.02  # [s]
+DOING = {
+    'loading': 'reading the model',
+    'compiling': 'compiling the model, once; a minute',
+    'building': 'building the library of shapes',
+}
+
+
+class ControllerNode(ManagedNode):
+    """ROS around the controller core; one thread."""
+
+    def __init__(self) -> None:
+        """Declare parameters and begin to load the model; nothing is commanded yet."""
+        super().__init__('controller')
+        self.parameters = Parameters(self, parameters.SPECS)
+        self.status = Status(self)
+        self.core: ControllerCore | None = None
+        self._loading = ModelLoading(self.parameters)
+        self.parameters.watch({'model': self._loading.change}, self._retune)
+        self._incoming: Incoming | None = None
+        self._prediction: Prediction | None = None
+        self._latency = self._told = self._asked = 0.0
+        self._solver: Worker | None = None
+        self._targets: list[Subscription] = []
+        self._signature, self._drivers = signature(self), Senders()
+        self._commands = self.create_publisher(JointState, 'tendon_command', COMMAND)
+        self._controllers = OtherPublishers(self, self._commands)
+        self._measured = Inbox(self, JointState, 'tendon_states', JOINTS)
+        self.create_subscription(PoseStamped, 'measured_tip', self._tip, LISTEN)
+        self._stop_topic = StopTopic(self, self._stop_said, self._stop_gone)
+        if self.parameters['driver_status']:
+            self.create_subscription(
+                DiagnosticStatus, self.parameters['driver_status'], self._driver, LATCHED
+            )
+        self.create_service(Trigger, '~/stop', self._stop)
+        self.create_service(Trigger, '~/reset', self._reset)
+        self.create_timer(1.0 / self.parameters['rate'], self._cycle)
+        self.create_timer(1.0 / self.parameters['shape_rate'], self._predict)
+        self._driver_stopped = ''
+
+    def ready(self) -> bool:
+        """Whether the model is compiled, so that `configure` returns soon."""
+        done = self._loading.done
+        if not done:
+            doing = self._loading.doing
+            self.status.say(LEVELS['warn'], doing, DOING[doing])
+        return done
+
+    def configure(self) -> None:
+        """Load the model."""
+        self.ready()  # says what takes so long, also where a person configures
+        model = self._loading.result()
+        self._loading.accept(model)
+        self._solver = Worker(self._wake)
+        settings = parameters.settings(self.parameters)
+        self.core = ControllerCore(model, settings, self._solver)
+        self.core.driver_says(self._driver_stopped)
+        if self._stop_topic.says:
+            self._stop_said(REASON)
+        self._incoming = Incoming(self, self.parameters, model)
+        self._prediction = Prediction(self, self._incoming.base, model)
+
+    def activate(self) -> None:
+        """Begin to hear targets: who waits for a subscriber sends none in vain."""
+        subscribe = self.create_subscription
+        self._targets = [
+            subscribe(PoseStamped, '~/target_pose', self._pose, COMMAND),
+            subscribe(PointStamped, '~/target_point', self._point, COMMAND),
+            subscribe(TwistStamped, '~/delta_twist', self._twist, LISTEN),
+            subscribe(JointTrajectory, '~/tendon_trajectory', self._trajectory, COMMAND),
+        ]
+
+    def deactivate(self) -> None:
+        """Go silent; the driver then releases the arm."""
+        while self._targets:
+            self.destroy_subscription(self._targets.pop())
+
+    def cleanup(self) -> None:
+        """Forget the model; the next `configure` loads it anew."""
+        if self._prediction is not None:
+            self._prediction.close()
+        if self._solver is not None:
+            self._solver.close()
+        self.core = self._incoming = self._prediction = self._solver = None
+        self._loading.forget()
+
+    def end(self, spin: Callable[[float], None]) -> None:
+        """End; the driver then hears no commands and releases the arm."""
+        self._loading.cancel()
+        super().end(spin)
+
+    def destroy_node(self) -> None:
+        """Hear no more."""
+        self._stop_topic.close()
+        self._measured.close()
+        super().destroy_node()
+
+    def problem(self, message: str) -> None:
+        """Say why a transition was refused."""
+        self.status.say(LEVELS['error'], 'not_ready', message)
+
+    def _pose(self, message: PoseStamped) -> None:
+        self._take('target', lambda core, incoming: core.aim(incoming.pose(message)))
+
+    def _point(self, message: PointStamped) -> None:
+        self._take('target', lambda core, incoming: core.aim(incoming.point(message)))
+
+    def _twist(self, message: TwistStamped) -> None:
+        self._take('target', lambda core, new: core.twist(time.monotonic(), new.twist(message)))
+
+    def _trajectory(self, message: JointTrajectory) -> None:
+        self._take(
+            'target', lambda core, new: core.play(time.monotonic(), new.trajectory(message))
+        )
+
+    def _states(self, heard: Received[JointState]) -> None:
+        def take(core: ControllerCore, incoming: Incoming) -> None:
+            now, measured = time.monotonic(), incoming.states(heard.message)
+            if self._drivers.counts(now, heard.message.header.frame_id, heard):
+                core.measured(now, *measured)
+
+        self._take('states', take)
+
+    def _tip(self, message: PoseStamped) -> None:
+        def take(core: ControllerCore, incoming: Incoming) -> None:
+            core.loop.take(time.monotonic(), core, incoming.measured_tip(message))
+
+        if self.parameters['tip_gain'] > 0.0:
+            self._take('tip', take)
+
+    def _take(self, kind: str, action: Callable[[ControllerCore, Incoming], None]) -> None:
+        """Use a message, or say why not."""
+        core, target = self.core, kind == 'target'
+        if core is None or self._incoming is None:
+            return
+        began = time.monotonic()
+        try:
+            action(core, self._incoming)
+        except Refusal as refusal:
+            core.refusals[kind] = refusal
+            return
+        core.refusals.pop(kind, None)
+        if target:
+            core.refusals.pop('model', None)  # has been said
+            self._asked = began
+
+    def _wake(self) -> None:
+        """Have a target that is solved answered before the next cycle; called by the solver."""
+        if self.executor is not None:
+            self.executor.create_task(self._answer)
+
+    def _answer(self) -> None:
+        """Command what was found at once."""
+        core = self.core
+        if core is None:
+            return
+        before = core.solution
+        core.solver.serve()
+        if core.solution is not before:
+            self._cycle()
+            self._latency = time.monotonic() - self._asked
+
+    def _cycle(self) -> None:
+        """Hear stops and states, publish a command."""
+        self._stop_topic.poll()
+        for heard in self._measured.take():
+            self._states(heard)
+        core, now = self.core, time.monotonic()
+        if core is None or self.phase != 'active':
+            self._idle(now)
+            return
+        self._reload(core)
+        output = core.step(now)
+        if output is not None:
+            pulls = output.pulls
+            tensions = output.tensions if pulls is None else None
+            stamp = self.get_clock().now().to_msg()
+            command = joint_state(stamp, core.model.inputs, pulls, tensions)
+            command.header.frame_id = self._signature
+            self._commands.publish(command)
+        if now - self._told >= TELL_PERIOD:
+            self._told = now
+            self._tell(core, now)
+
+    def _idle(self, now: float) -> None:
+        """Publish that it waits for a transition: the last status would go on being heard."""
+        if now - self._told < TELL_PERIOD:
+            return
+        self._told = now
+        if self.phase == 'inactive':
+            self.status.say(LEVELS['warn'], 'off', 'not active: it commands nothing')
+        elif not self.parameters['autostart']:
+            self.status.say(LEVELS['warn'], 'unconfigured', 'waits to be configured')
+
+    def _tell(self, core: ControllerCore, now: float) -> None:
+        """Publish the status."""
+        said = controller_status(core, now)
+        if self._loading.note:
+            said.values['model'] = self._loading.note
+        said.values['target_to_command'] = f'{1e3 * self._latency:.2f} ms'
+        level, message = LEVELS[said.level], said.message
+        drivers, controllers = self._drivers.others(now), self._controllers.names(now)
+        if drivers or controllers:
+            level = max(level, LEVELS['warn'])
+            message += f'; ignores tendon_states of {drivers}' if drivers else ''
+            message += f'; another publishes tendon_command: {controllers}' if controllers else ''
+        said.values.update({'ignored': drivers, 'other_controllers': controllers})
+        self.status.say(level, said.code, message, said.values)
+
+    def _reload(self, core: ControllerCore) -> None:
+        """Take a model that was asked for and is loaded by now."""
+        if not (self._loading.asked and self._loading.done):
+            return
+        try:
+            model = self._loading.result()
+        except TendonRobotError as error:
+            self._refuse(core, error)
+            return
+        core.set_model(model, lambda error: self._swapped(core, model, error))
+
+    def _swapped(self, core: ControllerCore, model: Model, error: TendonRobotError | None) -> None:
+        """Hear that the model works where the arm is, or why not."""
+        if error is not None:
+            self._refuse(core, error)
+        elif self._incoming is not None and self._prediction is not None:
+            self._incoming.use(model)
+            self._prediction.use(self._incoming.base, model)
+            self._loading.accept(model)
+            core.refusals.pop('model', None)
+            self.get_logger().info(f'model loaded: {self._loading.note}')
+
+    def _refuse(self, core: ControllerCore, error: TendonRobotError) -> None:
+        self._loading.refuse()
+        core.refusals['model'] = Refusal('model', f'the old model stays: {error}')
+
+    def _predict(self) -> None:
+        if self.core is not None and self._prediction is not None:
+            self.core.predict(time.monotonic(), self._prediction.publish)
+
+    def _driver(self, message: DiagnosticStatus) -> None:
+        values = {item.key: item.value for item in message.values}
+        stopped = values.get('stopped') == 'true'
+        self._driver_stopped = values.get('reasons', message.message) if stopped else ''
+        follows = values.get('follows') or self._signature
+        if follows != self._signature:  # it was there first
+            self._driver_stopped = self._driver_stopped or f'it follows {follows}'
+        if self.core is not None:
+            self.core.driver_says(self._driver_stopped)
+
+    def _stop_said(self, reason: str) -> None:
+        if self.core is not None:
+            self.core.stop('stop topic', reason, lasting=True)
+
+    def _stop_gone(self) -> None:
+        if self.core is not None:
+            self.core.latch.cause_gone('stop topic')
+
+    def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self.core is not None
+        response.message = 'stopped; the driver releases the arm; call reset to go on'
+        if self.core is not None:
+            self.core.stop('stop', 'stop was called')
+        return response
+
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = self.core is not None, 'waiting for a target'
+        try:
+            if self.core is not None:
+                self.core.reset()
+        except TendonRobotError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _retune(self) -> None:
+        """Apply changed parameters."""
+        if self.core is not None:
+            self.core.settings = parameters.settings(self.parameters)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the node until a signal comes."""
+    return run(ControllerNode, arguments, first=True)

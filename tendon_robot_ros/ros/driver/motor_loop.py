@@ -1,0 +1,205 @@
+"""The one thread that talks to the motors: supervisor, write, read, in a fixed cycle."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...common.errors import DriverError, MovedError
+from ...drivers import Driver, Reading
+from ...drivers.safety import Decision
+from ...drivers.supervisor import FOLLOWING, LIMP, OFF, RELEASED, Supervisor
+
+Array = NDArray[np.float64]
+T = TypeVar('T')
+ENABLE_TIMEOUT_S = 120.0  # [s] a driver may look for the slack of its wires first
+RAMP_SETTLE_S = 0.1  # [s] that motors lag behind the end of the ramp
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """What one cycle saw and did."""
+
+    reading: Reading
+    decision: Decision
+    duration: float  # [s] without the wait
+    stopped: bool  # a stop is latched
+
+
+class MotorLoop:
+    """
+    Runs a driver that is open.
+
+    Everything that touches driver or supervisor runs in this thread: `call` hands over a
+    function and waits for its result.
+    """
+
+    def __init__(
+        self,
+        driver: Driver,
+        supervisor: Supervisor,
+        period: float,
+        report: Callable[[Cycle], None],
+        hear: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Take what to run; the thread calls `hear` before every cycle and `report` after it."""
+        self.driver, self.supervisor = driver, supervisor
+        self._period, self._report, self._hear = period, report, hear
+        self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._command: Array | None = None
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name='bus', daemon=True)
+        self._off: tuple[str, ...] = driver.inputs
+        self._last: Reading | None = None
+        self._cycles = 0
+        self.crashed: BaseException | None = None
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._thread.start()
+
+    def put(self, command: Array) -> None:
+        """Give the newest command, shape (m,); only the newest counts."""
+        self._command = command
+
+    def call(self, function: Callable[[], T], timeout: float = 5.0) -> T:
+        """Run a function in the thread; raise what it raises."""
+        if not self._thread.is_alive():
+            raise DriverError(f'the bus thread has ended: {self.crashed or "closed"}')
+        result: Future[T] = Future()
+
+        def task() -> None:
+            try:
+                result.set_result(function())
+            except Exception as error:
+                result.set_exception(error)
+
+        self._calls.put(task)
+        try:
+            return result.result(timeout)
+        except TimeoutError:
+            raise DriverError(f'the bus did not answer within {timeout:g} s') from None
+
+    def look(self) -> None:
+        """Wait until what the motors say from now on has been judged."""
+        seen, deadline = self._cycles, time.monotonic() + 1.0
+        while self._cycles < seen + 2 and time.monotonic() < deadline and self._thread.is_alive():
+            time.sleep(self._period / 4.0)
+
+    def activate(self) -> None:
+        """Torque on, from the measured state."""
+        self.call(self._enable, ENABLE_TIMEOUT_S)
+
+    def reset(self) -> None:
+        """Take back latched stops, and what failed searches for slack have wound."""
+        self.supervisor.reset()
+        self.driver.reset()
+
+    def release(self, key: str, reason: str, timeout: float) -> bool:
+        """
+        Ramp to rest and wait for it.
+
+        Returns
+        -------
+        bool
+            Whether the arm is at rest; False after the timeout, or when the thread died.
+
+        """
+        deadline = time.monotonic() + timeout
+        self.call(lambda: self.supervisor.latch.stop(key, reason))
+        while time.monotonic() < deadline and self._thread.is_alive():
+            if self.supervisor.state in (RELEASED, LIMP, OFF):
+                time.sleep(RAMP_SETTLE_S)
+                return True
+            time.sleep(self._period)
+        return False
+
+    def close(self) -> None:
+        """End the thread, then close the driver."""
+        self._ending.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=2.0)
+        self.driver.close()
+
+    def _enable(self) -> None:
+        try:
+            self.driver.enable()
+        except MovedError as error:
+            self.supervisor.latch.stop('enable', str(error))
+            raise
+        self._last = self.driver.read()
+        self._off = ()
+        self.supervisor.start(time.monotonic(), self._last)
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        try:
+            self._last = self.driver.read()
+            while not self._ending.is_set():
+                self._cycle()
+                self._cycles += 1
+                due = max(due + self._period, time.monotonic())
+                time.sleep(max(due - time.monotonic(), 0.0))  # Event.wait costs three times that
+        except Exception as error:
+            self.crashed = error
+            self._rescue()
+
+    def _cycle(self) -> None:
+        began = time.monotonic()
+        self._hear()
+        while not self._calls.empty():
+            self._calls.get()()
+        command, self._command = self._command, None
+        assert self._last is not None
+        decision = self.supervisor.step(began, command, self._last)
+        stopped = bool(self.supervisor.latch)
+        began_again = self._torque(decision)
+        if decision.state not in (OFF, LIMP) and not began_again:
+            self.driver.write(decision.command)
+        self._last = self.driver.read()
+        self._report(Cycle(self._last, decision, time.monotonic() - began, stopped))
+
+    def _torque(self, decision: Decision) -> bool:
+        """
+        Switch torque off where the decision says so, and on again where it may come back.
+
+        Returns
+        -------
+        bool
+            Whether torque came back: the command of this cycle is then void.
+
+        """
+        new = tuple(name for name in decision.off if name not in self._off)
+        if new:
+            self.driver.disable(new)
+            self._off += new
+        back = set(self._off) - set(decision.off)
+        if not back or decision.state != FOLLOWING:
+            return False
+        try:
+            self._enable()
+        except DriverError as error:
+            self.supervisor.latch.stop('enable', f'torque stays off: {error}')
+        return True
+
+    def _rescue(self) -> None:
+        """After an error nobody foresaw: ramp down if the driver still works, else torque off."""
+        try:
+            self.supervisor.latch.stop('crash', f'the driver process failed: {self.crashed}')
+            for _ in range(round(5.0 / self._period)):
+                decision = self.supervisor.step(time.monotonic(), None, self.driver.read())
+                if decision.state not in (OFF, LIMP):
+                    self.driver.write(decision.command)
+                if decision.state in (OFF, LIMP, RELEASED):
+                    return
+                time.sleep(self._period)
+        except Exception:
+            self.driver.disable()

@@ -1,0 +1,284 @@
+"""
+The driver node: puts tendon commands on motors, and lets the arm go safely when they stay away.
+
+Topics: tendon_command, stop (subscribed); tendon_states, ~/status, /diagnostics (published);
+with the mock also measured_tip and measured_shape. Services: ~/stop, ~/reset, ~/reboot.
+Parameters and units: docs/ros_interface.md.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from ...common.errors import TendonRobotError
+from ...control.checks import Refusal, by_name, check_stamp, finite
+from ...drivers.mock import MockDriver
+from ...drivers.supervisor import FOLLOWING, LIMP, OFF, RELEASED, Supervisor
+from ..shared.files import read_robot
+from ..shared.inbox import REASON, Inbox, Received, Service, StopTopic
+from ..shared.lifecycle import ERROR, OK, WARN, ManagedNode, Status
+from ..shared.messages import JOINTS, STATE, joint_state, seconds
+from ..shared.parameters import Parameters
+from ..shared.runtime import asked_to_end, run
+from ..shared.senders import OtherPublishers, Senders, signature
+from . import parameters
+from .mock_arm import MockTracker
+from .motor_loop import Cycle, MotorLoop
+
+HELP = 'drive motors, or a mock arm, from tendon commands'
+MESSAGES = {
+    FOLLOWING: 'following commands',
+    RELEASED: 'released, holding',
+    LIMP: 'released, torque off',
+    OFF: 'torque off',
+    'releasing': 'releasing',
+}
+
+
+class DriverNode(ManagedNode):
+    """ROS around a driver: the bus thread moves the motors, this thread hears and tells."""
+
+    def __init__(self) -> None:
+        """Declare parameters; nothing is opened yet."""
+        super().__init__('driver')
+        self.parameters = Parameters(self, parameters.SPECS)
+        self.parameters.watch({'mock_fault': self._inject}, self._retune)
+        self.status = Status(self)
+        self.bus: MotorLoop | None = None
+        self._tracker: MockTracker | None = None
+        self._refusal: Refusal | None = None
+        self._cycle: Cycle | None = None
+        self._signature, self._senders = signature(self), Senders()
+        self._states = self.create_publisher(JointState, 'tendon_states', STATE)
+        self._drivers = OtherPublishers(self, self._states)
+        self._commands = Inbox(self, JointState, 'tendon_command', JOINTS)
+        stop = Service(self, Trigger, '~/stop', self._stop)  # answers while torque comes on, too
+        self._stop_topic = StopTopic(self, self._stop_said, self._stop_gone, [stop])
+        self.create_service(Trigger, '~/reset', self._reset)
+        self.create_service(Trigger, '~/reboot', self._reboot)
+        self.create_timer(0.05, self._tell)
+
+    def configure(self) -> None:
+        """Read the robot, open the port, begin to read."""
+        robot = read_robot(self.parameters['robot'])
+        if self.parameters['backend'] == 'mock':
+            self.status.say(WARN, 'starting', 'makes the mock arm; compiles it, once: a minute')
+        driver, tracker = parameters.make(robot, self.parameters, self)
+        supervisor = Supervisor(parameters.rules(robot, driver, self.parameters))
+        if hasattr(driver, 'cancelled'):  # it may look long for the slack of its wires
+            driver.cancelled = self._cancelled
+        driver.open()
+        self.bus = MotorLoop(
+            driver, supervisor, 1.0 / self.parameters['rate'], self._report, self._hear
+        )
+        if isinstance(driver, MockDriver):
+            self._tracker = MockTracker(self, driver, tracker, self.parameters)
+        if self._stop_topic.says:
+            self._stop_said(REASON)
+        self.bus.start()
+
+    def activate(self) -> None:
+        """Torque on, from the measured state."""
+        assert self.bus is not None
+        bus = self.bus
+        self.status.say(WARN, 'starting', 'switches torque on; looks for slack first if told')
+        bus.call(lambda: bus.supervisor.latch.forget('inactive'))
+        bus.activate()
+
+    def deactivate(self) -> None:
+        """Ramp to pretension, then torque off if so told."""
+        assert self.bus is not None
+        if self.bus.crashed is not None:  # the thread has already done what it could
+            return
+        if not self.bus.release('inactive', 'the node is not active', self._release_time()):
+            self.get_logger().error('the release did not end in time; torque off')
+            self.bus.call(self.bus.driver.disable)
+
+    def cleanup(self) -> None:
+        """Close the port; torque stays as the release left it."""
+        if self._tracker is not None:
+            self._tracker.close()
+        if self.bus is not None:
+            self.bus.close()
+        self.bus = self._tracker = self._cycle = None
+
+    def running(self) -> bool:
+        """Go on unless the bus thread died."""
+        if self.bus is not None and self.bus.crashed is not None:
+            raise self.bus.crashed
+        return super().running()
+
+    def destroy_node(self) -> None:
+        """Hear no more."""
+        self._stop_topic.close()
+        self._commands.close()
+        super().destroy_node()
+
+    def problem(self, message: str) -> None:
+        """Say why a transition was refused."""
+        self.status.say(ERROR, 'not_ready', message)
+
+    def _release_time(self) -> float:
+        assert self.bus is not None
+        rules = self.bus.supervisor.rules
+        return float(np.max(np.ptp(rules.limits, axis=1)) / rules.release_rate) + 1.0
+
+    def _command(self, heard: Received[JointState]) -> None:
+        if self.bus is None:
+            return
+        message = heard.message
+        try:
+            now = 1e-9 * self.get_clock().now().nanoseconds
+            check_stamp(
+                seconds(message.header.stamp),
+                now,
+                self.parameters['stamp_tolerance'],
+                'tendon_command',
+            )
+            tension = self.bus.driver.mode == 'tension'
+            quantity, values = (
+                ('effort', message.effort) if tension else ('position', message.position)
+            )
+            ordered = by_name(
+                message.name, values, self.bus.driver.inputs, 'tendon_command', quantity
+            )
+            command = finite(ordered.tolist(), 'tendon_command')
+            if self._senders.counts(time.monotonic(), message.header.frame_id, heard):
+                self.bus.put(command)
+                self._refusal = None
+        except Refusal as refusal:
+            self._refusal = refusal
+
+    def _report(self, cycle: Cycle) -> None:
+        """Publish a state; runs in the bus thread."""
+        self._cycle = cycle
+        assert self.bus is not None
+        states = joint_state(
+            self.get_clock().now().to_msg(),
+            self.bus.driver.inputs,
+            cycle.reading.pulls,
+            cycle.reading.tensions,
+        )
+        states.header.frame_id = self._signature
+        self._states.publish(states)
+
+    def _tell(self) -> None:
+        """Publish the status."""
+        cycle, bus = self._cycle, self.bus
+        if bus is None:
+            self._stop_topic.poll()
+        if cycle is None or bus is None:
+            if self.phase == 'unconfigured' and not self.parameters['autostart']:
+                self.status.say(WARN, 'unconfigured', 'waits to be configured')
+            return
+        decision, latched = cycle.decision, bus.supervisor.latch.reasons  # the latch is newer
+        stopped = bool(latched)
+        state = 'releasing' if stopped and decision.state == FOLLOWING else decision.state
+        level = ERROR if stopped else OK if state == FOLLOWING else WARN
+        message = '; '.join(dict.fromkeys([MESSAGES[state], *decision.reasons, *latched]))
+        code = 'stopped' if stopped else state
+        if self._refusal is not None:
+            level, code = max(level, WARN), f'refused_{self._refusal.code}'
+            message = f'{self._refusal}; {message}'
+        beside, senders = self._others()
+        if beside:
+            level, message = max(level, WARN), f'{message}; {beside}'
+        values = {
+            'state': state,
+            'stopped': str(stopped).lower(),
+            'reasons': '; '.join(decision.reasons),
+            'mode': bus.driver.mode,
+            'tension_source': cycle.reading.source,
+            'clipped': ', '.join(decision.clipped),
+            'torque_off': ', '.join(decision.off),
+            'faults': ', '.join(fault.code for fault in cycle.reading.faults),
+            **senders,
+            **bus.driver.describe(),
+        }
+        self.status.say(level, code, message, values)
+
+    def _others(self) -> tuple[str, dict[str, str]]:
+        """Say who else sends commands or states, as a sentence and as values."""
+        now = time.monotonic()
+        first, ignored, drivers = (
+            self._senders.first(now),
+            self._senders.others(now),
+            self._drivers.names(now),
+        )
+        said = [f'follows {first}, ignores tendon_command of {ignored}'] if ignored else []
+        said += [f'another publishes tendon_states: {drivers}'] if drivers else []
+        return '; '.join(said), {'follows': first, 'ignored': ignored, 'other_drivers': drivers}
+
+    def _hear(self) -> None:
+        """Hear what cannot wait; runs in the bus thread before every cycle."""
+        self._stop_topic.poll()
+        for heard in self._commands.take():
+            self._command(heard)
+
+    def _cancelled(self) -> bool:
+        """Whether to end a search for slack; asked in the bus thread."""
+        self._stop_topic.poll()
+        return asked_to_end() or (self.bus is not None and bool(self.bus.supervisor.latch))
+
+    def _stop_said(self, reason: str) -> None:
+        if self.bus is not None:
+            self.bus.supervisor.latch.stop('stop topic', reason, lasting=True)
+
+    def _stop_gone(self) -> None:
+        if self.bus is not None:
+            self.bus.supervisor.latch.cause_gone('stop topic')
+
+    def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self.bus is not None:
+            self.bus.supervisor.latch.stop('stop', 'stop was called')
+        response.success, response.message = True, 'releasing; call reset to go on'
+        return response
+
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        done = 'waiting for commands' if self.phase == 'active' else 'activate it next'
+        return self._try(response, lambda bus: bus.reset(), done)
+
+    def _reboot(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._try(response, lambda bus: bus.driver.reboot(), 'rebooted; call reset next')
+
+    def _try(
+        self, response: Trigger.Response, action: Callable[[MotorLoop], None], done: str
+    ) -> Trigger.Response:
+        response.success, response.message = self.bus is not None, done
+        try:
+            if self.bus is not None:
+                bus = self.bus
+                bus.call(lambda: action(bus))
+            else:
+                response.message = 'the driver is not configured'
+        except TendonRobotError as error:
+            response.success, response.message = False, ' '.join(str(error).split())
+        return response
+
+    def _inject(self, text: str) -> None:
+        """Inject a fault into the mock: CODE or CODE:INPUT,INPUT; empty clears."""
+        driver = None if self.bus is None else self.bus.driver
+        if not isinstance(driver, MockDriver):
+            raise Refusal('mock_fault', 'mock_fault: needs backend mock, configured')
+        if not text:
+            driver.clear()
+            return
+        code, _, names = text.partition(':')
+        driver.inject(code, [name for name in names.split(',') if name])
+
+    def _retune(self) -> None:
+        """Apply changed rates and times."""
+        if self.bus is not None:
+            bus = self.bus
+            made = parameters.rules(bus.driver.robot, bus.driver, self.parameters)
+            bus.supervisor.rules = made
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the node until a signal comes."""
+    return run(DriverNode, arguments, first=True)

@@ -1,0 +1,7 @@
+"""
+The monitor node: model against measurement; monitoring/ decides.
+
+node.py         topics, services, what is published for every frame
+parameters.py   its parameters (docs/ros_interface.md)
+measured.py     what a tracker sends, as markers in the base frame
+"""

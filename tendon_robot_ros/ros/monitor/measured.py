@@ -1,0 +1,161 @@
+"""What a tracker sends, as positions of the markers in the base frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from geometry_msgs.msg import PoseArray, PoseStamped, Quaternion
+from numpy.typing import NDArray
+from rclpy.node import Node
+from std_msgs.msg import Header
+
+from ...common.errors import InputError
+from ...control.checks import Refusal, check_stamp
+from ...monitoring import Monitor
+from ..shared.frames import Frames, matrix
+from ..shared.messages import LISTEN, seconds
+from ..shared.parameters import Parameters
+from .parameters import parsed
+
+Array = NDArray[np.float64]
+STATES_LATE_S = 0.1  # [s] that states may lag before the monitor is told: the driver is silent
+ONE_FRAME_WITHIN_S = 0.02  # [s] stamps of markers on topics of their own that belong to one frame
+
+
+class MarkerInput:
+    """
+    Hears the tracker and hands over frames.
+
+    Parameters
+    ----------
+    node : Node
+    parameters : Parameters
+        Of the monitor.
+    base : str
+        The base frame.
+    monitor : Monitor
+        poses[i] is its markers[i]; a frame waits until states as new as itself are there.
+    take : callable
+        Called with the time [s] of the frame and positions (J, 3) [m], nan where missing.
+
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        parameters: Parameters,
+        base: str,
+        monitor: Monitor,
+        take: Callable[[float, Array], None],
+    ) -> None:
+        """Subscribe."""
+        self._node, self._parameters, self._taker = node, parameters, take
+        self._monitor, self.markers, self.problem = monitor, monitor.markers, ''
+        self._waiting: tuple[float, Array] | None = None
+        self._frames = Frames(node, base)
+        self._fixed = _transform(parameters['tracker_transform'])
+        topics = parsed(parameters, 'measured_markers', dict)
+        self._frame: tuple[float, Array] | None = None
+        if topics:
+            places = {marker.name: index for index, marker in enumerate(self.markers)}
+            for name, topic in topics.items():
+                if str(name) not in places:
+                    raise InputError(
+                        f'measured_markers: expected names of {", ".join(places)}, got {name!r}'
+                    )
+                heard = partial(self._marker, places[str(name)])
+                node.create_subscription(PoseStamped, str(topic), heard, LISTEN)
+        else:
+            node.create_subscription(PoseArray, 'measured_shape', self._shape, LISTEN)
+            node.create_subscription(PoseStamped, 'measured_tip', self._tip, LISTEN)
+        self._shape_at = -np.inf
+
+    def hand_over(self, late: bool = False) -> None:
+        """Hand over the frame that waits if the states are as new, or if it is late."""
+        if self._waiting is not None and (late or self._monitor.states.newest >= self._waiting[0]):
+            frame, self._waiting = self._waiting, None
+            self._taker(*frame)
+
+    def _take(self, at: float, points: Array) -> None:
+        if self._waiting is not None:
+            self.hand_over(late=at - self._monitor.states.newest > STATES_LATE_S)
+        self._waiting = at, points
+        self.hand_over()
+
+    def _shape(self, message: PoseArray) -> None:
+        points = np.array([[p.position.x, p.position.y, p.position.z] for p in message.poses])
+        if len(points) != len(self.markers):
+            self.problem = (
+                f'measured_shape: expected {len(self.markers)} poses, one for each of the markers '
+                f'(nan where it was not seen), got {len(points)}'
+            )
+            return
+        self._shape_at = self._now()
+        self._give(message.header, points, 'measured_shape')
+
+    def _tip(self, message: PoseStamped) -> None:
+        if self._now() - self._shape_at < 1.0:  # the shape says more
+            return
+        self._give(message.header, self._only(len(self.markers) - 1, message), 'measured_tip')
+
+    def _marker(self, index: int, message: PoseStamped) -> None:
+        """Gather markers that come one by one into frames."""
+        at = self._time(message.header)
+        points = self._in_base(message.header, self._only(index, message), 'measured_markers')
+        if points is None:
+            return
+        if self._frame is not None and abs(at - self._frame[0]) > ONE_FRAME_WITHIN_S:
+            self._take(*self._frame)
+            self._frame = None
+        if self._frame is None:
+            self._frame = at, points
+        else:
+            self._frame[1][index] = points[index]
+
+    def _only(self, index: int, message: PoseStamped) -> Array:
+        points = np.full((len(self.markers), 3), np.nan)
+        p = message.pose.position
+        points[index] = p.x, p.y, p.z
+        return points
+
+    def _give(self, header: Header, points: Array, what: str) -> None:
+        found = self._in_base(header, points, what)
+        if found is not None:
+            self._take(self._time(header), found)
+
+    def _in_base(self, header: Header, points: Array, what: str) -> Array | None:
+        try:
+            tolerance = self._parameters['stamp_tolerance']
+            check_stamp(seconds(header.stamp), self._now(), tolerance, what)
+            turn, shift = self._fixed or self._frames.to_base(header.frame_id, what)
+        except Refusal as refusal:
+            self.problem = str(refusal)
+            return None
+        self.problem = ''
+        points = np.where(np.isfinite(points).all(axis=1)[:, None], points, np.nan)
+        return points @ turn.T + shift
+
+    def _time(self, header: Header) -> float:
+        return seconds(header.stamp) or self._now()
+
+    def _now(self) -> float:
+        return 1e-9 * float(self._node.get_clock().now().nanoseconds)
+
+
+def _transform(text: str) -> tuple[Array, Array] | None:
+    if not text.strip():
+        return None
+    try:
+        x, y, z, *q = map(float, text.split())
+        norm = float(np.linalg.norm(q))
+        turn = Quaternion(**dict(zip('xyzw', (np.array(q) / norm).tolist(), strict=True)))
+    except (ValueError, ZeroDivisionError):
+        norm = 0.0
+    if not 0.99 < norm < 1.01:
+        raise InputError(
+            'tracker_transform: expected x y z qx qy qz qw with a quaternion of norm 1, '
+            f'got {text!r}'
+        )
+    return matrix(turn), np.array([x, y, z])

@@ -1,0 +1,13 @@
+"""
+What the nodes share.
+
+messages.py            ROS messages to arrays and back; quality of service of every topic
+frames.py              frames of incoming messages, through TF where it is there
+parameters.py          declared parameters with range and unit; those of another node
+lifecycle.py           nodes that start by themselves; their status
+inbox.py               subscriptions and services that a thread of its own asks; the topic `stop`
+senders.py             several publishers of a topic: whose messages count, who the others are
+runtime.py             running nodes so that they end safe; nodes as processes
+robot_client.py        who speaks to a running robot: waits, sends targets, reads statuses
+files.py               files that come with the package
+"""

@@ -1,0 +1,233 @@
+"""Lifecycle nodes that start by themselves, and keep trying while something is missing."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
+
+from ...common.errors import MovedError, TendonRobotError
+from .messages import LATCHED, STATE
+from .parameters import Parameters, Spec
+
+AUTOSTART = Spec(
+    'autostart',
+    True,
+    'configure and activate by itself, and try again when that fails',
+    read_only=True,
+)
+RETRY_PERIOD_S = 2.0  # [s]
+
+
+class ManagedNode(LifecycleNode):
+    """
+    A lifecycle node whose transitions are plain methods.
+
+    A subclass has `configure`, `activate`, `deactivate` and `cleanup`; each may raise a
+    TendonRobotError, which refuses the transition with its text.
+    """
+
+    parameters: Parameters
+
+    def __init__(self, name: str) -> None:
+        """Begin unconfigured."""
+        super().__init__(name)
+        service = self._service_change_state
+        self._asked_to_change, service.callback = service.callback, self._change
+        self.phase = 'unconfigured'
+        self._tried = -RETRY_PERIOD_S
+        self._last_problem = ''
+
+    @property
+    def node(self) -> LifecycleNode:
+        """Return itself, for `run`."""
+        return self
+
+    def start(self) -> None:
+        """Do nothing yet: `running` starts it, again and again if need be."""
+
+    def running(self) -> bool:
+        """Configure and activate when that is due."""
+        due = self.phase != 'active' and time.monotonic() - self._tried >= RETRY_PERIOD_S
+        if self.parameters['autostart'] and due and self.ready():
+            self._tried = time.monotonic()
+            if self.phase == 'unconfigured':
+                self.trigger_configure()
+            if self.phase == 'inactive':
+                self.trigger_activate()
+        return True
+
+    def end(self, spin: Callable[[float], None]) -> None:
+        """Leave the active state the proper way, then close."""
+        if self.phase == 'active':
+            self.trigger_deactivate()
+        if self.phase == 'inactive':
+            self.trigger_cleanup()
+
+    def ready(self) -> bool:
+        """Whether it makes sense to configure now."""
+        return True
+
+    def _change(self, request: Any, response: Any) -> Any:
+        """Refuse a transition that is not there in this state; rclpy lets it end the process."""
+        try:
+            return self._asked_to_change(request, response)
+        except RCLError as error:
+            wanted = request.transition.label or f'transition {request.transition.id}'
+            self.get_logger().warning(f'refused: {wanted}: the node is {self.phase}: {error}')
+            response.success = False
+            return response
+
+    def configure(self) -> None:
+        """Read what is needed, open what is needed."""
+
+    def activate(self) -> None:
+        """Begin to act."""
+
+    def deactivate(self) -> None:
+        """Stop to act, safely."""
+
+    def cleanup(self) -> None:
+        """Give everything back."""
+
+    def problem(self, message: str) -> None:
+        """Say why a transition was refused."""
+        self.get_logger().error(message)
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Run `configure`."""
+        return self._pass(self.configure, 'inactive')
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Run `activate`."""
+        return self._pass(self.activate, 'active')
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Run `deactivate`; a person who deactivates does not want autostart."""
+        self._tried = float('inf')
+        return self._pass(self.deactivate, 'inactive')
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Run `cleanup`."""
+        self._tried = float('inf')
+        return self._pass(self.cleanup, 'unconfigured')
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Leave whatever state it is in."""
+        self._tried = float('inf')
+        if self.phase == 'active':
+            self._pass(self.deactivate, 'inactive')
+        if self.phase == 'inactive':
+            self._pass(self.cleanup, 'unconfigured')
+        return TransitionCallbackReturn.SUCCESS
+
+    def _pass(self, action: Callable[[], None], phase: str) -> TransitionCallbackReturn:
+        try:
+            action()
+        except TendonRobotError as error:
+            if isinstance(error, MovedError):  # only a person tries that again
+                self._tried = float('inf')
+            self.problem(' '.join(str(error).split()))
+            return TransitionCallbackReturn.FAILURE
+        except Exception:  # rclpy would say nothing
+            self.problem(f'unexpected: {traceback.format_exc()}')
+            raise
+        self.phase = phase
+        return TransitionCallbackReturn.SUCCESS
+
+
+# -----------------------------------------------------------------------------
+# The status of a node: latched on ~/status, and part of /diagnostics.
+
+OK, WARN, ERROR, STALE = (
+    DiagnosticStatus.OK,
+    DiagnosticStatus.WARN,
+    DiagnosticStatus.ERROR,
+    DiagnosticStatus.STALE,
+)
+LEVELS = {'ok': OK, 'warn': WARN, 'error': ERROR}
+STATUS_PERIOD_S = 1.0  # [s] at least so often
+NEWS_INTERVAL_MIN_S = 0.02  # [s] news may come and go with every message
+LOG_PERIOD = 2.0  # [s] the same news is logged no more often than this
+VALUES_INTERVAL_MIN_S = 0.1  # [s] values that change all the time are sent no more often than this
+
+
+class Status:
+    """
+    Publishes a level, a sentence, a code and values.
+
+    A new level, code or fault goes out at once and into the log; changed values go out at most
+    ten times a second, and everything at least once a second.
+    """
+
+    def __init__(self, node: Node) -> None:
+        """Make the publishers."""
+        self._node = node
+        self._name = node.get_fully_qualified_name()
+        self._latched = node.create_publisher(DiagnosticStatus, '~/status', LATCHED)
+        self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', STATE)
+        self._sent: DiagnosticStatus | None = None
+        self._sent_at = 0.0
+        self._key: tuple[bytes, str, str] | None = None
+        self._logged: dict[str, float] = {}
+
+    def say(
+        self, level: bytes, code: str, message: str, values: Mapping[str, str] | None = None
+    ) -> None:
+        """
+        Say how the node is.
+
+        Parameters
+        ----------
+        level : bytes
+            OK, WARN, ERROR or STALE.
+        code : str
+            Short and stable, for programs; also under the key `code`.
+        message : str
+            One sentence for a person.
+        values : mapping, optional
+            More, as text with units; `faults` lists the codes of what is broken.
+
+        """
+        now = time.monotonic()
+        faults = ', '.join(sorted(set((values or {}).get('faults', '').split(', '))))
+        key = level, code, faults
+        news = key != self._key
+        if now - self._sent_at < (NEWS_INTERVAL_MIN_S if news else VALUES_INTERVAL_MIN_S):
+            return
+        status = DiagnosticStatus(
+            level=level,
+            name=self._name,
+            message=message,
+            hardware_id=self._node.get_name(),
+            values=[
+                KeyValue(key=key, value=value)
+                for key, value in {'code': code, **(values or {})}.items()
+            ],
+        )
+        if not news and status == self._sent and now - self._sent_at < STATUS_PERIOD_S:
+            return
+        name = f'{code} {faults}'
+        if news and now - self._logged.get(name, -LOG_PERIOD) >= LOG_PERIOD:
+            self._logged[name] = now
+            self._log(level, f'{code}: {message}')
+        self._key, self._sent, self._sent_at = key, status, now
+        self._latched.publish(status)
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def _log(self, level: bytes, text: str) -> None:
+        logger = self._node.get_logger()
+        if level == OK:
+            logger.info(text)
+        elif level == WARN:
+            logger.warning(text)
+        else:
+            logger.error(text)

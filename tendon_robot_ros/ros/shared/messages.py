@@ -1,0 +1,147 @@
+"""ROS messages to arrays and back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion
+from numpy.typing import NDArray
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from ...common.colours import rgb
+from ...common.rotations import quaternions
+
+Array = NDArray[np.float64]
+
+
+def seconds(stamp: Time) -> float:
+    """Return a stamp in seconds."""
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+
+
+def duration(time: float) -> Duration:
+    """Return a time [s] as a message."""
+    nanoseconds = round(1e9 * time)
+    return Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+
+
+def quaternion(rotation: Array) -> Quaternion:
+    """Return the quaternion of a rotation matrix, shape (3, 3)."""
+    x, y, z, w = quaternions(rotation[None])[0].tolist()
+    return Quaternion(x=x, y=y, z=z, w=w)
+
+
+def pose(position: Array, rotation: Array) -> Pose:
+    """Return a pose."""
+    x, y, z = np.asarray(position).tolist()
+    return Pose(position=Point(x=x, y=y, z=z), orientation=quaternion(rotation))
+
+
+def pose_array(header: Header, positions: Array, rotations: Array) -> PoseArray:
+    """Return poses of positions (n, 3) [m] and rotation matrices (n, 3, 3)."""
+    poses = [
+        Pose(
+            position=Point(x=p[0], y=p[1], z=p[2]),
+            orientation=Quaternion(x=q[0], y=q[1], z=q[2], w=q[3]),
+        )
+        for p, q in zip(positions.tolist(), quaternions(rotations).tolist(), strict=True)
+    ]
+    return PoseArray(header=header, poses=poses)
+
+
+def pose_stamped(header: Header, position: Array, rotation: Array) -> PoseStamped:
+    """Return a stamped pose."""
+    return PoseStamped(header=header, pose=pose(position, rotation))
+
+
+def joint_state(
+    stamp: Time, names: Sequence[str], position: Array | None = None, effort: Array | None = None
+) -> JointState:
+    """Return a joint message: position = wire pull [m], effort = tension [N]."""
+    message = JointState(name=list(names))
+    message.header.stamp = stamp
+    if position is not None:
+        message.position = position.tolist()
+    if effort is not None:
+        message.effort = effort.tolist()
+    return message
+
+
+def arm_markers(
+    header: Header,
+    positions: Array,
+    thickness: float,
+    color: str,
+    name: str,
+) -> MarkerArray:
+    """Return a line from the base through positions (n, 3) [m], and a ball at the tip."""
+    points = [Point(), *(Point(x=p[0], y=p[1], z=p[2]) for p in positions.tolist())]
+    red, green, blue = (level / 255.0 for level in rgb(color))
+    rgba = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+    line = Marker(
+        header=header,
+        ns=name,
+        id=0,
+        type=Marker.LINE_STRIP,
+        action=Marker.ADD,
+        points=points,
+        color=rgba,
+    )
+    line.pose.orientation.w = 1.0
+    line.scale.x = thickness
+    tip = Marker(header=header, ns=name, id=1, type=Marker.SPHERE, action=Marker.ADD, color=rgba)
+    tip.pose.position, tip.pose.orientation.w = points[-1], 1.0
+    tip.scale.x = tip.scale.y = tip.scale.z = 2.0 * thickness
+    return MarkerArray(markers=[line, tip])
+
+
+# -----------------------------------------------------------------------------
+# Quality of service of every topic, in one place.
+
+# commands and set points: none may be lost, only the newest counts
+COMMAND = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+# states, shapes and markers as published: suits reliable and best-effort subscribers
+STATE = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=10,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+# states of joints that may come in several messages: from reliable publishers, too
+JOINTS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=10,
+    reliability=ReliabilityPolicy.BEST_EFFORT,
+    durability=DurabilityPolicy.VOLATILE,
+)
+# states, trackers and velocities as subscribed: hears publishers of either kind
+LISTEN = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.BEST_EFFORT,
+    durability=DurabilityPolicy.VOLATILE,
+)
+# statuses: who comes later still gets the last one
+LATCHED = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+# what several publishers keep for who comes later: the last words of all of them
+LATCHED_BY_MANY = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=50,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)

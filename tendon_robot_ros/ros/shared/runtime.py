@@ -1,0 +1,248 @@
+"""Running a node so that it ends safe: own signal handling, one executor, a safe end."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import signal
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import TracebackType
+from typing import IO, Protocol, Self
+
+import rclpy
+import rclpy.utilities
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from ...common.errors import InputError, TendonRobotError
+from ...common.processes import child_environment, end_with_parent, go_first
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+ECHO = 1.0  # [s] launch passes on the signal that the terminal or systemd has sent to all, too
+
+
+class Ending:
+    """Tells that a signal asked the process to end; one a while later ends it at once."""
+
+    current: Ending | None = None
+
+    def __init__(self) -> None:
+        """Nothing was asked yet."""
+        self.signal = 0
+        self._asked = 0.0
+        Ending.current = self
+
+    def __call__(self, number: int, frame: object) -> None:
+        """Take a signal."""
+        now = time.monotonic()
+        if not self.signal:
+            self.signal, self._asked = number, now
+        elif now - self._asked > ECHO:
+            os._exit(128 + number)
+
+
+def asked_to_end() -> bool:
+    """Whether a signal came; for what takes long and can be cancelled."""
+    return Ending.current is not None and bool(Ending.current.signal)
+
+
+class Runnable(Protocol):
+    """What `run` needs of a node."""
+
+    @property
+    def node(self) -> Node:
+        """The node to spin."""
+
+    def start(self) -> None:
+        """Begin; called once before the first spin."""
+
+    def running(self) -> bool:
+        """Whether to go on; asked after every spin."""
+
+    def end(self, spin: Callable[[float], None]) -> None:
+        """End safe, while messages still go out; `spin` serves callbacks for some seconds."""
+
+
+@contextlib.contextmanager
+def ros(arguments: Sequence[str]) -> Iterator[Ending]:
+    """
+    Hold ROS open; signals set a flag instead of closing it under the safe end.
+
+    Yields
+    ------
+    Ending
+        Its `signal` is the number of the signal that came, or 0.
+
+    """
+    ending = Ending()
+    end_with_parent()
+    try:
+        rclpy.init(args=['node', *arguments], signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # RCLError, UnknownROSArgsError: what a person typed
+        raise InputError(f'ROS arguments: {str(error).split(", at /")[0]}') from None
+    before = {number: signal.signal(number, ending) for number in SIGNALS}
+    try:
+        yield ending
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        rclpy.utilities.try_shutdown()
+
+
+def make_executor() -> Executor:
+    """
+    Return the executor that costs least.
+
+    The one that is driven by events takes half the processor time of the other, which makes a new
+    wait set for every message; it is young, and not in every rclpy.
+    """
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor
+    except ImportError:
+        return SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+def run(make: Callable[[], Runnable], arguments: Sequence[str], first: bool = False) -> int:
+    """
+    Run a node until a signal comes or it ends.
+
+    Parameters
+    ----------
+    make : callable
+        Makes the node.
+    arguments : sequence of str
+        As on the command line.
+    first : bool
+        It moves motors: it goes before other work of the machine, where that is allowed.
+
+    Returns
+    -------
+    int
+        The exit code.
+
+    """
+    if first:
+        go_first()
+    with ros(arguments) as ending:
+        executor = make_executor()
+        runnable = None
+        code = 0
+        try:
+            runnable = make()
+            executor.add_node(runnable.node)
+            runnable.start()
+            gc.freeze()  # what is imported stays: a collection need not look at it
+            while not ending.signal and runnable.running():
+                executor.spin_once(timeout_sec=0.1)
+        except TendonRobotError as error:
+            print('error:', ' '.join(str(error).split()), file=sys.stderr)
+            code = 1
+        except Exception:
+            traceback.print_exc()
+            code = 1
+        finally:
+            if runnable is not None:
+                _end(runnable, executor)
+            executor.shutdown(timeout_sec=1.0)
+    return code
+
+
+def _end(runnable: Runnable, executor: Executor) -> None:
+    def spin(seconds: float) -> None:
+        executor.spin_once(timeout_sec=seconds)
+
+    try:
+        runnable.end(spin)
+    except Exception:  # the end must go on
+        traceback.print_exc()
+    executor.remove_node(runnable.node)
+    runnable.node.destroy_node()
+
+
+# -----------------------------------------------------------------------------
+# Nodes as processes of their own, ended for certain when their starter ends.
+
+
+class NodeProcess:
+    """
+    A node of this package in its own process.
+
+    Parameters
+    ----------
+    name : str
+        As on the command line.
+    parameters : mapping
+        ROS parameters; text is quoted as YAML.
+    namespace : str
+        Both for its topics and for the node.
+    output : file, optional
+        Where its messages go; default: where those of this process go.
+
+    """
+
+    def __init__(
+        self,
+        name: str,
+        parameters: Mapping[str, object],
+        namespace: str = '/',
+        output: IO[str] | None = None,
+        extra: Sequence[str] = (),
+    ) -> None:
+        """Start it; it gets SIGINT when this process dies, however that happens."""
+        arguments = [*ros_arguments(parameters, namespace), *extra]
+        self.name = name
+        self.process = subprocess.Popen(
+            [sys.executable, '-m', 'tendon_robot_ros', name, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            text=True,
+            env=child_environment(),
+            start_new_session=True,
+        )
+
+    def end(self, timeout: float = 5.0) -> int:
+        """Ask it to end safe, wait, and kill it if it does not; return the exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            try:
+                return self.process.wait(timeout)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+        return self.process.wait()
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End it."""
+        self.end()
+
+
+def ros_arguments(parameters: Mapping[str, object], namespace: str) -> list[str]:
+    """Return what a command line says of parameters and namespace."""
+    arguments = ['--ros-args', '-r', f'__ns:={namespace}']
+    for key, value in parameters.items():
+        arguments += ['-p', f'{key}:={_yaml(value)}']
+    return arguments
+
+
+def _yaml(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return '"' + value.replace('\\', '\\\\').replace('"', '\\"').replace('\n', '\\n') + '"'
+    return str(value)

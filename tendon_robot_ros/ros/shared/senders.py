@@ -1,0 +1,90 @@
+"""Several publishers of a topic: the first is followed until it is gone, the others are named."""
+
+from __future__ import annotations
+
+import os
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+from .inbox import Received
+
+GONE_AFTER_S = 1.0  # [s] of silence; a shorter one may be a busy machine
+UNKNOWN = '_NODE_NAME_UNKNOWN_'  # of rmw, while discovery is under way
+UNSIGNED = 'one that does not sign'
+SIGNATURE_LENGTH_MAX, NAMED_MAX = 200, 8  # anybody may send anything
+LOOK_PERIOD_S = 0.25  # [s]
+
+
+def signature(node: Node) -> str:
+    """Return what a node signs its messages with, in their frame_id: name and process."""
+    return f'{node.get_fully_qualified_name()} (process {os.getpid()})'
+
+
+class Senders:
+    """
+    Tells whose messages count.
+
+    A message tells its sender by its signature. Programs of others leave it empty: they are told
+    apart by the numbers that the middleware gives to the messages of a publisher, which grow.
+    """
+
+    def __init__(self) -> None:
+        """Nobody was heard."""
+        self._first: str | None = None
+        self._number = 0
+        self._heard_at = float('-inf')
+        self._others: dict[str, float] = {}  # signature -> when it was heard [s]
+
+    def counts(self, now: float, name: str, heard: Received[object]) -> bool:
+        """Whether a message is of the one to follow; the first to come is followed."""
+        name = name[:SIGNATURE_LENGTH_MAX]
+        known = now - self._heard_at <= GONE_AFTER_S
+        number = heard.number or 0  # 0 where the middleware does not count
+        if known and (name != self._first or 0 < number <= self._number):
+            if name in self._others or len(self._others) < NAMED_MAX:
+                self._others[name] = now
+            return False
+        if name != self._first:
+            self._others = {}
+        self._first, self._number, self._heard_at = name, number, now
+        return True
+
+    def first(self, now: float) -> str:
+        """Return who is followed, '' while there is nobody."""
+        gone = self._first is None or now - self._heard_at > GONE_AFTER_S
+        return '' if gone else self._first or UNSIGNED
+
+    def others(self, now: float) -> str:
+        """Name who is heard besides, '' for nobody."""
+        names = [name for name, at in list(self._others.items()) if now - at <= GONE_AFTER_S]
+        return ', '.join(sorted(name or UNSIGNED for name in names))
+
+
+class OtherPublishers:
+    """Names the nodes that publish what this node publishes, before they have said anything."""
+
+    def __init__(self, node: Node, publisher: Publisher) -> None:
+        """Look for other publishers of the topic of this one."""
+        self._node, self._topic = node, publisher.topic_name
+        self._names, self._looked = '', float('-inf')
+
+    def names(self, now: float) -> str:
+        """Return who is there, '' for nobody; looked up four times a second."""
+        if now - self._looked >= LOOK_PERIOD_S:
+            self._looked, self._names = now, self._look()
+        return self._names
+
+    def _look(self) -> str:
+        if self._node.count_publishers(self._topic) < 2:
+            return ''
+        found = self._node.get_publishers_info_by_topic(self._topic)
+        names = sorted(
+            f'{one.node_namespace.rstrip("/")}/{one.node_name}'
+            for one in found
+            if one.node_name != UNKNOWN  # a moment later it is known
+        )
+        own = self._node.get_fully_qualified_name()
+        if own in names:  # once: another process may have the same name
+            names.remove(own)
+        return ', '.join(names[:NAMED_MAX])

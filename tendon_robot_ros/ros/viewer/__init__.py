@@ -1,0 +1,8 @@
+"""
+The live page in the browser.
+
+node.py         topics and parameters of the viewer
+state.py        what the page shows, gathered from the topics
+page.py         scene and panel, by viser
+page_parts.py   bars, curves and tables of the page
+"""

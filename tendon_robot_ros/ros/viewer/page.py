@@ -1,0 +1,210 @@
+"""The live page: a scene and a panel in the browser, by viser; no ROS in here."""
+
+from __future__ import annotations
+
+import hmac
+import queue
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...common.colours import ERROR, MEASURED, PREDICTED, rgb
+from ...common.errors import DriverError, MissingExtraError
+from . import page_parts
+from .state import ViewState
+
+Array = NDArray[np.float64]
+BUTTONS: tuple[tuple[str, str, str, str | None], ...] = (
+    ('record', '1  Record', 'every posture in which the arm stands still', 'orange'),
+    ('diagnose', '2  Diagnose', 'which physical effect is missing?', 'blue'),
+    ('add', '3  Add what was found', 'to the model of the running controller', 'green'),
+    ('stop', 'STOP', 'release the arm; not a safety-rated stop', 'red'),
+    ('reset', 'Reset', 'after a stop', None),
+)
+
+
+class LivePage:
+    """
+    Serves the page; `commands` holds what people clicked, as (name, value).
+
+    Parameters
+    ----------
+    host, port : str, int
+        Where; beyond this machine commands need the token.
+    token : str
+        Empty: everybody who can open the page may command.
+    size : float
+        Length of the robot [m].
+
+    """
+
+    def __init__(self, host: str, port: int, token: str, size: float) -> None:
+        """Open the port."""
+        try:
+            import viser
+        except ImportError:
+            raise MissingExtraError('viser', 'viewer') from None
+        try:
+            self._server = viser.ViserServer(host=host, port=port, verbose=False)
+        except OSError as error:
+            raise DriverError(f'port {port}: {error.strerror}; choose another port') from None
+        self.commands: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
+        self._token, self._allowed, self._size = token, set[int](), size
+        self._dragging = -np.inf
+        self._shown: dict[str, str] = {}
+        self._scene()
+        self._panel()
+        self._server.on_client_connect(self._welcome)
+
+    @property
+    def port(self) -> int:
+        """The port in use."""
+        return int(self._server.get_port())
+
+    @property
+    def clients(self) -> int:
+        """How many browsers look."""
+        return len(self._server.get_clients())
+
+    def close(self) -> None:
+        """Close the port."""
+        self._server.stop()
+
+    def draw(self, state: ViewState) -> None:
+        """Move the arms."""
+        with self._server.atomic():
+            for name, points in (('measured', state.measured), ('predicted', state.predicted)):
+                if points is not None and len(points):
+                    self._line(name, _chain(points))
+            errors = state.errors()
+            if errors is not None and len(errors):
+                self._line('error', errors)
+            tip = None if state.measured is None else state.measured[-1]
+            if tip is not None and np.isfinite(tip).all() and not state.held:
+                self._target.position = tuple(tip.tolist())
+
+    def tell(self, state: ViewState, now: float) -> None:
+        """Update the panel; only what changed is sent."""
+        times = list(state.times)
+        self._html('statuses', page_parts.statuses(state.statuses(now)))
+        self._html('error', page_parts.big_error(state.rolling(now), state.per_marker()))
+        self._html(
+            'curve',
+            page_parts.curve(times, list(state.rollings), now, state.marks, state.floor),
+        )
+        low, high = state.limits
+        self._html('bars', page_parts.bars(state.inputs, state.tensions, low, high))
+        self._html('verdict', page_parts.verdict(state.verdict))
+        self._html('guide', page_parts.guide(state.guide(), state.progress))
+        label = f'1  Recording ({state.postures})' if state.recording else BUTTONS[0][1]
+        if self._buttons['record'].label != label:
+            self._buttons['record'].label = label
+        if self._buttons['reset'].visible != state.stopped:
+            self._buttons['reset'].visible = state.stopped
+        for name, on in (('diagnose', state.can_diagnose), ('add', state.can_add)):
+            if self._buttons[name].disabled == on:
+                self._buttons[name].disabled = not on
+        if self._tour.value != state.touring:
+            self._tour.value = state.touring
+
+    def _scene(self) -> None:
+        scene, size = self._server.scene, self._size
+        scene.set_up_direction('+z')
+        camera = self._server.initial_camera
+        camera.position = (0.1 * size, -1.75 * size, 0.7 * size)
+        camera.look_at = (0.1 * size, 0.0, 0.45 * size)
+        camera.near = 0.01 * size
+        scene.add_grid('/grid', width=2.0 * size, height=2.0 * size, cell_size=0.1 * size,
+                       section_size=0.5 * size)  # fmt: skip
+        self._lines: dict[str, Any] = {}
+        self._target = scene.add_transform_controls(
+            '/target', scale=0.22 * size, disable_rotations=True, disable_sliders=True,
+            line_width=3.0,
+        )  # fmt: skip
+        self._target.on_update(self._dragged)
+
+    def _line(self, name: str, segments: Array) -> None:
+        """Show segments (s, 2, 3) [m]; as long as their number stays, only points are sent."""
+        points = segments.astype(np.float32)
+        line = self._lines.get(name)
+        if line is not None and line.points.shape == points.shape:
+            line.points = points
+            return
+        colour = rgb({'measured': MEASURED, 'predicted': PREDICTED, 'error': ERROR}[name])
+        thickness = {'error': 0.004}.get(name, 0.02) * self._size
+        self._lines[name] = self._server.scene.add_line_segments(
+            f'/{name}', points, colour, thickness=thickness, thickness_units='world'
+        )
+
+    def _panel(self) -> None:
+        gui = self._server.gui
+        gui.configure_theme(control_width='large', show_logo=False, show_share_button=False)
+        panel = getattr(gui, 'main_panel', None)  # viser 1.0 has none
+        if panel is not None:
+            panel.dock_right()
+        gui.set_panel_label('tendon robot, live')
+        self._boxes: dict[str, Any] = {'legend': gui.add_html(page_parts.legend())}
+        for name in ('error', 'curve', 'guide'):
+            self._boxes[name] = gui.add_html('')
+        self._buttons: dict[str, Any] = {}
+        for button in BUTTONS:
+            self._add_button(*button)
+        self._boxes['verdict'] = gui.add_html('')
+        self._boxes['bars'] = gui.add_html('')
+        self._tour: Any = gui.add_checkbox('tour through postures', True)
+        self._tour.on_update(self._guarded('tour', lambda: bool(self._tour.value)))
+        self._boxes['statuses'] = gui.add_html('')
+
+    def _add_button(self, name: str, label: str, hint: str, colour: Any) -> None:
+        button = self._server.gui.add_button(label, hint=hint, color=colour)
+        button.on_click(self._guarded(name, lambda: None))
+        self._buttons[name] = button
+
+    def _guarded(self, name: str, value: Callable[[], Any]) -> Callable[[Any], None]:
+        """Return a callback that takes a command of a browser that may give it."""
+
+        def clicked(event: Any) -> None:
+            if event.client_id is None:  # this program set the value
+                return
+            if self._token and event.client_id not in self._allowed:
+                if event.client is not None:
+                    event.client.add_notification(
+                        'No token', 'Commands from this page need the token.', color='red'
+                    )
+                return
+            self.commands.put((name, value()))
+
+        return clicked
+
+    def _dragged(self, event: Any) -> None:
+        self._guarded('target', lambda: np.array(self._target.position))(event)
+
+    def _welcome(self, client: Any) -> None:
+        """Place the arm above the panel of a phone; ask a browser for the token, if any."""
+        size = self._size
+        if client.camera.aspect < 0.8:  # there the panel covers the lower right
+            client.camera.position = (0.1 * size, -2.3 * size, 0.0)
+            client.camera.look_at = (0.1 * size, 0.0, -0.45 * size)
+        if not self._token:
+            return
+        field = client.gui.add_text('token', '', order=-1.0)
+
+        @field.on_update
+        def _(event: Any) -> None:
+            if hmac.compare_digest(field.value.encode(), self._token.encode()):
+                self._allowed.add(client.client_id)
+                field.remove()
+
+    def _html(self, name: str, content: str) -> None:
+        if self._shown.get(name) != content:
+            self._shown[name] = content
+            self._boxes[name].content = content
+
+
+def _chain(points: Array) -> Array:
+    """Return segments from the base through points (n, 3) that were seen."""
+    seen = points[np.isfinite(points).all(axis=1)]
+    nodes = np.vstack([np.zeros((1, 3)), seen])
+    return np.stack([nodes[:-1], nodes[1:]], axis=1)

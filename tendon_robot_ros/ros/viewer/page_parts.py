@@ -1,0 +1,187 @@
+"""Pieces of the live page as HTML and SVG: bars, the curve of the error, tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from ...common.colours import ERROR, GOOD, MEASURED, PREDICTED
+from ...common.words import digits, mm
+
+WIDTH, HEIGHT, LEFT, BOTTOM = 360, 140, 40, 22  # [px] of the curve, and of its margins
+CURVE_SPAN_S = 120.0  # [s] that the curve shows
+STYLE = 'font-family:system-ui,sans-serif;font-size:13px;color:#1b1f24;padding:2px 12px'
+
+
+def legend() -> str:
+    """Say which colour is which."""
+    line = '<span style="display:inline-block;width:22px;border-top:{} {}"></span> {}'
+    return (
+        f'<div style="{STYLE}">'
+        + line.format('5px solid', MEASURED, 'measured &nbsp; ')
+        + line.format('5px solid', PREDICTED, 'predicted &nbsp; ')
+        + line.format('2px dashed', ERROR, 'error')
+        + '</div>'
+    )
+
+
+def guide(next_step: str, progress: str) -> str:
+    """Say what to do next, and below it what happened last."""
+    return (
+        f'<div style="{STYLE}"><p id="guide" style="margin:2px 0;font-size:14px">'
+        f'<b>{escape(next_step)}</b></p>'
+        f'<p id="progress" style="margin:2px 0;color:{ERROR}">{escape(progress)}</p></div>'
+    )
+
+
+def big_error(rolling: float, tip: str) -> str:
+    """Show the error now, large."""
+    shown = mm(rolling) if np.isfinite(rolling) else '–'
+    return (
+        f'<div style="{STYLE}">off by <b id="tip-error" style="font-size:24px">{shown}</b> '
+        f'at the tip <span style="color:{ERROR}">{escape(tip)}</span></div>'
+    )
+
+
+def curve(
+    times: Sequence[float], errors: Sequence[float], now: float,
+    marks: Sequence[tuple[float, str]], floor: float | None,
+) -> str:  # fmt: skip
+    """
+    Draw the rolling error over the last two minutes.
+
+    Parameters
+    ----------
+    times, errors : sequence of float
+        [s] and [m].
+    now : float
+        Right edge [s].
+    marks : sequence of (time, text)
+        When an effect was added.
+    floor : float, optional
+        Noise floor of the last diagnosis [m].
+
+    """
+    top = 1.15 * max([1e3 * e for e in errors if np.isfinite(e)] + [0.5])  # [mm]
+    points = ' '.join(
+        f'{_x(now - t):.1f},{_y(1e3 * e, top):.1f}'
+        for t, e in zip(times, errors, strict=True)
+        if now - t <= CURVE_SPAN_S and np.isfinite(e)
+    )
+    line = f'<polyline points="{points}" fill="none" stroke="{MEASURED}" stroke-width="2"/>'
+    recent = [(now - at, text) for at, text in marks if now - at <= CURVE_SPAN_S]
+    parts = [*_axes(top, floor), line, *(_mark(age, text) for age, text in recent)]
+    return (
+        f'<div style="{STYLE}">tip error [mm]<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
+        f'aria-label="tip error over time" style="width:100%;font-size:12px">'
+        f'{"".join(parts)}</svg></div>'
+    )
+
+
+def _x(age: float) -> float:
+    return LEFT + (WIDTH - LEFT) * max(1.0 - age / CURVE_SPAN_S, 0.0)
+
+
+def _y(value: float, top: float) -> float:
+    return (HEIGHT - BOTTOM) * (1.0 - value / top) + 4
+
+
+def _axes(top: float, floor: float | None) -> list[str]:
+    """Draw the grid, and the noise floor [m] as a band; `top` is in mm."""
+    parts = []
+    if floor is not None and np.isfinite(floor):
+        band = _y(0.0, top) - _y(min(1e3 * floor, top), top)
+        parts.append(
+            f'<rect x="{LEFT}" y="{_y(0.0, top) - band:.1f}" width="{WIDTH - LEFT}" '
+            f'height="{band:.1f}" fill="#78828c" opacity="0.25"><title>noise floor</title></rect>'
+        )
+    for value in _ticks(top):
+        parts.append(
+            f'<path d="M{LEFT} {_y(value, top):.1f}H{WIDTH}" stroke="#e0e4e8"/><text '
+            f'x="{LEFT - 5}" y="{_y(value, top) + 4:.1f}" text-anchor="end">{value:g}</text>'
+        )
+    parts.append(f'<text x="{WIDTH}" y="{HEIGHT - 4}" text-anchor="end">now</text>')
+    parts.append(f'<text x="{LEFT}" y="{HEIGHT - 4}">2 minutes ago</text>')
+    return parts
+
+
+def _mark(age: float, text: str) -> str:
+    """Mark when an effect was added."""
+    return (
+        f'<path d="M{_x(age):.1f} 4V{HEIGHT - BOTTOM + 4}" stroke="{PREDICTED}" stroke-width="2" '
+        f'stroke-dasharray="5 3"/><text x="{_x(age) - 4:.1f}" y="16" text-anchor="end" '
+        f'fill="{PREDICTED}">added {escape(text)}</text>'
+    )
+
+
+def bars(names: Sequence[str], tensions: Sequence[float], low: float, high: float) -> str:
+    """Draw the tensions [N] against their limits."""
+    rows = []
+    for name, value in zip(names, tensions, strict=True):
+        known = bool(np.isfinite(value))
+        share = min(max(value / high, 0.0), 1.0) if known else 0.0
+        at_limit = known and (value >= 0.99 * high)
+        colour, note = (MEASURED, ' at its limit') if at_limit else (PREDICTED, '')
+        said = f'{value:.2f} N{note}' if known else 'not observable'
+        rows.append(
+            f'<tr><td>{escape(name)}</td><td style="width:55%"><div style="position:relative;'
+            'background:#e6e9ed;height:12px;border-radius:3px">'
+            f'<div style="background:{colour};width:{100 * share:.1f}%;height:12px;'
+            'border-radius:3px"></div>'
+            f'<div title="lower limit" style="position:absolute;left:{100 * low / high:.1f}%;'
+            'top:-2px;width:2px;height:16px;background:#1b1f24"></div></div></td>'
+            f'<td style="text-align:right;white-space:nowrap">{said}</td></tr>'
+        )
+    return (
+        f'<div style="{STYLE}">tensions, limits {low:g} to {high:g} N'
+        f'<table style="width:100%">{"".join(rows)}</table></div>'
+    )
+
+
+def verdict(found: Mapping[str, Any], count: int = 6) -> str:
+    """Show verdict, remainder and the best candidates."""
+    if not found:
+        return ''
+    sentences = [str(found.get(key) or '') for key in ('sentence', 'remainder')]
+    rows = []
+    for row in found.get('candidates', [])[:count]:
+        values = ', '.join(
+            f'{key} {digits(v["value"], 3)} {v["unit"]}'.removesuffix(' 1')
+            for key, v in row['parameters'].items()
+            if v.get('value') is not None
+        )
+        explained = row.get('explained')
+        share = '–' if explained is None else f'{100 * explained:.0f} %'
+        rows.append(
+            f'<tr><td>{escape(row["name"])}</td><td>{escape(values)}</td>'
+            f'<td style="text-align:right">{share}<br><small>{escape(row["status"])}</small></td>'
+            '</tr>'
+        )
+    head = '<tr><th>effect</th><th>value</th><th>explains</th></tr>' if rows else ''
+    said = ''.join(f'<p style="margin:4px 0">{escape(s)}</p>' for s in sentences if s)
+    return (
+        f'<div id="verdict" style="{STYLE};overflow-x:auto"><div style="border-left:4px solid '
+        f'{PREDICTED};padding-left:8px">{said}</div><table id="candidates" style="font-size:12px;'
+        f'text-align:left;border-spacing:6px 1px">{head}{"".join(rows)}</table></div>'
+    )
+
+
+def statuses(said: Mapping[str, tuple[str, str]]) -> str:
+    """Show what every node says: name -> (level, sentence)."""
+    colours = {'ok': GOOD, 'warn': '#b26b00', 'error': MEASURED, 'silent': ERROR}
+    signs = {'ok': '●', 'warn': '▲', 'error': '■', 'silent': '○'}
+    rows = ''.join(
+        f'<div><span style="color:{colours[level]}">{signs[level]}</span> <b>{escape(name)}</b> '
+        f'{escape(text)}</div>'
+        for name, (level, text) in said.items()
+    )
+    return f'<div style="{STYLE}">{rows}</div>'
+
+
+def _ticks(top: float) -> list[float]:
+    step = 10.0 ** np.floor(np.log10(top / 2.0))
+    step *= next(f for f in (1, 2, 5, 10) if top / (f * step) <= 4.5)
+    return [round(i * step, 6) for i in range(int(top / step) + 1)]

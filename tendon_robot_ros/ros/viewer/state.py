@@ -1,0 +1,170 @@
+"""What the live page shows, gathered from the topics."""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...common.words import mm
+
+Array = NDArray[np.float64]
+SILENT_AFTER_S = 3.0  # [s] after which a node counts as gone
+CURVE_PERIOD = 0.2  # [s]
+ENOUGH = 8  # postures for a good diagnosis
+RECORD_AGAIN_HINT = 'Click 1 to record again.'
+VERDICTS = {
+    'adequate': 'Nothing is missing that these postures could show. Click 1 to record others.',
+    'outside_catalogue': 'The catalogue has no name for this cause, so nothing is added. What the '
+    'remainder looks like is said below.',
+    'cannot_judge': f'The recording does not suffice. {RECORD_AGAIN_HINT}',
+}
+LEVELS = {0: 'ok', 1: 'warn', 2: 'error', 3: 'silent'}
+
+
+@dataclass
+class ViewState:
+    """Everything that was heard last; times are monotonic seconds."""
+
+    inputs: tuple[str, ...] = ()
+    tensions: tuple[float, ...] = ()
+    limits: tuple[float, float] = (0.0, 5.0)  # [N]
+    measured: Array | None = None  # (J, 3) [m]
+    predicted: Array | None = None
+    marker_errors: tuple[float, ...] = ()  # (J,) [m]
+    times: deque[float] = field(default_factory=lambda: deque(maxlen=700))
+    rollings: deque[float] = field(default_factory=lambda: deque(maxlen=700))
+    marks: list[tuple[float, str]] = field(default_factory=list)
+    verdict: dict[str, Any] = field(default_factory=dict)
+    progress: str = ''
+    touring: bool = True
+    held: bool = False  # somebody drags, or dragged, the target
+    nodes: dict[str, tuple[float, str, str, dict[str, str]]] = field(default_factory=dict)
+    _added: int = 0
+    _addition: str = ''
+    _diagnosing: str = ''
+
+    @property
+    def monitor(self) -> dict[str, str]:
+        """Values of the status of the monitor."""
+        return self.nodes.get('monitor', (0.0, '', '', {}))[3]
+
+    @property
+    def recording(self) -> bool:
+        """Whether postures are recorded."""
+        return self.monitor.get('recording') == 'true'
+
+    @property
+    def postures(self) -> int:
+        """How many were."""
+        return int(self.monitor.get('postures', '0'))
+
+    @property
+    def stopped(self) -> bool:
+        """Whether a stop is latched."""
+        said = [values for *_, values in self.nodes.values()]
+        return any(v.get('stopped') == 'true' or v.get('code') == 'stopped' for v in said)
+
+    @property
+    def can_diagnose(self) -> bool:
+        """Whether there is something to diagnose."""
+        return self.postures >= 2 and self.monitor.get('diagnosing') != 'true'
+
+    @property
+    def can_add(self) -> bool:
+        """Whether there is something to add."""
+        outside = self.verdict.get('verdict') == 'outside_catalogue'
+        return bool(self.monitor.get('addition')) and not outside
+
+    @property
+    def floor(self) -> float | None:
+        """Noise floor of the last diagnosis [m]."""
+        floor = self.verdict.get('noise_floor')
+        return None if floor is None else float(floor)
+
+    def hear_status(
+        self, now: float, name: str, level: int, text: str, values: dict[str, str]
+    ) -> None:
+        """Take what a node says of itself."""
+        self.nodes[name] = now, LEVELS.get(level, 'warn'), text, values
+        if name == 'monitor':
+            if values.get('diagnosing') == 'true' and self._diagnosing != 'true':
+                self.verdict = {}
+            self._diagnosing = values.get('diagnosing', '')
+            self._addition = values.get('addition', '') or self._addition
+            added = int(values.get('added', '0'))
+            if added > self._added:
+                self.marks.append((now, self._addition))
+            self._added = added
+
+    def hear_error(self, now: float, rolling: float) -> None:
+        """Take the rolling error [m]."""
+        if not self.times or now - self.times[-1] >= CURVE_PERIOD:
+            self.times.append(now)
+            self.rollings.append(rolling)
+
+    def hear_verdict(self, text: str) -> None:
+        """Take the verdict of a diagnosis."""
+        self.verdict = json.loads(text)
+
+    def rolling(self, now: float) -> float:
+        """Return the rolling error now [m]; nan when it is old."""
+        fresh = self.times and now - self.times[-1] < 1.0
+        return self.rollings[-1] if fresh else float('nan')
+
+    def errors(self) -> Array | None:
+        """Return error vectors as segments (J, 2, 3) [m] from predicted to measured."""
+        measured, predicted = self.measured, self.predicted
+        if measured is None or predicted is None or len(measured) != len(predicted):
+            return None
+        unseen = ~np.isfinite(measured).all(axis=1)
+        return np.stack([predicted, np.where(unseen[:, None], predicted, measured)], axis=1)
+
+    def per_marker(self) -> str:
+        """Name the worst marker."""
+        sizes = np.array(self.marker_errors)
+        if not len(sizes) or not np.isfinite(sizes).any():
+            return ''
+        worst = int(np.nanargmax(sizes))
+        return f'worst marker {worst + 1} of {len(sizes)}: {mm(float(sizes[worst]))}'
+
+    def statuses(self, now: float) -> dict[str, tuple[str, str]]:
+        """Return name -> (level, sentence) of the nodes; old news is silence."""
+        said = {}
+        for name in ('controller', 'driver', 'monitor'):
+            at, level, text, _ = self.nodes.get(name, (-np.inf, '', '', {}))
+            said[name] = (level, text) if now - at < SILENT_AFTER_S else ('silent', 'not heard')
+        return said
+
+    def guide(self) -> str:
+        """Say what to do next, in the words of the buttons."""
+        if self.monitor.get('diagnosing') == 'true' and not self.verdict:
+            return 'Comparing every known physical effect with the recording …'
+        if self.recording and self.postures < ENOUGH:
+            return (
+                f'Recording: {self.postures} of {ENOUGH} postures. The arm goes through them by '
+                'itself: just wait.'
+            )
+        if self.recording:
+            return f'{self.postures} postures are recorded. Click 2: which effect is missing?'
+        if self.can_add:
+            return 'Found. Click 3: the model gets the effect while the arm goes on.'
+        if self.marks:
+            return (
+                f'The model now has {self.marks[-1][1]}. The two arms should coincide; what is '
+                'left of the error is noise. Click 1 to look for more.'
+            )
+        if self.monitor.get('diagnosing') == 'true':
+            return 'Fitting what was found …'
+        if self.verdict:
+            return VERDICTS.get(str(self.verdict.get('verdict')), RECORD_AGAIN_HINT)
+        if not self.times:
+            return 'Waiting for the robot. What the nodes say is at the bottom.'
+        return (
+            'The measured arm is not where the model predicts it? Some physical effect is missing '
+            'in the model. Find it: click 1 to record some postures.'
+        )

@@ -1,0 +1,200 @@
+"""What a robot may do that no effect of the catalogue describes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import EffectError
+from ..effects import Catalogue, Effect, Parameter
+from ..robot import Robot
+from ..robot.description import EffectValues
+
+Floats = npt.NDArray[np.float64]
+CauseValues = dict[str, float]
+
+
+@dataclass
+class Damage:
+    """What hidden causes do to a robot of n cells; cells count from 1 at the base."""
+
+    robot: Robot
+    stiffness: Floats  # (n,) [1] factor on the bending stiffness
+    side_force: Floats  # (n, 3) [N] at mid-cell, base frame
+    gain: float = 0.0  # [1] largest deviation of the tensions' gain
+    rotation: float = 0.0  # [rad] largest rotation of the tracker
+    waves: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @classmethod
+    def none(cls, robot: Robot, seed: int) -> Damage:
+        """Start without any; the seed draws how gain and rotation vary from posture to posture."""
+        n, m = robot.cells, len(robot.inputs)
+        waves = np.random.default_rng([seed, 77]).normal(size=(4, m + 1))
+        return cls(robot, np.ones(n), np.zeros((n, 3)), waves=waves)
+
+    def deviations(self, inputs: Floats) -> Floats:
+        """
+        Return four numbers (b, 4) in [-1, 1] that vary with the inputs (b, m) as no law does.
+
+        Inputs in units that bend the arm by half a radian; NaN (slack) counts as 0.
+        """
+        phase = np.nan_to_num(inputs) @ self.waves[:, 1:].T + 7.0 * self.waves[:, 0]
+        return np.sin(phase)
+
+    def cell(self, values: CauseValues, fallback: int) -> int:
+        """Return the index of the cell that the values name."""
+        n = self.robot.cells
+        number = values.get('cell', fallback)
+        if number != int(number) or not 1 <= number <= n:
+            raise EffectError(f'cell: expected a whole number from 1 (base) to {n}, got {number}')
+        return int(number) - 1
+
+
+def soft_cell(damage: Damage, values: CauseValues) -> None:
+    """One cell is softer: its stiffness times `factor`."""
+    cell = damage.cell(values, (2 * damage.robot.cells + 2) // 3)
+    damage.stiffness[cell] *= values.get('factor', 0.6)
+
+
+def tether(damage: Damage, values: CauseValues) -> None:
+    """Let a cable pull at one cell: a constant force [N] in the base frame."""
+    robot = damage.robot
+    cell = damage.cell(values, (2 * robot.cells + 2) // 3)
+    stiffness = np.mean([k for section in robot.sections for k in section.bending_stiffness])
+    usual = {'force_x': 0.5 * float(stiffness) / (robot.cells * robot.length)}
+    given = {key: value for key, value in values.items() if key != 'cell'} or usual
+    damage.side_force[cell] += [given.get(f'force_{axis}', 0.0) for axis in 'xyz']
+
+
+def stiffness_gradient(damage: Damage, values: CauseValues) -> None:
+    """Change the stiffness linearly from the base to `relative_change` more at the tip."""
+    along = np.linspace(-0.5, 0.5, damage.robot.cells)
+    damage.stiffness *= 1.0 + values.get('relative_change', 0.4) * along
+
+
+def posture_gain(damage: Damage, values: CauseValues) -> None:
+    """Let every posture have its own gain of the tensions, at most `size` off."""
+    damage.gain = values.get('size', 0.1)
+
+
+def posture_rotation(damage: Damage, values: CauseValues) -> None:
+    """Let the tracker's frame turn from posture to posture, at most `size` [rad] about an axis."""
+    damage.rotation = values.get('size', 0.03)
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A cause outside the catalogue and its parameters with their units."""
+
+    parameters: dict[str, str]
+    act: Callable[[Damage, CauseValues], None]
+
+
+FORCES = {'force_x': 'N', 'force_y': 'N', 'force_z': 'N'}
+CAUSES = {
+    'soft_cell': Cause({'cell': '1', 'factor': '1'}, soft_cell),
+    'tether': Cause({'cell': '1', **FORCES}, tether),
+    'stiffness_gradient': Cause({'relative_change': '1'}, stiffness_gradient),
+    'posture_gain': Cause({'size': '1'}, posture_gain),
+    'posture_rotation': Cause({'size': 'rad'}, posture_rotation),
+}
+
+
+# -----------------------------------------------------------------------------
+# What a plant hides: effects of the catalogue, and causes outside it, with checked parameters.
+
+HiddenValues = Mapping[str, float | Sequence[float]]
+Hidden = Mapping[str, HiddenValues | None]  # None or empty: the typical size
+
+
+def hide(
+    robot: Robot, hidden: Hidden, catalogue: Catalogue, damage: Damage
+) -> dict[str, EffectValues]:
+    """
+    Return the effects of the real robot: the owner's and the hidden ones; do the hidden damage.
+
+    Raises
+    ------
+    EffectError
+        An effect or parameter is unknown or out of its bounds.
+
+    """
+    effects: dict[str, EffectValues] = {name: dict(own) for name, own in robot.effects.items()}
+    for name, given in hidden.items():
+        values = given or {}
+        if name in CAUSES:
+            _refuse_unknown(name, values, tuple(CAUSES[name].parameters))
+            CAUSES[name].act(damage, {key: _one(name, key, v) for key, v in values.items()})
+        elif name in catalogue:
+            effects[name] = chosen(catalogue[name], values, len(robot.sections))
+        else:
+            raise EffectError(
+                f'unknown hidden effect {name!r}; in the catalogue: '
+                f'{", ".join(catalogue.names)}; outside it: {", ".join(CAUSES)}'
+            )
+    return effects
+
+
+def chosen(effect: Effect, values: HiddenValues, sections: int) -> EffectValues:
+    """
+    Return checked parameters of an effect; without any, the sizes that typically matter.
+
+    A typical force, curvature or rotation lies along x, a change per section grows to the tip.
+
+    Raises
+    ------
+    EffectError
+        A parameter is unknown or out of its bounds.
+
+    """
+    _refuse_unknown(effect.name, values, tuple(p.name for p in effect.parameters))
+    made: EffectValues = {}
+    for parameter in effect.parameters:
+        if parameter.name in values:
+            made[parameter.name] = _checked(
+                effect.name, parameter, values[parameter.name], sections
+            )
+        else:
+            made[parameter.name] = parameter.neutral if values else _typical(parameter, sections)
+    return made
+
+
+def _typical(parameter: Parameter, sections: int) -> float | tuple[float, ...]:
+    if parameter.name.endswith(('_y', '_z')):
+        return parameter.neutral
+    if parameter.per_section and sections > 1:
+        return tuple(parameter.typical * (i + 1) / sections for i in range(sections))
+    return parameter.typical
+
+
+def _checked(
+    effect: str, parameter: Parameter, value: float | Sequence[float], sections: int
+) -> float | tuple[float, ...]:
+    many = isinstance(value, Sequence) and not isinstance(value, str)
+    given = list(value) if isinstance(value, Sequence) and many else [value]
+    numbers = tuple(_one(effect, parameter.name, number) for number in given)
+    if many and not (parameter.per_section and len(numbers) == sections):
+        wanted = f'{sections} numbers, one per section' if parameter.per_section else 'one number'
+        raise EffectError(f'{effect}: {parameter.name}: expected {wanted}, got {len(numbers)}')
+    for number in numbers:
+        if not parameter.low <= number <= parameter.high:
+            raise EffectError(
+                f'{effect}: {parameter.name}: expected a number from {parameter.low:g} to '
+                f'{parameter.high:g} [{parameter.unit}], got {number:g}'
+            )
+    return numbers if many else numbers[0]
+
+
+def _refuse_unknown(name: str, values: HiddenValues, known: tuple[str, ...]) -> None:
+    for key in values:
+        if key not in known:
+            raise EffectError(f'{name}: expected one of {", ".join(known)}, got {key!r}')
+
+
+def _one(name: str, key: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, float | int):
+        raise EffectError(f'{name}: {key}: expected one number, got {value!r}')
+    return float(value)

@@ -1,0 +1,59 @@
+"""Laws that a plant has and the catalogue has not; each may differ from cell to cell."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from ..effects import Catalogue, Effect, Parameter
+
+
+def capstan(passed, turning, friction_coefficient, wraps, exponential):  # type: ignore[no-untyped-def]
+    """
+    Tension behind an eyelet over tension before it, exp(-mu wrap) (Euler, Eytelwein).
+
+    The wrap is `wraps` times the angle that this cell turns the tendon; `exponential` 0: the
+    paper's (1 - b) / (1 + b) at that angle.
+    """
+    half = wraps * math.asin(min(turning, 1.0))
+    if exponential != 0.0:
+        return passed * math.exp(-2.0 * friction_coefficient * half)
+    b = friction_coefficient * math.sin(half)
+    return passed * (1.0 - b) / (1.0 + b)
+
+
+def side_force(  # type: ignore[no-untyped-def]
+    x, y, z, mass_length, gravity_x, gravity_y, gravity_z, side_x, side_y, side_z
+):
+    """Add a force to the middle of the cell, base frame."""
+    return x + side_x, y + side_y, z + side_z
+
+
+def _unbounded(effect: Effect) -> Effect:
+    """Finer cells have other values: a bend of a third, nine times the cubic stiffness."""
+    each = effect.name == 'pre_curvature'  # every cell has its own kink
+    wide = tuple(
+        replace(p, low=-math.inf, high=math.inf, per_section=p.per_section or each)
+        for p in effect.parameters
+    )
+    return replace(effect, parameters=wide)
+
+
+def plant_catalogue(catalogue: Catalogue) -> Catalogue:
+    """Return the catalogue with the capstan for tendon friction, and with a force per cell."""
+    friction = replace(
+        catalogue['tendon_friction'],
+        law=capstan,
+        parameters=(
+            *catalogue['tendon_friction'].parameters,
+            Parameter('wraps', '1', 0.0, math.inf, 1.0, typical=1.0, per_section=True),
+            Parameter('exponential', '1', 0.0, 1.0, 0.0, typical=1.0),
+        ),
+    )
+    sides = tuple(
+        Parameter(f'side_{axis}', 'N', -math.inf, math.inf, 0.0, typical=1e-2, per_section=True)
+        for axis in 'xyz'
+    )
+    side = Effect('side_force', 'a force on one cell', 'load', sides, side_force)
+    effects = [_unbounded(effect) for effect in catalogue if effect.name != 'tendon_friction']
+    return Catalogue([friction, *effects, side], catalogue.files)

@@ -1,0 +1,142 @@
+"""Measurements of a plant, as a tracker and load cells would give them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import InputError
+from ..data import DataSet, Marker, default_markers
+from .plant import Plant
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SimulatedNoise:
+    """One standard deviation each."""
+
+    position: float = 2e-4  # [m] per coordinate and trial
+    setting: float = 0.002  # [1] of a tendon's input, shared by the trials of a posture
+    trial: float = 0.004  # [1] of a tendon's input, per trial
+
+    def __post_init__(self) -> None:
+        """
+        Refuse what is no standard deviation.
+
+        Raises
+        ------
+        InputError
+            A value is negative, or so large that it must be in another unit.
+
+        """
+        for key, high in (('position', 0.1), ('setting', 0.5), ('trial', 0.5)):
+            value = getattr(self, key)
+            if not 0.0 <= value <= high:
+                raise InputError(f'noise: {key}: expected a number from 0 to {high}, got {value}')
+
+
+def simulate(
+    plant: Plant,
+    inputs: npt.ArrayLike,
+    *,
+    noise: SimulatedNoise | None = None,
+    trials: int = 5,
+    seed: int = 0,
+    markers: Sequence[Marker] | None = None,
+    postures: Sequence[str] = (),
+    input: str = 'tension',
+    path: str = 'from_straight',
+    declare: bool = True,
+) -> DataSet:
+    """
+    Return a data set of a plant whose robot description is the owner's.
+
+    Parameters
+    ----------
+    plant : Plant
+        The real robot.
+    inputs : (P, m) [N] or [m]
+        What is set; nan = slack, with `input` 'displacement'.
+    noise : SimulatedNoise, optional
+        Of tracker and tendons.
+    trials : int
+        Trials of every posture.
+    seed : int
+        Of the noise.
+    markers : sequence of Marker, optional
+        Default: one per cell.
+    postures : sequence of str, optional
+        Names; default '0' to 'P-1'.
+    input, path : str
+        As in a data set.
+    declare : bool
+        Whether the data set tells the size of the noise.
+
+    Raises
+    ------
+    InputError, NoEquilibriumError
+        The plant cannot take these inputs.
+
+    """
+    noise, robot = noise or SimulatedNoise(), plant.robot
+    rows = _rows(plant, inputs, trials)
+    random = np.random.default_rng(seed)
+    made = tuple(markers or default_markers(robot))
+    given = rows * _factors(random, noise, trials, rows.shape)  # (Q, P, m)
+    seen = _seen(plant, given, made, path == 'sequence', input == 'displacement')
+    positions = seen.swapaxes(0, 1)
+    positions = positions + random.normal(0.0, noise.position, positions.shape)
+    known = declare and noise.position > 0.0
+    return DataSet(
+        name=f'simulated {robot.name}',
+        robot=robot,
+        markers=made,
+        postures=tuple(postures) or tuple(map(str, range(len(rows)))),
+        inputs=rows,
+        positions=positions,
+        input=input,
+        path=path,
+        gravity=robot.gravity,
+        position_noise=noise.position if known else None,
+        setting_noise=noise.setting if declare else 0.0,
+        trial_noise=noise.trial if declare else 0.0,
+    )
+
+
+def _rows(plant: Plant, inputs: npt.ArrayLike, trials: int) -> Floats:
+    names = plant.robot.inputs
+    rows = np.asarray(inputs, dtype=float)
+    if trials < 1:
+        raise InputError(f'trials: expected at least 1, got {trials}')
+    if rows.ndim != 2 or rows.shape[1] != len(names) or not len(rows):
+        raise InputError(
+            f'postures: expected (postures, {len(names)}) numbers for {", ".join(names)}, '
+            f'got shape {rows.shape}'
+        )
+    return rows
+
+
+def _seen(
+    plant: Plant, given: Floats, markers: Sequence[Marker], sequence: bool, displacement: bool
+) -> Floats:
+    """Return markers (Q, P, J, 3) [m] under inputs (Q, P, m), without the tracker's noise."""
+    points = np.array([marker.arc_length for marker in markers])
+    offsets = np.array([marker.offset for marker in markers])
+    if sequence:
+        return np.array([plant.markers(one, points, offsets, True, displacement) for one in given])
+    flat = given.reshape(-1, given.shape[2])
+    seen = plant.markers(flat, points, offsets, displacement=displacement)
+    return seen.reshape(*given.shape[:2], len(markers), 3)
+
+
+def _factors(
+    random: np.random.Generator, noise: SimulatedNoise, trials: int, shape: tuple[int, ...]
+) -> Floats:
+    """Factors (Q, P, m) on what was set; never below zero."""
+    setting = noise.setting * random.normal(size=shape)
+    trial = noise.trial * random.normal(size=(trials, *shape))
+    return np.maximum((1.0 + setting) * (1.0 + trial), 0.0)

@@ -1,0 +1,344 @@
+"""The description of a plant: the owner's robot with finer cells, each a section of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import InputError
+from ..common.rotations import bent
+from ..effects import Catalogue, Effect, load_catalogue
+from ..model.model import Model
+from ..model.pulls import pull_shapes
+from ..model.shape import Shape, ShapeBatch
+from ..robot import Robot, Section
+from ..robot.description import EffectValues
+from .hidden import Damage, Hidden, hide
+from .imperfect import Built, Workmanship
+from .laws import plant_catalogue
+
+Floats = npt.NDArray[np.float64]
+
+
+def parts_per_cell(
+    robot: Robot, effects: dict[str, EffectValues], catalogue: Catalogue, refine: int
+) -> int:
+    """Return `refine` where cells may be divided, else 1."""
+    scales = all(catalogue[name].divisible for name in effects)
+    return refine if scales and all(s.bends_as == 'arc' for s in robot.sections) else 1
+
+
+def real_robot(
+    robot: Robot,
+    effects: dict[str, EffectValues],
+    catalogue: Catalogue,
+    parts: int,
+    stiffness: Floats,
+    side_force: Floats,
+    exponential: bool,
+    built: Built,
+) -> Robot:
+    """
+    Describe the plant.
+
+    Parameters
+    ----------
+    robot : Robot
+        The owner's, n cells.
+    effects : dict
+        The owner's and the hidden ones, as for the owner's cells.
+    catalogue : Catalogue
+        Says how their parameters scale where a cell is divided.
+    parts : int
+        Finer cells per cell.
+    stiffness : (n,) [1]
+        Factor on the bending stiffness of each of the owner's cells.
+    side_force : (n, 3) [N]
+    exponential : bool
+        Friction follows the capstan's exponential.
+    built : Built
+        Imperfections.
+
+    """
+    n = robot.cells
+    wraps = np.zeros((n, parts))
+    wraps[:, -1] = parts  # the eyelet turns the tendon as the whole cell does
+    friction: EffectValues = {'wraps': tuple(wraps.ravel()), 'exponential': float(exponential)}
+    made = {
+        name: _scaled(catalogue[name], values, robot, parts) for name, values in effects.items()
+    }
+    made['tendon_friction'] = {**made.get('tendon_friction', {}), **friction}
+    if side_force.any():
+        forces = np.zeros((n, parts, 3))
+        forces[:, parts // 2] = side_force
+        made['side_force'] = {
+            f'side_{axis}': tuple(forces[..., i].ravel()) for i, axis in enumerate('xyz')
+        }
+    if built.kink.any():
+        made['pre_curvature'] = _kinked(made.get('pre_curvature', {}), built, parts)
+    sections = _sections(robot, parts, stiffness * (1.0 + built.stiffness))
+    ends = {s.name: f'{s.name} {s.cells * parts}' for s in robot.sections}
+    tendons = tuple(
+        replace(
+            tendon,
+            section=ends[tendon.section],
+            base=(tendon.base[0] * (1.0 + off), tendon.base[1] * (1.0 + off)),
+            end=(tendon.end[0] * (1.0 + off), tendon.end[1] * (1.0 + off)),
+        )
+        for tendon, off in zip(robot.tendons, built.hole.tolist(), strict=True)
+    )
+    return replace(robot, sections=sections, tendons=tendons, effects=made, fitted={})
+
+
+def _kinked(before: EffectValues, built: Built, parts: int) -> EffectValues:
+    """Return the rest bends of the finer cells; a kink lies in the first of each cell."""
+    kinks = np.zeros((len(built.kink), parts, 2))
+    kinks[:, 0] = built.kink
+    return {
+        key: tuple((kinks[..., i].ravel() + np.array(before.get(key, 0.0))).tolist())
+        for i, key in enumerate(('angle_x', 'angle_y'))
+    }
+
+
+def _sections(robot: Robot, parts: int, stiffness: Floats) -> tuple[Section, ...]:
+    made, factors = [], iter(stiffness)
+    for section in robot.sections:
+        for i in range(section.cells):
+            one = section.bending_stiffness[i] * parts * float(next(factors))
+            made += [
+                Section(
+                    f'{section.name} {i * parts + part + 1}',
+                    1,
+                    section.cell_length / parts,
+                    (one,),
+                    (section.mass_profile[i],),
+                    section.bends_as,
+                )
+                for part in range(parts)
+            ]
+    return tuple(made)
+
+
+def _scaled(effect: Effect, values: EffectValues, robot: Robot, parts: int) -> EffectValues:
+    """Scale what counts per cell; repeat what counts per section for every cell of it."""
+    cells = [s.cells * parts for s in robot.sections]
+    powers = {parameter.name: parameter.parts_power for parameter in effect.parameters}
+    made: EffectValues = {}
+    for key, value in values.items():
+        factor = float(parts) ** powers[key]
+        made[key] = (
+            tuple(np.repeat(value, cells) * factor) if isinstance(value, tuple) else value * factor
+        )
+    return made
+
+
+# -----------------------------------------------------------------------------
+# A plant: the robot as it really is, for simulated measurements and the mock driver.
+#
+# It shares the physics with the model that its owner writes down, and little else: finer cells,
+# the capstan's exponential, scatter of the cells' stiffness, and effects or damage that the
+# owner's file does not mention. Eyelets stay where the owner's are, at the ends of the owner's
+# cells: a tendon touches nothing between them, so finer cells may not add friction. For the same
+# reason cells are not divided where a joint or the straight tendon between two eyelets is a thing
+# of its own: hinges, `straight_tendon`, `friction_memory` (whose travel is counted per cell), and
+# the user's own effects, of which nobody knows how they scale. There a plant differs by capstan
+# and scatter only.
+
+
+class PlantShape(Shape):
+    """The arm as it is; its markers are where the tracker sees them."""
+
+    def __init__(self, shape: Shape, plant: Plant, asked: Floats | None = None) -> None:
+        """Take a shape of the plant's model; `asked` [N]: inputs without the hidden gain."""
+        super().__init__(shape.form, shape.block)
+        self.plant = plant
+        if asked is not None:
+            self.inputs[:] = asked
+
+    def markers(self, arc_length: Floats, offset: Floats) -> Floats:
+        """Place markers (j, 3) [m] in the tracker's frame."""
+        placed = self.batch.markers(arc_length, offset)
+        seen: Floats = self.plant.tracked(placed, self.inputs[None])[0]
+        return seen
+
+
+class Plant:
+    """A robot to be measured; `robot` is what its owner wrote, `model` what it really is."""
+
+    def __init__(
+        self, robot: Robot, model: Model, parts: int, damage: Damage, built: Built | None = None
+    ) -> None:
+        """Take the owner's robot, the real one with `parts` cells per cell, and what is off."""
+        self.robot, self.model, self.parts, self.damage = robot, model, parts, damage
+        self.built = built or Built.exact(robot)
+        self.inputs = robot.inputs
+        self._state: PlantShape | None = None
+
+    def respond(self, tensions: npt.ArrayLike) -> PlantShape:
+        """
+        Return the arm under tensions (m,) [N] that follow those of the last call.
+
+        Raises
+        ------
+        InputError, NoEquilibriumError
+
+        """
+        asked, last = self.model.tensions(np.asarray(tensions, dtype=float)), self._state
+        given = asked * self._gain(asked[None])[0]
+        bend, memory = (None, None) if last is None else (last.bend, last.memory)
+        shape = self.model.shape(given, bend, memory)
+        self._state = PlantShape(shape, self, asked)
+        return self._state
+
+    def respond_to_pulls(self, pulls: npt.ArrayLike) -> PlantShape:
+        """Return the arm under wire pulls (m,) [m], nan = slack; friction does not remember."""
+        asked = np.asarray(pulls, dtype=float)
+        shape = self.model.pull_shape(asked * self._gain(asked[None], True)[0], self._state)
+        self._state = PlantShape(shape, self)
+        return self._state
+
+    def shapes(
+        self, inputs: npt.ArrayLike, sequence: bool = False, displacement: bool = False
+    ) -> ShapeBatch:
+        """
+        Return the shapes under inputs (b, m) [N] or [m] at the ends of the owner's cells.
+
+        Parameters
+        ----------
+        inputs : (b, m)
+            Tensions [N], or wire pulls [m] with nan = slack.
+        sequence : bool
+            Load one posture after the other; else each from straight.
+        displacement : bool
+            Inputs are wire pulls.
+
+        Raises
+        ------
+        InputError, NoEquilibriumError
+
+        """
+        fine = self._fine(np.asarray(inputs, dtype=float), sequence, displacement)
+        b, n, ends = len(fine), self.robot.cells, slice(self.parts - 1, None, self.parts)
+        return replace(
+            fine,
+            bend=fine.bend.reshape(b, n, self.parts, 2).sum(axis=2),
+            tendon_tensions=fine.tendon_tensions[:, ends],
+            frames=fine.frames[:, ends],
+            positions=fine.positions[:, ends],
+            hinge=fine.hinge[ends],
+            cell_length=fine.cell_length.reshape(n, self.parts).sum(axis=1),
+        )
+
+    def markers(
+        self,
+        inputs: npt.ArrayLike,
+        arc_length: Floats,
+        offset: Floats,
+        sequence: bool = False,
+        displacement: bool = False,
+    ) -> Floats:
+        """Return markers (b, j, 3) [m] as the tracker sees them; inputs as for `shapes`."""
+        given = np.asarray(inputs, dtype=float)
+        fine = self._fine(given, sequence, displacement)
+        return self.tracked(fine.markers(arc_length, offset), given, displacement)
+
+    def tracked(self, points: Floats, inputs: Floats, displacement: bool = False) -> Floats:
+        """Move points (b, j, 3) [m] of the arm under inputs (b, m) into the tracker's frame."""
+        seen = self.model.measured(points)
+        moved = np.cross(self.built.rotation, seen)
+        seen = seen + moved + 0.5 * np.cross(self.built.rotation, moved) + self.built.position
+        if self.damage.rotation == 0.0:
+            return seen
+        turn = self.damage.rotation * self._deviations(inputs, displacement)[:, 1:3]
+        angle = np.linalg.norm(turn, axis=1)
+        toward = turn / np.maximum(angle, 1e-300)[:, None]
+        turned: Floats = np.einsum('brc,bjc->bjr', bent(toward, angle), seen)
+        return turned
+
+    def _fine(self, inputs: Floats, sequence: bool, displacement: bool) -> ShapeBatch:
+        given = inputs * self._gain(inputs, displacement)
+        if not displacement:
+            solve = self.model.sequence if sequence else self.model.shapes
+            return replace(solve(given), inputs=inputs)
+        memory = self.model.arrays.fresh_memory() if sequence else None
+        return pull_shapes(self.model, given, memory=memory)
+
+    def _gain(self, inputs: Floats, displacement: bool = False) -> Floats:
+        own = np.broadcast_to(1.0 + self.built.gain, inputs.shape)
+        if self.damage.gain == 0.0:
+            return np.asarray(own)
+        return own * (1.0 + self.damage.gain * self._deviations(inputs, displacement)[:, :1])
+
+    def _deviations(self, inputs: Floats, displacement: bool) -> Floats:
+        return self.damage.deviations(inputs / self._scale[int(displacement)])
+
+    @cached_property
+    def _scale(self) -> tuple[float, float]:
+        """Tension [N] and wire pull [m] that bend the arm by half a radian, roughly."""
+        radius = max(float(np.hypot(*tendon.end)) for tendon in self.robot.tendons)
+        softness = sum(1.0 / k for s in self.robot.sections for k in s.bending_stiffness)
+        return 0.5 / (softness * radius), 0.5 * radius
+
+
+def make_plant(
+    robot: Robot,
+    hidden: Hidden | None = None,
+    refine: int = 3,
+    scatter: float = 0.02,
+    capstan: bool = True,
+    seed: int = 0,
+    catalogue: Catalogue | None = None,
+    work: Workmanship | None = None,
+) -> Plant:
+    """
+    Make the robot that a simulation or a mock really is.
+
+    Parameters
+    ----------
+    robot : Robot
+        What its owner wrote down.
+    hidden : mapping, optional
+        Effect, or cause outside the catalogue (`causes.CAUSES`), to its parameters; no parameters:
+        the typical size. An effect that the owner lists has these values instead of the owner's.
+    refine : int
+        Cells per cell of the owner, where the cells may be divided (see this module).
+    scatter : float
+        Relative standard deviation of the stiffness from cell to cell [1].
+    capstan : bool
+        Friction at eyelets follows the exponential instead of the paper's quotient.
+    seed : int
+        Of the scatter.
+    catalogue : Catalogue, optional
+        With the user's own effects.
+    work : Workmanship, optional
+        How well it is built, instead of `scatter`; default: the stiffness scatters, and no more.
+
+    Raises
+    ------
+    EffectError
+        An effect or parameter is unknown or out of its bounds.
+    InputError
+        `refine` or `scatter` make no sense.
+
+    """
+    if refine < 1 or not 0.0 <= scatter <= 0.2:
+        raise InputError(
+            f'plant: expected refine >= 1 and scatter from 0 to 0.2, got {refine} and {scatter}'
+        )
+    catalogue = catalogue or load_catalogue()
+    damage = Damage.none(robot, seed)
+    effects = hide(robot, hidden or {}, catalogue, damage)
+    stiffness, built = damage.stiffness, Built.exact(robot)
+    if work is not None:
+        built = Built.draw(robot, work, seed)
+    else:
+        random = np.random.default_rng(seed)
+        stiffness = stiffness * (1.0 + scatter * random.normal(size=robot.cells).clip(-4, 4))
+    parts = parts_per_cell(robot, effects, catalogue, refine)
+    real = real_robot(
+        robot, effects, catalogue, parts, stiffness, damage.side_force, capstan, built
+    )
+    return Plant(robot, Model(real, plant_catalogue(catalogue)), parts, damage, built)

@@ -1,0 +1,209 @@
+"""A robot with something hidden: which, how large, and postures that show it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.errors import InputError, NoEquilibriumError
+from ..common.words import digits, listed, mm
+from ..effects import Catalogue
+from ..model.model import Model
+from ..robot import Robot
+from ..robot.description import EffectValues
+from ..workspace.postures import default_postures
+from .hidden import CAUSES, chosen
+
+Array = NDArray[np.float64]
+NONE = 'none'
+REFINEMENTS = ('eyelet_wrap', 'tendon_travel')  # what the mock's wires do, and its owner knows
+GRAVITY_HANGING = (0.0, 0.0, 9.81)  # [m/s²] the arm hangs
+VISIBLE_TIP_ERROR = (0.02, 0.05)  # [1] tip error that a hidden effect makes, in lengths of the arm
+# [1] 1 sd of the stiffness from cell to cell; its owner knows so much of it
+STIFFNESS_SCATTER = 0.02
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What the mock robot hides."""
+
+    name: str  # of an effect, of a cause outside the catalogue, or 'none'
+    values: EffectValues
+
+    @property
+    def outside(self) -> bool:
+        """Whether no effect of the catalogue describes it."""
+        return self.name in CAUSES
+
+    @property
+    def plant(self) -> dict[str, EffectValues]:
+        """As `make_plant` takes it."""
+        return {} if self.name == NONE else {self.name: self.values}
+
+
+@dataclass(frozen=True)
+class TourPosture:
+    """A posture of the tour: where to go, with or without a direction."""
+
+    position: Array  # (3,) [m]
+    direction: Array | None  # (3,)
+
+
+def refined(robot: Robot) -> Robot:
+    """
+    Return the paper's model refined for the mock's hardware.
+
+    Its wires, the way its weight acts, and what the maker of its tubes says of their scatter.
+    """
+    for name in REFINEMENTS:
+        robot = robot.with_effect(name, {'fraction': 1.0})
+    tolerances = {**robot.tolerances, 'cell_stiffness': STIFFNESS_SCATTER}
+    return replace(robot, gravity=GRAVITY_HANGING, tolerances=tolerances)
+
+
+def choices(robot: Robot, catalogue: Catalogue) -> tuple[str, ...]:
+    """Name what can be hidden."""
+    # the others change wire pulls only, where tensions are commanded, or by decimetres
+    suitable = [effect.name for effect in catalogue if effect.needs not in ('pulls', 'history')]
+    known = [name for name in suitable if name not in robot.effects]
+    return (*known, *CAUSES, NONE)
+
+
+def draw(robot: Robot, catalogue: Catalogue, name: str, seed: int) -> Hidden:
+    """
+    Choose what to hide, and how large it is: millimetres at the tip.
+
+    Parameters
+    ----------
+    robot : Robot
+        As its owner describes it.
+    catalogue : Catalogue
+    name : str
+        One of `choices`; '' draws an effect.
+    seed : int
+
+    Raises
+    ------
+    InputError
+        The name is not known.
+
+    """
+    known, random = choices(robot, catalogue), np.random.default_rng(seed)
+    if not name:
+        name = str(random.choice([n for n in known if n not in CAUSES and n != NONE]))
+    if name not in known:
+        raise InputError(f'hidden: expected one of {", ".join(known)}, got {name!r}')
+    if name == NONE or name in CAUSES:
+        return Hidden(name, {})
+    typical = chosen(catalogue[name], {}, len(robot.sections))
+    wanted = random.uniform(*VISIBLE_TIP_ERROR) * robot.length
+    low, high = 0.02, 20.0
+    for _ in range(14):
+        middle = float(np.sqrt(low * high))
+        size = _tip_change(robot, catalogue, name, _scaled(catalogue, name, typical, middle))
+        low, high = (middle, high) if size < wanted else (low, middle)
+    return Hidden(name, _scaled(catalogue, name, typical, low))
+
+
+def tour(model: Model, count: int, seed: int) -> list[TourPosture]:
+    """Return postures that exercise the robot; every other one leaves the direction free."""
+    stops = []
+    for index, tensions in enumerate(default_postures(model.robot, count, seed)):
+        shape = model.shape(np.clip(tensions, *model.robot.tension_limits))
+        stops.append(TourPosture(shape.tip_position, shape.tip_direction if index % 2 else None))
+    return stops
+
+
+def _tip_change(robot: Robot, catalogue: Catalogue, name: str, values: EffectValues) -> float:
+    """Return how far an effect moves the tip, rms over postures [m]; inf without equilibrium."""
+    tensions = np.clip(default_postures(robot, 8, 0), *robot.tension_limits)
+    try:
+        without = Model(robot, catalogue).shapes(tensions)
+        with_it = Model(robot.with_effect(name, values), catalogue)
+        shapes = with_it.shapes(tensions)
+    except (NoEquilibriumError, InputError):
+        return float('inf')
+    tip = with_it.measured(shapes.positions[:, -1:])[:, 0]
+    return float(np.sqrt(((tip - without.tip_position) ** 2).sum(axis=1).mean()))
+
+
+def _scaled(catalogue: Catalogue, name: str, values: EffectValues, factor: float) -> EffectValues:
+    """Multiply the distance from neutral, within the bounds."""
+    made: EffectValues = {}
+    for parameter in catalogue[name].parameters:
+        given = values[parameter.name]
+        many = given if isinstance(given, tuple) else (given,)
+        away = [parameter.neutral + factor * (value - parameter.neutral) for value in many]
+        kept = tuple(float(np.clip(value, parameter.low, parameter.high)) for value in away)
+        made[parameter.name] = kept if isinstance(given, tuple) else kept[0]
+    return made
+
+
+# -----------------------------------------------------------------------------
+# The story of `make live` in words, and whether it came true.
+
+ERROR_SHARE_GONE = 0.8  # share of the tip error that must be gone
+
+
+@dataclass
+class Story:
+    """What happened: errors in metres, the verdict as published."""
+
+    hidden: Hidden
+    verdict: dict[str, Any] = field(default_factory=dict)
+    before: float = float('nan')
+    after: float = float('nan')
+    added: bool = False
+
+    @property
+    def named(self) -> bool:
+        """Whether the hidden effect is named, or in the stated class."""
+        names = [effect['name'] for effect in self.verdict.get('effects', [])]
+        return self.hidden.name in (*names, *self.verdict.get('cannot_tell_apart', []))
+
+    @property
+    def gone(self) -> float:
+        """Share of the tip error that is gone."""
+        return 1.0 - self.after / self.before if self.before > 0.0 else float('nan')
+
+    @property
+    def problem(self) -> str:
+        """Why the story did not come true, '' when it did."""
+        verdict = self.verdict.get('verdict', 'no verdict')
+        if self.hidden.name == NONE:
+            return '' if verdict == 'adequate' else f'nothing was hidden, but: {verdict}'
+        if self.hidden.outside:
+            called = verdict == 'outside_catalogue'
+            return '' if called else f'{self.hidden.name} is outside the catalogue, but: {verdict}'
+        if verdict == 'outside_catalogue' or not self.named:
+            return f'{self.hidden.name} was hidden, but the verdict is {verdict}'
+        if not self.added:
+            return 'the controller did not take the new description'
+        if not self.gone >= ERROR_SHARE_GONE:
+            return f'only {100.0 * self.gone:.0f} % of the tip error is gone'
+        return ''
+
+    def end(self) -> str:
+        """Return the last line."""
+        if self.problem:
+            return f'the story did not come true: {self.problem}'
+        if self.added:
+            return (
+                f'tip error on postures never used: {mm(self.before)} -> {mm(self.after)} '
+                f'({100.0 * self.gone:.0f} % gone)'
+            )
+        quiet = 'nothing was hidden and nothing was found'
+        return quiet if self.hidden.name == NONE else 'a cause that no effect describes: called so'
+
+
+def reveal(hidden: Hidden, units: dict[str, str]) -> str:
+    """Say what was hidden; units by parameter."""
+    values = [
+        f'{key} = {listed(digits(v, 3) for v in np.atleast_1d(value))} {units.get(key, "1")}'
+        for key, value in hidden.values.items()
+        if np.any(value)
+    ]
+    return f'hidden: {hidden.name} {", ".join(values)}'.rstrip()

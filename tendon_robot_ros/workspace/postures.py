@@ -1,0 +1,127 @@
+"""Postures to measure for a user who has none in mind: singles, bends all around, squeezes."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import InputError
+from ..model.compile import tendon_offsets
+from ..model.model import Model
+from ..robot import Robot
+
+Floats = npt.NDArray[np.float64]
+SECTION_BEND_MAX_RAD = 2.0  # [rad] largest bend of a section, by the frictionless model
+
+
+def default_postures(
+    robot: Robot,
+    count: int = 12,
+    seed: int = 0,
+    input: str = 'tension',
+    path: str = 'from_straight',
+) -> Floats:
+    """
+    Return inputs (count, m) that exercise a robot.
+
+    One input after the other alone; then random bends of every section, half of them with all
+    tendons of a section squeezing it as well, which tells friction from stiffness. A sequence goes
+    up and down instead, because friction shows its memory when a tendon is let go.
+
+    Parameters
+    ----------
+    robot : Robot
+        Every section bends by at most `SECTION_BEND_MAX_RAD`, tensions stay within the limits.
+    count : int
+        Number of postures.
+    seed : int
+        Another seed gives other postures.
+    input : str
+        'tension' [N], or 'displacement' [m] with nan where a wire is slack.
+    path : str
+        'from_straight' or 'sequence'.
+
+    """
+    if count < 1:
+        raise InputError(f'postures: expected at least 1, got {count}')
+    design = _Design(robot, np.random.default_rng(seed), input == 'tension')
+    if path == 'sequence':
+        rows = design.cycles(count)
+    else:
+        singles = design.singles()[: max(count // 3, 1)] if seed == 0 else []
+        rows = [*singles, *design.bends(count - len(singles))]
+    tensions = np.round(np.clip(rows, *robot.tension_limits), 4)
+    return tensions if input == 'tension' else _pulls(robot, tensions, np.array(rows) > 0.0)
+
+
+def _pulls(robot: Robot, tensions: Floats, taut: npt.NDArray[np.bool_]) -> Floats:
+    """Wire pulls (p, m) [m] that the owner's model has under tensions; NaN where not taut."""
+    pulls = Model(robot).shapes(np.where(taut, tensions, 0.0)).pulls
+    return np.where(taut, np.round(pulls, 6), np.nan)
+
+
+class _Design:
+    """Tensions that bend sections by a wanted angle, without friction."""
+
+    def __init__(self, robot: Robot, random: np.random.Generator, squeezes: bool) -> None:
+        self.robot, self.random, self.squeezes = robot, random, squeezes
+        self.count = len(robot.inputs)
+        stiffness = np.concatenate([s.bending_stiffness for s in robot.sections])
+        per_newton = tendon_offsets(robot) / stiffness[:, None, None]  # (n, k, 2) [rad/N]
+        edges = np.concatenate([[0], np.cumsum([s.cells for s in robot.sections])])
+        names = [section.name for section in robot.sections]
+        self.last = np.zeros(self.count, dtype=int)  # section that an input ends in
+        self.rate = np.zeros((self.count, 2))  # bend of that section per newton [rad/N]
+        for j, tendons in enumerate(robot.input_tendons):
+            self.last[j] = max(names.index(robot.tendons[k].section) for k in tendons)
+            cells = slice(edges[self.last[j]], edges[self.last[j] + 1])
+            self.rate[j] = per_newton[cells][:, list(tendons)].sum(axis=(0, 1))
+        self.sections = np.unique(self.last)
+
+    def singles(self) -> list[Floats]:
+        """Each input alone at three quarters of the largest bend."""
+        full = 0.75 * SECTION_BEND_MAX_RAD / np.linalg.norm(self.rate, axis=1)
+        return list(np.diag(full))
+
+    def bends(self, count: int) -> list[Floats]:
+        """Random bends of all sections, of all sizes."""
+        sizes = {
+            s: self.random.permutation((np.arange(count) + 0.5) / max(count, 1))
+            for s in self.sections
+        }
+        rows = []
+        for i in range(count):
+            row = np.zeros(self.count)
+            for s in self.sections:
+                row += self.section(s, SECTION_BEND_MAX_RAD * sizes[s][i])
+                if self.squeezes and self.random.random() < 0.5:
+                    row += self.squeeze(s)
+            rows.append(row)
+        return rows
+
+    def section(self, s: int, bend: float) -> Floats:
+        """Tensions (m,) [N] that bend one section in a random direction of those it can bend."""
+        members = np.flatnonzero(self.last == s)
+        rate = self.rate[members]
+        weights = self.random.normal(size=len(members)) @ rate  # a direction that they span
+        towards = weights / max(float(np.linalg.norm(weights)), 1e-300)
+        share = np.maximum(rate @ towards / np.linalg.norm(rate, axis=1), 0.0)
+        share[share < 0.2] = 0.0  # a tendon at the side hardly helps
+        row = np.zeros(self.count)
+        row[members] = share * bend / max(float(np.linalg.norm(share @ rate)), 1e-300)
+        return row
+
+    def squeeze(self, s: int) -> Floats:
+        """Tensions (m,) [N] of all tendons of a section that leave it straight."""
+        members = self.last == s
+        size = 1.0 / np.linalg.norm(self.rate[members], axis=1).max()  # [N] for one radian
+        return np.where(members, self.random.uniform(0.3, 1.0) * size, 0.0)
+
+    def cycles(self, count: int) -> list[Floats]:
+        """Load and let go in even steps, from one random bend to the next."""
+        steps = (0.25, 0.6, 1.0, 0.7, 0.3)
+        rows: list[Floats] = []
+        while len(rows) < count:
+            peak = self.bends(1)[0] * (1.7 if len(self.sections) == 1 else 1.2)
+            rows += [step * peak for step in steps]
+        return rows[:count]

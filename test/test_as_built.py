@@ -1,0 +1,106 @@
+"""Arms as they are built: what is hidden is named in spite of imperfections nobody declared."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from simulated import CATALOGUE
+
+from tendon_robot_ros.comparison.predict import Predictor, free_parameters
+from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.diagnosis.as_built import SplitPredictor, imperfections
+from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.diagnosis.marginal import RandomEffects
+from tendon_robot_ros.diagnosis.outliers import find_outliers
+from tendon_robot_ros.report.diagnosis_text import lines
+
+CASES = Path(__file__).parent / 'data' / 'as_built'
+TRUTH = yaml.safe_load((CASES / 'truth.yaml').read_text(encoding='utf-8'))
+
+
+def case(name, part='fit'):
+    return load_dataset(CASES / name / part)
+
+
+@pytest.mark.parametrize('name', TRUTH)
+def test_what_an_arm_as_built_hides_is_named(name):
+    found, hidden = diagnose(case(name)), TRUTH[name]['hidden']
+    names = [effect.name for effect in found.effects]
+    if hidden == 'none':
+        assert found.verdict == 'adequate'
+    elif hidden == 'soft_cell':
+        assert found.verdict == 'outside_catalogue'
+    else:
+        assert found.verdict == 'missing_effect'
+        assert names == [hidden]
+        for key, value in TRUTH[name]['parameters'].items():
+            fitted = found.effects[0].parameters[key]
+            assert fitted.value == pytest.approx(value, rel=0.1, abs=2e-4)
+            assert abs(fitted.value - value) < 1.5 * (fitted.high - fitted.low) / 2.0
+    assert any('scatters by' in line for line in lines(found))
+
+
+def test_an_exact_description_knows_no_scatter():
+    dataset = case('messy_000')
+    exact = replace(dataset.robot, exact=True)
+    assert diagnose(dataset, exact).verdict != 'adequate'
+    assert diagnose(dataset, exact).details['as_built'] is None
+
+
+def test_a_cell_of_its_own_moves_the_markers_as_the_whole_model_does():
+    predictor = Predictor(case('messy_s0'), case('messy_s0').robot, CATALOGUE)
+    split = SplitPredictor(predictor)
+    np.testing.assert_allclose(split.markers({}), predictor.markers({}), atol=1e-12)
+    n = split.whole.cells
+    bent = split.built({}, {'cell_kink': np.tile([1e-3, 0.0], n)})
+    free = free_parameters(CATALOGUE['pre_curvature'], split.whole)[0]
+    np.testing.assert_allclose(bent, predictor.markers({free: 1e-3}), atol=1e-9)
+
+
+def small():
+    """Return random effects of two kinds, with a residual drawn from them."""
+    random = np.random.default_rng(4)
+    found = imperfections(Predictor(case('messy_000'), case('messy_000').robot, CATALOGUE), {})
+    columns = random.normal(size=(300, len(found.owners)))
+    return RandomEffects(columns, found.owners, found.kinds), random
+
+
+def test_the_likelihood_is_that_of_the_full_covariance():
+    effects, random = small()
+    residual = random.normal(size=300)
+    sizes = np.array([0.03, 0.002, 0.001, 0.02, 4e-4, 3e-3, 1e-3])
+    scaled = effects.columns * effects.spread(sizes)
+    full = np.eye(300) + scaled @ scaled.T
+    assert effects.log_determinant(sizes) == pytest.approx(np.linalg.slogdet(full)[1])
+    white = residual - effects.columns @ (effects.root(sizes) @ (effects.columns.T @ residual))
+    assert white @ white == pytest.approx(residual @ np.linalg.solve(full, residual))
+
+
+def test_the_sizes_of_imperfections_are_recovered():
+    weak, random = small()
+    effects = RandomEffects(1e3 * weak.columns, weak.owners, weak.kinds)  # far above the noise
+    true = np.where(np.isfinite(effects.plausible), 2.0 * effects.plausible, 0.0)
+    found = [
+        effects.estimate(
+            effects.columns @ (effects.spread(true) * random.normal(size=len(effects.owners)))
+            + random.normal(size=300),
+            np.zeros((300, 0)),
+        ).values
+        for _ in range(20)
+    ]
+    assert np.median(found, axis=0)[0] == pytest.approx(true[0], rel=0.3)
+
+
+def test_readings_that_the_other_trials_contradict_are_found_and_no_others():
+    dataset = case('messy_000')
+    positions = dataset.positions.copy()
+    positions[4, 2, 7] += [0.0, 3e-3, 0.0]
+    positions[8, 1] = dataset.positions[8, 1] * 1.2  # a trial that slipped
+    changed = replace(dataset, positions=positions)
+    found = find_outliers(Predictor(changed, changed.robot, CATALOGUE), {})
+    assert found.readings[4, 2, 7]
+    assert np.argwhere(found.trials).tolist() == [[8, 1]]
+    assert found.readings.sum() < 12
+    assert np.isnan(found.without(changed).positions[8, 1]).all()

@@ -1,0 +1,111 @@
+"""Stages as a table, and what stands in an effect's own file: the rest of the code reads both."""
+
+from dataclasses import replace
+
+import pytest
+from source_tree import ROOT
+
+from tendon_robot_ros.common.errors import EffectError
+from tendon_robot_ros.effects import STAGES, Catalogue, Effect, Parameter, load_catalogue
+from tendon_robot_ros.model.compile import stages_source
+from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.simulation.imperfect import Built
+from tendon_robot_ros.simulation.plant import parts_per_cell, real_robot
+
+
+def softening(moment, total_tension, loss):
+    """Return M (1 - loss S)."""
+    return moment * (1.0 - loss * total_tension)
+
+
+SOFTENING = Effect(
+    name='softening',
+    title='a joint that gives way under tension',
+    stage='hold',
+    parameters=(Parameter('loss', '1/N', 0.0, 0.2, 0.0, typical=0.05, parts_power=2),),
+    law=softening,
+    divisible=True,
+)
+
+
+def with_softening():
+    return Catalogue([*load_catalogue(), SOFTENING])
+
+
+def robot():
+    return load_robot(ROOT / 'config' / 'robots' / 'kato_2_1.yaml')
+
+
+@pytest.mark.parametrize('stage', STAGES.values(), ids=STAGES)
+def test_every_quantity_of_a_stage_has_a_name_a_unit_and_a_meaning(stage):
+    assert stage.outputs
+    assert all(q.name.isidentifier() and q.unit and q.meaning for q in stage.inputs)
+    assert len({q.name for q in stage.inputs}) == len(stage.inputs)
+
+
+def test_every_stage_is_composed_with_what_its_table_says():
+    source = stages_source(load_catalogue())
+    for stage in STAGES.values():
+        takes = ', '.join(quantity.name for quantity in stage.inputs)
+        assert f'def {stage.name}({takes}, chain, section):' in source
+        assert f'def {stage.name}_acts(chain):' in source
+
+
+def test_one_more_effect_is_composed_after_those_of_its_stage():
+    source = stages_source(with_softening())
+    number = len(list(load_catalogue()))
+    hold = source.split('def hold(')[1].split('@compiled')[0]
+    assert f'moment = law_{number}(moment, total_tension, values[' in hold
+    assert hold.index('moment = law_6(') < hold.index(f'moment = law_{number}(')
+
+
+def test_a_plant_divides_cells_only_where_every_effect_says_how():
+    known = {'softening': {'loss': 0.1}}
+    assert parts_per_cell(robot(), known, with_softening(), 3) == 3
+    unknown = Catalogue([*load_catalogue(), replace(SOFTENING, divisible=False)])
+    assert parts_per_cell(robot(), known, unknown, 3) == 1
+    assert parts_per_cell(robot(), {'straight_tendon': {}}, load_catalogue(), 3) == 1
+
+
+def test_finer_cells_have_the_parameters_that_the_effect_asks_for():
+    import numpy as np
+
+    owner, catalogue = robot(), with_softening()
+    effects = {
+        'softening': {'loss': 0.1},
+        'tendon_stiffness': {'per_tendon': 1e-3},
+        'pre_curvature': {'angle_x': 0.03, 'angle_y': 0.0},
+        'nonlinear_stiffness': {'cubic': 2.0},
+    }
+    n = owner.cells
+    real = real_robot(
+        owner, effects, catalogue, 3, np.ones(n), np.zeros((n, 3)), True, Built.exact(owner)
+    )
+    assert real.cells == 3 * n
+    assert real.effects['softening']['loss'] == pytest.approx(0.9)
+    # three springs in a row: each three times as stiff, a third of the bend, nine times the cube
+    assert real.effects['tendon_stiffness']['per_tendon'] == pytest.approx(3e-3)
+    assert real.effects['pre_curvature']['angle_x'] == pytest.approx(0.01)
+    assert real.effects['nonlinear_stiffness']['cubic'] == pytest.approx(18.0)
+
+
+def test_every_declared_tolerance_of_an_effect_has_its_twin():
+    catalogue = load_catalogue()
+    assert catalogue.twin('bending_stiffness') == ('backbone_stiffness', ('relative_change',))
+    assert catalogue.twin('rotation') == (
+        'base_misalignment',
+        ('rotation_x', 'rotation_y', 'rotation_z'),
+    )
+    assert catalogue.twin('cell_stiffness') is None
+
+
+def test_what_an_effect_contains_is_in_the_catalogue():
+    catalogue = load_catalogue()
+    for effect in catalogue:
+        assert set(effect.contains) <= set(catalogue.names)
+    assert catalogue['section_stiffness'].contains == ('backbone_stiffness',)
+
+
+def test_an_effect_that_needs_something_unknown_is_refused():
+    with pytest.raises(EffectError, match=r"softening: needs: expected one of gravity, .*'luck'"):
+        replace(SOFTENING, needs='luck')

@@ -1,0 +1,150 @@
+"""Derivatives of the equilibrium: against differences, for every effect and for all together."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import GRAVITY, TYPICAL, spatial
+from reference import Reference
+from test_effects_contract import EFFECTS, VALUES
+
+from tendon_robot_ros.common.errors import EffectError, InputError
+from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.robot import load_robot
+
+TENSIONS = np.array([[0.3, 0.5, 1.1, 0.5, 0.4, 0.2], [0.0, 1.3, 0.2, 0.0, 0.9, 0.4]])
+FRICTION = ('tendon_friction', 'tendon_travel', 'eyelet_wrap')
+
+
+def arm(names, bends_as='hinge', cells=3):
+    """Return a spatial arm with these effects at a size that matters."""
+    effects = {name: VALUES[name] for name in names}
+    return replace(spatial(cells, effects, bends_as), gravity=GRAVITY)
+
+
+def residuals(model, inputs, bends):
+    """Bends minus those that their moments ask for, (b, n, 2) [rad]."""
+    out = np.empty_like(bends)
+    past = model.arrays.fresh_memory()
+    model.arrays.part('derivatives').residuals(
+        model.arrays.address, inputs, bends, past, model.scratch, out
+    )
+    return out
+
+
+def solved(model, inputs, bends, rates):
+    """How the bends balance rates of the residual, (b, q, 2n)."""
+    ways, past = np.empty_like(rates), model.arrays.fresh_memory()
+    model.arrays.part('derivatives').responses(
+        model.arrays.address, inputs, bends, past, model.scratch, rates, ways
+    )
+    return ways
+
+
+@pytest.mark.parametrize('bends_as', ['arc', 'hinge'])
+@pytest.mark.parametrize(
+    'names',
+    [*([name] for name in EFFECTS), *([*FRICTION, name] for name in EFFECTS), list(TYPICAL)],
+    ids=lambda names: '+'.join(names) if len(names) < 5 else 'all',
+)
+def test_the_elimination_solves_the_equations_of_the_differences(names, bends_as):
+    """Away from an equilibrium, at any bends: the Jacobian times the way is minus the rate."""
+    model, random = Model(arm(dict.fromkeys(names), bends_as)), np.random.default_rng(4)
+    n = model.robot.cells
+    bend, step = random.normal(0.0, 0.1, 2 * n), 1e-6
+    inputs = np.tile(TENSIONS[0], (2 * n, 1))
+    up, down = (
+        residuals(model, inputs, (bend + side * step * np.eye(2 * n)).reshape(-1, n, 2))
+        for side in (1.0, -1.0)
+    )
+    jacobian = (up - down).reshape(2 * n, 2 * n).T / (2.0 * step)
+    rates = random.normal(size=(1, 4, 2 * n))
+    ways = solved(model, TENSIONS[:1], bend.reshape(1, n, 2), rates)
+    assert np.allclose(jacobian @ ways[0].T, -rates[0].T, rtol=0, atol=1e-5)
+
+
+def test_the_residual_is_what_the_plain_model_says():
+    model, random = Model(arm(TYPICAL)), np.random.default_rng(5)
+    bends = random.normal(0.0, 0.1, (2, model.robot.cells, 2))
+    reference = Reference(model.robot)
+    for row, bend, told in zip(TENSIONS, bends, residuals(model, TENSIONS, bends), strict=True):
+        assert np.allclose(told, bend - reference.implied(row, bend), rtol=0, atol=1e-7)
+
+
+def test_markers_inside_a_cell_by_tensions_and_by_parameters():
+    model = Model(arm(TYPICAL))
+    places = np.array([0.0081, 0.0333]), np.array([[0.0, 0.01, 0.0], [0.002, 0.0, 0.001]])
+
+    def seen(batch):
+        return model.measured(batch.markers(*places))
+
+    columns = ['near_1', ('tendon_friction', 'friction_coefficient'), ('tip_load', 'force_y')]
+    columns.append(('section_stiffness', 'relative_change', 1))
+    found = model.derivatives(model.shapes(TENSIONS), columns, seen)
+    assert found.shape == (2, 2, 3, 4)
+    for q, (column, step) in enumerate(zip(columns, (1e-4, 1e-4, 1e-4, 1e-3), strict=True)):
+        sides = []
+        for side in (step, -step):
+            moved, inputs = Model(model.robot), TENSIONS.copy()
+            if isinstance(column, str):
+                inputs[:, 1] += side
+            else:
+                section = column[2] if len(column) == 3 else None
+                here = moved.arrays.get(*column[:2], section)
+                moved.arrays.set(*column[:2], section, here + side)
+            sides.append(moved.measured(moved.shapes(inputs).markers(*places)))
+        expected = (sides[0] - sides[1]) / (2.0 * step)
+        assert np.allclose(found[..., q], expected, rtol=1e-4, atol=2e-7)
+
+
+def test_of_a_quantity_that_does_not_exist():
+    model = Model(arm(['gravity']))
+    shapes = model.shapes(TENSIONS)
+    with pytest.raises(InputError, match="unknown input 'left'; known: near_0, near_1"):
+        model.derivatives(shapes, ['left'])
+    with pytest.raises(InputError, match="gravity: unknown parameter 'mass'; known: linear_dens"):
+        model.derivatives(shapes, [('gravity', 'mass')])
+    with pytest.raises(EffectError, match="unknown effect 'weight'"):
+        model.derivatives(shapes, [('weight', 'mass')])
+
+
+def test_the_model_is_as_before_after_its_derivatives():
+    model = Model(arm(['gravity']))
+    values, on = model.arrays.values.copy(), model.arrays.on.copy()
+    columns = [(e.name, p.name) for e in load_catalogue() for p in e.parameters]
+    model.derivatives(model.shapes(TENSIONS), columns)
+    assert np.array_equal(values, model.arrays.values) and np.array_equal(on, model.arrays.on)
+
+
+@pytest.mark.parametrize('name', ['spatial_3', 'spatial_6'])
+def test_every_posture_of_a_spatial_arm_has_its_equilibrium(name, request):
+    """Tendons pull against each other, and half of the eyelets stick."""
+    robot = load_robot(request.config.rootpath / f'config/robots/{name}.yaml')
+    model, random = Model(robot), np.random.default_rng(1)
+    low, high = model.limits.T
+    inputs = low + random.random((200, len(low))) * (np.minimum(high, 4.0) - low)
+    shapes, changes = model.solve(inputs)
+    assert (changes < 1e-10).all()
+    assert np.abs(shapes.bend).max() < 0.9  # [rad] beyond it eyelets would pass each other
+    reference = Reference(robot)
+    for b in range(0, 200, 20):
+        implied = reference.implied(inputs[b], shapes.bend[b])
+        assert np.abs(implied - shapes.bend[b]).max() < 1e-6
+    near, changes = model.solve(inputs * 1.01, shapes.bend)
+    assert (changes < 1e-10).all()
+    cold, _ = model.solve(inputs * 1.01)
+    apart = np.linalg.norm(near.tip_position - cold.tip_position, axis=1)
+    assert np.median(apart) < 1e-9
+
+
+@pytest.mark.parametrize('name', ['spatial_3', 'spatial_6'])
+def test_without_tendon_travel_every_posture_settles_too(name, request):
+    """The sign of friction then turns with the last digit of a bend: cell after cell it is met."""
+    robot = load_robot(request.config.rootpath / f'config/robots/{name}.yaml')
+    model, random = Model(robot.without_effect('tendon_travel')), np.random.default_rng(2)
+    low, high = model.limits.T
+    inputs = low + random.random((100, len(low))) * (np.minimum(high, 5.0) - low)
+    shapes, changes = model.solve(inputs)
+    assert (changes < 1e-10).all()
+    assert np.abs(residuals(model, inputs, np.ascontiguousarray(shapes.bend))).max() < 1e-10

@@ -1,0 +1,94 @@
+"""What a notebook imports: every public name, quickly, and results that print what one wants."""
+
+import os
+import sys
+
+import processes
+import pytest
+from source_tree import ROOT
+
+import tendon_robot_ros
+from tendon_robot_ros import Model, compare, load_dataset, load_robot
+
+ROBOTS = ROOT / 'config' / 'robots'
+
+
+def test_every_public_name_can_be_imported():
+    assert sorted(tendon_robot_ros.PUBLIC) == sorted(tendon_robot_ros.__all__)
+    for name in tendon_robot_ros.__all__:
+        assert getattr(tendon_robot_ros, name).__name__ == name
+    assert set(tendon_robot_ros.__all__) <= set(dir(tendon_robot_ros))
+
+
+def test_an_unknown_name_is_refused():
+    with pytest.raises(AttributeError, match="'tendon_robot_ros' has no attribute 'lode_robot'"):
+        _ = tendon_robot_ros.lode_robot
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    code = (
+        'import sys, tendon_robot_ros\n'
+        'print([name for name in ("numpy", "numba", "scipy", "yaml") if name in sys.modules])'
+    )
+    run = processes.run([sys.executable, '-c', code])
+    assert run.stdout.strip() == '[]'
+
+
+def test_a_robot_and_its_shapes_say_what_they_are():
+    robot = load_robot(ROBOTS / 'kato_10_1.yaml')
+    assert repr(robot).startswith(
+        '<Robot kato_10_1: 208 mm; sections: proximal of 15 cells, distal of 15 cells; 4 tendons, '
+    )
+    model = Model(robot)
+    shape = model.shape({'prox_left': 0.1})
+    assert repr(shape).startswith('<Shape: tensions [0.1, 0, 0, 0] N, tip at (')
+    solution = model.reach(position=shape.tip_position)
+    assert repr(solution).startswith('<Reach: reached, ')
+
+
+@pytest.mark.parametrize(('name', 'axis'), [('kato_10_1', 'z [mm]'), ('spatial_3', 'y [mm]')])
+def test_an_arm_is_drawn_flat_or_in_space(name, axis):
+    model = Model(load_robot(ROBOTS / f'{name}.yaml'))
+    tensions = model.limits[:, 0].copy()
+    tensions[1] += 0.5
+    shape = model.shape(tensions)
+    axes = shape.plot(label='once')
+    assert axes.get_ylabel() == axis
+    drawn = axes.lines[0].get_data_3d() if name == 'spatial_3' else axes.lines[0].get_data()
+    assert drawn[0][-1] == pytest.approx(1e3 * shape.tip_position[0])
+    assert shape.plot(axes) is axes
+    assert len(axes.lines) == 2
+
+
+def test_a_comparison_prints_and_draws_its_errors():
+    dataset = load_dataset(ROOT / 'data' / 'hinge_friction' / 'fit')
+    assert ': 12 postures x up to 5 trials x 15 markers of planar1; tension [N]' in repr(dataset)
+    comparison = compare(dataset)
+    assert 'planar1: rms 2.66 mm, tip 4.9 mm; a perfect model: 0.245 mm' in repr(comparison)
+    axes = comparison.plot()
+    assert axes.lines[0].get_ydata()[-1] == pytest.approx(1e3 * comparison.best.tip_rms)
+
+
+def test_the_example_tells_the_whole_story(tmp_path):
+    run = processes.run(
+        [sys.executable, 'examples/find_the_missing_effect.py', tmp_path],
+        cwd=ROOT,
+    )
+    assert run.returncode == 0, run.stderr
+    starts = [line.split()[0] for line in run.stdout.splitlines()]
+    assert starts == ['<Robot', '<Shape:', '<DataSet', '<Comparison', '<Diagnosis', '<Addition']
+    assert 'missing_effect: hinge_friction: lever = ' in run.stdout
+    assert 'hinge_friction' in load_robot(tmp_path / 'better.yaml').effects
+    for name in ('shape.png', 'errors.png'):
+        assert (tmp_path / name).stat().st_size > 5000
+
+
+def test_linear_algebra_runs_in_one_thread_unless_the_user_says_otherwise():
+    code = 'import tendon_robot_ros, os; print(os.environ["OPENBLAS_NUM_THREADS"])'
+    for given, expected in ((None, '1'), ('3', '3')):
+        known = {k: v for k, v in os.environ.items() if k != 'OPENBLAS_NUM_THREADS'}
+        run = processes.run(
+            [sys.executable, '-c', code],
+            env=known | ({} if given is None else {'OPENBLAS_NUM_THREADS': given}),
+        )
+        assert run.stdout.strip() == expected

@@ -1,0 +1,63 @@
+"""A model that takes long, by an effect whose law does: the controller hears and commands on."""
+
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from ros_station import Station, last, point, start, values
+
+from tendon_robot_ros.robot import dump_robot
+from tendon_robot_ros.ros.shared.files import read_robot
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+SPACE = '/slow_model'
+SLOW = """
+import math
+
+from tendon_robot_ros.effects.effect import Effect, Parameter
+
+def law(stiffness, tendons, turns):
+    x = 0.5
+    for _ in range(int(turns)):  # nothing makes this shorter
+        x = math.cos(x)
+    return stiffness * (1.0 + 1e-9 * x)
+
+EFFECT = Effect('slow', 'stiffness', 'stiffness',
+                (Parameter('turns', '1', 0.0, 1e7, 0.0, 1e3),), law)
+"""
+TURNS = 2_000.0  # some 20 µs for every cell and evaluation: a search takes a second
+
+
+def test_commands_stops_and_the_end_do_not_wait_for_the_model(tmp_path):
+    path = tmp_path / 'slow.py'
+    path.write_text(SLOW)
+    robot = dump_robot(read_robot('kato_10_1').with_effect('slow', {'turns': TURNS}))
+    station = Station(SPACE)
+    with (
+        start('driver', SPACE, tmp_path),
+        start('controller', SPACE, tmp_path, model=robot, effects=[str(path)]) as controller,
+    ):
+        station.until_code(station.controller, 'holding', timeout=400.0)
+        station.commands.clear()
+        station.controller.clear()
+        for x in np.linspace(0.05, 0.28, 6):  # the last ones are out of reach: a long search
+            station.send('controller/target_point', point(x, 0.1))
+            station.spin(0.5)
+        assert 'searching' in {values(said)['code'] for _, said in station.controller}
+        assert len(station.commands) > 10  # however busy the machine is
+        station.send('controller/target_point', point(0.2, 0.2))
+        station.until_code(station.controller, 'searching')
+        assert station.trigger('controller/stop').success
+        station.until_code(station.controller, 'stopped')
+        assert station.trigger('controller/reset').success
+        station.until_code(station.controller, 'holding')
+        station.send('controller/target_point', point(0.2, 0.2))
+        station.until_code(station.controller, 'searching')
+        began = time.monotonic()
+        assert controller.end() == 0
+        assert time.monotonic() - began < 3.0
+    assert last(station.commands).name
+    station.close()

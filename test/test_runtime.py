@@ -1,0 +1,216 @@
+"""How nodes are run: the executor, the priority, and what must not wait for callbacks."""
+
+import os
+import sys
+import time
+from types import SimpleNamespace
+
+import processes
+import pytest
+
+pytest.importorskip('rclpy')
+
+import rclpy
+import ros_station  # noqa: F401  (prepares the environment for rclpy)
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from tendon_robot_ros.common.processes import FIRST_NICENESS
+from tendon_robot_ros.ros.controller import model as model_loading
+from tendon_robot_ros.ros.controller.node import ControllerNode
+from tendon_robot_ros.ros.driver.node import DriverNode
+from tendon_robot_ros.ros.shared.lifecycle import NEWS_INTERVAL_MIN_S
+from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
+from tendon_robot_ros.ros.shared.runtime import make_executor, run
+
+pytestmark = pytest.mark.ros
+NAMES = ['prox_left', 'prox_right', 'dist_left', 'dist_right']
+
+
+@pytest.fixture
+def context():
+    if rclpy.ok():
+        rclpy.shutdown()
+    yield lambda *arguments: rclpy.init(
+        args=['node', *arguments], signal_handler_options=SignalHandlerOptions.NO
+    )
+    rclpy.try_shutdown()
+
+
+def until(condition, what, seconds=10.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, what
+        time.sleep(0.005)
+
+
+def test_commands_and_stops_reach_the_motors_while_no_callback_is_served(context):
+    """The main thread here never spins: as if a callback took for ever."""
+    parameters = ['robot:=kato_10_1', 'config:=mock_twin', 'rate_limit:=1000.0']
+    context('--ros-args', '-r', '__ns:=/busy', *(w for p in parameters for w in ('-p', p)))
+    driver, sender = DriverNode(), Node('sender', namespace='/busy')
+    commands = sender.create_publisher(JointState, 'tendon_command', COMMAND)
+    stops = sender.create_publisher(Bool, 'stop', LATCHED)
+    try:
+        driver.trigger_configure()
+        driver.trigger_activate()
+        message = JointState(name=NAMES, effort=[2.0, 1.0, 1.0, 1.0])
+
+        def followed():
+            commands.publish(message)
+            return driver.bus.driver.read().tensions[0] > 1.5
+
+        until(followed, 'the command at the motors')
+        stops.publish(Bool(data=True))
+        until(lambda: driver.bus.supervisor.latch, 'the stop')
+    finally:
+        driver.end(lambda seconds: None)
+        driver.destroy_node()
+        sender.destroy_node()
+
+
+def test_the_service_stop_answers_while_no_callback_is_served(context):
+    context('--ros-args', '-r', '__ns:=/busy', '-p', 'robot:=kato_10_1', '-p', 'config:=mock_twin')
+    driver, person = DriverNode(), Node('person', namespace='/busy')
+    client, executor = person.create_client(Trigger, 'driver/stop'), SingleThreadedExecutor()
+    executor.add_node(person)
+    try:
+        assert client.wait_for_service(10.0)
+        assert call(executor, client).success  # nothing to stop yet
+        driver.trigger_configure()
+        driver.trigger_activate()
+        assert call(executor, client).success
+        assert driver.bus.supervisor.latch.reasons == ['stop was called']
+    finally:
+        driver.end(lambda seconds: None)
+        driver.destroy_node()
+        person.destroy_node()
+
+
+def call(executor, client):
+    future = client.call_async(Trigger.Request())
+    executor.spin_until_future_complete(future, 10.0)
+    return future.result()
+
+
+class SlowLoader:
+    """Stands where a model is loaded, and takes as long as the test wants."""
+
+    doing, done = 'loading', False
+
+    def __init__(self, *arguments):
+        pass
+
+    def cancel(self):
+        pass
+
+
+def test_the_controller_says_at_once_what_it_does_before_it_is_ready(context, monkeypatch):
+    monkeypatch.setattr(model_loading, 'Loader', SlowLoader)
+    context('--ros-args', '-r', '__ns:=/slow', '-p', 'model:=kato_10_1')
+    controller, said = ControllerNode(), []
+    controller.status._latched = SimpleNamespace(publish=said.append)
+    try:
+        for doing in ('loading', 'compiling', 'building'):
+            SlowLoader.doing = doing
+            controller.running()
+            time.sleep(NEWS_INTERVAL_MIN_S)
+        assert [(status.values[0].value, status.message) for status in said] == [
+            ('loading', 'reading the model'),
+            ('compiling', 'compiling the model, once; a minute'),
+            ('building', 'building the library of shapes'),
+        ]
+    finally:
+        controller.end(lambda seconds: None)
+        controller.destroy_node()
+
+
+def test_the_executor_serves_what_is_added_while_it_runs(context):
+    context()
+    executor, first, heard, ticks = make_executor(), Node('first'), [], []
+    executor.add_node(first)
+
+    def spin(condition):
+        end = time.monotonic() + 10.0
+        while not condition() and time.monotonic() < end:
+            executor.spin_once(timeout_sec=0.05)
+        assert condition()
+
+    first.create_timer(0.01, lambda: ticks.append(1))
+    spin(lambda: ticks)
+    later = Node('later')
+    executor.add_node(later)
+    later.create_subscription(Bool, 'news', heard.append, LATCHED)
+    first.create_publisher(Bool, 'news', LATCHED).publish(Bool(data=True))
+    first.create_service(Trigger, 'ask', lambda request, response: response)
+    client = later.create_client(Trigger, 'ask')
+    assert client.wait_for_service(10.0)
+    answer = client.call_async(Trigger.Request())
+    spin(lambda: heard and answer.done())
+    executor.remove_node(later)
+    later.destroy_node()
+    count = len(ticks)
+    spin(lambda: len(ticks) > count + 3)
+    executor.shutdown(timeout_sec=1.0)
+    first.destroy_node()
+
+
+def test_without_the_executor_of_events_the_old_one_serves(context, monkeypatch):
+    context()
+    monkeypatch.setitem(sys.modules, 'rclpy.experimental.events_executor', None)
+    executor = make_executor()
+    assert type(executor) is SingleThreadedExecutor
+    executor.shutdown()
+
+
+class Failing:
+    """A node whose timer fails."""
+
+    def __init__(self):
+        self.node, self.ended = Node('failing'), False
+        self.node.create_timer(0.01, self.fail)
+
+    def fail(self):
+        raise ValueError('nobody foresaw this')
+
+    def start(self):
+        pass
+
+    def running(self):
+        return True
+
+    def end(self, spin):
+        self.ended = True
+
+
+def test_an_error_in_a_callback_ends_the_process_the_safe_way(context, capfd):
+    made = []
+    assert run(lambda: made.append(Failing()) or made[0], []) == 1
+    assert made[0].ended
+    assert 'nobody foresaw this' in capfd.readouterr().err
+
+
+SHOW = (
+    'import os; from tendon_robot_ros.common.processes import go_first, go_with_others; {}; '
+    'print(os.getpriority(os.PRIO_PROCESS, 0))'
+)
+
+
+def priority_after(calls, nice=0):
+    program = [sys.executable, '-c', SHOW.format(calls)]
+    given = ['nice', '-n', str(nice)] if nice else []
+    return int(processes.run([*given, *program]).stdout)
+
+
+def test_what_moves_motors_goes_first_where_it_may():
+    mine = os.getpriority(os.PRIO_PROCESS, 0)
+    if mine != 0:
+        pytest.skip('the tests themselves were started with another priority')
+    wanted = processes.run(['nice', '-n', str(FIRST_NICENESS), 'nice'])
+    assert priority_after('go_first()') == int(wanted.stdout)  # 0 where it is not allowed
+    assert priority_after('go_first(); go_with_others()') == 0
+    assert priority_after('go_first()', nice=5) == 5

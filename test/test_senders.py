@@ -1,0 +1,126 @@
+"""Two senders of one topic: the first is followed until it is gone, the other is named."""
+
+import signal
+from itertools import count
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from ros_station import Station, last, point, start, values
+from sensor_msgs.msg import JointState
+
+from tendon_robot_ros.ros.shared.inbox import Received
+from tendon_robot_ros.ros.shared.senders import GONE_AFTER_S, Senders
+
+
+def numbered(number):
+    return Received(None, 0, number)
+
+
+def test_the_first_is_followed_until_it_is_gone():
+    senders = Senders()
+    assert senders.first(0.0) == ''
+    assert senders.counts(0.0, '/controller', numbered(1))
+    assert not senders.counts(0.01, '/intruder', numbered(1))
+    assert senders.first(0.02) == '/controller'
+    assert senders.others(0.02) == '/intruder'
+    assert senders.counts(0.5, '/controller', numbered(2))
+    assert not senders.counts(0.5 + GONE_AFTER_S, '/intruder', numbered(2))
+    assert senders.counts(0.6 + GONE_AFTER_S, '/intruder', numbered(3))
+    assert senders.first(0.6 + GONE_AFTER_S) == '/intruder'
+    assert senders.others(0.6 + GONE_AFTER_S) == ''
+    assert senders.first(0.7 + 2.0 * GONE_AFTER_S) == ''
+
+
+def test_senders_without_a_signature_are_told_apart_by_their_numbers():
+    senders, one, two = Senders(), count(5000), count(1)
+    for cycle in range(100):
+        now = 0.005 * cycle
+        assert senders.counts(now, '', numbered(next(one)))
+        assert not senders.counts(now, '', numbered(next(two)))
+    assert senders.others(0.5) == 'one that does not sign'
+
+
+def test_a_middleware_that_does_not_number_messages_is_no_hindrance():
+    senders = Senders()
+    assert all(senders.counts(0.01 * i, '', numbered(None)) for i in range(5))
+
+
+@pytest.fixture
+def robot(request, tmp_path):
+    space = '/' + request.node.name[:30]
+    station, started = Station(space), []
+
+    def run(name, **known):
+        started.append(start(name, space, tmp_path, **known))
+        return started[-1]
+
+    station.run = run
+    yield station
+    for process in started:
+        process.end()
+    station.close()
+
+
+@pytest.mark.ros
+def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
+    robot.run('driver')
+    first = robot.run('controller')
+    robot.until_code(robot.controller, 'holding', timeout=120.0)
+    robot.go_to_point(0.06, 0.17)
+    second = robot.hear(type(last(robot.controller)), 'second/status')
+    intruder = robot.run('controller', extra=('-r', '__node:=second'))
+    robot.until_code(second, 'driver_stopped', timeout=120.0)
+    assert f'it follows {robot.namespace}/controller (process' in last(second).message
+    robot.until(lambda: '/second (process' in last(robot.driver).message, 'the driver to say so')
+    robot.until(
+        lambda: values(last(robot.controller))['other_controllers'] == f'{robot.namespace}/second',
+        'the first to say so',
+    )
+    assert values(last(second))['other_controllers'] == f'{robot.namespace}/controller'
+    robot.send('second/target_point', point(-0.06, 0.17))
+    robot.spin(0.5)
+    assert robot.tip() == pytest.approx([0.06, 0.0, 0.17], abs=1e-3)
+    assert robot.code() == 'reached'
+    first.process.send_signal(signal.SIGKILL)
+    robot.until(lambda: '/second' in values(last(robot.driver))['follows'], 'the second')
+    robot.until_code(second, 'holding', 'refused_driver_stopped')  # the target of before
+    robot.send('second/target_point', point(-0.06, 0.17))
+    robot.until_code(second, 'reached')
+    assert intruder.process.poll() is None
+
+
+def others(heard):
+    return values(last(heard)).get('other_drivers')
+
+
+@pytest.mark.ros
+def test_a_second_driver_is_named_by_all(robot):
+    robot.run('driver')
+    robot.run('controller')
+    robot.until_code(robot.controller, 'holding', timeout=120.0)
+    robot.run('driver', extra=('-r', '__node:=second'))
+    second = robot.hear(type(last(robot.driver)), 'second/status')
+    own = robot.namespace
+    robot.until(
+        lambda: second and others(second) == f'{own}/driver', 'the second to say so', timeout=120.0
+    )
+    robot.until(lambda: others(robot.driver) == f'{own}/second', 'the first to say so')
+    assert f'another publishes tendon_states: {own}/second' in last(robot.driver).message
+    robot.until(lambda: '/second (process' in last(robot.controller).message, 'the controller')
+    assert robot.code() == 'holding'  # with the first
+
+
+@pytest.mark.ros
+def test_a_person_at_the_command_line_does_not_take_the_arm(robot):
+    robot.run('driver')
+    robot.run('controller')
+    robot.until_code(robot.controller, 'holding', timeout=120.0)
+    robot.go_to_point(0.06, 0.17)
+    command = JointState(name=list(last(robot.commands).name), effort=[0.1] * 4)
+    for _ in range(100):
+        robot.send('tendon_command', command)
+        robot.spin(0.005)
+    assert 'one that does not sign' in last(robot.driver).message
+    assert robot.tip() == pytest.approx([0.06, 0.0, 0.17], abs=1e-3)

@@ -1,0 +1,135 @@
+"""Searches for slack that find nothing: all attempts together wind no more than one may."""
+
+import threading
+import time
+
+import emulated
+import emulated_board
+import numpy as np
+import pytest
+
+from tendon_robot_ros.common.errors import DriverError, MovedError
+
+pytest.importorskip('dynamixel_sdk')
+
+from tendon_robot_ros.drivers.dynamixel import driver as module
+
+TRAVEL = 0.01  # [m]
+MORE = 0.002  # [m] the back-off, and what a motor turns until it is told to stop
+KINDS = {
+    'dynamixel': (
+        lambda: emulated.line(stiffness=0.0),
+        lambda line: emulated.driver_for(line, 'pull', home_travel=TRAVEL),
+    ),
+    'serial': (
+        lambda: emulated_board.board(stiffness=0.0),
+        lambda line: emulated_board.driver_for(
+            line, 'pull', home_travel=TRAVEL, home_tension=1.0, home_time=4.0
+        ),
+    ),
+}
+
+
+class Free:
+    """Emulated motors whose wires meet no resistance; `span` is what they have wound since."""
+
+    def __init__(self, kind):
+        if kind == 'serial' and emulated_board.firmware.compiler() is None:
+            pytest.skip('no C compiler')
+        make, self.driver = KINDS[kind]
+        self.kind, self.line = kind, make()
+        self.begin = self.wound()
+
+    def wound(self):
+        """Return the wire on every spool [m], shape (4,)."""
+        rig = self.line.rig
+        return rig.places.copy() if self.kind == 'serial' else rig.wound
+
+    def unplug_on_the_way(self):
+        """Pull the plug as soon as a wire has moved; or in the end, whatever happened."""
+        end = time.monotonic() + emulated.SOON
+        while np.abs(self.wound() - self.begin).max() < 0.001 and time.monotonic() < end:
+            time.sleep(0.001)
+        self.line.unplug()
+
+    def attempt(self, driver):
+        """Enable, refused; return the largest way [m] from the very beginning."""
+        with pytest.raises(MovedError, match='no resistance within home_travel') as told:
+            driver.enable()
+        assert str(told.value).count('call reset, then') == 1
+        return np.abs(self.wound() - self.begin).max()
+
+
+@pytest.fixture(params=KINDS)
+def free(request):
+    made = Free(request.param)
+    with made.line:
+        yield made
+
+
+def test_attempts_wind_no_more_together_than_one(free):
+    with free.driver(free.line) as driver:
+        first = free.attempt(driver)
+        assert 0.5 * TRAVEL < first < TRAVEL + MORE
+        for _ in range(3):
+            assert free.attempt(driver) < TRAVEL + MORE
+
+
+def test_another_driver_of_the_process_goes_on_from_the_same_beginning(free):
+    with free.driver(free.line) as driver:
+        free.attempt(driver)
+        driver.close()
+        driver.open()
+        assert free.attempt(driver) < TRAVEL + MORE
+    for _ in range(2):
+        with free.driver(free.line) as driver:
+            assert free.attempt(driver) < TRAVEL + MORE
+
+
+def test_a_person_who_resets_gets_the_whole_way_again(free):
+    with free.driver(free.line) as driver:
+        first = free.attempt(driver)
+        driver.reset()
+        assert free.attempt(driver) > 1.5 * first
+
+
+def test_a_plug_pulled_in_the_middle_gives_no_second_way(free):
+    with free.driver(free.line) as driver:
+        pull = threading.Thread(target=free.unplug_on_the_way)
+        pull.start()
+        with pytest.raises(MovedError):
+            driver.enable()
+        pull.join()
+        free.line.plug()
+        emulated.cycle(driver, np.zeros(4), 2.0, until=lambda r: not r.faults)
+        assert free.attempt(driver) < TRAVEL + MORE
+        assert free.attempt(driver) < TRAVEL + MORE
+
+
+def test_a_search_that_succeeds_counts_for_nothing():
+    with emulated.line(slack=0.006) as line:
+        for _ in range(3):  # 6 mm each: together more than one may
+            with emulated.driver_for(line, 'pull', home_travel=TRAVEL) as driver:
+                driver.enable()
+                emulated.cycle(driver, np.full(4, -0.006), 0.4)
+
+
+def test_a_refusal_that_moved_nothing_may_be_tried_again():
+    with emulated.line() as line, emulated.driver_for(line, 'pull') as driver:
+        line.servo(2).fail(0x20)
+        with pytest.raises(DriverError, match='then reboot it') as told:
+            driver.enable()
+        assert not isinstance(told.value, MovedError)
+
+
+def test_torque_that_fails_after_a_search_is_not_tried_again_either(monkeypatch):
+    with emulated.line() as line, emulated.driver_for(line, 'pull') as driver:
+        torque_on = module.torque_on
+
+        def broken(*arguments):
+            line.servo(2).fail(0x20)
+            torque_on(*arguments)
+
+        monkeypatch.setattr(module, 'torque_on', broken)
+        with pytest.raises(MovedError, match='then reboot it'):
+            driver.enable()
