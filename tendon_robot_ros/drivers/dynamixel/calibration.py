@@ -26,6 +26,7 @@ from .torque import read_state, torque_off, torque_on
 
 GRAVITY = 9.80665  # [m/s²]
 PERIOD = 0.01  # [s]
+ARRIVAL = 1.0  # time for the end of a way, after its last goal [s]
 STEADY = (0.35, 0.9)  # part of the way in which the current counts
 FEWEST_WEIGHTS = 3
 FEWEST_SAMPLES = 5
@@ -166,21 +167,29 @@ def measure(bus: Bus, motor: Motor, tension: float, travel: float, speed: float)
     return CurrentPoint(tension, up, down)
 
 
+def _turn_to(bus: Bus, motor: Motor, ticks: int) -> None:
+    """Send a goal and read what the motor does a period later."""
+    bus.send_goals(
+        'goal_position', {motor.identity: ticks}, {motor.identity: motor.position_bounds}
+    )
+    time.sleep(PERIOD)
+    read_state(bus, [motor])
+    if not motor.answers:
+        raise DriverError(f'{bus.path}: {motor}: no answer while calibrating; torque is off')
+
+
 def _go(bus: Bus, motor: Motor, end: int, duration: float) -> float:
     """Turn to `end` at constant speed; return the mean current on the steady part [A]."""
     start, began = motor.ticks or 0, time.monotonic()
-    bounds = {motor.identity: motor.position_bounds}
     currents = []
     wire = motor.wires[0]
     while (part := (time.monotonic() - began) / duration) < 1.0:
-        goal = {motor.identity: round(start + part * (end - start))}
-        bus.send_goals('goal_position', goal, bounds)
-        time.sleep(PERIOD)
-        read_state(bus, [motor])
-        if not motor.answers:
-            raise DriverError(f'{bus.path}: {motor}: no answer while calibrating; torque is off')
+        _turn_to(bus, motor, round(start + part * (end - start)))
         if STEADY[0] < part < STEADY[1] and motor.current is not None:
             currents.append(wire.spool.direction * motor.current * motor.model.current_unit)
+    latest = time.monotonic() + ARRIVAL
+    while abs((motor.ticks or 0) - end) > 0.2 * abs(end - start) and time.monotonic() < latest:
+        _turn_to(bus, motor, end)  # the last goal may be an old one where this process was late
     if abs((motor.ticks or 0) - end) > 0.2 * abs(end - start):
         raise DriverError(
             f'{bus.path}: {motor}: does not follow; is the weight too heavy for '
