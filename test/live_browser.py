@@ -3,8 +3,10 @@
 import base64
 import itertools
 import json
+import os
 import re
 import shutil
+import tempfile
 import time
 import urllib.request
 
@@ -34,7 +36,9 @@ class Browser:
         command += ['--use-angle=swiftshader', f'--user-data-dir={folder / "profile"}']
         command += ['--remote-debugging-port=0', f'--window-size={width},{height}', 'about:blank']
         self.log = (folder / 'chromium.log').open('w+')
-        self.process = processes.Process(command, stderr=self.log, stdout=self.log)
+        self._scratch = tempfile.TemporaryDirectory()  # Chromium leaves its own there
+        own = {**os.environ, 'TMPDIR': self._scratch.name}
+        self.process = processes.Process(command, stderr=self.log, stdout=self.log, env=own)
         port = self._port()
         with urllib.request.urlopen(f'http://127.0.0.1:{port}/json') as answer:
             pages = json.load(answer)
@@ -174,3 +178,4 @@ class Browser:
         self.process.terminate()
         self.process.wait()
         self.log.close()
+        self._scratch.cleanup()

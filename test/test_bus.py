@@ -117,12 +117,25 @@ def test_a_motor_error_takes_its_torque_and_a_reset_brings_it_back(bus):
     assert bus.driver.switched_off == [('right',)]
     with pytest.raises(DriverError, match='right: overload'):
         bus.call(bus.supervisor.reset)
-    bus.call(bus.driver.reboot)
+    bus.call(bus.reboot)
     seen = len(bus.cycles)
     until(lambda: len(bus.cycles) > seen + 1)  # the next reading shows it
     bus.call(bus.supervisor.reset)
     follow(bus)
     assert bus.supervisor.state == FOLLOWING
+    assert bus.call(bus.driver.read).tensions == pytest.approx(COMMAND)
+
+
+def test_a_reboot_takes_the_torque_of_healthy_motors_until_a_reset(bus):
+    follow(bus)
+    bus.call(bus.reboot)
+    assert bus.off == ROBOT.inputs
+    assert bus.supervisor.latch.reasons == ['rebooted, torque is off']
+    bus.put(COMMAND)
+    assert bus.call(bus.driver.read).tensions == pytest.approx([0.0, 0.0])
+    bus.call(bus.reset)
+    follow(bus)
+    assert bus.off == ()
     assert bus.call(bus.driver.read).tensions == pytest.approx(COMMAND)
 
 

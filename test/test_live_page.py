@@ -10,14 +10,14 @@ pytest.importorskip('viser')
 from live_browser import Browser
 from PIL import Image
 
+from tendon_robot_ros.common.colours import ERROR, MEASURED, PREDICTED, rgb
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.ros.shared.files import read_robot
 from tendon_robot_ros.ros.viewer.node import _is_local
-from tendon_robot_ros.ros.viewer.page import ERROR, MEASURED, PREDICTED, LivePage
+from tendon_robot_ros.ros.viewer.page import LivePage
 from tendon_robot_ros.ros.viewer.state import ViewState
 
-# A known defect, see docs/limits.md: run by make test-slow until it is mended.
-pytestmark = [pytest.mark.browser, pytest.mark.slow]
+pytestmark = pytest.mark.browser
 TENSIONS = [0.6, 0.1, 0.1, 0.3]
 
 
@@ -111,7 +111,7 @@ def test_a_desktop_and_a_phone_see_both_arms_from_base_to_tip(opened, tmp_path):
     browsers[0].until(lambda: page.clients == 2, 'both browsers')
     for browser, width in zip(browsers, (1200, 400), strict=True):
         assert browser.run('document.documentElement.scrollWidth') <= width
-        for colour in (MEASURED, PREDICTED):
+        for colour in map(rgb, (MEASURED, PREDICTED)):
             browser.until(
                 lambda b=browser, c=colour: spans(b, tmp_path, c), f'the arm at {width} px'
             )

@@ -18,9 +18,7 @@ pytest.importorskip('dynamixel_sdk')
 from dynamixel_rig import PULL, ROBOT, TENSION, Rig, steps
 from ros_station import LOW, Station, last, point, start
 
-# A known defect, not the machine: in tension mode the emulated arm swings and may not come to its
-# command within 30 s. Run by make test-slow until it is mended (docs/limits.md).
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = pytest.mark.ros
 WATCHDOG_TRIPPED = 255
 
 

@@ -216,6 +216,7 @@ def test_what_the_launch_file_starts_holds_the_arm(space, tmp_path):
     for one in launch(path, tmp_path, shares, **said):
         processes.Process(processes.package(one.executable, *one.arguments))
     space.until_code(space.controller, 'holding', timeout=120.0)
+    space.until_code(space.driver, 'following')
     assert values(last(space.driver))['mode'] == 'pull'
 
 

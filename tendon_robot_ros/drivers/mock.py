@@ -178,7 +178,8 @@ class MockDriver(Driver):
         )
 
     def reboot(self, inputs: Sequence[str] = ()) -> None:
-        """Clear the injected hardware errors."""
+        """Clear the injected hardware errors; torque is off."""
+        self.disable(inputs)
         self._injected = {k: f for k, f in self._injected.items() if not f.hardware}
 
     def inject(self, code: str, inputs: Sequence[str] = ()) -> None:

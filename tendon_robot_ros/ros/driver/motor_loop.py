@@ -103,6 +103,18 @@ class MotorLoop:
         self.supervisor.reset()
         self.driver.reset()
 
+    def reboot(self) -> None:
+        """Restart the motors; their torque comes back with the next reset."""
+        self._off = self.driver.inputs
+        if self.supervisor.state != OFF:
+            self.supervisor.latch.stop('reboot', 'rebooted, torque is off')
+        self.driver.reboot()
+
+    @property
+    def off(self) -> tuple[str, ...]:
+        """Inputs whose torque is off."""
+        return self._off
+
     def release(self, key: str, reason: str, timeout: float) -> bool:
         """
         Ramp to rest and wait for it.

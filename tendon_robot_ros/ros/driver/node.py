@@ -195,7 +195,7 @@ class DriverNode(ManagedNode):
             'mode': bus.driver.mode,
             'tension_source': cycle.reading.source,
             'clipped': ', '.join(decision.clipped),
-            'torque_off': ', '.join(decision.off),
+            'torque_off': ', '.join(bus.off),
             'faults': ', '.join(fault.code for fault in cycle.reading.faults),
             **senders,
             **bus.driver.describe(),
@@ -244,7 +244,7 @@ class DriverNode(ManagedNode):
         return self._try(response, lambda bus: bus.reset(), done)
 
     def _reboot(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._try(response, lambda bus: bus.driver.reboot(), 'rebooted; call reset next')
+        return self._try(response, lambda bus: bus.reboot(), 'rebooted; call reset next')
 
     def _try(
         self, response: Trigger.Response, action: Callable[[MotorLoop], None], done: str
