@@ -21,7 +21,7 @@ def softening(moment, total_tension, loss):
 SOFTENING = Effect(
     name='softening',
     title='a joint that gives way under tension',
-    stage='hold',
+    stage='joint_friction',
     parameters=(Parameter('loss', '1/N', 0.0, 0.2, 0.0, typical=0.05, parts_power=2),),
     law=softening,
     divisible=True,
@@ -54,9 +54,9 @@ def test_every_stage_is_composed_with_what_its_table_says():
 def test_one_more_effect_is_composed_after_those_of_its_stage():
     source = stages_source(with_softening())
     number = len(list(load_catalogue()))
-    hold = source.split('def hold(')[1].split('@compiled')[0]
-    assert f'moment = law_{number}(moment, total_tension, values[' in hold
-    assert hold.index('moment = law_6(') < hold.index(f'moment = law_{number}(')
+    body = source.split('def joint_friction(')[1].split('@compiled')[0]
+    assert f'moment = law_{number}(moment, total_tension, values[' in body
+    assert body.index('moment = law_6(') < body.index(f'moment = law_{number}(')
 
 
 def test_a_plant_divides_cells_only_where_every_effect_says_how():

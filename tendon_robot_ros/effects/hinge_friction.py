@@ -15,7 +15,7 @@ def law(moment, total_tension, lever):
 EFFECT = Effect(
     name='hinge_friction',
     title='friction in the hinges of the pressed guides',
-    stage='hold',
+    stage='joint_friction',
     parameters=(Parameter('lever', 'm', 0.0, 3e-3, 0.0, typical=3e-4),),
     law=law,
     divisible=True,

@@ -11,7 +11,7 @@ def law(scale, relative_change):
 EFFECT = Effect(
     name='moment_arm',
     title='the tendon offsets differ from the description',
-    stage='offset',
+    stage='offset_scale',
     law=law,
     parameters=(Parameter('relative_change', '1', -0.8, 4.0, 0.0, typical=0.1),),
     divisible=True,

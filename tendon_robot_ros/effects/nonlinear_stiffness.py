@@ -11,7 +11,7 @@ def law(factor, bend_squared, cubic):
 EFFECT = Effect(
     name='nonlinear_stiffness',
     title='the backbone stiffens as it bends',
-    stage='growth',
+    stage='stiffening',
     law=law,
     parameters=(Parameter('cubic', '1/rad²', -0.5, 100.0, 0.0, typical=3.0, parts_power=2),),
     divisible=True,

@@ -62,7 +62,7 @@ _ALL = (
         _quantities(('tension', 'N', 'tension that enters the first cell')),
     ),
     Stage(
-        'offset',
+        'offset_scale',
         _quantities(('scale', '1', 'factor on every tendon offset')),
     ),
     Stage(
@@ -71,7 +71,7 @@ _ALL = (
         _quantities(('tendons', '1', 'number of tendons in the cell')),
     ),
     Stage(
-        'growth',
+        'stiffening',
         _quantities(('factor', '1', 'secant stiffness over initial stiffness')),
         _quantities(('bend_squared', 'rad²', 'square of the bend beyond the rest bend')),
     ),
@@ -83,7 +83,7 @@ _ALL = (
         ),
     ),
     Stage(
-        'arm',
+        'tendon_path',
         _quantities(
             ('travel', 'm', 'path that the tendon has lost in the cell'),
             ('along', 'm', 'derivative of the travel by the bend, in the bend plane'),
@@ -117,7 +117,7 @@ _ALL = (
         ),
     ),
     Stage(
-        'hold',
+        'joint_friction',
         _quantities(('moment', 'N·m', 'size of the moment left after friction in the joint')),
         _quantities(TOTAL_TENSION),
     ),
@@ -128,7 +128,7 @@ _ALL = (
         implicit=True,
     ),
     Stage(
-        'slide',
+        'friction_travel',
         _quantities(('here', 'm', 'travel that decides the friction')),
         _quantities(('beyond', 'm', 'travel in all cells beyond the eyelet')),
         implicit=True,

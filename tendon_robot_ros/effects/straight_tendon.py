@@ -30,7 +30,7 @@ def law(travel, along, across, bend, sin_half, cos_half, radial, length, hinge, 
 EFFECT = Effect(
     name='straight_tendon',
     title='tendons run straight between eyelets',
-    stage='arm',
+    stage='tendon_path',
     parameters=(Parameter('fraction', '1', 0.0, 1.0, 0.0, typical=1.0),),
     law=law,
 )

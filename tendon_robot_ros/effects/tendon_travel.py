@@ -15,7 +15,7 @@ def law(here, beyond, fraction):
 EFFECT = Effect(
     name='tendon_travel',
     title="friction opposes the tendon's real travel",
-    stage='slide',
+    stage='friction_travel',
     parameters=(Parameter('fraction', '1', 0.0, 1.0, 0.0, typical=1.0),),
     law=law,
     acts_on='tendon_friction',

@@ -4,15 +4,15 @@ import math
 
 from .layout import PRESENT, STIFFNESS, cell, compiled, floats, inlined, section_of
 from .stages import (
-    growth,
-    growth_acts,
-    hold,
-    hold_acts,
+    joint_friction,
+    joint_friction_acts,
     memory_acts,
     moment,
     moment_acts,
-    offset,
+    offset_scale,
     rest,
+    stiffening,
+    stiffening_acts,
     stiffness,
 )
 
@@ -29,23 +29,23 @@ def elastic_moment(chain, i, bx, by):
     section = section_of(chain, i)
     x0, y0 = rest(0.0, 0.0, chain, section)
     x, y = bx - x0, by - y0
-    k = cell_stiffness(chain, i, section) * growth(1.0, x * x + y * y, chain, section)
+    k = cell_stiffness(chain, i, section) * stiffening(1.0, x * x + y * y, chain, section)
     return k * x, k * y
 
 
 @compiled
 def bend_of(chain, k, size, section):
-    """Solve K t growth(t²) = size for the bend t >= 0; NaN when there is none."""
+    """Solve K t stiffening(t²) = size for the bend t >= 0; NaN when there is none."""
     t = size / k
-    if not growth_acts(chain):
+    if not stiffening_acts(chain):
         return t
     t = min(t, 1.0)
     for _ in range(60):
-        g = growth(1.0, t * t, chain, section)
+        g = stiffening(1.0, t * t, chain, section)
         h = 1e-6 * (1.0 + t)
         slope = (
-            growth(1.0, (t + h) * (t + h), chain, section)
-            - growth(1.0, (t - h) * (t - h), chain, section)
+            stiffening(1.0, (t + h) * (t + h), chain, section)
+            - stiffening(1.0, (t - h) * (t - h), chain, section)
         ) / (2.0 * h)
         step = (k * t * g - size) / (k * (g + t * slope))
         t -= step
@@ -57,7 +57,7 @@ def bend_of(chain, k, size, section):
 @compiled
 def is_linear(chain):
     """Tell whether every cell bends in proportion to the moment on it."""
-    return not (moment_acts(chain) or hold_acts(chain) or growth_acts(chain))
+    return not (moment_acts(chain) or joint_friction_acts(chain) or stiffening_acts(chain))
 
 
 @inlined
@@ -76,10 +76,10 @@ def bend_cell(chain, past, i, mx, my, total):
     section = section_of(chain, i)
     size = math.sqrt(mx * mx + my * my)
     if moment_acts(chain) and size > 0.0:
-        radius = chain.radius * offset(1.0, chain, 0)
+        radius = chain.radius * offset_scale(1.0, chain, 0)
         factor = moment(size, total, radius, chain, section) / size
         mx, my = mx * factor, my * factor
-    if hold_acts(chain):
+    if joint_friction_acts(chain):
         hx, hy = 0.0, 0.0
         if memory_acts(chain):
             before = floats(past.bend + 16 * i)
@@ -87,7 +87,7 @@ def bend_cell(chain, past, i, mx, my, total):
         dx, dy = mx - hx, my - hy
         size = math.sqrt(dx * dx + dy * dy)
         if size > 0.0:
-            factor = hold(size, total, chain, section) / size
+            factor = joint_friction(size, total, chain, section) / size
             mx, my = hx + dx * factor, hy + dy * factor
     size = math.sqrt(mx * mx + my * my)
     x0, y0 = rest(0.0, 0.0, chain, section)

@@ -1,9 +1,9 @@
-"""From bends to cell lengths, tendon travel and the arms of the tendons."""
+"""From bends to cell lengths, tendon travel and the moment arms of the tendons."""
 
 import math
 
 from .layout import HINGE, LENGTH, cell, compiled, floats, section_of, words
-from .stages import arm, arm_acts, length, length_acts, rest
+from .stages import length, length_acts, rest, tendon_path, tendon_path_acts
 from .turning import half_turn
 
 
@@ -35,10 +35,10 @@ def scale_lengths(chain, work):
 
 @compiled
 def path_lost(chain, i, k, bend, ux, uy, sin_half, cos_half, scale):
-    """Path that tendon k loses in cell i [m], its arm along the bend and across it [m]."""
+    """Path that tendon k loses in cell i [m], its moment arm along the bend and across it [m]."""
     offset = floats(chain.offset + 16 * (chain.k * i + k))
     radial = scale * (offset[0] * ux + offset[1] * uy)
-    lost, along, across = arm(
+    lost, along, across = tendon_path(
         radial * bend,
         radial,
         1.0,
@@ -86,8 +86,9 @@ def plain_travel(chain, bend, scale, work):
 
 @compiled
 def straight_travel(chain, i, x, y, s, c, scale, work):
-    """Fill work.travel [m] and work.arms [m] of cell i, bent by (x, y) with half angles s, c."""
-    travel, arms, tendon = floats(work.travel), floats(work.arms), words(chain.tendon)
+    """Fill travel and moment_arms [m] of cell i, bent by (x, y) with half angles s, c."""
+    travel, tendon = floats(work.travel), words(chain.tendon)
+    moment_arms = floats(work.moment_arms)
     a, ux, uy, sin_half, cos_half = polar(x, y, s, c)
     x0, y0 = rest(0.0, 0.0, chain, section_of(chain, i))
     s0, c0 = half_turn(x0 * x0 + y0 * y0)
@@ -101,18 +102,18 @@ def straight_travel(chain, i, x, y, s, c, scale, work):
         if a0 > 0.0:
             lost -= path_lost(chain, i, k, a0, ux0, uy0, sin0, cos0, scale)[0]
         travel[at] = lost
-        arms[2 * at] = along * ux - side * uy
-        arms[2 * at + 1] = along * uy + side * ux
+        moment_arms[2 * at] = along * ux - side * uy
+        moment_arms[2 * at + 1] = along * uy + side * ux
 
 
 @compiled
 def tendon_travel(chain, bend, scale, work):
     """
-    Fill work.travel (n, k) [m] since the rest shape and, if needed, work.arms (n, k, 2) [m].
+    Fill work.travel (n, k) [m] since the rest shape and, where needed, work.moment_arms [m].
 
     work.half is that of these bends.
     """
-    if not arm_acts(chain):
+    if not tendon_path_acts(chain):
         plain_travel(chain, bend, scale, work)
         return
     bends, half = floats(bend), floats(work.half)

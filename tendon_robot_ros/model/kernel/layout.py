@@ -51,7 +51,7 @@ Memory = namedtuple('Memory', 'bend sign travel inputs')
 # has not taken over, here and beyond, else zeros; slip (3,): smoothing
 # length [m], load scale [1], and whether a sweep looks at the guess (1) or goes without (0).
 Work = namedtuple(
-    'Work', 'arms travel beyond load lengths tensions frames origins half wrench lag slip'
+    'Work', 'moment_arms travel beyond load lengths tensions frames origins half wrench lag slip'
 )
 
 # Workspace of a search: scratch, memory before and after, the bends kept and those of a trial
@@ -222,7 +222,7 @@ def workspace(chain, bends, past, scratch):
 def with_results(work, tensions, frames, origins):
     """Scratch whose tensions, frames and origins lie elsewhere."""
     return Work(
-        work.arms,
+        work.moment_arms,
         work.travel,
         work.beyond,
         work.load,

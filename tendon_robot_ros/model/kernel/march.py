@@ -13,8 +13,8 @@ from .bending import bend_cell
 from .geometry import straight_travel
 from .layout import address, compiled, floats, residual_at
 from .newton import largest
-from .residual import levers, tendon_moment
-from .stages import arm_acts, offset
+from .residual import moment_arms_of, tendon_moment
+from .stages import offset_scale, tendon_path_acts
 from .sweep import active_stages, base_tensions, pass_eyelet
 from .turning import half_turn
 
@@ -26,15 +26,15 @@ MOST = 30
 @compiled
 def cell_residual(chain, work, past, i, last_x, last_y, x, y):
     """Residual (x, y) [rad] of cell i, bent by (x, y), behind a cell bent by the last ones."""
-    half, scale = floats(work.half), offset(1.0, chain, 0)
+    half, scale = floats(work.half), offset_scale(1.0, chain, 0)
     half[2 * i], half[2 * i + 1] = half_turn(x * x + y * y)
-    if arm_acts(chain):
+    if tendon_path_acts(chain):
         straight_travel(chain, i, x, y, half[2 * i], half[2 * i + 1], scale, work)
-    arms, factor = levers(chain, work)
+    moment_arms, factor = moment_arms_of(chain, work)
     if i > 0:
         flags = active_stages(chain, True)
-        pass_eyelet(chain, work, past, i - 1, last_x, last_y, x, y, arms, scale, flags)
-    mx, my, total = tendon_moment(chain, work, i, arms, factor)
+        pass_eyelet(chain, work, past, i - 1, last_x, last_y, x, y, moment_arms, scale, flags)
+    mx, my, total = tendon_moment(chain, work, i, moment_arms, factor)
     bx, by = bend_cell(chain, past, i, mx, my, total)
     return x - bx, y - by
 
@@ -69,9 +69,9 @@ def solve_cell_alone(chain, work, past, i, last_x, last_y, x, y):
 @compiled
 def march(chain, inputs, x, work, past):
     """Solve for the bends x (2n,) from the base to the tip; return the residual [rad]."""
-    arms, _ = levers(chain, work)
+    moment_arms, _ = moment_arms_of(chain, work)
     f, last_x, last_y = np.empty(x.shape[0]), 0.0, 0.0
-    base_tensions(chain, inputs, work, arms)
+    base_tensions(chain, inputs, work, moment_arms)
     for i in range(chain.n):
         last_x, last_y = solve_cell_alone(
             chain, work, past, i, last_x, last_y, x[2 * i], x[2 * i + 1]

@@ -1,23 +1,23 @@
 """
 The residual of the equilibrium: bends minus the bends that their own moments ask for.
 
-Tensions, arms, travel and loads are all those of the bends given. (A `sweep` goes on with what
-it has just found, which settles faster, but ties every cell to all before it.)
+Tensions, moment arms, travel and loads are all those of the bends given. (A `sweep` goes on with
+what it has just found, which settles faster, but ties every cell to all before it.)
 """
 
 from .bending import bend_cell
 from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import STEP, compiled, entry, floats, words
 from .loads import load_moments, loaded
-from .stages import arm_acts, eyelet_acts, offset, slide_acts
+from .stages import eyelet_acts, friction_travel_acts, offset_scale, tendon_path_acts
 from .sweep import active_stages, carry_tensions
 from .turning import chain_frames, half_turns
 
 
 @compiled
-def tendon_moment(chain, work, i, arms, scale):
+def tendon_moment(chain, work, i, moment_arms, scale):
     """Moment (x, y) [N·m] of the tendons on cell i and the sum of their tensions [N]."""
-    tensions, lever, tendon = floats(work.tensions), floats(arms), words(chain.tendon)
+    tensions, lever, tendon = floats(work.tensions), floats(moment_arms), words(chain.tendon)
     mx, my, total = 0.0, 0.0, 0.0
     for k in range(chain.k):
         if i < tendon[2 * k]:
@@ -30,30 +30,30 @@ def tendon_moment(chain, work, i, arms, scale):
 
 
 @compiled
-def levers(chain, work):
-    """Address of the tendons' arms (n, k, 2) [m], and the factor on them [1]."""
-    if arm_acts(chain):
-        return work.arms, 1.0
-    return chain.offset, offset(1.0, chain, 0)
+def moment_arms_of(chain, work):
+    """Address of the tendons' moment arms (n, k, 2) [m], and the factor on them [1]."""
+    if tendon_path_acts(chain):
+        return work.moment_arms, 1.0
+    return chain.offset, offset_scale(1.0, chain, 0)
 
 
 @compiled
 def place_travel(chain, bend, work):
-    """Fill work with what the tendons travel at bends (n, 2) [rad], and with their arms."""
+    """Fill work with what the tendons travel at bends (n, 2) [rad], and with their moment arms."""
     half_turns(chain, bend, work)
-    if eyelet_acts(chain) or arm_acts(chain):
-        tendon_travel(chain, bend, offset(1.0, chain, 0), work)
-    if eyelet_acts(chain) and slide_acts(chain):
+    if eyelet_acts(chain) or tendon_path_acts(chain):
+        tendon_travel(chain, bend, offset_scale(1.0, chain, 0), work)
+    if eyelet_acts(chain) and friction_travel_acts(chain):
         travel_beyond(chain, work)
 
 
 @compiled
 def place_forces(chain, inputs, bend, work, past):
-    """Fill work with tensions, frames and loads at bends (n, 2); travel and arms are known."""
+    """Fill work with tensions, frames and loads at bends (n, 2) whose travel is known."""
     friction, _, wraps, slides, remembers = active_stages(chain, True)
-    arms, scale = levers(chain, work)
+    moment_arms, scale = moment_arms_of(chain, work)
     flags = (friction, True, wraps, slides, remembers)  # travel is that of these bends
-    carry_tensions(chain, inputs, bend, work, past, flags, arms, scale)
+    carry_tensions(chain, inputs, bend, work, past, flags, moment_arms, scale)
     if loaded(chain):
         scale_lengths(chain, work)
         chain_frames(chain, bend, work)
@@ -64,10 +64,10 @@ def place_forces(chain, inputs, bend, work, past):
 def imbalance(chain, bend, work, past, out):
     """Fill `out` (n, 2) [rad]: bends minus those that their moments, known to `work`, ask for."""
     bends, load, f = floats(bend), floats(work.load), floats(out)
-    arms, scale = levers(chain, work)
+    moment_arms, scale = moment_arms_of(chain, work)
     loads = loaded(chain)
     for i in range(chain.n):
-        mx, my, total = tendon_moment(chain, work, i, arms, scale)
+        mx, my, total = tendon_moment(chain, work, i, moment_arms, scale)
         if loads:
             mx += load[2 * i]
             my += load[2 * i + 1]

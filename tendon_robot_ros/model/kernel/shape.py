@@ -24,7 +24,14 @@ from .layout import (
     work_size,
 )
 from .newton import TOLERANCE
-from .stages import measurement, memory_acts, offset, slide_acts, stretch, stretch_acts
+from .stages import (
+    friction_travel_acts,
+    measurement,
+    memory_acts,
+    offset_scale,
+    stretch,
+    stretch_acts,
+)
 from .sweep import slip_direction
 from .turning import chain_frames
 
@@ -46,8 +53,8 @@ def remember(chain, inputs, bend, work, past, now):
     copy(inputs, now.inputs, chain.m)
     if not memory_acts(chain):
         return
-    tendon_travel(chain, bend, offset(1.0, chain, 0), work)
-    slides = slide_acts(chain)
+    tendon_travel(chain, bend, offset_scale(1.0, chain, 0), work)
+    slides = friction_travel_acts(chain)
     if slides:
         travel_beyond(chain, work)
     sign, travel, tendon = floats(now.sign), floats(now.travel), words(chain.tendon)
@@ -116,7 +123,7 @@ def wire_pulls(chain, bend, work, pulls):
     """Wire pull (k,) [m] of every tendon: travel of all its cells and its own stretch."""
     tendon, tensions, travel = words(chain.tendon), floats(work.tensions), floats(work.travel)
     totals, n, k = floats(pulls), chain.n, chain.k
-    tendon_travel(chain, bend, offset(1.0, chain, 0), work)
+    tendon_travel(chain, bend, offset_scale(1.0, chain, 0), work)
     for j in range(k):
         totals[j] = 0.0
     for i in range(n):

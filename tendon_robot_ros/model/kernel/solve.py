@@ -9,7 +9,7 @@ from .loads import loaded
 from .march import march
 from .newton import TOLERANCE, dot, largest, solve_small
 from .stability import SAFE, descend, load_ratio
-from .stages import eyelet_acts, memory_acts, slide_acts
+from .stages import eyelet_acts, friction_travel_acts, memory_acts
 from .stick import solve_sliding
 from .sweep import is_implicit
 from .turning import half_turns
@@ -144,7 +144,7 @@ def is_planar(x):
 @compiled
 def is_causal(chain):
     """Tell whether nothing beyond a cell decides about it."""
-    return not loaded(chain) and not (slide_acts(chain) and eyelet_acts(chain))
+    return not loaded(chain) and not (friction_travel_acts(chain) and eyelet_acts(chain))
 
 
 @compiled
@@ -220,7 +220,7 @@ def solve_equilibrium(chain, inputs, work, past, bend):
     if memory_acts(chain) or is_planar(x):
         change = repeat_sweeps(chain, inputs, x, work, past, 25)
         swept = change < TOLERANCE
-    if not swept and slide_acts(chain) and eyelet_acts(chain) and not memory_acts(chain):
+    if not swept and friction_travel_acts(chain) and eyelet_acts(chain) and not memory_acts(chain):
         change = solve_stuck(chain, inputs, x, bend, work, past, cold)
     elif not swept:
         change = solve_smooth(chain, inputs, x, bend, work, past, cold)

@@ -19,7 +19,7 @@ import numpy as np
 
 from .layout import SLIP_LENGTH, address, compiled, floats, newton_at, respond_at, words
 from .newton import largest
-from .residual import imbalance, levers, place_forces, place_travel
+from .residual import imbalance, moment_arms_of, place_forces, place_travel
 
 FULL = 0.9999  # [1] direction of friction that counts as slipping
 AWAY = 3.0  # [1] travel, over the slip length, of a tendon that begins to slip
@@ -50,8 +50,8 @@ def take_over(chain, work, move, own, width, new_width):
 
     `own` (4, n, k) [m]: that of the eyelets, here and beyond, and the real one.
     """
-    tendon, (arms, scale) = words(chain.tendon), levers(chain, work)
-    lever = floats(arms)
+    tendon, (moment_arms, scale) = words(chain.tendon), moment_arms_of(chain, work)
+    lever = floats(moment_arms)
     for k in range(chain.k):
         total = 0.0
         for i in range(tendon[2 * k] - 1, -1, -1):

@@ -8,16 +8,16 @@ from .layout import STEP, compiled, entry, floats, fused, inlined, section_of, w
 from .loads import load_moments, loaded
 from .stages import (
     actuation,
-    arm_acts,
     eyelet,
     eyelet_acts,
+    friction_travel,
+    friction_travel_acts,
     length_acts,
     memory,
     memory_acts,
-    offset,
+    offset_scale,
     rest,
-    slide,
-    slide_acts,
+    tendon_path_acts,
     wrap,
     wrap_acts,
 )
@@ -27,8 +27,8 @@ from .turning import chain_frames, half_turn, half_turns
 @compiled
 def is_implicit(chain):
     """Tell whether an effect acts that needs the shape: one sweep is then not the answer."""
-    shaped = wrap_acts(chain) or slide_acts(chain) or memory_acts(chain)
-    return arm_acts(chain) or loaded(chain) or (eyelet_acts(chain) and shaped)
+    shaped = wrap_acts(chain) or friction_travel_acts(chain) or memory_acts(chain)
+    return tendon_path_acts(chain) or loaded(chain) or (eyelet_acts(chain) and shaped)
 
 
 @inlined
@@ -48,13 +48,15 @@ def slip_direction(chain, work, past, at, section, here, slides, remembers):
     """Direction s of friction at entry `at` of the travel (n, k), and what has travelled [m]."""
     beyond = floats(work.beyond)[at] if slides else 0.0
     if remembers:
-        travel = slide(here, beyond, chain, section)
+        travel = friction_travel(here, beyond, chain, section)
         return memory(
             0.0, floats(past.sign)[at], travel - floats(past.travel)[at], chain, section
         ), travel
     slip = 1.0 / floats(work.slip)[0]
     if slides:
-        return slide(smooth_sign(here, slip), smooth_sign(beyond, slip), chain, section), beyond
+        return friction_travel(
+            smooth_sign(here, slip), smooth_sign(beyond, slip), chain, section
+        ), beyond
     return smooth_sign(here, slip), here
 
 
@@ -97,33 +99,33 @@ def times_power(t, passed, s):
 
 
 @inlined
-def base_tensions(chain, inputs, work, arms):
+def base_tensions(chain, inputs, work, moment_arms):
     """Tensions of the first cell, their moment (x, y) [N·m] and sum [N]."""
     tensions, tendon = floats(work.tensions), words(chain.tendon)
     mx, my, total = 0.0, 0.0, 0.0
     for k in range(chain.k):
         t = actuation(floats(inputs)[tendon[2 * k + 1]], chain, 0)
         tensions[k] = t
-        mx += t * floats(arms)[2 * k]
-        my += t * floats(arms)[2 * k + 1]
+        mx += t * floats(moment_arms)[2 * k]
+        my += t * floats(moment_arms)[2 * k + 1]
         total += t
     return mx, my, total
 
 
 @compiled
 def active_stages(chain, shaped):
-    """Tell which act: friction, straight arms, wrap, slide, memory; `shaped`: a guess counts."""
+    """Which act: friction, straight tendons, wrap, travel, memory; `shaped`: a guess counts."""
     return (
         eyelet_acts(chain),
-        shaped and arm_acts(chain),
+        shaped and tendon_path_acts(chain),
         shaped and wrap_acts(chain),
-        shaped and slide_acts(chain),
+        shaped and friction_travel_acts(chain),
         memory_acts(chain),
     )
 
 
 @inlined
-def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, arms, scale, flags):
+def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, moment_arms, scale, flags):
     """
     Take the tensions over the eyelet between cells i and i + 1 (eq. 10).
 
@@ -142,7 +144,7 @@ def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, arms, scale, flags
         passed = eyelet(1.0, turning, chain, section)
         x0, y0 = rest(0.0, 0.0, chain, section)
         x0, y0 = scale * (bx - x0), scale * (by - y0)
-    offsets, lever = floats(chain.offset), floats(arms)
+    offsets, lever = floats(chain.offset), floats(moment_arms)
     mx, my, total = 0.0, 0.0, 0.0
     for k in range(chain.k):
         j = at + chain.k + k
@@ -168,18 +170,18 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
     """
     Bends (n, 2) [rad] into `out` and work.tensions (n, k) [N] for input tensions (m,) [N].
 
-    Arms, loads, travel beyond and the neighbour's bend are those of the guess (`prepare`); all
-    else is new, so that without implicit effects the result is exact after one sweep. `shaped`
+    Moment arms, loads, travel beyond and the neighbour's bend are those of the guess (`prepare`);
+    all else is new, so that without implicit effects the result is exact after one sweep. `shaped`
     False: as if no effect needed the shape. work.half becomes that of the new bends.
     """
     load, bends, guesses, half = floats(work.load), floats(out), floats(guess), floats(work.half)
     flags = active_stages(chain, shaped)
     loads, linear = shaped and loaded(chain), is_linear(chain)
-    friction_scale = offset(1.0, chain, 0)
-    arms, scale = chain.offset, friction_scale
+    friction_scale = offset_scale(1.0, chain, 0)
+    moment_arms, scale = chain.offset, friction_scale
     if flags[1]:
-        arms, scale = work.arms, 1.0
-    mx, my, total = base_tensions(chain, inputs, work, arms)
+        moment_arms, scale = work.moment_arms, 1.0
+    mx, my, total = base_tensions(chain, inputs, work, moment_arms)
     for i in range(chain.n):
         load_x, load_y = 0.0, 0.0
         if loads:  # else the scratch may still hold those of another model
@@ -195,24 +197,24 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
             # what this cell moved from its guess, its neighbour will have moved, too
             next_x, next_y = guesses[2 * i + 2] + bx - last_x, guesses[2 * i + 3] + by - last_y
             mx, my, total = pass_eyelet(
-                chain, work, past, i, bx, by, next_x, next_y, arms, friction_scale, flags
+                chain, work, past, i, bx, by, next_x, next_y, moment_arms, friction_scale, flags
             )
 
 
 @compiled
-def carry_tensions(chain, inputs, bend, work, past, flags, arms, scale):
+def carry_tensions(chain, inputs, bend, work, past, flags, moment_arms, scale):
     """Fill work.tensions (n, k) [N] at bends (n, 2); work.half, travel and beyond are theirs."""
     bends = floats(bend)
-    base_tensions(chain, inputs, work, arms)
+    base_tensions(chain, inputs, work, moment_arms)
     for i in range(chain.n - 1):
         x, y, next_x, next_y = bends[2 * i], bends[2 * i + 1], bends[2 * i + 2], bends[2 * i + 3]
-        pass_eyelet(chain, work, past, i, x, y, next_x, next_y, arms, scale, flags)
+        pass_eyelet(chain, work, past, i, x, y, next_x, next_y, moment_arms, scale, flags)
 
 
 @compiled
 def prepare(chain, inputs, guess, work, past):
-    """Fill the arms, travel, travel beyond, and load moments that a guess of the bends gives."""
-    scale, flags = offset(1.0, chain, 0), active_stages(chain, True)
+    """Fill moment arms, travel, travel beyond and load moments that a guess of bends gives."""
+    scale, flags = offset_scale(1.0, chain, 0), active_stages(chain, True)
     friction, straight, _, slides, _ = flags
     slides = friction and slides
     if straight or loaded(chain):

@@ -13,15 +13,15 @@ from .bending import bend_cell, cell_stiffness, is_linear
 from .geometry import moment_of_tendons
 from .layout import HINGE, cell, compiled, floats, inlined, section_of, words
 from .loads import cell_moment, cross, loaded, local, plus, scaled, turn_moment, weight
-from .residual import levers, tendon_moment
+from .residual import moment_arms_of, tendon_moment
 from .stages import (
-    arm_acts,
     eyelet,
+    friction_travel,
     length,
     length_acts,
     memory,
-    offset,
-    slide,
+    offset_scale,
+    tendon_path_acts,
     wrap,
 )
 from .sweep import active_stages, smooth_sign
@@ -82,9 +82,9 @@ def compliances(chain, past, i, mx, my, total):
 
 
 @compiled
-def arm_slopes(chain, work, i, x, y, scale):
+def moment_arm_slopes(chain, work, i, x, y, scale):
     """Differentiate the tendons' moment by the bend, tensions held: (xx, xy, yy) [N·m/rad]."""
-    if not arm_acts(chain):
+    if not tendon_path_acts(chain):
         return 0.0, 0.0, 0.0
     h, tensions = BEND_STEP, work.tensions + 8 * chain.k * i
     ax, ay = moment_of_tendons(chain, i, x + h, y, tensions, scale)
@@ -103,11 +103,11 @@ def slip_slopes(chain, work, past, at, section, here, slides, remembers):
     if remembers:
         sign, last = floats(past.sign)[at], floats(past.travel)[at]
         if slides:
-            by_here = slide(here + h, beyond, chain, section)
-            by_here = (by_here - slide(here - h, beyond, chain, section)) / (2.0 * h)
-            by_beyond = slide(here, beyond + h, chain, section)
-            by_beyond = (by_beyond - slide(here, beyond - h, chain, section)) / (2.0 * h)
-            here = slide(here, beyond, chain, section)
+            by_here = friction_travel(here + h, beyond, chain, section)
+            by_here = (by_here - friction_travel(here - h, beyond, chain, section)) / (2.0 * h)
+            by_beyond = friction_travel(here, beyond + h, chain, section)
+            by_beyond = (by_beyond - friction_travel(here, beyond - h, chain, section)) / (2.0 * h)
+            here = friction_travel(here, beyond, chain, section)
         s = memory(0.0, sign, here - last, chain, section)
         rate = memory(0.0, sign, here - last + h, chain, section)
         rate = (rate - memory(0.0, sign, here - last - h, chain, section)) / (2.0 * h)
@@ -117,11 +117,15 @@ def slip_slopes(chain, work, past, at, section, here, slides, remembers):
     by_here = rate * (1.0 - s * s)
     if slides:
         t, h = smooth_sign(beyond, rate), SINE_STEP
-        share = slide(s + h, t, chain, section) - slide(s - h, t, chain, section)
+        share = friction_travel(s + h, t, chain, section) - friction_travel(
+            s - h, t, chain, section
+        )
         by_here *= share / (2.0 * h)
-        share = slide(s, t + h, chain, section) - slide(s, t - h, chain, section)
+        share = friction_travel(s, t + h, chain, section) - friction_travel(
+            s, t - h, chain, section
+        )
         by_beyond = rate * (1.0 - t * t) * share / (2.0 * h) if t * t < SLIDING else 0.0
-        s = slide(s, t, chain, section)
+        s = friction_travel(s, t, chain, section)
     return s, by_here, by_beyond
 
 
@@ -281,12 +285,12 @@ def compression_slopes(chain, bend, work, i, total):
 
 
 @compiled
-def cell_slopes(chain, bend, work, past, i, arms, scale, tangent):
+def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
     """Fill the derivatives of the residual of cell i."""
     row, at = floats(tangent), chain.k * i
     x, y = floats(bend)[2 * i], floats(bend)[2 * i + 1]
-    mx, my, total = tendon_moment(chain, work, i, arms, scale)
-    xx, xy, yy = arm_slopes(chain, work, i, x, y, offset(1.0, chain, 0))
+    mx, my, total = tendon_moment(chain, work, i, moment_arms, scale)
+    xx, xy, yy = moment_arm_slopes(chain, work, i, x, y, offset_scale(1.0, chain, 0))
     yx, px, py, pull = xy, 0.0, 0.0, (0.0, 0.0, 0.0)
     loads = loaded(chain)
     if loads:
@@ -305,7 +309,7 @@ def cell_slopes(chain, bend, work, past, i, arms, scale, tangent):
             for start in (BY_TURN, BY_TORQUE):
                 u, v = row[start + r], row[start + 3 + r]
                 row[start + r], row[start + 3 + r] = -(a * u + c * v), -(b * u + d * v)
-    lever, tendon = floats(arms), words(chain.tendon)
+    lever, tendon = floats(moment_arms), words(chain.tendon)
     for k in range(chain.k):
         if i >= tendon[2 * k]:
             continue
@@ -320,10 +324,10 @@ def cell_slopes(chain, bend, work, past, i, arms, scale, tangent):
 @compiled
 def differentiate(chain, bend, work, past, tangent):
     """Fill the derivatives of all cells at bends (n, 2) whose states `work` holds."""
-    arms, scale = levers(chain, work)
+    moment_arms, scale = moment_arms_of(chain, work)
     flags = active_stages(chain, True)
     for i in range(chain.n):
-        cell_slopes(chain, bend, work, past, i, arms, scale, tangent_of(chain, tangent, i))
+        cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent_of(chain, tangent, i))
     if flags[0]:
         for i in range(chain.n - 1):
             eyelet_slopes(chain, bend, work, past, i, flags, tangent)
