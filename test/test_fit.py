@@ -10,7 +10,7 @@ from simulated import CATALOGUE, NOISE, measured
 from tendon_robot_ros.comparison.noise import Whitener, input_slopes
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.diagnosis.add import fit_effects
-from tendon_robot_ros.diagnosis.fit import Fitter
+from tendon_robot_ros.diagnosis.fitter import Fitter
 from tendon_robot_ros.diagnosis.interval import intervals
 from tendon_robot_ros.diagnosis.report_rows import values_of
 from tendon_robot_ros.diagnosis.session import Session
@@ -121,7 +121,7 @@ def test_a_declared_tolerance_takes_part_with_its_prior():
     session.weigh({})
     base = session.base_fit()
     assert base.values[-1] == pytest.approx(0.04, abs=0.01)
-    assert base.pulls['bending_stiffness'] == pytest.approx(0.8, abs=0.2)
+    assert base.prior_z['bending_stiffness'] == pytest.approx(0.8, abs=0.2)
     assert base.probability(session.freedom) > 1e-3
     claimed = session.fitters[0].fit(
         next(c for c in session.candidates if c.names == ('backbone_stiffness',)).frees

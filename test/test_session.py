@@ -7,7 +7,7 @@ import simulated
 from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.diagnosis.candidates import Candidate, Ranked
-from tendon_robot_ros.diagnosis.decide import APART_FROM, P_ONE
+from tendon_robot_ros.diagnosis.decide import APART_FROM_SCORE, P_SINGLE_MIN
 from tendon_robot_ros.diagnosis.session import Session, contains, indistinct
 
 ROBOT = simulated.robot()
@@ -29,31 +29,40 @@ def session():
 
 
 def test_the_class_ends_at_its_limit(session):
-    fits = [ranked('hinge_friction', 100.0), ranked('tip_load', 100.0 + APART_FROM - 0.01),
-            ranked('gravity', 100.0 + APART_FROM + 0.01)]  # fmt: skip
-    assert names(indistinct(session, fits, P_ONE)) == ['hinge_friction', 'tip_load']
+    fits = [ranked('hinge_friction', 100.0), ranked('tip_load', 100.0 + APART_FROM_SCORE - 0.01),
+            ranked('gravity', 100.0 + APART_FROM_SCORE + 0.01)]  # fmt: skip
+    assert names(indistinct(session, fits, P_SINGLE_MIN)) == ['hinge_friction', 'tip_load']
 
 
 def test_what_is_not_adequate_does_not_belong_to_the_class(session):
     fits = [ranked('hinge_friction', 100.0), ranked('tip_load', 99.0, probability=5e-4)]
-    assert names(indistinct(session, fits, P_ONE)) == ['hinge_friction']
+    assert names(indistinct(session, fits, P_SINGLE_MIN)) == ['hinge_friction']
 
 
 def test_more_parameters_cost_two_each(session):
-    fits = [ranked('hinge_friction', 100.0, 1), ranked('gravity', 100.0 + APART_FROM - 5.0, 4)]
-    assert names(indistinct(session, fits, P_ONE)) == ['hinge_friction']
+    fits = [
+        ranked('hinge_friction', 100.0, 1),
+        ranked('gravity', 100.0 + APART_FROM_SCORE - 5.0, 4),
+    ]
+    assert names(indistinct(session, fits, P_SINGLE_MIN)) == ['hinge_friction']
 
 
 def test_ties_go_by_the_order_of_the_catalogue(session):
     fits = [ranked('backbone_stiffness', 100.3), ranked('transmission_loss', 100.0)]
-    assert names(indistinct(session, fits, P_ONE)) == ['backbone_stiffness', 'transmission_loss']
+    assert names(indistinct(session, fits, P_SINGLE_MIN)) == [
+        'backbone_stiffness',
+        'transmission_loss',
+    ]
     fits = [ranked('backbone_stiffness', 103.0), ranked('transmission_loss', 100.0)]
-    assert names(indistinct(session, fits, P_ONE)) == ['transmission_loss', 'backbone_stiffness']
+    assert names(indistinct(session, fits, P_SINGLE_MIN)) == [
+        'transmission_loss',
+        'backbone_stiffness',
+    ]
 
 
 def test_a_section_of_its_own_contains_the_whole_backbone(session):
     fits = [ranked('section_stiffness', 100.0, 2), ranked('backbone_stiffness', 101.0, 1)]
-    assert names(indistinct(session, fits, P_ONE)) == ['backbone_stiffness']
+    assert names(indistinct(session, fits, P_SINGLE_MIN)) == ['backbone_stiffness']
 
 
 def fitted(hidden, robot=ROBOT):

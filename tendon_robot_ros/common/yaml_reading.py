@@ -10,8 +10,8 @@ import yaml
 
 from .errors import DriverError, RobotDescriptionError, TendonRobotError
 
-DEEPEST = 100  # brackets within brackets
-SHORT = 4_000  # characters that are read once more for a better message
+NESTING_MAX = 100  # brackets within brackets
+READ_AGAIN_CHARACTERS_MAX = 4_000  # characters that are read once more for a better message
 Loader: Any = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # compiled: a tenth of the time
 
 
@@ -23,7 +23,7 @@ class _Plain(Loader):  # type: ignore[misc]
     def descend_resolver(self, node: object, index: object) -> None:
         """Go into a node."""
         self.depth += 1
-        if self.depth > DEEPEST:
+        if self.depth > NESTING_MAX:
             raise ValueError('brackets nested too deeply')
 
     def ascend_resolver(self) -> None:
@@ -53,7 +53,7 @@ def parse_yaml(text: str) -> Any:
 
 def _retold(text: str, error: yaml.MarkedYAMLError) -> yaml.MarkedYAMLError:
     """Return what the interpreted loader says: it knows better where the mistake is."""
-    if len(text) <= SHORT:
+    if len(text) <= READ_AGAIN_CHARACTERS_MAX:
         try:
             yaml.safe_load(text)
         except yaml.MarkedYAMLError as told:

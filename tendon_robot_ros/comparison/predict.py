@@ -121,9 +121,9 @@ class Predictor:
                 arrays.set(free.effect, free.parameter.name, free.section, value)
         given = self.inputs if inputs is None else inputs
         shapes = (
-            self._pulled(given, near or self._first)
+            self._shapes_at_pulls(given, near or self._first)
             if self.dataset.input == 'displacement'
-            else self._pull(given, near or self._first)
+            else self._shapes_at_tensions(given, near or self._first)
         )
         if shapes is None:
             return None
@@ -133,7 +133,7 @@ class Predictor:
         placed = shapes.markers(self.dataset.arc_lengths, self.dataset.offsets)
         return self.model.measured(placed)
 
-    def _pull(self, inputs: Floats, near: SettledShapes | None) -> ShapeBatch | None:
+    def _shapes_at_tensions(self, inputs: Floats, near: SettledShapes | None) -> ShapeBatch | None:
         """Shapes under tensions; None without equilibrium."""
         if self.model.remembers:
             return self._remembering(inputs)
@@ -147,7 +147,7 @@ class Predictor:
         batch, changes = self.model.solve(inputs, carry=carry)
         return batch if (changes < TOLERANCE).all() else None
 
-    def _pulled(self, pulls: Floats, near: SettledShapes | None) -> ShapeBatch | None:
+    def _shapes_at_pulls(self, pulls: Floats, near: SettledShapes | None) -> ShapeBatch | None:
         """Shapes under wire pulls; None where there are none."""
         from ..model.pulls import pull_shapes
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from ..common.errors import InputError
 
 Array = NDArray[np.float64]
-MOST_NAMES, LONGEST_NAME = 8, 40  # in a sentence; a message may hold a million of any length
+# in a sentence; a message may hold a million of any length
+NAMES_LISTED_MAX, NAME_LENGTH_MAX = 8, 40
 
 
 class Refusal(InputError):
@@ -109,9 +110,11 @@ def direction(quaternion: Sequence[float], what: str) -> Array:
 
 def _listed(names: Sequence[str]) -> str:
     """Show names in a message: the first few, each cut where it gets long."""
-    shown = [name if len(name) <= LONGEST_NAME else f'{name[:LONGEST_NAME]}...' for name in names]
-    more = len(names) - MOST_NAMES
-    return ', '.join(shown[:MOST_NAMES]) + (f' and {more} more' if more > 0 else '')
+    shown = [
+        name if len(name) <= NAME_LENGTH_MAX else f'{name[:NAME_LENGTH_MAX]}...' for name in names
+    ]
+    more = len(names) - NAMES_LISTED_MAX
+    return ', '.join(shown[:NAMES_LISTED_MAX]) + (f' and {more} more' if more > 0 else '')
 
 
 def by_name(

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ..model.model import Model
 
 NICENESS = 10
-GENTLY = 'TENDON_ROBOT_ROS_GENTLY'
+GENTLY_VARIABLE = 'TENDON_ROBOT_ROS_GENTLY'
 
 
 def load(robot: Robot, catalogue: Catalogue) -> Model:
@@ -131,7 +131,7 @@ class Loader:
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
-            env=child_environment() | ({GENTLY: '1'} if self._inputs else {}),
+            env=child_environment() | ({GENTLY_VARIABLE: '1'} if self._inputs else {}),
         )  # Ctrl-C is for the parent, which ends it
         if self._cancelled:
             child.kill()
@@ -152,7 +152,7 @@ def main() -> int:
     """Compile for the robot on standard input and the effect files in the arguments."""
     end_with_parent()
     go_with_others()
-    if os.environ.pop(GENTLY, ''):
+    if os.environ.pop(GENTLY_VARIABLE, ''):
         _give_way()
     try:
         catalogue = load_catalogue(sys.argv[1:])

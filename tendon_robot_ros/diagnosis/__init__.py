@@ -9,7 +9,8 @@ diagnose.py           `diagnose`: from the evidence to a verdict
 evidence.py           fits of the base model and of every candidate; what remains unexplained
 candidates.py         effects that may be missing; which of them the postures test
 session.py            one diagnosis at work: noise, weights, and the fits that it asks for
-fit.py                a settled fit, and the search that finds it
+fit.py                a settled fit and what it tells
+fitter.py             the search that finds it: bounded Gauss-Newton
 interval.py           95 % intervals of fitted parameters
 cells.py              cells whose stiffness scatters
 as_built.py           imperfections of an arm, and how they move the markers

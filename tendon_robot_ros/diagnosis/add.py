@@ -15,7 +15,7 @@ from ..data import DataSet
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from .candidates import Candidate, is_tested, why_untested
-from .decide import P_ONE
+from .decide import P_SINGLE_MIN
 from .fit import Fit
 from .interval import intervals
 from .outliers import find_outliers
@@ -212,7 +212,7 @@ def add_effects(
     dataset = session.dataset
     fit = fit_effects(session, names, _point(session, names, start))
     probability = fit.probability(session.freedom)
-    scale = 1.0 if probability > P_ONE else max(1.0, fit.chi2 / max(fit.freedom, 1))
+    scale = 1.0 if probability > P_SINGLE_MIN else max(1.0, fit.chi2 / max(fit.freedom, 1))
     values = _values(session, fit, scale)
     changed = with_members(
         changed_robot(described, session.catalogue, fit, dataset), fit, dataset.input
@@ -223,8 +223,8 @@ def add_effects(
         if check is None
         else errors_on(check, described, changed, session.catalogue, 'check')
     )
-    more = more_at_work(fitted, probability) if partial or probability <= P_ONE else ''
-    made = Addition(changed, values, fitted, on_check, probability, fit.pulls, more)
+    more = more_at_work(fitted, probability) if partial or probability <= P_SINGLE_MIN else ''
+    made = Addition(changed, values, fitted, on_check, probability, fit.prior_z, more)
     return replace(made, robot=with_origin(made, described))
 
 

@@ -13,8 +13,8 @@ from .fit import Fit
 if TYPE_CHECKING:
     from .session import Session
 
-CHANCE = 0.05  # that any member of a healthy arm is called out of line
-SEEN = 0.5  # share of its variance that the data must take off a member to be told at all
+FALSE_ALARM_PROBABILITY = 0.05  # that any member of a healthy arm is called out of line
+TOLD_VARIANCE_SHARE = 0.5  # of its variance that the data must take off a member
 
 
 def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
@@ -37,8 +37,9 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
             continue
         own = np.flatnonzero(built.owners == k)
         size = float(built.sizes[k])
-        limit = np.sqrt(chi2_isf(CHANCE / len(own), 1)) * max(size, kind.plausible)
-        told = [i for i in own if posterior[i] < SEEN * max(built.spread[i], 1e-30)]
+        quantile = chi2_isf(FALSE_ALARM_PROBABILITY / len(own), 1)
+        limit = np.sqrt(quantile) * max(size, kind.plausible)
+        told = [i for i in own if posterior[i] < TOLD_VARIANCE_SHARE * max(built.spread[i], 1e-30)]
         kinds.append(
             {
                 'kind': kind.name,

@@ -24,10 +24,10 @@ Floats = npt.NDArray[np.float64]
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'
 REMAINDER = 'remainder'  # what no imperfection explains: another one in every posture
-FEW = (GAIN, HOLE, ZERO, POSITION, ROTATION)  # kinds with few members
-SMOOTH = 2  # shapes along the arm that a remainder may have
+KINDS_WITH_FEW_MEMBERS = (GAIN, HOLE, ZERO, POSITION, ROTATION)  # kinds with few members
+REMAINDER_SHAPES = 2  # shapes along the arm that a remainder may have
 # Kind -> (unit, 1 sd that is plausible where nothing is declared, step of its derivative)
-PLAUSIBLE: dict[str, tuple[str, float, float]] = {
+PLAUSIBLE_SIZES: dict[str, tuple[str, float, float]] = {
     CELLS: ('1', 0.03, 0.01),
     KINK: ('rad', math.radians(0.1), 1e-3),
     ACROSS: ('rad', math.radians(0.1), 1e-3),
@@ -100,13 +100,13 @@ def remainders(predictor: Predictor) -> Floats:
     Return columns (q, P, J, 3) of a remainder of 1 m sd at the tip, posture by posture.
 
     The error of an arm that bends a little otherwise, at random along its length: twice
-    integrated white noise, its `SMOOTH` largest shapes in each direction.
+    integrated white noise, its `REMAINDER_SHAPES` largest shapes in each direction.
     """
     dataset = predictor.dataset
     share = dataset.arc_lengths / predictor.robot.length
     low, high = np.minimum.outer(share, share), np.maximum.outer(share, share)
     values, shapes = np.linalg.eigh(low**2 * (3.0 * high - low) / 2.0)
-    shapes = (shapes * np.sqrt(np.maximum(values, 0.0)))[:, ::-1][:, :SMOOTH]
+    shapes = (shapes * np.sqrt(np.maximum(values, 0.0)))[:, ::-1][:, :REMAINDER_SHAPES]
     P, J, q = len(dataset.postures), shapes.shape[0], shapes.shape[1]
     columns = np.zeros((P, q, 3, P, J, 3))
     for p in np.flatnonzero(dataset.trials > 0):
@@ -152,7 +152,7 @@ class SplitPredictor(Predictor):
         found |= {name: list('xyz') for name in (POSITION, ROTATION) if name not in known}
         made = []
         for name, members in found.items():
-            unit, plausible, _ = PLAUSIBLE[name]
+            unit, plausible, _ = PLAUSIBLE_SIZES[name]
             size = float(known.get(KINK if name == ACROSS else name, plausible))
             if size > 0.0:
                 made.append(Kind(name, unit, size, tuple(members)))
@@ -160,7 +160,7 @@ class SplitPredictor(Predictor):
 
     def slope(self, point: Point, at: Members, kind: str, i: int, here: Floats) -> Floats:
         """Return the derivative (P, J, 3) [m] by member i of a kind; zero where it fails."""
-        step = PLAUSIBLE[kind][2]
+        step = PLAUSIBLE_SIZES[kind][2]
         up, down = (self.built(point, _moved(at, kind, i, side * step)) for side in (1.0, -1.0))
         if up is not None and down is not None:
             return (up - down) / (2.0 * step)

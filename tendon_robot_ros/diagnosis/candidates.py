@@ -16,7 +16,7 @@ from ..data import DataSet
 from ..effects import Catalogue, Effect
 from ..robot import Robot
 from .cells import cell_nuisances
-from .decide import TESTED_FROM
+from .decide import TESTED_FROM_CHI2
 from .fit import Fit, Nuisance
 
 
@@ -153,7 +153,7 @@ def is_tested(
         if there is None:
             return True
         white = whitener.white(there - here)
-        if float(white @ white) > TESTED_FROM:
+        if float(white @ white) > TESTED_FROM_CHI2:
             return True
     return False
 
@@ -171,8 +171,8 @@ def unloads(dataset: DataSet) -> bool:
     return dataset.path == 'sequence' and bool((steps < 0.0).any())
 
 
-def gain_probability(base: Fit, fit: Fit, described: Sequence[float]) -> float:
-    """Chance of so much gain in chi² by luck (likelihood ratio; one-sided at a bound: half)."""
+def gain_p_value(base: Fit, fit: Fit, described: Sequence[float]) -> float:
+    """Probability of so large a gain in chi² by chance: likelihood ratio; half at a bound."""
     gain, rank = base.deviance - fit.deviance, max(fit.rank, 1)
     if gain <= 0.0:
         return 1.0

@@ -18,13 +18,13 @@ from ..robot import Robot
 from .fit import Fit, Nuisance
 
 Floats = npt.NDArray[np.float64]
-FACTOR = Parameter('relative_change', '1', -0.95, 20.0, 0.0, 0.05)
-STEP = 0.01  # relative change of a stiffness for its slope
+CELL_STIFFNESS = Parameter('relative_change', '1', -0.95, 20.0, 0.0, 0.05)
+STIFFNESS_STEP = 0.01  # relative change of a stiffness for its slope
 
 
 def cell_nuisances(robot: Robot, spread: float) -> list[Nuisance]:
     """Return a parameter for the stiffness of every cell; `spread` is its relative 1 sd."""
-    cells = [FreeParameter(CELLS, FACTOR, i, f'cell {i + 1}') for i in range(robot.cells)]
+    cells = [FreeParameter(CELLS, CELL_STIFFNESS, i, f'cell {i + 1}') for i in range(robot.cells)]
     return [Nuisance(CELLS, free, 0.0, spread) for free in cells]
 
 
@@ -38,8 +38,10 @@ def cell_slopes(
         return {}
     near, slopes = predictor.settled, {}
     for free in frees:
-        moved = predictor.markers({**point, free: point.get(free, 0.0) + STEP}, near=near)
-        slopes[free] = np.zeros_like(here) if moved is None else (moved - here) / STEP
+        moved = predictor.markers(
+            {**point, free: point.get(free, 0.0) + STIFFNESS_STEP}, near=near
+        )
+        slopes[free] = np.zeros_like(here) if moved is None else (moved - here) / STIFFNESS_STEP
     return slopes
 
 

@@ -12,7 +12,7 @@ from ..data import DataSet
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from .candidates import Ranked
-from .decide import APART_FROM, P_ONE, STRAY_SD_MAX
+from .decide import APART_FROM_SCORE, P_SINGLE_MIN, STRAY_SD_MAX
 from .evidence import Evidence, best_rival, gather, is_alarming, outside_by_itself, remainder_text
 from .next_measurement import propose
 from .outliers import find_outliers
@@ -95,9 +95,9 @@ def _what_is_lacking(session: Session) -> str:
 def decide(found: Evidence) -> Diagnosis:
     """Say what explains the error: one effect, a class, several, or nothing in the catalogue."""
     session = found.session
-    adequate = [r for r in found.singles if r.probability > P_ONE]
+    adequate = [r for r in found.singles if r.probability > P_SINGLE_MIN]
     if adequate:
-        group = indistinct(session, adequate, P_ONE)
+        group = indistinct(session, adequate, P_SINGLE_MIN)
         found.rival = best_rival(found, group[0].score) or _nameless(found, group[0])
         if found.rival:
             return _outside(found, group[0])
@@ -134,10 +134,10 @@ def _named(found: Evidence, group: Sequence[Ranked]) -> Diagnosis:
     """Verdict for a class of adequate single effects, best first."""
     best = group[0]
     names = [r.candidate.names[0] for r in group]
-    twins = {quantity: found.session.catalogue.twin(quantity) for quantity in found.base.pulls}
+    twins = {quantity: found.session.catalogue.twin(quantity) for quantity in found.base.prior_z}
     strays = [
         quantity
-        for quantity, z in found.base.pulls.items()
+        for quantity, z in found.base.prior_z.items()
         if abs(z) > STRAY_SD_MAX and (twin := twins[quantity]) is not None and twin[0] in names
     ]
     if strays or all(r.candidate.present for r in group):
@@ -166,11 +166,12 @@ def _outside(found: Evidence, best: Ranked | None) -> Diagnosis:
     """Nothing in the catalogue is adequate, or something simpler outside it is better."""
     if best is not None:
         found.scale = max(1.0, best.fit.chi2 / max(best.fit.freedom, 1))
-    helpful = best is not None and best.score < found.base.deviance - APART_FROM * found.scale
+    apart = APART_FROM_SCORE * found.scale
+    helpful = best is not None and best.score < found.base.deviance - apart
     near = [
         r.candidate.label
         for r in found.singles
-        if best is not None and r.score <= best.score + APART_FROM * found.scale and r is not best
+        if best is not None and r.score <= best.score + apart and r is not best
     ]
     return _result(
         found,

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..comparison.noise import rms
 from .candidates import Candidate, Ranked
-from .decide import ALARM_LEVEL, APART_FROM, STRAY_SD_MAX
+from .decide import ALARM_LEVEL, APART_FROM_SCORE, STRAY_SD_MAX
 from .fit import Fit
 from .rivals import Pattern, Rivals
 from .session import Session
@@ -59,7 +59,7 @@ def is_alarming(found: Evidence) -> bool:
     session, base = found.session, found.base
     if base.probability(session.freedom) < ALARM_LEVEL:
         return True
-    if any(abs(z) > STRAY_SD_MAX for z in base.pulls.values()):
+    if any(abs(z) > STRAY_SD_MAX for z in base.prior_z.values()):
         return True
     if base.built is not None and outside_by_itself(found) is not None:
         return True
@@ -67,20 +67,20 @@ def is_alarming(found: Evidence) -> bool:
 
 
 def outside_by_itself(found: Evidence) -> Pattern | None:
-    """Return the pattern from outside that gains more than luck over no effect, if any."""
+    """Return the pattern from outside that gains more than chance would over no effect, if any."""
     base = found.base
     likely = [
         p
         for p in found.patterns
-        if p.name in SAME_EVERYWHERE and p.luck(base.deviance) < ALARM_LEVEL
+        if p.name in SAME_EVERYWHERE and p.gain_p_value(base.deviance) < ALARM_LEVEL
     ]
     return min(likely, key=lambda pattern: pattern.score, default=None)
 
 
 def best_rival(found: Evidence, score: float) -> Pattern | None:
-    """Return the pattern from outside that beats a score by more than luck, if any."""
+    """Return the pattern from outside that beats a score by more than chance would, if any."""
     top = min(found.patterns, key=lambda pattern: pattern.score, default=None)
-    return top if top is not None and top.score < score - APART_FROM else None
+    return top if top is not None and top.score < score - APART_FROM_SCORE else None
 
 
 # -----------------------------------------------------------------------------

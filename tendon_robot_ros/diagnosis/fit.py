@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.noise import Whitener
-from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
+from ..comparison.predict import FreeParameter
 from ..comparison.statistics import chi2_sf, f_sf
 from .as_built import REMAINDER, Kind
-from .marginal import RandomEffects, Sizes
 
 Floats = npt.NDArray[np.float64]
-ROUNDS = 4  # of parameters and sizes of the imperfections in turn
-SETTLED = 0.1  # change in deviance at which they are settled
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,7 @@ class Fit:
 
     @property
     def all_frees(self) -> tuple[FreeParameter, ...]:
-        """FreeParameter parameters, then those of the nuisances."""
+        """Freed parameters, then those of the nuisances."""
         return self.frees + tuple(n.free for n in self.nuisances)
 
     @property
@@ -121,7 +117,7 @@ class Fit:
         return covariance_of(self.jacobian)
 
     @property
-    def pulls(self) -> dict[str, float]:
+    def prior_z(self) -> dict[str, float]:
         """How many of its declared sd each quantity moved (of several, the most)."""
         moved: dict[str, float] = {}
         for nuisance, value in zip(self.nuisances, self.values[len(self.frees) :], strict=False):
@@ -185,301 +181,3 @@ def covariance_of(jacobian: Floats, blind: float = np.inf) -> Floats:
     made = inverse / np.outer(np.where(unseen, 1.0, scale), np.where(unseen, 1.0, scale))
     made[unseen, unseen] = blind
     return np.asarray(made)
-
-
-# -----------------------------------------------------------------------------
-# The search for the best values of freed parameters: bounded, globalised Gauss-Newton.
-
-
-class Fitter:
-    """Fits any set of parameters on one data set with one set of weights."""
-
-    def __init__(
-        self,
-        predictor: Predictor,
-        whitener: Whitener,
-        nuisances: Sequence[Nuisance] = (),
-        columns: Mapping[FreeParameter, Floats] | None = None,
-        random: RandomEffects | None = None,
-    ) -> None:
-        """
-        Keep what all fits share.
-
-        `columns` (N,) of the derivative are known already; `random` are the imperfections of an
-        arm as it is built.
-        """
-        self.predictor, self.whitener = predictor, whitener
-        self.columns = dict(columns or {})
-        self.random = random
-        self.sizes: Floats | None = None  # (K,) of the imperfections, for the fit that runs
-        self._root: Floats | None = None
-        self.nuisances = tuple(nuisances)
-        self.measured = predictor.dataset.mean
-        self.bend: Floats | float = 0.0  # of the measured: what imperfections do beyond slopes
-
-    def fit(
-        self,
-        frees: Sequence[FreeParameter],
-        start: Point | None = None,
-        turns: int = 25,
-        sizes: Floats | None = None,
-        begin: Floats | None = None,
-    ) -> Fit:
-        """
-        Fit free parameters, and the nuisances that they do not claim, from the described values.
-
-        `start` (values) spares the search for a start. The sizes (K,) of the imperfections are
-        estimated with the parameters, in turn, from where they `begin`, unless they are given.
-        """
-        claimed = {(free.effect, free.parameter.name) for free in frees}
-        nuisances = tuple(
-            n for n in self.nuisances if (n.free.effect, n.free.parameter.name) not in claimed
-        )
-        if self.random is not None:
-            first = self.random.start if begin is None else begin
-            self.take(first if sizes is None else sizes)
-        search = Search(self, tuple(frees), nuisances)
-        if start is not None:
-            search.begin([np.array([start.get(f, search.described(f)) for f in search.all])])
-        else:
-            search.begin(search.starts())
-        search.run(turns)
-        if self.random is None or sizes is not None:
-            return search.result()
-        before = np.inf
-        for _ in range(ROUNDS):
-            estimated = self.estimate(search)
-            if before - estimated.deviance < SETTLED:
-                break
-            before = estimated.deviance
-            self.take(estimated.values)
-            search.weigh_again()
-            search.run(turns)
-        return search.result()
-
-    def take(self, sizes: Floats) -> None:
-        """Take sizes (K,) of the imperfections: their share is then no error any more."""
-        assert self.random is not None
-        self.sizes, self._root = sizes, self.random.root(sizes)
-
-    def lift(self, rows: Floats) -> Floats:
-        """Take off whitened rows (N + nuisances, ...) what imperfections of that size explain."""
-        if self.random is None or self._root is None:
-            return rows
-        n, columns = len(self.random.columns), self.random.columns
-        off = columns @ (self._root @ (columns.T @ rows[:n]))
-        return np.concatenate([rows[:n] - off, rows[n:]])
-
-    def estimate(self, search: Search) -> Sizes:
-        """Estimate the sizes of the imperfections where a search is."""
-        assert self.random is not None
-        raw, slopes = search.raw, search.derivative()
-        n = len(self.random.columns)
-        weights = np.append(np.full(search.count, 1e-9), 1.0 / search.spread**2)
-        return self.random.estimate(raw[:n], slopes[:n], self.sizes, weights)
-
-
-class Search:
-    """One running fit: scaled parameters, damping, best point."""
-
-    def __init__(
-        self, fitter: Fitter, frees: tuple[FreeParameter, ...], nuisances: tuple[Nuisance, ...]
-    ) -> None:
-        """Scale the parameters by their typical sizes."""
-        self.fitter, self.frees, self.nuisances = fitter, frees, nuisances
-        self.all = frees + tuple(n.free for n in nuisances)
-        count = len(frees)
-        self.scale = np.array([f.parameter.typical for f in frees] + [n.spread for n in nuisances])
-        self.low = np.array(
-            [f.parameter.low for f in frees] + [n.centre - 30.0 * n.spread for n in nuisances]
-        )
-        self.high = np.array(
-            [f.parameter.high for f in frees] + [n.centre + 30.0 * n.spread for n in nuisances]
-        )
-        self.centre = np.array([n.centre for n in nuisances])
-        self.spread = np.array([n.spread for n in nuisances])
-        self.count = count
-        self.damping = 1e-3
-        self.slopes: Floats | None = None
-        self.settled: SettledShapes | None = (
-            None  # of the best point: neighbours settle from there
-        )
-
-    def described(self, free: FreeParameter) -> float:
-        """Value in the description, moved inside the bounds."""
-        value = self.fitter.predictor.value(free)
-        return float(np.clip(value, free.parameter.low, free.parameter.high))
-
-    def starts(self) -> list[Floats]:
-        """Points to start from: as described, and for one parameter a ladder of sizes."""
-        start = np.array([self.described(f) for f in self.frees] + list(self.centre))
-        catalogue = self.fitter.predictor.model.catalogue
-        starts = [start]
-        if any(catalogue[f.effect].always_on for f in self.frees):
-            starts = []  # its neutral value is no absence
-        if starts and self.count != 1:
-            return starts
-        for factor in (0.03, 0.1, 0.3, 1.0, 3.0):
-            for sign in (1.0, -1.0):
-                point = start.copy()
-                for i, free in enumerate(self.frees):
-                    size = sign * factor * free.parameter.typical
-                    if catalogue[free.effect].always_on:
-                        point[i] = abs(size)
-                    elif self.count == 1:
-                        point[i] += size
-                starts.append(np.clip(point, self.low, self.high))
-        return list({tuple(point.tolist()): point for point in starts}.values())
-
-    def run(self, turns: int) -> None:
-        """Improve until nothing is left to gain."""
-        for _ in range(turns):
-            if not self.improve():
-                break
-
-    def weigh_again(self) -> None:
-        """Take the residual again when the sizes of the imperfections have changed."""
-        self.r = self.fitter.lift(self.raw)
-        self.damping = 1e-3
-
-    def residual(self, values: Floats) -> tuple[Floats, Floats] | None:
-        """Whitened residual with prior rows, and the markers; None without equilibrium."""
-        point = dict(zip(self.all, values.tolist(), strict=True))
-        markers = self.fitter.predictor.markers(point, near=self.settled)
-        if markers is None:
-            return None
-        white = self.fitter.whitener.white(self.fitter.measured - markers)
-        prior = (values[self.count :] - self.centre) / self.spread
-        return np.concatenate([white, prior]), markers
-
-    def begin(self, starts: list[Floats]) -> None:
-        """Take the best of the starts."""
-        best = np.inf
-        for start in starts:
-            values = np.clip(start, self.low, self.high)
-            found = self.residual(values)
-            if found is None:
-                continue
-            lifted = self.fitter.lift(found[0])
-            cost = float(lifted @ lifted)
-            if cost < best:
-                best, self.values, (self.raw, self.markers) = cost, values, found
-                settled = self.fitter.predictor.settled
-        if not np.isfinite(best):
-            raise ArithmeticError('no start of the fit has an equilibrium')
-        self.settled = settled
-        self.r = self.fitter.lift(self.raw)
-
-    def derivative(self) -> Floats:
-        """Jacobian (N + nuisances, q) of the residual by differences of the settled model."""
-        if self.slopes is not None:
-            return self.slopes
-        columns = []
-        for i, scale in enumerate(self.scale):
-            if (known := self._known(i)) is not None:
-                columns.append(known)
-                continue
-            h = 1e-3 * scale
-            if self.values[i] + h > self.high[i]:
-                h = -h
-            column = None
-            for step in (h, -h, 0.1 * h):
-                moved = self.values.copy()
-                moved[i] += step
-                found = self.residual(moved)
-                if found is not None:
-                    column = (found[0] - self.raw) / step
-                    break
-            columns.append(np.zeros_like(self.raw) if column is None else column)
-        self.slopes = np.array(columns).T.reshape(len(self.raw), len(self.scale))
-        return self.slopes
-
-    def _known(self, i: int) -> Floats | None:
-        """Column of a nuisance that is known already; None where it must be taken."""
-        column = self.fitter.columns.get(self.all[i])
-        if column is None:
-            return None
-        prior = np.zeros(len(self.spread))
-        prior[i - self.count] = 1.0 / self.spread[i - self.count]
-        return np.concatenate([column, prior])
-
-    def improve(self) -> bool:
-        """Take one damped step within the bounds; False when there is nothing to gain."""
-        if not len(self.scale):
-            return False
-        scaled = self.fitter.lift(self.derivative()) * self.scale
-        gradient = scaled.T @ self.r
-        pressed = ((self.values <= self.low) & (gradient > 0.0)) | (
-            (self.values >= self.high) & (gradient < 0.0)
-        )
-        free = np.flatnonzero(~pressed & (np.abs(scaled).max(axis=0) > 0.0))
-        if not len(free):
-            return False
-        normal = scaled[:, free].T @ scaled[:, free]
-        cost = float(self.r @ self.r)
-        for _ in range(12):
-            damped = normal + self.damping * np.diag(np.diag(normal) + 1e-12)
-            step = np.zeros(len(self.scale))
-            step[free] = -np.linalg.solve(damped, gradient[free])
-            moved = np.clip(
-                self.values + np.clip(step, -30.0, 30.0) * self.scale, self.low, self.high
-            )
-            found = self.residual(moved)
-            lifted = None if found is None else self.fitter.lift(found[0])
-            new = np.inf if lifted is None else float(lifted @ lifted)
-            if found is not None and lifted is not None and new < cost:
-                self.values, (self.raw, self.markers), self.r = moved, found, lifted
-                self.settled = self.fitter.predictor.settled
-                self.slopes = None
-                self.damping = max(0.1 * self.damping, 1e-9)
-                return cost - new > 1e-3 + 1e-5 * new
-            self.damping *= 8.0
-        return False
-
-    def result(self) -> Fit:
-        """Freeze the fit."""
-        raw, slopes, random = self.raw, self.derivative(), self.fitter.random
-        plain = Fit(self.frees, self.nuisances, self.values, raw, slopes, self.markers)
-        return plain if random is None else with_imperfections(plain, self.fitter)
-
-
-def with_imperfections(plain: Fit, fitter: Fitter) -> Fit:
-    """Return a fit whose last parameters are the imperfections, at their most likely values."""
-    random, sizes = fitter.random, fitter.sizes
-    assert random is not None and sizes is not None
-    n, spread = len(random.columns), random.spread(sizes)
-    prior = np.append(np.full(len(plain.frees), 1e-9), [n.spread**-2 for n in plain.nuisances])
-
-    def without_remainder() -> float:
-        none = random.estimate(
-            plain.residual[:n], plain.jacobian[:n], sizes, prior, remainder=False
-        )
-        return none.deviance
-
-    scaled = random.columns * spread
-    members = np.linalg.solve(
-        np.eye(len(spread)) + scaled.T @ scaled, scaled.T @ plain.residual[:n]
-    )
-    off = plain.residual.copy()
-    off[:n] -= scaled @ members
-    q = plain.jacobian.shape[1]
-    jacobian = np.zeros((len(off) + len(spread), q + len(spread)))
-    jacobian[: len(off), :q] = plain.jacobian
-    jacobian[:n, q:] = -scaled
-    jacobian[len(off) :, q:] = np.eye(len(spread))
-    built = Scatter(
-        random.kinds,
-        random.owners,
-        sizes,
-        random.log_determinant(sizes) + random.prior(sizes),
-        without_remainder,
-    )
-    return Fit(
-        plain.frees,
-        plain.nuisances,
-        np.append(plain.values, members),
-        np.append(off, members),
-        jacobian,
-        plain.markers,
-        built,
-    )

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
 from ..comparison.statistics import normal_ppf
-from .fit import Fit, Fitter
+from .fit import Fit
+from .fitter import Fitter
 
 Floats = npt.NDArray[np.float64]
 QUANTILE = normal_ppf(0.975)

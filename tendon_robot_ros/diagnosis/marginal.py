@@ -15,12 +15,12 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from .as_built import FEW, REMAINDER, Kind
+from .as_built import KINDS_WITH_FEW_MEMBERS, REMAINDER, Kind
 
 Floats = npt.NDArray[np.float64]
-TURNS = 25  # of the search for the standard deviations
-ENOUGH = 0.02  # gain in -2 log likelihood at which it ends
-START = 0.5  # of the plausible sizes, where it begins
+SEARCH_STEPS_MAX = 25  # of the search for the standard deviations
+DEVIANCE_GAIN_MIN = 0.02  # gain in -2 log likelihood at which it ends
+START_SHARE = 0.5  # of the plausible sizes, where it begins
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class RandomEffects:
     @property
     def start(self) -> Floats:
         """Sizes (K,) to begin with: no remainder."""
-        usual = np.where(np.isfinite(self.plausible), START * self.plausible, 0.0)
+        usual = np.where(np.isfinite(self.plausible), START_SHARE * self.plausible, 0.0)
         return np.asarray(np.maximum(usual, self.floors))
 
     def keep(self, base: Floats) -> None:
@@ -68,7 +68,7 @@ class RandomEffects:
         Few numbers do not tell their own spread: an effect that stood for all of them would be
         paid for making it zero. What is implausibly large may fall to what is plausible.
         """
-        few = np.array([kind.name in FEW for kind in self.kinds])
+        few = np.array([kind.name in KINDS_WITH_FEW_MEMBERS for kind in self.kinds])
         self.floors = np.where(few, np.minimum(base, self.plausible), 0.0)
 
     @cached_property
@@ -148,7 +148,7 @@ class RandomEffects:
         free = np.array([remainder or kind.name != REMAINDER for kind in self.kinds])
         v[~free] = 0.0
         cost, gradient, information = work.at(v)
-        for _ in range(TURNS):
+        for _ in range(SEARCH_STEPS_MAX):
             step = _step(v - low, np.where(free, gradient, np.inf), information)
             found = None
             for _ in range(8):
@@ -162,7 +162,7 @@ class RandomEffects:
                 break
             gain = cost - found[0]
             v, (cost, gradient, information) = moved, found
-            if gain < ENOUGH:
+            if gain < DEVIANCE_GAIN_MIN:
                 break
         return Sizes(np.sqrt(v), cost, work.chi2(v))
 

@@ -24,7 +24,7 @@ from ..robot import Robot
 
 Floats = npt.NDArray[np.float64]
 BLOCKS_PER_SECTION = 3  # of a section
-LOOSE_FROM_RAD = 0.5  # [rad] sd of a block's bend beyond which the markers do not tell it
+UNTOLD_FROM_RAD = 0.5  # [rad] sd of a block's bend beyond which the markers do not tell it
 DIRECTION_FROM_RAD = 1e-3  # [rad] bend of a cell that has a direction
 
 
@@ -72,7 +72,7 @@ def missing_moment(
     sd = np.sqrt(measured.floor / 3.0)
     found = [arm.fit(p, dataset.mean[p] - markers[p], sd[p], edges) for p in range(len(sd))]
     bend, spread = np.array(found).swapaxes(0, 1)
-    spread = np.where(spread < LOOSE_FROM_RAD, spread, np.nan)
+    spread = np.where(spread < UNTOLD_FROM_RAD, spread, np.nan)
     bend = np.where(np.isfinite(spread), bend, np.nan)
     cells = predictor.model.arrays.cells
     stiffness = _means(cells[None, :, 1], edges)

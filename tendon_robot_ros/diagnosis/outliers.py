@@ -13,10 +13,10 @@ from ..comparison.statistics import chi2_isf
 from ..data import DataSet
 
 Floats = npt.NDArray[np.float64]
-CHANCE = 1e-3  # that the most extreme of all readings, or trials, is called an outlier by luck
-FEWEST = 3  # trials of a posture from which two can contradict one
-MOST = 0.5  # share of the markers of a trial beyond which the trial itself is off
-TURNS = 4  # of the robust scale
+FALSE_OUTLIER_PROBABILITY = 1e-3  # for the most extreme of all readings, or of all trials
+TRIALS_MIN = 3  # trials of a posture from which two can contradict one
+MARKERS_OFF_SHARE = 0.5  # share of the markers of a trial beyond which the trial itself is off
+REWEIGHTING_ROUNDS = 4  # of the robust scale
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
     inputs = np.zeros((P, Q))
     for p in range(P):
         seen = np.flatnonzero(dataset.trial_mask[p])
-        if len(seen) < FEWEST:
+        if len(seen) < TRIALS_MIN:
             continue
         moves = dataset.positions[p, seen] - np.nanmedian(dataset.positions[p, seen], axis=0)
         g = slopes[p].reshape(len(slopes[p]), -1).T
@@ -64,7 +64,7 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
     readings = distance > _limit(distance, 3)
     trials = np.abs(inputs) > 1.5 * _limit(np.where(inputs == 0.0, np.nan, np.abs(inputs)), 1)
     counted = np.maximum(dataset.mask.sum(axis=2), 1)
-    trials |= (readings.sum(axis=2) > MOST * counted) & (counted > 2)
+    trials |= (readings.sum(axis=2) > MARKERS_OFF_SHARE * counted) & (counted > 2)
     trials &= (trials.sum(axis=1) < 0.5 * dataset.trials)[:, None]  # the rest must agree
     moved = np.linalg.norm(
         dataset.positions - np.nanmedian(dataset.positions, axis=1, keepdims=True), axis=-1
@@ -88,7 +88,7 @@ def _without_inputs(move: Floats, g: Floats, predictor: Predictor) -> tuple[Floa
     a, y = g[seen], move[seen]
     scale = max(float(np.linalg.norm(a)), 1e-30)
     along = np.zeros(a.shape[1])
-    for _ in range(TURNS):
+    for _ in range(REWEIGHTING_ROUNDS):
         normal = (a * weights[:, None]).T @ a + 1e-6 * scale**2 * np.eye(a.shape[1])
         along = np.linalg.solve(normal, (a * weights[:, None]).T @ y)
         off = np.abs(y - a @ along)
@@ -105,4 +105,4 @@ def _limit(sizes: Floats, freedom: int) -> float:
     if len(seen) < 10:
         return np.inf
     spread = float(np.median(seen)) / np.sqrt(chi2_isf(0.5, freedom))
-    return float(spread * np.sqrt(chi2_isf(CHANCE / len(seen), freedom)))
+    return float(spread * np.sqrt(chi2_isf(FALSE_OUTLIER_PROBABILITY / len(seen), freedom)))

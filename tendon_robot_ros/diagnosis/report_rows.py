@@ -11,8 +11,9 @@ from ..comparison.noise import rms
 from ..comparison.statistics import chi2_isf, normal_ppf
 from .arm_report import arm_report
 from .candidates import Ranked, why_untested
-from .decide import ALARM_LEVEL, APART_FROM, CORRELATED_FROM, P_ONE
-from .fit import Fit, Fitter
+from .decide import ALARM_LEVEL, APART_FROM_SCORE, CORRELATED_FROM, P_SINGLE_MIN
+from .fit import Fit
+from .fitter import Fitter
 from .result import CandidateRow, EffectFinding, Value
 from .session import Session
 
@@ -44,7 +45,7 @@ def _chi2_with(fitter: Fitter, fit: Fit, sizes: np.ndarray) -> float:
     """Chi² of a fit's parameters with imperfections of given sizes."""
     fitter.take(sizes)
     white = fitter.lift(fitter.whitener.white(fitter.measured - fit.markers))
-    return float(white @ white) + sum(z * z for z in fit.pulls.values())
+    return float(white @ white) + sum(z * z for z in fit.prior_z.values())
 
 
 def values_of(fit: Fit, scale: float = 1.0) -> dict[str, dict[str, Value]]:
@@ -106,7 +107,7 @@ def _row(
         status = 'best'
     elif ranked.candidate.label in together:
         status = 'cannot be told apart'
-    elif ranked.probability > P_ONE:
+    elif ranked.probability > P_SINGLE_MIN:
         status = 'adequate, less likely'
     else:
         status = 'rejected'
@@ -155,7 +156,7 @@ def details_of(
         'outliers': outliers_of(session),
         'as_built': arm_report(session, chosen[0].fit if chosen else base),
         'tolerances': dict(session.robot.tolerances),
-        'moved': base.pulls,
+        'moved': base.prior_z,
         'base': {
             'chi2': base.chi2,
             'deviance': base.deviance,
@@ -225,7 +226,11 @@ def _next_best(
     others = [r for r in found.singles if r not in chosen and r.candidate.label not in together]
     if not chosen or not others:
         return None, []
-    near = [r for r in others if r.probability > P_ONE and r.score <= chosen[0].score + APART_FROM]
+    near = [
+        r
+        for r in others
+        if r.probability > P_SINGLE_MIN and r.score <= chosen[0].score + APART_FROM_SCORE
+    ]
     wider = [r.candidate.label for r in near]
     others = [r for r in others if r not in near]
     if not others:

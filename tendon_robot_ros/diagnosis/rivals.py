@@ -11,7 +11,8 @@ from ..comparison.predict import CELLS, Point
 from ..comparison.statistics import chi2_sf, minimum
 from .as_built import SplitPredictor, typical_force
 from .cells import CellRelief
-from .fit import Fit, Fitter
+from .fit import Fit
+from .fitter import Fitter
 
 Floats = npt.NDArray[np.float64]
 
@@ -29,7 +30,7 @@ class Pattern:
     places: int = 1  # among which it was searched
     values: tuple[float, ...] = ()  # one per posture [1] or [rad]; contact: force (3,) [N]
 
-    def luck(self, deviance: float) -> float:
+    def gain_p_value(self, deviance: float) -> float:
         """Chance of so much gain over a deviance without the pattern, its place searched."""
         return self.places * chi2_sf(max(deviance - self.deviance, 0.0), self.free)
 

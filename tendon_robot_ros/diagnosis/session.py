@@ -15,19 +15,20 @@ from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
 from .as_built import Members, imperfections
-from .candidates import Candidate, Ranked, candidates_of, gain_probability, is_tested, nuisances_of
+from .candidates import Candidate, Ranked, candidates_of, gain_p_value, is_tested, nuisances_of
 from .cells import cell_slopes
 from .decide import (
     ALARM_LEVEL,
-    APART_FROM,
+    APART_FROM_SCORE,
     EFFECTS_MAX,
-    GAIN_MIN,
-    P_ONE,
-    P_SEVERAL,
-    SAME_WITHIN,
-    TIE_WITHIN,
+    FIRST_STEP_GAIN_MIN,
+    P_SEVERAL_MIN,
+    P_SINGLE_MIN,
+    SAME_WITHIN_CHI2,
+    TIE_WITHIN_SCORE,
 )
-from .fit import Fit, Fitter
+from .fit import Fit
+from .fitter import Fitter
 from .marginal import RandomEffects
 from .outliers import Outliers
 
@@ -166,7 +167,7 @@ class Session:
 
     def holds(self, ranked: Ranked) -> bool:
         """Tell whether several effects are adequate, for left-out postures as well."""
-        return ranked.probability > P_SEVERAL and ranked.trust > P_ONE
+        return ranked.probability > P_SEVERAL_MIN and ranked.trust > P_SINGLE_MIN
 
     def base_fit(self) -> Fit:
         """Fit the declared tolerances and the imperfections alone."""
@@ -188,15 +189,15 @@ class Session:
         ]
         return tested, [c for c in self.candidates if c not in tested]
 
-    def luck(self, base: Fit, ranked: Ranked) -> float:
-        """Chance of a candidate's gain by luck."""
+    def gain_p_value(self, base: Fit, ranked: Ranked) -> float:
+        """Probability of so large a gain by chance."""
         described = [self.predictor.value(free) for free in ranked.candidate.frees]
-        return gain_probability(base, ranked.fit, described)
+        return gain_p_value(base, ranked.fit, described)
 
     def stands_out(self, base: Fit, ranked: Ranked, among: int) -> bool:
-        """Tell whether a candidate gains more than the best of so many would by luck."""
+        """Tell whether a candidate gains more than the best of so many would by chance."""
         held, _ = base.held_out(self.whitener.owners)
-        return self.luck(base, ranked) * among < ALARM_LEVEL and ranked.held_out < held
+        return self.gain_p_value(base, ranked) * among < ALARM_LEVEL and ranked.held_out < held
 
     def hints(self, current: Ranked, larger: Candidate) -> bool:
         """Tell whether a first step of further parameters would gain; kinked ones always may."""
@@ -218,12 +219,12 @@ class Session:
             columns.append(self.whitener.white(current.fit.markers - moved)[:, None] / step)
         slopes = np.column_stack([column[:n] for column in columns])
         estimated = random.estimate(raw, slopes, built.sizes)
-        return current.fit.deviance - estimated.deviance > GAIN_MIN
+        return current.fit.deviance - estimated.deviance > FIRST_STEP_GAIN_MIN
 
     def best(self, ranked: Sequence[Ranked]) -> Ranked:
         """Return the best by score; within a tie the first of the catalogue."""
         top = min(r.score for r in ranked)
-        return next(r for r in ranked if r.score <= top + TIE_WITHIN)
+        return next(r for r in ranked if r.score <= top + TIE_WITHIN_SCORE)
 
 
 def indistinct(session: Session, ranked: Sequence[Ranked], gate: float) -> list[Ranked]:
@@ -235,7 +236,7 @@ def indistinct(session: Session, ranked: Sequence[Ranked], gate: float) -> list[
     """
     adequate = [r for r in ranked if r.probability > gate]
     top = min(r.score for r in adequate)
-    near = [r for r in adequate if r.score <= top + APART_FROM]
+    near = [r for r in adequate if r.score <= top + APART_FROM_SCORE]
     kept = [
         r
         for r in near
@@ -257,7 +258,7 @@ def contains(session: Session, large: Ranked, small: Ranked) -> bool:
     fitter.measured = small.fit.markers  # without imperfections, as these predict it
     sizes = None if small.fit.built is None else small.fit.built.sizes
     mimic = fitter.fit(large.candidate.frees, large.fit.point, sizes=sizes)
-    return mimic.chi2 < SAME_WITHIN
+    return mimic.chi2 < SAME_WITHIN_CHI2
 
 
 def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
@@ -285,7 +286,7 @@ def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
 
 def joined(session: Session, best: Ranked) -> Ranked | None:
     """
-    Join a second effect, and a third, to an adequate one while the gain is more than luck.
+    Join a second effect, and a third, to an adequate one while the gain is more than chance would.
 
     An arm as built may scatter as much as a second effect needs; that it need not is told by the
     likelihood. None where one effect is enough.
@@ -296,7 +297,7 @@ def joined(session: Session, best: Ranked) -> Ranked | None:
             r
             for r in _hinted(session, current) + _hinted_around_none(session, current)
             if session.stands_out(current.fit, r, len(session.candidates))
-            and r.score < current.score - APART_FROM
+            and r.score < current.score - APART_FROM_SCORE
         ]
         if not better:
             break

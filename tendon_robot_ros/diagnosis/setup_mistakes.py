@@ -19,11 +19,11 @@ from ..comparison.noise import rms
 from ..comparison.predict import Predictor
 
 Floats = npt.NDArray[np.float64]
-GROSS = 20.0  # times the noise, from which a mistake is looked for
-GONE = 0.1  # share of the error that may be left of it
-CLOSE = 8.0  # or so many times the noise, if that is more
-MOST = 6  # inputs whose order is searched
-FACTORS = {
+GROSS_FROM_FLOORS = 20.0  # times the noise, from which a mistake is looked for
+ERROR_SHARE_LEFT_MAX = 0.1  # share of the error that may be left of it
+EXPLAINED_WITHIN_FLOORS = 8.0  # or so many times the noise, if that is more
+INPUTS_REORDERED_MAX = 6  # inputs whose order is searched
+UNIT_FACTORS = {
     1000.0: 'milli', 0.001: 'kilo', 9.81: 'kilograms of force', 1.0 / 9.81: 'newtons twice',
     4.448: 'pounds', 1.0 / 4.448: 'newtons as pounds', 10.0: 'a decimal point',
     0.1: 'a decimal point', 2.0: 'a double count', 0.5: 'half a count',
@@ -67,9 +67,9 @@ def find_mistake(predictor: Predictor, floor: float) -> Mistake | None:
     if markers is None:
         return None
     before = rms(measured - markers)
-    if before < GROSS * floor:
+    if before < GROSS_FROM_FLOORS * floor:
         return None
-    enough = max(GONE * before, CLOSE * floor)
+    enough = max(ERROR_SHARE_LEFT_MAX * before, EXPLAINED_WITHIN_FLOORS * floor)
     found = [one for tried in _HYPOTHESES for one in tried(predictor, markers)]
     likely = [one for one in found if one.after < min(enough, 0.3 * before)]
     if not likely:
@@ -99,7 +99,7 @@ def _frozen(predictor: Predictor, floor: float) -> Mistake | None:
 def _swapped(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try all orders of the inputs."""
     names, inputs = predictor.robot.inputs, predictor.inputs
-    if len(names) > MOST:
+    if len(names) > INPUTS_REORDERED_MAX:
         return
     for order in permutations(range(len(names))):
         if list(order) == sorted(order):
@@ -169,7 +169,7 @@ def _numbered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
 
 def _units(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try units of the inputs and of the positions."""
-    for factor in FACTORS:
+    for factor in UNIT_FACTORS:
         moved = predictor.markers({}, predictor.inputs * factor)
         how = f'multiplied by {factor:.4g}' if factor >= 1.0 else f'divided by {1.0 / factor:.4g}'
         unit = '[N]' if predictor.dataset.input == 'tension' else '[m]'

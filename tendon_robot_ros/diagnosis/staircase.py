@@ -13,7 +13,8 @@ from ..comparison.predict import Predictor
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
-from .fit import Fit, Fitter
+from .fit import Fit
+from .fitter import Fitter
 from .written import written_share
 
 Floats = npt.NDArray[np.float64]

@@ -30,7 +30,7 @@ from .fit import Fit
 from .session import Progress, Session
 
 Floats = npt.NDArray[np.float64]
-SHOWN_SHARE = 0.8  # share of cases in which such a size raises the alarm
+DETECTED_SHARE = 0.8  # share of cases in which such a size raises the alarm
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def smallest_sizes(
     Return the smallest sizes of missing effects, parameter by parameter.
 
     The size at which the whitened change of the markers, less what the declared tolerances can
-    take up, is long enough for the likelihood ratio to raise the alarm in `SHOWN_SHARE` of the
+    take up, is long enough for the likelihood ratio to raise the alarm in `DETECTED_SHARE` of the
     cases.
     """
     found = []
@@ -102,7 +102,7 @@ def _change(session: Session, base: Fit, free: FreeParameter, value: float) -> f
 
 @cache
 def noncentrality(freedom: int, alpha: float) -> float:
-    """Squared length that lifts chi² over its threshold in `SHOWN_SHARE` of the cases."""
+    """Squared length that lifts chi² over its threshold in `DETECTED_SHARE` of the cases."""
     threshold = chi2_isf(alpha, freedom)
     noise = np.random.default_rng(0).normal(size=(20_000, freedom))
     rest = (noise[:, 1:] ** 2).sum(axis=1)
@@ -110,7 +110,7 @@ def noncentrality(freedom: int, alpha: float) -> float:
     for _ in range(40):
         middle = 0.5 * (low + high)
         power = float(((noise[:, 0] + middle) ** 2 + rest > threshold).mean())
-        low, high = (middle, high) if power < SHOWN_SHARE else (low, middle)
+        low, high = (middle, high) if power < DETECTED_SHARE else (low, middle)
     return high**2
 
 

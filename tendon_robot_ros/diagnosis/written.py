@@ -14,13 +14,13 @@ from .as_built import GAIN, HOLE, POSITION, ROTATION
 from .fit import Fit
 
 Floats = npt.NDArray[np.float64]
-WRITTEN = (CELLS, GAIN, HOLE, POSITION, ROTATION)  # kinds that a description can hold
+WRITABLE_KINDS = (CELLS, GAIN, HOLE, POSITION, ROTATION)  # kinds that a description can hold
 
 
 def written_share(fit: Fit) -> Floats:
     """Return 1 for every imperfection (b,) that a description can hold, else 0."""
     assert fit.built is not None
-    kept = np.array([kind.name in WRITTEN for kind in fit.built.kinds], dtype=float)
+    kept = np.array([kind.name in WRITABLE_KINDS for kind in fit.built.kinds], dtype=float)
     return np.asarray(kept[fit.built.owners])
 
 

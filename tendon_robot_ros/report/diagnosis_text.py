@@ -257,7 +257,7 @@ def detectable(found: Diagnosis) -> str:
 # -----------------------------------------------------------------------------
 # The next measurement in words.
 
-TRIALS = 5
+TRIALS_ADVISED = 5
 
 
 def next_measurement(found: Diagnosis) -> str:
@@ -266,7 +266,7 @@ def next_measurement(found: Diagnosis) -> str:
     if step is None:
         return ''
     names = found.cannot_tell_apart
-    if step.difference < 2.0 * step.noise / np.sqrt(TRIALS):
+    if step.difference < 2.0 * step.noise / np.sqrt(TRIALS_ADVISED):
         return (
             f'No posture within the limits separates {listed(names)}: they differ by '
             f'{_small(step.difference)} at most, your noise is {mm(step.noise, 2)}. '
@@ -279,7 +279,7 @@ def next_measurement(found: Diagnosis) -> str:
         where += f', with the base turned so that gravity is [{down}] m/s²'
     if step.after is not None:
         where += f', coming from {commands(dict(step.after), kind)}'
-    return f'Measure this next: {where}, {TRIALS} trials. {_predicted(step)}'
+    return f'Measure this next: {where}, {TRIALS_ADVISED} trials. {_predicted(step)}'
 
 
 def _small(metres: float) -> str:

@@ -10,7 +10,7 @@ from .newton import solve_small
 from .shape import accept, balance, place, predict
 
 # Target: x, y, z [m], direction x, y, z, weight of position [1], weight of direction [m/rad].
-THERE = 1e-14  # [m²] half the squared error of a tip that is where it should be: 0.14 µm
+COST_REACHED_M2 = 1e-14  # [m²] half the squared error of a tip that is where it should be: 0.14 µm
 
 
 @compiled
@@ -128,7 +128,7 @@ def aim(robot, inputs, bends, target, low, high, preference, most, enough, past,
     Move inputs (m,) [N] within [low, high] so that the tip meets the target; return the cost.
 
     `bends` (2, n, 2) holds a guess and takes the equilibrium in its first half. With the tip
-    `THERE`, the search ends with a step that gains less than `enough` of the cost.
+    `COST_REACHED_M2`, the search ends with a step that gains less than `enough` of the cost.
     """
     chain = chain_at(robot)
     m, there = chain.m, workspace(chain, bends, past, scratch)
@@ -157,7 +157,7 @@ def aim(robot, inputs, bends, target, low, high, preference, most, enough, past,
         damping = max(0.05 * damping, 1e-13)
         accept(chain, there, trial, moved, inputs, f)
         cost -= gain
-        is_there = cost_of(f, low, low, preference) < THERE
+        is_there = cost_of(f, low, low, preference) < COST_REACHED_M2
         if gain < 1e-6 * cost or cost < 1e-16 or (is_there and gain < enough * cost):
             break
     return cost

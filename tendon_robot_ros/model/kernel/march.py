@@ -18,9 +18,9 @@ from .stages import offset_scale, tendon_path_acts
 from .sweep import active_stages, base_tensions, pass_eyelet
 from .turning import half_turn
 
-STEP = 1e-7  # [rad] of the differences
-CLOSE = 1e-13  # [rad] residual of a cell that is solved
-MOST = 30
+BEND_STEP = 1e-7  # [rad] of the differences
+RESIDUAL_SOLVED = 1e-13  # [rad] residual of a cell that is solved
+STEPS_MAX = 30
 
 
 @compiled
@@ -43,12 +43,13 @@ def cell_residual(chain, work, past, i, last_x, last_y, x, y):
 def solve_cell_alone(chain, work, past, i, last_x, last_y, x, y):
     """Newton on the two equations of cell i from (x, y); return its bend."""
     fx, fy = cell_residual(chain, work, past, i, last_x, last_y, x, y)
-    for _ in range(MOST):
-        if abs(fx) + abs(fy) < CLOSE:
+    for _ in range(STEPS_MAX):
+        if abs(fx) + abs(fy) < RESIDUAL_SOLVED:
             break
-        ax, ay = cell_residual(chain, work, past, i, last_x, last_y, x + STEP, y)
-        bx, by = cell_residual(chain, work, past, i, last_x, last_y, x, y + STEP)
-        a, c, b, d = (ax - fx) / STEP, (ay - fy) / STEP, (bx - fx) / STEP, (by - fy) / STEP
+        ax, ay = cell_residual(chain, work, past, i, last_x, last_y, x + BEND_STEP, y)
+        bx, by = cell_residual(chain, work, past, i, last_x, last_y, x, y + BEND_STEP)
+        a, c = (ax - fx) / BEND_STEP, (ay - fy) / BEND_STEP
+        b, d = (bx - fx) / BEND_STEP, (by - fy) / BEND_STEP
         over = 1.0 / (a * d - b * c)
         dx, dy = over * (d * fx - b * fy), over * (a * fy - c * fx)
         share, best = 1.0, abs(fx) + abs(fy)

@@ -6,7 +6,7 @@ import numpy as np
 
 from .layout import NEWTON, address, compiled, entry, floats, residual_at, respond_at
 
-TOLERANCE = 1e-10  # [rad] largest change of a bend at which a shape counts as settled
+BEND_TOLERANCE = 1e-10  # [rad] largest change of a bend at which a shape counts as settled
 
 
 @compiled
@@ -66,7 +66,7 @@ def newton_step(chain, inputs, bend, f, move, work, past, trial, trial_f, halvin
         for j in range(f.shape[0]):
             trial[j] = x[j] + share * move[j]
         change = residual(chain, inputs, address(trial), work, past, trial_f)
-        if dot(trial_f, trial_f) < (1.0 - 1e-4 * share) * before or change < TOLERANCE:
+        if dot(trial_f, trial_f) < (1.0 - 1e-4 * share) * before or change < BEND_TOLERANCE:
             for j in range(f.shape[0]):
                 x[j], f[j] = trial[j], trial_f[j]
             return change
@@ -82,7 +82,7 @@ def newton(chain, inputs, bend, work, past, most):
     trial, move = np.empty(size), np.empty(size)
     change = residual(chain, inputs, bend, work, past, f)
     for _ in range(most):
-        if change < TOLERANCE or change == math.inf:
+        if change < BEND_TOLERANCE or change == math.inf:
             return change
         respond_at(chain.respond)(chain, bend, address(f), 1, work, past, address(move))
         if not largest(move) < math.inf:

@@ -9,7 +9,7 @@ from .layout import address, chain_at, compiled, entry, floats, workspace
 from .newton import solve_small
 from .shape import accept, balance, mean_pulls, predict, wire_pulls
 
-SETTLED = 1e-10  # [m] largest difference between a wire's pull and what was asked
+GAP_SETTLED = 1e-10  # [m] largest difference between a wire's pull and what was asked
 
 
 @compiled
@@ -91,7 +91,7 @@ def solve_stiff_wires(robot, inputs, target, bends, past, scratch, most):
     damping = 1e-10
     for _ in range(most):
         wrong = violation(inputs, target, f)
-        if wrong < SETTLED * SETTLED:
+        if wrong < GAP_SETTLED * GAP_SETTLED:
             break
         pull_slopes(chain, inputs, target, there, ways, slopes)
         new = math.inf

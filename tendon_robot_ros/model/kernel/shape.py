@@ -23,7 +23,7 @@ from .layout import (
     work_in,
     work_size,
 )
-from .newton import TOLERANCE
+from .newton import BEND_TOLERANCE
 from .stages import (
     friction_travel_acts,
     measurement,
@@ -35,7 +35,7 @@ from .stages import (
 from .sweep import slip_direction
 from .turning import chain_frames
 
-LEAP = 0.3  # [rad] step of a bend over which a derivative is no guess
+GUESS_STEP_MAX = 0.3  # [rad] step of a bend over which a derivative is no guess
 
 
 @compiled
@@ -79,7 +79,7 @@ def ramp(chain, inputs, work, past, now, bend, parts):
             share = (part + 1.0) / parts
             there[j] = (1.0 - share) * start[j] + share * aim[j]
         change = settle_at(chain.settle)(chain, now.inputs, work, now, bend)
-        if not change < TOLERANCE:
+        if not change < BEND_TOLERANCE:
             break
         remember(chain, now.inputs, bend, work, now, now)
     return change
@@ -106,7 +106,7 @@ def posture(chain, inputs, work, past, now, bend, before):
         moved = 0.0
         for j in range(2 * chain.n):
             moved = max(moved, abs(floats(bend)[j] - floats(before)[j]))
-        if change < TOLERANCE and moved < 1e-6:
+        if change < BEND_TOLERANCE and moved < 1e-6:
             break
     return change
 
@@ -154,7 +154,7 @@ def mean_pulls(chain, pulls, means):
 def balance(chain, inputs, there, bend):
     """Solve for the bends at an address from what is there; tell whether they balance."""
     change = posture(chain, address(inputs), there.work, there.past, there.now, bend, there.before)
-    return change < TOLERANCE
+    return change < BEND_TOLERANCE
 
 
 @compiled
@@ -168,7 +168,7 @@ def predict(chain, there, ways, inputs, trial):
             move += ways[j, q] * (trial[j] - inputs[j])
         near[q] += move
         longest = max(longest, abs(move)) if move == move else math.inf
-    if not longest < LEAP:
+    if not longest < GUESS_STEP_MAX:
         copy(there.bend, there.near, 2 * chain.n)
 
 

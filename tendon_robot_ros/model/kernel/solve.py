@@ -7,18 +7,20 @@ import numpy as np
 from .layout import SETTLE, SLIP_LENGTH, address, compiled, entry, floats, newton_at, step_at
 from .loads import loaded
 from .march import march
-from .newton import TOLERANCE, dot, largest, solve_small
-from .stability import SAFE, descend, load_ratio
+from .newton import BEND_TOLERANCE, dot, largest, solve_small
+from .stability import SAFE_LOAD_SHARE, descend, load_ratio
 from .stages import eyelet_acts, friction_travel_acts, memory_acts
 from .stick import solve_sliding
 from .sweep import is_implicit
 from .turning import half_turns
 
-WIDTHS = (1000.0, 100.0, 30.0, 10.0, 3.0, 1.0)  # of the smoothing of friction's sign, on the way
-WIDE, SHRINK = 1000.0, (0.3, 0.5)  # of the slip length at the start, and at every good step
-TRIES, MOST = 8, 30  # steps from a guess, and from a wide slip length
-STRIDES = 16  # of the continuation, before there is said to be no equilibrium
-DEPTH = 5  # guesses that the acceleration remembers
+# Factors on the slip length, over which the sign of friction is smooth: on the way of a
+# continuation, at the start of a search, and from one good step to the next.
+SLIP_WIDTHS = (1000.0, 100.0, 30.0, 10.0, 3.0, 1.0)
+SLIP_WIDTH_START, SLIP_WIDTH_FACTORS = 1000.0, (0.3, 0.5)
+GUESSED_STEPS_MAX, WIDE_STEPS_MAX = 8, 30  # steps from a guess, and from a wide slip length
+CONTINUATION_STEPS_MAX = 16  # of the continuation, before there is said to be no equilibrium
+ANDERSON_DEPTH = 5  # guesses that the acceleration remembers
 
 
 @compiled
@@ -43,16 +45,17 @@ def repeat_sweeps(chain, inputs, x, work, past, most):
     size = x.shape[0]
     flat = np.empty(size)
     f, old_x, old_f = np.empty(size), np.empty(size), np.empty(size)
-    steps, changes = np.empty((DEPTH, size)), np.empty((DEPTH, size))
-    gram, factor = np.empty((DEPTH, DEPTH)), np.empty((DEPTH, DEPTH))
-    weights = np.empty(DEPTH)
+    steps, changes = np.empty((ANDERSON_DEPTH, size)), np.empty((ANDERSON_DEPTH, size))
+    square = (ANDERSON_DEPTH, ANDERSON_DEPTH)
+    gram, factor = np.empty(square), np.empty(square)
+    weights = np.empty(ANDERSON_DEPTH)
     best, first = math.inf, math.inf
     for turn in range(most):
         step_at(chain.step)(chain, inputs, address(x), work, past, address(flat))
         for j in range(size):
             f[j] = flat[j] - x[j]
         change = largest(f)
-        if change < TOLERANCE:
+        if change < BEND_TOLERANCE:
             x[:] = flat
             return change
         slow = (turn == 4 and change > 3e-2 * first) or (turn == 9 and change > 1e-2 * first)
@@ -62,15 +65,15 @@ def repeat_sweeps(chain, inputs, x, work, past, most):
         if turn == 0:
             first = change
         if turn > 0:
-            slot = (turn - 1) % DEPTH
+            slot = (turn - 1) % ANDERSON_DEPTH
             for j in range(size):
                 steps[slot, j] = x[j] - old_x[j]
                 changes[slot, j] = f[j] - old_f[j]
-            for p in range(min(turn, DEPTH)):
+            for p in range(min(turn, ANDERSON_DEPTH)):
                 gram[slot, p] = gram[p, slot] = dot(changes[slot], changes[p])
         old_x[:] = x
         old_f[:] = f
-        anderson_step(x, f, steps, changes, min(turn, DEPTH), gram, factor, weights)
+        anderson_step(x, f, steps, changes, min(turn, ANDERSON_DEPTH), gram, factor, weights)
     return change
 
 
@@ -81,17 +84,17 @@ def sharpen(chain, inputs, x, work, past):
     before = np.empty(x.shape[0])
     change = math.inf
     x[:] = 0.0
-    for width in WIDTHS:
+    for width in SLIP_WIDTHS:
         slip[0] = width * SLIP_LENGTH
         before[:] = x
         change = repeat_sweeps(chain, inputs, x, work, past, 25)
-        if not change < TOLERANCE:
+        if not change < BEND_TOLERANCE:
             x[:] = before
             change = newton_at(chain.newton)(chain, inputs, address(x), work, past, 15)
-        if not change < TOLERANCE:
+        if not change < BEND_TOLERANCE:
             break
     slip[0] = SLIP_LENGTH
-    return change if change < TOLERANCE else max(change, 10.0 * TOLERANCE)
+    return change if change < BEND_TOLERANCE else max(change, 10.0 * BEND_TOLERANCE)
 
 
 @compiled
@@ -102,13 +105,13 @@ def continuation(chain, inputs, x, work, past):
     done, stride = 0.0, 0.25
     last = x.copy()
     change = math.inf
-    for _ in range(STRIDES):
+    for _ in range(CONTINUATION_STEPS_MAX):
         aim = min(1.0, done + stride)
         slip[0] = SLIP_LENGTH * 10.0 ** (3.0 * (1.0 - aim))
         slip[1] = aim
         x[:] = last
         change = newton_at(chain.newton)(chain, inputs, address(x), work, past, 10)
-        if change < TOLERANCE:
+        if change < BEND_TOLERANCE:
             if aim == 1.0:
                 slip[0], slip[1] = SLIP_LENGTH, 1.0
                 return change
@@ -120,7 +123,7 @@ def continuation(chain, inputs, x, work, past):
             if stride < 1e-3:
                 break
     slip[0], slip[1] = SLIP_LENGTH, 1.0
-    return max(change, 10.0 * TOLERANCE)
+    return max(change, 10.0 * BEND_TOLERANCE)
 
 
 @compiled
@@ -170,12 +173,14 @@ def solve_stuck(chain, inputs, x, bend, work, past, cold):
     change = math.inf
     begin_again(chain, inputs, x, bend, work, past, cold)
     if not cold:
-        change = solve_sliding(chain, inputs, x, work, past, 1.0, 1.0, TRIES)
-    for shrink in SHRINK:
-        if change < TOLERANCE:
+        change = solve_sliding(chain, inputs, x, work, past, 1.0, 1.0, GUESSED_STEPS_MAX)
+    for shrink in SLIP_WIDTH_FACTORS:
+        if change < BEND_TOLERANCE:
             break
         step_plainly(chain, inputs, x, work, past)
-        change = solve_sliding(chain, inputs, x, work, past, WIDE, shrink, MOST)
+        change = solve_sliding(
+            chain, inputs, x, work, past, SLIP_WIDTH_START, shrink, WIDE_STEPS_MAX
+        )
     return change
 
 
@@ -185,11 +190,11 @@ def solve_smooth(chain, inputs, x, bend, work, past, cold):
     begin_again(chain, inputs, x, bend, work, past, cold)
     if is_causal(chain):
         change = march(chain, inputs, x, work, past)
-        if change < TOLERANCE:
+        if change < BEND_TOLERANCE:
             return change
         begin_again(chain, inputs, x, bend, work, past, cold)
     change = newton_at(chain.newton)(chain, inputs, address(x), work, past, 12)
-    if not change < TOLERANCE and eyelet_acts(chain):
+    if not change < BEND_TOLERANCE and eyelet_acts(chain):
         change = sharpen(chain, inputs, x, work, past)
     return change
 
@@ -199,8 +204,8 @@ def solve_equilibrium(chain, inputs, work, past, bend):
     """
     Find the equilibrium for input tensions (m,) [N] from the bends (n, 2) [rad] in `bend`.
 
-    Returns the last change [rad]: above `TOLERANCE` there is no equilibrium and the bends mean
-    nothing. work.tensions are those of the equilibrium.
+    Returns the last change [rad]: above `BEND_TOLERANCE` there is no equilibrium and the bends
+    mean nothing. work.tensions are those of the equilibrium.
     """
     size = 2 * chain.n
     bends = floats(bend)
@@ -219,16 +224,16 @@ def solve_equilibrium(chain, inputs, work, past, bend):
     swept, change = False, math.inf
     if memory_acts(chain) or is_planar(x):
         change = repeat_sweeps(chain, inputs, x, work, past, 25)
-        swept = change < TOLERANCE
+        swept = change < BEND_TOLERANCE
     if not swept and friction_travel_acts(chain) and eyelet_acts(chain) and not memory_acts(chain):
         change = solve_stuck(chain, inputs, x, bend, work, past, cold)
     elif not swept:
         change = solve_smooth(chain, inputs, x, bend, work, past, cold)
-    if not change < TOLERANCE:
+    if not change < BEND_TOLERANCE:
         change = continuation(chain, inputs, x, work, past)
-    if change < TOLERANCE and loaded(chain):
+    if change < BEND_TOLERANCE and loaded(chain):
         ratio = load_ratio(chain)
-        if ratio > SAFE:
+        if ratio > SAFE_LOAD_SHARE:
             descend(chain, inputs, x, work, past, ratio)
             swept = False
     if not swept:

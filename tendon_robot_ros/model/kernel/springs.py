@@ -14,9 +14,9 @@ from .layout import chain_at, compiled, entry, workspace
 from .pulls import pull_residuals, pull_slopes
 from .shape import accept, predict
 
-CLOSE = 1e-2  # largest gap, over the stretch of a wire by 1 N
-FAR, LEAST = 3.0, 0.01  # longest step, over the largest tension and this more [N]
-SLOW = 4  # steps that hardly help, then there is no answer this way
+GAP_CLOSED = 1e-2  # largest gap, over the stretch of a wire by 1 N
+STEP_MAX, STEP_MAX_N = 3.0, 0.01  # longest step, over the largest tension and this more [N]
+SLOW_STEPS_MAX = 4  # steps that hardly help, then there is no answer this way
 
 
 @compiled
@@ -52,7 +52,7 @@ def spring_step(slopes, f, inputs, target, stretch, move):
     for p in range(count):
         move[taut[p]] = -step[p, 0]
         longest = max(longest, abs(step[p, 0]))
-    share = min(1.0, FAR * (high + LEAST) / max(longest, 1e-300))
+    share = min(1.0, STEP_MAX * (high + STEP_MAX_N) / max(longest, 1e-300))
     for p in range(count):
         move[taut[p]] *= share  # where pulls hardly change, no step is a leap
     return top
@@ -103,7 +103,7 @@ def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, mo
             pull_slopes(chain, inputs, target, there, ways, slopes)
             fresh, stale = True, False
             top = spring_step(slopes, f, inputs, target, stretch, move)
-        if top < CLOSE * stretch or slow > SLOW:
+        if top < GAP_CLOSED * stretch or slow > SLOW_STEPS_MAX:
             break
         share, better = 1.0, False
         for _ in range(8 if fresh else 2):

@@ -7,9 +7,9 @@ import numpy as np
 from .bending import cell_stiffness
 from .layout import LENGTH, address, cell, compiled, newton_at, respond_at, section_of, step_at
 from .loads import force_at_tip, weight
-from .newton import TOLERANCE, dot, largest, residual
+from .newton import BEND_TOLERANCE, dot, largest, residual
 
-SAFE = 0.7  # [1] share of Euler's load below which no shape of the arm is unstable
+SAFE_LOAD_SHARE = 0.7  # [1] share of Euler's load below which no shape of the arm is unstable
 
 
 @compiled
@@ -56,7 +56,7 @@ def descend(chain, inputs, x, work, past, ratio):
             break
         for j in range(size):
             there[j] -= f[j] / (1.0 + ratio)
-    if newton_at(chain.newton)(chain, inputs, address(there), work, past, 20) < TOLERANCE:
+    if newton_at(chain.newton)(chain, inputs, address(there), work, past, 20) < BEND_TOLERANCE:
         x[:] = there
         return True
     return False

@@ -21,26 +21,26 @@ from .layout import SLIP_LENGTH, address, compiled, floats, newton_at, respond_a
 from .newton import largest
 from .residual import imbalance, moment_arms_of, place_forces, place_travel
 
-FULL = 0.9999  # [1] direction of friction that counts as slipping
-AWAY = 3.0  # [1] travel, over the slip length, of a tendon that begins to slip
-CLEAR = 8.0  # [1] and of one whose direction of friction no travel nearby changes
-NEAR = 1e-7  # [rad] step after which plain Newton ends the search
-GOOD = 0.1  # [rad] step after which the slip length shrinks
+SLIPPING_FROM = 0.9999  # [1] direction of friction that counts as slipping
+SLIP_START_TRAVEL = 3.0  # [1] travel, over the slip length, of a tendon that begins to slip
+SLIP_CLEAR_TRAVEL = 8.0  # [1] and of one whose direction of friction no travel nearby changes
+STEP_SETTLED_RAD = 1e-7  # [rad] step after which plain Newton ends the search
+STEP_SHRINKING_RAD = 0.1  # [rad] step after which the slip length shrinks
 
 
 @compiled
 def next_travel(z, travel, width, new_width):
     """Travel [m] that an eyelet takes over, from its last one and what the step says it is."""
-    if abs(z) > CLEAR * width:
+    if abs(z) > SLIP_CLEAR_TRAVEL * width:
         s = math.copysign(1.0, z)
     else:
         s = math.tanh(z / width)
         s += (1.0 - s * s) * (travel - z) / width
-        if abs(s) < FULL:
+        if abs(s) < SLIPPING_FROM:
             return new_width * math.atanh(s)
     if s * travel <= 0.0:
         return 0.0
-    return math.copysign(max(abs(travel), AWAY * new_width), s)
+    return math.copysign(max(abs(travel), SLIP_START_TRAVEL * new_width), s)
 
 
 @compiled
@@ -104,19 +104,19 @@ def solve_sliding(chain, inputs, x, work, past, wide, shrink, most):
         imbalance(chain, address(x), work, past, address(f))
         respond_at(chain.respond)(chain, address(x), address(f), 1, work, past, address(move))
         long = largest(move)
-        if not long < math.inf or (long < NEAR and width == SLIP_LENGTH):
+        if not long < math.inf or (long < STEP_SETTLED_RAD and width == SLIP_LENGTH):
             break
         share = min(1.0, 1.0 / max(long, 1e-300))
         for j in range(size):
             move[j] *= share
             x[j] += move[j]
-        new_width = max(shrink * width, SLIP_LENGTH) if long < GOOD else width
+        new_width = max(shrink * width, SLIP_LENGTH) if long < STEP_SHRINKING_RAD else width
         take_over(chain, work, move, own, width, new_width)
         width = new_width
         place_travel(chain, address(x), work)
     slip[0] = SLIP_LENGTH
     for j in range(2 * chain.n * chain.k):
         floats(work.lag)[j] = 0.0
-    if not long < NEAR:
+    if not long < STEP_SETTLED_RAD:
         return math.inf
     return newton_at(chain.newton)(chain, inputs, address(x), work, past, 12)

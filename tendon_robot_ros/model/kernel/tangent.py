@@ -42,7 +42,7 @@ MOMENT_STEP = 1e-6  # [rad] over a cell's compliance
 TENSION_STEP = 1e-4  # [1], and of 10 mN
 SINE_STEP = 1e-6  # [1]
 TRAVEL_STEP = 1e-9  # [m]
-SLIDING = 1.0 - 1e-9  # [1] square of a direction of friction that no more travel changes
+SLIDING_FROM = 1.0 - 1e-9  # [1] square of a direction of friction that no more travel changes
 
 
 @compiled
@@ -124,7 +124,7 @@ def slip_slopes(chain, work, past, at, section, here, slides, remembers):
         share = friction_travel(s, t + h, chain, section) - friction_travel(
             s, t - h, chain, section
         )
-        by_beyond = rate * (1.0 - t * t) * share / (2.0 * h) if t * t < SLIDING else 0.0
+        by_beyond = rate * (1.0 - t * t) * share / (2.0 * h) if t * t < SLIDING_FROM else 0.0
         s = friction_travel(s, t, chain, section)
     return s, by_here, by_beyond
 

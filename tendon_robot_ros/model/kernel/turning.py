@@ -9,13 +9,13 @@ import math
 
 from .layout import HINGE, cell, compiled, floats, fused
 
-SERIES = 2.4  # [rad²] below it the polynomials hold to the last digit (a / 2 < pi / 4)
+SERIES_BELOW = 2.4  # [rad²] below it the polynomials hold to the last digit (a / 2 < pi / 4)
 
 
 @fused
 def half_turn(q):
     """(S, C) of a bend whose square is q [rad²]."""
-    if not q < SERIES:
+    if not q < SERIES_BELOW:
         a = math.sqrt(q)
         return math.sin(0.5 * a) / a, math.cos(0.5 * a)
     z = 0.25 * q

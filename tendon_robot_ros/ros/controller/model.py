@@ -19,7 +19,7 @@ from ..shared.files import read_robot, robot_file
 from ..shared.messages import STATE, arm_markers, pose_array, pose_stamped
 from ..shared.parameters import Parameters
 
-QUICK = 4_000  # characters that are read before the parameter is accepted
+READ_AT_ONCE_CHARACTERS_MAX = 4_000  # characters that are read before the parameter is accepted
 
 
 class ModelLoading:
@@ -103,8 +103,10 @@ def _short(text: str) -> bool:
     """Whether a description is read, or refused, in no time."""
     file = robot_file(text)
     if file is None:
-        return not QUICK < len(text) <= LONGEST
-    return not file.exists() or (file.is_file() and not QUICK < file.stat().st_size <= LONGEST)
+        return not READ_AT_ONCE_CHARACTERS_MAX < len(text) <= LONGEST
+    if not file.exists():
+        return True
+    return file.is_file() and not READ_AT_ONCE_CHARACTERS_MAX < file.stat().st_size <= LONGEST
 
 
 # -----------------------------------------------------------------------------
