@@ -18,5 +18,5 @@ def listed(quantities):
 
 
 def test_the_table_has_every_stage():
-    rows = [f'| `{s.name}` | {listed(s.given)} | {listed(s.outputs)} |' for s in STAGES.values()]
+    rows = [f'| `{s.name}` | {listed(s.context)} | {listed(s.outputs)} |' for s in STAGES.values()]
     assert '\n'.join(rows) in PAGE

@@ -142,8 +142,8 @@ def _write(path: Path, tendon: str, lines: dict[str, Any], units: str) -> None:
     """Put the lines of a tendon into the file, keep those of the others."""
     content: dict[str, Any] = {}
     if path.exists():
-        found = parse_yaml(path.read_text(encoding='utf-8'))
-        content = found if isinstance(found, dict) else {}
+        description = parse_yaml(path.read_text(encoding='utf-8'))
+        content = description if isinstance(description, dict) else {}
     content[tendon] = lines
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
     path.write_text(f'# {units}; written by calibrate\n{text}', encoding='utf-8')

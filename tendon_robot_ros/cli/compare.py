@@ -62,13 +62,13 @@ def run(args: argparse.Namespace) -> int:
     catalogue = load_catalogue(args.effect_file)
     if not is_compiled(catalogue):
         print('compiling the model (once)', file=sys.stderr)
-    found = compare(dataset, _models(args, dataset), catalogue, args.error)
-    lines = [table(found), *sentences(found)]
+    comparison = compare(dataset, _models(args, dataset), catalogue, args.error)
+    lines = [table(comparison), *sentences(comparison)]
     if args.report:
         from ..report.comparison_page import write_comparison
 
-        lines.append(f'report: {write_comparison(found, args.report)}')
-    emit(args, to_json(found), '\n'.join(lines))
+        lines.append(f'report: {write_comparison(comparison, args.report)}')
+    emit(args, to_json(comparison), '\n'.join(lines))
     return 0
 
 

@@ -104,10 +104,10 @@ def _effects(robot: Robot) -> list[str]:
         return ['effects: none']
     lines = ['effects:']
     for name, values in robot.effects.items():
-        given = ', '.join(
+        values_text = ', '.join(
             f'{key} {", ".join(map(str, v)) if isinstance(v, tuple) else v}'
             for key, v in values.items()
         )
         origin = ' (fitted)' if name in robot.fitted else ''
-        lines.append(f'  {name}: {given}{origin}')
+        lines.append(f'  {name}: {values_text}{origin}')
     return lines

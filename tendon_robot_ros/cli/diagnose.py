@@ -79,67 +79,67 @@ def run(args: argparse.Namespace) -> int:
     if not is_compiled(catalogue):
         print('compiling the model (once)', file=sys.stderr)
     with progress() as show:
-        found = diagnose(dataset, None, catalogue, args.workers, show)
+        diagnosis = diagnose(dataset, None, catalogue, args.workers, show)
         if args.trust:
-            found = _assessed(args, found, dataset, show)
-    made = _addition(args, found, dataset, check, catalogue)
-    said = [*lines(found), *trust_lines(found)]
-    content: dict[str, Any] = found.to_json()
+            diagnosis = _assessed(args, diagnosis, dataset, show)
+    made = _addition(args, diagnosis, dataset, check, catalogue)
+    report_lines = [*lines(diagnosis), *trust_lines(diagnosis)]
+    content: dict[str, Any] = diagnosis.to_json()
     if made is not None:
-        said += [addition_text.never_used(made), *addition_text.warnings(made)]
+        report_lines += [addition_text.never_used(made), *addition_text.warnings(made)]
         content['added'] = made.to_json()
-    page = _reported(args, found, dataset, catalogue, made) if args.report else None
-    written = made is not None and args.add and _may_add(args, found)
+    page = _reported(args, diagnosis, dataset, catalogue, made) if args.report else None
+    written = made is not None and args.add and _may_add(args, diagnosis)
     if made is not None and written:
         write_description(made.robot, args.add)
-        said.append(next_step(args.add))
+        report_lines.append(next_step(args.add))
     elif args.add:
-        said.append(_refusal(found))
+        report_lines.append(_refusal(diagnosis))
     content['written'] = args.add if written else None
     if page is not None:
-        said.append(page)
-    emit(args, content, '\n'.join(said))
-    return REFUSED if args.add and not written and _outside(found) else 0
+        report_lines.append(page)
+    emit(args, content, '\n'.join(report_lines))
+    return REFUSED if args.add and not written and _outside(diagnosis) else 0
 
 
 def _assessed(
-    args: argparse.Namespace, found: Diagnosis, dataset: DataSet, show: Progress
+    args: argparse.Namespace, diagnosis: Diagnosis, dataset: DataSet, show: Progress
 ) -> Diagnosis:
     """Put what a bootstrap says beside the verdict."""
     from ..diagnosis.trust import assess
 
     trust = assess(dataset, args.effect_file, args.workers, progress=show)
-    details = {**found.details, 'trust': None if trust is None else trust.to_json()}
-    return replace(found, details=details)
+    details = {**diagnosis.details, 'trust': None if trust is None else trust.to_json()}
+    return replace(diagnosis, details=details)
 
 
-def _outside(found: Diagnosis) -> bool:
-    return found.verdict == 'outside_catalogue'
+def _outside(diagnosis: Diagnosis) -> bool:
+    return diagnosis.verdict == 'outside_catalogue'
 
 
-def _may_add(args: argparse.Namespace, found: Diagnosis) -> bool:
-    return bool(found.effects) and (found.adds or (_outside(found) and args.partial))
+def _may_add(args: argparse.Namespace, diagnosis: Diagnosis) -> bool:
+    return bool(diagnosis.effects) and (diagnosis.adds or (_outside(diagnosis) and args.partial))
 
 
 def _addition(
     args: argparse.Namespace,
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     dataset: DataSet,
     check: DataSet | None,
     catalogue: Catalogue,
 ) -> Addition | None:
     """Fit what the diagnosis names, where that is wanted."""
-    if not found.effects or not (args.check or (args.add and _may_add(args, found))):
+    if not diagnosis.effects or not (args.check or (args.add and _may_add(args, diagnosis))):
         return None
-    names = [effect.name for effect in found.effects]
+    names = [effect.name for effect in diagnosis.effects]
     return add_effects(
-        dataset, names, None, catalogue, check, found.effects, partial=_outside(found)
+        dataset, names, None, catalogue, check, diagnosis.effects, partial=_outside(diagnosis)
     )
 
 
 def _reported(
     args: argparse.Namespace,
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     dataset: DataSet,
     catalogue: Catalogue,
     made: Addition | None,
@@ -147,13 +147,13 @@ def _reported(
     """Write the page."""
     from ..report.diagnosis_page import pictures_of, write_diagnosis
 
-    pictures = pictures_of(found, dataset, catalogue, None if made is None else made.robot)
-    return f'report: {write_diagnosis(found, pictures, args.report, made)}'
+    pictures = pictures_of(diagnosis, dataset, catalogue, None if made is None else made.robot)
+    return f'report: {write_diagnosis(diagnosis, pictures, args.report, made)}'
 
 
-def _refusal(found: Diagnosis) -> str:
+def _refusal(diagnosis: Diagnosis) -> str:
     """Say why nothing was written."""
-    if found.effects:
-        names = ' and '.join(effect.name for effect in found.effects)
+    if diagnosis.effects:
+        names = ' and '.join(effect.name for effect in diagnosis.effects)
         return f'Nothing was added (--partial would add {names}).'
     return 'Nothing was added: there is nothing to add.'

@@ -41,27 +41,27 @@ def run(args: argparse.Namespace) -> int:
     if (args.robot is None) != (args.output is None):
         raise InputError('friction: --robot and --output go together; give both or neither')
     refuse_existing('--output', args.output, args.overwrite)
-    found = slip_friction(*read_slip_angles(args.angles))
-    text = lines(found)
+    friction = slip_friction(*read_slip_angles(args.angles))
+    text = lines(friction)
     if args.output:
         date = datetime.now(UTC).date().isoformat()
-        robot = with_friction(load_robot(args.robot), found, Path(args.angles).name, date)
+        robot = with_friction(load_robot(args.robot), friction, Path(args.angles).name, date)
         write_description(robot, args.output)
         text.append(next_step(args.output))
-    emit(args, found.to_json(), '\n'.join(text))
+    emit(args, friction.to_json(), '\n'.join(text))
     return 0
 
 
-def lines(found: SlipFriction) -> list[str]:
+def lines(friction: SlipFriction) -> list[str]:
     """Say what was found."""
     text = [
-        f'friction coefficient: {found.mean:.3f} ± {found.sd:.3f} (mean ± SD of the tangent, '
-        f'n = {found.n})',
-        f'95 % interval of the mean: {found.low:.3f} to {found.high:.3f}',
+        f'friction coefficient: {friction.mean:.3f} ± {friction.sd:.3f} '
+        f'(mean ± SD of the tangent, n = {friction.n})',
+        f'95 % interval of the mean: {friction.low:.3f} to {friction.high:.3f}',
     ]
-    if found.outliers:
+    if friction.outliers:
         text.append(
-            f'outliers: {listed(found.outliers)}; without them {found.mean_without:.3f}. '
+            f'outliers: {listed(friction.outliers)}; without them {friction.mean_without:.3f}. '
             'Look at how they were measured; nothing was removed.'
         )
     else:

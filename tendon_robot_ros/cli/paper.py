@@ -62,14 +62,14 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def robots_folder(given: str | None) -> Path:
+def robots_folder(named: str | None) -> Path:
     """Return the folder of the robots: the one given, the source tree's, the installed one."""
-    if given:
-        return Path(given)
+    if named:
+        return Path(named)
     source = Path(__file__).resolve().parents[2]
     installed = Path(sys.prefix) / 'share' / 'tendon_robot_ros'
     roots = [root / 'config' / 'robots' for root in (source, installed)]
-    found = next((root for root in roots if root.is_dir()), None)
-    if found is None:
+    folder = next((root for root in roots if root.is_dir()), None)
+    if folder is None:
         raise InputError('paper: config/robots is not installed; name its folder with --robots')
-    return found
+    return folder

@@ -47,32 +47,32 @@ def run(args: argparse.Namespace) -> int:
     if position is None and direction is None:
         raise InputError('target: expected --position, --direction, or both, got neither')
     model = load_model(args)
-    found = model.reach(position, direction)
-    emit(args, reach_content(model, found), _table(model, found))
+    reach = model.reach(position, direction)
+    emit(args, reach_content(model, reach), _table(model, reach))
     return 0
 
 
-def reach_content(model: Model, found: Reach) -> dict[str, Any]:
+def reach_content(model: Model, reach: Reach) -> dict[str, Any]:
     """Return what the JSON holds (SI)."""
     return {
-        'tensions': dict(zip(model.inputs, found.tensions.tolist(), strict=True)),
-        'pulls': dict(zip(model.inputs, found.pulls.tolist(), strict=True)),
-        'tip': tip_content(found.shape),
-        'error': {'position': found.position_error, 'direction': found.direction_error},
-        'status': found.status,
+        'tensions': dict(zip(model.inputs, reach.tensions.tolist(), strict=True)),
+        'pulls': dict(zip(model.inputs, reach.pulls.tolist(), strict=True)),
+        'tip': tip_content(reach.shape),
+        'error': {'position': reach.position_error, 'direction': reach.direction_error},
+        'status': reach.status,
     }
 
 
-def _table(model: Model, found: Reach) -> str:
-    limit = f' ({", ".join(found.at_limit)} at the limit)' if found.at_limit else ''
+def _table(model: Model, reach: Reach) -> str:
+    limit = f' ({", ".join(reach.at_limit)} at the limit)' if reach.at_limit else ''
     rows = [['input', 'tension [N]', 'wire pull [mm]']]
-    for name, tension, pull in zip(model.inputs, found.tensions, found.pulls, strict=True):
+    for name, tension, pull in zip(model.inputs, reach.tensions, reach.pulls, strict=True):
         rows.append([name, f'{tension:.3f}', f'{1e3 * pull:.3f}'])
     return '\n'.join(
         [
-            f'{found.status}{limit}: off by {1e3 * found.position_error:.3f} mm, '
-            f'{np.degrees(found.direction_error):.3f}°',
-            tip_line(found.shape),
+            f'{reach.status}{limit}: off by {1e3 * reach.position_error:.3f} mm, '
+            f'{np.degrees(reach.direction_error):.3f}°',
+            tip_line(reach.shape),
             columns(rows),
         ]
     )

@@ -33,9 +33,9 @@ HELP = 'predict the shape under tensions or wire pulls'
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_robot(parser)
-    given = parser.add_mutually_exclusive_group(required=True)
-    given.add_argument('--tensions', metavar='NAME=N,...', help='tensions [N]')
-    given.add_argument('--pulls', metavar='NAME=M,...', help='wire pulls [m]')
+    inputs = parser.add_mutually_exclusive_group(required=True)
+    inputs.add_argument('--tensions', metavar='NAME=N,...', help='tensions [N]')
+    inputs.add_argument('--pulls', metavar='NAME=M,...', help='wire pulls [m]')
     add_json(parser)
 
 

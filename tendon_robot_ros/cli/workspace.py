@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     if folder and folder.exists() and any(folder.iterdir()) and not args.overwrite:
         raise InputError(f'{folder}: is not empty; use --overwrite or another --output')
     with progress() as show:
-        found = sweep(
+        workspace = sweep(
             load_model(args),
             [math.radians(view) for view in args.view or [180.0]],
             step=args.step,
@@ -70,30 +70,32 @@ def run(args: argparse.Namespace) -> int:
             limit=args.limit,
             progress=show,
         )
-    lines = text(found)
+    lines = text(workspace)
     if folder:
-        write(found, folder)
+        write(workspace, folder)
         lines.append(f'written: {", ".join(str(folder / name) for name in (*FILES, PAGE))}')
-    emit(args, found.to_json(), '\n'.join(lines))
+    emit(args, workspace.to_json(), '\n'.join(lines))
     return 0
 
 
-def text(found: Workspace) -> list[str]:
+def text(workspace: Workspace) -> list[str]:
     """Return the table and what to know."""
-    size = f'{found.postures:,} postures, {found.step:g} N apart up to {found.limit:g} N'
-    lines = [f'{size}, others at {found.pretension:g} N', *missing(found)]
-    if found.families:
-        lines.append(columns([HEADER, *rows(found)]))
-    if found.unsolved:
-        lines.append(f'without equilibrium and left out: {found.unsolved:,}')
+    size = (
+        f'{workspace.postures:,} postures, {workspace.step:g} N apart up to {workspace.limit:g} N'
+    )
+    lines = [f'{size}, others at {workspace.pretension:g} N', *missing(workspace)]
+    if workspace.families:
+        lines.append(columns([HEADER, *rows(workspace)]))
+    if workspace.unsolved:
+        lines.append(f'without equilibrium and left out: {workspace.unsolved:,}')
     return lines
 
 
-def write(found: Workspace, folder: Path) -> None:
+def write(workspace: Workspace, folder: Path) -> None:
     """Write the folder, whole or not at all."""
     from ..report.workspace_page import workspace_page
 
-    page = workspace_page(found)
+    page = workspace_page(workspace)
     with new_folder(folder, (*FILES, PAGE)) as draft:
-        save_workspace(found, draft)
+        save_workspace(workspace, draft)
         page.write(draft / PAGE)

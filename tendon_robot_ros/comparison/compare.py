@@ -84,15 +84,15 @@ def compare(
     predictors = [Predictor(dataset, robot, catalogue) for _, robot in named]
     markers = [_predict(predictor) for predictor in predictors]
     axes = bending_axes(markers[0]) if on_the_centreline(dataset) else None
-    found = tuple(_errors(dataset, named[i], markers[i], axes) for i in range(len(named)))
+    errors = tuple(_errors(dataset, named[i], markers[i], axes) for i in range(len(named)))
     if axes is None:
         lines = [_centreline(dataset, robot, catalogue) for _, robot in named]
-        found = tuple(
-            replace(model, centreline=line) for model, line in zip(found, lines, strict=True)
+        errors = tuple(
+            replace(model, centreline=line) for model, line in zip(errors, lines, strict=True)
         )
-    best = int(np.argmin([model.rms for model in found]))
+    best = int(np.argmin([model.rms for model in errors]))
     angles = None if axes is None else _angles(dataset.positions.swapaxes(0, 1), axes)
-    return Comparison(_measured(dataset, predictors[best], angles), found, error)
+    return Comparison(_measured(dataset, predictors[best], angles), errors, error)
 
 
 def _check(dataset: DataSet, name: str, robot: Robot) -> None:

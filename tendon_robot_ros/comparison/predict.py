@@ -119,11 +119,11 @@ class Predictor:
                 arrays.cells[free.section, 1] *= 1.0 + value
             else:
                 arrays.set(free.effect, free.parameter.name, free.section, value)
-        given = self.inputs if inputs is None else inputs
+        inputs = self.inputs if inputs is None else inputs
         shapes = (
-            self._shapes_at_pulls(given, near or self._first)
+            self._shapes_at_pulls(inputs, near or self._first)
             if self.dataset.input == 'displacement'
-            else self._shapes_at_tensions(given, near or self._first)
+            else self._shapes_at_tensions(inputs, near or self._first)
         )
         if shapes is None:
             return None

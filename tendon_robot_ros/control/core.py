@@ -224,18 +224,18 @@ class ControllerCore:
         self.solver.post('predict', find, done)
 
     def set_model(
-        self, model: Model, told: Callable[[TendonRobotError | None], None] = raised
+        self, model: Model, on_done: Callable[[TendonRobotError | None], None] = raised
     ) -> None:
         """
         Change the model; tensions then move to its solution at `rate_limit`.
 
-        `told` hears None, or why the old one stays: an InputError for other inputs, a
+        `on_done` hears None, or why the old one stays: an InputError for other inputs, a
         NoEquilibriumError when it finds none at the present tensions or for the target.
         """
         try:
             check_inputs(model.inputs, self.model.inputs)
         except InputError as error:
-            told(error)
+            on_done(error)
             return
         command, target = self.command, self.target
         solve = None if target is None else solution_of(self, model, target)
@@ -248,7 +248,7 @@ class ControllerCore:
         def done(solution: Reach | None, error: TendonRobotError | None) -> None:
             if error is None:
                 self._use(model, target, solution)
-            told(error)
+            on_done(error)
 
         self.solver.post('model', work, done)
 
@@ -339,14 +339,16 @@ class ControllerCore:
             tensions = bounded(heard.in_newtons(model, limits, guess, unknown), limits)
             return tensions, heard.complete(model, tensions) if pull else None
 
-        def done(found: tuple[Array, Array | None] | None, error: TendonRobotError | None) -> None:
+        def done(
+            solved: tuple[Array, Array | None] | None, error: TendonRobotError | None
+        ) -> None:
             if self._syncing is not syncing:
                 return
             self._syncing = None
-            if found is None:
+            if solved is None:
                 self.track.failed(self.stepped, str(error))
             else:
-                self._begin(*found)
+                self._begin(*solved)
 
         self.solver.post('resync', work, done)
 

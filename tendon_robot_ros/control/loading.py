@@ -135,9 +135,9 @@ class Loader:
         )  # Ctrl-C is for the parent, which ends it
         if self._cancelled:
             child.kill()
-        _, said = child.communicate(dump_robot(robot))
+        _, complaint = child.communicate(dump_robot(robot))
         if child.returncode:
-            lines = said.strip().splitlines()
+            lines = complaint.strip().splitlines()
             ended = f'compiling ended with code {child.returncode}'
             raise TendonRobotError(lines[-1] if lines else ended)
 

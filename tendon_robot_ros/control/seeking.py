@@ -86,10 +86,10 @@ def seek(core: Seeker, target: Target) -> None:
         except (NoEquilibriumError, InputError) as error:
             return SearchResult(None, str(error), not give_up())
 
-    def done(found: SearchResult, error: TendonRobotError | None) -> None:
+    def done(result: SearchResult, error: TendonRobotError | None) -> None:
         if error is not None:
-            found = SearchResult(None, str(error), True)
-        _take(core, search, found)
+            result = SearchResult(None, str(error), True)
+        _take(core, search, result)
 
     core.solver.post('target', work, done, search.budget, urgent=True)
 
@@ -118,21 +118,21 @@ def solution_of(
     return solve
 
 
-def _take(core: Seeker, search: TargetSearch, found: SearchResult) -> None:
+def _take(core: Seeker, search: TargetSearch, result: SearchResult) -> None:
     """Use what was found, unless something else is wanted by now."""
     newest = core.search
     if newest is None or newest.stream is not search.stream:
         return
     if newest is search:
         core.search = None
-    elif found.reach is None:
+    elif result.reach is None:
         return  # of a stream: the next one may be better
-    if found.reach is not None:  # of a stream an older target, too, is on the way
-        core.follow(search.target, found.reach, found.in_time)
+    if result.reach is not None:  # of a stream an older target, too, is on the way
+        core.follow(search.target, result.reach, result.in_time)
         return
-    code = 'no_equilibrium' if found.in_time else 'no_time'
-    late = '' if found.in_time else f' (the search ended after {search.budget:.3g} s)'
-    core.refusals['target'] = Refusal(code, f'target refused: {found.problem}{late}')
+    code = 'no_equilibrium' if result.in_time else 'no_time'
+    late = '' if result.in_time else f' (the search ended after {search.budget:.3g} s)'
+    core.refusals['target'] = Refusal(code, f'target refused: {result.problem}{late}')
 
 
 def _goes_on(core: Seeker, before: TargetSearch, target: Target, now: float) -> bool:

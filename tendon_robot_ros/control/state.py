@@ -107,7 +107,7 @@ class MeasuredState:
             # a slack tendon is below its limit: look for the same pulls within the limits
             start = np.clip(shape.inputs, low + 1e-6, high - 1e-6)
             known = np.isfinite(self.pulls)
-            found = least_squares(
+            fit = least_squares(
                 lambda tensions: 1e3 * (model.shape(tensions).pulls - self.pulls)[known],  # [mm]
                 start,
                 bounds=(low, high),
@@ -115,7 +115,7 @@ class MeasuredState:
             )
         except (NoEquilibriumError, InputError):
             return unknown
-        return np.asarray(found.x, dtype=float)
+        return np.asarray(fit.x, dtype=float)
 
 
 # -----------------------------------------------------------------------------

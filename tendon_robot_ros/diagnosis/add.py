@@ -310,11 +310,11 @@ def _point(
     session: Session, names: Sequence[str], start: Sequence[EffectFinding]
 ) -> dict[FreeParameter, float] | None:
     """Return the values of a diagnosis as a point; None where an effect is not among them."""
-    found = {effect.name: effect for effect in start}
-    if not names or not set(names) <= set(found):
+    by_name = {effect.name: effect for effect in start}
+    if not names or not set(names) <= set(by_name):
         return None
     frees = [free for name in names for free in _candidate(session, name).frees]
-    return {free: found[free.effect].parameters[free.key].value for free in frees}
+    return {free: by_name[free.effect].parameters[free.key].value for free in frees}
 
 
 def _values(session: Session, fit: Fit, scale: float) -> dict[str, dict[str, Value]]:

@@ -39,7 +39,9 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
         size = float(built.sizes[k])
         quantile = chi2_isf(FALSE_ALARM_PROBABILITY / len(own), 1)
         limit = np.sqrt(quantile) * max(size, kind.plausible)
-        told = [i for i in own if posterior[i] < TOLD_VARIANCE_SHARE * max(built.spread[i], 1e-30)]
+        determined = [
+            i for i in own if posterior[i] < TOLD_VARIANCE_SHARE * max(built.spread[i], 1e-30)
+        ]
         kinds.append(
             {
                 'kind': kind.name,
@@ -51,7 +53,7 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
                 'members': {
                     kind.members[i - own[0]]: _member(values[i], posterior[i]) for i in own
                 },
-                'told': len(told),
+                'told': len(determined),
                 'out_of_line': [kind.members[i - own[0]] for i in own if abs(values[i]) > limit],
             }
         )

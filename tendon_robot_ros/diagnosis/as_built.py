@@ -142,16 +142,16 @@ class SplitPredictor(Predictor):
         cells = [f'cell {i + 1}' for i in range(self.whole.cells)]
         axis = planar_axis(self.whole)
         kinks = [f'{cell} towards {xy}' for cell in cells for xy in 'xy']
-        found = {CELLS: cells, KINK: kinks}
+        labels = {CELLS: cells, KINK: kinks}
         if axis is not None:
-            found |= {KINK: kinks[axis::2], ACROSS: kinks[1 - axis :: 2]}
-        found[GAIN] = list(self.whole.inputs)  # of a tension: a hole off its place does the same
+            labels |= {KINK: kinks[axis::2], ACROSS: kinks[1 - axis :: 2]}
+        labels[GAIN] = list(self.whole.inputs)  # of a tension: a hole off its place does the same
         if self.dataset.input == 'displacement':
-            found |= {HOLE: [t.name for t in self.whole.tendons], ZERO: list(self.whole.inputs)}
+            labels |= {HOLE: [t.name for t in self.whole.tendons], ZERO: list(self.whole.inputs)}
         known = self.whole.tolerances
-        found |= {name: list('xyz') for name in (POSITION, ROTATION) if name not in known}
+        labels |= {name: list('xyz') for name in (POSITION, ROTATION) if name not in known}
         made = []
-        for name, members in found.items():
+        for name, members in labels.items():
             unit, plausible, _ = PLAUSIBLE_SIZES[name]
             size = float(known.get(KINK if name == ACROSS else name, plausible))
             if size > 0.0:
@@ -193,14 +193,14 @@ class SplitPredictor(Predictor):
         else:
             kinks[:, axis] = off.get(KINK, 0.0)
             kinks[:, 1 - axis] = off.get(ACROSS, 0.0)
-        found = {}
+        bends = {}
         for xy in np.flatnonzero(kinks.any(axis=0)):
             whole = FreeParameter(effect.name, effect.parameters[xy])
             value = point.get(whole, self.value(whole))
             for cell in range(len(kinks)):
                 own = FreeParameter(effect.name, effect.parameters[xy], cell, 'own')
-                found[own] = value + float(kinks[cell, xy])
-        return found
+                bends[own] = value + float(kinks[cell, xy])
+        return bends
 
     def pushed(self, point: Point, cell: int, force: Floats) -> Floats | None:
         """Predict the markers with a force (3,) [N] at the middle of a cell; None: it cannot."""

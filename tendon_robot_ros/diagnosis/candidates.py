@@ -104,10 +104,10 @@ class Ranked:
 
 def nuisances_of(robot: Robot, catalogue: Catalogue, predictor: Predictor) -> list[Nuisance]:
     """Return declared tolerances as parameters with priors; friction only where there is some."""
-    found = []
+    nuisances = []
     for quantity, spread in robot.tolerances.items():
         if quantity == CELLS and spread > 0.0 and robot.exact:
-            found += cell_nuisances(robot, spread)
+            nuisances += cell_nuisances(robot, spread)
         twin = catalogue.twin(quantity)
         if twin is None or spread <= 0.0:
             continue
@@ -118,8 +118,8 @@ def nuisances_of(robot: Robot, catalogue: Catalogue, predictor: Predictor) -> li
             centre = predictor.value(free)
             size = spread * centre if quantity == 'friction_coefficient' else spread
             if size > 0.0:
-                found.append(Nuisance(quantity, free, centre, size))
-    return found
+                nuisances.append(Nuisance(quantity, free, centre, size))
+    return nuisances
 
 
 def candidates_of(robot: Robot, catalogue: Catalogue) -> list[Candidate]:

@@ -61,14 +61,14 @@ def diagnose(
     mistake = find_mistake(session.predictor, session.whitener.floor())
     if mistake is not None:
         return _mistaken(session, mistake)
-    found = gather(session)
-    if not is_alarming(found):
-        return _adequate(found)
-    verdict = decide(found)
+    evidence = gather(session)
+    if not is_alarming(evidence):
+        return _adequate(evidence)
+    verdict = decide(evidence)
     if verdict.verdict == 'outside_catalogue' and session.accuracy and not session.use_accuracy:
         session.use_accuracy = True
-        found = gather(session)
-        return _adequate(found) if not is_alarming(found) else decide(found)
+        evidence = gather(session)
+        return _adequate(evidence) if not is_alarming(evidence) else decide(evidence)
     return verdict
 
 
@@ -92,52 +92,54 @@ def _what_is_lacking(session: Session) -> str:
     return ''
 
 
-def decide(found: Evidence) -> Diagnosis:
+def decide(evidence: Evidence) -> Diagnosis:
     """Say what explains the error: one effect, a class, several, or nothing in the catalogue."""
-    session = found.session
-    adequate = [r for r in found.singles if r.probability > P_SINGLE_MIN]
+    session = evidence.session
+    adequate = [r for r in evidence.singles if r.probability > P_SINGLE_MIN]
     if adequate:
         group = indistinct(session, adequate, P_SINGLE_MIN)
-        found.rival = best_rival(found, group[0].score) or _nameless(found, group[0])
-        if found.rival:
-            return _outside(found, group[0])
-        more = joined(session, group[0]) if found.base.built is not None else None
-        return _named(found, group) if more is None else _several(found, more)
-    combined = several(session, found.singles) if found.singles else None
+        evidence.rival = best_rival(evidence, group[0].score) or _nameless(evidence, group[0])
+        if evidence.rival:
+            return _outside(evidence, group[0])
+        more = joined(session, group[0]) if evidence.base.built is not None else None
+        return _named(evidence, group) if more is None else _several(evidence, more)
+    combined = several(session, evidence.singles) if evidence.singles else None
     if combined is not None:  # the weights have moved
-        found.base = session.base_fit()
-        found.__dict__.pop('patterns', None)
-        found.singles = session.fit_all(
-            [r.candidate for r in found.singles],
-            {r.candidate.label: r.fit for r in found.singles},
+        evidence.base = session.base_fit()
+        evidence.__dict__.pop('patterns', None)
+        evidence.singles = session.fit_all(
+            [r.candidate for r in evidence.singles],
+            {r.candidate.label: r.fit for r in evidence.singles},
         )
-        found.best = session.best(found.singles)
-    candidates = [r for r in (combined, found.best) if r is not None]
+        evidence.best = session.best(evidence.singles)
+    candidates = [r for r in (combined, evidence.best) if r is not None]
     best_overall = min(candidates, key=lambda r: r.score) if candidates else None
-    found.rival = None
+    evidence.rival = None
     if best_overall is not None:
-        found.rival = best_rival(found, best_overall.score)
-    if combined is not None and session.holds(combined) and found.rival is None:
-        return _several(found, combined)
-    return _outside(found, found.best)
+        evidence.rival = best_rival(evidence, best_overall.score)
+    if combined is not None and session.holds(combined) and evidence.rival is None:
+        return _several(evidence, combined)
+    return _outside(evidence, evidence.best)
 
 
-def _nameless(found: Evidence, best: Ranked) -> Pattern | None:
+def _nameless(evidence: Evidence, best: Ranked) -> Pattern | None:
     """Return the pattern that raised the alarm where the effect alone would not have."""
-    session, base = found.session, found.base
-    if base.built is None or session.stands_out(base, best, len(found.singles)):
+    session, base = evidence.session, evidence.base
+    if base.built is None or session.stands_out(base, best, len(evidence.singles)):
         return None
-    return outside_by_itself(found)
+    return outside_by_itself(evidence)
 
 
-def _named(found: Evidence, group: Sequence[Ranked]) -> Diagnosis:
+def _named(evidence: Evidence, group: Sequence[Ranked]) -> Diagnosis:
     """Verdict for a class of adequate single effects, best first."""
     best = group[0]
     names = [r.candidate.names[0] for r in group]
-    twins = {quantity: found.session.catalogue.twin(quantity) for quantity in found.base.prior_z}
+    twins = {
+        quantity: evidence.session.catalogue.twin(quantity) for quantity in evidence.base.prior_z
+    }
     strays = [
         quantity
-        for quantity, z in found.base.prior_z.items()
+        for quantity, z in evidence.base.prior_z.items()
         if abs(z) > STRAY_SD_MAX and (twin := twins[quantity]) is not None and twin[0] in names
     ]
     if strays or all(r.candidate.present for r in group):
@@ -149,32 +151,32 @@ def _named(found: Evidence, group: Sequence[Ranked]) -> Diagnosis:
         best = next(r for r in group if said_by and r.candidate.names[0] == said_by[0])
     together = tuple(names) if len(group) > 1 or strays else ()
     return _result(
-        found,
+        evidence,
         verdict,
         [best],
         together,
         strays,
-        propose(found.session, group) if len(group) > 1 else None,
+        propose(evidence.session, group) if len(group) > 1 else None,
     )
 
 
-def _several(found: Evidence, combined: Ranked) -> Diagnosis:
-    return _result(found, 'several', [combined], (), [], None)
+def _several(evidence: Evidence, combined: Ranked) -> Diagnosis:
+    return _result(evidence, 'several', [combined], (), [], None)
 
 
-def _outside(found: Evidence, best: Ranked | None) -> Diagnosis:
+def _outside(evidence: Evidence, best: Ranked | None) -> Diagnosis:
     """Nothing in the catalogue is adequate, or something simpler outside it is better."""
     if best is not None:
-        found.scale = max(1.0, best.fit.chi2 / max(best.fit.freedom, 1))
-    apart = APART_FROM_SCORE * found.scale
-    helpful = best is not None and best.score < found.base.deviance - apart
+        evidence.scale = max(1.0, best.fit.chi2 / max(best.fit.freedom, 1))
+    apart = APART_FROM_SCORE * evidence.scale
+    helpful = best is not None and best.score < evidence.base.deviance - apart
     near = [
         r.candidate.label
-        for r in found.singles
+        for r in evidence.singles
         if best is not None and r.score <= best.score + apart and r is not best
     ]
     return _result(
-        found,
+        evidence,
         'outside_catalogue',
         [best] if helpful and best else [],
         (best.candidate.label, *near) if helpful and best and near else (),
@@ -183,29 +185,29 @@ def _outside(found: Evidence, best: Ranked | None) -> Diagnosis:
     )
 
 
-def _adequate(found: Evidence) -> Diagnosis:
-    return _result(found, 'adequate', [], (), [], None)
+def _adequate(evidence: Evidence) -> Diagnosis:
+    return _result(evidence, 'adequate', [], (), [], None)
 
 
 def _result(
-    found: Evidence,
+    evidence: Evidence,
     verdict: str,
     chosen: Sequence[Ranked],
     together: tuple[str, ...],
     strays: Sequence[str],
     following: object,
 ) -> Diagnosis:
-    session = found.session
+    session = evidence.session
     measured = session.dataset.mean
-    after = chosen[0].fit.markers if chosen else found.base.markers
+    after = chosen[0].fit.markers if chosen else evidence.base.markers
     as_described = session.predictor.markers({})
     assert as_described is not None
     untested = tuple(
         c.names[0]
-        for c in found.not_tested
+        for c in evidence.not_tested
         if c.names[0] not in {name for r in chosen for name in r.candidate.names}
     )
-    effects = tuple(item for r in chosen for item in finding(found, r))
+    effects = tuple(item for r in chosen for item in finding(evidence, r))
     return Diagnosis(
         verdict=verdict,
         effects=effects,
@@ -216,9 +218,9 @@ def _result(
         error_after=rms(measured - after),
         noise_floor=session.whitener.floor(),
         next_measurement=following,  # type: ignore[arg-type]
-        remainder=remainder_text(found, chosen[0] if chosen else None, verdict),
-        candidates=rows_of(found, chosen, together),
-        details=details_of(found, chosen, together, verdict),
+        remainder=remainder_text(evidence, chosen[0] if chosen else None, verdict),
+        candidates=rows_of(evidence, chosen, together),
+        details=details_of(evidence, chosen, together, verdict),
     )
 
 
@@ -226,8 +228,8 @@ def _mistaken(session: Session, mistake: Mistake) -> Diagnosis:
     """Say the mistake of the set-up; no effect is judged before it is mended."""
     markers = session.predictor.markers({})
     assert markers is not None
-    found = _cannot_judge(session, mistake.text(rms(session.dataset.mean - markers)))
-    return replace(found, noise_floor=session.whitener.floor(), error_after=mistake.after)
+    diagnosis = _cannot_judge(session, mistake.text(rms(session.dataset.mean - markers)))
+    return replace(diagnosis, noise_floor=session.whitener.floor(), error_after=mistake.after)
 
 
 def _cannot_judge(session: Session, lacking: str) -> Diagnosis:

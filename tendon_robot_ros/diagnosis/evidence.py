@@ -49,37 +49,37 @@ def gather(session: Session) -> Evidence:
         base = session.base_fit()
         starts = {r.candidate.label: r.fit for r in singles}
         singles = session.fit_all([r.candidate for r in singles], starts)
-    found = Evidence(session, base, singles, not_tested)
-    found.best = session.best(singles) if singles else None
-    return found
+    evidence = Evidence(session, base, singles, not_tested)
+    evidence.best = session.best(singles) if singles else None
+    return evidence
 
 
-def is_alarming(found: Evidence) -> bool:
+def is_alarming(evidence: Evidence) -> bool:
     """Tell whether the base model is off: as a whole, beyond a tolerance, or one effect gains."""
-    session, base = found.session, found.base
+    session, base = evidence.session, evidence.base
     if base.probability(session.freedom) < ALARM_LEVEL:
         return True
     if any(abs(z) > STRAY_SD_MAX for z in base.prior_z.values()):
         return True
-    if base.built is not None and outside_by_itself(found) is not None:
+    if base.built is not None and outside_by_itself(evidence) is not None:
         return True
-    return any(session.stands_out(base, r, len(found.singles)) for r in found.singles)
+    return any(session.stands_out(base, r, len(evidence.singles)) for r in evidence.singles)
 
 
-def outside_by_itself(found: Evidence) -> Pattern | None:
+def outside_by_itself(evidence: Evidence) -> Pattern | None:
     """Return the pattern from outside that gains more than chance would over no effect, if any."""
-    base = found.base
+    base = evidence.base
     likely = [
         p
-        for p in found.patterns
+        for p in evidence.patterns
         if p.name in SAME_EVERYWHERE and p.gain_p_value(base.deviance) < ALARM_LEVEL
     ]
     return min(likely, key=lambda pattern: pattern.score, default=None)
 
 
-def best_rival(found: Evidence, score: float) -> Pattern | None:
+def best_rival(evidence: Evidence, score: float) -> Pattern | None:
     """Return the pattern from outside that beats a score by more than chance would, if any."""
-    top = min(found.patterns, key=lambda pattern: pattern.score, default=None)
+    top = min(evidence.patterns, key=lambda pattern: pattern.score, default=None)
     return top if top is not None and top.score < score - APART_FROM_SCORE else None
 
 
@@ -87,10 +87,10 @@ def best_rival(found: Evidence, score: float) -> Pattern | None:
 # What remains unexplained, in plain words from the patterns that fit it.
 
 
-def remainder_text(found: Evidence, chosen: Ranked | None, verdict: str) -> str:
+def remainder_text(evidence: Evidence, chosen: Ranked | None, verdict: str) -> str:
     """Say how much remains after the chosen effects (or none), and what it looks like."""
-    session = found.session
-    fit = chosen.fit if chosen else found.base
+    session = evidence.session
+    fit = chosen.fit if chosen else evidence.base
     left, floor = rms(session.dataset.mean - fit.markers), session.whitener.floor()
     text = f'What is left ({1e3 * left:.2f} mm) ' + (
         f'equals your repeatability ({1e3 * floor:.2f} mm).'
@@ -99,14 +99,18 @@ def remainder_text(found: Evidence, chosen: Ranked | None, verdict: str) -> str:
     )
     if verdict != 'outside_catalogue':
         return text
-    pattern = found.rival or best_pattern(found, chosen)
-    return f'{text} {pattern_text(found, pattern)}' if pattern else f'{text} {_worst(found, fit)}'
+    pattern = evidence.rival or best_pattern(evidence, chosen)
+    return (
+        f'{text} {pattern_text(evidence, pattern)}'
+        if pattern
+        else f'{text} {_worst(evidence, fit)}'
+    )
 
 
-def best_pattern(found: Evidence, chosen: Ranked | None) -> Pattern | None:
+def best_pattern(evidence: Evidence, chosen: Ranked | None) -> Pattern | None:
     """Return the pattern that takes a third or more of what is left, if there is one."""
-    fit = chosen.fit if chosen else found.base
-    patterns = Rivals(found.session.fitters[0], fit).all()
+    fit = chosen.fit if chosen else evidence.base
+    patterns = Rivals(evidence.session.fitters[0], fit).all()
     top = min(patterns, key=lambda pattern: pattern.score, default=None)
     excess = fit.chi2 - fit.freedom
     if top is None or fit.deviance - top.deviance < 0.33 * excess:
@@ -114,9 +118,9 @@ def best_pattern(found: Evidence, chosen: Ranked | None) -> Pattern | None:
     return top
 
 
-def pattern_text(found: Evidence, pattern: Pattern) -> str:
+def pattern_text(evidence: Evidence, pattern: Pattern) -> str:
     """Describe a pattern so that a person knows where to look."""
-    names = found.session.dataset.postures
+    names = evidence.session.dataset.postures
     if pattern.name == 'contact':
         return (
             f'The remainder looks like a force of {1e3 * pattern.size:.2g} mN at cell '
@@ -148,8 +152,8 @@ def pattern_text(found: Evidence, pattern: Pattern) -> str:
     )
 
 
-def _worst(found: Evidence, fit: object) -> str:
-    dataset = found.session.dataset
+def _worst(evidence: Evidence, fit: object) -> str:
+    dataset = evidence.session.dataset
     markers = fit.markers  # type: ignore[attr-defined]
     distance = np.linalg.norm(dataset.mean - markers, axis=2)
     posture, marker = np.unravel_index(np.nanargmax(distance), distance.shape)

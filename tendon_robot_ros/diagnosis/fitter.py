@@ -181,13 +181,13 @@ class Search:
         best = np.inf
         for start in starts:
             values = np.clip(start, self.low, self.high)
-            found = self.residual(values)
-            if found is None:
+            predicted = self.residual(values)
+            if predicted is None:
                 continue
-            lifted = self.fitter.lift(found[0])
+            lifted = self.fitter.lift(predicted[0])
             cost = float(lifted @ lifted)
             if cost < best:
-                best, self.values, (self.raw, self.markers) = cost, values, found
+                best, self.values, (self.raw, self.markers) = cost, values, predicted
                 settled = self.fitter.predictor.settled
         if not np.isfinite(best):
             raise ArithmeticError('no start of the fit has an equilibrium')
@@ -210,9 +210,9 @@ class Search:
             for step in (h, -h, 0.1 * h):
                 moved = self.values.copy()
                 moved[i] += step
-                found = self.residual(moved)
-                if found is not None:
-                    column = (found[0] - self.raw) / step
+                predicted = self.residual(moved)
+                if predicted is not None:
+                    column = (predicted[0] - self.raw) / step
                     break
             columns.append(np.zeros_like(self.raw) if column is None else column)
         self.slopes = np.array(columns).T.reshape(len(self.raw), len(self.scale))
@@ -248,11 +248,11 @@ class Search:
             moved = np.clip(
                 self.values + np.clip(step, -30.0, 30.0) * self.scale, self.low, self.high
             )
-            found = self.residual(moved)
-            lifted = None if found is None else self.fitter.lift(found[0])
+            predicted = self.residual(moved)
+            lifted = None if predicted is None else self.fitter.lift(predicted[0])
             new = np.inf if lifted is None else float(lifted @ lifted)
-            if found is not None and lifted is not None and new < cost:
-                self.values, (self.raw, self.markers), self.r = moved, found, lifted
+            if predicted is not None and lifted is not None and new < cost:
+                self.values, (self.raw, self.markers), self.r = moved, predicted, lifted
                 self.settled = self.fitter.predictor.settled
                 self.slopes = None
                 self.damping = max(0.1 * self.damping, 1e-9)

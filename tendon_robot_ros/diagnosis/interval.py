@@ -34,9 +34,9 @@ class Pinned(Predictor):
         near: SettledShapes | None = None,
     ) -> Floats | None:
         """Predict markers (P, J, 3) [m]; see `Predictor.markers`."""
-        found = self._inner.markers({**point, **self._pinned}, inputs, stiffness, near)
+        predicted = self._inner.markers({**point, **self._pinned}, inputs, stiffness, near)
         self.settled = self._inner.settled
-        return found
+        return predicted
 
 
 def intervals(
@@ -60,15 +60,15 @@ def intervals(
     wide = QUANTILE * math.sqrt(scale)
     if fit.built is not None:
         fitter.take(fit.built.sizes)
-    found = {}
+    ends = {}
     for i, free in enumerate(fit.frees):
         spread = float(np.sqrt(max(fit.covariance[i, i], 0.0)))
         if not np.isfinite(spread):
-            found[free] = (free.parameter.low, free.parameter.high)
+            ends[free] = (free.parameter.low, free.parameter.high)
             continue
         low, high = (_endpoint(fitter, fit, i, side * spread, wide) for side in (-1.0, 1.0))
-        found[free] = (low, high)
-    return found
+        ends[free] = (low, high)
+    return ends
 
 
 def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> float:

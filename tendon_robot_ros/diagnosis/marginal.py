@@ -150,18 +150,18 @@ class RandomEffects:
         cost, gradient, information = work.at(v)
         for _ in range(SEARCH_STEPS_MAX):
             step = _step(v - low, np.where(free, gradient, np.inf), information)
-            found = None
+            trial = None
             for _ in range(8):
                 moved = np.maximum(v + step, low)
-                found = work.at(moved)
-                if found[0] < cost:
+                trial = work.at(moved)
+                if trial[0] < cost:
                     break
                 step = 0.3 * step
-                found = None
-            if found is None:
+                trial = None
+            if trial is None:
                 break
-            gain = cost - found[0]
-            v, (cost, gradient, information) = moved, found
+            gain = cost - trial[0]
+            v, (cost, gradient, information) = moved, trial
             if gain < DEVIANCE_GAIN_MIN:
                 break
         return Sizes(np.sqrt(v), cost, work.chi2(v))

@@ -70,8 +70,8 @@ def missing_moment(
     arm = _Arm(shapes, dataset)
     edges = blocks_of(robot, len(dataset.markers))
     sd = np.sqrt(measured.floor / 3.0)
-    found = [arm.fit(p, dataset.mean[p] - markers[p], sd[p], edges) for p in range(len(sd))]
-    bend, spread = np.array(found).swapaxes(0, 1)
+    fits = [arm.fit(p, dataset.mean[p] - markers[p], sd[p], edges) for p in range(len(sd))]
+    bend, spread = np.array(fits).swapaxes(0, 1)
     spread = np.where(spread < UNTOLD_FROM_RAD, spread, np.nan)
     bend = np.where(np.isfinite(spread), bend, np.nan)
     cells = predictor.model.arrays.cells

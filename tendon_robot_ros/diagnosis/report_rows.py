@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from .evidence import Evidence
 
 
-def explained_share(found: Evidence, fit: Fit) -> float:
+def explained_share(evidence: Evidence, fit: Fit) -> float:
     """
     1 - (chi²_c - nu_c) / (chi²_0 - nu_0), clipped to [0, 1].
 
     Of an arm as built: both with the imperfections of the best candidate's fit and no remainder,
     so that scatter which only a wrong model needs counts as its error.
     """
-    base, best = found.base, found.best
+    base, best = evidence.base, evidence.best
     before, after = base.chi2, fit.chi2
     if best is not None and best.fit.built is not None and base.built is not None:
-        fitter = found.session.fitters[0]
+        fitter = evidence.session.fitters[0]
         sizes = best.fit.built.sizes.copy()
         sizes[-1] = 0.0
         before, after = (_chi2_with(fitter, one, sizes) for one in (base, fit))
@@ -52,15 +52,15 @@ def values_of(fit: Fit, scale: float = 1.0) -> dict[str, dict[str, Value]]:
     """Values with 95 % intervals by effect; `scale` widens them (chi² over freedom)."""
     quantile = normal_ppf(0.975) * np.sqrt(scale)
     spread = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    found: dict[str, dict[str, Value]] = {}
+    values: dict[str, dict[str, Value]] = {}
     for i, free in enumerate(fit.frees):
         value, half = float(fit.values[i]), float(quantile * spread[i])
         low = float(max(value - half, free.parameter.low))
         high = float(min(value + half, free.parameter.high))
-        found.setdefault(free.effect, {})[free.key] = Value(
+        values.setdefault(free.effect, {})[free.key] = Value(
             value, low, high, free.parameter.unit, _note(fit, i, half)
         )
-    return found
+    return values
 
 
 def _note(fit: Fit, i: int, half: float) -> str:
@@ -80,29 +80,31 @@ def _note(fit: Fit, i: int, half: float) -> str:
     return ''
 
 
-def finding(found: Evidence, ranked: Ranked) -> list[EffectFinding]:
+def finding(evidence: Evidence, ranked: Ranked) -> list[EffectFinding]:
     """Return the effects of a candidate, with what they explain together."""
-    values = values_of(ranked.fit, found.scale)
-    share = explained_share(found, ranked.fit)
+    values = values_of(ranked.fit, evidence.scale)
+    share = explained_share(evidence, ranked.fit)
     return [
-        EffectFinding(name, values[name], share, name in found.session.robot.effects)
+        EffectFinding(name, values[name], share, name in evidence.session.robot.effects)
         for name in ranked.candidate.names
     ]
 
 
 def rows_of(
-    found: Evidence, chosen: Sequence[Ranked], together: Sequence[str]
+    evidence: Evidence, chosen: Sequence[Ranked], together: Sequence[str]
 ) -> tuple[CandidateRow, ...]:
     """Return the candidate table, best first."""
-    ranked = list(found.singles)
+    ranked = list(evidence.singles)
     ranked += [r for r in chosen if r not in ranked]
-    return tuple(_row(found, r, chosen, together) for r in sorted(ranked, key=lambda r: r.score))
+    return tuple(
+        _row(evidence, r, chosen, together) for r in sorted(ranked, key=lambda r: r.score)
+    )
 
 
 def _row(
-    found: Evidence, ranked: Ranked, chosen: Sequence[Ranked], together: Sequence[str]
+    evidence: Evidence, ranked: Ranked, chosen: Sequence[Ranked], together: Sequence[str]
 ) -> CandidateRow:
-    fit, session = ranked.fit, found.session
+    fit, session = ranked.fit, evidence.session
     if ranked in chosen:
         status = 'best'
     elif ranked.candidate.label in together:
@@ -113,7 +115,7 @@ def _row(
         status = 'rejected'
     values = {
         f'{effect}.{key}' if len(ranked.candidate.names) > 1 else key: value
-        for effect, items in values_of(fit, found.scale).items()
+        for effect, items in values_of(fit, evidence.scale).items()
         for key, value in items.items()
     }
     error = rms(session.dataset.mean - fit.markers)
@@ -124,7 +126,7 @@ def _row(
         fit.chi2,
         fit.freedom,
         ranked.probability,
-        explained_share(found, fit),
+        explained_share(evidence, fit),
         error,
         float(error * inflate),
         status,
@@ -133,10 +135,10 @@ def _row(
 
 
 def details_of(
-    found: Evidence, chosen: Sequence[Ranked], together: Sequence[str], verdict: str
+    evidence: Evidence, chosen: Sequence[Ranked], together: Sequence[str], verdict: str
 ) -> dict[str, Any]:
     """Return the numbers that reports print beside the verdict."""
-    session, base = found.session, found.base
+    session, base = evidence.session, evidence.base
     noise = session.noise
     assert noise is not None
     details: dict[str, Any] = {
@@ -163,47 +165,47 @@ def details_of(
             'freedom': base.freedom,
             'probability': base.probability(session.freedom),
         },
-        'relative_to_remainder': found.scale if verdict == 'outside_catalogue' else None,
+        'relative_to_remainder': evidence.scale if verdict == 'outside_catalogue' else None,
         'accuracy': session.accuracy if session.use_accuracy else None,
     }
-    details |= _alternatives(found, chosen, together)
+    details |= _alternatives(evidence, chosen, together)
     if verdict == 'adequate':
-        details['detectable'] = smallest_seen(found)
+        details['detectable'] = smallest_seen(evidence)
     return details
 
 
 def outliers_of(session: Session) -> list[dict[str, Any]]:
     """Name the readings and trials that were left out."""
-    found, dataset = session.outliers, session.dataset
-    if found is None:
+    outliers, dataset = session.outliers, session.dataset
+    if outliers is None:
         return []
     named = [
         {'posture': dataset.postures[p], 'trial': dataset.trial_names[q], 'marker': None}
-        for p, q in np.argwhere(found.trials)
+        for p, q in np.argwhere(outliers.trials)
     ]
     return named + [
         {
             'posture': dataset.postures[p],
             'trial': dataset.trial_names[q],
             'marker': dataset.markers[j].name,
-            'distance': float(found.distance[p, q, j]),
+            'distance': float(outliers.distance[p, q, j]),
         }
-        for p, q, j in np.argwhere(found.readings)
+        for p, q, j in np.argwhere(outliers.readings)
     ]
 
 
 def _alternatives(
-    found: Evidence, chosen: Sequence[Ranked], together: Sequence[str]
+    evidence: Evidence, chosen: Sequence[Ranked], together: Sequence[str]
 ) -> dict[str, Any]:
     """Return what competes with the chosen effects, and what was not tested, with reasons."""
-    session, details = found.session, dict[str, Any]()
-    if found.rival is not None:
+    session, details = evidence.session, dict[str, Any]()
+    if evidence.rival is not None:
         details['rival'] = {
-            'name': found.rival.name,
-            'deviance': found.rival.deviance,
-            'parameters': found.rival.parameters,
+            'name': evidence.rival.name,
+            'deviance': evidence.rival.deviance,
+            'parameters': evidence.rival.parameters,
         }
-    details['next_best'], details['wider'] = _next_best(found, chosen, together)
+    details['next_best'], details['wider'] = _next_best(evidence, chosen, together)
     details['described'] = {
         name: session.robot.effects[name]
         for r in chosen
@@ -214,16 +216,16 @@ def _alternatives(
         c.names[0]: why_untested(
             session.catalogue[c.names[0]], session.dataset, session.robot, session.catalogue
         )
-        for c in found.not_tested
+        for c in evidence.not_tested
     }
     return details
 
 
 def _next_best(
-    found: Evidence, chosen: Sequence[Ranked], together: Sequence[str]
+    evidence: Evidence, chosen: Sequence[Ranked], together: Sequence[str]
 ) -> tuple[dict[str, Any] | None, list[str]]:
     """Best beyond the class, and what fits as well but contains one of the class."""
-    others = [r for r in found.singles if r not in chosen and r.candidate.label not in together]
+    others = [r for r in evidence.singles if r not in chosen and r.candidate.label not in together]
     if not chosen or not others:
         return None, []
     near = [
@@ -236,16 +238,16 @@ def _next_best(
     if not others:
         return None, wider
     other = min(others, key=lambda r: r.score)
-    ratio = (other.score - chosen[0].score) / (2.0 * np.log(10.0) * found.scale)
+    ratio = (other.score - chosen[0].score) / (2.0 * np.log(10.0) * evidence.scale)
     return {'name': other.candidate.label, 'log10_likelihood_ratio': float(ratio)}, wider
 
 
-def smallest_seen(found: Evidence) -> dict[str, dict[str, Any]]:
+def smallest_seen(evidence: Evidence) -> dict[str, dict[str, Any]]:
     """Smallest size of each single-parameter effect that these postures would have shown."""
-    count = max(len(found.singles), 1)
+    count = max(len(evidence.singles), 1)
     threshold = np.sqrt(chi2_isf(2.0 * ALARM_LEVEL / count, 1)) + normal_ppf(0.8)
     seen = {}
-    for ranked in found.singles:
+    for ranked in evidence.singles:
         if len(ranked.fit.frees) == 1 and not ranked.candidate.present:
             spread = np.sqrt(ranked.fit.covariance[0, 0])
             if np.isfinite(spread):

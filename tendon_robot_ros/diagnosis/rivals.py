@@ -60,14 +60,14 @@ class Rivals:
 
     def all(self) -> list[Pattern]:
         """Fit all patterns; those without equilibrium drop out."""
-        found = [
+        patterns = [
             self.contact(),
             self.soft_cell(),
             self.taper(),
             self.gain_per_posture(),
             self.rotation_per_posture(),
         ]
-        return [pattern for pattern in found if pattern is not None]
+        return [pattern for pattern in patterns if pattern is not None]
 
     def white(self, markers: Floats) -> Floats:
         """Whitened residual for predicted markers; imperfections give way."""
@@ -101,7 +101,7 @@ class Rivals:
             return None
         split = SplitPredictor(self.fitter.predictor)
         cells, unit = split.whole.cells, typical_force(split.whole)
-        found: list[tuple[float, int, Floats]] = []
+        gains: list[tuple[float, int, Floats]] = []
         for i in range(cells):
             moved = [split.pushed(self.point, i, 0.1 * unit * axis) for axis in np.eye(3)]
             if any(one is None for one in moved):
@@ -109,8 +109,8 @@ class Rivals:
             slopes = np.array([self.white(one) - self.r for one in moved if one is not None]).T
             step = -np.linalg.lstsq(slopes, self.r, rcond=1e-9)[0]
             gain = float(self.r @ self.r - np.sum((self.r + slopes @ step) ** 2))
-            found.append((gain, i, 0.1 * unit * step))
-        best = [self._pushed(split, i, force) for _, i, force in sorted(found, key=_gain)[-3:]]
+            gains.append((gain, i, 0.1 * unit * step))
+        best = [self._pushed(split, i, force) for _, i, force in sorted(gains, key=_gain)[-3:]]
         return min((one for one in best if one), key=lambda pattern: pattern.score, default=None)
 
     def _pushed(self, split: SplitPredictor, i: int, force: Floats) -> Pattern | None:
@@ -118,13 +118,13 @@ class Rivals:
         unit, best = typical_force(split.whole), np.zeros(3)
         r, markers = self.r, self.fit.markers
         for _ in range(6):
-            found = split.pushed(self.point, i, force)
-            new = None if found is None else self.white(found)
-            if found is None or new is None or new @ new >= r @ r:
+            pushed = split.pushed(self.point, i, force)
+            new = None if pushed is None else self.white(pushed)
+            if pushed is None or new is None or new @ new >= r @ r:
                 force = best + 0.3 * (force - best)
                 continue
             gain = float(r @ r - new @ new)
-            best, r, markers = force, new, found
+            best, r, markers = force, new, pushed
             if gain < 0.1:
                 break
             moved = [split.pushed(self.point, i, best + 0.01 * unit * a) for a in np.eye(3)]
@@ -243,14 +243,14 @@ class Rivals:
             slopes = np.hstack([self._changes(change, p) for p in range(len(inputs))])
             step = np.linalg.lstsq(slopes, -r, rcond=1e-9)[0]
             trial = np.clip(gains + np.clip(step, -0.3, 0.3), 0.2, 3.0)
-            found = self.fitter.predictor.markers(self.point, inputs * trial[:, None])
-            if found is None:
+            predicted = self.fitter.predictor.markers(self.point, inputs * trial[:, None])
+            if predicted is None:
                 break
-            new = self.white(found)
+            new = self.white(predicted)
             if new @ new >= r @ r:
                 break
             gain = float(r @ r - new @ new)
-            gains, markers, r = trial, found, new
+            gains, markers, r = trial, predicted, new
             if gain < 0.1:
                 break
         return Pattern(
@@ -279,5 +279,5 @@ class Rivals:
         )
 
 
-def _gain(found: tuple[float, int, Floats]) -> float:
-    return found[0]
+def _gain(row: tuple[float, int, Floats]) -> float:
+    return row[0]

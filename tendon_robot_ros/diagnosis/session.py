@@ -100,13 +100,13 @@ class Session:
 
     def _random(self, point: Point, at: Members | None) -> RandomEffects | None:
         """Imperfections of the arm as it is built, at a point."""
-        found = imperfections(self.predictor, point, at)
-        self._bend = 0.0 if found is None else found.bend
-        self.moves = None if found is None else found.moves
-        if found is None:
+        imperfect = imperfections(self.predictor, point, at)
+        self._bend = 0.0 if imperfect is None else imperfect.bend
+        self.moves = None if imperfect is None else imperfect.moves
+        if imperfect is None:
             return None
-        white = self.whitener.white(found.moves).T
-        return RandomEffects(white, found.owners, found.kinds)
+        white = self.whitener.white(imperfect.moves).T
+        return RandomEffects(white, imperfect.owners, imperfect.kinds)
 
     def fitter(self, predictor: Predictor) -> Fitter:
         """Return a fitter with the weights of now."""
@@ -136,7 +136,7 @@ class Session:
 
         `starts` are fits of their own, or of a part of them, to start from.
         """
-        found: list[Ranked | None] = [None] * len(candidates)
+        judged: list[Ranked | None] = [None] * len(candidates)
         done = 0
 
         def work(worker: int) -> None:
@@ -155,7 +155,7 @@ class Session:
                 finally:
                     done += 1
                     self.progress(what, done, len(candidates))
-                found[i] = self.rank(candidate, fit)
+                judged[i] = self.rank(candidate, fit)
 
         if self.workers == 1 or len(candidates) == 1:
             for worker in range(self.workers):
@@ -163,7 +163,7 @@ class Session:
         else:
             with ThreadPoolExecutor(self.workers) as pool:
                 list(pool.map(work, range(self.workers)))
-        return [ranked for ranked in found if ranked is not None]
+        return [ranked for ranked in judged if ranked is not None]
 
     def holds(self, ranked: Ranked) -> bool:
         """Tell whether several effects are adequate, for left-out postures as well."""
@@ -271,12 +271,12 @@ def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
     current: Ranked = order[0]
     best: Ranked | None = None
     for size in range(2, EFFECTS_MAX + 1):
-        found = _extended(session, current)
-        if not found:
+        extended = _extended(session, current)
+        if not extended:
             break
-        if size == 2 and not any(session.holds(f) for f in found):
-            found += _pairs(session, order[:7], {f.candidate.label for f in found})
-        current = best = min(found, key=lambda r: r.score)
+        if size == 2 and not any(session.holds(f) for f in extended):
+            extended += _pairs(session, order[:7], {f.candidate.label for f in extended})
+        current = best = min(extended, key=lambda r: r.score)
         if session.holds(best):
             best = reweighed(session, best)
             if session.holds(best):

@@ -70,8 +70,8 @@ def find_mistake(predictor: Predictor, floor: float) -> Mistake | None:
     if before < GROSS_FROM_FLOORS * floor:
         return None
     enough = max(ERROR_SHARE_LEFT_MAX * before, EXPLAINED_WITHIN_FLOORS * floor)
-    found = [one for tried in _HYPOTHESES for one in tried(predictor, markers)]
-    likely = [one for one in found if one.after < min(enough, 0.3 * before)]
+    mistakes = [one for tried in _HYPOTHESES for one in tried(predictor, markers)]
+    likely = [one for one in mistakes if one.after < min(enough, 0.3 * before)]
     if not likely:
         return None
     least = min(one.after for one in likely) + floor  # alike: the first, the plainest, is it
@@ -126,14 +126,14 @@ def _axes(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
             if list(order) == [0, 1, 2] and min(signs) > 0.0:
                 continue
             turned = measured[..., order] * np.array(signs)
-            said = ', '.join(
+            columns = ', '.join(
                 f'{"" if sign > 0 else "-"}{"xyz"[i]}'
                 for i, sign in zip(order, signs, strict=True)
             )
             yield Mistake(
                 'axes',
-                f'with the axes of the tracker taken as ({said})',
-                f'write {said} into the columns x, y, z of shapes.csv',
+                f'with the axes of the tracker taken as ({columns})',
+                f'write {columns} into the columns x, y, z of shapes.csv',
                 rms(turned - markers),
             )
 
@@ -148,10 +148,10 @@ def _registered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     turn = vt.T @ flip @ u.T
     shift = b.mean(axis=0) - turn @ a.mean(axis=0)
     angle = math.degrees(math.acos(float(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))))
-    said = ', '.join(f'{1e3 * x:.1f}' for x in shift)
+    millimetres = ', '.join(f'{1e3 * x:.1f}' for x in shift)
     yield Mistake(
         'registration',
-        f'with the frame of the tracker turned by {angle:.1f}° and shifted by {said} mm',
+        f'with the frame of the tracker turned by {angle:.1f}° and shifted by {millimetres} mm',
         'register the tracker to the base of the arm again',
         rms(measured @ turn.T + shift - markers),
     )

@@ -51,7 +51,7 @@ def smallest_sizes(
     take up, is long enough for the likelihood ratio to raise the alarm in `DETECTED_SHARE` of the
     cases.
     """
-    found = []
+    sizes = []
     for candidate in candidates:
         effect = session.catalogue[candidate.names[0]]
         if candidate.present or effect.always_on or effect.stage == 'memory':
@@ -63,8 +63,8 @@ def smallest_sizes(
             )
             alpha = ALARM_LEVEL / max(len(candidates), 1) * (2.0 if one_sided else 1.0)
             length = np.sqrt(noncentrality(len(candidate.frees), alpha))
-            found.append(Seen(free, _size(session, base, free, float(length))))
-    return tuple(found)
+            sizes.append(Seen(free, _size(session, base, free, float(length))))
+    return tuple(sizes)
 
 
 def _size(session: Session, base: Fit, free: FreeParameter, length: float) -> float | None:
@@ -189,9 +189,9 @@ def assess(
     session = Session(dataset, robot, load_catalogue(files), workers=1)
     if session.predictor.markers({}) is None or not session.weigh({}):
         return None
-    found = gather(session)
+    evidence = gather(session)
     assert session.noise is not None
-    seen = smallest_sizes(session, found.base, [r.candidate for r in found.singles])
+    seen = smallest_sizes(session, evidence.base, [r.candidate for r in evidence.singles])
     hidden = [one for one in seen if one.size is not None]
     clean: list[Task] = [(seed, None, 0.0) for seed in range(runs)]
     sized: list[Task] = [
@@ -241,11 +241,11 @@ def measure_again(
 ) -> DataSet | None:
     """Return the data set as it might have come out if the model at a point were the truth."""
     dataset = predictor.dataset
-    given = dataset.inputs_by_trial
-    P, Q, m = given.shape
+    by_trial = dataset.inputs_by_trial
+    P, Q, m = by_trial.shape
     setting = 1.0 + noise.setting * random.normal(size=(P, 1, m))
     factors = np.maximum(setting * (1.0 + noise.trial * random.normal(size=(P, Q, m))), 0.0)
-    trials = [predictor.markers(point, given[:, q] * factors[:, q]) for q in range(Q)]
+    trials = [predictor.markers(point, by_trial[:, q] * factors[:, q]) for q in range(Q)]
     if any(trial is None for trial in trials):
         return None
     positions = np.stack([trial for trial in trials if trial is not None], axis=1)

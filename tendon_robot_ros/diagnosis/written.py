@@ -31,10 +31,10 @@ def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
     The gain of a tension is written as an offset of its tendons: their product is what bends.
     Kinks have no place in a description, nor gains and zeros of wire pulls.
     """
-    found = fit.members
-    if found is None:
+    values = fit.members
+    if values is None:
         return robot
-    off = found.get(CELLS, np.zeros(robot.cells))
+    off = values.get(CELLS, np.zeros(robot.cells))
     ends = np.cumsum([section.cells for section in robot.sections])
     sections = tuple(
         replace(
@@ -50,24 +50,24 @@ def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
     )
     scale = np.ones(len(robot.tendons))
     if input == 'tension':
-        for change, members in zip(found.get(GAIN, ()), robot.input_tendons, strict=False):
+        for change, members in zip(values.get(GAIN, ()), robot.input_tendons, strict=False):
             scale[list(members)] *= 1.0 + change
-    scale *= 1.0 + found.get(HOLE, np.zeros(len(scale)))
+    scale *= 1.0 + values.get(HOLE, np.zeros(len(scale)))
     tendons = tuple(
         replace(t, base=_scaled(t.base, factor), end=_scaled(t.end, factor))
         for t, factor in zip(robot.tendons, scale.tolist(), strict=True)
     )
-    return _registered(replace(robot, sections=sections, tendons=tendons), found)
+    return _registered(replace(robot, sections=sections, tendons=tendons), values)
 
 
-def _registered(robot: Robot, found: dict[str, Floats]) -> Robot:
+def _registered(robot: Robot, members: dict[str, Floats]) -> Robot:
     """Add the registration to what the description says of it."""
     before, values = robot.effects.get('base_misalignment', {}), EffectValues()
     for kind, key in ((POSITION, 'shift'), (ROTATION, 'rotation')):
-        for axis, change in zip('xyz', found.get(kind, np.zeros(3)).tolist(), strict=True):
+        for axis, change in zip('xyz', members.get(kind, np.zeros(3)).tolist(), strict=True):
             old = before.get(f'{key}_{axis}', 0.0)
             values[f'{key}_{axis}'] = _short((old if isinstance(old, float) else old[0]) + change)
-    if not any(found.get(kind, np.zeros(3)).any() for kind in (POSITION, ROTATION)):
+    if not any(members.get(kind, np.zeros(3)).any() for kind in (POSITION, ROTATION)):
         return robot
     return robot.with_effect('base_misalignment', values, robot.fitted.get('base_misalignment'))
 

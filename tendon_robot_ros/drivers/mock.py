@@ -208,10 +208,10 @@ class MockDriver(Driver):
         }
 
     def _faults(self) -> tuple[Fault, ...]:
-        found = list(self._injected.values())
+        faults = list(self._injected.values())
         if self._problem:
-            found.append(Fault('plant', self._problem))
-        return tuple(found)
+            faults.append(Fault('plant', self._problem))
+        return tuple(faults)
 
     def _lost(self) -> NDArray[np.bool_]:
         lost = np.zeros(len(self.inputs), dtype=bool)
@@ -238,14 +238,14 @@ class MockDriver(Driver):
         self._actual = before + part * (goal - before)
         near = np.abs(self._actual - goal) < 1e-9
         self._actual = np.where(near, goal, self._actual)
-        given = self._actual.copy()
+        inputs = self._actual.copy()
         if self.mode == 'pull':
-            given[~self._on] = np.nan  # slack
-        if self._given is not None and np.array_equal(given, self._given, equal_nan=True):
+            inputs[~self._on] = np.nan  # slack
+        if self._given is not None and np.array_equal(inputs, self._given, equal_nan=True):
             return
-        self._given = given
+        self._given = inputs
         respond = self.plant.respond if self.mode == 'tension' else self.plant.respond_to_pulls
         try:
-            self._state, self._problem = respond(given), ''
+            self._state, self._problem = respond(inputs), ''
         except TendonRobotError as error:  # the arm stays where it is, the reading says why
             self._problem = f'mock arm: {error}'

@@ -30,7 +30,7 @@ class Stage:
         As in `Effect.stage`.
     outputs : tuple of Quantity
         What a law gives back; it takes the same quantities as they are without it, first.
-    given : tuple of Quantity
+    context : tuple of Quantity
         What it takes besides, before its own parameters.
     implicit : bool
         Whether its laws use the shape itself, so that one sweep is not the answer.
@@ -39,13 +39,13 @@ class Stage:
 
     name: str
     outputs: tuple[Quantity, ...]
-    given: tuple[Quantity, ...] = ()
+    context: tuple[Quantity, ...] = ()
     implicit: bool = False
 
     @property
     def inputs(self) -> tuple[Quantity, ...]:
         """What a law takes before its parameters, in this order."""
-        return self.outputs + self.given
+        return self.outputs + self.context
 
 
 def _quantities(*rows: tuple[str, str, str]) -> tuple[Quantity, ...]:

@@ -159,6 +159,6 @@ class Firmware:
 
     def decode(self, data: bytes) -> bytes | None:
         """Decode what stood between two delimiters as the board does: header and payload."""
-        found = ctypes.create_string_buffer(256)
-        size = self._library.host_decode(data, len(data), found) if len(data) < 256 else -1
-        return found.raw[: 4 + size] if size >= 0 else None
+        buffer = ctypes.create_string_buffer(256)
+        size = self._library.host_decode(data, len(data), buffer) if len(data) < 256 else -1
+        return buffer.raw[: 4 + size] if size >= 0 else None

@@ -114,22 +114,22 @@ class InstructionReceiver:
     def feed(self, data: bytes) -> list[Instruction]:
         """Take bytes; return the instructions that are complete now."""
         self._buffer += data
-        found: list[Instruction] = []
+        instructions: list[Instruction] = []
         while True:
             start = self._buffer.find(HEADER)
             if start < 0:
                 self._buffer = self._buffer[-3:]
-                return found
+                return instructions
             self._buffer = self._buffer[start:]
             if len(self._buffer) < 7:
-                return found
+                return instructions
             size = int.from_bytes(self._buffer[5:7], 'little') + 7
             if not 10 <= size <= PACKET_BYTES_MAX:
                 self.broken += 1
                 self._buffer = self._buffer[4:]
                 continue
             if len(self._buffer) < size:
-                return found
+                return instructions
             whole, rest = self._buffer[:size], self._buffer[size:]
             if crc(whole[:-2]) != int.from_bytes(whole[-2:], 'little'):
                 self.broken += 1
@@ -137,7 +137,7 @@ class InstructionReceiver:
                 continue
             self._buffer = rest
             body = unstuff(whole[7:-2])
-            found.append(Instruction(whole[4], body[0], body[1:]))
+            instructions.append(Instruction(whole[4], body[0], body[1:]))
 
 
 # -----------------------------------------------------------------------------

@@ -103,12 +103,14 @@ class _Move:
             j, step = model.inputs.index(column), longer * TENSION_STEP
             return cls(column, step * ones, -np.minimum(step, shapes.inputs[:, j]), j)
         effect, name = column[:2]
-        told = {p.name: p for p in model.catalogue[effect].parameters}
-        if name not in told:
-            raise InputError(f'{effect}: unknown parameter {name!r}; known: {", ".join(told)}')
+        parameters = {p.name: p for p in model.catalogue[effect].parameters}
+        if name not in parameters:
+            raise InputError(
+                f'{effect}: unknown parameter {name!r}; known: {", ".join(parameters)}'
+            )
         here = model.arrays.get(effect, name, _section(column))
-        step = longer * PARAMETER_STEP * max(abs(here), told[name].typical)
-        up, down = min(step, told[name].high - here), max(-step, told[name].low - here)
+        step = longer * PARAMETER_STEP * max(abs(here), parameters[name].typical)
+        up, down = min(step, parameters[name].high - here), max(-step, parameters[name].low - here)
         return cls(column, up * ones, down * ones, -1)
 
     def inputs(self, shapes: ShapeBatch, side: Floats) -> Floats:

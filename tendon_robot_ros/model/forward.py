@@ -112,7 +112,7 @@ class ForwardModel:
         """Whether friction remembers the loading history."""
         return any(e.stage == 'memory' and self.acts(e.name) for e in self.catalogue)
 
-    def tensions(self, given: TensionsLike) -> Floats:
+    def tensions(self, tensions: TensionsLike) -> Floats:
         """
         Return input tensions (m,) [N] from names or numbers; names left out are slack (0).
 
@@ -122,7 +122,7 @@ class ForwardModel:
             Unknown names, or values that are negative or not finite.
 
         """
-        return tensions_of(self.robot, given)
+        return tensions_of(self.robot, tensions)
 
     def shape(
         self,

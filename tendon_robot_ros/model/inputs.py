@@ -15,7 +15,7 @@ Floats = npt.NDArray[np.float64]
 TensionsLike = Mapping[str, float] | Sequence[float] | Floats
 
 
-def tensions_of(robot: Robot, given: TensionsLike) -> Floats:
+def tensions_of(robot: Robot, tensions: TensionsLike) -> Floats:
     """
     Return input tensions (m,) [N]; names left out are slack (0).
 
@@ -25,19 +25,19 @@ def tensions_of(robot: Robot, given: TensionsLike) -> Floats:
         Unknown names, or values that are negative or not finite.
 
     """
-    if isinstance(given, np.ndarray) and given.shape == (len(robot.inputs),):
-        for value in given.tolist():
+    if isinstance(tensions, np.ndarray) and tensions.shape == (len(robot.inputs),):
+        for value in tensions.tolist():
             if not 0.0 <= value < math.inf:
                 break
         else:
-            return given.astype(float)
-    values = finite('tensions', _ordered('tensions', robot, given, 0.0), len(robot.inputs))
+            return tensions.astype(float)
+    values = finite('tensions', _ordered('tensions', robot, tensions, 0.0), len(robot.inputs))
     if (values < 0.0).any():
         raise InputError(f'tensions: expected none below 0 N, got {values}')
     return values
 
 
-def tension_rows(robot: Robot, given: npt.ArrayLike) -> Floats:
+def tension_rows(robot: Robot, tensions: npt.ArrayLike) -> Floats:
     """
     Return input tensions of several postures (b, m) [N].
 
@@ -47,7 +47,7 @@ def tension_rows(robot: Robot, given: npt.ArrayLike) -> Floats:
         Another shape, or values that are negative or not finite.
 
     """
-    rows = np.ascontiguousarray(given, dtype=float)
+    rows = np.ascontiguousarray(tensions, dtype=float)
     if rows.ndim != 2 or rows.shape[1] != len(robot.inputs):
         raise InputError(
             f'tensions: expected (postures, {len(robot.inputs)}) numbers for '
@@ -58,7 +58,7 @@ def tension_rows(robot: Robot, given: npt.ArrayLike) -> Floats:
     return rows
 
 
-def wire_pulls(robot: Robot, given: TensionsLike) -> Floats:
+def wire_pulls(robot: Robot, pulls: TensionsLike) -> Floats:
     """
     Return wire pulls (m,) [m], NaN for slack; names left out are slack.
 
@@ -68,14 +68,14 @@ def wire_pulls(robot: Robot, given: TensionsLike) -> Floats:
         Unknown names, or values that are no lengths.
 
     """
-    ordered = _ordered('pulls', robot, given, np.nan)
+    ordered = _ordered('pulls', robot, pulls, np.nan)
     try:
         values = np.array(ordered, dtype=float).reshape(-1)
     except (TypeError, ValueError):
         values = np.empty(0)
     if values.shape != (len(robot.inputs),) or np.isinf(values).any():
         raise InputError(
-            f'pulls: expected {len(robot.inputs)} lengths [m] (blank: slack), got {given!r}'
+            f'pulls: expected {len(robot.inputs)} lengths [m] (blank: slack), got {pulls!r}'
         )
     return values
 
@@ -99,13 +99,13 @@ def finite(name: str, values: object, size: int) -> Floats:
     return array
 
 
-def _ordered(what: str, robot: Robot, given: TensionsLike, absent: float) -> object:
-    if not isinstance(given, Mapping):
-        return given
-    unknown = [name for name in given if name not in robot.inputs]
+def _ordered(what: str, robot: Robot, values: TensionsLike, absent: float) -> object:
+    if not isinstance(values, Mapping):
+        return values
+    unknown = [name for name in values if name not in robot.inputs]
     if unknown:
         raise InputError(
             f'{what}: unknown {", ".join(map(repr, unknown))}; '
             f'{robot.name} has {", ".join(robot.inputs)}'
         )
-    return [given.get(name, absent) for name in robot.inputs]
+    return [values.get(name, absent) for name in robot.inputs]

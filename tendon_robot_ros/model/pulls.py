@@ -70,17 +70,17 @@ def pull_shapes(
     """
     first = None if memory is None else memory.copy()
     targets = [wire_pulls(model.robot, row) for row in pulls]
-    inputs, found = np.empty((len(targets), len(model.inputs))), []
+    inputs, shapes = np.empty((len(targets), len(model.inputs))), []
     for b, target in enumerate(targets):
         start = None if tensions is None or bends is None else (tensions[b], bends[b])
         past = model.arrays.fresh_memory() if memory is None else memory
         inputs[b], bend = _tensions(model, target, start, past)
-        found.append(bend)
+        shapes.append(bend)
         if memory is not None:
             model.solve(inputs[b : b + 1], bend[None], memory, carry=True)
     if first is not None:
         return model.sequence(inputs, first)
-    return model.shapes(inputs, np.array(found))
+    return model.shapes(inputs, np.array(shapes))
 
 
 def _tensions(
@@ -95,10 +95,10 @@ def _tensions(
     gap, best = np.inf, (np.zeros_like(target), np.zeros((model.arrays.chain.n, 2)))
     for begin in _beginnings(model, target, start):
         inputs, bends = np.array(begin.tensions), np.array([begin.bend, begin.bend])
-        given = (model.arrays.address, inputs, target, bends, past, model.scratch)
-        if not _settles(model, begin, given):
+        problem = (model.arrays.address, inputs, target, bends, past, model.scratch)
+        if not _settles(model, begin, problem):
             continue
-        left = float(model.arrays.part('pulls').solve_stiff_wires(*given, SEARCH_STEPS_MAX))
+        left = float(model.arrays.part('pulls').solve_stiff_wires(*problem, SEARCH_STEPS_MAX))
         if left < gap:
             gap, best = left, (inputs, bends[0])
         if gap < begin.enough:
@@ -135,11 +135,11 @@ def _beginnings(
     return near + through + stiff
 
 
-def _settles(model: ForwardModel, begin: _Beginning, given: tuple[Any, ...]) -> bool:
+def _settles(model: ForwardModel, begin: _Beginning, problem: tuple[Any, ...]) -> bool:
     """Take tensions and bends in place through the springs; tell whether each one held."""
     for share in begin.springs:
         stretch = share * _compliance(model)
-        gap = model.arrays.part('springs').solve_elastic_wires(*given, stretch, begin.steps)
+        gap = model.arrays.part('springs').solve_elastic_wires(*problem, stretch, begin.steps)
         if not gap < STRETCH_OFF_N * stretch:
             return False  # stiffer wires will do no better
     return True

@@ -48,10 +48,10 @@ class DiagnosisJob:
 
     def news(self) -> list[dict[str, Any]]:
         """Return what came: dictionaries with the key `kind`."""
-        found = []
+        news = []
         while not self._lines.empty():
-            found.append(self._lines.get())
-        return found
+            news.append(self._lines.get())
+        return news
 
     def cancel(self) -> None:
         """End it."""
@@ -64,9 +64,9 @@ class DiagnosisJob:
         assert self._child.stdout is not None and self._child.stderr is not None
         for line in self._child.stdout:
             self._lines.put(json.loads(line))
-        said = self._child.stderr.read().strip().splitlines()
+        complaint = self._child.stderr.read().strip().splitlines()
         if self._child.wait():
-            why = said[-1] if said else f'ended with code {self._child.returncode}'
+            why = complaint[-1] if complaint else f'ended with code {self._child.returncode}'
             self._lines.put({'kind': 'failed', 'text': why})
 
 
@@ -89,38 +89,40 @@ def work(folder: Path, effects: Sequence[str]) -> None:
     def progress(what: str, done: int, total: int) -> None:
         say('progress', text=f'{what} {done}/{total}', part=done / max(total, 1))
 
-    found = diagnose(dataset, None, catalogue, 1, progress)
-    found.save(folder / RESULT)
-    report = _report(found, folder / REPORT)
-    say('verdict', sentence=verdict(found), lines=lines(found), report=report,
-        diagnosis=found.to_json())  # fmt: skip
-    if found.effects:
+    diagnosis = diagnose(dataset, None, catalogue, 1, progress)
+    diagnosis.save(folder / RESULT)
+    report = _report(diagnosis, folder / REPORT)
+    say('verdict', sentence=verdict(diagnosis), lines=lines(diagnosis), report=report,
+        diagnosis=diagnosis.to_json())  # fmt: skip
+    if diagnosis.effects:
         say('progress', text='fitting what was found, with its intervals', part=1.0)
-        names = [effect.name for effect in found.effects]
-        partial = found.verdict == 'outside_catalogue'
-        made = add_effects(dataset, names, None, catalogue, None, found.effects, partial=partial)
+        names = [effect.name for effect in diagnosis.effects]
+        partial = diagnosis.verdict == 'outside_catalogue'
+        made = add_effects(
+            dataset, names, None, catalogue, None, diagnosis.effects, partial=partial
+        )
         (folder / BETTER).write_text(dump_robot(made.robot), encoding='utf-8')
         say('addition', file=str(folder / BETTER), effects=names, partial=partial,
             before=made.check.before, after=made.check.after, floor=made.check.floor)  # fmt: skip
-        _illustrate(found, dataset, catalogue, made, folder / REPORT)
+        _illustrate(diagnosis, dataset, catalogue, made, folder / REPORT)
     say('done')
 
 
-def _report(found: Any, path: Path, made: Any = None, pictures: Any = None) -> str:
+def _report(diagnosis: Any, path: Path, made: Any = None, pictures: Any = None) -> str:
     """Write the HTML report where the report extra is installed; return its path or ''."""
     if importlib.util.find_spec('plotly') is None:
         return ''
     from ..report.diagnosis_page import write_diagnosis
 
-    write_diagnosis(found, pictures, path, made)
+    write_diagnosis(diagnosis, pictures, path, made)
     return str(path)
 
 
-def _illustrate(found: Any, dataset: Any, catalogue: Any, made: Any, path: Path) -> None:
+def _illustrate(diagnosis: Any, dataset: Any, catalogue: Any, made: Any, path: Path) -> None:
     """Write the report again, with pictures and with what the addition changes."""
     from ..report.diagnosis_page import pictures_of
 
-    _report(found, path, made, pictures_of(found, dataset, catalogue, made.robot))
+    _report(diagnosis, path, made, pictures_of(diagnosis, dataset, catalogue, made.robot))
 
 
 def main() -> int:
@@ -193,8 +195,8 @@ class Work:
 
         Kind 'add' has the `file` to send to the controller.
         """
-        found = [] if self._job is None else self._job.news()
-        for item in found:
+        news = [] if self._job is None else self._job.news()
+        for item in news:
             item.setdefault('text', '')
             if item['kind'] == 'verdict':
                 self._verdict = item['diagnosis']['verdict']
@@ -205,7 +207,7 @@ class Work:
             elif item['kind'] == 'failed':
                 self._wanted = None
                 item['text'] = f'the diagnosis failed: {item["text"]}'
-        return [*found, *self._due()]
+        return [*news, *self._due()]
 
     def _due(self) -> list[dict[str, Any]]:
         """Return the addition when it is wanted and there."""

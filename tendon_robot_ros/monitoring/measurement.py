@@ -55,8 +55,8 @@ class History:
 
     def mean(self, begin: float, end: float) -> Array | None:
         """Return the mean over a time, both ends included; None without a sample in it."""
-        found = [values for at, values in self._samples if begin <= at <= end]
-        return np.array(np.mean(found, axis=0)) if found else None
+        samples = [values for at, values in self._samples if begin <= at <= end]
+        return np.array(np.mean(samples, axis=0)) if samples else None
 
     def _between(
         self, time: float, before: tuple[float, Array], after: tuple[float, Array] | None

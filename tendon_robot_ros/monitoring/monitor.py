@@ -162,10 +162,10 @@ class Monitor:
         last = self._shape
         try:
             if np.isfinite(tensions).all():
-                given = np.maximum(tensions, 0.0)
+                pulling = np.maximum(tensions, 0.0)
                 bend = None if last is None else last.bend
                 memory = last.memory if last is not None and self.model.remembers else None
-                self._shape = self.model.shape(given, bend, memory)
+                self._shape = self.model.shape(pulling, bend, memory)
             else:
                 self._shape = self.model.pull_shape(pulls, last)
         except (NoEquilibriumError, InputError) as error:
@@ -207,7 +207,7 @@ class Monitor:
         return float(np.sqrt(np.mean(squares))) if squares else float('nan')
 
 
-def read_markers(given: Sequence[object], robot: Robot) -> tuple[Marker, ...]:
+def read_markers(rows: Sequence[object], robot: Robot) -> tuple[Marker, ...]:
     """
     Return the markers that a parameter lists as {name, arc_length, offset}.
 
@@ -218,7 +218,7 @@ def read_markers(given: Sequence[object], robot: Robot) -> tuple[Marker, ...]:
 
     """
     made = []
-    for entry in given:
+    for entry in rows:
         if not isinstance(entry, dict) or not {'name', 'arc_length'} <= set(entry):
             raise InputError(
                 'markers: expected a list of {name: m1, arc_length: 0.1, offset: [0, 0, 0]}, '

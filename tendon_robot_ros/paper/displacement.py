@@ -184,7 +184,7 @@ def many_prototypes(
 ) -> dict[tuple[str, str], Spread]:
     """Tip errors of the models over many prototypes that differ in the play of their cells."""
     random, robot = np.random.default_rng(0), plant.robot
-    found: dict[tuple[str, str], Spread] = {}
+    spreads: dict[tuple[str, str], Spread] = {}
     play = SCATTER * random.normal(size=(PROTOTYPES, 1, robot.cells))
     for p, count in enumerate(TRIALS):
         pulls = heights.pulls[p] + CALIPER * random.normal(size=(count, len(robot.inputs)))
@@ -199,8 +199,8 @@ def many_prototypes(
         for model in comparison.models:
             tip = model.markers[p, -1]
             errors = [np.linalg.norm(one - tip, axis=2) for one in tips]
-            found[HEIGHTS[p], model.name] = _spread(errors)
-    return found
+            spreads[HEIGHTS[p], model.name] = _spread(errors)
+    return spreads
 
 
 def _spread(errors: Sequence[Floats]) -> Spread:

@@ -136,11 +136,11 @@ def _variants(robot: Robot) -> Iterator[tuple[str, Robot]]:
 
 def _arrangement(name: str, robot: Robot, pair: Pair) -> Arrangement:
     wide = np.radians(max(TOLERANCES))
-    found = sweep(Model(robot), VIEWS[:1], STEP, PRETENSION, wide, [pair])
-    families = found.of(VIEWS[0])
+    workspace = sweep(Model(robot), VIEWS[:1], STEP, PRETENSION, wide, [pair])
+    families = workspace.of(VIEWS[0])
     spans = [_across(families[0], tolerance) if families else 0.0 for tolerance in TOLERANCES]
     middle = spans[TOLERANCES.index(2.5)]
-    return Arrangement(name, middle, min(spans), max(spans), found.largest)
+    return Arrangement(name, middle, min(spans), max(spans), workspace.largest)
 
 
 def _across(family: Family, tolerance: float) -> float:

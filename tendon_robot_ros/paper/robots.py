@@ -81,9 +81,9 @@ def at_view(model: Model, inputs: tuple[int, int], near: Floats, view: float, si
     rows[:, :, inputs[0]], rows[:, :, inputs[1]] = near[:, None], levels
     gap = _gap(model, rows.reshape(-1, rows.shape[2]), view, side).reshape(rows.shape[:2])
     crossing = (gap[:, :-1] < 0.0) & (gap[:, 1:] >= 0.0)
-    found = np.flatnonzero(crossing.any(axis=1))
-    at = crossing[found].argmax(axis=1)
-    low, high = rows[found, at], rows[found, at + 1]
+    postures = np.flatnonzero(crossing.any(axis=1))
+    at = crossing[postures].argmax(axis=1)
+    low, high = rows[postures, at], rows[postures, at + 1]
     for _ in range(40):
         middle = 0.5 * (low + high)
         below = (_gap(model, middle, view, side) < 0.0)[:, None]

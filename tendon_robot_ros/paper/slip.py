@@ -100,7 +100,7 @@ def slip_friction(names: tuple[str, ...], angles: npt.ArrayLike) -> SlipFriction
     )
 
 
-def with_friction(robot: Robot, found: SlipFriction, data: str, date: str) -> Robot:
+def with_friction(robot: Robot, friction: SlipFriction, data: str, date: str) -> Robot:
     """
     Return the robot with the measured friction, its origin beside it.
 
@@ -108,17 +108,17 @@ def with_friction(robot: Robot, found: SlipFriction, data: str, date: str) -> Ro
     """
     origin = {
         'friction_coefficient': {
-            'value': round(found.mean, 4),
-            'low': round(found.low, 4),
-            'high': round(found.high, 4),
+            'value': round(friction.mean, 4),
+            'low': round(friction.low, 4),
+            'high': round(friction.high, 4),
             'unit': '1',
         },
         'data': data,
         'date': date,
     }
-    values: EffectValues = {'friction_coefficient': round(found.mean, 4)}
+    values: EffectValues = {'friction_coefficient': round(friction.mean, 4)}
     made = robot.with_effect('tendon_friction', values, origin)
-    relative = round((found.high - found.low) / 3.92 / found.mean, 4)
+    relative = round((friction.high - friction.low) / 3.92 / friction.mean, 4)
     return replace(made, tolerances={**robot.tolerances, 'friction_coefficient': relative})
 
 
@@ -132,10 +132,10 @@ READING = 0.1  # [°] of the rotational stage: assumed
 
 def rehearsals(seed: int = 0) -> dict[str, SlipFriction]:
     """Draw slip angles of the published coefficients and evaluate them, scale by scale."""
-    found = {}
+    frictions = {}
     for scale, (coefficient, n) in PUBLISHED.items():
         random = np.random.default_rng([seed, n])
         degrees = np.degrees(np.arctan(coefficient + SD * random.normal(size=n)))
         angles = np.radians(np.round(degrees / READING) * READING)
-        found[scale] = slip_friction(tuple(map(str, range(1, n + 1))), angles)
-    return found
+        frictions[scale] = slip_friction(tuple(map(str, range(1, n + 1))), angles)
+    return frictions

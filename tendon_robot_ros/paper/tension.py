@@ -134,12 +134,12 @@ def _settled(robot: Robot, lever: float, seed: int) -> Diagnosis:
 def _asking(robot: Robot, alone: Diagnosis, lever: float, seed: int) -> tuple[Diagnosis, ...]:
     """Measure what a diagnosis asks for and diagnose again, a few times."""
     rows: list[tuple[float, ...]] = list(POSTURES.values())
-    names, found = tuple(POSTURES), [alone]
-    while len(found) <= ROUNDS:
-        following = found[-1].next_measurement
+    names, diagnoses = tuple(POSTURES), [alone]
+    while len(diagnoses) <= ROUNDS:
+        following = diagnoses[-1].next_measurement
         if following is None:
             break
         rows = [*rows, tuple(following.input[name] for name in robot.inputs)]
-        names = (*names, f'asked for {len(found)}')
-        found.append(diagnose(measured(robot, rows, names, lever, seed)))
-    return tuple(found[1:])
+        names = (*names, f'asked for {len(diagnoses)}')
+        diagnoses.append(diagnose(measured(robot, rows, names, lever, seed)))
+    return tuple(diagnoses[1:])

@@ -85,27 +85,27 @@ def reproduce(robots: Robots, progress: Callable[[str, int, int], None] | None =
         'tension': lambda: tension_experiment(robots.single),
         'small': lambda: small_experiment(robots.small),
     }
-    found = {}
+    frictions = {}
     for done, (name, run) in enumerate(steps.items()):
         if progress:
             progress(name, done, len(steps))
-        found[name] = run()
-    return Paper(robots=robots, **found)
+        frictions[name] = run()
+    return Paper(robots=robots, **frictions)
 
 
-def _friction_rows(found: dict[str, SlipFriction]) -> list[Row]:
+def _friction_rows(frictions: dict[str, SlipFriction]) -> list[Row]:
     why = 'rehearsed with drawn slip angles (SD 0.03 assumed); ± is the 95 % interval of the mean'
     return [
         Row('IV.A', f'friction coefficient, {scale}, n = {one.n}', '1',
             slip.PUBLISHED[scale][0], one.mean, one.low, one.high, why)
-        for scale, one in found.items()
+        for scale, one in frictions.items()
     ]  # fmt: skip
 
 
-def _motion_rows(found: MotionExperiment) -> list[Row]:
-    wide = [one for one in found.arrangements if one.across > 0.0]
+def _motion_rows(experiment: MotionExperiment) -> list[Row]:
+    wide = [one for one in experiment.arrangements if one.across > 0.0]
     first = wide[0]
-    stiff, every = found.stiffening, found.every_tendon
+    stiff, every = experiment.stiffening, experiment.every_tendon
     bends = [100.0 * value for value in (stiff.bending[0], every.bending[0])]
     return [
         Row('IV.B', 'tip positions at the 180° view, across', 'mm', 50.0, 1e3 * first.across,
@@ -117,12 +117,12 @@ def _motion_rows(found: MotionExperiment) -> list[Row]:
     ]  # fmt: skip
 
 
-def _displacement_rows(found: DisplacementExperiment) -> list[Row]:
+def _displacement_rows(experiment: DisplacementExperiment) -> list[Row]:
     main = HEIGHTS[0]
     rows = []
     for model, published, sd in (('FKM', 5.9, 2.9), ('PCCA', 23.7, 3.6)):
-        spread = found.errors[main, model]
-        sds = [1e3 * found.errors[height, model].sd for height in HEIGHTS]
+        spread = experiment.errors[main, model]
+        sds = [1e3 * experiment.errors[height, model].sd for height in HEIGHTS]
         rows += [
             Row('IV.C', f'tip error at given pulls, {model}', 'mm', published, 1e3 * spread.mean,
                 1e3 * spread.low, 1e3 * spread.high,
@@ -132,7 +132,7 @@ def _displacement_rows(found: DisplacementExperiment) -> list[Row]:
                 'SD over 15 trials (assumed to be what ± means) with cells that change by 1° from '
                 'trial to trial; the range is over 0 to 2°, 5 to 95 % of prototypes'),
         ]  # fmt: skip
-    scatter = float(np.degrees(found.scatter))
+    scatter = float(np.degrees(experiment.scatter))
     rows.append(
         Row('IV.C', 'scatter of the mean angle per cell', '°', 2.0, scatter, scatter, scatter,
             'put in; taut wires hold the sum over each section, which takes some of it away')
@@ -140,21 +140,21 @@ def _displacement_rows(found: DisplacementExperiment) -> list[Row]:
     return rows
 
 
-def _tension_rows(found: TensionExperiment) -> list[Row]:
+def _tension_rows(experiment: TensionExperiment) -> list[Row]:
     why = (
-        f'one hinge lever of {1e3 * found.lever:.2f} mm for all four; trials scatter by 1 mm; '
-        'the range is over levers within 12.5 %'
+        f'one hinge lever of {1e3 * experiment.lever:.2f} mm for all four; trials scatter by '
+        '1 mm; the range is over levers within 12.5 %'
     )
     return [
         Row('IV.D', f'largest error, {posture}, {model}', 'mm', 1e3 * published,
-            1e3 * found.largest[posture, model], 1e3 * found.low[posture, model],
-            1e3 * found.high[posture, model], why)
+            1e3 * experiment.largest[posture, model], 1e3 * experiment.low[posture, model],
+            1e3 * experiment.high[posture, model], why)
         for (posture, model), published in PUBLISHED.items()
     ]  # fmt: skip
 
 
-def _small_rows(found: SmallExperiment) -> list[Row]:
-    one, low, high = found.as_assumed, found.low, found.high
+def _small_rows(experiment: SmallExperiment) -> list[Row]:
+    one, low, high = experiment.as_assumed, experiment.low, experiment.high
     return [
         Row('IV.E', 'tip at 90°, FKM', 'mm', 0.5, 1e3 * one.hinge, 0.0, 1e3 * high.hinge,
             'one reading; from no hinge friction to the 10:1 prototype’s, scaled with the arm'),

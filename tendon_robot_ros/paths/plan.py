@@ -122,13 +122,13 @@ def plan(model: Model, path: TipPath, pace: Pace, start: Shape) -> Plan:
         Where the arm is.
 
     """
-    found, shape = [], start
+    shapes, shape = [], start
     for position, direction in zip(path.positions, path.directions, strict=True):
         view = None if np.isnan(direction).any() else direction
         solution = model.reach(position, view, guess=shape, relax=True)
-        found.append(solution)
+        shapes.append(solution)
         shape = solution.shape
-    tensions = np.array([one.tensions for one in found])
+    tensions = np.array([one.tensions for one in shapes])
     gaps = np.diff(path.times)
     for changes, largest in (
         (np.linalg.norm(np.diff(path.positions, axis=0), axis=1), pace.speed),
@@ -140,8 +140,8 @@ def plan(model: Model, path: TipPath, pace: Pace, start: Shape) -> Plan:
     return Plan(
         TipPath(times, path.positions, path.directions, path.rows),
         tensions,
-        np.array([one.position_error for one in found]),
-        np.array([one.direction_error for one in found]),
+        np.array([one.position_error for one in shapes]),
+        np.array([one.direction_error for one in shapes]),
         _detours(model, path, tensions),
         float(path.times[-1]),
     )

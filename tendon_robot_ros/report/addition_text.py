@@ -10,10 +10,10 @@ from .numbers import quantities
 
 def addition_lines(made: Addition) -> list[str]:
     """Return values, staircase, tolerances and warnings."""
-    said = [f'{name}: {quantities(values)}' for name, values in made.values.items()]
-    said.append(staircase(made))
-    said += warnings(made)
-    return said
+    lines = [f'{name}: {quantities(values)}' for name, values in made.values.items()]
+    lines.append(staircase(made))
+    lines += warnings(made)
+    return lines
 
 
 def staircase(made: Addition) -> str:
@@ -40,14 +40,14 @@ def never_used(made: Addition) -> str:
 
 def warnings(made: Addition) -> list[str]:
     """Say which tolerances moved, what else is at work, and when a check got worse."""
-    said = []
+    sentences = []
     if made.moved:
         moves = ', '.join(f'{name} by {digits(z)} sd' for name, z in made.moved.items())
-        said.append(f'declared tolerances moved in the fit: {moves} (not in the file)')
+        sentences.append(f'declared tolerances moved in the fit: {moves} (not in the file)')
     if made.more_at_work:
-        said.append(f'note: {made.more_at_work}')
+        sentences.append(f'note: {made.more_at_work}')
     if made.check.after > made.check.before:
-        said.append(
+        sentences.append(
             'note: the error on postures that were not fitted grew; do not use these values'
         )
-    return said
+    return sentences

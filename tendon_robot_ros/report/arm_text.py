@@ -30,13 +30,13 @@ def amount(value: float, unit: str, sign: bool = False) -> str:
     return f'{"+" if sign and value > 0.0 else ""}{digits(scale * value, 2)}{mark}'
 
 
-def as_built(found: Diagnosis) -> list[str]:
+def as_built(diagnosis: Diagnosis) -> list[str]:
     """Say how much the arm scatters, with 95 % intervals, and what is out of line."""
-    report = found.details.get('as_built')
+    report = diagnosis.details.get('as_built')
     if not report:
         return []
-    said = ', '.join(_scatter(kind) for kind in report['kinds'] if _is_told(kind))
-    lines = [f'the arm as built scatters by (1 sd, 95 %): {said}'] if said else []
+    scatter = ', '.join(_scatter(kind) for kind in report['kinds'] if _is_told(kind))
+    lines = [f'the arm as built scatters by (1 sd, 95 %): {scatter}'] if scatter else []
     strange = [
         f'{name} ({amount(kind["members"][name]["value"], kind["unit"], True)})'
         for kind in report['kinds']
@@ -60,25 +60,25 @@ def _scatter(kind: dict[str, Any]) -> str:
     return f'{NAMES[kind["kind"]]} {amount(kind["size"], kind["unit"])} ({low} to {high})'
 
 
-def left_out(found: Diagnosis) -> list[str]:
+def left_out(diagnosis: Diagnosis) -> list[str]:
     """Name the readings and trials that the others contradict."""
-    outliers = found.details.get('outliers') or []
+    outliers = diagnosis.details.get('outliers') or []
     trials = [f'trial {o["trial"]} of posture {o["posture"]}' for o in outliers if not o['marker']]
     readings = [o for o in outliers if o['marker']]
-    said = []
+    sentences = []
     if trials:
-        said.append(f'left out, because the other trials contradict it: {listed(trials)}')
+        sentences.append(f'left out, because the other trials contradict it: {listed(trials)}')
     if 0 < len(readings) <= FEW:
         named = [
             f'marker {o["marker"]} in trial {o["trial"]} of posture {o["posture"]} '
             f'({mm(o["distance"])})'
             for o in readings
         ]
-        said.append(f'left out, because the other trials contradict it: {listed(named)}')
+        sentences.append(f'left out, because the other trials contradict it: {listed(named)}')
     elif readings:
         far = max(o['distance'] for o in readings)
-        said.append(
+        sentences.append(
             f'left out: {len(readings)} readings of single markers that the other trials '
             f'contradict (by up to {mm(far)})'
         )
-    return said
+    return sentences

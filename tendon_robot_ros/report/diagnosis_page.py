@@ -37,7 +37,7 @@ class Pictures:
 
 
 def pictures_of(
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     dataset: DataSet,
     catalogue: Catalogue | None = None,
     changed: Robot | None = None,
@@ -47,7 +47,7 @@ def pictures_of(
 
     Parameters
     ----------
-    found : Diagnosis
+    diagnosis : Diagnosis
     dataset : DataSet
         With the description that was judged.
     catalogue : Catalogue, optional
@@ -62,9 +62,9 @@ def pictures_of(
     catalogue = catalogue or load_catalogue()
     robot = dataset.robot
     models = [(BEFORE, robot)]
-    if found.effects:
-        after = changed or with_effects(found, robot)
-        models.append((f'with {" and ".join(effect.name for effect in found.effects)}', after))
+    if diagnosis.effects:
+        after = changed or with_effects(diagnosis, robot)
+        models.append((f'with {" and ".join(effect.name for effect in diagnosis.effects)}', after))
     try:
         comparison = compare(dataset, models, catalogue)
     except NoEquilibriumError:
@@ -73,9 +73,9 @@ def pictures_of(
     return Pictures(comparison, lacks[0], lacks[1] if len(lacks) > 1 else None)
 
 
-def with_effects(found: Diagnosis, robot: Robot) -> Robot:
+def with_effects(diagnosis: Diagnosis, robot: Robot) -> Robot:
     """Return a description with the effects at the values that were found."""
-    for effect in found.effects:
+    for effect in diagnosis.effects:
         values: EffectValues = dict(robot.effects.get(effect.name, {}))
         sections = [section.name for section in robot.sections]
         for key, value in effect.parameters.items():
@@ -106,74 +106,74 @@ KINDS = {
 
 
 def write_diagnosis(
-    found: Diagnosis, pictures: Pictures | None, path: str | Path, made: Addition | None = None
+    diagnosis: Diagnosis, pictures: Pictures | None, path: str | Path, made: Addition | None = None
 ) -> Path:
     """Write the page; it opens without a network."""
-    return diagnosis_page(found, pictures, made).write(path)
+    return diagnosis_page(diagnosis, pictures, made).write(path)
 
 
 def diagnosis_page(
-    found: Diagnosis, pictures: Pictures | None = None, made: Addition | None = None
+    diagnosis: Diagnosis, pictures: Pictures | None = None, made: Addition | None = None
 ) -> Page:
     """
     Return the page of a diagnosis.
 
     Parameters
     ----------
-    found : Diagnosis
+    diagnosis : Diagnosis
     pictures : Pictures, optional
         Without them the page has words and tables only.
     made : Addition, optional
         What was added, with the errors on postures that were not used.
 
     """
-    page = Page('Diagnosis', diagnosis_text.size(found))
-    add_verdict(page, found)
-    if found.verdict != 'cannot_judge':
-        add_staircase(page, found, made)
-        add_alternatives(page, found)
+    page = Page('Diagnosis', diagnosis_text.size(diagnosis))
+    add_verdict(page, diagnosis)
+    if diagnosis.verdict != 'cannot_judge':
+        add_staircase(page, diagnosis, made)
+        add_alternatives(page, diagnosis)
     if pictures is not None:
         add_pictures(page, pictures)
-    add_assumptions(page, found)
+    add_assumptions(page, diagnosis)
     return page
 
 
-def add_verdict(page: Page, found: Diagnosis) -> None:
+def add_verdict(page: Page, diagnosis: Diagnosis) -> None:
     """Add the verdict and what to do now."""
-    lines = diagnosis_text.verdict(found).split('\n')
-    if found.verdict != 'cannot_judge':
-        lines.append(found.remainder)
-    page.box(lines, f'verdict {KINDS[found.verdict]}')
-    following = next_measurement(found)
+    lines = diagnosis_text.verdict(diagnosis).split('\n')
+    if diagnosis.verdict != 'cannot_judge':
+        lines.append(diagnosis.remainder)
+    page.box(lines, f'verdict {KINDS[diagnosis.verdict]}')
+    following = next_measurement(diagnosis)
     if following:
         page.box([following], 'warn', 'Next measurement')
-    page.text(*filter(None, [to_do(found)]))
+    page.text(*filter(None, [to_do(diagnosis)]))
 
 
-def to_do(found: Diagnosis) -> str:
+def to_do(diagnosis: Diagnosis) -> str:
     """Say what to type now."""
-    data = found.details.get('data', 'DATA')
+    data = diagnosis.details.get('data', 'DATA')
     command = f'{PROGRAM} diagnose {data} --add better.yaml'
-    if found.verdict == 'ambiguous':
+    if diagnosis.verdict == 'ambiguous':
         return f'Until that is measured, the first of them will do: `{command}`'
-    if found.adds:
+    if diagnosis.adds:
         return f'Add it to the robot description: `{command}`'
-    if found.verdict == 'outside_catalogue' and found.effects:
+    if diagnosis.verdict == 'outside_catalogue' and diagnosis.effects:
         return f'Nothing is added by itself; if part of the way helps: `{command} --partial`'
     return ''
 
 
-def add_staircase(page: Page, found: Diagnosis, made: Addition | None) -> None:
+def add_staircase(page: Page, diagnosis: Diagnosis, made: Addition | None) -> None:
     """Add the errors before and after, and those of a perfect model."""
-    if not found.effects:
+    if not diagnosis.effects:
         return
-    partly = found.verdict == 'outside_catalogue'
+    partly = diagnosis.verdict == 'outside_catalogue'
     page.heading('A part of the error falls' if partly else 'The error falls')
     if made is None:
         steps = [
-            Step('before', found.error_before),
-            Step('after', found.error_after, 'after'),
-            Step('noise floor', found.noise_floor, 'floor'),
+            Step('before', diagnosis.error_before),
+            Step('after', diagnosis.error_after, 'after'),
+            Step('noise floor', diagnosis.noise_floor, 'floor'),
         ]
     else:
         never_used = addition_text.never_used(made).replace('->', '→').replace('  ', ' ')
@@ -194,20 +194,20 @@ def _steps(errors: Errors) -> list[Step]:
     return steps
 
 
-def add_alternatives(page: Page, found: Diagnosis) -> None:
+def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
     """Add the table of candidates, what cannot be told apart, and what was not tested."""
     page.heading('What else it could be')
-    alike = diagnosis_text.alike(found)
-    if len(found.cannot_tell_apart) > 1:
-        names = listed(found.cannot_tell_apart, 'or')
+    alike = diagnosis_text.alike(diagnosis)
+    if len(diagnosis.cannot_tell_apart) > 1:
+        names = listed(diagnosis.cannot_tell_apart, 'or')
         lines = [f'These postures cannot tell {names} apart.']
-        lines += [f'{alike}.'] if alike and found.verdict == 'ambiguous' else []
+        lines += [f'{alike}.'] if alike and diagnosis.verdict == 'ambiguous' else []
         page.box(map(capital, lines), 'warn', 'Cannot be told apart')
     elif alike:
         page.text(f'{capital(alike)}.')
     header = ['effect', 'explains', 'error left', 'left-out postures', 'chance', 'status', 'value']
     rows, kinds = [], []
-    for row in sorted(found.candidates, key=lambda row: row.status != 'best'):
+    for row in sorted(diagnosis.candidates, key=lambda row: row.status != 'best'):
         rows.append(_row(row))
         kinds.append({'best': 'strong', 'rejected': 'faint'}.get(row.status, ''))
     if rows:
@@ -217,9 +217,9 @@ def add_alternatives(page: Page, found: Diagnosis) -> None:
             'remainder if this effect is the whole truth; “left-out postures” is the error on '
             'postures predicted from the others.'
         )
-    untested = diagnosis_text.untested(found)
+    untested = diagnosis_text.untested(diagnosis)
     page.text(
-        *(f'{capital(text)}.' for text in (untested, diagnosis_text.detectable(found)) if text)
+        *(f'{capital(text)}.' for text in (untested, diagnosis_text.detectable(diagnosis)) if text)
     )
 
 
@@ -256,9 +256,9 @@ def add_pictures(page: Page, pictures: Pictures) -> None:
     add_shapes(page, comparison)
 
 
-def add_assumptions(page: Page, found: Diagnosis) -> None:
+def add_assumptions(page: Page, diagnosis: Diagnosis) -> None:
     """Add what was taken as exact, and how far to trust the procedure."""
-    said = [*diagnosis_text.declared(found), *trust_lines(found)]
-    if said:
+    sentences = [*diagnosis_text.declared(diagnosis), *trust_lines(diagnosis)]
+    if sentences:
         page.heading('What this rests on')
-        page.text(*map(capital, said))
+        page.text(*map(capital, sentences))

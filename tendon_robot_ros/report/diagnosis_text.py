@@ -15,22 +15,24 @@ from .numbers import described_quantity, quantities, short_quantities
 UNIQUE = ('missing_effect', 'several', 'wrong_parameter')
 
 
-def lines(found: Diagnosis) -> list[str]:
+def lines(diagnosis: Diagnosis) -> list[str]:
     """Return all lines: what was taken as exact, the verdict, what is left, what else."""
-    said = [size(found), *declared(found), *left_out(found), '', verdict(found)]
-    if found.verdict == 'cannot_judge':
-        return said
-    said.append(found.remainder)
-    said += as_built(found)
-    said += [line for line in (alike(found), untested(found), detectable(found)) if line]
-    if found.next_measurement is not None:
-        said.append(next_measurement(found))
-    return said
+    text = [size(diagnosis), *declared(diagnosis), *left_out(diagnosis), '', verdict(diagnosis)]
+    if diagnosis.verdict == 'cannot_judge':
+        return text
+    text.append(diagnosis.remainder)
+    text += as_built(diagnosis)
+    text += [
+        line for line in (alike(diagnosis), untested(diagnosis), detectable(diagnosis)) if line
+    ]
+    if diagnosis.next_measurement is not None:
+        text.append(next_measurement(diagnosis))
+    return text
 
 
-def size(found: Diagnosis) -> str:
+def size(diagnosis: Diagnosis) -> str:
     """Say what was diagnosed."""
-    details = found.details
+    details = diagnosis.details
     if 'postures' not in details:
         return 'diagnosis'
     counts = [
@@ -42,21 +44,22 @@ def size(found: Diagnosis) -> str:
     return f'{details["robot"]} on {details["data"]}: {listed(parts)}'
 
 
-def declared(found: Diagnosis) -> list[str]:
+def declared(diagnosis: Diagnosis) -> list[str]:
     """Say what counts as exact, and what the noise is taken to be."""
-    details = found.details
+    details = diagnosis.details
     if 'tolerances' not in details:
         return []
-    said = [_tolerance(name, size) for name, size in details['tolerances'].items()]
+    tolerances = [_tolerance(name, size) for name, size in details['tolerances'].items()]
     if details.get('exact', True):
         first = (
-            f'declared tolerances (1 sd): {", ".join(said)}; everything else is taken as exact'
-            if said
+            f'declared tolerances (1 sd): {", ".join(tolerances)}; '
+            'everything else is taken as exact'
+            if tolerances
             else 'no tolerances declared: the description is taken as exact'
         )
     else:
         first = 'the arm is taken as it is built: cells, tendons and tracker may be a little off'
-        first += f'; declared (1 sd): {", ".join(said)}' if said else ''
+        first += f'; declared (1 sd): {", ".join(tolerances)}' if tolerances else ''
     noise = details['noise']
     if noise['source'] == 'trials':
         second = f'noise, from the trials: {mm(noise["position"], 2)} per coordinate'
@@ -79,7 +82,7 @@ def _tolerance(name: str, size: float) -> str:
     return f'{name} {digits(100.0 * size)} %'
 
 
-def verdict(found: Diagnosis) -> str:
+def verdict(diagnosis: Diagnosis) -> str:
     """Return the verdict in one line, or two."""
     return {
         'adequate': _adequate,
@@ -89,7 +92,7 @@ def verdict(found: Diagnosis) -> str:
         'wrong_parameter': _wrong,
         'outside_catalogue': _outside,
         'cannot_judge': _cannot_judge,
-    }[found.verdict](found)
+    }[diagnosis.verdict](diagnosis)
 
 
 def explained(effects: tuple[EffectFinding, ...]) -> str:
@@ -99,53 +102,53 @@ def explained(effects: tuple[EffectFinding, ...]) -> str:
     return f'{percent} % of the explainable error'
 
 
-def _adequate(found: Diagnosis) -> str:
-    accuracy = found.details.get('accuracy')
+def _adequate(diagnosis: Diagnosis) -> str:
+    accuracy = diagnosis.details.get('accuracy')
     if accuracy:
         return f'ADEQUATE FOR {mm(accuracy, 2)}: nothing is missing that matters at that accuracy.'
     return 'ADEQUATE: nothing is missing that these measurements could show.'
 
 
-def _missing(found: Diagnosis) -> str:
-    named = [f'{e.name}: {quantities(e.parameters)}' for e in found.effects]
+def _missing(diagnosis: Diagnosis) -> str:
+    named = [f'{e.name}: {quantities(e.parameters)}' for e in diagnosis.effects]
     if len(named) == 1:
-        return f'CONSISTENT WITH {named[0]}.\nIt explains {explained(found.effects)}.'
+        return f'CONSISTENT WITH {named[0]}.\nIt explains {explained(diagnosis.effects)}.'
     return (
         'CONSISTENT WITH '
-        + ' AND '.join(e.name for e in found.effects)
+        + ' AND '.join(e.name for e in diagnosis.effects)
         + ' together: '
         + '; '.join(named)
-        + f'.\nThey explain {explained(found.effects)}.'
+        + f'.\nThey explain {explained(diagnosis.effects)}.'
     )
 
 
-def _ambiguous(found: Diagnosis) -> str:
-    best = found.effects[0]
-    postures = found.details.get('postures')
+def _ambiguous(diagnosis: Diagnosis) -> str:
+    best = diagnosis.effects[0]
+    postures = diagnosis.details.get('postures')
     these = f'these {postures} postures' if postures else 'these postures'
     return (
-        f'AMBIGUOUS: {listed(found.cannot_tell_apart, "or")} explain {these} equally well '
-        f'({explained(found.effects)}).\n'
+        f'AMBIGUOUS: {listed(diagnosis.cannot_tell_apart, "or")} explain {these} equally well '
+        f'({explained(diagnosis.effects)}).\n'
         f'If it is {best.name}: {quantities(best.parameters)}.'
     )
 
 
-def _wrong(found: Diagnosis) -> str:
-    best = found.effects[0]
-    told = '; '.join(f'{e.name}: {quantities(e.parameters)}' for e in found.effects)
-    if found.out_of_tolerance:
-        moved = found.details.get('moved', {})
+def _wrong(diagnosis: Diagnosis) -> str:
+    best = diagnosis.effects[0]
+    values = '; '.join(f'{e.name}: {quantities(e.parameters)}' for e in diagnosis.effects)
+    if diagnosis.out_of_tolerance:
+        moved = diagnosis.details.get('moved', {})
         strays = [
             f'{name} (by {digits(abs(moved[name]))} declared sd)' if name in moved else name
-            for name in found.out_of_tolerance
+            for name in diagnosis.out_of_tolerance
         ]
         return (
             f'WRONG PARAMETER: {listed(strays)} must move further than declared.\n'
-            f'CONSISTENT WITH {told}.'
+            f'CONSISTENT WITH {values}.'
         )
-    before = found.details.get('described', {}).get(best.name, {})
+    before = diagnosis.details.get('described', {}).get(best.name, {})
     was = '; '.join(_described(best, key, value) for key, value in before.items())
-    also = found.cannot_tell_apart
+    also = diagnosis.cannot_tell_apart
     return (
         'WRONG PARAMETER'
         + (
@@ -153,8 +156,8 @@ def _wrong(found: Diagnosis) -> str:
             if also
             else ': no effect is missing, but a value is off.\n'
         )
-        + f'CONSISTENT WITH {told} (the description says {was or "nothing"}).\n'
-        f'It explains {explained(found.effects)}.'
+        + f'CONSISTENT WITH {values} (the description says {was or "nothing"}).\n'
+        f'It explains {explained(diagnosis.effects)}.'
     )
 
 
@@ -164,21 +167,25 @@ def _described(effect: EffectFinding, key: str, value: float | Sequence[float]) 
     return described_quantity(key, unit, [value] if isinstance(value, float) else list(value))
 
 
-def _outside(found: Diagnosis) -> str:
-    floor = found.noise_floor
-    if not found.effects:
-        ratio = digits(found.error_before / floor)
+def _outside(diagnosis: Diagnosis) -> str:
+    floor = diagnosis.noise_floor
+    if not diagnosis.effects:
+        ratio = digits(diagnosis.error_before / floor)
         return (
             f'OUTSIDE THE CATALOGUE: no effect of the catalogue helps; the error is {ratio} '
             'times the noise.'
         )
-    best = next((row for row in found.candidates if row.status == 'best'), None)
-    told = ' with '.join(f'{e.name} ({short_quantities(e.parameters)})' for e in found.effects)
-    text = f'OUTSIDE THE CATALOGUE: {told} removes {explained(found.effects)}, but '
-    if 'rival' in found.details and best is not None and best.probability > 0.001:
-        return text + f'{_rival(found.details["rival"]["name"])} fits better without any physics.'
+    best = next((row for row in diagnosis.candidates if row.status == 'best'), None)
+    values = ' with '.join(
+        f'{e.name} ({short_quantities(e.parameters)})' for e in diagnosis.effects
+    )
+    text = f'OUTSIDE THE CATALOGUE: {values} removes {explained(diagnosis.effects)}, but '
+    if 'rival' in diagnosis.details and best is not None and best.probability > 0.001:
+        return (
+            text + f'{_rival(diagnosis.details["rival"]["name"])} fits better without any physics.'
+        )
     sure = '' if best is None else f' (p {_p(best.probability)})'
-    return text + f'what remains is {digits(found.error_after / floor)} times the noise{sure}.'
+    return text + f'what remains is {digits(diagnosis.error_after / floor)} times the noise{sure}.'
 
 
 def _rival(name: str) -> str:
@@ -195,27 +202,27 @@ def _p(p: float) -> str:
     return '< 1e-6' if p < 1e-6 else f'= {digits(p, 1)}'
 
 
-def _cannot_judge(found: Diagnosis) -> str:
-    return f'CANNOT JUDGE: {found.remainder}.'
+def _cannot_judge(diagnosis: Diagnosis) -> str:
+    return f'CANNOT JUDGE: {diagnosis.remainder}.'
 
 
-def alike(found: Diagnosis) -> str:
+def alike(diagnosis: Diagnosis) -> str:
     """Say what cannot be told apart from the named effects, and how far the next best is off."""
-    if not found.effects:
+    if not diagnosis.effects:
         return ''
-    own = {effect.name for effect in found.effects}
-    rest = [name for name in found.cannot_tell_apart if name not in own]
-    said = []
-    best = found.details.get('next_best')
-    if best is not None and found.verdict != 'several':
-        said.append(f'next best, {best["name"]}, is {_times(best["log10_likelihood_ratio"])}')
-    wider = found.details.get('wider') or []
+    own = {effect.name for effect in diagnosis.effects}
+    rest = [name for name in diagnosis.cannot_tell_apart if name not in own]
+    parts = []
+    best = diagnosis.details.get('next_best')
+    if best is not None and diagnosis.verdict != 'several':
+        parts.append(f'next best, {best["name"]}, is {_times(best["log10_likelihood_ratio"])}')
+    wider = diagnosis.details.get('wider') or []
     if wider:
         does = 'does' if len(wider) == 1 else 'do'
-        said.append(f'{listed(wider)} {does} the same with more parameters')
-    if found.verdict == 'ambiguous':
-        return '; '.join(said)
-    tail = f' ({"; ".join(said)})' if said else ''
+        parts.append(f'{listed(wider)} {does} the same with more parameters')
+    if diagnosis.verdict == 'ambiguous':
+        return '; '.join(parts)
+    tail = f' ({"; ".join(parts)})' if parts else ''
     return f'cannot be told apart from: {", ".join(rest) or "nothing"}{tail}'
 
 
@@ -227,13 +234,13 @@ def _times(log10: float) -> str:
     return f'10^{round(log10)} times less likely'
 
 
-def untested(found: Diagnosis) -> str:
+def untested(diagnosis: Diagnosis) -> str:
     """List what these postures say nothing about, and why."""
-    if not found.not_tested:
+    if not diagnosis.not_tested:
         return ''
-    why = found.details.get('not_tested_because', {})
+    why = diagnosis.details.get('not_tested_because', {})
     groups: dict[str, list[str]] = {}
-    for name in found.not_tested:
+    for name in diagnosis.not_tested:
         groups.setdefault(why.get(name, ''), []).append(name)
     parts = [
         f'{", ".join(names)} ({reason})' if reason else ', '.join(names)
@@ -242,9 +249,9 @@ def untested(found: Diagnosis) -> str:
     return f'not tested by these postures: {"; ".join(parts)}'
 
 
-def detectable(found: Diagnosis) -> str:
+def detectable(diagnosis: Diagnosis) -> str:
     """Say how small an effect would have been seen."""
-    seen = found.details.get('detectable')
+    seen = diagnosis.details.get('detectable')
     if not seen:
         return ''
     parts = [
@@ -260,19 +267,19 @@ def detectable(found: Diagnosis) -> str:
 TRIALS_ADVISED = 5
 
 
-def next_measurement(found: Diagnosis) -> str:
+def next_measurement(diagnosis: Diagnosis) -> str:
     """Say what to measure next, and what that will show."""
-    step = found.next_measurement
+    step = diagnosis.next_measurement
     if step is None:
         return ''
-    names = found.cannot_tell_apart
+    names = diagnosis.cannot_tell_apart
     if step.difference < 2.0 * step.noise / np.sqrt(TRIALS_ADVISED):
         return (
             f'No posture within the limits separates {listed(names)}: they differ by '
             f'{_small(step.difference)} at most, your noise is {mm(step.noise, 2)}. '
             'Either describes this robot; measure the quantity itself to know which it is.'
         )
-    kind = found.details.get('input', 'tension')
+    kind = diagnosis.details.get('input', 'tension')
     where = commands(dict(step.input), kind)
     if step.gravity is not None:
         down = ', '.join(digits(g, 3) for g in step.gravity)
@@ -309,26 +316,26 @@ def _predicted(step: NextMeasurement) -> str:
 # How far to trust a diagnosis, in words.
 
 
-def trust_lines(found: Diagnosis) -> list[str]:
+def trust_lines(diagnosis: Diagnosis) -> list[str]:
     """Return what the bootstrap says; nothing where it was not asked for."""
-    trust = found.details.get('trust')
+    trust = diagnosis.details.get('trust')
     if not trust or not trust['runs']:
         return []
     low, high = 100.0 * trust['alarm_rate_low'], 100.0 * trust['alarm_rate_high']
-    said = [
+    sentences = [
         f'With nothing missing, this procedure raises an alarm in '
         f'{digits(100.0 * trust["alarm_rate"])} % of cases ({trust["runs"]} simulated on your '
         f'postures; 95 %: {digits(low)} to {digits(high)} %).'
     ]
     sizes = [_sizes(name, sizes) for name, sizes in trust['detectable'].items()]
-    said.append('Smallest sizes that raise it four times in five: ' + '; '.join(sizes) + '.')
+    sentences.append('Smallest sizes that raise it four times in five: ' + '; '.join(sizes) + '.')
     if trust['checked']:
         share = 100.0 * trust['detected'] / trust['checked']
-        said.append(
+        sentences.append(
             f'Of {trust["checked"]} simulated robots with an effect of such a size, '
             f'{share:.0f} % raised it.'
         )
-    return said
+    return sentences
 
 
 def _sizes(name: str, sizes: dict[str, Any]) -> str:

@@ -195,9 +195,9 @@ def _row(row: Row) -> list[str]:
     ]  # fmt: skip
 
 
-def _motion(page: Page, found: MotionExperiment) -> None:
+def _motion(page: Page, experiment: MotionExperiment) -> None:
     page.heading('IV.B Range of motion (figures 7 and 8)')
-    first, *others = found.arrangements
+    first, *others = experiment.arrangements
     near = [one for one in others if abs(one.across / first.across - 1.0) < 0.15]
     page.text(
         f'{capital(first.name)}: the tips at the 180° view span {mm(first.across)} across, '
@@ -206,16 +206,16 @@ def _motion(page: Page, found: MotionExperiment) -> None:
         + f'. The 50 mm therefore rule out 5 N in all; {len(near)} of {len(others)} other '
         'arrangements come within 15 %.'
     )
-    page.figures([arrangements(found, 0.05)])
-    page.table(HEADER, rows(found.workspace), left=(1, 2))
+    page.figures([arrangements(experiment, 0.05)])
+    page.table(HEADER, rows(experiment.workspace), left=(1, 2))
     for view, name in zip(VIEWS, ('Figure 8', 'Figure 7'), strict=True):
-        families = found.workspace.of(view)
+        families = experiment.workspace.of(view)
         page.text(f'{name}: the opposite-side pair, and the same side where it reaches the view.')
         kinds = {family.pair.kind: family for family in reversed(families)}
         for kind in ('opposite sides', 'same side'):
             if kind in kinds:
                 page.figures(view_figures(kinds[kind]), 'two')
-    page.text(_stiffening(found.stiffening), _stiffening(found.every_tendon))
+    page.text(_stiffening(experiment.stiffening), _stiffening(experiment.every_tendon))
 
 
 def _stiffening(one: Stiffening) -> str:
@@ -231,28 +231,29 @@ def _stiffening(one: Stiffening) -> str:
     )
 
 
-def _displacement(page: Page, found: DisplacementExperiment) -> None:
+def _displacement(page: Page, experiment: DisplacementExperiment) -> None:
     page.heading('IV.C Posture by wire pull (figures 12 to 15)')
     page.table(('arrangement', 'arm', 'proximal / distal pull', 'tip z', 'FKM to PCCA',
                 'at all heights'),
-               [_heights(one) for one in found.others], left=(2, 3, 4))  # fmt: skip
-    low, high = found.heights.everywhere
+               [_heights(one) for one in experiment.others], left=(2, 3, 4))  # fmt: skip
+    low, high = experiment.heights.everywhere
     page.text(
         'The published errors (5.9 and 23.7 mm) require 17.8 to 29.6 mm between the tips of FKM '
         f'and PCCA. Wires on opposite sides give {mm(low)} to {mm(high)} over all tip heights; '
         'this is the arrangement used below.',
-        f'Hinge friction does not show here: at given pulls a lever of {mm(found.lever)} '
-        f'moves the tip by {1e3 * found.hinge_shift:.2f} mm, because it scales the '
+        f'Hinge friction does not show here: at given pulls a lever of {mm(experiment.lever)} '
+        f'moves the tip by {1e3 * experiment.hinge_shift:.2f} mm, because it scales the '
         'tensions and not the shape. The scatter of the cells alone, 2° per cell with the sum '
         'over a section held by its wires, makes a tip error of the published size.',
     )
-    pairs = [test for test in found.comparison.paired_t if test.posture is not None]
+    pairs = [test for test in experiment.comparison.paired_t if test.posture is not None]
     page.text(*(f'{capital(say.paired(test))} (published: P < 0.01).' for test in pairs))
-    for p in range(len(found.comparison.measured.postures)):
+    for p in range(len(experiment.comparison.measured.postures)):
         page.figures(
-            [posture(found.comparison, found.data, p), angles(found.comparison, p)], 'two'
+            [posture(experiment.comparison, experiment.data, p), angles(experiment.comparison, p)],
+            'two',
         )
-    page.figures([tip_boxes(found.comparison)])
+    page.figures([tip_boxes(experiment.comparison)])
 
 
 def _heights(one: Heights) -> list[str]:
@@ -267,50 +268,55 @@ def _heights(one: Heights) -> list[str]:
     ]  # fmt: skip
 
 
-def _tension(page: Page, found: TensionExperiment) -> None:
+def _tension(page: Page, experiment: TensionExperiment) -> None:
     page.heading('IV.D Posture by tension (figures 16 and 17)')
-    names = found.comparison.measured.postures
-    page.figures([posture(found.comparison, found.data, p) for p in range(len(names))], 'two')
+    names = experiment.comparison.measured.postures
     page.figures(
-        [error_per_cell(found.comparison, found.data, p) for p in range(len(names))], 'two'
+        [posture(experiment.comparison, experiment.data, p) for p in range(len(names))], 'two'
+    )
+    page.figures(
+        [error_per_cell(experiment.comparison, experiment.data, p) for p in range(len(names))],
+        'two',
     )
     page.text(
         f'PCCA predicts the same shape for 0.51 N alone and for 0.99 against 0.48 N (apart by '
-        f'{1e3 * found.same:.2f} mm), as published.'
+        f'{1e3 * experiment.same:.2f} mm), as published.'
     )
     page.box(
-        _diagnosis(found.alone),
+        _diagnosis(experiment.alone),
         'warn',
         'What diagnose says about these two postures',
     )
-    for i, one in enumerate(found.more):
+    for i, one in enumerate(experiment.more):
         title = 'With the posture that it asks for' if i == 0 else 'And with the next one'
         page.box(_diagnosis(one), '', title)
-    page.text(_redrawn(found.redrawn))
+    page.text(_redrawn(experiment.redrawn))
 
 
-def _redrawn(found: tuple[Diagnosis, ...]) -> str:
+def _redrawn(diagnoses: tuple[Diagnosis, ...]) -> str:
     """Say how far the outcome depends on the noise."""
-    ends = Counter((one.verdict, listed(effect.name for effect in one.effects)) for one in found)
+    ends = Counter(
+        (one.verdict, listed(effect.name for effect in one.effects)) for one in diagnoses
+    )
     counts = (f'{count} times {verdict} ({effects})' for (verdict, effects), count in ends.items())
     return (
-        f'The same with {len(found)} other draws of the noise ends {listed(counts)}. '
+        f'The same with {len(diagnoses)} other draws of the noise ends {listed(counts)}. '
         '"adequate": the declared uncertainties of tension, friction and stiffness cover '
         'the error, and nothing is asked for.'
     )
 
 
-def _diagnosis(found: Diagnosis) -> list[str]:
+def _diagnosis(diagnosis: Diagnosis) -> list[str]:
     lines = [
-        f'Verdict: {found.verdict}. Error {mm(found.error_before)} before, '
-        f'{mm(found.error_after)} with the best effect, {mm(found.noise_floor)} for a perfect '
-        'model.'
+        f'Verdict: {diagnosis.verdict}. Error {mm(diagnosis.error_before)} before, '
+        f'{mm(diagnosis.error_after)} with the best effect, '
+        f'{mm(diagnosis.noise_floor)} for a perfect model.'
     ]
-    for effect in found.effects:
+    for effect in diagnosis.effects:
         lines.append(f'Best: `{effect.name}`, {quantities(effect.parameters)}.')
-    if found.cannot_tell_apart:
-        lines.append(f'Cannot be told apart: {listed(found.cannot_tell_apart)}.')
-    asked = found.next_measurement
+    if diagnosis.cannot_tell_apart:
+        lines.append(f'Cannot be told apart: {listed(diagnosis.cannot_tell_apart)}.')
+    asked = diagnosis.next_measurement
     if asked is not None:
         lines.append(
             f'Measure next: {commands(asked.input)}; the predictions differ there by '
@@ -320,16 +326,16 @@ def _diagnosis(found: Diagnosis) -> list[str]:
 
 
 def _small(page: Page, paper: Paper) -> None:
-    found, robot = paper.small, paper.robots.small
+    small, robot = paper.small, paper.robots.small
     page.heading('IV.E The 2:1 prototype at 90°')
-    one, low, high = found.as_assumed, found.low, found.high
+    one, low, high = small.as_assumed, small.low, small.high
     page.text(
         f'One section of {mm(robot.length, 2)} in {robot.cells} cells, arm '
-        f'{mm(abs(robot.tendons[0].base[0]), 2)}: {digits(found.tension, 3)} N bend the FKM to '
+        f'{mm(abs(robot.tendons[0].base[0]), 2)}: {digits(small.tension, 3)} N bend the FKM to '
         f'90°. At equal tension PCCA is {mm(one.tension)} away (over what is left open '
         f'{mm(low.tension)} to {mm(high.tension)}), at equal pull {mm(one.pull)} '
         f'({mm(low.pull)} to {mm(high.pull)}). The published errors, 0.5 and 7.6 mm, require 7.1 '
         'to 8.1 mm: equal tension. The hinge friction of the 10:1 prototype, scaled with the arm '
-        f'to a lever of {mm(found.lever)}, would move the tip by {mm(one.hinge)}; the published '
+        f'to a lever of {mm(small.lever)}, would move the tip by {mm(one.hinge)}; the published '
         'reading of 0.5 mm leaves room for little of it.'
     )

@@ -22,20 +22,20 @@ def lines(flight: PathRun) -> list[str]:
     shown = np.arange(len(body))
     if len(body) > ROWS_PRINTED_MAX:
         shown = np.unique(np.linspace(0, len(body) - 1, ROWS_PRINTED_MAX).round().astype(int))
-    said = [columns([head, *(body[i] for i in shown)])]
+    text = [columns([head, *(body[i] for i in shown)])]
     if len(shown) < len(body):
-        said.append(f'{len(shown)} of {len(body)} rows')
+        text.append(f'{len(shown)} of {len(body)} rows')
     if flight.wanted is not None:
-        said.insert(0, f'tendons: {", ".join(flight.inputs)}')
+        text.insert(0, f'tendons: {", ".join(flight.inputs)}')
     else:
         rms, worst, across = flight.on_the_way()
-        said.append(
+        text.append(
             f'on the way: {_mm(rms)} rms and {_mm(worst)} at most from the target of the moment, '
             f'{_mm(across)} at most from the path'
         )
     if not flight.measured:
-        said.append('no tracker: the tip is where the model sees it')
-    return said
+        text.append('no tracker: the tip is where the model sees it')
+    return text
 
 
 def _tip_rows(flight: PathRun) -> list[list[str]]:
@@ -55,12 +55,12 @@ def _tendon_rows(flight: PathRun) -> list[list[str]]:
     assert flight.wanted is not None
     scale, unit = (1e3, 'mm') if flight.pull else (1.0, 'N')
     reached, _ = flight.tip_at(flight.row_times)
-    given = flight.commanded_at(flight.row_times)
+    commanded = flight.commanded_at(flight.row_times)
     rows = [['row', 'time [s]', f'asked [{unit}]', f'commanded [{unit}]', 'tip [mm]']]
     for i, time in enumerate(flight.row_times):
         asked, came = (
             ', '.join(f'{scale * v:.2f}' for v in values)
-            for values in (flight.wanted[i], given[i])
+            for values in (flight.wanted[i], commanded[i])
         )
         rows.append([str(i + 1), f'{time:.2f}', asked, came, place(reached[i])])
     return rows

@@ -34,7 +34,7 @@ def draw_robot(model: Model, path: Path) -> None:
 def postures(model: Model) -> list[tuple[str, Floats]]:
     """Return positions (n + 1, 3) [m] under each input alone, base included."""
     low, high = model.limits.T
-    found = []
+    rows = []
     for j, name in enumerate(model.inputs):
         tensions = low.copy()
         tensions[j] = np.clip(_tension_for(model, j), low[j], high[j])
@@ -42,8 +42,8 @@ def postures(model: Model) -> list[tuple[str, Floats]]:
             shape = model.shape(tensions)
         except NoEquilibriumError:  # the description may still lack a sensible load
             continue
-        found.append((f'{name} {tensions[j]:.2g} N', _with_base(shape.positions)))
-    return found
+        rows.append((f'{name} {tensions[j]:.2g} N', _with_base(shape.positions)))
+    return rows
 
 
 def _tension_for(model: Model, j: int) -> float:

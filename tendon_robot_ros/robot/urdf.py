@@ -59,14 +59,14 @@ def transforms(robot: Robot, angles: Floats, prefix: str) -> list[Transform]:
         Of the links; the last one is the tip.
 
     """
-    parent, before, found = f'{prefix}base', 0.0, list[Transform]()
+    parent, before, made = f'{prefix}base', 0.0, list[Transform]()
     lengths = [s.cell_length for s in robot.sections for _ in range(s.cells)]
     for i, name in enumerate(_cell_names(robot)):
         up, middle, child = 0.5 * (before + lengths[i]), f'{prefix}{name}_middle', prefix + name
-        found.append((parent, middle, about(1, angles[2 * i]), up))
-        found.append((middle, child, about(0, -angles[2 * i + 1]), 0.0))
+        made.append((parent, middle, about(1, angles[2 * i]), up))
+        made.append((middle, child, about(0, -angles[2 * i + 1]), 0.0))
         parent, before = child, lengths[i]
-    return [*found, (parent, f'{prefix}tip', np.eye(3), 0.5 * before)]
+    return [*made, (parent, f'{prefix}tip', np.eye(3), 0.5 * before)]
 
 
 def urdf(robot: Robot, prefix: str = '') -> str:

@@ -65,8 +65,8 @@ def tether(damage: Damage, values: CauseValues) -> None:
     cell = damage.cell(values, (2 * robot.cells + 2) // 3)
     stiffness = np.mean([k for section in robot.sections for k in section.bending_stiffness])
     usual = {'force_x': 0.5 * float(stiffness) / (robot.cells * robot.length)}
-    given = {key: value for key, value in values.items() if key != 'cell'} or usual
-    damage.side_force[cell] += [given.get(f'force_{axis}', 0.0) for axis in 'xyz']
+    parameters = {key: value for key, value in values.items() if key != 'cell'} or usual
+    damage.side_force[cell] += [parameters.get(f'force_{axis}', 0.0) for axis in 'xyz']
 
 
 def stiffness_gradient(damage: Damage, values: CauseValues) -> None:
@@ -123,8 +123,8 @@ def hide(
 
     """
     effects: dict[str, EffectValues] = {name: dict(own) for name, own in robot.effects.items()}
-    for name, given in hidden.items():
-        values = given or {}
+    for name, parameters in hidden.items():
+        values = parameters or {}
         if name in CAUSES:
             _refuse_unknown(name, values, tuple(CAUSES[name].parameters))
             CAUSES[name].act(damage, {key: _one(name, key, v) for key, v in values.items()})
@@ -174,8 +174,8 @@ def _checked(
     effect: str, parameter: Parameter, value: float | Sequence[float], sections: int
 ) -> float | tuple[float, ...]:
     many = isinstance(value, Sequence) and not isinstance(value, str)
-    given = list(value) if isinstance(value, Sequence) and many else [value]
-    numbers = tuple(_one(effect, parameter.name, number) for number in given)
+    entries = list(value) if isinstance(value, Sequence) and many else [value]
+    numbers = tuple(_one(effect, parameter.name, number) for number in entries)
     if many and not (parameter.per_section and len(numbers) == sections):
         wanted = f'{sections} numbers, one per section' if parameter.per_section else 'one number'
         raise EffectError(f'{effect}: {parameter.name}: expected {wanted}, got {len(numbers)}')

@@ -86,8 +86,8 @@ def simulate(
     rows = _rows(plant, inputs, trials)
     random = np.random.default_rng(seed)
     made = tuple(markers or default_markers(robot))
-    given = rows * _factors(random, noise, trials, rows.shape)  # (Q, P, m)
-    seen = _seen(plant, given, made, path == 'sequence', input == 'displacement')
+    inputs_used = rows * _factors(random, noise, trials, rows.shape)  # (Q, P, m)
+    seen = _seen(plant, inputs_used, made, path == 'sequence', input == 'displacement')
     positions = seen.swapaxes(0, 1)
     positions = positions + random.normal(0.0, noise.position, positions.shape)
     known = declare and noise.position > 0.0
@@ -121,16 +121,18 @@ def _rows(plant: Plant, inputs: npt.ArrayLike, trials: int) -> Floats:
 
 
 def _seen(
-    plant: Plant, given: Floats, markers: Sequence[Marker], sequence: bool, displacement: bool
+    plant: Plant, inputs: Floats, markers: Sequence[Marker], sequence: bool, displacement: bool
 ) -> Floats:
     """Return markers (Q, P, J, 3) [m] under inputs (Q, P, m), without the tracker's noise."""
     points = np.array([marker.arc_length for marker in markers])
     offsets = np.array([marker.offset for marker in markers])
     if sequence:
-        return np.array([plant.markers(one, points, offsets, True, displacement) for one in given])
-    flat = given.reshape(-1, given.shape[2])
+        return np.array(
+            [plant.markers(one, points, offsets, True, displacement) for one in inputs]
+        )
+    flat = inputs.reshape(-1, inputs.shape[2])
     seen = plant.markers(flat, points, offsets, displacement=displacement)
-    return seen.reshape(*given.shape[:2], len(markers), 3)
+    return seen.reshape(*inputs.shape[:2], len(markers), 3)
 
 
 def _factors(

@@ -187,9 +187,9 @@ class Plant:
 
         """
         asked, last = self.model.tensions(np.asarray(tensions, dtype=float)), self._state
-        given = asked * self._gain(asked[None])[0]
+        pulled_by = asked * self._gain(asked[None])[0]
         bend, memory = (None, None) if last is None else (last.bend, last.memory)
-        shape = self.model.shape(given, bend, memory)
+        shape = self.model.shape(pulled_by, bend, memory)
         self._state = PlantShape(shape, self, asked)
         return self._state
 
@@ -241,9 +241,9 @@ class Plant:
         displacement: bool = False,
     ) -> Floats:
         """Return markers (b, j, 3) [m] as the tracker sees them; inputs as for `shapes`."""
-        given = np.asarray(inputs, dtype=float)
-        fine = self._fine(given, sequence, displacement)
-        return self.tracked(fine.markers(arc_length, offset), given, displacement)
+        rows = np.asarray(inputs, dtype=float)
+        fine = self._fine(rows, sequence, displacement)
+        return self.tracked(fine.markers(arc_length, offset), rows, displacement)
 
     def tracked(self, points: Floats, inputs: Floats, displacement: bool = False) -> Floats:
         """Move points (b, j, 3) [m] of the arm under inputs (b, m) into the tracker's frame."""
@@ -259,12 +259,12 @@ class Plant:
         return turned
 
     def _fine(self, inputs: Floats, sequence: bool, displacement: bool) -> ShapeBatch:
-        given = inputs * self._gain(inputs, displacement)
+        applied = inputs * self._gain(inputs, displacement)
         if not displacement:
             solve = self.model.sequence if sequence else self.model.shapes
-            return replace(solve(given), inputs=inputs)
+            return replace(solve(applied), inputs=inputs)
         memory = self.model.arrays.fresh_memory() if sequence else None
-        return pull_shapes(self.model, given, memory=memory)
+        return pull_shapes(self.model, applied, memory=memory)
 
     def _gain(self, inputs: Floats, displacement: bool = False) -> Floats:
         own = np.broadcast_to(1.0 + self.built.gain, inputs.shape)

@@ -134,11 +134,11 @@ def _scaled(catalogue: Catalogue, name: str, values: EffectValues, factor: float
     """Multiply the distance from neutral, within the bounds."""
     made: EffectValues = {}
     for parameter in catalogue[name].parameters:
-        given = values[parameter.name]
-        many = given if isinstance(given, tuple) else (given,)
+        original = values[parameter.name]
+        many = original if isinstance(original, tuple) else (original,)
         away = [parameter.neutral + factor * (value - parameter.neutral) for value in many]
         kept = tuple(float(np.clip(value, parameter.low, parameter.high)) for value in away)
-        made[parameter.name] = kept if isinstance(given, tuple) else kept[0]
+        made[parameter.name] = kept if isinstance(original, tuple) else kept[0]
     return made
 
 

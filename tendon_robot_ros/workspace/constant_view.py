@@ -41,7 +41,7 @@ def salient(model: Model) -> list[Posture]:
         ('middle, 180° view', order[len(order) // 2]),
         ('lowest, 180° view', order[0]),
     ]
-    found = [_posture(name, back, row) for name, row in chosen]
+    postures = [_posture(name, back, row) for name, row in chosen]
     s_shaped = view(model, np.pi / 4)
     first = model.robot.sections[0].cells
     opposite = np.flatnonzero(s_shaped.bend[:, :first, 0].sum(axis=1) < np.radians(-20.0))
@@ -49,7 +49,7 @@ def salient(model: Model) -> list[Posture]:
         raise InputError(f'{model.robot.name}: no S-shape at the 45° view within its limits')
     height = s_shaped.tip_position[opposite, 2]
     middle = opposite[np.argsort(height)[len(height) // 2]]
-    return [*found, _posture('S-shape, 45° view', s_shaped, middle)]
+    return [*postures, _posture('S-shape, 45° view', s_shaped, middle)]
 
 
 def view(model: Model, angle: float, step: float = 0.1) -> ShapeBatch:
@@ -140,10 +140,10 @@ def sweep(model: Model, angle: float, steps: int) -> list[Posture]:
 
 
 def _in_plane(model: Model, angle: float, steps: int) -> list[Posture]:
-    found = view(model, angle, POSTURE_STEP_N)
-    changes = np.abs(np.diff(found.inputs, axis=0)).max(axis=1)
+    workspace = view(model, angle, POSTURE_STEP_N)
+    changes = np.abs(np.diff(workspace.inputs, axis=0)).max(axis=1)
     distinct = np.concatenate([[True], changes > 1e-6])
-    inputs, places = found.inputs[distinct], found.tip_position[distinct]
+    inputs, places = workspace.inputs[distinct], workspace.tip_position[distinct]
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     if len(inputs) < 2:

@@ -45,7 +45,7 @@ def pairs_of(robot: Robot) -> tuple[Pair, ...]:
     last = [max(robot.tendon_cells[k] for k in tendons) for tendons in robot.input_tendons]
     toward = [_direction(robot, tendons) for tendons in robot.input_tendons]
     ends = len(set(last))
-    found = []
+    pairs = []
     for i, j in combinations(range(len(robot.inputs)), 2):
         if ends > 1 and last[i] == last[j]:
             continue
@@ -58,8 +58,8 @@ def pairs_of(robot: Robot) -> tuple[Pair, ...]:
             if cosine > ALIGNED
             else 'across'
         )
-        found.append(Pair((robot.inputs[a], robot.inputs[b]), (a, b), kind))
-    return tuple(found)
+        pairs.append(Pair((robot.inputs[a], robot.inputs[b]), (a, b), kind))
+    return tuple(pairs)
 
 
 def _direction(robot: Robot, tendons: tuple[int, ...]) -> npt.NDArray[np.float64]:

@@ -44,13 +44,15 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
         robot = find_robot(fields, folder)
     elif not isinstance(robot, Robot):
         robot = load_robot(robot)
-    said = describe(fields, robot)
-    markers = said.markers or default_markers(robot)
+    description = describe(fields, robot)
+    markers = description.markers or default_markers(robot)
     names = tuple(marker.name for marker in markers)
-    commands = read_inputs(folder / 'inputs.csv', robot, said.input)
-    shapes = read_shapes(folder / 'shapes.csv', robot, names, commands, said.path == 'sequence')
+    commands = read_inputs(folder / 'inputs.csv', robot, description.input)
+    shapes = read_shapes(
+        folder / 'shapes.csv', robot, names, commands, description.path == 'sequence'
+    )
     seen = np.isfinite(shapes.positions[..., 0]).any(axis=(0, 1))
-    if said.markers and not seen.all():
+    if description.markers and not seen.all():
         raise DataSetError(
             f'{path}: markers',
             f'{names[int(seen.argmin())]!r} was never seen in shapes.csv',
@@ -68,13 +70,13 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
         trial_inputs=commands.by_trial(shapes.trials),
         positions=shapes.positions[:, :, seen],
         orientations=None if turned is None else turned[:, :, seen],
-        input=said.input,
-        path=said.path,
-        gravity=said.gravity,
-        accuracy=said.accuracy,
-        position_noise=said.position_noise,
-        setting_noise=said.setting_noise,
-        trial_noise=said.trial_noise,
+        input=description.input,
+        path=description.path,
+        gravity=description.gravity,
+        accuracy=description.accuracy,
+        position_noise=description.position_noise,
+        setting_noise=description.setting_noise,
+        trial_noise=description.trial_noise,
     )
 
 

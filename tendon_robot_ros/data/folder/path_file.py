@@ -101,10 +101,10 @@ def _times(file: CsvFile, times: FloatArray) -> FloatArray:
 def _directions(file: CsvFile, columns: list[FloatArray | None], count: int) -> FloatArray:
     if all(column is None for column in columns):
         return np.full((count, 3), np.nan)
-    given = [column for column in columns if column is not None]
-    if len(given) < 3:
+    present = [column for column in columns if column is not None]
+    if len(present) < 3:
         raise DataSetError(str(file.path), 'a direction needs dx, dy and dz', 'add the columns')
-    values = np.column_stack(given)
+    values = np.column_stack(present)
     missing = np.isnan(values)
     half = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
     if len(half):

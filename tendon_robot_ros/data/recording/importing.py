@@ -74,20 +74,20 @@ def import_bag(
     """
     recording = read_bag(bag, topics)
     robot = _robot(recording, robot)
-    said = _describe(recording, robot, description)
-    markers = _markers(recording, robot, said)
-    inputs = _inputs(recording, robot, said.input)
-    rule = (rule or Rule()).fill(robot, said.input)
+    described = _describe(recording, robot, description)
+    markers = _markers(recording, robot, described)
+    inputs = _inputs(recording, robot, described.input)
+    rule = (rule or Rule()).fill(robot, described.input)
     moved = motion(recording, inputs, rule)
     segments, left_out = find_segments(
-        recording, inputs, moved, rule, sequence=said.path == 'sequence'
+        recording, inputs, moved, rule, sequence=described.path == 'sequence'
     )
     if rest is not None:
         segments = [one for one in segments if (np.nan_to_num(one.inputs) >= rest).any()]
     if not any(np.isfinite(one.positions).any() for one in segments):
         raise _never_still(recording.name, moved, rule)
-    segments = _plausible(recording.name, segments, robot, said.input, rule)
-    dataset = _dataset(recording.name, segments, robot, said, markers)
+    segments = _plausible(recording.name, segments, robot, described.input, rule)
+    dataset = _dataset(recording.name, segments, robot, described, markers)
     return Imported(
         dataset, tuple(segments), moved, recording.state_times, inputs, rule, tuple(left_out)
     )
@@ -97,11 +97,11 @@ def _dataset(
     bag: str,
     segments: list[Segment],
     robot: Robot,
-    said: Description,
+    description: Description,
     markers: tuple[Marker, ...],
 ) -> DataSet:
     arrays = assemble(bag, segments)
-    noise = said.position_noise
+    noise = description.position_noise
     if noise is None and len(arrays.trials) == 1:  # no trials to tell it: the frames have to
         noise = max(float(np.sqrt(np.nanmean([one.noise**2 for one in segments]))), NOISE_MIN_M)
     return DataSet(
@@ -114,13 +114,13 @@ def _dataset(
         trial_names=arrays.trials,
         positions=arrays.positions,
         orientations=arrays.orientations,
-        input=said.input,
-        path=said.path,
-        gravity=said.gravity,
+        input=description.input,
+        path=description.path,
+        gravity=description.gravity,
         position_noise=noise,
-        setting_noise=said.setting_noise,
-        trial_noise=said.trial_noise,
-        accuracy=said.accuracy,
+        setting_noise=description.setting_noise,
+        trial_noise=description.trial_noise,
+        accuracy=description.accuracy,
     )
 
 
@@ -140,17 +140,17 @@ def _describe(recording: Recording, robot: Robot, text: str | None) -> Descripti
     source = 'description' if text is not None else f'{recording.name}: {DESCRIPTION}'
     text = recording.description if text is None else text
     fields = read_fields(text or '', source)
-    said = describe(fields, robot)
+    described = describe(fields, robot)
     if fields.has('input'):
-        return said
+        return described
     # a driver that observes no tension gives NaN
     observed = np.isfinite(recording.inputs(robot.inputs, 'tension')).any()
-    return replace(said, input='tension' if observed else 'displacement')
+    return replace(described, input='tension' if observed else 'displacement')
 
 
-def _markers(recording: Recording, robot: Robot, said: Description) -> tuple[Marker, ...]:
+def _markers(recording: Recording, robot: Robot, description: Description) -> tuple[Marker, ...]:
     """Return the marker of every pose, in the order of the recording."""
-    markers = said.markers or default_markers(robot)
+    markers = description.markers or default_markers(robot)
     names = recording.marker_names
     if not names:
         count = recording.tracks[0].positions.shape[1]
@@ -162,7 +162,7 @@ def _markers(recording: Recording, robot: Robot, said: Description) -> tuple[Mar
             )
         return markers
     known = {marker.name: marker for marker in markers}
-    if said.markers is None:
+    if description.markers is None:
         known.setdefault('tip', Marker('tip', robot.length))
     for name in names:
         if name not in known:

@@ -80,8 +80,8 @@ def read_bag(path: str | Path, topics: Topics | None = None) -> Recording:
     """
     topics = topics or Topics()
     with opened(path) as reader:
-        found = {c.topic: c.msgtype for c in reader.connections}
-        wanted = _wanted(str(path), found, topics)
+        types = {c.topic: c.msgtype for c in reader.connections}
+        wanted = _wanted(str(path), types, topics)
         messages = list(_messages(reader, wanted))
     return _sorted(str(path), messages, wanted, topics)
 
@@ -128,25 +128,25 @@ def is_bag(path: str | Path) -> bool:
     return path.suffix in ('.mcap', '.db3') or (path / 'metadata.yaml').is_file()
 
 
-def topic_of(found: Mapping[str, str], name: str, kind: str) -> str | None:
+def topic_of(types: Mapping[str, str], name: str, kind: str) -> str | None:
     """Return the topic of a kind with this name, or the only one below a namespace."""
     exact = '/' + name.lstrip('/')
-    if found.get(exact) == kind:
+    if types.get(exact) == kind:
         return exact
-    below = [t for t, k in found.items() if k == kind and t.endswith(exact)]
+    below = [t for t, k in types.items() if k == kind and t.endswith(exact)]
     return below[0] if len(below) == 1 else None
 
 
-def _wanted(bag: str, found: Mapping[str, str], topics: Topics) -> dict[str, str]:
+def _wanted(bag: str, types: Mapping[str, str], topics: Topics) -> dict[str, str]:
     """Map the topics to read to what they are: 'states', 'shape', a marker or a text."""
-    wanted = {name: name for name in (DESCRIPTION, ROBOT, LABEL) if found.get(name) == STRING}
+    wanted = {name: name for name in (DESCRIPTION, ROBOT, LABEL) if types.get(name) == STRING}
     shapes = [(topic, f'marker {name}', POSE_STAMPED) for name, topic in topics.markers.items()]
     shapes = shapes or [(topics.shape, 'shape', POSE_ARRAY)]
     for topic, role, kind in [(topics.states, 'states', JOINT_STATE), *shapes]:
         name = '/' + topic.lstrip('/')
-        if (there := topic_of(found, topic, kind)) is None:
-            known = listing(sorted(t for t, k in found.items() if k == kind))
-            problem = f'is a {found[name]}' if name in found else 'is not in it'
+        if (there := topic_of(types, topic, kind)) is None:
+            known = listing(sorted(t for t, k in types.items() if k == kind))
+            problem = f'is a {types[name]}' if name in types else 'is not in it'
             raise DataSetError(
                 bag, f'topic {name} {problem}', f'name one that is a {kind}; there: {known}'
             )
@@ -267,8 +267,8 @@ def read_moves(path: str | Path) -> Moves:
     """
     heard: dict[str, list[tuple[float, Any]]] = {}
     with opened(path) as reader:
-        found = {c.topic: c.msgtype for c in reader.connections}
-        wanted = _wanted_moves(found)
+        types = {c.topic: c.msgtype for c in reader.connections}
+        wanted = _wanted_moves(types)
         connections = [c for c in reader.connections if c.topic in wanted]
         for connection, time, data in reader.messages(connections=connections):
             message = reader.deserialize(data, connection.msgtype)
@@ -295,7 +295,7 @@ def read_moves(path: str | Path) -> Moves:
     )
 
 
-def _wanted_moves(found: dict[str, str]) -> dict[str, str]:
+def _wanted_moves(types: dict[str, str]) -> dict[str, str]:
     names = [
         *TARGETS,
         TRAJECTORY,
@@ -304,7 +304,7 @@ def _wanted_moves(found: dict[str, str]) -> dict[str, str]:
     ]
     wanted = {}
     for name, kind in names:
-        topic = topic_of(found, name, kind)
+        topic = topic_of(types, name, kind)
         if topic is not None:
             wanted[topic] = name
     return wanted

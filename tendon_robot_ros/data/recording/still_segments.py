@@ -110,12 +110,12 @@ def still_stretches(
     still = (moved.speed < rule.speed) & (moved.change < (rule.change or np.inf))
     part = np.searchsorted(cuts, moved.times, side='right')
     run = np.cumsum(np.diff(still * (part + 1), prepend=0) != 0)  # counts up where a run begins
-    found = []
+    stretches = []
     for number in np.unique(run[still]):
         begin, end = moved.times[np.flatnonzero(run == number)[[0, -1]]]
         if end - begin >= shortest - 1e-9:
-            found.append((float(begin), float(end)))
-    return found
+            stretches.append((float(begin), float(end)))
+    return stretches
 
 
 def sample_means(
@@ -230,8 +230,8 @@ def find_segments(
 
     """
     if not any(text for _, text in recording.labels):
-        found = [_average(recording, inputs, *part) for part in still_stretches(moved, rule)]
-        return _named(found, rule, sequence), []
+        averages = [_average(recording, inputs, *part) for part in still_stretches(moved, rule)]
+        return _named(averages, rule, sequence), []
     segments, left_out = [], []
     ends = [time for time, _ in recording.labels[1:]] + [np.inf]
     stretches = still_stretches(moved, rule, np.array([time for time, _ in recording.labels]))
@@ -312,14 +312,14 @@ def _mean_turn(turned: FloatArray) -> FloatArray:
     return np.where(norm > 0, total / np.maximum(norm, 1e-12), np.nan)
 
 
-def _named(found: list[Segment], rule: Rule, sequence: bool) -> list[Segment]:
+def _named(segments: list[Segment], rule: Rule, sequence: bool) -> list[Segment]:
     """Name segments: the same inputs are trials of one posture; in a sequence all differ."""
     if sequence:
-        return [replace(one, posture=str(i), trial='0') for i, one in enumerate(found)]
+        return [replace(one, posture=str(i), trial='0') for i, one in enumerate(segments)]
     postures: list[FloatArray] = []
     counts: list[int] = []
     named = []
-    for one in found:
+    for one in segments:
         same = (
             i for i, inputs in enumerate(postures) if _alike(inputs, one.inputs, rule.change or 0)
         )

@@ -231,7 +231,7 @@ def joints_of(message: Any, names: Sequence[str]) -> tuple[list[float], list[flo
     places = {name: place for place, name in enumerate(message.name)}
 
     def pick(values: Sequence[float]) -> list[float]:
-        found = (places.get(name, len(values)) for name in names)
-        return [float(values[i]) if i < len(values) else float('nan') for i in found]
+        columns = (places.get(name, len(values)) for name in names)
+        return [float(values[i]) if i < len(values) else float('nan') for i in columns]
 
     return pick(message.position), pick(message.effort)

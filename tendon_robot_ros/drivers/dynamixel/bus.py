@@ -127,15 +127,16 @@ def check_latency(path: str, allow: bool, sysfs: str = '/sys') -> int | None:
         The adapter holds answers back for longer than 2 ms and that is not allowed.
 
     """
-    found = latency(path, sysfs)
-    if found is not None and found > LONGEST_LATENCY and not allow:
+    milliseconds = latency(path, sysfs)
+    if milliseconds is not None and milliseconds > LONGEST_LATENCY and not allow:
         raise DriverError(
-            f'{path}: latency_timer: expected at most {LONGEST_LATENCY} ms, got {found} ms: every '
+            f'{path}: latency_timer: expected at most {LONGEST_LATENCY} ms, '
+            f'got {milliseconds} ms: every '
             f"answer comes that late; type: echo '{UDEV_RULE}' | sudo tee {UDEV_FILE} && "
             'sudo udevadm control --reload && sudo udevadm trigger --action=add '
             '--subsystem-match=usb-serial (or set allow_latency: true)'
         )
-    return found
+    return milliseconds
 
 
 # -----------------------------------------------------------------------------
@@ -231,8 +232,8 @@ class Bus:
 
     def everyone(self) -> dict[int, int]:
         """Ask who is there: id to model number. Takes a second or more."""
-        found, _ = self._talk(self._packets.broadcastPing)
-        return {int(identity): int(data[0]) for identity, data in found.items()}
+        answers, _ = self._talk(self._packets.broadcastPing)
+        return {int(identity): int(data[0]) for identity, data in answers.items()}
 
     def read(self, identity: int, name: str) -> int | None:
         """Read one register, None when there is no good answer."""
@@ -295,9 +296,9 @@ class Bus:
         wanted = tuple(identities)
         if not wanted:
             return {}
-        found = self._talk(lambda port: self._group(port, address, length, wanted))
-        if found is not None:
-            return found
+        blocks = self._talk(lambda port: self._group(port, address, length, wanted))
+        if blocks is not None:
+            return blocks
         self.failures['no or broken answer'] += 1
         singles = {i: self._read_bytes(i, address, length) for i in wanted}
         return {i: data for i, data in singles.items() if data is not None}
@@ -317,8 +318,8 @@ class Bus:
             result = None
         if result != COMM_SUCCESS:
             return None
-        found = {i: bytes(reader.data_dict[i]) for i in wanted}
-        return found if all(len(data) == length for data in found.values()) else None
+        blocks = {i: bytes(reader.data_dict[i]) for i in wanted}
+        return blocks if all(len(data) == length for data in blocks.values()) else None
 
     def _read_bytes(self, identity: int, address: int, length: int) -> bytes | None:
         def ask(port: Port) -> tuple[Any, int, int]:

@@ -112,8 +112,8 @@ def _wire(
     spool = Spool(where.number('spool_radius', 5e-4, 0.2, 'm'), _direction(item))
     calibration = from_data_sheet(model, spool.radius)
     if lines.has(name) or item.has('calibration'):
-        found = lines.child(name) if lines.has(name) else item.child('calibration')
-        calibration = read_calibration(found, model, spool.radius)
+        source = lines.child(name) if lines.has(name) else item.child('calibration')
+        calibration = read_calibration(source, model, spool.radius)
     most = model.current_limit * model.current_unit
     lowest, highest = robot.tension_limits
     where = item if item.has('current_limit') else top

@@ -23,10 +23,10 @@ def shake_hands(bus: Bus, config: DynamixelConfig, motors: dict[int, Motor]) -> 
         With what was expected and what was found; servos at other baud rates are looked for.
 
     """
-    found = {identity: _who(bus, identity) for identity in motors}
-    wrong = [i for i, motor in motors.items() if found[i] != motor.model.number]
+    models = {identity: _who(bus, identity) for identity in motors}
+    wrong = [i for i, motor in motors.items() if models[i] != motor.model.number]
     if wrong:
-        raise DriverError(_difference(bus, motors, found))
+        raise DriverError(_difference(bus, motors, models))
     for motor in motors.values():
         motor.firmware = _ask(bus, motor, 'firmware_version')
         _check_settings(bus, config, motor)
@@ -94,22 +94,22 @@ def _check_settings(bus: Bus, config: DynamixelConfig, motor: Motor) -> None:
         )
 
 
-def describe(found: dict[int, int]) -> str:
+def describe(models: dict[int, int]) -> str:
     """List ids and models."""
     return (
         ', '.join(
             f'{i}: {MODEL_NAMES.get(number, f"model number {number}")}'
-            for i, number in sorted(found.items())
+            for i, number in sorted(models.items())
         )
         or 'none'
     )
 
 
-def _difference(bus: Bus, motors: dict[int, Motor], found: dict[int, int | None]) -> str:
+def _difference(bus: Bus, motors: dict[int, Motor], models: dict[int, int | None]) -> str:
     expected = ', '.join(
         f'{i}: {m.model.name} ({" and ".join(m.names)})' for i, m in motors.items()
     )
-    present = {i: number for i, number in found.items() if number is not None}
+    present = {i: number for i, number in models.items() if number is not None}
     present |= bus.everyone()
     parts = []
     for identity, number in sorted(present.items()):
@@ -134,11 +134,11 @@ def _elsewhere(bus: Bus) -> str:
         bus.close()
         try:
             other.open()
-            found = other.everyone()
+            models = other.everyone()
         except (DriverError, PortLostError):
             continue
         finally:
             other.close()
-        if found:
-            return f'at {baud} baud: {describe(found)}; '
+        if models:
+            return f'at {baud} baud: {describe(models)}; '
     return ''

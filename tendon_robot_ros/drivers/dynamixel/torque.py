@@ -54,9 +54,9 @@ def _settle(bus: Bus, motor: Motor, name: str, value: int) -> None:
 def read_state(bus: Bus, motors: Iterable[Motor]) -> None:
     """Read current, velocity and position of several servos."""
     asked = list(motors)
-    found = bus.block(*STATE, [motor.identity for motor in asked])
+    blocks = bus.block(*STATE, [motor.identity for motor in asked])
     for motor in asked:
-        data = found.get(motor.identity)
+        data = blocks.get(motor.identity)
         motor.answers = data is not None
         if data is not None:
             motor.take(data)
@@ -209,9 +209,9 @@ class Watch:
         self.due[name] = now + POLL_PERIODS[name]
         register = REGISTERS.get(name)  # or health: several in a row
         where = HEALTH if register is None else (register.address, register.size)
-        found = self.bus.block(*where, [motor.identity for motor in motors])
+        blocks = self.bus.block(*where, [motor.identity for motor in motors])
         for motor in motors:
-            data = found.get(motor.identity)
+            data = blocks.get(motor.identity)
             if data is None:
                 motor.answers = False  # asked twice: no need to ask for its state, too
             elif register is None:

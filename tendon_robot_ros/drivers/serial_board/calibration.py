@@ -148,9 +148,9 @@ def _counts(link: BoardLink, channels: int, channel: int, seconds: float) -> Arr
         while (passed := time.monotonic() - began) < SETTLE_S + seconds:
             link.send(messages.RAW)
             for frame in wait_for(link, messages.RAW_CELLS, 0.1):
-                found = messages.read_cells(frame, channels)
-                if found is not None and passed > SETTLE_S:
-                    counts.append(float(found[channel]))
+                cells = messages.read_cells(frame, channels)
+                if cells is not None and passed > SETTLE_S:
+                    counts.append(float(cells[channel]))
             time.sleep(SAMPLE_S)
     except LinkLostError as error:
         raise DriverError(f'{error}: lost while calibrating') from None

@@ -45,11 +45,11 @@ def measured_pulls(driver: SerialDriver) -> Array:
 
 
 def _measured(driver: SerialDriver, name: str, fault: int) -> Array:
-    found = driver.telemetry
-    if found is None:
+    telemetry = driver.telemetry
+    if telemetry is None:
         return np.full(len(driver.inputs), np.nan)
-    values = getattr(found, name)[driver.places]
-    return np.where(found.faults[driver.places] & fault, np.nan, values)
+    values = getattr(telemetry, name)[driver.places]
+    return np.where(telemetry.faults[driver.places] & fault, np.nan, values)
 
 
 def driver_reading(driver: SerialDriver, now: float, tripped: bool) -> Reading:
@@ -91,10 +91,10 @@ def _faults(driver: SerialDriver, tripped: bool) -> tuple[Fault, ...]:
 
 def latched_faults(driver: SerialDriver) -> list[Fault]:
     """Return the faults that the board has latched."""
-    found = driver.telemetry
-    if found is None:
+    telemetry = driver.telemetry
+    if telemetry is None:
         return []
-    bits = found.faults[driver.places]
+    bits = telemetry.faults[driver.places]
     return [
         Fault(
             code,
@@ -111,23 +111,23 @@ def latched_faults(driver: SerialDriver) -> list[Fault]:
 
 def driver_facts(driver: SerialDriver) -> dict[str, str]:
     """Return facts about board and link: names and values as text, with units."""
-    config, found, identity = driver.config, driver.telemetry, driver.identity
-    said = {
+    config, telemetry, identity = driver.config, driver.telemetry, driver.identity
+    facts = {
         'port': f'{config.port}, {config.baud} baud',
         'board': 'not asked yet'
         if identity is None
         else f'{identity.channels} channels, firmware {identity.firmware}',
         'frames': f'{driver.link.missed} missed, {driver.link.bad} bad here, '
-        f'{"?" if found is None else found.bad} bad at the board',
+        f'{"?" if telemetry is None else telemetry.bad} bad at the board',
         'on silence': f'release after {config.timeout:g} s to {config.release_to}',
     }
     for tendon in config.tendons:
-        current = '?' if found is None else f'{found.currents[tendon.channel]:.3f}'
-        said[str(tendon)] = f'{current} A'
+        current = '?' if telemetry is None else f'{telemetry.currents[tendon.channel]:.3f}'
+        facts[str(tendon)] = f'{current} A'
         if tendon.cell is not None:
             doubt = float(tendon.cell.uncertainty(np.array(tendon.tension_limit)))
-            said[str(tendon)] += f', ±{doubt:.2g} N at {tendon.tension_limit:g} N'
-    return said
+            facts[str(tendon)] += f', ±{doubt:.2g} N at {tendon.tension_limit:g} N'
+    return facts
 
 
 # -----------------------------------------------------------------------------
@@ -162,12 +162,12 @@ def find_slack(driver: SerialDriver) -> Array:
     give_limits(driver.link, driver.config, origin, (-travel, travel))
     driver.switch_on('tension')
     try:
-        found = _wind(driver, origin)
+        pulls = _wind(driver, origin)
     except (DriverError, LinkLostError) as error:
         _remember(driver, origin)
         raise MovedError(f'no pull zero found: {error}') from None
     gone.clear()
-    return found
+    return pulls
 
 
 def _places(driver: SerialDriver) -> Array:
@@ -391,19 +391,19 @@ class SerialDriver(HardwareDriver):
         if now - self._read_at > PORT_FLUSH_AFTER_S:
             self.link.flush()
         lost = self.telemetry is None
-        found = self._hear(min(3.0 * self.config.period, 0.03))
+        heard = self._hear(min(3.0 * self.config.period, 0.03))
         self._read_at = time.monotonic()
-        if found is None:
+        if heard is None:
             if self._read_at - self._heard > max(TELEMETRY_SILENT_S, 5.0 * self.config.period):
                 self.telemetry = None
             return
-        if not found.flags & messages.CONFIGURED:
+        if not heard.flags & messages.CONFIGURED:
             self._come_back()
-            found = self.telemetry or found
-        enabled = np.array([found.enabled >> i & 1 for i in self.places], dtype=bool)
-        healthy = found.faults[self.places] == 0
+            heard = self.telemetry or heard
+        enabled = np.array([heard.enabled >> i & 1 for i in self.places], dtype=bool)
+        healthy = heard.faults[self.places] == 0
         self.restarted |= self.wanted & ~enabled & healthy
-        self._tripped = bool(found.flags & messages.SILENCE) and bool(self.wanted.any())
+        self._tripped = bool(heard.flags & messages.SILENCE) and bool(self.wanted.any())
         if lost or self._tripped:
             self._start_from_measured()
         if np.any(enabled & ~self.wanted):  # it was switched off while the port was lost
@@ -424,10 +424,10 @@ class SerialDriver(HardwareDriver):
     def _hear(self, wait: float) -> Telemetry | None:
         """Take the newest telemetry, None when none came."""
         assert self.identity is not None
-        found = telemetry(self.link, self.identity.channels, wait)
-        if found is not None:
-            self.telemetry, self._heard = found, time.monotonic()
-        return found
+        heard = telemetry(self.link, self.identity.channels, wait)
+        if heard is not None:
+            self.telemetry, self._heard = heard, time.monotonic()
+        return heard
 
     def _read_again(self) -> None:
         """Take telemetry that is newer than what was just asked for."""

@@ -195,9 +195,9 @@ def wait_for(link: BoardLink, kind: int, wait: float) -> list[Frame]:
     """Return the frames of a kind as soon as there is one; none after `wait` [s]."""
     deadline = time.monotonic() + wait
     while (left := deadline - time.monotonic()) > 0.0:
-        found = [frame for frame in link.receive(left) if frame.type == kind]
-        if found:
-            return found
+        frames = [frame for frame in link.receive(left) if frame.type == kind]
+        if frames:
+            return frames
     return []
 
 
@@ -277,11 +277,11 @@ def telemetry(link: BoardLink, channels: int, wait: float) -> Telemetry | None:
 
 def let_go(link: BoardLink, channels: int) -> None:
     """Release what another process has left under tension, then torque off."""
-    found = telemetry(link, channels, 0.3)
-    if found is not None and found.enabled:
+    heard = telemetry(link, channels, 0.3)
+    if heard is not None and heard.enabled:
         ask(link, messages.RELEASE, bytes((messages.RELEASES['limp'],)))
         deadline = time.monotonic() + RELEASE_TIME_S
-        while found is not None and found.enabled and time.monotonic() < deadline:
+        while heard is not None and heard.enabled and time.monotonic() < deadline:
             link.send(messages.HEARTBEAT)
-            found = telemetry(link, channels, 0.1)
+            heard = telemetry(link, channels, 0.1)
     ask(link, messages.DISABLE, b'\xff')

@@ -136,5 +136,5 @@ def responses(robot, inputs, bends, past, scratch, changes, rows):
         tension, bend = address(inputs) + 8 * chain.m * b, address(bends) + 16 * chain.n * b
         residual_at(chain.residual)(chain, tension, bend, work, then, address(f))
         at = 16 * chain.n * count * b
-        given, ways = address(changes) + at, address(rows) + at
-        respond_at(chain.respond)(chain, bend, given, count, work, then, ways)
+        change, ways = address(changes) + at, address(rows) + at
+        respond_at(chain.respond)(chain, bend, change, count, work, then, ways)

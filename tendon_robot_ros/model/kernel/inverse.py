@@ -142,8 +142,8 @@ def aim(robot, inputs, bends, target, low, high, preference, most, enough, past,
         weighted_slopes(chain, inputs, there, target, ways, jacobian)
         gain = 0.0
         for _ in range(12):
-            given = (jacobian, f, inputs, low, high, preference, damping)
-            if gauss_newton_step(*given, trial, free) == 0:
+            problem = (jacobian, f, inputs, low, high, preference, damping)
+            if gauss_newton_step(*problem, trial, free) == 0:
                 return cost
             predict(chain, there, ways, inputs, trial)
             tip_residual(chain, trial, there, there.near, target, moved)

@@ -226,12 +226,12 @@ def load_slopes(chain, bend, work, i, row):
     f, wrench = floats(work.frames + 72 * i), floats(work.wrench + 48 * i)
     force, torque = (wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])
     own = scaled(floats(work.slip)[1], weight(chain, i))
-    given = (local(f, force), local(f, torque), local(f, own))
+    loads = (local(f, force), local(f, torque), local(f, own))
     slopes = (0.0, 0.0, 0.0, 0.0)
     for a in range(2):
         dx, dy = (h, 0.0) if a == 0 else (0.0, h)
-        mx, my, up, mid = bent_cell(chain, work, i, x + dx, y + dy, *given)
-        nx, ny, low, lowmid = bent_cell(chain, work, i, x - dx, y - dy, *given)
+        mx, my, up, mid = bent_cell(chain, work, i, x + dx, y + dy, *loads)
+        nx, ny, low, lowmid = bent_cell(chain, work, i, x - dx, y - dy, *loads)
         slopes = (slopes[2], slopes[3], (mx - nx) / (2.0 * h), (my - ny) / (2.0 * h))
         by_own = plus(
             cross(turned(f, difference(h, up, low)), force),
@@ -250,14 +250,14 @@ def turn_slopes(chain, work, i, x, y, force, torque, own, row):
     s, c = half_turn(x * x + y * y)
     sinc, versine = 2.0 * s * c, 2.0 * s * s
     leaning = versine - arc_factor(x * x + y * y, s, c)
-    given = (local(f, force), local(f, torque), local(f, own))
-    _, _, end, middle = bent_cell(chain, work, i, x, y, *given)
+    wrench = (local(f, force), local(f, torque), local(f, own))
+    _, _, end, middle = bent_cell(chain, work, i, x, y, *wrench)
     end, middle = turned(f, end), turned(f, middle)
     for r in range(3):
         unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
-        given = (cross(force, unit), cross(torque, unit), cross(own, unit))
-        given = (local(f, given[0]), local(f, given[1]), local(f, given[2]))
-        mx, my, _, _ = bent_cell(chain, work, i, x, y, *given)
+        wrench = (cross(force, unit), cross(torque, unit), cross(own, unit))
+        wrench = (local(f, wrench[0]), local(f, wrench[1]), local(f, wrench[2]))
+        mx, my, _, _ = bent_cell(chain, work, i, x, y, *wrench)
         row[BY_TURN + r], row[BY_TURN + 3 + r] = mx, my
         tx, ty = turn_moment(x, y, local(f, unit), sinc, versine, leaning)
         row[BY_TORQUE + r], row[BY_TORQUE + 3 + r] = tx, ty

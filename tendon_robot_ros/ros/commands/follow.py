@@ -86,8 +86,8 @@ def _follow(pilot: Pilot, options: argparse.Namespace, pace: Pace) -> int:
         flight = _tips(pilot, rows, options, pace)
     if flight is None:
         return 0
-    said = lines(flight)
-    print('\n'.join(said))
+    report_lines = lines(flight)
+    print('\n'.join(report_lines))
     title = f'{Path(options.path).name}: asked and reached'
     print(f'picture: {draw_run(flight, options.picture, title)}', flush=True)
     if options.retreat:
@@ -167,12 +167,12 @@ def _outlook(path: TipPath, planned: Plan, timed: bool) -> str:
 
 
 def _pace(options: argparse.Namespace) -> Pace:
-    given = options.speed, options.turning, options.tension_rate, options.pull_rate
+    paces = options.speed, options.turning, options.tension_rate, options.pull_rate
     names = '--speed', '--turning', '--tension-rate', '--pull-rate'
-    for name, value in zip(names, given, strict=True):
+    for name, value in zip(names, paces, strict=True):
         if not 0.0 < value < 1e6:
             raise InputError(f'{name}: expected more than 0, got {value:g}')
-    speed, turning, tension, pull = given
+    speed, turning, tension, pull = paces
     return Pace(1e-3 * speed, math.radians(turning), tension, 1e-3 * pull)
 
 
@@ -240,7 +240,7 @@ def _path_run(
 ) -> PathRun:
     measured, tip_times, tips, views = pilot.tips()
     command_times, commands = pilot.commands()
-    seen, given = tip_times >= began, command_times >= began
+    seen, commanded = tip_times >= began, command_times >= began
     return PathRun(
         inputs=pilot.inputs,
         asked_times=np.array([at for at, _, _ in sent]),
@@ -251,7 +251,7 @@ def _path_run(
         tips=tips[seen],
         tip_directions=views[seen],
         measured=measured,
-        command_times=command_times[given] - began,
-        commands=commands[given],
+        command_times=command_times[commanded] - began,
+        commands=commands[commanded],
         pull=pilot.pull,
     )

@@ -147,9 +147,9 @@ def _units(catalogue: Catalogue, hidden: Hidden) -> dict[str, str]:
 
 
 def _split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    given = list(arguments)
-    at = given.index('--ros-args') if '--ros-args' in given else len(given)
-    return given[:at], given[at:]
+    words = list(arguments)
+    at = words.index('--ros-args') if '--ros-args' in words else len(words)
+    return words[:at], words[at:]
 
 
 def _options(arguments: list[str]) -> argparse.Namespace:

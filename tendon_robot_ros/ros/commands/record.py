@@ -131,12 +131,12 @@ class Recorder(Node):
     def summary(self, output: str, seconds: float) -> str:
         """Say what was recorded."""
         total = sum(self.counts.values())
-        said = f'{total} messages of {len(self.counts)} topics in {seconds:.1f} s: {output}'
+        text = f'{total} messages of {len(self.counts)} topics in {seconds:.1f} s: {output}'
         if not total:
-            return f'{said}\nnothing was published here: is the robot running, in this namespace?'
+            return f'{text}\nnothing was published here: is the robot running, in this namespace?'
         if not self._robot_written:
-            said += '\nno description of the robot: name it with --robot when you use this'
-        return f'{said}\nnext: python -m tendon_robot_ros plot {output}'
+            text += '\nno description of the robot: name it with --robot when you use this'
+        return f'{text}\nnext: python -m tendon_robot_ros plot {output}'
 
     def _look(self) -> None:
         space = self.get_namespace().rstrip('/') + '/'

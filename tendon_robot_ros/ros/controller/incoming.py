@@ -85,15 +85,15 @@ class Incoming:
         """Return tensions [N] and wire pulls [m]; nan where not observable."""
         self._stamp(message.header, 'tendon_states')
         inputs, names = self._model.inputs, message.name
-        found = []
+        tensions = []
         for quantity, values in (('effort', message.effort), ('position', message.position)):
             values = values or [np.nan] * len(names)
-            found.append(by_name(names, values, inputs, 'tendon_states', quantity))
-            if np.isinf(found[-1]).any():
+            tensions.append(by_name(names, values, inputs, 'tendon_states', quantity))
+            if np.isinf(tensions[-1]).any():
                 raise Refusal('not_finite', f'tendon_states: {quantity} is infinite')
-        if np.isnan(found).all():
+        if np.isnan(tensions).all():
             raise Refusal('not_finite', 'tendon_states: neither effort nor position is a number')
-        return found[0], found[1]
+        return tensions[0], tensions[1]
 
     def trajectory(self, message: JointTrajectory) -> Playing | None:
         """Return a trajectory of tensions, or of wire pulls in pull mode; None ends one."""

@@ -232,18 +232,18 @@ class ControllerNode(ManagedNode):
 
     def _tell(self, core: ControllerCore, now: float) -> None:
         """Publish the status."""
-        said = controller_status(core, now)
+        status = controller_status(core, now)
         if self._loading.note:
-            said.values['model'] = self._loading.note
-        said.values['target_to_command'] = f'{1e3 * self._latency:.2f} ms'
-        level, message = LEVELS[said.level], said.message
+            status.values['model'] = self._loading.note
+        status.values['target_to_command'] = f'{1e3 * self._latency:.2f} ms'
+        level, message = LEVELS[status.level], status.message
         drivers, controllers = self._drivers.others(now), self._controllers.names(now)
         if drivers or controllers:
             level = max(level, LEVELS['warn'])
             message += f'; ignores tendon_states of {drivers}' if drivers else ''
             message += f'; another publishes tendon_command: {controllers}' if controllers else ''
-        said.values.update({'ignored': drivers, 'other_controllers': controllers})
-        self.status.say(level, said.code, message, said.values)
+        status.values.update({'ignored': drivers, 'other_controllers': controllers})
+        self.status.say(level, status.code, message, status.values)
 
     def _reload(self, core: ControllerCore) -> None:
         """Take a model that was asked for and is loaded by now."""

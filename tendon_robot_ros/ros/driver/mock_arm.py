@@ -64,10 +64,10 @@ class MockTracker:
         for key in config:
             if key not in DEFAULTS:
                 raise InputError(f'config: tracker: expected {", ".join(DEFAULTS)}, got {key!r}')
-        told = {**DEFAULTS, **config}
-        self._node, self._driver, self._noise = node, driver, float(told['noise'])
-        self._missing, self._lost = float(told['missing']), float(told['lost'])
-        self._random = np.random.default_rng(told['seed'])
+        options = {**DEFAULTS, **config}
+        self._node, self._driver, self._noise = node, driver, float(options['noise'])
+        self._missing, self._lost = float(options['missing']), float(options['lost'])
+        self._random = np.random.default_rng(options['seed'])
         robot = driver.robot
         self._frame = parameters['frame_prefix'] + (
             parameters['base_frame'] or f'{robot.name}_base'
@@ -76,7 +76,7 @@ class MockTracker:
         self._arc_lengths = np.cumsum(lengths)
         self._tip = node.create_publisher(PoseStamped, 'measured_tip', STATE)
         self._shape = node.create_publisher(PoseArray, 'measured_shape', STATE)
-        self._timer = node.create_timer(1.0 / float(told['rate']), self._publish)
+        self._timer = node.create_timer(1.0 / float(options['rate']), self._publish)
 
     def close(self) -> None:
         """Stop to publish."""

@@ -210,9 +210,9 @@ class DriverNode(ManagedNode):
             self._senders.others(now),
             self._drivers.names(now),
         )
-        said = [f'follows {first}, ignores tendon_command of {ignored}'] if ignored else []
-        said += [f'another publishes tendon_states: {drivers}'] if drivers else []
-        return '; '.join(said), {'follows': first, 'ignored': ignored, 'other_drivers': drivers}
+        notes = [f'follows {first}, ignores tendon_command of {ignored}'] if ignored else []
+        notes += [f'another publishes tendon_states: {drivers}'] if drivers else []
+        return '; '.join(notes), {'follows': first, 'ignored': ignored, 'other_drivers': drivers}
 
     def _hear(self) -> None:
         """Hear what cannot wait; runs in the bus thread before every cycle."""

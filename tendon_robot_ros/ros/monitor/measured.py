@@ -121,9 +121,9 @@ class MarkerInput:
         return points
 
     def _give(self, header: Header, points: Array, what: str) -> None:
-        found = self._in_base(header, points, what)
-        if found is not None:
-            self._take(self._time(header), found)
+        placed = self._in_base(header, points, what)
+        if placed is not None:
+            self._take(self._time(header), placed)
 
     def _in_base(self, header: Header, points: Array, what: str) -> Array | None:
         try:

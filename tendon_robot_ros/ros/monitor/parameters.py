@@ -79,9 +79,9 @@ def settings(parameters: Parameters) -> MonitorSettings:
 def parsed(parameters: Parameters, name: str, kind: type) -> Any:
     """Return a YAML parameter of a kind; empty where nothing is given."""
     try:
-        found = yaml.safe_load(parameters[name]) or kind()
+        value = yaml.safe_load(parameters[name]) or kind()
     except yaml.YAMLError as error:
         raise InputError(f'{name}: not valid YAML: {" ".join(str(error).split())}') from None
-    if not isinstance(found, kind):
-        raise InputError(f'{name}: expected a YAML {kind.__name__}, got {found!r}')
-    return found
+    if not isinstance(value, kind):
+        raise InputError(f'{name}: expected a YAML {kind.__name__}, got {value!r}')
+    return value

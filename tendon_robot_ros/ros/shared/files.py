@@ -32,8 +32,8 @@ def shared_file(name: str) -> Path | None:
 def _known_robots() -> str:
     """List the names of the robots in config/robots."""
     first = shared_file('config/robots/kato_10_1.yaml')
-    found = [] if first is None else sorted(path.stem for path in first.parent.glob('*.yaml'))
-    return ', '.join(found) or 'none installed'
+    names = [] if first is None else sorted(path.stem for path in first.parent.glob('*.yaml'))
+    return ', '.join(names) or 'none installed'
 
 
 def read_robot(text: str) -> Robot:

@@ -43,12 +43,12 @@ class Frames:
         if frame == self.base:
             return np.eye(3), np.zeros(3)
         try:
-            found = self._buffer.lookup_transform(self.base, frame, Time()).transform
+            transform = self._buffer.lookup_transform(self.base, frame, Time()).transform
         except Exception:  # no buffer, or whatever tf2 raises: no transform
             check_frame(frame, [self.base], what)
             raise Refusal('frame', f'{what}: frame {frame!r} is not usable') from None
-        return matrix(found.rotation), np.array(
-            [found.translation.x, found.translation.y, found.translation.z]
+        return matrix(transform.rotation), np.array(
+            [transform.translation.x, transform.translation.y, transform.translation.z]
         )
 
 

@@ -52,9 +52,9 @@ class Inbox[M]:
         heard = []
         with self.handle:
             while (taken := self.handle.take_message(self._kind, False)) is not None:
-                message, said = taken
-                number = said['publication_sequence_number']
-                heard.append(Received(message, said['source_timestamp'], number))
+                message, info = taken
+                number = info['publication_sequence_number']
+                heard.append(Received(message, info['source_timestamp'], number))
         return heard
 
     def close(self) -> None:

@@ -96,10 +96,10 @@ class Parameters:
         self._changed: Callable[[], None] | None = None
         for spec in specs:
             try:
-                found = node.declare_parameter(spec.name, spec.default, spec.descriptor()).value
+                value = node.declare_parameter(spec.name, spec.default, spec.descriptor()).value
             except ParameterException as error:
                 raise InputError(f'{spec.name}: {error}') from None
-            self._values[spec.name] = spec.checked(found)
+            self._values[spec.name] = spec.checked(value)
         node.add_on_set_parameters_callback(self._set)
 
     def __getitem__(self, name: str) -> Any:
@@ -163,13 +163,13 @@ class RemoteText:
 
     def ask(self, answer: Callable[[str], None]) -> None:
         """Ask for the value; call it now and then: what was never answered is said again."""
-        self._ask(ParameterType.PARAMETER_STRING, lambda found: answer(found.string_value))
+        self._ask(ParameterType.PARAMETER_STRING, lambda reply: answer(reply.string_value))
 
     def ask_list(self, answer: Callable[[list[str]], None]) -> None:
         """Ask for a list of texts, in the same way."""
         self._ask(
             ParameterType.PARAMETER_STRING_ARRAY,
-            lambda found: answer([text for text in found.string_array_value if text]),
+            lambda reply: answer([text for text in reply.string_array_value if text]),
         )
 
     def _ask(self, kind: int, answer: Callable[[ParameterValue], None]) -> None:
@@ -186,9 +186,9 @@ class RemoteText:
 
     def put(self, value: str, answer: Callable[[bool, str], None]) -> None:
         """Set the value; the answer is whether it was taken, and why not."""
-        given = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
+        parameter = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
         request = SetParametersAtomically.Request(
-            parameters=[ParameterMessage(name=self._name, value=given)]
+            parameters=[ParameterMessage(name=self._name, value=parameter)]
         )
 
         def done(response: SetParametersAtomically.Response) -> None:

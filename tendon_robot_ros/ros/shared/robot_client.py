@@ -132,12 +132,12 @@ class RobotClient(Node):
             if time.monotonic() > deadline:
                 if not strict:
                     return False
-                said = '; '.join(
+                statuses = '; '.join(
                     f'the {node if node != self._controller else "controller"} says: '
                     f'{values.get("message", "nothing")}'
                     for node, values in self.statuses.items()
                 )
-                raise TendonRobotError(f'waited {timeout:g} s in vain for {what}; {said}')
+                raise TendonRobotError(f'waited {timeout:g} s in vain for {what}; {statuses}')
             self.spin_once(0.05)
         return True
 
@@ -224,18 +224,18 @@ class Pilot(RobotClient):
 
     def model(self) -> Model:
         """Load the model that the controller uses, with its effects."""
-        told: list[str] = []
+        texts: list[str] = []
         files: list[list[str]] = []
         model = RemoteText(self, self._controller, 'model')
         effects = RemoteText(self, self._controller, 'effects')
 
         def asked() -> bool:
-            model.ask(told.append)
+            model.ask(texts.append)
             effects.ask_list(files.append)
-            return bool(told and files)
+            return bool(texts and files)
 
         self.wait(asked, 10.0, f'the parameters model and effects of {self._controller}')
-        return load(read_robot(told[0]), load_catalogue(files[0]))
+        return load(read_robot(texts[0]), load_catalogue(files[0]))
 
     def play(self, trajectory: Playing) -> str:
         """Send a trajectory of the tendons; return its stamp."""

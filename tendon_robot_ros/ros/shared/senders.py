@@ -78,10 +78,10 @@ class OtherPublishers:
     def _look(self) -> str:
         if self._node.count_publishers(self._topic) < 2:
             return ''
-        found = self._node.get_publishers_info_by_topic(self._topic)
+        publishers = self._node.get_publishers_info_by_topic(self._topic)
         names = sorted(
             f'{one.node_namespace.rstrip("/")}/{one.node_name}'
-            for one in found
+            for one in publishers
             if one.node_name != UNKNOWN  # a moment later it is known
         )
         own = self._node.get_fully_qualified_name()

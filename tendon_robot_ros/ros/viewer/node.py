@@ -134,11 +134,11 @@ class ViewerNode(Node):
     def _say(self, now: float) -> None:
         """Publish how the page is."""
         frames = sum(now - at <= 2.0 for at in self._frames) / 2.0
-        said = self.state.statuses(now)
+        statuses = self.state.statuses(now)
         values = {
             'browsers': str(self.page.clients),
             'frames_per_second': f'{frames:.1f}',
-            'hears': ', '.join(name for name, (level, _) in said.items() if level != 'silent'),
+            'hears': ', '.join(name for name, (level, _) in statuses.items() if level != 'silent'),
         }
         self._status_out.say(OK, 'serving', f'page on port {self.page.port}', values)
 

@@ -125,7 +125,7 @@ def bars(names: Sequence[str], tensions: Sequence[float], low: float, high: floa
         share = min(max(value / high, 0.0), 1.0) if known else 0.0
         at_limit = known and (value >= 0.99 * high)
         colour, note = (MEASURED, ' at its limit') if at_limit else (PREDICTED, '')
-        said = f'{value:.2f} N{note}' if known else 'not observable'
+        reading = f'{value:.2f} N{note}' if known else 'not observable'
         rows.append(
             f'<tr><td>{escape(name)}</td><td style="width:55%"><div style="position:relative;'
             'background:#e6e9ed;height:12px;border-radius:3px">'
@@ -133,7 +133,7 @@ def bars(names: Sequence[str], tensions: Sequence[float], low: float, high: floa
             'border-radius:3px"></div>'
             f'<div title="lower limit" style="position:absolute;left:{100 * low / high:.1f}%;'
             'top:-2px;width:2px;height:16px;background:#1b1f24"></div></div></td>'
-            f'<td style="text-align:right;white-space:nowrap">{said}</td></tr>'
+            f'<td style="text-align:right;white-space:nowrap">{reading}</td></tr>'
         )
     return (
         f'<div style="{STYLE}">tensions, limits {low:g} to {high:g} N'
@@ -141,13 +141,13 @@ def bars(names: Sequence[str], tensions: Sequence[float], low: float, high: floa
     )
 
 
-def verdict(found: Mapping[str, Any], count: int = 6) -> str:
+def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
     """Show verdict, remainder and the best candidates."""
-    if not found:
+    if not diagnosis:
         return ''
-    sentences = [str(found.get(key) or '') for key in ('sentence', 'remainder')]
+    sentences = [str(diagnosis.get(key) or '') for key in ('sentence', 'remainder')]
     rows = []
-    for row in found.get('candidates', [])[:count]:
+    for row in diagnosis.get('candidates', [])[:count]:
         values = ', '.join(
             f'{key} {digits(v["value"], 3)} {v["unit"]}'.removesuffix(' 1')
             for key, v in row['parameters'].items()
@@ -161,22 +161,23 @@ def verdict(found: Mapping[str, Any], count: int = 6) -> str:
             '</tr>'
         )
     head = '<tr><th>effect</th><th>value</th><th>explains</th></tr>' if rows else ''
-    said = ''.join(f'<p style="margin:4px 0">{escape(s)}</p>' for s in sentences if s)
+    paragraphs = ''.join(f'<p style="margin:4px 0">{escape(s)}</p>' for s in sentences if s)
     return (
         f'<div id="verdict" style="{STYLE};overflow-x:auto"><div style="border-left:4px solid '
-        f'{PREDICTED};padding-left:8px">{said}</div><table id="candidates" style="font-size:12px;'
-        f'text-align:left;border-spacing:6px 1px">{head}{"".join(rows)}</table></div>'
+        f'{PREDICTED};padding-left:8px">{paragraphs}</div><table id="candidates" '
+        'style="font-size:12px;text-align:left;border-spacing:6px 1px">'
+        f'{head}{"".join(rows)}</table></div>'
     )
 
 
-def statuses(said: Mapping[str, tuple[str, str]]) -> str:
+def statuses(nodes: Mapping[str, tuple[str, str]]) -> str:
     """Show what every node says: name -> (level, sentence)."""
     colours = {'ok': GOOD, 'warn': '#b26b00', 'error': MEASURED, 'silent': ERROR}
     signs = {'ok': '●', 'warn': '▲', 'error': '■', 'silent': '○'}
     rows = ''.join(
         f'<div><span style="color:{colours[level]}">{signs[level]}</span> <b>{escape(name)}</b> '
         f'{escape(text)}</div>'
-        for name, (level, text) in said.items()
+        for name, (level, text) in nodes.items()
     )
     return f'<div style="{STYLE}">{rows}</div>'
 

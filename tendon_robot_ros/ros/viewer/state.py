@@ -66,8 +66,10 @@ class ViewState:
     @property
     def stopped(self) -> bool:
         """Whether a stop is latched."""
-        said = [values for *_, values in self.nodes.values()]
-        return any(v.get('stopped') == 'true' or v.get('code') == 'stopped' for v in said)
+        values_of_nodes = [values for *_, values in self.nodes.values()]
+        return any(
+            v.get('stopped') == 'true' or v.get('code') == 'stopped' for v in values_of_nodes
+        )
 
     @property
     def can_diagnose(self) -> bool:
@@ -134,11 +136,11 @@ class ViewState:
 
     def statuses(self, now: float) -> dict[str, tuple[str, str]]:
         """Return name -> (level, sentence) of the nodes; old news is silence."""
-        said = {}
+        texts = {}
         for name in ('controller', 'driver', 'monitor'):
             at, level, text, _ = self.nodes.get(name, (-np.inf, '', '', {}))
-            said[name] = (level, text) if now - at < SILENT_AFTER_S else ('silent', 'not heard')
-        return said
+            texts[name] = (level, text) if now - at < SILENT_AFTER_S else ('silent', 'not heard')
+        return texts
 
     def guide(self) -> str:
         """Say what to do next, in the words of the buttons."""
