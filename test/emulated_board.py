@@ -6,7 +6,7 @@ import pytest
 
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.emulator import firmware
-from tendon_robot_ros.emulator.board import RADIUS, TICKS, BoardRig, EmulatedBoard
+from tendon_robot_ros.emulator.board import SPOOL_RADIUS, TICKS_PER_TURN, BoardRig, EmulatedBoard
 from tendon_robot_ros.emulator.rig import SpringArm
 
 needs_compiler = pytest.mark.skipif(
@@ -32,8 +32,8 @@ def config(line, /, **changes):
     }
     plain = {
         'port': line.port,
-        'spool_radius': RADIUS,
-        'ticks_per_turn': TICKS,
+        'spool_radius': SPOOL_RADIUS,
+        'ticks_per_turn': TICKS_PER_TURN,
         'pull_limits': [-0.01, 0.03],
         'tension_rate': 20.0,
         'pull_rate': 0.08,

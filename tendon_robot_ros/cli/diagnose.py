@@ -42,7 +42,7 @@ from .data_options import (
 from .options import add_json, emit, progress
 
 HELP = 'name the physical effect that a model lacks'
-REFUSED = 2
+REFUSED_EXIT_CODE = 2
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -99,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
     if page is not None:
         report_lines.append(page)
     emit(args, content, '\n'.join(report_lines))
-    return REFUSED if args.add and not written and _outside(diagnosis) else 0
+    return REFUSED_EXIT_CODE if args.add and not written and _outside(diagnosis) else 0
 
 
 def _assessed(

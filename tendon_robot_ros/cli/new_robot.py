@@ -27,8 +27,8 @@ from .describe import description
 NAME = 'new-robot'
 HELP = 'ask about a robot, write its description and draw it'
 
-GRAVITY = {'up': -9.81, 'down': 9.81, 'horizontal': 9.81}
-HEAD = '# Written by new-robot. Lengths in m, forces in N; +z points along the straight arm.\n'
+GRAVITY_ALONG_Z = {'up': -9.81, 'down': 9.81, 'horizontal': 9.81}
+FILE_HEAD = '# Written by new-robot. In m and N; +z points along the straight arm.\n'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f'{path}: is there already; use --overwrite or another --output')
     robot = parse_robot(yaml.safe_dump(ask(questions, name)), str(path))
     with new_file(path) as draft:
-        draft.write_text(HEAD + dump_robot(robot), encoding='utf-8')
+        draft.write_text(FILE_HEAD + dump_robot(robot), encoding='utf-8')
     print(description(robot))
     picture = path.with_suffix('.png')
     _draw(robot, picture)
@@ -97,7 +97,7 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
         'effects': {'tendon_friction': {'friction_coefficient': friction}} if friction else {},
     }
     if gravity != 'unknown':
-        along = GRAVITY[gravity]
+        along = GRAVITY_ALONG_Z[gravity]
         content['gravity'] = [along, 0.0, 0.0] if gravity == 'horizontal' else [0.0, 0.0, along]
     return content
 

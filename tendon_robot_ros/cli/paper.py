@@ -22,8 +22,8 @@ from ..robot import load_robot
 from .options import progress
 
 HELP = "the paper's experiments, published numbers beside ours, on one page"
-NAMES = ('kato_1_1', 'kato_10_1', 'kato_10_1_single', 'kato_2_1')
-FILES = ('paper.html', 'paper.json')
+PAPER_ROBOTS = ('kato_1_1', 'kato_10_1', 'kato_10_1_single', 'kato_2_1')
+PAPER_FILES = ('paper.html', 'paper.json')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,13 +44,15 @@ def run(args: argparse.Namespace) -> int:
     if folder.exists() and any(folder.iterdir()) and not args.overwrite:
         raise InputError(f'{folder}: is not empty; use --overwrite or another --output')
     own = robots_folder(args.robots)
-    robots = Robots(*(load_robot(own / f'{name}.yaml') for name in NAMES))
+    robots = Robots(*(load_robot(own / f'{name}.yaml') for name in PAPER_ROBOTS))
     with progress() as show:
         paper = reproduce(robots, show)
     page = paper_page(paper)
-    with new_folder(folder, FILES) as draft:
-        page.write(draft / FILES[0])
-        (draft / FILES[1]).write_text(json.dumps(paper.to_json(), indent=1), encoding='utf-8')
+    with new_folder(folder, PAPER_FILES) as draft:
+        page.write(draft / PAPER_FILES[0])
+        (draft / PAPER_FILES[1]).write_text(
+            json.dumps(paper.to_json(), indent=1), encoding='utf-8'
+        )
     header = ('', 'what', 'published', 'ours', 'range left open', 'met')
     rows = [
         (row.section, row.what, f'{row.published:g} {row.unit}', f'{digits(row.ours, 3)}',
@@ -58,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
         for row in paper.rows
     ]  # fmt: skip
     print(columns([header, *rows]))
-    print(f'written: {folder / FILES[0]}, {folder / FILES[1]}')
+    print(f'written: {folder / PAPER_FILES[0]}, {folder / PAPER_FILES[1]}')
     return 0
 
 

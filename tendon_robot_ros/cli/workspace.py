@@ -21,8 +21,8 @@ from pathlib import Path
 from ..common.errors import InputError
 from ..common.files import new_folder
 from ..common.words import columns
-from ..report.workspace_page import HEADER, missing, rows
-from ..workspace.grid import FILES, Workspace, save_workspace, sweep
+from ..report.workspace_page import FAMILY_COLUMNS, missing, rows
+from ..workspace.grid import WORKSPACE_FILES, Workspace, save_workspace, sweep
 from .options import add_json, add_robot, emit, load_model, progress
 
 HELP = 'where the tip can be at a view angle, over all pairs of tensions'
@@ -73,7 +73,9 @@ def run(args: argparse.Namespace) -> int:
     lines = text(workspace)
     if folder:
         write(workspace, folder)
-        lines.append(f'written: {", ".join(str(folder / name) for name in (*FILES, PAGE))}')
+        lines.append(
+            f'written: {", ".join(str(folder / name) for name in (*WORKSPACE_FILES, PAGE))}'
+        )
     emit(args, workspace.to_json(), '\n'.join(lines))
     return 0
 
@@ -85,7 +87,7 @@ def text(workspace: Workspace) -> list[str]:
     )
     lines = [f'{size}, others at {workspace.pretension:g} N', *missing(workspace)]
     if workspace.families:
-        lines.append(columns([HEADER, *rows(workspace)]))
+        lines.append(columns([FAMILY_COLUMNS, *rows(workspace)]))
     if workspace.unsolved:
         lines.append(f'without equilibrium and left out: {workspace.unsolved:,}')
     return lines
@@ -96,6 +98,6 @@ def write(workspace: Workspace, folder: Path) -> None:
     from ..report.workspace_page import workspace_page
 
     page = workspace_page(workspace)
-    with new_folder(folder, (*FILES, PAGE)) as draft:
+    with new_folder(folder, (*WORKSPACE_FILES, PAGE)) as draft:
         save_workspace(workspace, draft)
         page.write(draft / PAGE)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
-TIMES = ('no', 'one', 'two', 'three', 'four', 'five', 'six', 'seven', 'eight', 'nine', 'ten',
+TIMES_WORDS = ('no', 'one', 'two', 'three', 'four', 'five', 'six', 'seven', 'eight', 'nine', 'ten',
          'eleven', 'twelve')  # fmt: skip
-PREFIXES = ((1e6, 'M'), (1e3, 'k'), (1.0, ''), (1e-3, 'm'), (1e-6, 'µ'), (1e-9, 'n'))
+UNIT_PREFIXES = ((1e6, 'M'), (1e3, 'k'), (1.0, ''), (1e-3, 'm'), (1e-6, 'µ'), (1e-9, 'n'))
 PROGRAM = 'python -m tendon_robot_ros'
 
 
@@ -28,8 +28,8 @@ def mm(metres: float | None, count: int = 3) -> str:
 
 def times(ratio: float) -> str:
     """Show a ratio: 'six times', '2.4 times'."""
-    if ratio >= 2.75 and round(ratio) < len(TIMES):
-        return f'{TIMES[round(ratio)]} times'
+    if ratio >= 2.75 and round(ratio) < len(TIMES_WORDS):
+        return f'{TIMES_WORDS[round(ratio)]} times'
     return f'{digits(ratio, 2)} times'
 
 

@@ -15,8 +15,8 @@ from statistics import NormalDist
 import numpy as np
 import numpy.typing as npt
 
-TINY = 1e-300
-STEPS = 10_000  # of a series; large arguments take about the root of them
+FRACTION_FLOOR = 1e-300
+SERIES_TERMS_MAX = 10_000  # of a series; large arguments take about the root of them
 
 
 def chi2_sf(x: float, freedom: float) -> float:
@@ -97,7 +97,7 @@ def _gamma_q(a: float, x: float) -> float:
     front = math.exp(max(a * math.log(x) - x - math.lgamma(a), -745.0))
     if x < a + 1.0:
         term = total = 1.0 / a
-        for n in range(1, STEPS):
+        for n in range(1, SERIES_TERMS_MAX):
             term *= x / (a + n)
             total += term
             if term < total * 1e-16:
@@ -130,12 +130,12 @@ def _beta_i(a: float, b: float, x: float) -> float:
 
 def _fraction(first: float, step: Callable[[int], tuple[float, float]]) -> float:
     """Continued fraction first + n1 / (d1 + n2 / (d2 + ...)) by Lentz's method."""
-    value = c = first or TINY
+    value = c = first or FRACTION_FLOOR
     d = 0.0
-    for n in range(1, STEPS):
+    for n in range(1, SERIES_TERMS_MAX):
         numerator, denominator = step(n)
-        d = 1.0 / ((denominator + numerator * d) or TINY)
-        c = (denominator + numerator / c) or TINY
+        d = 1.0 / ((denominator + numerator * d) or FRACTION_FLOOR)
+        c = (denominator + numerator / c) or FRACTION_FLOOR
         value *= c * d
         if abs(c * d - 1.0) < 1e-15:
             break

@@ -8,7 +8,7 @@ import termios
 from pathlib import Path
 
 # what an unplugged port raises: serial's error is an OSError, termios.error is none
-LOST = (OSError, termios.error)
+PORT_ERRORS = (OSError, termios.error)
 
 
 def take_alone(file: int) -> None:

@@ -20,8 +20,10 @@ from ..robot import Robot
 from .hardware import HardwareDriver
 from .interface import Array, Fault, Reading
 
-KEYS = ('command_topic', 'state_topic', 'joints', 'spool_radius', 'timeout', 'tension_source',
-        'tension_rate', 'pull_rate', 'pull_limits', 'tendons')  # fmt: skip
+CONFIG_KEYS = (
+    'command_topic', 'state_topic', 'joints', 'spool_radius', 'timeout', 'tension_source',
+    'tension_rate', 'pull_rate', 'pull_limits', 'tendons',
+)  # fmt: skip
 JOINT_KEYS = ('joint', 'spool_radius', 'direction', 'zero')
 
 
@@ -62,7 +64,7 @@ class Ros2ControlConfig:
     def checked(cls, robot: Robot, content: Mapping[str, Any], mode: str, source: str) -> Self:
         """Read a mapping; DriverError says key, what was expected and what came."""
         top = ConfigFields(source, '', dict(content))
-        top.only(*KEYS)
+        top.only(*CONFIG_KEYS)
         tendons = top.child('tendons')
         tendons.only(*robot.inputs)
         if missing := [name for name in robot.inputs if not tendons.has(name)]:

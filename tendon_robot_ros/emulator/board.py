@@ -20,13 +20,13 @@ from .rig import Arm
 
 STEP_S = 1e-3  # [s] of firmware and physics
 TIME_STEP_MAX_S = 0.1  # [s]; after a longer pause of this process the emulated world skips time
-TOP_SPEED = 0.1  # [m/s] of the wire at full duty
+SPEED_MAX = 0.1  # [m/s] of the wire at full duty
 MOTOR_LAG_S = 0.005  # [s] of the motor
-DROOP = 0.002  # [m/s per N]
-BACKDRIVE = 0.05  # [m/s per N] that a motor without power turns back ...
-FRICTION = 0.05  # [N] ... above this
-RADIUS, TICKS = 0.01, 2000  # [m] of the spools, ticks per turn
-NOISE = 40.0  # [counts] 1 sd of a load cell
+SPEED_DROOP = 0.002  # [m/s per N]
+BACKDRIVE_SLOPE = 0.05  # [m/s per N] that a motor without power turns back ...
+BACKDRIVE_FRICTION_N = 0.05  # [N] ... above this
+SPOOL_RADIUS, TICKS_PER_TURN = 0.01, 2000  # [m] of the spools, ticks per turn
+CELL_NOISE_COUNTS = 40.0  # [counts] 1 sd of a load cell
 SATURATED = 0x7FFFFF
 
 
@@ -61,7 +61,7 @@ class BoardRig:
     @property
     def metres_per_tick(self) -> float:
         """Wire per tick of the encoders [m]."""
-        return 2.0 * math.pi * RADIUS / TICKS
+        return 2.0 * math.pi * SPOOL_RADIUS / TICKS_PER_TURN
 
     def power_on(self) -> None:
         """Restart the board: motors off, encoders count from zero."""
@@ -87,7 +87,7 @@ class BoardRig:
         fresh = self._time >= self._next_sample
         if fresh:
             self._next_sample = self._time + 1.0 / self.sample_rate
-            noise = self._random.normal(0.0, NOISE, self.channels)
+            noise = self._random.normal(0.0, CELL_NOISE_COUNTS, self.channels)
         ticks = np.rint((self.places - self._zero) / self.metres_per_tick).astype(int).tolist()
         for i, (sensor, cell) in enumerate(zip(self.firmware.sensors, self.cells, strict=True)):
             sensor.fresh = fresh and not cell.broken
@@ -101,9 +101,11 @@ class BoardRig:
 
     def _turn(self, duties: NDArray[np.float64], step: float) -> None:
         on = np.array([self.firmware.enabled >> i & 1 for i in range(self.channels)], dtype=bool)
-        driven = duties * TOP_SPEED - DROOP * self.tensions
-        limp = np.where(self.tensions > FRICTION, -BACKDRIVE * self.tensions, 0.0)
-        goal = np.where(on, driven, np.maximum(limp, -TOP_SPEED))
+        driven = duties * SPEED_MAX - SPEED_DROOP * self.tensions
+        limp = np.where(
+            self.tensions > BACKDRIVE_FRICTION_N, -BACKDRIVE_SLOPE * self.tensions, 0.0
+        )
+        goal = np.where(on, driven, np.maximum(limp, -SPEED_MAX))
         goal[list(self.blocked)] = 0.0
         self._speeds += min(step / MOTOR_LAG_S, 1.0) * (goal - self._speeds)
         self.places = self.places + self._speeds * step
@@ -244,15 +246,15 @@ def state(line: EmulatedBoard) -> dict[str, object]:
 def config(rig: BoardRig, inputs: Sequence[str]) -> dict[str, Any]:
     """Return a configuration for the driver, without its port; the load cells are calibrated."""
     return {
-        'spool_radius': RADIUS,
-        'ticks_per_turn': TICKS,
+        'spool_radius': SPOOL_RADIUS,
+        'ticks_per_turn': TICKS_PER_TURN,
         'pull_limits': [-0.05, 0.05],
         'tension_gain': 0.03,
         'calibration': {
             name: {
                 'zero': cell.zero,
                 'newtons_per_count': cell.newtons_per_count,
-                'scatter': NOISE,
+                'scatter': CELL_NOISE_COUNTS,
             }
             for name, cell in zip(inputs, rig.cells, strict=True)
         },

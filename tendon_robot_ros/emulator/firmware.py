@@ -15,8 +15,8 @@ from pathlib import Path
 
 from ..common.errors import DriverError
 
-PARTS = ('protocol.c', 'control.c', 'board.c', 'host.c')
-OUTBOX = 8192
+SOURCES = ('protocol.c', 'control.c', 'board.c', 'host.c')
+OUTBOX_BYTES = 8192
 
 
 class Sensors(ctypes.Structure):
@@ -37,7 +37,7 @@ def folder() -> Path:
     prefixes = [sys.prefix, *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
     roots += [Path(prefix, 'share', 'tendon_robot_ros') for prefix in prefixes if prefix]
     for root in roots:
-        if (root / 'firmware' / PARTS[0]).is_file():
+        if (root / 'firmware' / SOURCES[0]).is_file():
             return root / 'firmware'
     raise DriverError('the folder firmware is missing; install the package again')
 
@@ -94,7 +94,7 @@ def _compile(source: Path, made: Path, channels: int) -> None:
     if cc is None:
         raise DriverError('no C compiler for the emulated board; type: sudo apt install gcc')
     command = [cc, '-std=c99', '-O2', '-fPIC', '-shared', f'-DCHANNELS={channels}']
-    command += [str(source / part) for part in PARTS] + ['-o', str(made)]
+    command += [str(source / part) for part in SOURCES] + ['-o', str(made)]
     run = subprocess.run(command, capture_output=True, text=True)
     if run.returncode:
         raise DriverError(f'{source}: {cc}: {(run.stderr.splitlines() or ["failed"])[0]}')
@@ -129,7 +129,7 @@ class Firmware:
         )
         self._duties = (ctypes.c_float * channels)()
         self._enabled = ctypes.c_uint8()
-        self._outbox = ctypes.create_string_buffer(OUTBOX)
+        self._outbox = ctypes.create_string_buffer(OUTBOX_BYTES)
         self.sensors = (Sensors * channels)()
         self.power_on()
 

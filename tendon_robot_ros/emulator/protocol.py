@@ -143,7 +143,7 @@ class InstructionReceiver:
 # -----------------------------------------------------------------------------
 # What the servos of a bus do with an instruction, and what they answer together.
 
-BOOT_TIME = 0.3  # [s] in which a rebooting servo is silent
+BOOT_TIME_S = 0.3  # [s] in which a rebooting servo is silent
 LEVELS = {PING: 0, READ: 1, SYNC_READ: 1, FAST_SYNC_READ: 1}
 WATCHED = {
     REGISTERS[name].address: name
@@ -213,7 +213,7 @@ class Responder:
             error = self._write(servo, int.from_bytes(parameters[:2], 'little'), parameters[2:])
         elif code == REBOOT:
             self.rig.rebooted(servo.identity)
-            self._booting[servo.identity] = time.monotonic() + BOOT_TIME
+            self._booting[servo.identity] = time.monotonic() + BOOT_TIME_S
             error = 0
         return status(servo.identity, error, data) if _answers(servo, code) else b''
 

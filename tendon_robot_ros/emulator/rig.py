@@ -17,7 +17,7 @@ from ..common.errors import TendonRobotError
 from .servo import STEP_S, Servo
 
 Array = NDArray[np.float64]
-PART = 0.3  # of the way to equilibrium in one period
+APPROACH_SHARE = 0.3  # of the way to equilibrium in one period
 
 
 class Arm(Protocol):
@@ -120,7 +120,7 @@ class RelaxedArm:
             pulling = (self._tensions > 0.0) | (short > 0.0)  # the others stay slack
             step = np.zeros_like(short)
             part = self._compliance[np.ix_(pulling, pulling)]
-            step[pulling] = PART * np.linalg.solve(part, short[pulling])
+            step[pulling] = APPROACH_SHARE * np.linalg.solve(part, short[pulling])
             tried = np.clip(self._tensions + step, 0.0, self.highest)
             with contextlib.suppress(TendonRobotError):
                 self._pulls = self.pulls(tried)
@@ -131,7 +131,7 @@ class RelaxedArm:
 # -----------------------------------------------------------------------------
 # Emulated servos, spools and wires together: time passes for all of them at once.
 
-REMEMBERED = 20_000  # moments
+MOMENTS_REMEMBERED_MAX = 20_000  # moments
 TIME_STEP_MAX_S = 0.1  # [s]; after a longer pause of this process the emulated world skips time
 
 
@@ -171,7 +171,7 @@ class Rig:
         self.tensions = np.zeros(len(wires))  # [N]
         self.highest, self.least, self.most = np.zeros((3, len(wires)))
         self.trace: deque[tuple[float, list[float], list[float], list[float]]] = deque(
-            maxlen=REMEMBERED
+            maxlen=MOMENTS_REMEMBERED_MAX
         )
 
     @property

@@ -293,7 +293,7 @@ class Servo:
     def protect(self, passed: float) -> None:
         """Let time [s] pass for the watchdog, the temperature and the voltage."""
         self.silence += passed
-        watchdog = self.get('bus_watchdog') * tables.WATCHDOG_UNIT
+        watchdog = self.get('bus_watchdog') * tables.WATCHDOG_UNIT_S
         if self.torque and not self.tripped and 0 < watchdog < self.silence:
             self._stop()
         if self.temperature > self.get('temperature_limit'):

@@ -15,19 +15,20 @@ from ..model.model import Model
 from ..robot import Robot
 from ..simulation.plant import Plant, make_plant
 from ..workspace.grid import Pair, pairs_of
-from .robots import LEVER, Floats, at_view, held, pcca, turned, with_arm
+from .robots import HINGE_LEVER_M, Floats, at_view, held, pcca, turned, with_arm
 
-VIEW = float(np.pi)
-HEIGHTS = ('maximum tip height', 'median tip height', 'minimum tip height')
-TRIALS = (15, 15, 20)
-STEP = 0.1  # [N] between the proximal tensions that are tried
-ARMS = (5.0e-3, 5.5e-3, 6.0e-3)  # [m] the paper's is lost
-SCATTER = float(np.radians(2.0))  # [rad] of a cell's mean angle: published
-PER_TRIAL = (0.0, float(np.radians(1.0)), float(np.radians(2.0)))  # [rad] assumed: the middle
-CALIPER = 0.1e-3  # [m] 1 sd of a wire pull set by hand: assumed
-CLEAR = 5.0 * CALIPER  # [m] a proximal pull nearer to straight may end in an S-shape
-PICTURE = 0.09e-3  # [m] a pixel
-PROTOTYPES = 200  # simulated, to know how far one of them may be off
+VIEW_ANGLE_RAD = float(np.pi)
+HEIGHT_NAMES = ('maximum tip height', 'median tip height', 'minimum tip height')
+TRIALS_PER_HEIGHT = (15, 15, 20)
+TENSION_STEP_N = 0.1  # [N] between the proximal tensions that are tried
+MOMENT_ARMS_M = (5.0e-3, 5.5e-3, 6.0e-3)  # [m] the paper's is lost
+CELL_SCATTER_RAD = float(np.radians(2.0))  # [rad] of a cell's mean angle: published
+# [rad] assumed: the middle
+TRIAL_SCATTERS_RAD = (0.0, float(np.radians(1.0)), float(np.radians(2.0)))
+CALIPER_SD_M = 0.1e-3  # [m] 1 sd of a wire pull set by hand: assumed
+CLEAR_PULL_M = 5.0 * CALIPER_SD_M  # [m] a proximal pull nearer to straight may end in an S-shape
+PIXEL_M = 0.09e-3  # [m] a pixel
+PROTOTYPES_SIMULATED = 200  # simulated, to know how far one of them may be off
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class DisplacementExperiment:
 
 
 def displacement_experiment(
-    robot: Robot, lever: float = LEVER, seed: int = 0
+    robot: Robot, lever: float = HINGE_LEVER_M, seed: int = 0
 ) -> DisplacementExperiment:
     """
     Simulate section IV.C on a robot of two sections.
@@ -92,7 +93,11 @@ def displacement_experiment(
             f'{robot.source}: no posture at the 180° view with wires on opposite sides; '
             'raise the tension limits'
         )
-    others = [find_heights(with_arm(robot, arm), pair) for pair in pairs.values() for arm in ARMS]
+    others = [
+        find_heights(with_arm(robot, arm), pair)
+        for pair in pairs.values()
+        for arm in MOMENT_ARMS_M
+    ]
     plant = make_plant(robot, {'hinge_friction': {'lever': lever}}, scatter=0.0, seed=seed)
     settled = plant.shapes(heights.pulls, displacement=True).tip_position
     data = trials(plant, heights, seed)
@@ -120,14 +125,14 @@ def find_heights(robot: Robot, pair: Pair) -> Heights | None:
     both models, and every cell bends towards the view: no S-shape. None where there is none.
     """
     fkm, side = Model(robot), _side(robot, pair)
-    near = np.arange(STEP, robot.tension_limits[1], STEP)
-    tensions = at_view(fkm, pair.indices, near, VIEW, side)
+    near = np.arange(TENSION_STEP_N, robot.tension_limits[1], TENSION_STEP_N)
+    tensions = at_view(fkm, pair.indices, near, VIEW_ANGLE_RAD, side)
     if not len(tensions):
         return None
     shapes = fkm.shapes(tensions)
     constant, needed = constant_curvature(robot, pair, shapes.pulls)
     good = (needed > 0.0).all(axis=1) & (side * shapes.bend[..., 0] > -1e-9).all(axis=1)
-    good &= np.abs(shapes.pulls[:, pair.indices[0]]) > CLEAR
+    good &= np.abs(shapes.pulls[:, pair.indices[0]]) > CLEAR_PULL_M
     if not good.any():
         return None
     kept = np.flatnonzero(good)
@@ -159,20 +164,21 @@ def constant_curvature(robot: Robot, pair: Pair, pulls: Floats) -> tuple[Floats,
 def trials(plant: Plant, heights: Heights, seed: int) -> DataSet:
     """Pull the wires by hand, photograph: 15, 15 and 20 trials, (3, 20, n, 3) [m]."""
     random, robot = np.random.default_rng(seed), plant.robot
-    play = SCATTER * random.normal(size=robot.cells)  # of this prototype, in all its trials
-    positions = np.full((3, max(TRIALS), robot.cells, 3), np.nan)
-    for p, count in enumerate(TRIALS):
-        pulls = heights.pulls[p] + CALIPER * random.normal(size=(count, len(robot.inputs)))
+    # of this prototype, in all its trials
+    play = CELL_SCATTER_RAD * random.normal(size=robot.cells)
+    positions = np.full((3, max(TRIALS_PER_HEIGHT), robot.cells, 3), np.nan)
+    for p, count in enumerate(TRIALS_PER_HEIGHT):
+        pulls = heights.pulls[p] + CALIPER_SD_M * random.normal(size=(count, len(robot.inputs)))
         shapes = plant.shapes(pulls, displacement=True).positions
-        own = play + PER_TRIAL[1] * random.normal(size=(count, robot.cells))
+        own = play + TRIAL_SCATTERS_RAD[1] * random.normal(size=(count, robot.cells))
         seen = turned(shapes, held(own, robot))
-        seen[..., [0, 2]] += PICTURE * random.normal(size=(*seen.shape[:2], 2))
+        seen[..., [0, 2]] += PIXEL_M * random.normal(size=(*seen.shape[:2], 2))
         positions[p, :count] = seen
     return DataSet(
         name='section IV.C, simulated',
         robot=robot,
         markers=default_markers(robot),
-        postures=HEIGHTS,
+        postures=HEIGHT_NAMES,
         inputs=heights.pulls,
         positions=positions,
         input='displacement',
@@ -185,26 +191,26 @@ def many_prototypes(
     """Tip errors of the models over many prototypes that differ in the play of their cells."""
     random, robot = np.random.default_rng(0), plant.robot
     spreads: dict[tuple[str, str], Spread] = {}
-    play = SCATTER * random.normal(size=(PROTOTYPES, 1, robot.cells))
-    for p, count in enumerate(TRIALS):
-        pulls = heights.pulls[p] + CALIPER * random.normal(size=(count, len(robot.inputs)))
+    play = CELL_SCATTER_RAD * random.normal(size=(PROTOTYPES_SIMULATED, 1, robot.cells))
+    for p, count in enumerate(TRIALS_PER_HEIGHT):
+        pulls = heights.pulls[p] + CALIPER_SD_M * random.normal(size=(count, len(robot.inputs)))
         shapes = plant.shapes(pulls, displacement=True).positions
-        change = random.normal(size=(PROTOTYPES, count, robot.cells))
+        change = random.normal(size=(PROTOTYPES_SIMULATED, count, robot.cells))
         tips = [
-            turned(np.broadcast_to(shapes, (PROTOTYPES, *shapes.shape)), held(own, robot))[
-                :, :, -1
-            ]
-            for own in (play + size * change for size in PER_TRIAL)
+            turned(
+                np.broadcast_to(shapes, (PROTOTYPES_SIMULATED, *shapes.shape)), held(own, robot)
+            )[:, :, -1]
+            for own in (play + size * change for size in TRIAL_SCATTERS_RAD)
         ]
         for model in comparison.models:
             tip = model.markers[p, -1]
             errors = [np.linalg.norm(one - tip, axis=2) for one in tips]
-            spreads[HEIGHTS[p], model.name] = _spread(errors)
+            spreads[HEIGHT_NAMES[p], model.name] = _spread(errors)
     return spreads
 
 
 def _spread(errors: Sequence[Floats]) -> Spread:
-    """Summarise tip errors (prototypes, trials) [m], one array per `PER_TRIAL`."""
+    """Summarise tip errors (prototypes, trials) [m], one array per `TRIAL_SCATTERS_RAD`."""
     means, sds = errors[1].mean(axis=1), [one.std(axis=1, ddof=1) for one in errors]
     low, high = np.percentile(means, [5.0, 95.0]).tolist()
     return Spread(

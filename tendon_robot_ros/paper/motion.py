@@ -12,11 +12,13 @@ from ..robot import Robot
 from ..workspace.grid import Family, Pair, Workspace, sweep
 from .robots import Floats
 
-VIEWS = (float(np.pi), float(np.pi / 4.0))  # [rad]
-STEP, PRETENSION = 0.1, 0.1  # [N]
-SPREADS = (15.0, 30.0, 45.0, 60.0)  # [°] of the outer wires of a group from the middle one
-TOLERANCES = (1.0, 2.5, 5.0)  # [°] by which 180° may be missed
-SIX, SHARE = 6, 0.1  # of the cell's stiffness: six tendons, "smaller by at least one order"
+VIEW_ANGLES_RAD = (float(np.pi), float(np.pi / 4.0))  # [rad]
+TENSION_STEP_N, PRETENSION_N = 0.1, 0.1  # [N]
+# [°] of the outer wires of a group from the middle one
+GROUP_SPREADS_DEG = (15.0, 30.0, 45.0, 60.0)
+VIEW_TOLERANCES_DEG = (1.0, 2.5, 5.0)  # [°] by which 180° may be missed
+# six tendons together have this share of a cell's stiffness: "smaller by at least one order"
+SHARED_TENDONS, TENDONS_SHARE = 6, 0.1
 
 
 @dataclass(frozen=True)
@@ -55,13 +57,13 @@ class MotionExperiment:
     @property
     def main(self) -> Family:
         """The postures at 180° with most members: figure 8."""
-        return self.workspace.of(VIEWS[0])[0]
+        return self.workspace.of(VIEW_ANGLES_RAD[0])[0]
 
 
 def motion(robot: Robot) -> MotionExperiment:
     """Sweep a robot of two sections with grouped tendons as section IV.B does."""
-    workspace = sweep(Model(robot), VIEWS, STEP, PRETENSION)
-    family = workspace.of(VIEWS[0])[0]
+    workspace = sweep(Model(robot), VIEW_ANGLES_RAD, TENSION_STEP_N, PRETENSION_N)
+    family = workspace.of(VIEW_ANGLES_RAD[0])[0]
     made = tuple(_arrangement(name, one, family.pair) for name, one in _variants(robot))
     return MotionExperiment(
         workspace, made, stiffening(robot, family), stiffening(robot, family, every=True)
@@ -91,7 +93,7 @@ def stiffening(robot: Robot, family: Family, every: bool = False) -> Stiffening:
     cells = np.cumsum([section.cells for section in bare.sections])
     present = tuple(int((count >= end).sum()) for end in cells)
     stiffness = bare.sections[0].bending_stiffness[0]
-    per_tendon = SHARE * stiffness / SIX
+    per_tendon = TENDONS_SHARE * stiffness / SHARED_TENDONS
     stiff = bare.with_effect('tendon_stiffness', {'per_tendon': per_tendon})
     softer = -(present[0] - present[-1]) * per_tendon / stiffness
     even = stiff.with_effect('section_stiffness', {'relative_change': (softer, 0.0)})
@@ -126,7 +128,7 @@ def _only(robot: Robot, pair: Pair) -> Robot:
 def _variants(robot: Robot) -> Iterator[tuple[str, Robot]]:
     low, high = robot.tension_limits
     yield f'three wires at one place, {high:g} N each', robot
-    for angle in SPREADS:
+    for angle in GROUP_SPREADS_DEG:
         yield f'three wires spread by ±{angle:g}°, {high:g} N each', spread(robot, angle)
     yield (
         f'three wires at one place, {high:g} N in all',
@@ -135,11 +137,15 @@ def _variants(robot: Robot) -> Iterator[tuple[str, Robot]]:
 
 
 def _arrangement(name: str, robot: Robot, pair: Pair) -> Arrangement:
-    wide = np.radians(max(TOLERANCES))
-    workspace = sweep(Model(robot), VIEWS[:1], STEP, PRETENSION, wide, [pair])
-    families = workspace.of(VIEWS[0])
-    spans = [_across(families[0], tolerance) if families else 0.0 for tolerance in TOLERANCES]
-    middle = spans[TOLERANCES.index(2.5)]
+    wide = np.radians(max(VIEW_TOLERANCES_DEG))
+    workspace = sweep(
+        Model(robot), VIEW_ANGLES_RAD[:1], TENSION_STEP_N, PRETENSION_N, wide, [pair]
+    )
+    families = workspace.of(VIEW_ANGLES_RAD[0])
+    spans = [
+        _across(families[0], tolerance) if families else 0.0 for tolerance in VIEW_TOLERANCES_DEG
+    ]
+    middle = spans[VIEW_TOLERANCES_DEG.index(2.5)]
     return Arrangement(name, middle, min(spans), max(spans), workspace.largest)
 
 

@@ -11,7 +11,8 @@ from ..model.model import Model
 from ..robot import Robot
 
 Floats = npt.NDArray[np.float64]
-LEVER = 0.40e-3  # [m] hinge friction of the 10:1 prototype: reproduces section IV.D's errors
+# [m] hinge friction of the 10:1 prototype: reproduces section IV.D's errors
+HINGE_LEVER_M = 0.40e-3
 SIDES = ('left', 'right')
 
 

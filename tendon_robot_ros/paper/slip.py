@@ -125,17 +125,17 @@ def with_friction(robot: Robot, friction: SlipFriction, data: str, date: str) ->
 # -----------------------------------------------------------------------------
 # Friction coefficients (section IV.A), rehearsed: the measured slip angles are not printed.
 
-PUBLISHED = {'2:1': (0.31, 18), '10:1': (0.33, 30)}  # scale: coefficient, measurements
-SD = 0.03  # [1] of one measurement: assumed, Table II is lost
-READING = 0.1  # [°] of the rotational stage: assumed
+PUBLISHED_FRICTION = {'2:1': (0.31, 18), '10:1': (0.33, 30)}  # scale: coefficient, measurements
+ANGLE_SD = 0.03  # [1] of one measurement: assumed, Table II is lost
+ANGLE_READING_DEG = 0.1  # [°] of the rotational stage: assumed
 
 
 def rehearsals(seed: int = 0) -> dict[str, SlipFriction]:
     """Draw slip angles of the published coefficients and evaluate them, scale by scale."""
     frictions = {}
-    for scale, (coefficient, n) in PUBLISHED.items():
+    for scale, (coefficient, n) in PUBLISHED_FRICTION.items():
         random = np.random.default_rng([seed, n])
-        degrees = np.degrees(np.arctan(coefficient + SD * random.normal(size=n)))
-        angles = np.radians(np.round(degrees / READING) * READING)
+        degrees = np.degrees(np.arctan(coefficient + ANGLE_SD * random.normal(size=n)))
+        angles = np.radians(np.round(degrees / ANGLE_READING_DEG) * ANGLE_READING_DEG)
         frictions[scale] = slip_friction(tuple(map(str, range(1, n + 1))), angles)
     return frictions

@@ -9,13 +9,13 @@ import numpy as np
 
 from ..model.model import Model
 from ..robot import Robot
-from .robots import LEVER, at_view, pcca, with_arm, with_cells
+from .robots import HINGE_LEVER_M, at_view, pcca, with_arm, with_cells
 
-ANGLE = float(np.pi / 2.0)
-ARMS = (1.0e-3, 1.15e-3, 1.3e-3, 1.45e-3, 1.6e-3)  # [m] the outer radius is 1.7 mm
-CELLS = (15, 30, 60)
-FRICTION = (0.28, 0.31, 0.34)
-PUBLISHED_ARM = 5.5e-3  # [m] of the 10:1 prototype, to which the lever belongs
+BEND_ANGLE_RAD = float(np.pi / 2.0)
+MOMENT_ARMS_M = (1.0e-3, 1.15e-3, 1.3e-3, 1.45e-3, 1.6e-3)  # [m] the outer radius is 1.7 mm
+CELL_COUNTS = (15, 30, 60)
+FRICTION_COEFFICIENTS = (0.28, 0.31, 0.34)
+PUBLISHED_MOMENT_ARM_M = 5.5e-3  # [m] of the 10:1 prototype, to which the lever belongs
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class SmallExperiment:
 def small_experiment(robot: Robot) -> SmallExperiment:
     """Compare the models of a robot of one section with inputs left and right."""
     gaps = []
-    for arm, cells, friction in product(ARMS, CELLS, FRICTION):
+    for arm, cells, friction in product(MOMENT_ARMS_M, CELL_COUNTS, FRICTION_COEFFICIENTS):
         one = with_cells(with_arm(robot, arm), cells)
         gaps.append(gap(one.with_effect('tendon_friction', {'friction_coefficient': friction}))[0])
     fields = ('tension', 'pull', 'hinge')
@@ -59,8 +59,8 @@ def gap(robot: Robot) -> tuple[Gap, float]:
     """Return the distances between the models' tips, and the tension [N]."""
     fkm, constant = Model(robot), Model(pcca(robot))
     hinge = Model(robot.with_effect('hinge_friction', {'lever': _lever(robot)}))
-    (tensions,) = at_view(fkm, (0, 1), np.zeros(1), ANGLE, 1)
-    (equal,) = at_view(constant, (0, 1), np.zeros(1), ANGLE, 1)
+    (tensions,) = at_view(fkm, (0, 1), np.zeros(1), BEND_ANGLE_RAD, 1)
+    (equal,) = at_view(constant, (0, 1), np.zeros(1), BEND_ANGLE_RAD, 1)
     tip = fkm.shape(tensions).tip_position
     others = (
         constant.shape(tensions).tip_position,
@@ -73,4 +73,4 @@ def gap(robot: Robot) -> tuple[Gap, float]:
 
 def _lever(robot: Robot) -> float:
     """Scale the hinge friction of the 10:1 prototype with the arm [m]."""
-    return LEVER * abs(robot.tendons[0].base[0]) / PUBLISHED_ARM
+    return HINGE_LEVER_M * abs(robot.tendons[0].base[0]) / PUBLISHED_MOMENT_ARM_M

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from . import slip
-from .displacement import HEIGHTS, DisplacementExperiment, displacement_experiment
+from .displacement import HEIGHT_NAMES, DisplacementExperiment, displacement_experiment
 from .motion import MotionExperiment, motion
 from .robots import Robots
 from .slip import SlipFriction
 from .small import SmallExperiment, small_experiment
-from .tension import PUBLISHED, TensionExperiment, tension_experiment
+from .tension import PUBLISHED_ERRORS_M, TensionExperiment, tension_experiment
 
 MET_WITHIN = 0.15  # relative difference that counts as met
 
@@ -97,7 +97,7 @@ def _friction_rows(frictions: dict[str, SlipFriction]) -> list[Row]:
     why = 'rehearsed with drawn slip angles (SD 0.03 assumed); ± is the 95 % interval of the mean'
     return [
         Row('IV.A', f'friction coefficient, {scale}, n = {one.n}', '1',
-            slip.PUBLISHED[scale][0], one.mean, one.low, one.high, why)
+            slip.PUBLISHED_FRICTION[scale][0], one.mean, one.low, one.high, why)
         for scale, one in frictions.items()
     ]  # fmt: skip
 
@@ -118,11 +118,11 @@ def _motion_rows(experiment: MotionExperiment) -> list[Row]:
 
 
 def _displacement_rows(experiment: DisplacementExperiment) -> list[Row]:
-    main = HEIGHTS[0]
+    main = HEIGHT_NAMES[0]
     rows = []
     for model, published, sd in (('FKM', 5.9, 2.9), ('PCCA', 23.7, 3.6)):
         spread = experiment.errors[main, model]
-        sds = [1e3 * experiment.errors[height, model].sd for height in HEIGHTS]
+        sds = [1e3 * experiment.errors[height, model].sd for height in HEIGHT_NAMES]
         rows += [
             Row('IV.C', f'tip error at given pulls, {model}', 'mm', published, 1e3 * spread.mean,
                 1e3 * spread.low, 1e3 * spread.high,
@@ -149,7 +149,7 @@ def _tension_rows(experiment: TensionExperiment) -> list[Row]:
         Row('IV.D', f'largest error, {posture}, {model}', 'mm', 1e3 * published,
             1e3 * experiment.largest[posture, model], 1e3 * experiment.low[posture, model],
             1e3 * experiment.high[posture, model], why)
-        for (posture, model), published in PUBLISHED.items()
+        for (posture, model), published in PUBLISHED_ERRORS_M.items()
     ]  # fmt: skip
 
 

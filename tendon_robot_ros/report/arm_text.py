@@ -9,7 +9,7 @@ import numpy as np
 from ..common.words import digits, listed, mm
 from ..diagnosis.result import Diagnosis
 
-NAMES = {
+KIND_NAMES = {
     'cell_stiffness': 'stiffness of the cells',
     'cell_kink': 'kinks at rest',
     'cell_kink_across': 'kinks across the plane',
@@ -19,7 +19,7 @@ NAMES = {
     'position': 'position of the tracker',
     'rotation': 'rotation of the tracker',
 }
-FEW = 6  # readings that are listed one by one
+READINGS_LISTED_MAX = 6  # readings that are listed one by one
 
 
 def amount(value: float, unit: str, sign: bool = False) -> str:
@@ -45,7 +45,7 @@ def as_built(diagnosis: Diagnosis) -> list[str]:
     ]
     if strange:
         lines.append(f'out of line with the others: {listed(strange)}')
-    hidden = [NAMES[kind['kind']] for kind in report['kinds'] if not _is_told(kind)]
+    hidden = [KIND_NAMES[kind['kind']] for kind in report['kinds'] if not _is_told(kind)]
     if hidden:
         lines.append(f'these measurements do not tell: {", ".join(hidden)}')
     return lines
@@ -57,7 +57,7 @@ def _is_told(kind: dict[str, Any]) -> bool:
 
 def _scatter(kind: dict[str, Any]) -> str:
     low, high = (amount(kind[key], kind['unit']) for key in ('low', 'high'))
-    return f'{NAMES[kind["kind"]]} {amount(kind["size"], kind["unit"])} ({low} to {high})'
+    return f'{KIND_NAMES[kind["kind"]]} {amount(kind["size"], kind["unit"])} ({low} to {high})'
 
 
 def left_out(diagnosis: Diagnosis) -> list[str]:
@@ -68,7 +68,7 @@ def left_out(diagnosis: Diagnosis) -> list[str]:
     sentences = []
     if trials:
         sentences.append(f'left out, because the other trials contradict it: {listed(trials)}')
-    if 0 < len(readings) <= FEW:
+    if 0 < len(readings) <= READINGS_LISTED_MAX:
         named = [
             f'marker {o["marker"]} in trial {o["trial"]} of posture {o["posture"]} '
             f'({mm(o["distance"])})'

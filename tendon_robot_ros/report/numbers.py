@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ..common.words import PREFIXES, digits
+from ..common.words import UNIT_PREFIXES, digits
 from ..diagnosis.result import Value
 
 
@@ -31,7 +31,7 @@ def degrees_list(radians: npt.ArrayLike) -> list[float | None]:
 # -----------------------------------------------------------------------------
 # Fitted parameters as people read them: value ± half, in the unit that suits the size.
 
-MOST = 7  # places behind the point; what is smaller is shown with an exponent
+DECIMALS_MAX = 7  # places behind the point; what is smaller is shown with an exponent
 
 
 def scale_of(unit: str, size: float, name: str = '') -> tuple[float, str]:
@@ -44,7 +44,7 @@ def scale_of(unit: str, size: float, name: str = '') -> tuple[float, str]:
         return 1e3, 'g/m'
     if unit in ('1', 'kg/m') or unit.startswith('1/'):
         return 1.0, '' if unit == '1' else unit
-    scale, prefix = next(((s, p) for s, p in PREFIXES if size >= 0.1 * s), (1.0, ''))
+    scale, prefix = next(((s, p) for s, p in UNIT_PREFIXES if size >= 0.1 * s), (1.0, ''))
     return 1.0 / scale, prefix + unit
 
 
@@ -108,5 +108,5 @@ def decimals(half: float) -> int:
 
 def rounded(value: float, places: int) -> str:
     """Show a number with so many places behind the point, never as -0 nor as a row of zeros."""
-    text = f'{value:.{places}f}' if places <= MOST else digits(value, 3)
+    text = f'{value:.{places}f}' if places <= DECIMALS_MAX else digits(value, 3)
     return text.removeprefix('-') if float(text) == 0.0 else text

@@ -14,7 +14,7 @@ from typing import Any
 from ..common.errors import MissingExtraError
 from ..common.files import new_file
 
-HERE = Path(__file__).parent
+FOLDER = Path(__file__).parent
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif'
 
 
@@ -177,4 +177,4 @@ def _row(tag: str, cells: Sequence[str], sides: Sequence[str], kind: str) -> str
 
 
 def _beside(name: str) -> str:
-    return (HERE / name).read_text(encoding='utf-8')
+    return (FOLDER / name).read_text(encoding='utf-8')

@@ -15,22 +15,22 @@ from ..comparison.statistics import half_width
 from ..data import DataSet
 from ..diagnosis.result import Diagnosis
 from ..paper.displacement import DisplacementExperiment, Heights
-from ..paper.motion import VIEWS, MotionExperiment, Stiffening
+from ..paper.motion import VIEW_ANGLES_RAD, MotionExperiment, Stiffening
 from ..paper.tension import TensionExperiment
 from ..paper.whole import Paper, Row
 from . import comparison_text as say
 from .error_plots import angles, tip_boxes
 from .numbers import mm_list, plain, quantities
 from .page import Figure, Page
-from .workspace_page import HEADER, rows, view_figures
+from .workspace_page import FAMILY_COLUMNS, rows, view_figures
 
-SOURCE = (
+PAPER_SOURCE = (
     'T. Kato, I. Okumura, S.-E. Song, A. J. Golby, N. Hata: Tendon-Driven Continuum Robot for '
     'Endoscopic Surgery: Preclinical Development and Validation of a Tension Propagation Model, '
     'IEEE/ASME Transactions on Mechatronics 20 (2015), doi 10.1109/TMECH.2014.2372635. "Trials" '
     'on this page are simulated.'
 )
-ASSUMED = (
+ASSUMED_ROWS = (
     ['slip angles (IV.A, Table II)', 'drawn: SD 0.03, read to 0.1°',
      'only mean and n are printed'],
     ['wires of a group (Table I)', 'three at one place, arm 0.65 mm, 5 N each',
@@ -157,12 +157,12 @@ def _what(comparison: Comparison) -> str:
 # -----------------------------------------------------------------------------
 # The page that `paper` writes: every number and figure of section IV beside ours.
 
-TABLE = ('', 'what', 'published', 'ours', 'difference', 'range left open', 'met', 'why')
+ROW_COLUMNS = ('', 'what', 'published', 'ours', 'difference', 'range left open', 'met', 'why')
 
 
 def paper_page(paper: Paper) -> Page:
     """Return the page."""
-    page = Page('Kato et al. 2015, section IV, reproduced', SOURCE)
+    page = Page('Kato et al. 2015, section IV, reproduced', PAPER_SOURCE)
     table = paper.rows
     missed = [row for row in table if row.met == 'not met']
     met = sum(row.met == 'within 15 %' for row in table)
@@ -174,10 +174,10 @@ def paper_page(paper: Paper) -> Page:
         ],
         'verdict' if missed else 'verdict good',
     )
-    page.table(TABLE, [_row(row) for row in table], left=(1, 6, 7))
+    page.table(ROW_COLUMNS, [_row(row) for row in table], left=(1, 6, 7))
     page.heading('What is assumed')
     page.text('Tables I to IV of the paper are lost in the text that was used. Assumed instead:')
-    page.table(('what', 'assumed', 'why'), ASSUMED, left=(1, 2))
+    page.table(('what', 'assumed', 'why'), ASSUMED_ROWS, left=(1, 2))
     _motion(page, paper.motion)
     _displacement(page, paper.displacement)
     _tension(page, paper.tension)
@@ -207,8 +207,8 @@ def _motion(page: Page, experiment: MotionExperiment) -> None:
         'arrangements come within 15 %.'
     )
     page.figures([arrangements(experiment, 0.05)])
-    page.table(HEADER, rows(experiment.workspace), left=(1, 2))
-    for view, name in zip(VIEWS, ('Figure 8', 'Figure 7'), strict=True):
+    page.table(FAMILY_COLUMNS, rows(experiment.workspace), left=(1, 2))
+    for view, name in zip(VIEW_ANGLES_RAD, ('Figure 8', 'Figure 7'), strict=True):
         families = experiment.workspace.of(view)
         page.text(f'{name}: the opposite-side pair, and the same side where it reaches the view.')
         kinds = {family.pair.kind: family for family in reversed(families)}

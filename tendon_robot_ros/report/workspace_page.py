@@ -12,9 +12,11 @@ from ..workspace.grid import Family, Floats, Workspace
 from .numbers import degrees_list, mm_list
 from .page import Figure, Page
 
-NAMES = ('highest tip', 'median tip', 'lowest tip')
-AT_LIMIT = 1e-6  # [N]
-HEADER = ('view', 'pair', 'towards', 'postures', 'tips across', 'tips along z', 'largest tension')
+HEIGHT_NAMES = ('highest tip', 'median tip', 'lowest tip')
+AT_LIMIT_WITHIN_N = 1e-6  # [N]
+FAMILY_COLUMNS = (
+    'view', 'pair', 'towards', 'postures', 'tips across', 'tips along z', 'largest tension',
+)  # fmt: skip
 
 
 def rows(workspace: Workspace) -> list[list[str]]:
@@ -22,7 +24,7 @@ def rows(workspace: Workspace) -> list[list[str]]:
     made = []
     for family in workspace.families:
         tension = float(family.tensions.max())
-        full = ' (the limit)' if tension > workspace.limit - AT_LIMIT else ''
+        full = ' (the limit)' if tension > workspace.limit - AT_LIMIT_WITHIN_N else ''
         made.append(
             [
                 degree(family.view),
@@ -104,7 +106,7 @@ def displacement(family: Family) -> Figure:
             {
                 'x': cells,
                 'y': degrees_list(angle),
-                'name': NAMES[i],
+                'name': HEIGHT_NAMES[i],
                 'mode': 'lines+markers',
                 'line': {'color': look(i).colour, 'dash': look(i).dash, 'width': 2},
                 'marker': {'symbol': look(i).symbol, 'size': 6},
@@ -114,7 +116,9 @@ def displacement(family: Family) -> Figure:
         'xaxis': {'title': {'text': 'cell'}},
         'yaxis': {'title': {'text': 'angular displacement per cell [°]'}},
     }
-    caption = '; '.join(f'{NAMES[i]}: {_pulled(family, b)}' for i, b in enumerate(family.salient))
+    caption = '; '.join(
+        f'{HEIGHT_NAMES[i]}: {_pulled(family, b)}' for i, b in enumerate(family.salient)
+    )
     return Figure(data, layout, 'Angular displacement per cell', caption, height=460)
 
 
@@ -127,7 +131,7 @@ def _line(family: Family, i: int, planar: bool) -> dict[str, Any]:
     points = np.concatenate([np.zeros((1, 3)), family.positions[family.salient[i]]])
     made = {
         **_places(points, planar),
-        'name': NAMES[i],
+        'name': HEIGHT_NAMES[i],
         'mode': 'lines+markers',
         'line': {'color': look(i).colour, 'dash': look(i).dash, 'width': 2 if planar else 5},
         'marker': {'color': look(i).colour, 'symbol': look(i).symbol, 'size': 5 if planar else 3},
@@ -157,7 +161,7 @@ def _places(points: Floats, planar: bool) -> dict[str, Any]:
 # -----------------------------------------------------------------------------
 # The page that `workspace --output` writes.
 
-FAMILIES = 4  # of a view that are drawn
+FAMILIES_DRAWN_MAX = 4  # of a view that are drawn
 
 
 def workspace_page(workspace: Workspace) -> Page:
@@ -171,14 +175,14 @@ def workspace_page(workspace: Workspace) -> Page:
     if lacking:
         page.box(lacking, 'warn')
     if workspace.families:
-        page.table(HEADER, rows(workspace), left=(1, 2))
+        page.table(FAMILY_COLUMNS, rows(workspace), left=(1, 2))
     for view in workspace.views:
         families = workspace.of(view)
         if not families:
             continue
         page.heading(f'{degree(view)} view')
-        if len(families) > FAMILIES:
-            page.text(f'The {FAMILIES} of {len(families)} families with most postures.')
-        for family in families[:FAMILIES]:
+        if len(families) > FAMILIES_DRAWN_MAX:
+            page.text(f'The {FAMILIES_DRAWN_MAX} of {len(families)} families with most postures.')
+        for family in families[:FAMILIES_DRAWN_MAX]:
             page.figures(view_figures(family), 'two')
     return page

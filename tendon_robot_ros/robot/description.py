@@ -133,7 +133,7 @@ class Robot:
         return replace(self, effects=keep, fitted=origin)
 
 
-LONGEST = 1_000_000  # characters of a description
+DESCRIPTION_MAX = 1_000_000  # characters of a description
 
 
 def load_robot(path: str | Path) -> Robot:
@@ -149,7 +149,7 @@ def load_robot(path: str | Path) -> Robot:
     path = Path(path)
     try:
         with path.open(encoding='utf-8') as file:
-            text = file.read(LONGEST + 1)
+            text = file.read(DESCRIPTION_MAX + 1)
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, 'strerror', None) or 'not a text file'
         raise RobotDescriptionError(str(path), 'file', 'a readable YAML file', reason) from None
@@ -158,8 +158,8 @@ def load_robot(path: str | Path) -> Robot:
 
 def parse_robot(text: str, source: str = 'robot') -> Robot:
     """Read a robot description from YAML text; `source` names it in messages."""
-    if len(text) > LONGEST:
-        expected = f'at most {LONGEST:,} characters'
+    if len(text) > DESCRIPTION_MAX:
+        expected = f'at most {DESCRIPTION_MAX:,} characters'
         raise RobotDescriptionError(source, 'file', expected, 'more than that')
     try:
         content = parse_yaml(text)

@@ -18,7 +18,7 @@ from ..workspace.postures import default_postures
 from .hidden import CAUSES, chosen
 
 Array = NDArray[np.float64]
-NONE = 'none'
+NOTHING_HIDDEN = 'none'
 REFINEMENTS = ('eyelet_wrap', 'tendon_travel')  # what the mock's wires do, and its owner knows
 GRAVITY_HANGING = (0.0, 0.0, 9.81)  # [m/s²] the arm hangs
 VISIBLE_TIP_ERROR = (0.02, 0.05)  # [1] tip error that a hidden effect makes, in lengths of the arm
@@ -41,7 +41,7 @@ class Hidden:
     @property
     def plant(self) -> dict[str, EffectValues]:
         """As `make_plant` takes it."""
-        return {} if self.name == NONE else {self.name: self.values}
+        return {} if self.name == NOTHING_HIDDEN else {self.name: self.values}
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def choices(robot: Robot, catalogue: Catalogue) -> tuple[str, ...]:
     # the others change wire pulls only, where tensions are commanded, or by decimetres
     suitable = [effect.name for effect in catalogue if effect.needs not in ('pulls', 'history')]
     known = [name for name in suitable if name not in robot.effects]
-    return (*known, *CAUSES, NONE)
+    return (*known, *CAUSES, NOTHING_HIDDEN)
 
 
 def draw(robot: Robot, catalogue: Catalogue, name: str, seed: int) -> Hidden:
@@ -93,10 +93,10 @@ def draw(robot: Robot, catalogue: Catalogue, name: str, seed: int) -> Hidden:
     """
     known, random = choices(robot, catalogue), np.random.default_rng(seed)
     if not name:
-        name = str(random.choice([n for n in known if n not in CAUSES and n != NONE]))
+        name = str(random.choice([n for n in known if n not in CAUSES and n != NOTHING_HIDDEN]))
     if name not in known:
         raise InputError(f'hidden: expected one of {", ".join(known)}, got {name!r}')
-    if name == NONE or name in CAUSES:
+    if name == NOTHING_HIDDEN or name in CAUSES:
         return Hidden(name, {})
     typical = chosen(catalogue[name], {}, len(robot.sections))
     wanted = random.uniform(*VISIBLE_TIP_ERROR) * robot.length
@@ -173,7 +173,7 @@ class Story:
     def problem(self) -> str:
         """Why the story did not come true, '' when it did."""
         verdict = self.verdict.get('verdict', 'no verdict')
-        if self.hidden.name == NONE:
+        if self.hidden.name == NOTHING_HIDDEN:
             return '' if verdict == 'adequate' else f'nothing was hidden, but: {verdict}'
         if self.hidden.outside:
             called = verdict == 'outside_catalogue'
@@ -196,7 +196,11 @@ class Story:
                 f'({100.0 * self.gone:.0f} % gone)'
             )
         quiet = 'nothing was hidden and nothing was found'
-        return quiet if self.hidden.name == NONE else 'a cause that no effect describes: called so'
+        return (
+            quiet
+            if self.hidden.name == NOTHING_HIDDEN
+            else 'a cause that no effect describes: called so'
+        )
 
 
 def reveal(hidden: Hidden, units: dict[str, str]) -> str:

@@ -13,8 +13,8 @@ from ..model.shape import Shape, ShapeBatch
 from ..paths.plan import REACHED_WITHIN_M, REACHED_WITHIN_RAD
 
 Array = NDArray[np.float64]
-LARGEST_CELL_BEND = np.radians(20.0)  # [rad] beyond it stacked guides would touch (assumed)
-STARTS = 200  # of a search, where the way from the last posture does not lead on
+CELL_BEND_MAX_RAD = np.radians(20.0)  # [rad] beyond it stacked guides would touch (assumed)
+SEARCH_STARTS = 200  # of a search, where the way from the last posture does not lead on
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def view(model: Model, angle: float, step: float = 0.1) -> ShapeBatch:
     shapes = model.shapes(tensions)
     turned = shapes.bend[:, :, 0].sum(axis=1)
     good = (np.abs(turned - angle) < 1e-9) & (
-        np.abs(shapes.bend).max(axis=(1, 2)) < LARGEST_CELL_BEND
+        np.abs(shapes.bend).max(axis=(1, 2)) < CELL_BEND_MAX_RAD
     )
     if not good.any():
         raise InputError(
@@ -158,7 +158,10 @@ def _in_plane(model: Model, angle: float, steps: int) -> list[Posture]:
 def _around(model: Model, angle: float, steps: int) -> list[Posture]:
     straight = model.shape(model.limits[:, 0])  # from there, a gentle bend and no curl
     first = model.reach(
-        direction=[np.sin(angle), 0.0, np.cos(angle)], guess=straight, starts=STARTS, relax=True
+        direction=[np.sin(angle), 0.0, np.cos(angle)],
+        guess=straight,
+        starts=SEARCH_STARTS,
+        relax=True,
     )
     postures, shape = [], first.shape
     for i, turn in enumerate(np.linspace(0.0, 2.0 * np.pi, steps)):
@@ -166,7 +169,7 @@ def _around(model: Model, angle: float, steps: int) -> list[Posture]:
         about = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         place = about @ first.shape.tip_position
         along = about @ np.array([np.sin(angle), 0.0, np.cos(angle)])
-        solution = model.reach(place, along, guess=shape, starts=STARTS, relax=True)
+        solution = model.reach(place, along, guess=shape, starts=SEARCH_STARTS, relax=True)
         if (
             solution.position_error > REACHED_WITHIN_M
             or solution.direction_error > REACHED_WITHIN_RAD

@@ -19,7 +19,7 @@ from ..model.model import Model
 from ..model.shape import ShapeBatch
 from ..robot import Robot
 
-ALIGNED = 0.5  # cosine from which two inputs pull to the same side
+ALIGNED_COSINE = 0.5  # cosine from which two inputs pull to the same side
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,9 @@ def pairs_of(robot: Robot) -> tuple[Pair, ...]:
         cosine = float(toward[i] @ toward[j])
         kind = (
             'opposite sides'
-            if cosine < -ALIGNED
+            if cosine < -ALIGNED_COSINE
             else 'same side'
-            if cosine > ALIGNED
+            if cosine > ALIGNED_COSINE
             else 'across'
         )
         pairs.append(Pair((robot.inputs[a], robot.inputs[b]), (a, b), kind))
@@ -301,7 +301,7 @@ def _chunks(
 # -----------------------------------------------------------------------------
 # A workspace as files: a CSV table of the kept postures, and all their cells as npz.
 
-FILES = ('postures.csv', 'workspace.npz')
+WORKSPACE_FILES = ('postures.csv', 'workspace.npz')
 
 
 def save_workspace(workspace: Workspace, folder: Path) -> None:
@@ -312,7 +312,7 @@ def save_workspace(workspace: Workspace, folder: Path) -> None:
     `positions` [m], `angle` [rad], `view` [rad], `side`, `pair` (index into `pairs`).
     """
     inputs = workspace.robot.inputs
-    with (folder / FILES[0]).open('w', newline='', encoding='utf-8') as file:
+    with (folder / WORKSPACE_FILES[0]).open('w', newline='', encoding='utf-8') as file:
         writer = csv.writer(file)
         writer.writerow(['view', 'pair', *inputs, 'angle', 'x', 'y', 'z'])
         for family in workspace.families:
@@ -321,7 +321,7 @@ def save_workspace(workspace: Workspace, folder: Path) -> None:
             ):
                 numbers = [f'{value:.6g}' for value in (*tensions, angle, *tip)]
                 writer.writerow([f'{family.view:.6g}', ' + '.join(family.pair.inputs), *numbers])
-    np.savez_compressed(folder / FILES[1], **_arrays(workspace))  # type: ignore[arg-type]
+    np.savez_compressed(folder / WORKSPACE_FILES[1], **_arrays(workspace))  # type: ignore[arg-type]
 
 
 def _arrays(workspace: Workspace) -> dict[str, object]:

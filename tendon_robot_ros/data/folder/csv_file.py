@@ -72,7 +72,7 @@ class Labels(dict[str, int]):
 # The file is read in blocks of lines, each parsed at once; only where that fails is a block looked
 # at cell by cell, to say what is wrong where.
 
-BLOCK = 1 << 19  # characters that are parsed at once: small enough for the cache
+BLOCK_CHARACTERS = 1 << 19  # characters that are parsed at once: small enough for the cache
 Block = NDArray[np.void]  # rows of a CSV file: names as text, numbers as floats
 
 
@@ -288,7 +288,7 @@ def _parse(lines: list[str], dtype: np.dtype[Any]) -> Block | None:
 def _blocks(file: TextIO) -> Iterator[list[str]]:
     """Yield blocks of lines, without the blank lines at the end of the file."""
     blank: list[str] = []
-    while more := file.readlines(BLOCK):
+    while more := file.readlines(BLOCK_CHARACTERS):
         lines, blank = blank + more, []
         while lines and not lines[-1].strip():
             blank.append(lines.pop())

@@ -28,12 +28,12 @@ from dynamixel_sdk import (
 )
 
 from ...common.errors import DriverError
-from ..ports import LOST, take_alone, why_not
+from ..ports import PORT_ERRORS, take_alone, why_not
 from .tables import REGISTERS, decode, encode
 
 UDEV_FILE = '/etc/udev/rules.d/99-usb-serial-latency.rules'
 UDEV_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
-LONGEST_LATENCY = 2  # [ms]
+LATENCY_MAX_MS = 2  # [ms]
 
 
 class Port(PortHandler):  # type: ignore[misc]
@@ -64,9 +64,9 @@ class Port(PortHandler):  # type: ignore[misc]
         self.is_open = False
         self.is_using = False
         if self.ser is not None:
-            with contextlib.suppress(*LOST):
+            with contextlib.suppress(*PORT_ERRORS):
                 self.ser.reset_output_buffer()  # goals that are still waiting are old
-            with contextlib.suppress(*LOST):
+            with contextlib.suppress(*PORT_ERRORS):
                 self.ser.close()
 
     def getCurrentTime(self) -> float:  # noqa: N802
@@ -100,7 +100,7 @@ def open_port(path: str, baud: int, answer_time: float) -> Port:
         if port.openPort():
             return port
         raise DriverError(f'{path}: baudrate: the SDK does not know {baud}')
-    except LOST as error:
+    except PORT_ERRORS as error:
         port.closePort()
         raise DriverError(why_not(path, error)) from None
 
@@ -128,9 +128,9 @@ def check_latency(path: str, allow: bool, sysfs: str = '/sys') -> int | None:
 
     """
     milliseconds = latency(path, sysfs)
-    if milliseconds is not None and milliseconds > LONGEST_LATENCY and not allow:
+    if milliseconds is not None and milliseconds > LATENCY_MAX_MS and not allow:
         raise DriverError(
-            f'{path}: latency_timer: expected at most {LONGEST_LATENCY} ms, '
+            f'{path}: latency_timer: expected at most {LATENCY_MAX_MS} ms, '
             f'got {milliseconds} ms: every '
             f"answer comes that late; type: echo '{UDEV_RULE}' | sudo tee {UDEV_FILE} && "
             'sudo udevadm control --reload && sudo udevadm trigger --action=add '
@@ -198,7 +198,7 @@ class Bus:
         port = Port(self.path, self.baud, self.answer_time)
         try:
             opened = os.path.exists(self.path) and port.openPort()
-        except LOST:
+        except PORT_ERRORS:
             opened = False
         if not opened:
             port.closePort()
@@ -220,7 +220,7 @@ class Bus:
         self.last_instruction = time.monotonic()
         try:
             return what(self._port)
-        except LOST as error:
+        except PORT_ERRORS as error:
             self.failures['port lost'] += 1
             self.close()
             raise PortLostError(f'{self.path}: {error}') from None

@@ -25,11 +25,11 @@ from .tables import CURRENT_POSITION_MODE, Calibration, CurrentLine
 from .torque import read_state, torque_off, torque_on
 
 GRAVITY = 9.80665  # [m/s²]
-PERIOD = 0.01  # [s]
-ARRIVAL = 1.0  # time for the end of a way, after its last goal [s]
-STEADY = (0.35, 0.9)  # part of the way in which the current counts
-FEWEST_WEIGHTS = 3
-FEWEST_SAMPLES = 5
+SAMPLE_PERIOD_S = 0.01  # [s]
+ARRIVAL_TIMEOUT_S = 1.0  # [s] for the end of a way, after its last goal
+STEADY_PART = (0.35, 0.9)  # part of the way in which the current counts
+WEIGHTS_MIN = 3
+SAMPLES_MIN = 5
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,9 @@ def fit_current(points: Sequence[CurrentPoint]) -> CurrentFit:
 
     """
     tensions = np.array([point.tension for point in points])
-    if len(set(tensions.tolist())) < FEWEST_WEIGHTS:
+    if len(set(tensions.tolist())) < WEIGHTS_MIN:
         raise InputError(
-            f'calibration: expected at least {FEWEST_WEIGHTS} different weights, '
+            f'calibration: expected at least {WEIGHTS_MIN} different weights, '
             f'got {len(set(tensions.tolist()))}'
         )
     lines, errors, spread = {}, {}, []
@@ -172,7 +172,7 @@ def _turn_to(bus: Bus, motor: Motor, ticks: int) -> None:
     bus.send_goals(
         'goal_position', {motor.identity: ticks}, {motor.identity: motor.position_bounds}
     )
-    time.sleep(PERIOD)
+    time.sleep(SAMPLE_PERIOD_S)
     read_state(bus, [motor])
     if not motor.answers:
         raise DriverError(f'{bus.path}: {motor}: no answer while calibrating; torque is off')
@@ -185,9 +185,9 @@ def _go(bus: Bus, motor: Motor, end: int, duration: float) -> float:
     wire = motor.wires[0]
     while (part := (time.monotonic() - began) / duration) < 1.0:
         _turn_to(bus, motor, round(start + part * (end - start)))
-        if STEADY[0] < part < STEADY[1] and motor.current is not None:
+        if STEADY_PART[0] < part < STEADY_PART[1] and motor.current is not None:
             currents.append(wire.spool.direction * motor.current * motor.model.current_unit)
-    latest = time.monotonic() + ARRIVAL
+    latest = time.monotonic() + ARRIVAL_TIMEOUT_S
     while abs((motor.ticks or 0) - end) > 0.2 * abs(end - start) and time.monotonic() < latest:
         _turn_to(bus, motor, end)  # the last goal may be an old one where this process was late
     if abs((motor.ticks or 0) - end) > 0.2 * abs(end - start):
@@ -195,7 +195,7 @@ def _go(bus: Bus, motor: Motor, end: int, duration: float) -> float:
             f'{bus.path}: {motor}: does not follow; is the weight too heavy for '
             f'{motor.strongest * motor.model.current_unit:.2f} A, or blocked?'
         )
-    if len(currents) < FEWEST_SAMPLES:
+    if len(currents) < SAMPLES_MIN:
         raise DriverError(
             f'{bus.path}: {motor}: only {len(currents)} readings; go slower or further'
         )

@@ -9,7 +9,7 @@ from .motor import Motor
 from .tables import MODEL_NAMES, VOLT_PER_COUNT
 
 REVERSE, TORQUE_BY_GOAL = 0x01, 0x08  # bits of the drive mode, address 10
-TRIES = 3
+PING_ATTEMPTS = 3
 OTHER_RATES = (57600, 1_000_000)  # as delivered, and what most people set
 
 
@@ -43,7 +43,7 @@ def shake_hands(bus: Bus, config: DynamixelConfig, motors: dict[int, Motor]) -> 
 
 def _who(bus: Bus, identity: int) -> int | None:
     """Ping a servo, again if the answer was lost."""
-    for _ in range(TRIES):
+    for _ in range(PING_ATTEMPTS):
         number = bus.ping(identity)
         if number is not None:
             return number
@@ -53,11 +53,11 @@ def _who(bus: Bus, identity: int) -> int | None:
 def _ask(bus: Bus, motor: Motor, name: str) -> int:
     """Read a setting until two answers agree: a late one may be that of the register before."""
     lost, last = 0, None
-    for _ in range(3 * TRIES):
+    for _ in range(3 * PING_ATTEMPTS):
         value = bus.read(motor.identity, name)
         if value is None:
             lost += 1
-            if lost == TRIES:
+            if lost == PING_ATTEMPTS:
                 break
         elif value == last:
             return value
@@ -68,7 +68,9 @@ def _ask(bus: Bus, motor: Motor, name: str) -> int:
             f'{bus.path}: {motor}: status return level (address 68): expected 2, got 0 as it '
             'seems: pings are answered, reads are not; write 2, or check the cable'
         )
-    raise DriverError(f'{bus.path}: {motor}: {name}: no answer in {TRIES} tries; check the cable')
+    raise DriverError(
+        f'{bus.path}: {motor}: {name}: no answer in {PING_ATTEMPTS} tries; check the cable'
+    )
 
 
 def _check_settings(bus: Bus, config: DynamixelConfig, motor: Motor) -> None:

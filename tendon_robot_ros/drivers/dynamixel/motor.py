@@ -10,7 +10,7 @@ from ..interface import Fault
 from .config import DynamixelConfig, WireConfig
 from .tables import (
     HARDWARE_ERRORS,
-    HIGHEST_POSITION,
+    POSITION_MAX_TICKS,
     REGISTERS,
     VOLT_PER_COUNT,
     ServoModel,
@@ -117,12 +117,12 @@ class Motor:
         here = self.ticks or 0
         if self.zero is None:
             return here, here
-        low, high = -float(HIGHEST_POSITION), float(HIGHEST_POSITION)
+        low, high = -float(POSITION_MAX_TICKS), float(POSITION_MAX_TICKS)
         for wire in self.wires:
             ends = [
                 self.zero + wire.spool.ticks(pull)
                 if math.isfinite(pull)
-                else math.copysign(HIGHEST_POSITION, pull)
+                else math.copysign(POSITION_MAX_TICKS, pull)
                 for pull in wire.pull_limits
             ]
             low, high = max(low, min(ends)), min(high, max(ends))

@@ -19,9 +19,9 @@ from dataclasses import dataclass
 TICKS_PER_TURN = 4096
 RPM_PER_COUNT = 0.229  # [rev/min], present and goal velocity
 VOLT_PER_COUNT = 0.1  # [V]
-WATCHDOG_UNIT = 0.020  # [s], address 98
+WATCHDOG_UNIT_S = 0.020  # [s], address 98
 WATCHDOG_TRIPPED = 255  # -1 as an unsigned byte
-HIGHEST_POSITION = 1_048_575  # [ticks], 256 turns in the multi-turn modes
+POSITION_MAX_TICKS = 1_048_575  # [ticks], 256 turns in the multi-turn modes
 
 CURRENT_MODE, EXTENDED_MODE, CURRENT_POSITION_MODE = 0, 4, 5  # operating mode, address 11
 
@@ -198,8 +198,8 @@ def encode(register: Register, value: int) -> bytes:
 # A geared motor needs more current to wind than to hold, and less to pay out: two straight lines
 # over the tension. Their mean converts; half the gap between them is the uncertainty.
 
-FEWEST_COUNTS = 20  # of current, from no tension to the limit
-WIDEST_BAND = 0.20  # of the tension limit
+CURRENT_COUNTS_MIN = 20  # of current, from no tension to the limit
+FRICTION_BAND_MAX = 0.20  # of the tension limit
 RADIANS_PER_TICK = 2.0 * math.pi / TICKS_PER_TURN
 
 
@@ -290,7 +290,7 @@ class Resolution:
     @property
     def coarse(self) -> bool:
         """Whether it is too coarse to command tensions by current."""
-        return self.counts < FEWEST_COUNTS or self.band > WIDEST_BAND * self.limit
+        return self.counts < CURRENT_COUNTS_MIN or self.band > FRICTION_BAND_MAX * self.limit
 
     def __str__(self) -> str:
         """Say the numbers."""
@@ -329,5 +329,5 @@ def smallest_spool(model: ServoModel, limit: float) -> float:
     """Return the spool radius [m], in whole mm, from which the data sheet's motor is fine."""
     friction = model.friction_current * model.torque_per_ampere  # [N·m]
     count = model.current_unit * model.torque_per_ampere  # [N·m]
-    least = max(friction / (WIDEST_BAND * limit), FEWEST_COUNTS * count / limit)
+    least = max(friction / (FRICTION_BAND_MAX * limit), CURRENT_COUNTS_MIN * count / limit)
     return 1e-3 * math.ceil(1e3 * least + 0.5)

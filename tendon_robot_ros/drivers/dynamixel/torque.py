@@ -18,15 +18,15 @@ from .tables import (
     HARDWARE_ERRORS,
     REGISTERS,
     WATCHDOG_TRIPPED,
-    WATCHDOG_UNIT,
+    WATCHDOG_UNIT_S,
 )
 
-TRIES = 3
+WRITE_ATTEMPTS = 3
 
 
 def watchdog_counts(config: DynamixelConfig) -> int:
     """Return the value of address 98: at least one unit when it is on at all."""
-    return min(127, math.ceil(config.watchdog / WATCHDOG_UNIT - 1e-9))
+    return min(127, math.ceil(config.watchdog / WATCHDOG_UNIT_S - 1e-9))
 
 
 def operating_mode(config: DynamixelConfig, mode: str) -> int:
@@ -38,7 +38,7 @@ def operating_mode(config: DynamixelConfig, mode: str) -> int:
 
 def must_write(bus: Bus, motor: Motor, name: str, value: int) -> None:
     """Write a register, again if need be; raise DriverError when the servo refuses."""
-    for _ in range(TRIES):
+    for _ in range(WRITE_ATTEMPTS):
         problem = bus.write(motor.identity, name, value)
         if problem is None:
             return

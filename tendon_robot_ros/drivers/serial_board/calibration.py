@@ -24,9 +24,9 @@ from .link import BoardLink, LinkLostError, identify, wait_for
 
 GRAVITY = 9.80665  # [m/s²]
 SAMPLE_S = 0.0125  # [s] between two values of an HX711
-FEWEST_WEIGHTS = 3  # nothing hung included
+WEIGHTS_MIN = 3  # nothing hung included
 SATURATED = 0x7FFFFF
-FEWEST_VALUES = 5
+VALUES_MIN = 5
 SETTLE_S = 0.2  # [s] not counted: values from before the weight hung
 
 
@@ -52,9 +52,9 @@ def fit_counts(points: Sequence[CountsPoint]) -> Cell:
     tensions = np.array([point.tension for point in points])
     counts = np.array([point.mean for point in points])
     different = len(set(tensions.tolist()))
-    if different < FEWEST_WEIGHTS:
+    if different < WEIGHTS_MIN:
         raise InputError(
-            f'calibration: expected at least {FEWEST_WEIGHTS - 1} different weights besides '
+            f'calibration: expected at least {WEIGHTS_MIN - 1} different weights besides '
             f'none, got {different - 1}'
         )
     (slope, zero), factors = np.polyfit(tensions, counts, 1, cov='unscaled')
@@ -127,7 +127,7 @@ def measure(
     """
     values = _counts(link, channels, channel, seconds)
     values = values[np.append(True, np.diff(values) != 0.0)]  # the same value, asked for twice
-    if len(values) < FEWEST_VALUES:
+    if len(values) < VALUES_MIN:
         raise DriverError(f'{link.path}: channel {channel}: no values of its load cell')
     if np.max(np.abs(values)) >= SATURATED:
         raise DriverError(f'{link.path}: channel {channel}: load cell saturated; less weight')

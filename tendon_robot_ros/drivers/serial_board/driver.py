@@ -136,7 +136,7 @@ def driver_facts(driver: SerialDriver) -> dict[str, str]:
 CYCLE_S = 0.01  # [s]
 STEADY_FOR_S = 0.2  # [s]
 TENSION_WITHIN_SHARE = 0.3  # of the wanted tension
-NEAR = 5e-4  # [m] to the end of `home_travel`: the board goes no further
+TRAVEL_END_WITHIN_M = 5e-4  # [m] to the end of `home_travel`: the board goes no further
 
 
 def find_slack(driver: SerialDriver) -> Array:
@@ -193,7 +193,9 @@ def _wind(driver: SerialDriver, origin: Array) -> Array:
             steady = time.monotonic()
         if faults := latched_faults(driver):
             raise DriverError('; '.join(fault.message for fault in faults))
-        ended = away & (np.abs(_places(driver) - origin) > config.home_travel - NEAR)
+        ended = away & (
+            np.abs(_places(driver) - origin) > config.home_travel - TRAVEL_END_WITHIN_M
+        )
         if ended.any():
             raise DriverError(_too_far(driver, ended))
         if time.monotonic() > deadline:

@@ -11,7 +11,7 @@ import serial
 
 from ...common.errors import DriverError
 from ..interface import Array
-from ..ports import LOST, take_alone, why_not
+from ..ports import PORT_ERRORS, take_alone, why_not
 from . import messages
 from .config import BoardConfig
 from .messages import VERSION, Frame, FrameReceiver, Identity, Telemetry, encode
@@ -61,7 +61,7 @@ class BoardLink:
         self.close()
         try:
             self._open()
-        except LOST as error:
+        except PORT_ERRORS as error:
             raise DriverError(why_not(self.path, error)) from None
 
     def reopen(self) -> bool:
@@ -70,7 +70,7 @@ class BoardLink:
         try:
             if os.path.exists(self.path):
                 self._open()
-        except LOST:
+        except PORT_ERRORS:
             pass
         return self.connected
 
@@ -79,7 +79,7 @@ class BoardLink:
         try:
             take_alone(port.fileno())
             port.reset_input_buffer()
-        except LOST:
+        except PORT_ERRORS:
             port.close()
             raise
         receiver = FrameReceiver()
@@ -92,7 +92,7 @@ class BoardLink:
         if port is not None:
             try:
                 port.close()
-            except LOST:
+            except PORT_ERRORS:
                 pass
 
     def send(self, kind: int, payload: bytes = b'') -> int:
@@ -102,7 +102,7 @@ class BoardLink:
         self.sent_at = time.monotonic()
         try:
             port.write(encode(kind, self._sequence, payload))
-        except LOST as error:
+        except PORT_ERRORS as error:
             self._lost(error)
         return self._sequence
 
@@ -114,7 +114,7 @@ class BoardLink:
             if not select.select([file], [], [], max(wait, 0.0))[0]:
                 return []
             data = os.read(file, CHUNK_BYTES)
-        except LOST as error:
+        except PORT_ERRORS as error:
             self._lost(error)
         if not data:
             self._lost(OSError('end of file'))
@@ -131,7 +131,7 @@ class BoardLink:
         port = self._open_port()
         try:
             port.reset_input_buffer()
-        except LOST as error:
+        except PORT_ERRORS as error:
             self._lost(error)
         self._expected = None
 

@@ -4,7 +4,7 @@ from .layout import HINGE, MASS, cell, compiled, floats, section_of
 from .stages import load, load_acts, tip_load, tip_load_acts
 from .turning import arc_factor, halved
 
-NONE = (0.0, 0.0, 0.0)
+NO_LOAD = (0.0, 0.0, 0.0)
 
 
 @compiled
@@ -117,7 +117,7 @@ def load_moments(chain, bend, work):
     bends, moments, origins = floats(bend), floats(work.load), floats(work.origins)
     half, lengths = floats(work.half), floats(work.lengths)
     scale = floats(work.slip)[1]
-    force, torque = scaled(scale, force_at_tip(chain)), NONE
+    force, torque = scaled(scale, force_at_tip(chain)), NO_LOAD
     for i in range(chain.n - 1, -1, -1):
         x, y = bends[2 * i], bends[2 * i + 1]
         f = floats(work.frames + 72 * i)

@@ -45,7 +45,7 @@ TOPIC_LOOK_PERIOD_S = 0.5  # [s] between looks for new topics
 POLL_PERIOD_S = 0.02  # [s]
 QUEUE_DEPTH = 2000  # messages of a topic that may wait
 # a robot that moves from posture to posture; its tensions are known to 0.2 %, as in the monitor
-MEASURED = 'path: sequence\ntension_noise: {setting: 0.002}\n'
+DATASET_DEFAULTS = 'path: sequence\ntension_noise: {setting: 0.002}\n'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -124,7 +124,7 @@ class Recorder(Node):
         self._robot_written = False
         for topic in (DESCRIPTION, ROBOT):
             writer.add_topic(topic, STRING, latched=True)
-        self._write_text(DESCRIPTION, MEASURED)
+        self._write_text(DESCRIPTION, DATASET_DEFAULTS)
         self.create_timer(TOPIC_LOOK_PERIOD_S, self._look)
         self._look()
 

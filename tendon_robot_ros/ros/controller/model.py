@@ -14,12 +14,12 @@ from ...control.loading import Loader
 from ...effects import load_catalogue
 from ...model.model import Model
 from ...model.shape import Shape
-from ...robot.description import LONGEST
+from ...robot.description import DESCRIPTION_MAX
 from ..shared.files import read_robot, robot_file
 from ..shared.messages import STATE, arm_markers, pose_array, pose_stamped
 from ..shared.parameters import Parameters
 
-READ_AT_ONCE_CHARACTERS_MAX = 4_000  # characters that are read before the parameter is accepted
+READ_AT_ONCE_MAX = 4_000  # characters that are read before the parameter is accepted
 
 
 class ModelLoading:
@@ -103,10 +103,10 @@ def _short(text: str) -> bool:
     """Whether a description is read, or refused, in no time."""
     file = robot_file(text)
     if file is None:
-        return not READ_AT_ONCE_CHARACTERS_MAX < len(text) <= LONGEST
+        return not READ_AT_ONCE_MAX < len(text) <= DESCRIPTION_MAX
     if not file.exists():
         return True
-    return file.is_file() and not READ_AT_ONCE_CHARACTERS_MAX < file.stat().st_size <= LONGEST
+    return file.is_file() and not READ_AT_ONCE_MAX < file.stat().st_size <= DESCRIPTION_MAX
 
 
 # -----------------------------------------------------------------------------

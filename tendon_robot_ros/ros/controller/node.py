@@ -24,7 +24,7 @@ from ...control import ControllerCore, Refusal
 from ...control.solver import Worker
 from ...control.status import controller_status
 from ...model.model import Model
-from ..shared.inbox import REASON, Inbox, Received, StopTopic
+from ..shared.inbox import STOP_REASON, Inbox, Received, StopTopic
 from ..shared.lifecycle import LEVELS, ManagedNode, Status
 from ..shared.messages import COMMAND, JOINTS, LATCHED, LISTEN, joint_state
 from ..shared.parameters import Parameters
@@ -36,8 +36,8 @@ from .model import ModelLoading, Prediction
 
 HELP = 'move the tip to targets: poses, points or twists in, tendon commands out'
 
-TELL_PERIOD = 0.02  # [s]
-DOING = {
+STATUS_LOOK_PERIOD_S = 0.02  # [s]
+STARTING_WORDS = {
     'loading': 'reading the model',
     'compiling': 'compiling the model, once; a minute',
     'building': 'building the library of shapes',
@@ -81,7 +81,7 @@ class ControllerNode(ManagedNode):
         done = self._loading.done
         if not done:
             doing = self._loading.doing
-            self.status.say(LEVELS['warn'], doing, DOING[doing])
+            self.status.say(LEVELS['warn'], doing, STARTING_WORDS[doing])
         return done
 
     def configure(self) -> None:
@@ -94,7 +94,7 @@ class ControllerNode(ManagedNode):
         self.core = ControllerCore(model, settings, self._solver)
         self.core.driver_says(self._driver_stopped)
         if self._stop_topic.says:
-            self._stop_said(REASON)
+            self._stop_said(STOP_REASON)
         self._incoming = Incoming(self, self.parameters, model)
         self._prediction = Prediction(self, self._incoming.base, model)
 
@@ -216,13 +216,13 @@ class ControllerNode(ManagedNode):
             command = joint_state(stamp, core.model.inputs, pulls, tensions)
             command.header.frame_id = self._signature
             self._commands.publish(command)
-        if now - self._told >= TELL_PERIOD:
+        if now - self._told >= STATUS_LOOK_PERIOD_S:
             self._told = now
             self._tell(core, now)
 
     def _idle(self, now: float) -> None:
         """Publish that it waits for a transition: the last status would go on being heard."""
-        if now - self._told < TELL_PERIOD:
+        if now - self._told < STATUS_LOOK_PERIOD_S:
             return
         self._told = now
         if self.phase == 'inactive':

@@ -20,7 +20,7 @@ from ...control.checks import Refusal, by_name, check_stamp, finite
 from ...drivers.mock import MockDriver
 from ...drivers.supervisor import FOLLOWING, LIMP, OFF, RELEASED, Supervisor
 from ..shared.files import read_robot
-from ..shared.inbox import REASON, Inbox, Received, Service, StopTopic
+from ..shared.inbox import STOP_REASON, Inbox, Received, Service, StopTopic
 from ..shared.lifecycle import ERROR, OK, WARN, ManagedNode, Status
 from ..shared.messages import JOINTS, STATE, joint_state, seconds
 from ..shared.parameters import Parameters
@@ -31,7 +31,7 @@ from .mock_arm import MockTracker
 from .motor_loop import Cycle, MotorLoop
 
 HELP = 'drive motors, or a mock arm, from tendon commands'
-MESSAGES = {
+STATE_WORDS = {
     FOLLOWING: 'following commands',
     RELEASED: 'released, holding',
     LIMP: 'released, torque off',
@@ -79,7 +79,7 @@ class DriverNode(ManagedNode):
         if isinstance(driver, MockDriver):
             self._tracker = MockTracker(self, driver, tracker, self.parameters)
         if self._stop_topic.says:
-            self._stop_said(REASON)
+            self._stop_said(STOP_REASON)
         self.bus.start()
 
     def activate(self) -> None:
@@ -180,7 +180,7 @@ class DriverNode(ManagedNode):
         stopped = bool(latched)
         state = 'releasing' if stopped and decision.state == FOLLOWING else decision.state
         level = ERROR if stopped else OK if state == FOLLOWING else WARN
-        message = '; '.join(dict.fromkeys([MESSAGES[state], *decision.reasons, *latched]))
+        message = '; '.join(dict.fromkeys([STATE_WORDS[state], *decision.reasons, *latched]))
         code = 'stopped' if stopped else state
         if self._refusal is not None:
             level, code = max(level, WARN), f'refused_{self._refusal.code}'

@@ -11,10 +11,10 @@ import yaml
 
 from ...common.errors import InputError
 from ...robot import Robot, load_robot, parse_robot
-from ...robot.description import LONGEST
+from ...robot.description import DESCRIPTION_MAX
 
 PACKAGE = 'tendon_robot_ros'
-LONGEST_PATH = 1000
+PATH_CHARACTERS_MAX = 1000
 
 
 def shared_file(name: str) -> Path | None:
@@ -58,7 +58,7 @@ def read_robot(text: str) -> Robot:
 
 def robot_file(text: str) -> Path | None:
     """Return the file that a path or a name means; None where the text is the description."""
-    if '\n' in text or ': ' in text or len(text) > LONGEST_PATH:
+    if '\n' in text or ': ' in text or len(text) > PATH_CHARACTERS_MAX:
         return None
     own = shared_file(f'config/robots/{text}.yaml')
     if own is not None and not Path(text).is_file():
@@ -77,12 +77,14 @@ def read_mapping(text: str, what: str) -> dict[str, Any]:
         own = None if Path(text).is_file() else shared_file(f'config/{text}.yaml')
         try:
             with (own or Path(text)).open(encoding='utf-8') as file:
-                text = file.read(LONGEST + 1)  # of a device there is no end
+                text = file.read(DESCRIPTION_MAX + 1)  # of a device there is no end
         except (OSError, UnicodeDecodeError) as error:
             reason = getattr(error, 'strerror', None) or 'not a text file'
             raise InputError(f'{what}: {text}: {reason}; expected a YAML file or text') from None
-    if len(text) > LONGEST:
-        raise InputError(f'{what}: expected at most {LONGEST:,} characters, got more than that')
+    if len(text) > DESCRIPTION_MAX:
+        raise InputError(
+            f'{what}: expected at most {DESCRIPTION_MAX:,} characters, got more than that'
+        )
     try:
         content = yaml.safe_load(text)
     except yaml.YAMLError as error:

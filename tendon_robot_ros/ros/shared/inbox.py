@@ -123,8 +123,8 @@ class Waiting:
 # -----------------------------------------------------------------------------
 # The topic `stop`: whoever says true stops the arm; who may say that the cause is gone.
 
-ASKING = 0.3  # [s] latched words of others take a few milliseconds to come again
-REASON = 'topic stop says true (publish false on it to end that)'
+LATCHED_WAIT_S = 0.3  # [s] latched words of others take a few milliseconds to come again
+STOP_REASON = 'topic stop says true (publish false on it to end that)'
 
 
 class StopTopic:
@@ -177,7 +177,7 @@ class StopTopic:
                 self._words.append(word)
             else:
                 self._take(word.message.data)
-        if self._asking and time.monotonic() - self._asked > ASKING:
+        if self._asking and time.monotonic() - self._asked > LATCHED_WAIT_S:
             self._conclude()
 
     def close(self) -> None:
@@ -249,7 +249,7 @@ class StopTopic:
 
     def _say_stop(self) -> None:
         self.says, self._asked = True, float('nan')
-        self._stop(REASON)
+        self._stop(STOP_REASON)
 
     def _say_gone(self) -> None:
         self.says = False

@@ -154,7 +154,7 @@ OK, WARN, ERROR, STALE = (
 LEVELS = {'ok': OK, 'warn': WARN, 'error': ERROR}
 STATUS_PERIOD_S = 1.0  # [s] at least so often
 NEWS_INTERVAL_MIN_S = 0.02  # [s] news may come and go with every message
-LOG_PERIOD = 2.0  # [s] the same news is logged no more often than this
+LOG_PERIOD_S = 2.0  # [s] the same news is logged no more often than this
 VALUES_INTERVAL_MIN_S = 0.1  # [s] values that change all the time are sent no more often than this
 
 
@@ -214,7 +214,7 @@ class Status:
         if not news and status == self._sent and now - self._sent_at < STATUS_PERIOD_S:
             return
         name = f'{code} {faults}'
-        if news and now - self._logged.get(name, -LOG_PERIOD) >= LOG_PERIOD:
+        if news and now - self._logged.get(name, -LOG_PERIOD_S) >= LOG_PERIOD_S:
             self._logged[name] = now
             self._log(level, f'{code}: {message}')
         self._key, self._sent, self._sent_at = key, status, now

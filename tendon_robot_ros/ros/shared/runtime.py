@@ -24,7 +24,8 @@ from ...common.errors import InputError, TendonRobotError
 from ...common.processes import child_environment, end_with_parent, go_first
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-ECHO = 1.0  # [s] launch passes on the signal that the terminal or systemd has sent to all, too
+# [s] launch passes on the signal that the terminal or systemd has sent to all, too
+SIGNAL_ECHO_S = 1.0
 
 
 class Ending:
@@ -43,7 +44,7 @@ class Ending:
         now = time.monotonic()
         if not self.signal:
             self.signal, self._asked = number, now
-        elif now - self._asked > ECHO:
+        elif now - self._asked > SIGNAL_ECHO_S:
             os._exit(128 + number)
 
 

@@ -46,7 +46,7 @@ SPECS = (
     Spec('robot_length', 0.208, 'length of the robot, for the camera', 'm', 1e-3, 100.0,
          read_only=True),
 )  # fmt: skip
-PANEL_PERIOD = 0.25  # [s]
+PANEL_PERIOD_S = 0.25  # [s]
 SERVICES = {
     'record': ('monitor',),
     'diagnose': ('monitor',),
@@ -126,7 +126,7 @@ class ViewerNode(Node):
         now = time.monotonic()
         self.page.draw(self.state)
         self._frames.append(now)
-        if now - self._told >= PANEL_PERIOD:
+        if now - self._told >= PANEL_PERIOD_S:
             self._told = now
             self.page.tell(self.state, now)
             self._say(now)

@@ -14,8 +14,8 @@ from ...common.words import mm
 
 Array = NDArray[np.float64]
 SILENT_AFTER_S = 3.0  # [s] after which a node counts as gone
-CURVE_PERIOD = 0.2  # [s]
-ENOUGH = 8  # postures for a good diagnosis
+CURVE_PERIOD_S = 0.2  # [s]
+POSTURES_ADVISED = 8  # postures for a good diagnosis
 RECORD_AGAIN_HINT = 'Click 1 to record again.'
 VERDICTS = {
     'adequate': 'Nothing is missing that these postures could show. Click 1 to record others.',
@@ -23,7 +23,7 @@ VERDICTS = {
     'remainder looks like is said below.',
     'cannot_judge': f'The recording does not suffice. {RECORD_AGAIN_HINT}',
 }
-LEVELS = {0: 'ok', 1: 'warn', 2: 'error', 3: 'silent'}
+LEVEL_NAMES = {0: 'ok', 1: 'warn', 2: 'error', 3: 'silent'}
 
 
 @dataclass
@@ -92,7 +92,7 @@ class ViewState:
         self, now: float, name: str, level: int, text: str, values: dict[str, str]
     ) -> None:
         """Take what a node says of itself."""
-        self.nodes[name] = now, LEVELS.get(level, 'warn'), text, values
+        self.nodes[name] = now, LEVEL_NAMES.get(level, 'warn'), text, values
         if name == 'monitor':
             if values.get('diagnosing') == 'true' and self._diagnosing != 'true':
                 self.verdict = {}
@@ -105,7 +105,7 @@ class ViewState:
 
     def hear_error(self, now: float, rolling: float) -> None:
         """Take the rolling error [m]."""
-        if not self.times or now - self.times[-1] >= CURVE_PERIOD:
+        if not self.times or now - self.times[-1] >= CURVE_PERIOD_S:
             self.times.append(now)
             self.rollings.append(rolling)
 
@@ -146,10 +146,10 @@ class ViewState:
         """Say what to do next, in the words of the buttons."""
         if self.monitor.get('diagnosing') == 'true' and not self.verdict:
             return 'Comparing every known physical effect with the recording …'
-        if self.recording and self.postures < ENOUGH:
+        if self.recording and self.postures < POSTURES_ADVISED:
             return (
-                f'Recording: {self.postures} of {ENOUGH} postures. The arm goes through them by '
-                'itself: just wait.'
+                f'Recording: {self.postures} of {POSTURES_ADVISED} postures. '
+                'The arm goes through them by itself: just wait.'
             )
         if self.recording:
             return f'{self.postures} postures are recorded. Click 2: which effect is missing?'
