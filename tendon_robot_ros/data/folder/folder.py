@@ -48,9 +48,8 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
     markers = description.markers or default_markers(robot)
     names = tuple(marker.name for marker in markers)
     commands = read_inputs(folder / 'inputs.csv', robot, description.input)
-    shapes = read_shapes(
-        folder / 'shapes.csv', robot, names, commands, description.path == 'sequence'
-    )
+    in_sequence = description.path == 'sequence'
+    shapes = read_shapes(folder / 'shapes.csv', robot, names, commands, in_sequence)
     seen = np.isfinite(shapes.positions[..., 0]).any(axis=(0, 1))
     if description.markers and not seen.all():
         raise DataSetError(
