@@ -48,15 +48,12 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
     markers = description.markers or default_markers(robot)
     names = tuple(marker.name for marker in markers)
     commands = read_inputs(folder / 'inputs.csv', robot, description.input)
-    in_sequence = description.path == 'sequence'
-    shapes = read_shapes(folder / 'shapes.csv', robot, names, commands, in_sequence)
+    sequence = description.path == 'sequence'
+    shapes = read_shapes(folder / 'shapes.csv', robot, names, commands, sequence)
     seen = np.isfinite(shapes.positions[..., 0]).any(axis=(0, 1))
     if description.markers and not seen.all():
-        raise DataSetError(
-            f'{path}: markers',
-            f'{names[int(seen.argmin())]!r} was never seen in shapes.csv',
-            'correct the name or remove the marker',
-        )
+        problem = f'{names[int(seen.argmin())]!r} was never seen in shapes.csv'
+        raise DataSetError(f'{path}: markers', problem, 'correct the name or remove the marker')
     turned = shapes.orientations
     return DataSet(
         name=str(folder),
