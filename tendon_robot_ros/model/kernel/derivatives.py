@@ -2,8 +2,9 @@
 Derivatives of an equilibrium by the implicit function theorem.
 
 How the residual changes with a tension or a parameter at the same bends is a difference of
-residuals; one elimination with these as right-hand sides says how the bends follow. What a
-posture shows is then differentiated along both, without solving again.
+residuals; one elimination with these as right-hand sides says how the bends follow (where the
+model is explicit, a difference of sweeps says it at once). What a posture shows is then
+differentiated along both, without solving again.
 """
 
 import numpy as np
@@ -23,9 +24,10 @@ from .layout import (
 )
 from .shape import mean_pulls, place, wire_pulls
 from .stages import length_acts, stretch_acts
+from .sweep import is_implicit
 from .turning import half_turns
 
-TENSION_STEP = 1e-5  # [N]
+TENSION_STEP = 1e-6  # [N]
 
 
 @compiled
@@ -33,21 +35,21 @@ def input_response(chain, inputs, bend, work, past, rows):
     """Fill how the bends follow the input tensions, rows (m, 2n) [rad/N]."""
     m, size = chain.m, 2 * chain.n
     changes, low = np.empty((m, size)), np.empty(size)
-    tension = floats(inputs)
+    tension, explicit = floats(inputs), not is_implicit(chain)
+    law, filled = (chain.step, rows) if explicit else (chain.residual, changes)
     for j in range(m):
         was = tension[j]
         width = TENSION_STEP + min(was, TENSION_STEP)
         tension[j] = was + TENSION_STEP
-        residual_at(chain.residual)(
-            chain, inputs, bend, work, past, address(changes) + 8 * size * j
-        )
+        residual_at(law)(chain, inputs, bend, work, past, address(filled) + 8 * size * j)
         tension[j] = was + TENSION_STEP - width
-        residual_at(chain.residual)(chain, inputs, bend, work, past, address(low))
+        residual_at(law)(chain, inputs, bend, work, past, address(low))
         tension[j] = was
         for q in range(size):
-            changes[j, q] = (changes[j, q] - low[q]) / width
-    residual_at(chain.residual)(chain, inputs, bend, work, past, address(low))
-    respond_at(chain.respond)(chain, bend, address(changes), m, work, past, address(rows))
+            filled[j, q] = (filled[j, q] - low[q]) / width
+    if not explicit:
+        residual_at(chain.residual)(chain, inputs, bend, work, past, address(low))
+        respond_at(chain.respond)(chain, bend, address(changes), m, work, past, address(rows))
     keep(changes)
     keep(low)
 

@@ -222,7 +222,7 @@ def solve_equilibrium(chain, inputs, work, past, bend):
     if cold:  # nothing known: begin without the effects of shape
         step_plainly(chain, inputs, x, work, past)
     swept, change = False, math.inf
-    if memory_acts(chain) or is_planar(x):
+    if memory_acts(chain) or not eyelet_acts(chain) or is_planar(x):
         change = repeat_sweeps(chain, inputs, x, work, past, 25)
         swept = change < BEND_TOLERANCE
     if not swept and friction_travel_acts(chain) and eyelet_acts(chain) and not memory_acts(chain):
