@@ -149,7 +149,7 @@ def is_visible(case: Case, dataset, robot: Robot, values) -> bool:
     found = imperfections(before, {})
     random = RandomEffects(whitener.white(found.moves).T, found.owners, found.kinds)
     sizes = case.level * np.where(np.isfinite(random.plausible), random.plausible, 0.0)
-    left = white - random.columns @ (random.root(sizes) @ (random.columns.T @ white))
+    left = random.lift(random.root(sizes), white)
     return float(left @ left) > 30.0
 
 

@@ -74,7 +74,7 @@ def test_the_likelihood_is_that_of_the_full_covariance():
     scaled = effects.columns * effects.spread(sizes)
     full = np.eye(300) + scaled @ scaled.T
     assert effects.log_determinant(sizes) == pytest.approx(np.linalg.slogdet(full)[1])
-    white = residual - effects.columns @ (effects.root(sizes) @ (effects.columns.T @ residual))
+    white = effects.lift(effects.root(sizes), residual)
     assert white @ white == pytest.approx(residual @ np.linalg.solve(full, residual))
 
 

@@ -28,20 +28,15 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
     if built is None or random is None:
         return None
     lows, highs = random.intervals(built.sizes)
-    first = len(fit.all_frees)
-    posterior = np.sqrt(np.diag(fit.covariance)[first:]) * built.spread
-    values = fit.values[first:] * built.spread
-    kinds = []
+    found, kinds = fit.members or {}, []
     for k, kind in enumerate(built.kinds):
         if kind.name == REMAINDER:
             continue
-        own = np.flatnonzero(built.owners == k)
+        values, spread = found[kind.name], _posterior(fit, k)
         size = float(built.sizes[k])
-        quantile = chi2_isf(FALSE_ALARM_PROBABILITY / len(own), 1)
+        quantile = chi2_isf(FALSE_ALARM_PROBABILITY / len(values), 1)
         limit = np.sqrt(quantile) * max(size, kind.plausible)
-        determined = [
-            i for i in own if posterior[i] < TOLD_VARIANCE_SHARE * max(built.spread[i], 1e-30)
-        ]
+        members = zip(kind.members, values, spread, strict=True)
         kinds.append(
             {
                 'kind': kind.name,
@@ -50,15 +45,28 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
                 'low': float(lows[k]),
                 'high': float(highs[k]),
                 'plausible': kind.plausible,
-                'members': {
-                    kind.members[i - own[0]]: _member(values[i], posterior[i]) for i in own
-                },
-                'told': len(determined),
-                'out_of_line': [kind.members[i - own[0]] for i in own if abs(values[i]) > limit],
+                'members': {name: _member(value, sd) for name, value, sd in members},
+                'told': int((spread < TOLD_VARIANCE_SHARE * max(size, 1e-30)).sum()),
+                'out_of_line': [
+                    name
+                    for name, value in zip(kind.members, values, strict=True)
+                    if abs(value) > limit
+                ],
             }
         )
     last = float(built.sizes[-1])
     return {'kinds': kinds, 'remainder': last, 'floor': floor_as_built(session, fit)}
+
+
+def _posterior(fit: Fit, k: int) -> np.ndarray:
+    """Return what is left of the standard deviation (q,) of the members of a kind."""
+    built = fit.built
+    assert built is not None
+    own = len(fit.all_frees) + np.flatnonzero(built.random.owners == k)
+    mix = built.random.mixtures[k]  # what they do not mix the data do not show
+    told = ((mix @ fit.covariance[np.ix_(own, own)]) * mix).sum(axis=1)
+    unseen = 1.0 - (mix * mix).sum(axis=1)
+    return np.asarray(built.sizes[k] * np.sqrt(np.maximum(unseen + told, 0.0)))
 
 
 def _member(value: float, sd: float) -> dict[str, float]:
@@ -72,7 +80,10 @@ def floor_as_built(session: Session, fit: Fit) -> float:
     if fit.built is None or session.moves is None:
         return noise
     seen = session.dataset.counts > 0
-    keep = np.array([kind.name != REMAINDER for kind in fit.built.kinds])[fit.built.owners]
-    spread = (fit.built.spread * keep)[:, None, None]
-    moved = ((spread * np.linalg.norm(session.moves, axis=3)) ** 2).sum(axis=0)
+    spread = [
+        np.full(len(kind), size if kind.name != REMAINDER else 0.0)
+        for kind, size in zip(fit.built.kinds, fit.built.sizes, strict=True)
+    ]
+    lengths = np.linalg.norm(session.moves, axis=3)
+    moved = ((np.concatenate(spread)[:, None, None] * lengths) ** 2).sum(axis=0)
     return float(np.sqrt(noise**2 + moved[seen].mean()))

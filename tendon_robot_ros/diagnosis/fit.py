@@ -12,6 +12,7 @@ import numpy.typing as npt
 from ..comparison.predict import FreeParameter
 from ..comparison.statistics import chi2_sf, f_sf
 from .as_built import REMAINDER, Kind
+from .marginal import RandomEffects
 
 Floats = npt.NDArray[np.float64]
 
@@ -30,16 +31,19 @@ class Nuisance:
 class Scatter:
     """The imperfections of an arm as it is built, at a fit."""
 
-    kinds: tuple[Kind, ...]
-    owners: npt.NDArray[np.int64]  # (b,) index of the kind of each imperfection
+    random: RandomEffects
     sizes: Floats  # (K,) estimated sd of each kind
     penalty: float  # log |V| and priors of the sizes: what chi² lacks to be a deviance
     without_remainder: Callable[[], float]  # deviance if there is no remainder
 
     @property
-    def spread(self) -> Floats:
-        """Standard deviation (b,) of each imperfection."""
-        return np.asarray(self.sizes[self.owners])
+    def kinds(self) -> tuple[Kind, ...]:
+        """The kinds, the remainder last."""
+        return self.random.kinds
+
+    def members(self, units: Floats) -> Floats:
+        """Return every member (b,) [unit of its kind] from mixtures (r,) in units of their sd."""
+        return np.concatenate(self.random.members(units, self.sizes))
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ class Fit:
     """
     A settled fit; N whitened values, q parameters: freed ones, nuisances, imperfections.
 
-    Imperfections count in units of their estimated standard deviation.
+    Imperfections count as mixtures, in units of their estimated standard deviation.
     """
 
     frees: tuple[FreeParameter, ...]
@@ -78,12 +82,9 @@ class Fit:
         """Most likely imperfections by kind [unit], without the remainder."""
         if self.built is None:
             return None
-        sizes = self.values[len(self.all_frees) :] * self.built.spread
-        return {
-            kind.name: sizes[self.built.owners == k]
-            for k, kind in enumerate(self.built.kinds)
-            if kind.name != REMAINDER
-        }
+        own = self.built.random.members(self.values[len(self.all_frees) :], self.built.sizes)
+        named = zip(self.built.kinds, own, strict=True)
+        return {kind.name: sizes for kind, sizes in named if kind.name != REMAINDER}
 
     @property
     def deviance(self) -> float:
@@ -108,7 +109,8 @@ class Fit:
     @property
     def freedom(self) -> int:
         """Degrees of freedom: prior rows and nuisances cancel."""
-        priors = len(self.nuisances) + (0 if self.built is None else len(self.built.owners))
+        random = 0 if self.built is None else len(self.built.random.owners)
+        priors = len(self.nuisances) + random
         return len(self.residual) - priors - self.rank
 
     @cached_property

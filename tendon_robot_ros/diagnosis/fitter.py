@@ -92,9 +92,8 @@ class Fitter:
         """Take off whitened rows (N + nuisances, ...) what imperfections of that size explain."""
         if self.random is None or self._root is None:
             return rows
-        n, columns = len(self.random.columns), self.random.columns
-        off = columns @ (self._root @ (columns.T @ rows[:n]))
-        return np.concatenate([rows[:n] - off, rows[n:]])
+        n = len(self.random.columns)
+        return np.concatenate([self.random.lift(self._root, rows[:n]), rows[n:]])
 
     def estimate(self, search: Search) -> Sizes:
         """Estimate the sizes of the imperfections where a search is."""
@@ -292,8 +291,7 @@ def with_imperfections(plain: Fit, fitter: Fitter) -> Fit:
     jacobian[:n, q:] = -scaled
     jacobian[len(off) :, q:] = np.eye(len(spread))
     built = Scatter(
-        random.kinds,
-        random.owners,
+        random,
         sizes,
         random.log_determinant(sizes) + random.prior(sizes),
         without_remainder,

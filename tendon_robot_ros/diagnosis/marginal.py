@@ -21,6 +21,12 @@ Floats = npt.NDArray[np.float64]
 SEARCH_STEPS_MAX = 25  # of the search for the standard deviations
 DEVIANCE_GAIN_MIN = 0.02  # gain in -2 log likelihood at which it ends
 START_SHARE = 0.5  # of the plausible sizes, where it begins
+UNSEEN_MOVE = 0.01  # sd of the noise that a plausible imperfection may do and count as unseen
+STEP_SHARES = (
+    1.0,
+    0.2,
+    0.03,
+)  # of a Fisher step that are tried before a slower one that never fails
 
 
 @dataclass(frozen=True)
@@ -29,11 +35,15 @@ class Sizes:
 
     values: Floats  # (K,) [unit of the kind]
     deviance: float  # -2 log likelihood up to a constant, priors included, at the best parameters
-    chi2: float  # r' V^-1 r at the best parameters
 
 
 class RandomEffects:
-    """Columns of imperfections, whitened by the noise, and the likelihood that they give."""
+    """
+    Imperfections, whitened by the noise, and the likelihood that they give.
+
+    Of each kind only what shows is kept: its independent directions (singular vectors), mixtures
+    of its members. Members of a kind share one variance, so mixtures are as random as they are.
+    """
 
     def __init__(
         self, columns: Floats, owners: npt.NDArray[np.int64], kinds: Sequence[Kind]
@@ -51,8 +61,12 @@ class RandomEffects:
             Their half-normal priors; the last one is the remainder, whose prior is flat.
 
         """
-        self.columns, self.owners, self.kinds = columns, owners, tuple(kinds)
+        self.kinds = tuple(kinds)
         self.plausible = np.array([kind.plausible for kind in kinds])
+        own = [columns[:, owners == k] for k in range(len(kinds))]
+        self.mixtures = [_mixture(c, p) for c, p in zip(own, self.plausible, strict=True)]
+        self.columns = np.hstack([c @ mix for c, mix in zip(own, self.mixtures, strict=True)])
+        self.owners = np.repeat(np.arange(len(kinds)), [mix.shape[1] for mix in self.mixtures])
         self.floors = np.zeros(len(kinds))
 
     @property
@@ -73,12 +87,23 @@ class RandomEffects:
 
     @cached_property
     def gram(self) -> Floats:
-        """Normal matrix (q, q) of the columns."""
+        """Normal matrix (r, r) of the columns."""
         return np.asarray(self.columns.T @ self.columns)
 
+    @cached_property
+    def _basis(self) -> tuple[Floats, Floats]:
+        """Orthonormal basis (N, d) of the columns, and the columns in it (d, r)."""
+        basis, triangle = np.linalg.qr(self.columns)
+        return basis, triangle
+
     def spread(self, sizes: Floats) -> Floats:
-        """Return the standard deviation (q,) of every member."""
+        """Return the standard deviation (r,) of every mixture."""
         return np.asarray(sizes[self.owners])
+
+    def members(self, units: Floats, sizes: Floats) -> list[Floats]:
+        """Return the members of each kind from mixtures (r,) in units of their sd."""
+        values = units * self.spread(sizes)
+        return [mix @ values[self.owners == k] for k, mix in enumerate(self.mixtures)]
 
     def log_determinant(self, sizes: Floats) -> float:
         """Return log |V|."""
@@ -91,25 +116,22 @@ class RandomEffects:
         return float(np.sum((sizes / self.plausible) ** 2))
 
     def root(self, sizes: Floats) -> Floats:
-        """Return the matrix A (q, q) with V^-1/2 = 1 - B A B'."""
-        s = self.spread(sizes)
-        values, vectors = np.linalg.eigh(s[:, None] * self.gram * s)
-        x = np.maximum(values, 0.0)
-        share = np.where(x > 1e-9, (1.0 - 1.0 / np.sqrt(1.0 + x)) / np.maximum(x, 1e-30), 0.5)
-        return np.asarray(s[:, None] * ((vectors * share) @ vectors.T) * s)
+        """Return A (d, d), by which `lift` whitens."""
+        scaled = self._basis[1] * self.spread(sizes)
+        factor = np.linalg.cholesky(np.eye(len(scaled)) + scaled @ scaled.T)
+        return np.asarray(np.linalg.inv(factor) - np.eye(len(factor)))
 
-    def members(self, sizes: Floats, residual: Floats) -> Floats:
-        """Return the best imperfections b (q,) at a residual (N,)."""
-        s = self.spread(sizes)
-        inner = np.eye(len(s)) + s[:, None] * self.gram * s
-        return np.asarray(s * np.linalg.solve(inner, s * (self.columns.T @ residual)))
+    def lift(self, root: Floats, rows: Floats) -> Floats:
+        """Take off rows (N, ...) what imperfections explain: W with W'W = V^-1."""
+        basis = self._basis[0]
+        return np.asarray(rows + basis @ (root @ (basis.T @ rows)))
 
     def intervals(self, sizes: Floats) -> tuple[Floats, Floats]:
         """Return 95 % intervals (K,) of the sizes, from the curvature of the likelihood."""
         work = _Work(self, np.zeros(len(self.columns)), np.zeros((len(self.columns), 0)), None)
         least = 1e-3 * np.where(np.isfinite(self.plausible), self.plausible, 1e-3)
         v = np.maximum(sizes, least) ** 2
-        information = work.at(v)[2] * np.outer(v, v) + np.diag(v * work.precision)
+        information = work.slopes(v)[1] * np.outer(v, v) + np.diag(v * work.precision)
         sd = np.sqrt(2.0 * np.diag(np.linalg.pinv(information, hermitian=True)))  # of log v
         reach = np.exp(np.minimum(0.5 * 1.96 * sd, 5.0))
         return np.where(sd < 2.5, np.sqrt(v) / reach, 0.0), np.minimum(
@@ -127,7 +149,7 @@ class RandomEffects:
         """
         Maximise the likelihood over the standard deviations and linear parameters.
 
-        Fisher scoring of the variances, bounded at zero, each step at least a descent.
+        Fisher scoring of the variances, bounded below, each step a descent.
 
         Parameters
         ----------
@@ -147,29 +169,33 @@ class RandomEffects:
         v = np.maximum(sizes**2, low)
         free = np.array([remainder or kind.name != REMAINDER for kind in self.kinds])
         v[~free] = 0.0
-        cost, gradient, information = work.at(v)
+        cost = work.deviance(v)
         for _ in range(SEARCH_STEPS_MAX):
+            gradient, information, slower = work.slopes(v)
             step = _step(v - low, np.where(free, gradient, np.inf), information)
-            trial = None
-            for _ in range(8):
-                moved = np.maximum(v + step, low)
-                trial = work.at(moved)
-                if trial[0] < cost:
+            for moved in (*(v + share * step for share in STEP_SHARES), slower):
+                new = np.where(free, np.maximum(moved, low), 0.0)
+                found = work.deviance(new)
+                if found < cost:
                     break
-                step = 0.3 * step
-                trial = None
-            if trial is None:
-                break
-            gain = cost - trial[0]
-            v, (cost, gradient, information) = moved, trial
+            gain = cost - found
+            if gain > 0.0:
+                v, cost = new, found
             if gain < DEVIANCE_GAIN_MIN:
                 break
-        return Sizes(np.sqrt(v), cost, work.chi2(v))
+        return Sizes(np.sqrt(v), cost)
+
+
+def _mixture(columns: Floats, plausible: float) -> Floats:
+    """Return the independent directions (q, r) of a kind that show."""
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    least = (UNSEEN_MOVE / plausible) ** 2 if np.isfinite(plausible) else 0.0
+    return np.asarray(vectors[:, values > max(least, 1e-14 * values.max(initial=0.0))][:, ::-1])
 
 
 def _step(room: Floats, gradient: Floats, information: Floats) -> Floats:
     """Fisher step (K,) of the variances; those without room that want to stay there do."""
-    moving = ~((room <= 0.0) & (gradient >= 0.0))
+    moving = ~((room <= 0.0) & (gradient >= 0.0)) & (np.diag(information) > 0.0)
     step = np.zeros(len(room))
     for _ in range(len(room)):
         index = np.flatnonzero(moving)
@@ -188,46 +214,74 @@ def _step(room: Floats, gradient: Floats, information: Floats) -> Floats:
 
 
 class _Work:
-    """Deviance, gradient and information of the variances, from small matrices only."""
+    """
+    Deviance, gradient and information of the variances, from small matrices only.
+
+    The columns of the remainder are independent of each other: they count as noise of their own
+    (V = D + B S B'), only the others are eliminated.
+    """
 
     def __init__(
         self, random: RandomEffects, residual: Floats, slopes: Floats, weights: Floats | None
     ) -> None:
-        self.gram, self.owners = random.gram, random.owners
-        self.precision = 1.0 / random.plausible**2
+        self.owners, self.precision = random.owners, 1.0 / random.plausible**2
         self.kinds = np.arange(len(random.kinds))[:, None] == random.owners[None]
         known = np.linalg.norm(slopes, axis=0)
         slopes = slopes[:, known > 1e-9] / known[known > 1e-9]
         more = np.column_stack([slopes, residual])
-        self.cross = random.columns.T @ more  # (q, k + 1)
+        self.count = len(random.owners)
+        self.gram = random.gram
+        self.cross = np.column_stack([random.gram, random.columns.T @ more])  # (r, r + k + 1)
         self.inner = more.T @ more
+        last = [k for k, kind in enumerate(random.kinds) if kind.name == REMAINDER]
+        self.last = np.flatnonzero(np.isin(random.owners, last))
+        self.kind = last[0] if last else 0
+        self.size2 = np.diag(random.gram)[self.last]  # (d,) squared lengths
+        self.along = self.cross[self.last] / np.sqrt(self.size2)[:, None]
+        self.others = np.flatnonzero(~np.isin(random.owners, last))
         k = slopes.shape[1]
         prior = np.full(k, 1e-9) if weights is None else weights[known > 1e-9]
         self.ridge = prior / (1.0 if weights is None else known[known > 1e-9] ** 2)
 
-    def _solved(self, v: Floats) -> tuple[Floats, Floats, Floats, float]:
-        """B'V^-1 B, B'V^-1 [J, r], [J, r]'V^-1 [J, r], log |V|."""
-        s = np.sqrt(v)[self.owners]
-        used = np.flatnonzero(s > 0.0)
-        g, c = self.gram, self.cross
-        if not len(used):
-            return g, c, self.inner, 0.0
-        s = s[used]
-        factor = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * g[np.ix_(used, used)] * s)
-        half = np.linalg.solve(factor, s[:, None] * np.column_stack([g[used], c[used]]))
-        a, b = half[:, : len(g)], half[:, len(g) :]
-        log = float(2.0 * np.log(np.diag(factor)).sum())
-        return g - a.T @ a, c - a.T @ b, self.inner - b.T @ b, log
+    def _eliminated(self, v: Floats, width: slice) -> tuple[Floats, Floats, Floats, float]:
+        """X'D^-1 [..], its part of the others, what eliminates them, and log |V|."""
+        gain = v[self.kind] * self.size2 if len(self.last) else np.zeros(0)
+        along = self.along * np.sqrt(gain / (1.0 + gain))[:, None]
+        log = float(np.log1p(gain).sum())
+        crossed = self.cross[:, width] - along[:, : self.count].T @ along[:, width]
+        s = np.sqrt(v)[self.owners[self.others]]
+        used = self.others[s > 0.0]
+        s = s[s > 0.0]
+        own = self.gram[np.ix_(used, used)] - along[:, used].T @ along[:, used]
+        factor = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * own * s)
+        log += float(2.0 * np.log(np.diag(factor)).sum())
+        half = np.linalg.inv(factor) @ (s[:, None] * crossed[used])
+        return crossed, half, along, log
 
-    def at(self, v: Floats) -> tuple[float, Floats, Floats]:
-        """Deviance, its gradient (K,) by the variances, and the expected information (K, K)."""
-        w, c, m, log = self._solved(v)
-        best, chi2 = self._best(m)
+    def deviance(self, v: Floats) -> float:
+        """-2 log likelihood with priors, at the best parameters."""
+        _, half, along, log = self._eliminated(v, slice(self.count, None))
+        more = along[:, self.count :]
+        chi2 = self._best(self.inner - more.T @ more - half.T @ half)[1]
+        return chi2 + log + float(v @ self.precision)
+
+    def slopes(self, v: Floats) -> tuple[Floats, Floats, Floats]:
+        """
+        Return gradient (K,), expected information (K, K) and a step that cannot fail.
+
+        The last is minorise-maximise of variance components: slow, but always a descent.
+        """
+        crossed, half, along, _ = self._eliminated(v, slice(None))
+        m, more = self.count, along[:, self.count :]
+        w = crossed[:, :m] - half[:, :m].T @ half[:, :m]
+        c = crossed[:, m:] - half[:, :m].T @ half[:, m:]
+        best, _ = self._best(self.inner - more.T @ more - half[:, m:].T @ half[:, m:])
         u = c[:, -1] - c[:, :-1] @ best
-        per = self.kinds @ np.diag(w)
-        gradient = per - self.kinds @ (u * u) + self.precision
+        expected = self.kinds @ np.diag(w) + self.precision
+        found = self.kinds @ (u * u)
         information = self.kinds @ (w * w) @ self.kinds.T
-        return chi2 + log + float(v @ self.precision), gradient, information
+        slower = v * np.sqrt(found / np.maximum(expected, 1e-300))
+        return expected - found, information, slower
 
     def _best(self, m: Floats) -> tuple[Floats, float]:
         """Return the best linear parameters and chi² there."""
@@ -236,7 +290,3 @@ class _Work:
             return right, float(m[-1, -1])
         best = np.linalg.solve(normal + np.diag(self.ridge), right)
         return best, float(m[-1, -1] - right @ best)
-
-    def chi2(self, v: Floats) -> float:
-        """r' V^-1 r at the best parameters."""
-        return self._best(self._solved(v)[2])[1]

@@ -102,7 +102,7 @@ def left_out(fitter: Fitter, fit: Fit, errors: Errors, moves: Floats | None = No
         values = np.clip(moved[: len(low)], low, high)
         markers = fitter.predictor.markers(dict(zip(fit.frees, values.tolist(), strict=True)))
         if markers is not None and fit.built is not None and moves is not None:
-            members = moved[len(fit.all_frees) :] * fit.built.spread * written_share(fit)
+            members = fit.built.members(moved[len(fit.all_frees) :]) * written_share(fit)
             markers = markers + np.tensordot(members, moves, 1)
         if markers is not None:
             predicted[held] = markers[held]

@@ -20,8 +20,9 @@ WRITABLE_KINDS = (CELLS, GAIN, HOLE, POSITION, ROTATION)  # kinds that a descrip
 def written_share(fit: Fit) -> Floats:
     """Return 1 for every imperfection (b,) that a description can hold, else 0."""
     assert fit.built is not None
-    kept = np.array([kind.name in WRITABLE_KINDS for kind in fit.built.kinds], dtype=float)
-    return np.asarray(kept[fit.built.owners])
+    return np.concatenate(
+        [np.full(len(k), float(k.name in WRITABLE_KINDS)) for k in fit.built.kinds]
+    )
 
 
 def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
