@@ -25,7 +25,7 @@ KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hol
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'
 REMAINDER = 'remainder'  # what no imperfection explains: another one in every posture
 KINDS_WITH_FEW_MEMBERS = (GAIN, HOLE, ZERO, POSITION, ROTATION)  # kinds with few members
-REMAINDER_SHAPES = 2  # shapes along the arm that a remainder may have
+REMAINDER_SHAPES = 4  # shapes along the arm that a remainder may have
 # Kind -> (unit, 1 sd that is plausible where nothing is declared, step of its derivative)
 PLAUSIBLE_SIZES: dict[str, tuple[str, float, float]] = {
     CELLS: ('1', 0.03, 0.01),

@@ -20,6 +20,7 @@ from .as_built import KINDS_WITH_FEW_MEMBERS, REMAINDER, Kind
 Floats = npt.NDArray[np.float64]
 SEARCH_STEPS_MAX = 25  # of the search for the standard deviations
 DEVIANCE_GAIN_MIN = 0.02  # gain in -2 log likelihood at which it ends
+SIZE_MAX = 5.0  # [1] of the plausible sizes: what is larger is no imperfection
 START_SHARE = 0.5  # of the plausible sizes, where it begins
 UNSEEN_MOVE = 0.01  # sd of the noise that a plausible imperfection may do and count as unseen
 STEP_SHARES = (
@@ -165,16 +166,16 @@ class RandomEffects:
         """
         work = _Work(self, residual, slopes, weights)
         sizes = self.start if start is None else np.asarray(start, dtype=float)
-        low = self.floors**2
-        v = np.maximum(sizes**2, low)
+        low, high = self.floors**2, (SIZE_MAX * self.plausible) ** 2
+        v = np.clip(sizes**2, low, high)
         free = np.array([remainder or kind.name != REMAINDER for kind in self.kinds])
         v[~free] = 0.0
         cost = work.deviance(v)
         for _ in range(SEARCH_STEPS_MAX):
             gradient, information, slower = work.slopes(v)
-            step = _step(v - low, np.where(free, gradient, np.inf), information)
+            step = _step(v - low, high - v, np.where(free, gradient, np.inf), information)
             for moved in (*(v + share * step for share in STEP_SHARES), slower):
-                new = np.where(free, np.maximum(moved, low), 0.0)
+                new = np.where(free, np.clip(moved, low, high), 0.0)
                 found = work.deviance(new)
                 if found < cost:
                     break
@@ -193,20 +194,21 @@ def _mixture(columns: Floats, plausible: float) -> Floats:
     return np.asarray(vectors[:, values > max(least, 1e-14 * values.max(initial=0.0))][:, ::-1])
 
 
-def _step(room: Floats, gradient: Floats, information: Floats) -> Floats:
+def _step(down: Floats, up: Floats, gradient: Floats, information: Floats) -> Floats:
     """Fisher step (K,) of the variances; those without room that want to stay there do."""
-    moving = ~((room <= 0.0) & (gradient >= 0.0)) & (np.diag(information) > 0.0)
-    step = np.zeros(len(room))
-    for _ in range(len(room)):
+    pressed = ((down <= 0.0) & (gradient >= 0.0)) | ((up <= 0.0) & (gradient <= 0.0))
+    moving = ~pressed & (np.diag(information) > 0.0)
+    step = np.zeros(len(down))
+    for _ in range(len(down)):
         index = np.flatnonzero(moving)
         if not len(index):
             return step
         part = information[np.ix_(index, index)]
         scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
         damped = part / np.outer(scale, scale) + 1e-6 * np.eye(len(index))
-        step = np.zeros(len(room))
+        step = np.zeros(len(down))
         step[index] = -np.linalg.solve(damped, gradient[index] / scale) / scale
-        gone = moving & (room <= 0.0) & (step < 0.0)
+        gone = moving & (((down <= 0.0) & (step < 0.0)) | ((up <= 0.0) & (step > 0.0)))
         if not gone.any():
             break
         moving &= ~gone
