@@ -34,6 +34,7 @@ from simulated_cases import (
 from tendon_robot_ros.common.errors import TendonRobotError
 from tendon_robot_ros.comparison.noise import rms
 from tendon_robot_ros.comparison.predict import Predictor, frees_of
+from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.robot import Robot
@@ -95,9 +96,9 @@ def judge(case: Case) -> Outcome:
     listed = set(names) | set(found.cannot_tell_apart)
     named = found.verdict in NAMING
     if case.hidden == 'none':
-        right = not named and found.verdict == 'adequate'
+        right = not named and found.verdict is Verdict.ADEQUATE
     elif case.hidden in CAUSES:
-        right = found.verdict == 'outside_catalogue'
+        right = found.verdict is Verdict.OUTSIDE_CATALOGUE
     else:
         right = named and case.hidden in listed
     wrong = named and case.hidden not in listed
@@ -159,7 +160,7 @@ def table(outcomes: list[Outcome]) -> str:
     """Return the confusion by hidden effect."""
     lines = [
         f'{"hidden":22s} {"n":>4s} {"seen":>4s} {"right":>6s} {"wrong name":>10s} {"quiet":>6s} '
-        f'{"outside":>8s} {"several":>8s} {"class":>6s} {"inside":>7s} {"gone":>6s} '
+        f'{"outside":>8s} {Verdict.SEVERAL:>8s} {"class":>6s} {"inside":>7s} {"gone":>6s} '
         f'{"time":>6s}'
     ]
     groups = collections.defaultdict(list)
@@ -174,8 +175,8 @@ def table(outcomes: list[Outcome]) -> str:
         lines.append(
             f'{robot[:3]} {hidden:18s} {len(group):4d} '
             f'{sum(o.visible for o in group):4d} {np.mean([o.right for o in group]):6.0%} '
-            f'{sum(o.wrong_name for o in group):10d} {verdicts["adequate"]:6d} '
-            f'{verdicts["outside_catalogue"]:8d} {verdicts["several"]:8d} {size:6.1f} '
+            f'{sum(o.wrong_name for o in group):10d} {verdicts[Verdict.ADEQUATE]:6d} '
+            f'{verdicts[Verdict.OUTSIDE_CATALOGUE]:8d} {verdicts[Verdict.SEVERAL]:8d} {size:6.1f} '
             f'{np.mean(inside) if inside else float("nan"):7.0%} '
             f'{np.median(gone) if gone else float("nan"):6.0%} '
             f'{np.median([o.seconds for o in group]):5.1f}s'
@@ -190,7 +191,7 @@ def summary(outcomes: list[Outcome]) -> dict[str, float | int]:
     inside = [o.inside for o in effects if o.inside is not None]
     gone = [o.gain for o in effects if o.right and o.gain is not None]
     named = [o for o in effects if o.right]
-    causes = [o for o in outcomes if o.case.hidden in CAUSES and o.verdict != 'adequate']
+    causes = [o for o in outcomes if o.case.hidden in CAUSES and o.verdict != Verdict.ADEQUATE]
     clean = [o for o in outcomes if o.case.hidden == 'none']
 
     def share(values) -> float:

@@ -21,6 +21,7 @@ from machine import machine
 from tendon_robot_ros.common.words import mm
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import Addition, add_effects
+from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.result import Diagnosis
 from tendon_robot_ros.report.numbers import described_quantity, quantities
@@ -111,7 +112,7 @@ def line(cells: Sequence[str]) -> str:
 def page(outcomes: list[Outcome]) -> str:
     """Return the page."""
     said = [f'- **{o.name[-1]}**: {o.found.remainder}' for o in outcomes
-            if o.found.verdict == 'outside_catalogue']  # fmt: skip
+            if o.found.verdict is Verdict.OUTSIDE_CATALOGUE]  # fmt: skip
     seconds = sorted(o.seconds for o in outcomes)
     known = machine()
     return (

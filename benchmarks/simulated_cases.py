@@ -10,6 +10,7 @@ import numpy as np
 from tendon_robot_ros.comparison.noise import Whitener, estimate_noise, input_slopes
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.diagnosis.as_built import imperfections
+from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.robot import Robot, load_robot
@@ -28,7 +29,7 @@ TWINS = (
     'transmission_loss',
     'moment_arm',
 )  # scale the bends alike
-NAMING = ('missing_effect', 'ambiguous', 'wrong_parameter', 'several')
+NAMING = tuple(verdict for verdict in Verdict if verdict.may_add)
 
 
 @dataclass(frozen=True)

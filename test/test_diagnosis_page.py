@@ -14,6 +14,7 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import Addition
+from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.diagnosis.missing_moment import blocks_of, missing_moment
 from tendon_robot_ros.diagnosis.result import (
     CandidateRow,
@@ -25,7 +26,6 @@ from tendon_robot_ros.diagnosis.result import (
 from tendon_robot_ros.diagnosis.staircase import Errors
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.report.diagnosis_page import (
-    KINDS,
     diagnosis_page,
     pictures_of,
     with_effects,
@@ -71,12 +71,12 @@ def hinges():
     return load_dataset(blind('b') / 'fit')
 
 
-@pytest.mark.parametrize('verdict', KINDS)
+@pytest.mark.parametrize('verdict', Verdict)
 def test_every_verdict_has_its_page(verdict):
     effects = () if verdict in ('adequate', 'cannot_judge') else (HINGE,)
     page = diagnosis_page(diagnosis(verdict, effects))
     said = text(page)
-    assert page.parts[0].startswith(f'<div class="box verdict {KINDS[verdict]}">')
+    assert page.parts[0].startswith(f'<div class="box verdict {verdict.colour}">')
     head = {'missing_effect': 'CONSISTENT WITH', 'several': 'CONSISTENT WITH'}
     assert head.get(verdict, verdict.split('_')[0].upper()) in said
     assert ('The error falls' in said) == bool(effects and verdict != 'outside_catalogue')

@@ -1,9 +1,11 @@
-"""The style that no tool checks: short functions, nothing of a private machine."""
+"""The style that no tool checks: short functions, one place for verdicts, no private machine."""
 
 import ast
 import re
 
 from source_tree import ROOT, files, parse
+
+from tendon_robot_ros.diagnosis.decide import Verdict
 
 FUNCTION_LINES = 40
 
@@ -42,6 +44,20 @@ def test_functions_are_short():
 
 def test_every_exception_is_still_needed():
     assert sorted(set(LONGER) - set(too_long())) == []
+
+
+def test_a_verdict_is_named_in_its_table_only():
+    names = {str(verdict) for verdict in Verdict}
+    wrong = []
+    for path in files('*.py'):
+        if path.parts[0] == 'test' or path.match('diagnosis/decide.py'):
+            continue
+        wrong += [
+            f'{path}:{node.lineno} says {node.value!r}: import Verdict'
+            for node in ast.walk(parse(path))
+            if isinstance(node, ast.Constant) and node.value in names
+        ]
+    assert not wrong, '\n'.join(wrong)
 
 
 def test_nothing_names_a_private_machine():

@@ -2,6 +2,7 @@
 
 import json
 
+from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.ros.viewer.state import ViewState
 
 
@@ -10,6 +11,17 @@ def said(state, **values):
     known = {'recording': 'false', 'postures': '0', 'diagnosing': 'false', 'addition': ''}
     state.hear_status(0.0, 'monitor', 0, '', {**known, **values})
     return state.guide()
+
+
+def published(verdict):
+    return json.dumps(
+        {
+            'verdict': verdict,
+            'guide': verdict.guide,
+            'may_add': verdict.may_add,
+            'noise_floor': 3e-4,
+        }
+    )
 
 
 def test_the_page_leads_from_the_first_click_to_the_fallen_error():
@@ -23,7 +35,7 @@ def test_the_page_leads_from_the_first_click_to_the_fallen_error():
     assert state.can_diagnose
     assert 'Comparing every' in said(state, postures='9', diagnosing='true')
     assert not state.can_diagnose
-    state.hear_verdict(json.dumps({'verdict': 'missing_effect', 'noise_floor': 3e-4}))
+    state.hear_verdict(published(Verdict.MISSING_EFFECT))
     assert 'Fitting' in said(state, postures='9', diagnosing='true')
     assert 'Click 3' in said(state, postures='9', addition='gravity')
     assert state.can_add
@@ -34,7 +46,7 @@ def test_the_page_leads_from_the_first_click_to_the_fallen_error():
 
 def test_a_new_diagnosis_forgets_the_verdict_before():
     state = ViewState()
-    state.hear_verdict(json.dumps({'verdict': 'adequate'}))
+    state.hear_verdict(published(Verdict.ADEQUATE))
     assert 'Nothing is missing' in said(state, postures='9')
     assert 'Comparing every' in said(state, postures='9', diagnosing='true')
     assert state.verdict == {}
@@ -42,7 +54,7 @@ def test_a_new_diagnosis_forgets_the_verdict_before():
 
 def test_what_the_catalogue_cannot_name_is_not_added():
     state = ViewState()
-    state.hear_verdict(json.dumps({'verdict': 'outside_catalogue'}))
+    state.hear_verdict(published(Verdict.OUTSIDE_CATALOGUE))
     assert 'no name for this cause' in said(state, postures='9', addition='tip_load')
     assert not state.can_add
 

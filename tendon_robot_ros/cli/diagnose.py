@@ -22,6 +22,7 @@ from typing import Any
 from ..common.errors import InputError
 from ..data import DataSet
 from ..diagnosis.add import Addition, add_effects
+from ..diagnosis.decide import Verdict
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.session import Progress
@@ -114,7 +115,7 @@ def _assessed(
 
 
 def _outside(diagnosis: Diagnosis) -> bool:
-    return diagnosis.verdict == 'outside_catalogue'
+    return diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE
 
 
 def _may_add(args: argparse.Namespace, diagnosis: Diagnosis) -> bool:

@@ -8,9 +8,10 @@ MEASURED, PREDICTED, ERROR = '#d55e00', '#0072b2', '#6b7580'  # on every page, p
 INK = '#1b1f24'
 BAND = 'rgba(120, 130, 140, 0.25)'
 FLOOR = ERROR
-GOOD = '#009e73'
+GOOD, WARN, BAD = '#009e73', '#e69f00', '#d55e00'
+KINDS = {'found': PREDICTED, 'good': GOOD, 'warn': WARN, 'bad': BAD}  # of boxes and verdicts
 # of models, one after the other; the colour of what was measured is not among them
-COLOURS = (PREDICTED, GOOD, '#cc79a7', '#e69f00', '#56b4e9', INK)
+COLOURS = (PREDICTED, GOOD, '#cc79a7', WARN, '#56b4e9', INK)
 DASHES = ('solid', 'dash', 'dot', 'dashdot', 'longdash', 'longdashdot')
 STROKES = ('', '9 4', '3 3', '9 3 3 3', '14 4', '14 4 3 4')  # the same in SVG
 SYMBOLS = ('circle-open', 'triangle-up-open', 'square-open', 'diamond-open', 'cross', 'x')

@@ -8,13 +8,11 @@ import numpy as np
 
 from ..comparison.statistics import chi2_isf, normal_ppf
 from .as_built import REMAINDER
+from .decide import FALSE_OUT_OF_LINE_PROBABILITY, TOLD_VARIANCE_SHARE
 from .fit import Fit
 
 if TYPE_CHECKING:
     from .session import Session
-
-FALSE_ALARM_PROBABILITY = 0.05  # that any member of a healthy arm is called out of line
-TOLD_VARIANCE_SHARE = 0.5  # of its variance that the data must take off a member
 
 
 def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
@@ -34,7 +32,7 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
             continue
         values, spread = found[kind.name], _posterior(fit, k)
         size = float(built.sizes[k])
-        quantile = chi2_isf(FALSE_ALARM_PROBABILITY / len(values), 1)
+        quantile = chi2_isf(FALSE_OUT_OF_LINE_PROBABILITY / len(values), 1)
         limit = np.sqrt(quantile) * max(size, kind.plausible)
         members = zip(kind.members, values, spread, strict=True)
         kinds.append(

@@ -1,6 +1,16 @@
-"""Every threshold on which a verdict hangs; nothing else decides what is said of a data set."""
+"""
+Everything on which a verdict hangs, and everything that a verdict is: thresholds, and one table.
+
+Nothing else decides what is said of a data set; the reports, the monitor and the live page read
+what is said from here.
+"""
 
 from __future__ import annotations
+
+from enum import StrEnum
+
+# -----------------------------------------------------------------------------
+# Whether something is missing, and what.
 
 TESTED_FROM_CHI2 = 1.0  # whitened squared change by a typical size that counts as tested
 ALARM_LEVEL = 0.005  # of the omnibus alarm and of the best candidate's alarm, each
@@ -10,6 +20,140 @@ APART_FROM_SCORE = 9.21  # chi² + 2 k within which candidates cannot be told ap
 SAME_WITHIN_CHI2 = 0.5  # chi² below which two predictions are the same
 TIE_WITHIN_SCORE = 0.5  # chi² + 2 k below which the order of the catalogue decides
 EFFECTS_MAX = 3  # effects in a combination
+PAIRED_MAX = 7  # best single effects whose pairs are tried
 FIRST_STEP_GAIN_MIN = 5.0  # in deviance at a first step that makes a further effect worth a fit
 STRAY_SD_MAX = 3.0  # declared sd that a quantity may move
 CORRELATED_FROM = 0.98  # between two parameters: their values are not told apart
+
+# -----------------------------------------------------------------------------
+# What is looked at before physics: mistakes of the set-up, readings that others contradict.
+
+GROSS_FROM_FLOORS = 20.0  # noise floors of error from which a mistake of the set-up is looked for
+ERROR_SHARE_LEFT_MAX = 0.1  # of the error, that a mistake may leave
+EXPLAINED_WITHIN_FLOORS = 8.0  # or so many noise floors, if that is more
+ERROR_SHARE_LEFT_LIMIT = 0.3  # of the error, that it may leave in any case
+AS_GOOD_WITHIN = 1.3  # times the least error left: then the plainest mistake is said
+STILL_SHARE_MAX = 0.05  # of the way that a marker should go, below which it is frozen
+STILL_FROM_FLOORS = 10.0  # noise floors that it should go by at least to be called so
+FALSE_OUTLIER_PROBABILITY = 1e-3  # for the most extreme of all readings, or of all trials
+TRIALS_MIN = 3  # trials of a posture from which two can contradict one
+MARKERS_OFF_SHARE = 0.5  # share of the markers of a trial beyond which the trial itself is off
+
+# -----------------------------------------------------------------------------
+# What is said beside the verdict.
+
+NOISE_WITHIN_FLOORS = 1.25  # noise floors up to which what is left equals the repeatability
+PATTERN_SHARE_MIN = 0.33  # of the excess in deviance that a pattern takes to be told of
+SEPARABLE_FROM_SD = 2.0  # sd of a mean that predictions must differ to be worth a measurement
+FALSE_OUT_OF_LINE_PROBABILITY = 0.05  # that any member of a healthy arm is called out of line
+TOLD_VARIANCE_SHARE = 0.5  # of its variance that the data must take off a member to be told
+
+# -----------------------------------------------------------------------------
+# The verdicts.
+
+ADD = 'Add it to the robot description: `{command} --add better.yaml`'
+CLICK_3 = 'Found. Click 3: the model gets the effect while the arm goes on.'
+
+
+class Verdict(StrEnum):
+    """
+    What a diagnosis ends in; its value is its name in files and topics.
+
+    Attributes
+    ----------
+    sentence : str
+        What it says; `report.diagnosis_text` fills in the names, values and errors.
+    colour : str
+        Key of `common.colours.KINDS`, for the box that it stands in.
+    advice : str
+        What to type next where effects were found; `{command}` is the diagnosis itself.
+    guide : str
+        What to click next on the live page.
+    may_add : bool
+        Whether its effects are added without the user insisting.
+    judged : bool
+        Whether effects were judged at all.
+
+    """
+
+    sentence: str
+    colour: str
+    advice: str
+    guide: str
+    may_add: bool
+    judged: bool
+
+    def __new__(
+        cls,
+        name: str,
+        sentence: str = '',
+        colour: str = '',
+        advice: str = '',
+        guide: str = '',
+        may_add: bool = False,
+        judged: bool = True,
+    ) -> Verdict:
+        """Make a row of the table."""
+        self = str.__new__(cls, name)
+        self._value_, self.sentence, self.colour, self.advice = name, sentence, colour, advice
+        self.guide, self.may_add, self.judged = guide, may_add, judged
+        return self
+
+    ADEQUATE = (
+        'adequate',
+        'ADEQUATE{for_accuracy}: nothing is missing that {judged_by}.',
+        'good',
+        '',
+        'Nothing is missing that these postures could show. Click 1 to record others.',
+    )
+    MISSING_EFFECT = (
+        'missing_effect',
+        'CONSISTENT WITH {values}.\nIt explains {share}.',
+        'found',
+        ADD,
+        CLICK_3,
+        True,
+    )
+    SEVERAL = (
+        'several',
+        'CONSISTENT WITH {names} together: {values}.\nThey explain {share}.',
+        'found',
+        ADD,
+        CLICK_3,
+        True,
+    )
+    WRONG_PARAMETER = (
+        'wrong_parameter',
+        'WRONG PARAMETER: {what_is_off}.\nCONSISTENT WITH {values}{instead}.',
+        'found',
+        ADD,
+        CLICK_3,
+        True,
+    )
+    AMBIGUOUS = (
+        'ambiguous',
+        'AMBIGUOUS: {alike} explain {these_postures} equally well ({share}).\n'
+        'If it is {best}: {best_values}.',
+        'warn',
+        'Until that is measured, the first of them will do: `{command} --add better.yaml`',
+        CLICK_3,
+        True,
+    )
+    OUTSIDE_CATALOGUE = (
+        'outside_catalogue',
+        'OUTSIDE THE CATALOGUE: {what_remains}.',
+        'bad',
+        'Nothing is added by itself; if part of the way helps: '
+        '`{command} --add better.yaml --partial`',
+        'The catalogue has no name for this cause, so nothing is added. What the remainder looks '
+        'like is said below.',
+    )
+    CANNOT_JUDGE = (
+        'cannot_judge',
+        'CANNOT JUDGE: {remainder}.',
+        'warn',
+        '',
+        'The recording does not suffice. Click 1 to record again.',
+        False,
+        False,
+    )

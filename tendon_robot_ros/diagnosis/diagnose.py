@@ -12,7 +12,7 @@ from ..data import DataSet
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from .candidates import Ranked
-from .decide import APART_FROM_SCORE, P_SINGLE_MIN, STRAY_SD_MAX
+from .decide import APART_FROM_SCORE, P_SINGLE_MIN, STRAY_SD_MAX, Verdict
 from .evidence import Evidence, best_rival, gather, is_alarming, outside_by_itself, remainder_text
 from .next_measurement import propose
 from .outliers import find_outliers
@@ -64,12 +64,13 @@ def diagnose(
     evidence = gather(session)
     if not is_alarming(evidence):
         return _adequate(evidence)
-    verdict = decide(evidence)
-    if verdict.verdict == 'outside_catalogue' and session.accuracy and not session.use_accuracy:
+    diagnosis = decide(evidence)
+    outside = diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE
+    if outside and session.accuracy and not session.use_accuracy:
         session.use_accuracy = True
         evidence = gather(session)
         return _adequate(evidence) if not is_alarming(evidence) else decide(evidence)
-    return verdict
+    return diagnosis
 
 
 def _what_is_lacking(session: Session) -> str:
@@ -143,9 +144,9 @@ def _named(evidence: Evidence, group: Sequence[Ranked]) -> Diagnosis:
         if abs(z) > STRAY_SD_MAX and (twin := twins[quantity]) is not None and twin[0] in names
     ]
     if strays or all(r.candidate.present for r in group):
-        verdict = 'wrong_parameter'
+        verdict = Verdict.WRONG_PARAMETER
     else:
-        verdict = 'missing_effect' if len(group) == 1 else 'ambiguous'
+        verdict = Verdict.MISSING_EFFECT if len(group) == 1 else Verdict.AMBIGUOUS
     if strays:  # the declared quantity is what moved: its twin is what to add
         said_by = twins[strays[0]]
         best = next(r for r in group if said_by and r.candidate.names[0] == said_by[0])
@@ -161,7 +162,7 @@ def _named(evidence: Evidence, group: Sequence[Ranked]) -> Diagnosis:
 
 
 def _several(evidence: Evidence, combined: Ranked) -> Diagnosis:
-    return _result(evidence, 'several', [combined], (), [], None)
+    return _result(evidence, Verdict.SEVERAL, [combined], (), [], None)
 
 
 def _outside(evidence: Evidence, best: Ranked | None) -> Diagnosis:
@@ -177,7 +178,7 @@ def _outside(evidence: Evidence, best: Ranked | None) -> Diagnosis:
     ]
     return _result(
         evidence,
-        'outside_catalogue',
+        Verdict.OUTSIDE_CATALOGUE,
         [best] if helpful and best else [],
         (best.candidate.label, *near) if helpful and best and near else (),
         [],
@@ -186,12 +187,12 @@ def _outside(evidence: Evidence, best: Ranked | None) -> Diagnosis:
 
 
 def _adequate(evidence: Evidence) -> Diagnosis:
-    return _result(evidence, 'adequate', [], (), [], None)
+    return _result(evidence, Verdict.ADEQUATE, [], (), [], None)
 
 
 def _result(
     evidence: Evidence,
-    verdict: str,
+    verdict: Verdict,
     chosen: Sequence[Ranked],
     together: tuple[str, ...],
     strays: Sequence[str],
@@ -236,7 +237,7 @@ def _cannot_judge(session: Session, lacking: str) -> Diagnosis:
     markers = session.predictor.markers({})
     before = float('nan') if markers is None else rms(session.dataset.mean - markers)
     return Diagnosis(
-        'cannot_judge',
+        Verdict.CANNOT_JUDGE,
         (),
         (),
         (),

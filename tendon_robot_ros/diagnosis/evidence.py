@@ -9,7 +9,14 @@ import numpy as np
 
 from ..comparison.noise import rms
 from .candidates import Candidate, Ranked
-from .decide import ALARM_LEVEL, APART_FROM_SCORE, STRAY_SD_MAX
+from .decide import (
+    ALARM_LEVEL,
+    APART_FROM_SCORE,
+    NOISE_WITHIN_FLOORS,
+    PATTERN_SHARE_MIN,
+    STRAY_SD_MAX,
+    Verdict,
+)
 from .fit import Fit
 from .rivals import Pattern, Rivals
 from .session import Session
@@ -87,17 +94,17 @@ def best_rival(evidence: Evidence, score: float) -> Pattern | None:
 # What remains unexplained, in plain words from the patterns that fit it.
 
 
-def remainder_text(evidence: Evidence, chosen: Ranked | None, verdict: str) -> str:
+def remainder_text(evidence: Evidence, chosen: Ranked | None, verdict: Verdict) -> str:
     """Say how much remains after the chosen effects (or none), and what it looks like."""
     session = evidence.session
     fit = chosen.fit if chosen else evidence.base
     left, floor = rms(session.dataset.mean - fit.markers), session.whitener.floor()
     text = f'What is left ({1e3 * left:.2f} mm) ' + (
         f'equals your repeatability ({1e3 * floor:.2f} mm).'
-        if left < 1.25 * floor
+        if left < NOISE_WITHIN_FLOORS * floor
         else f'is {left / floor:.1f} times your repeatability ({1e3 * floor:.2f} mm).'
     )
-    if verdict != 'outside_catalogue':
+    if verdict is not Verdict.OUTSIDE_CATALOGUE:
         return text
     pattern = evidence.rival or best_pattern(evidence, chosen)
     return (
@@ -113,7 +120,7 @@ def best_pattern(evidence: Evidence, chosen: Ranked | None) -> Pattern | None:
     patterns = Rivals(evidence.session.fitters[0], fit).all()
     top = min(patterns, key=lambda pattern: pattern.score, default=None)
     excess = fit.chi2 - fit.freedom
-    if top is None or fit.deviance - top.deviance < 0.33 * excess:
+    if top is None or fit.deviance - top.deviance < PATTERN_SHARE_MIN * excess:
         return None
     return top
 

@@ -11,11 +11,9 @@ from ..comparison.noise import input_slopes
 from ..comparison.predict import Point, Predictor
 from ..comparison.statistics import chi2_isf
 from ..data import DataSet
+from .decide import FALSE_OUTLIER_PROBABILITY, MARKERS_OFF_SHARE, TRIALS_MIN
 
 Floats = npt.NDArray[np.float64]
-FALSE_OUTLIER_PROBABILITY = 1e-3  # for the most extreme of all readings, or of all trials
-TRIALS_MIN = 3  # trials of a posture from which two can contradict one
-MARKERS_OFF_SHARE = 0.5  # share of the markers of a trial beyond which the trial itself is off
 REWEIGHTING_ROUNDS = 4  # of the robust scale
 
 

@@ -11,7 +11,7 @@ from ..comparison.noise import rms
 from ..comparison.statistics import chi2_isf, normal_ppf
 from .arm_report import arm_report
 from .candidates import Ranked, why_untested
-from .decide import ALARM_LEVEL, APART_FROM_SCORE, CORRELATED_FROM, P_SINGLE_MIN
+from .decide import ALARM_LEVEL, APART_FROM_SCORE, CORRELATED_FROM, P_SINGLE_MIN, Verdict
 from .fit import Fit
 from .fitter import Fitter
 from .result import CandidateRow, EffectFinding, Value
@@ -135,12 +135,13 @@ def _row(
 
 
 def details_of(
-    evidence: Evidence, chosen: Sequence[Ranked], together: Sequence[str], verdict: str
+    evidence: Evidence, chosen: Sequence[Ranked], together: Sequence[str], verdict: Verdict
 ) -> dict[str, Any]:
     """Return the numbers that reports print beside the verdict."""
     session, base = evidence.session, evidence.base
     noise = session.noise
     assert noise is not None
+    relative = verdict is Verdict.OUTSIDE_CATALOGUE
     details: dict[str, Any] = {
         'robot': session.robot.name,
         'data': session.dataset.name,
@@ -165,11 +166,11 @@ def details_of(
             'freedom': base.freedom,
             'probability': base.probability(session.freedom),
         },
-        'relative_to_remainder': evidence.scale if verdict == 'outside_catalogue' else None,
+        'relative_to_remainder': evidence.scale if relative else None,
         'accuracy': session.accuracy if session.use_accuracy else None,
     }
     details |= _alternatives(evidence, chosen, together)
-    if verdict == 'adequate':
+    if verdict is Verdict.ADEQUATE:
         details['detectable'] = smallest_seen(evidence)
     return details
 

@@ -7,16 +7,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from .decide import Verdict
+
 FORMAT = 'tendon_robot_ros/diagnosis@1'
-VERDICTS = (
-    'adequate',
-    'missing_effect',
-    'ambiguous',
-    'several',
-    'wrong_parameter',
-    'outside_catalogue',
-    'cannot_judge',
-)
 
 
 @dataclass(frozen=True)
@@ -80,7 +73,7 @@ class NextMeasurement:
 class Diagnosis:
     """Verdict, effects to add, alternatives, what was not tested, errors and remainder."""
 
-    verdict: str
+    verdict: Verdict
     effects: tuple[EffectFinding, ...]
     cannot_tell_apart: tuple[str, ...]
     not_tested: tuple[str, ...]
@@ -93,6 +86,10 @@ class Diagnosis:
     candidates: tuple[CandidateRow, ...]
     details: dict[str, Any] = field(default_factory=dict)
     format: str = FORMAT
+
+    def __post_init__(self) -> None:
+        """Take a verdict by its name as well."""
+        object.__setattr__(self, 'verdict', Verdict(self.verdict))
 
     def __repr__(self) -> str:
         """Say the verdict, the effects with their intervals, and the errors."""
@@ -109,7 +106,7 @@ class Diagnosis:
     @property
     def adds(self) -> bool:
         """Whether there is something to add without the user insisting."""
-        return self.verdict in ('missing_effect', 'several', 'wrong_parameter', 'ambiguous')
+        return self.verdict.may_add
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data for JSON, NaN and infinity as null."""

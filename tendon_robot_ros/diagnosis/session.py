@@ -24,6 +24,7 @@ from .decide import (
     FIRST_STEP_GAIN_MIN,
     P_SEVERAL_MIN,
     P_SINGLE_MIN,
+    PAIRED_MAX,
     SAME_WITHIN_CHI2,
     TIE_WITHIN_SCORE,
 )
@@ -275,7 +276,7 @@ def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
         if not extended:
             break
         if size == 2 and not any(session.holds(f) for f in extended):
-            extended += _pairs(session, order[:7], {f.candidate.label for f in extended})
+            extended += _pairs(session, order[:PAIRED_MAX], {f.candidate.label for f in extended})
         current = best = min(extended, key=lambda r: r.score)
         if session.holds(best):
             best = reweighed(session, best)

@@ -17,11 +17,17 @@ import numpy.typing as npt
 
 from ..comparison.noise import rms
 from ..comparison.predict import Predictor
+from .decide import (
+    AS_GOOD_WITHIN,
+    ERROR_SHARE_LEFT_LIMIT,
+    ERROR_SHARE_LEFT_MAX,
+    EXPLAINED_WITHIN_FLOORS,
+    GROSS_FROM_FLOORS,
+    STILL_FROM_FLOORS,
+    STILL_SHARE_MAX,
+)
 
 Floats = npt.NDArray[np.float64]
-GROSS_FROM_FLOORS = 20.0  # times the noise, from which a mistake is looked for
-ERROR_SHARE_LEFT_MAX = 0.1  # share of the error that may be left of it
-EXPLAINED_WITHIN_FLOORS = 8.0  # or so many times the noise, if that is more
 INPUTS_REORDERED_MAX = 6  # inputs whose order is searched
 UNIT_FACTORS = {
     1000.0: 'milli', 0.001: 'kilo', 9.81: 'kilograms of force', 1.0 / 9.81: 'newtons twice',
@@ -71,11 +77,11 @@ def find_mistake(predictor: Predictor, floor: float) -> Mistake | None:
         return None
     enough = max(ERROR_SHARE_LEFT_MAX * before, EXPLAINED_WITHIN_FLOORS * floor)
     mistakes = [one for tried in _HYPOTHESES for one in tried(predictor, markers)]
-    likely = [one for one in mistakes if one.after < min(enough, 0.3 * before)]
+    likely = [one for one in mistakes if one.after < min(enough, ERROR_SHARE_LEFT_LIMIT * before)]
     if not likely:
         return None
     least = min(one.after for one in likely) + floor  # alike: the first, the plainest, is it
-    return next(one for one in likely if one.after <= 1.3 * least)
+    return next(one for one in likely if one.after <= AS_GOOD_WITHIN * least)
 
 
 def _frozen(predictor: Predictor, floor: float) -> Mistake | None:
@@ -86,7 +92,9 @@ def _frozen(predictor: Predictor, floor: float) -> Mistake | None:
     if predicted is None or len(spread) < 3:
         return None
     should = np.sqrt(np.var(predicted, axis=0).sum(axis=1))
-    still = np.flatnonzero((spread < 0.05 * should) & (should > 10.0 * floor))
+    still = np.flatnonzero(
+        (spread < STILL_SHARE_MAX * should) & (should > STILL_FROM_FLOORS * floor)
+    )
     if len(still) != 1:
         return None
     name = dataset.markers[int(still[0])].name

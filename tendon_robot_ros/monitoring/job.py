@@ -19,6 +19,7 @@ from typing import Any
 
 from ..common.errors import InputError, TendonRobotError
 from ..common.words import listed, mm
+from ..diagnosis.decide import Verdict
 
 NICENESS = 5  # control comes first
 RESULT, REPORT, BETTER = 'diagnosis.json', 'diagnosis.html', 'better.yaml'
@@ -92,12 +93,15 @@ def work(folder: Path, effects: Sequence[str]) -> None:
     diagnosis = diagnose(dataset, None, catalogue, 1, progress)
     diagnosis.save(folder / RESULT)
     report = _report(diagnosis, folder / REPORT)
-    say('verdict', sentence=verdict(diagnosis), lines=lines(diagnosis), report=report,
-        diagnosis=diagnosis.to_json())  # fmt: skip
+    say('verdict', content=diagnosis.to_json() | {
+        'sentence': verdict(diagnosis), 'lines': lines(diagnosis), 'report': report,
+        'colour': diagnosis.verdict.colour, 'guide': diagnosis.verdict.guide,
+        'may_add': diagnosis.adds,
+    })  # fmt: skip
     if diagnosis.effects:
         say('progress', text='fitting what was found, with its intervals', part=1.0)
         names = [effect.name for effect in diagnosis.effects]
-        partial = diagnosis.verdict == 'outside_catalogue'
+        partial = not diagnosis.adds
         made = add_effects(
             dataset, names, None, catalogue, None, diagnosis.effects, partial=partial
         )
@@ -146,7 +150,7 @@ class Work:
     def __init__(self) -> None:
         """Begin with none."""
         self._job: DiagnosisJob | None = None
-        self._verdict = ''
+        self._verdict: Verdict | None = None
         self._addition: dict[str, Any] | None = None
         self._wanted: bool | None = None  # add was called; its value: partial, too
         self.added = 0  # so often was a description sent to the controller
@@ -164,7 +168,7 @@ class Work:
     def diagnose(self, folder: Path, effects: Sequence[str]) -> None:
         """Start a diagnosis."""
         self.cancel()
-        self._verdict, self._addition, self._wanted = '', None, None
+        self._verdict, self._addition, self._wanted = None, None, None
         self._job = DiagnosisJob(folder, [effect for effect in effects if effect])
 
     def add(self, partial: bool) -> str:
@@ -179,7 +183,7 @@ class Work:
         """
         if not self._verdict and not self.running:
             raise InputError('nothing to add: call record, then diagnose')
-        if self._verdict == 'outside_catalogue' and not partial:
+        if self._verdict is Verdict.OUTSIDE_CATALOGUE and not partial:
             raise InputError(
                 'nothing was added: the cause is outside the catalogue; the parameter partial '
                 'adds what helps all the same'
@@ -193,14 +197,14 @@ class Work:
         """
         Return what happened: dictionaries with `kind` and `text`.
 
-        Kind 'add' has the `file` to send to the controller.
+        Kind 'verdict' has the `content` to publish, kind 'add' the `file` for the controller.
         """
         news = [] if self._job is None else self._job.news()
         for item in news:
             item.setdefault('text', '')
             if item['kind'] == 'verdict':
-                self._verdict = item['diagnosis']['verdict']
-                item['text'] = item['sentence']
+                self._verdict = Verdict(item['content']['verdict'])
+                item['text'] = item['content']['sentence']
             elif item['kind'] == 'addition':
                 self._addition = item
                 item['text'] = f'ready to add {listed(item["effects"])}'
@@ -225,7 +229,7 @@ class Work:
             return f'the controller refuses the new description: {reason}'
         assert self._addition is not None
         self.added += 1
-        made, self._addition, self._verdict = self._addition, None, ''
+        made, self._addition, self._verdict = self._addition, None, None
         before, after = mm(made['before']), mm(made['after'])
         return f'added {listed(made["effects"])}: {before} -> {after} on postures left out in turn'
 

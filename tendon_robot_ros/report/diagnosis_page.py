@@ -11,6 +11,7 @@ from ..comparison.compare import compare
 from ..comparison.result import Comparison
 from ..data import DataSet
 from ..diagnosis.add import Addition
+from ..diagnosis.decide import Verdict
 from ..diagnosis.missing_moment import MissingMoment, missing_moment
 from ..diagnosis.result import CandidateRow, Diagnosis
 from ..diagnosis.staircase import Errors
@@ -94,16 +95,6 @@ def with_effects(diagnosis: Diagnosis, robot: Robot) -> Robot:
 # -----------------------------------------------------------------------------
 # The page of a diagnosis: verdict first, then what to do, then the evidence.
 
-KINDS = {
-    'adequate': 'good',
-    'missing_effect': '',
-    'several': '',
-    'wrong_parameter': '',
-    'ambiguous': 'warn',
-    'outside_catalogue': 'bad',
-    'cannot_judge': 'warn',
-}
-
 
 def write_diagnosis(
     diagnosis: Diagnosis, pictures: Pictures | None, path: str | Path, made: Addition | None = None
@@ -129,7 +120,7 @@ def diagnosis_page(
     """
     page = Page('Diagnosis', diagnosis_text.size(diagnosis))
     add_verdict(page, diagnosis)
-    if diagnosis.verdict != 'cannot_judge':
+    if diagnosis.verdict.judged:
         add_staircase(page, diagnosis, made)
         add_alternatives(page, diagnosis)
     if pictures is not None:
@@ -141,9 +132,9 @@ def diagnosis_page(
 def add_verdict(page: Page, diagnosis: Diagnosis) -> None:
     """Add the verdict and what to do now."""
     lines = diagnosis_text.verdict(diagnosis).split('\n')
-    if diagnosis.verdict != 'cannot_judge':
+    if diagnosis.verdict.judged:
         lines.append(diagnosis.remainder)
-    page.box(lines, f'verdict {KINDS[diagnosis.verdict]}')
+    page.box(lines, f'verdict {diagnosis.verdict.colour}')
     following = next_measurement(diagnosis)
     if following:
         page.box([following], 'warn', 'Next measurement')
@@ -153,21 +144,16 @@ def add_verdict(page: Page, diagnosis: Diagnosis) -> None:
 def to_do(diagnosis: Diagnosis) -> str:
     """Say what to type now."""
     data = diagnosis.details.get('data', 'DATA')
-    command = f'{PROGRAM} diagnose {data} --add better.yaml'
-    if diagnosis.verdict == 'ambiguous':
-        return f'Until that is measured, the first of them will do: `{command}`'
-    if diagnosis.adds:
-        return f'Add it to the robot description: `{command}`'
-    if diagnosis.verdict == 'outside_catalogue' and diagnosis.effects:
-        return f'Nothing is added by itself; if part of the way helps: `{command} --partial`'
-    return ''
+    if not diagnosis.effects:
+        return ''
+    return diagnosis.verdict.advice.format(command=f'{PROGRAM} diagnose {data}')
 
 
 def add_staircase(page: Page, diagnosis: Diagnosis, made: Addition | None) -> None:
     """Add the errors before and after, and those of a perfect model."""
     if not diagnosis.effects:
         return
-    partly = diagnosis.verdict == 'outside_catalogue'
+    partly = not diagnosis.adds
     page.heading('A part of the error falls' if partly else 'The error falls')
     if made is None:
         steps = [
@@ -201,7 +187,7 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
     if len(diagnosis.cannot_tell_apart) > 1:
         names = listed(diagnosis.cannot_tell_apart, 'or')
         lines = [f'These postures cannot tell {names} apart.']
-        lines += [f'{alike}.'] if alike and diagnosis.verdict == 'ambiguous' else []
+        lines += [f'{alike}.'] if alike and diagnosis.verdict is Verdict.AMBIGUOUS else []
         page.box(map(capital, lines), 'warn', 'Cannot be told apart')
     elif alike:
         page.text(f'{capital(alike)}.')

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from string import Formatter
 from typing import Any
 
 import numpy as np
 
 from ..common.words import commands, digits, listed, mm
+from ..diagnosis.decide import P_SINGLE_MIN, SEPARABLE_FROM_SD, Verdict
 from ..diagnosis.result import Diagnosis, EffectFinding, NextMeasurement
 from .arm_text import as_built, left_out
 from .numbers import described_quantity, quantities, short_quantities
-
-UNIQUE = ('missing_effect', 'several', 'wrong_parameter')
 
 
 def lines(diagnosis: Diagnosis) -> list[str]:
     """Return all lines: what was taken as exact, the verdict, what is left, what else."""
     text = [size(diagnosis), *declared(diagnosis), *left_out(diagnosis), '', verdict(diagnosis)]
-    if diagnosis.verdict == 'cannot_judge':
+    if not diagnosis.verdict.judged:
         return text
     text.append(diagnosis.remainder)
     text += as_built(diagnosis)
@@ -83,82 +83,61 @@ def _tolerance(name: str, size: float) -> str:
 
 
 def verdict(diagnosis: Diagnosis) -> str:
-    """Return the verdict in one line, or two."""
-    return {
-        'adequate': _adequate,
-        'missing_effect': _missing,
-        'several': _missing,
-        'ambiguous': _ambiguous,
-        'wrong_parameter': _wrong,
-        'outside_catalogue': _outside,
-        'cannot_judge': _cannot_judge,
-    }[diagnosis.verdict](diagnosis)
+    """Return the verdict in one line, or two: its sentence with what the diagnosis found."""
+    sentence = diagnosis.verdict.sentence
+    names = [name for _, name, _, _ in Formatter().parse(sentence) if name]
+    return sentence.format(**{name: _FIELDS[name](diagnosis) for name in names})
 
 
-def explained(effects: tuple[EffectFinding, ...]) -> str:
+def _share(diagnosis: Diagnosis) -> str:
     """Say how much of the explainable error goes away."""
-    share = effects[0].explained
+    share = diagnosis.effects[0].explained
     percent = int(100.0 * share) if share < 1.0 else 100
     return f'{percent} % of the explainable error'
 
 
-def _adequate(diagnosis: Diagnosis) -> str:
+def _values(diagnosis: Diagnosis) -> str:
+    return '; '.join(f'{e.name}: {quantities(e.parameters)}' for e in diagnosis.effects)
+
+
+def _for_accuracy(diagnosis: Diagnosis) -> str:
     accuracy = diagnosis.details.get('accuracy')
-    if accuracy:
-        return f'ADEQUATE FOR {mm(accuracy, 2)}: nothing is missing that matters at that accuracy.'
-    return 'ADEQUATE: nothing is missing that these measurements could show.'
+    return f' FOR {mm(accuracy, 2)}' if accuracy else ''
 
 
-def _missing(diagnosis: Diagnosis) -> str:
-    named = [f'{e.name}: {quantities(e.parameters)}' for e in diagnosis.effects]
-    if len(named) == 1:
-        return f'CONSISTENT WITH {named[0]}.\nIt explains {explained(diagnosis.effects)}.'
-    return (
-        'CONSISTENT WITH '
-        + ' AND '.join(e.name for e in diagnosis.effects)
-        + ' together: '
-        + '; '.join(named)
-        + f'.\nThey explain {explained(diagnosis.effects)}.'
-    )
+def _judged_by(diagnosis: Diagnosis) -> str:
+    if diagnosis.details.get('accuracy'):
+        return 'matters at that accuracy'
+    return 'these measurements could show'
 
 
-def _ambiguous(diagnosis: Diagnosis) -> str:
-    best = diagnosis.effects[0]
+def _these_postures(diagnosis: Diagnosis) -> str:
     postures = diagnosis.details.get('postures')
-    these = f'these {postures} postures' if postures else 'these postures'
-    return (
-        f'AMBIGUOUS: {listed(diagnosis.cannot_tell_apart, "or")} explain {these} equally well '
-        f'({explained(diagnosis.effects)}).\n'
-        f'If it is {best.name}: {quantities(best.parameters)}.'
-    )
+    return f'these {postures} postures' if postures else 'these postures'
 
 
-def _wrong(diagnosis: Diagnosis) -> str:
-    best = diagnosis.effects[0]
-    values = '; '.join(f'{e.name}: {quantities(e.parameters)}' for e in diagnosis.effects)
+def _what_is_off(diagnosis: Diagnosis) -> str:
+    """Say which quantity moved beyond its tolerance, or which values are off."""
     if diagnosis.out_of_tolerance:
         moved = diagnosis.details.get('moved', {})
         strays = [
             f'{name} (by {digits(abs(moved[name]))} declared sd)' if name in moved else name
             for name in diagnosis.out_of_tolerance
         ]
-        return (
-            f'WRONG PARAMETER: {listed(strays)} must move further than declared.\n'
-            f'CONSISTENT WITH {values}.'
-        )
+        return f'{listed(strays)} must move further than declared'
+    if diagnosis.cannot_tell_apart:
+        return f'{listed(diagnosis.cannot_tell_apart, "or")} explain it equally well'
+    return 'no effect is missing, but a value is off'
+
+
+def _instead(diagnosis: Diagnosis) -> str:
+    """Say what the description says instead, and how much the new value explains."""
+    if diagnosis.out_of_tolerance:
+        return ''
+    best = diagnosis.effects[0]
     before = diagnosis.details.get('described', {}).get(best.name, {})
     was = '; '.join(_described(best, key, value) for key, value in before.items())
-    also = diagnosis.cannot_tell_apart
-    return (
-        'WRONG PARAMETER'
-        + (
-            f': {listed(also, "or")} explain it equally well.\n'
-            if also
-            else ': no effect is missing, but a value is off.\n'
-        )
-        + f'CONSISTENT WITH {values} (the description says {was or "nothing"}).\n'
-        f'It explains {explained(diagnosis.effects)}.'
-    )
+    return f' (the description says {was or "nothing"}).\nIt explains {_share(diagnosis)}'
 
 
 def _described(effect: EffectFinding, key: str, value: float | Sequence[float]) -> str:
@@ -167,25 +146,22 @@ def _described(effect: EffectFinding, key: str, value: float | Sequence[float]) 
     return described_quantity(key, unit, [value] if isinstance(value, float) else list(value))
 
 
-def _outside(diagnosis: Diagnosis) -> str:
+def _what_remains(diagnosis: Diagnosis) -> str:
+    """Say how far the best effects come, and what is left or fits better without physics."""
     floor = diagnosis.noise_floor
     if not diagnosis.effects:
         ratio = digits(diagnosis.error_before / floor)
-        return (
-            f'OUTSIDE THE CATALOGUE: no effect of the catalogue helps; the error is {ratio} '
-            'times the noise.'
-        )
+        return f'no effect of the catalogue helps; the error is {ratio} times the noise'
     best = next((row for row in diagnosis.candidates if row.status == 'best'), None)
     values = ' with '.join(
         f'{e.name} ({short_quantities(e.parameters)})' for e in diagnosis.effects
     )
-    text = f'OUTSIDE THE CATALOGUE: {values} removes {explained(diagnosis.effects)}, but '
-    if 'rival' in diagnosis.details and best is not None and best.probability > 0.001:
-        return (
-            text + f'{_rival(diagnosis.details["rival"]["name"])} fits better without any physics.'
-        )
+    text = f'{values} removes {_share(diagnosis)}, but '
+    if 'rival' in diagnosis.details and best is not None and best.probability > P_SINGLE_MIN:
+        rival = _rival(diagnosis.details['rival']['name'])
+        return f'{text}{rival} fits better without any physics'
     sure = '' if best is None else f' (p {_p(best.probability)})'
-    return text + f'what remains is {digits(diagnosis.error_after / floor)} times the noise{sure}.'
+    return f'{text}what remains is {digits(diagnosis.error_after / floor)} times the noise{sure}'
 
 
 def _rival(name: str) -> str:
@@ -202,8 +178,22 @@ def _p(p: float) -> str:
     return '< 1e-6' if p < 1e-6 else f'= {digits(p, 1)}'
 
 
-def _cannot_judge(diagnosis: Diagnosis) -> str:
-    return f'CANNOT JUDGE: {diagnosis.remainder}.'
+# what the sentences of `diagnosis.decide.Verdict` name
+_FIELDS: dict[str, Callable[[Diagnosis], str]] = {
+    'alike': lambda diagnosis: listed(diagnosis.cannot_tell_apart, 'or'),
+    'best': lambda diagnosis: diagnosis.effects[0].name,
+    'best_values': lambda diagnosis: quantities(diagnosis.effects[0].parameters),
+    'for_accuracy': _for_accuracy,
+    'instead': _instead,
+    'judged_by': _judged_by,
+    'names': lambda diagnosis: ' AND '.join(e.name for e in diagnosis.effects),
+    'remainder': lambda diagnosis: diagnosis.remainder,
+    'share': _share,
+    'these_postures': _these_postures,
+    'values': _values,
+    'what_is_off': _what_is_off,
+    'what_remains': _what_remains,
+}
 
 
 def alike(diagnosis: Diagnosis) -> str:
@@ -214,13 +204,13 @@ def alike(diagnosis: Diagnosis) -> str:
     rest = [name for name in diagnosis.cannot_tell_apart if name not in own]
     parts = []
     best = diagnosis.details.get('next_best')
-    if best is not None and diagnosis.verdict != 'several':
+    if best is not None and diagnosis.verdict is not Verdict.SEVERAL:
         parts.append(f'next best, {best["name"]}, is {_times(best["log10_likelihood_ratio"])}')
     wider = diagnosis.details.get('wider') or []
     if wider:
         does = 'does' if len(wider) == 1 else 'do'
         parts.append(f'{listed(wider)} {does} the same with more parameters')
-    if diagnosis.verdict == 'ambiguous':
+    if diagnosis.verdict is Verdict.AMBIGUOUS:
         return '; '.join(parts)
     tail = f' ({"; ".join(parts)})' if parts else ''
     return f'cannot be told apart from: {", ".join(rest) or "nothing"}{tail}'
@@ -273,7 +263,7 @@ def next_measurement(diagnosis: Diagnosis) -> str:
     if step is None:
         return ''
     names = diagnosis.cannot_tell_apart
-    if step.difference < 2.0 * step.noise / np.sqrt(TRIALS_ADVISED):
+    if step.difference < SEPARABLE_FROM_SD * step.noise / np.sqrt(TRIALS_ADVISED):
         return (
             f'No posture within the limits separates {listed(names)}: they differ by '
             f'{_small(step.difference)} at most, your noise is {mm(step.noise, 2)}. '

@@ -11,6 +11,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from ..common.colours import INK, KINDS
 from ..common.errors import MissingExtraError
 from ..common.files import new_file
 
@@ -46,7 +47,7 @@ class Page:
         self.parts += [f'<p>{_marked(paragraph)}</p>' for paragraph in paragraphs]
 
     def box(self, lines: Iterable[str], kind: str = '', title: str = '') -> None:
-        """Add a box; kinds: verdict, good, warn, bad, and combinations of them."""
+        """Add a box; kinds: verdict, those of `common.colours.KINDS`, and both together."""
         head = f'<h3>{escape(title)}</h3>' if title else ''
         body = ''.join(f'<p>{_marked(line)}</p>' for line in lines)
         self.parts.append(f'<div class="box {escape(kind)}">{head}{body}</div>')
@@ -86,7 +87,7 @@ class Page:
             plotly is not installed.
 
         """
-        style, script = _beside('page.css'), _beside('page.js')
+        style, script = f'{_palette()}{_beside("page.css")}', _beside('page.js')
         subtitle = f'<p class="subtitle">{escape(self.subtitle)}</p>' if self.subtitle else ''
         body = '\n'.join(self.parts)
         return (
@@ -105,6 +106,12 @@ class Page:
         with new_file(Path(path)) as draft:
             draft.write_text(html, encoding='utf-8')
         return Path(path)
+
+
+def _palette() -> str:
+    """Give page.css the colours of the palette."""
+    colours = {'ink': INK, **KINDS}
+    return f':root {{ {" ".join(f"--{key}: {value};" for key, value in colours.items())} }}\n'
 
 
 @cache
@@ -154,7 +161,7 @@ def _with_defaults(layout: dict[str, Any], height: int) -> dict[str, Any]:
         'automargin': True,
     }
     made = {
-        'font': {'family': FONT, 'size': 13, 'color': '#1b1f24'},
+        'font': {'family': FONT, 'size': 13, 'color': INK},
         'margin': {'l': 56, 'r': 16, 't': 12, 'b': 44},
         'paper_bgcolor': 'white',
         'plot_bgcolor': 'white',

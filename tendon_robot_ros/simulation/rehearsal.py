@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..common.errors import InputError, NoEquilibriumError
 from ..common.words import digits, listed, mm
+from ..diagnosis.decide import Verdict
 from ..effects import Catalogue
 from ..model.model import Model
 from ..robot import Robot
@@ -174,11 +175,11 @@ class Story:
         """Why the story did not come true, '' when it did."""
         verdict = self.verdict.get('verdict', 'no verdict')
         if self.hidden.name == NOTHING_HIDDEN:
-            return '' if verdict == 'adequate' else f'nothing was hidden, but: {verdict}'
+            return '' if verdict == Verdict.ADEQUATE else f'nothing was hidden, but: {verdict}'
         if self.hidden.outside:
-            called = verdict == 'outside_catalogue'
+            called = verdict == Verdict.OUTSIDE_CATALOGUE
             return '' if called else f'{self.hidden.name} is outside the catalogue, but: {verdict}'
-        if verdict == 'outside_catalogue' or not self.named:
+        if verdict == Verdict.OUTSIDE_CATALOGUE or not self.named:
             return f'{self.hidden.name} was hidden, but the verdict is {verdict}'
         if not self.added:
             return 'the controller did not take the new description'

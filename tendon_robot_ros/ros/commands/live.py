@@ -207,7 +207,7 @@ def play(director: Director, model: Model, story: Story, postures: int) -> None:
     story.verdict = director.verdict
     print(story.verdict['sentence'])
     print(story.verdict['remainder'])
-    if story.verdict['verdict'] in ('outside_catalogue', 'adequate', 'cannot_judge'):
+    if not story.verdict['may_add']:
         return
     _add_and_look(director, model, story)
 

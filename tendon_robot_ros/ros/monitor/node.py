@@ -160,9 +160,7 @@ class MonitorNode(Node):
         self._take_model()
         for news in self.work.news():
             if news['kind'] == 'verdict':
-                words = {key: news[key] for key in ('sentence', 'lines', 'report')}
-                content = {**news['diagnosis'], **words}
-                self._verdict.publish(String(data=json.dumps(content)))
+                self._verdict.publish(String(data=json.dumps(news['content'])))
             if news['kind'] == 'add':
                 self._remote.put(news['file'], self._added)
             if news['text']:

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ...common.colours import ERROR, GOOD, MEASURED, PREDICTED
+from ...common.colours import ERROR, GOOD, INK, KINDS, MEASURED, PREDICTED
 from ...common.words import digits, mm
 
 WIDTH, HEIGHT, LEFT, BOTTOM = 360, 140, 40, 22  # [px] of the curve, and of its margins
 CURVE_SPAN_S = 120.0  # [s] that the curve shows
-STYLE = 'font-family:system-ui,sans-serif;font-size:13px;color:#1b1f24;padding:2px 12px'
+STYLE = f'font-family:system-ui,sans-serif;font-size:13px;color:{INK};padding:2px 12px'
 
 
 def legend() -> str:
@@ -132,7 +132,7 @@ def bars(names: Sequence[str], tensions: Sequence[float], low: float, high: floa
             f'<div style="background:{colour};width:{100 * share:.1f}%;height:12px;'
             'border-radius:3px"></div>'
             f'<div title="lower limit" style="position:absolute;left:{100 * low / high:.1f}%;'
-            'top:-2px;width:2px;height:16px;background:#1b1f24"></div></div></td>'
+            f'top:-2px;width:2px;height:16px;background:{INK}"></div></div></td>'
             f'<td style="text-align:right;white-space:nowrap">{reading}</td></tr>'
         )
     return (
@@ -161,10 +161,11 @@ def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
             '</tr>'
         )
     head = '<tr><th>effect</th><th>value</th><th>explains</th></tr>' if rows else ''
+    colour = KINDS.get(str(diagnosis.get('colour')), PREDICTED)
     paragraphs = ''.join(f'<p style="margin:4px 0">{escape(s)}</p>' for s in sentences if s)
     return (
         f'<div id="verdict" style="{STYLE};overflow-x:auto"><div style="border-left:4px solid '
-        f'{PREDICTED};padding-left:8px">{paragraphs}</div><table id="candidates" '
+        f'{colour};padding-left:8px">{paragraphs}</div><table id="candidates" '
         'style="font-size:12px;text-align:left;border-spacing:6px 1px">'
         f'{head}{"".join(rows)}</table></div>'
     )

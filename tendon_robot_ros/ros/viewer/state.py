@@ -17,12 +17,6 @@ SILENT_AFTER_S = 3.0  # [s] after which a node counts as gone
 CURVE_PERIOD_S = 0.2  # [s]
 POSTURES_ADVISED = 8  # postures for a good diagnosis
 RECORD_AGAIN_HINT = 'Click 1 to record again.'
-VERDICTS = {
-    'adequate': 'Nothing is missing that these postures could show. Click 1 to record others.',
-    'outside_catalogue': 'The catalogue has no name for this cause, so nothing is added. What the '
-    'remainder looks like is said below.',
-    'cannot_judge': f'The recording does not suffice. {RECORD_AGAIN_HINT}',
-}
 LEVEL_NAMES = {0: 'ok', 1: 'warn', 2: 'error', 3: 'silent'}
 
 
@@ -79,8 +73,7 @@ class ViewState:
     @property
     def can_add(self) -> bool:
         """Whether there is something to add."""
-        outside = self.verdict.get('verdict') == 'outside_catalogue'
-        return bool(self.monitor.get('addition')) and not outside
+        return bool(self.monitor.get('addition')) and self.verdict.get('may_add') is not False
 
     @property
     def floor(self) -> float | None:
@@ -154,7 +147,7 @@ class ViewState:
         if self.recording:
             return f'{self.postures} postures are recorded. Click 2: which effect is missing?'
         if self.can_add:
-            return 'Found. Click 3: the model gets the effect while the arm goes on.'
+            return str(self.verdict.get('guide', 'Click 3: the model gets the effect.'))
         if self.marks:
             return (
                 f'The model now has {self.marks[-1][1]}. The two arms should coincide; what is '
@@ -163,7 +156,8 @@ class ViewState:
         if self.monitor.get('diagnosing') == 'true':
             return 'Fitting what was found …'
         if self.verdict:
-            return VERDICTS.get(str(self.verdict.get('verdict')), RECORD_AGAIN_HINT)
+            fell_through = self.verdict.get('may_add', True)  # found, and nothing came of it
+            return RECORD_AGAIN_HINT if fell_through else str(self.verdict.get('guide'))
         if not self.times:
             return 'Waiting for the robot. What the nodes say is at the bottom.'
         return (
