@@ -7,11 +7,14 @@ import time
 import emulated
 import numpy as np
 import pytest
+from control_rig import ROBOTS
 
 from tendon_robot_ros.drivers.dynamixel.tables import MODELS, REGISTERS
 from tendon_robot_ros.emulator import servo as servos
-from tendon_robot_ros.emulator.rig import HangingWeights, RelaxedArm, Rig, SpringArm, Wire
-from tendon_robot_ros.emulator.servo import Servo
+from tendon_robot_ros.emulator.rig import ElasticArm, HangingWeights, Rig, SpringArm, Wire
+from tendon_robot_ros.emulator.servo import Load, Servo
+from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.simulation.plant import make_plant
 
 pytest.importorskip('dynamixel_sdk')
 from tendon_robot_ros.drivers.dynamixel.bus import Bus
@@ -123,7 +126,9 @@ def test_winding_needs_more_current_than_the_load_and_paying_out_less():
         (0.5 - 1.01 * friction, -1),
     ]:
         servo.motion.speed = 0.0
-        servo.motion.drive_current(torque / servo.model.torque_per_ampere, 0.5, 1e-3)
+        servo.motion.drive_current(
+            torque / servo.model.torque_per_ampere, Load([(1.0, 0.5, 0.0)]), 1e-3
+        )
         assert np.sign(servo.motion.speed) == moves
 
 
@@ -134,7 +139,7 @@ def test_a_hanging_weight_pulls_with_its_weight_once_it_is_lifted():
 
 def test_an_arm_known_from_tension_to_pull_settles_on_the_tension_of_a_pull():
     compliance = np.array([[2.0, -1.0], [-1.0, 3.0]]) * 1e-3  # [m/N]
-    arm = RelaxedArm(lambda tensions: compliance @ tensions, 2, highest=10.0)
+    arm = ElasticArm(lambda tensions: compliance @ tensions, 2, highest=10.0)
     wound = compliance @ [3.0, 2.0] + 1e-4 * np.array([3.0, 2.0])  # the wires stretch
     for _ in range(4000):
         tensions = arm.tensions(wound, 0.001)
@@ -143,10 +148,55 @@ def test_an_arm_known_from_tension_to_pull_settles_on_the_tension_of_a_pull():
 
 def test_a_wire_that_is_paid_out_further_than_the_arm_takes_it_is_slack():
     compliance = np.array([[2.0, -2.0], [-2.0, 2.0]]) * 1e-3  # [m/N] antagonists
-    arm = RelaxedArm(lambda tensions: compliance @ tensions, 2, highest=10.0)
+    arm = ElasticArm(lambda tensions: compliance @ tensions, 2, highest=10.0)
     for _ in range(4000):
         tensions = arm.tensions(np.array([0.0042, -0.006]), 0.001)
     np.testing.assert_allclose(tensions, [2.0, 0.0], rtol=0.02)
+
+
+@pytest.mark.parametrize('stiffness', [1e2, 1e4, 1e6])
+def test_a_motor_winds_a_spring_as_far_as_its_current_less_friction_and_not_a_step_further(
+    stiffness,
+):
+    servo = Servo(MODELS['XL330-M077'], 1)
+    rig = Rig([servo], [Wire(1, 0.013)], SpringArm(np.array([stiffness]), np.array([0.003])))
+    for name, value in [('operating_mode', 0), ('torque_enable', 1), ('goal_current', 200)]:
+        assert write(servo, name, value) == 0
+    torque = 200 * servo.model.current_unit * servo.model.torque_per_ampere
+    held, path = (torque - servo.motion.friction) / 0.013, []
+    for _ in range(500):
+        rig.advance(0.001)
+        path.append(float(rig.tensions[0]))
+    assert path[-1] == pytest.approx(held, rel=1e-6)
+    assert max(path) <= held * (1 + 1e-6)  # without inertia nothing carries it further
+    assert np.diff(path).min() > -1e-6
+
+
+def test_on_the_mock_arm_no_wire_pulls_more_than_its_motor_holds_and_all_come_to_rest():
+    robot = load_robot(ROBOTS / 'kato_10_1.yaml')
+    plant, radius = make_plant(robot), 0.013
+    arm = ElasticArm(lambda tensions: plant.respond(tensions).pulls, 4, highest=10.0, slack=0.002)
+    motors = [Servo(MODELS['XL330-M077'], i) for i in (1, 2, 3, 4)]
+    rig = Rig(motors, [Wire(i, radius) for i in (1, 2, 3, 4)], arm)
+    for motor in motors:
+        assert write(motor, 'operating_mode', 0) == write(motor, 'torque_enable', 1) == 0
+    newtons = motors[0].model.current_unit * motors[0].model.torque_per_ampere / radius
+    band = motors[0].motion.friction / radius
+    random, goal = np.random.default_rng(3), np.full(4, 0.1)
+    for _ in range(12):
+        wanted = random.uniform(0.1, 5.0, 4) * random.choice([0.02, 1.0], 4)
+        before = goal
+        for part in np.linspace(0.0, 1.0, 16)[1:]:  # at about 20 N/s
+            goal = before + part * (wanted - before)
+            for motor, value in zip(motors, goal, strict=True):
+                assert write(motor, 'goal_current', round(value / newtons)) == 0
+            rig.advance(0.016)
+            assert (rig.tensions < np.maximum(before, wanted) + band + 0.3).all()
+        for _ in range(5):
+            at_rest = rig.wound
+            rig.advance(0.1)
+        assert rig.wound == pytest.approx(at_rest, abs=2e-5)
+        assert (rig.tensions < goal + band + newtons).all()
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ from ..emulator import board
 from ..emulator.board import BoardRig, EmulatedBoard
 from ..emulator.bus import EmulatedBus, obey_bus
 from ..emulator.port import Plug
-from ..emulator.rig import Arm, HangingWeights, RelaxedArm, Rig, SpringArm, Wire
+from ..emulator.rig import Arm, ElasticArm, HangingWeights, Rig, SpringArm, Wire
 from ..emulator.servo import Servo
 from ..robot import Robot, load_robot
 
@@ -171,4 +171,4 @@ def _arm(args: argparse.Namespace, robot: Robot) -> Arm:
 
     highest = 2.0 * robot.tension_limits[1]
     stretch = 1e-3 if args.kind == 'dynamixel' else 1e-2  # [m] a spring in every wire
-    return RelaxedArm(pulls, m, highest, args.slack, shown=shown, stretch=stretch)
+    return ElasticArm(pulls, m, highest, args.slack, shown=shown, stretch=stretch)

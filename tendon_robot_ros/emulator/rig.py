@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import TendonRobotError
-from .servo import STEP_S, Servo
+from .servo import STEP_S, Load, Servo
 
 Array = NDArray[np.float64]
-APPROACH_SHARE = 0.3  # of the way to equilibrium in one period
+LINEAR_WITHIN_N = 0.2  # [N] about which an arm keeps its compliance
+PROBE_N = 0.02  # [N] by which its compliance is felt
+STILL_N = 1e-6  # [N] below which it need not be asked again
 
 
 class Arm(Protocol):
@@ -27,18 +29,32 @@ class Arm(Protocol):
         """Return the tensions [N] for the wound wire, both shape (m,) [m], after `passed` s."""
         ...
 
+    def resistance(self, wire: int) -> tuple[float, float]:
+        """
+        Return what a wire pulls now [N], and its stiffness if wound on alone [N/m].
+
+        Of a slack wire the pull is negative: it rises through zero where the wire becomes taut.
+        """
+        ...
+
 
 class SpringArm:
     """Independent linear springs: the simplest arm that has slack and tension."""
 
     def __init__(self, stiffness: Array, slack: Array | None = None) -> None:
         """Take stiffness [N/m] and slack [m] per wire, shape (m,)."""
-        self.stiffness = np.asarray(stiffness, dtype=float)
+        self.stiffness: Array = np.asarray(stiffness, dtype=float)
         self.slack = np.zeros_like(self.stiffness) if slack is None else np.asarray(slack)
+        self._pull: Array = -self.stiffness * self.slack
 
     def tensions(self, wound: Array, passed: float) -> Array:
         """Return stiffness times what is wound beyond the slack."""
-        return self.stiffness * np.maximum(0.0, wound - self.slack)
+        self._pull = self.stiffness * (wound - self.slack)
+        return np.maximum(0.0, self._pull)
+
+    def resistance(self, wire: int) -> tuple[float, float]:
+        """Return the pull of the spring, negative while slack, and its stiffness."""
+        return float(self._pull[wire]), float(self.stiffness[wire])
 
 
 class HangingWeights:
@@ -47,9 +63,8 @@ class HangingWeights:
     def __init__(self, masses: Array, gravity: float = 9.80665, stiffness: float = 2e4) -> None:
         """Take the masses [kg], shape (m,), gravity [m/s²] and the wire's stiffness [N/m]."""
         self.weights = np.asarray(masses, dtype=float) * gravity
-        self.stiffness = stiffness
-
-        self.gravity = gravity
+        self.stiffness, self.gravity = stiffness, gravity
+        self._pull = np.zeros_like(self.weights)
 
     def hang(self, wire: int, mass: float) -> None:
         """Hang another weight [kg] on a wire."""
@@ -57,16 +72,23 @@ class HangingWeights:
 
     def tensions(self, wound: Array, passed: float) -> Array:
         """Return the weight, or less while the wire only begins to lift it."""
-        return np.clip(self.stiffness * wound, 0.0, self.weights)
+        self._pull = np.minimum(self.stiffness * wound, self.weights)
+        return np.maximum(0.0, self._pull)
+
+    def resistance(self, wire: int) -> tuple[float, float]:
+        """Return the pull; a weight that hangs pulls the same wherever it is."""
+        pull = float(self._pull[wire])
+        return pull, 0.0 if pull >= self.weights[wire] else self.stiffness
 
 
-class RelaxedArm:
+class ElasticArm:
     """
-    An arm known by tensions -> pulls, turned round: tensions relax until the pulls fit.
+    An arm known by tensions -> pulls, turned round: which tensions hold so much wound wire.
 
-    The wires stretch a little: wound = slack + pull of the arm + tension / wire stiffness. A full
-    solve per step would be slow; one call per period, with the compliance of the straight arm,
-    is quick and settles on the same equilibrium.
+    The wires stretch a little: wound = slack + pulls(tensions) + stretch * tension, a slack wire
+    has less wound than that. Between two calls of `pulls` the arm is linear about the last one,
+    with a compliance that is felt anew wherever the tensions have gone. With friction it is far
+    from symmetric, but all its principal minors are positive: one set of tensions holds the wires.
     """
 
     def __init__(
@@ -86,7 +108,7 @@ class RelaxedArm:
         ----------
         pulls : callable
             Tensions, shape (m,) [N], to wire pulls, shape (m,) [m]; may raise for tensions that
-            the arm cannot bear, which are then not taken.
+            the arm cannot bear: it is then as linear as it was before.
         inputs : int
             Number of wires m.
         highest : float
@@ -103,29 +125,79 @@ class RelaxedArm:
         """
         self.shown = {} if shown is None else shown
         self.pulls, self.highest, self.slack, self.period = pulls, highest, slack, period
-        self._tensions = np.zeros(inputs)
-        self._pulls = pulls(self._tensions)
+        self._here = np.zeros(inputs)  # (m,) [N] tensions about which the arm is linear ...
+        self._pulls = pulls(self._here)  # (m,) [m] ... and its pulls there
         self._stretch = stretch / highest  # [m/N]
-        probe = 0.1 * highest
-        columns = [pulls(probe * row) - self._pulls for row in np.eye(inputs)]
-        self._compliance = np.array(columns).T / probe + self._stretch * np.eye(inputs)
+        self._taut = np.zeros(inputs, dtype=bool)
         self._since = 0.0
+        self._feel()
+        self._linear()
 
     def tensions(self, wound: Array, passed: float) -> Array:
-        """Return the present tensions [N]; every period they come nearer to equilibrium."""
+        """Return the present tensions [N]; once a period the arm itself is asked."""
         self._since += passed
         if self._since >= self.period:
             self._since = 0.0
-            short = wound - self.slack - self._pulls - self._stretch * self._tensions
-            pulling = (self._tensions > 0.0) | (short > 0.0)  # the others stay slack
-            step = np.zeros_like(short)
-            part = self._compliance[np.ix_(pulling, pulling)]
-            step[pulling] = APPROACH_SHARE * np.linalg.solve(part, short[pulling])
-            tried = np.clip(self._tensions + step, 0.0, self.highest)
-            with contextlib.suppress(TendonRobotError):
-                self._pulls = self.pulls(tried)
-                self._tensions = tried
-        return self._tensions
+            self._ask(np.minimum(self._held(wound), self.highest))
+        return np.minimum(self._held(wound), self.highest)
+
+    def resistance(self, wire: int) -> tuple[float, float]:
+        """Return the pull, negative while slack, and the stiffness while others are held."""
+        stiffness = self._stiffness[wire]
+        value = self._values[wire]
+        return (value if self._taut[wire] else -stiffness * value), stiffness
+
+    def _ask(self, tensions: Array) -> None:
+        """Make the arm linear about other tensions (m,) [N]."""
+        if np.abs(tensions - self._here).max() < STILL_N:
+            return
+        with contextlib.suppress(TendonRobotError):
+            self._here, self._pulls = tensions, self.pulls(tensions)
+            if np.abs(tensions - self._felt).max() > LINEAR_WITHIN_N:
+                self._feel()
+            self._linear()
+
+    def _feel(self) -> None:
+        """Feel the compliance (m, m) [m/N] of arm and wires here."""
+        probes = self._here + PROBE_N * np.eye(len(self._here))
+        rows = (np.array([self.pulls(probe) for probe in probes]) - self._pulls) / PROBE_N
+        self.pulls(self._here)
+        self._compliance = rows.T + self._stretch * np.eye(len(rows))
+        self._felt = self._here
+
+    def _linear(self) -> None:
+        """Note wound = offset + compliance @ tensions."""
+        self._offset = self.slack + self._pulls + self._stretch * self._here
+        self._offset -= self._compliance @ self._here
+        self._pivot()
+
+    def _held(self, wound: Array) -> Array:
+        """Return tensions (m,) >= 0 [N] that hold so much wire; Murty's least-index method."""
+        beyond = wound - self._offset
+        values = self._map @ beyond
+        for _ in range(2 ** len(values)):
+            wrong = np.flatnonzero(values < -1e-12)
+            if not wrong.size:
+                break
+            self._taut[wrong[0]] ^= True
+            self._pivot()
+            values = self._map @ beyond
+        self._values: list[float] = values.tolist()
+        return np.where(self._taut, values, 0.0)
+
+    def _pivot(self) -> None:
+        """Map wire beyond the offset [m] to tensions [N] of taut wires, slack [m] of others."""
+        taut, loose = np.flatnonzero(self._taut), np.flatnonzero(~self._taut)
+        inverse = np.linalg.inv(self._compliance[np.ix_(taut, taut)])
+        follows = self._compliance[np.ix_(loose, taut)] @ inverse
+        self._map = np.zeros_like(self._compliance)
+        self._map[np.ix_(taut, taut)] = inverse
+        self._map[np.ix_(loose, taut)] = follows
+        self._map[loose, loose] = -1.0
+        alone = np.diag(self._compliance).copy()
+        alone[loose] -= np.sum(follows * self._compliance[np.ix_(loose, taut)], axis=1)
+        alone[taut] = 1.0 / np.diag(inverse)
+        self._stiffness: list[float] = (1.0 / alone).tolist()
 
 
 # -----------------------------------------------------------------------------
@@ -167,6 +239,7 @@ class Rig:
         self._lever = np.zeros((len(servos), len(wires)))
         for wire, (column, place) in zip(wires, enumerate(places), strict=True):
             self._lever[place, column] = wire.direction * wire.radius
+        self._of = [np.flatnonzero(lever).tolist() for lever in self._lever]
         self._zero = self._angles()
         self.tensions = np.zeros(len(wires))  # [N]
         self.highest, self.least, self.most = np.zeros((3, len(wires)))
@@ -208,7 +281,12 @@ class Rig:
         return np.array([servo.motion.angle for servo in self.servos.values()])
 
     def _step(self, step: float) -> None:
-        self.tensions = self.arm.tensions(self.wound, step)
-        loads = self._lever @ self.tensions
-        for servo, load in zip(self.servos.values(), loads.tolist(), strict=True):
-            servo.step(step, load)
+        """Let one motor turn after the other: each against wires as the ones before left them."""
+        wound = self.wound
+        self.tensions = self.arm.tensions(wound, step)
+        for servo, lever, wires in zip(self.servos.values(), self._lever, self._of, strict=True):
+            before = servo.motion.angle
+            servo.step(step, Load([(lever[i], *self.arm.resistance(i)) for i in wires]))
+            if servo.motion.angle != before:
+                wound = wound + lever * (servo.motion.angle - before)
+                self.tensions = self.arm.tensions(wound, 0.0)

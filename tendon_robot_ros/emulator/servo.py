@@ -25,6 +25,31 @@ TICK = 2.0 * math.pi / TICKS_PER_TURN  # [rad]
 STEP_S = 1e-3  # [s], longest step of the integration
 _DAMPING = 0.01  # share of stall torque over no-load speed; the current loop hides the rest
 _POSITION_GAIN = 40.0  # [1/s]
+NEWTON_STEPS_MAX = 5
+
+
+@dataclass(frozen=True)
+class Load:
+    """
+    Torque of wires against a motor, and how it changes while the motor turns.
+
+    Parameters
+    ----------
+    wires : list of (lever, pull, stiffness)
+        Wire per angle [m/rad], tension [N], stiffness [N/m]; below zero a wire is slack, and
+        becomes taut where pull + stiffness * lever * angle is zero.
+
+    """
+
+    wires: list[tuple[float, float, float]]
+
+    def torque(self, turned: float = 0.0) -> float:
+        """Return the torque [N·m] after another so many radians."""
+        return sum(r * max(0.0, pull + k * r * turned) for r, pull, k in self.wires)
+
+    def stiffness(self, turned: float) -> float:
+        """Return how the torque changes there [N·m/rad]."""
+        return sum(r * r * k for r, pull, k in self.wires if pull + k * r * turned > 0.0)
 
 
 @dataclass
@@ -60,24 +85,25 @@ class ServoMotion:
         """Position as the encoder counts it."""
         return math.floor(self.angle / TICK + 0.5)
 
-    def limp(self, load: float, step: float) -> None:
+    def limp(self, load: Load, step: float) -> None:
         """Turn without power: only a load above the friction turns the gear backwards."""
         self.current = 0.0
         self._turn(0.0, load, step)
 
-    def drive_current(self, current: float, load: float, step: float) -> None:
-        """Give a current [A] against a load torque [N·m] for one step [s]."""
+    def drive_current(self, current: float, load: Load, step: float) -> None:
+        """Give a current [A] against a load for one step [s]."""
         self.current = current
         self._turn(current * self.model.torque_per_ampere, load, step)
 
-    def drive_position(self, goal: float, limit: float, load: float, step: float) -> None:
+    def drive_position(self, goal: float, limit: float, load: Load, step: float) -> None:
         """Turn towards an angle [rad] with at most the given current [A]."""
         way = goal - self.angle
         wanted = max(
             -self.model.no_load_speed, min(self.model.no_load_speed, _POSITION_GAIN * way)
         )
         friction = math.copysign(self.friction, wanted) if abs(way) > 0.5 * TICK else 0.0
-        needed = (load + friction + self._damping * wanted) / self.model.torque_per_ampere
+        torque = load.torque(wanted * step) + friction + self._damping * wanted
+        needed = torque / self.model.torque_per_ampere
         if abs(needed) <= limit:
             self.current, self.speed = needed, wanted
             self.angle += wanted * step
@@ -88,14 +114,23 @@ class ServoMotion:
     def _damping(self) -> float:
         return _DAMPING * self.model.stall_torque / self.model.no_load_speed
 
-    def _turn(self, torque: float, load: float, step: float) -> None:
-        net = torque - load
+    def _turn(self, torque: float, load: Load, step: float) -> None:
+        """Turn for one step [s]: damping, friction and wires as they are at its end balance."""
+        net = torque - load.torque()
         if abs(net) <= self.friction:
             self.speed = 0.0
             return
-        speed = (net - math.copysign(self.friction, net)) / self._damping
+        net -= math.copysign(self.friction, net)
+        torque -= math.copysign(self.friction, net)
+        turned, drag = 0.0, self._damping / step
+        for _ in range(NEWTON_STEPS_MAX):  # the load is piecewise linear: one more per kink
+            before = turned
+            turned += net / (drag + load.stiffness(turned + math.copysign(1e-9, net)))
+            net = torque - load.torque(turned) - drag * turned
+            if turned == before or abs(net) < 1e-9:
+                break
         top = self.model.no_load_speed
-        self.speed = max(-top, min(top, speed))
+        self.speed = max(-top, min(top, turned / step))
         self.angle += self.speed * step
 
 
@@ -104,7 +139,7 @@ def drive(
     mode: int,
     goals: tuple[float, float],
     limit: float,
-    load: float,
+    load: Load,
     step: float,
 ) -> None:
     """
@@ -119,8 +154,8 @@ def drive(
         Goal current [A] and goal angle [rad].
     limit : float
         Current limit [A].
-    load : float
-        Torque of the wires against positive turning [N·m].
+    load : Load
+        Of the wires against positive turning.
     step : float
         [s]
 
@@ -309,8 +344,8 @@ class Servo:
         if self.get('operating_mode') == CURRENT_MODE:
             self.put('goal_current', 0)
 
-    def step(self, step: float, load: float) -> None:
-        """Let the motor turn for at most 1 ms [s] against a load torque [N·m]."""
+    def step(self, step: float, load: Load) -> None:
+        """Let the motor turn for at most 1 ms [s] against a load."""
         if not self.torque:
             self.motion.limp(load, step)
             return
