@@ -11,6 +11,10 @@ from pathlib import Path
 PORT_ERRORS = (OSError, termios.error)
 
 
+class PortLostError(Exception):
+    """The port is gone; `reopen` may bring it back."""
+
+
 def take_alone(file: int) -> None:
     """Let no other process open the port; a lock that pyserial takes binds its users only."""
     fcntl.ioctl(file, termios.TIOCEXCL)

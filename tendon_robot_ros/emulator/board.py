@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import InputError
-from ..drivers.serial_board.messages import CHANNEL_FAULTS
+from ..drivers.hardware import STANDARD_GRAVITY
+from ..drivers.serial_board.messages import CELL_COUNTS_MAX, CHANNEL_FAULTS
 from .firmware import Firmware
 from .port import Faults, Plug
 from .rig import Arm
@@ -27,7 +28,6 @@ BACKDRIVE_SLOPE = 0.05  # [m/s per N] that a motor without power turns back ...
 BACKDRIVE_FRICTION_N = 0.05  # [N] ... above this
 SPOOL_RADIUS, TICKS_PER_TURN = 0.01, 2000  # [m] of the spools, ticks per turn
 CELL_NOISE_COUNTS = 40.0  # [counts] 1 sd of a load cell
-SATURATED = 0x7FFFFF
 
 
 @dataclass
@@ -94,7 +94,7 @@ class BoardRig:
             if sensor.fresh:
                 force = float(self.tensions[i]) + cell.hung
                 counts = cell.zero + force / cell.newtons_per_count + noise[i]
-                sensor.cell = max(-SATURATED, min(SATURATED, round(counts)))
+                sensor.cell = max(-CELL_COUNTS_MAX, min(CELL_COUNTS_MAX, round(counts)))
             sensor.ticks = ticks[i]
             sensor.current = min(30000, round(1000.0 * abs(self.firmware.duties[i])))
             sensor.faults = int(self.faults[i])
@@ -142,7 +142,6 @@ class EmulatedBoard(Plug):
 # -----------------------------------------------------------------------------
 # Words that do something to the emulated board: faults for a person, or a test, to switch on.
 
-GRAVITY = 9.80665  # [m/s²]
 BRIDGE = {code: bit for bit, (code, _) in CHANNEL_FAULTS.items()}
 HELP = """\
 silent | hear         the board neither hears nor answers; it does again
@@ -281,7 +280,7 @@ ACTIONS: dict[str, Action] = {
     'free': _block(False),
     'cell': _cell(True),
     'mend': _cell(False),
-    'weight': _hang(GRAVITY),
+    'weight': _hang(STANDARD_GRAVITY),
     'state': lambda line, values: json.dumps(state(line)),
     'help': lambda line, values: HELP,
 }

@@ -28,7 +28,7 @@ from dynamixel_sdk import (
 )
 
 from ...common.errors import DriverError
-from ..ports import PORT_ERRORS, take_alone, why_not
+from ..ports import PORT_ERRORS, PortLostError, take_alone, why_not
 from .tables import REGISTERS, decode, encode
 
 UDEV_FILE = '/etc/udev/rules.d/99-usb-serial-latency.rules'
@@ -149,10 +149,6 @@ def check_latency(path: str, allow: bool, sysfs: str = '/sys') -> int | None:
 
 T = TypeVar('T')
 GOALS = ('goal_current', 'goal_position')
-
-
-class PortLostError(Exception):
-    """The port is gone; `reopen` may bring it back."""
 
 
 class Bus:

@@ -154,6 +154,7 @@ CHANNEL_FAULTS = {
     0x10: ('voltage', 'motor supply too low'),
 }
 CELL, ENCODER = 0x04, 0x08
+CELL_COUNTS_MAX = 0x7FFFFF  # an HX711 gives 24 bits; at the end of them a cell is overloaded
 
 MICRO = 1e-6
 _HEADER = struct.Struct('<IBBBBH')
