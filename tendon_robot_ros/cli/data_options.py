@@ -44,17 +44,6 @@ def add_overwrite(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--overwrite', action='store_true', help='replace a file that is there')
 
 
-def add_effect_files(parser: argparse.ArgumentParser) -> None:
-    """Declare --effect-file."""
-    parser.add_argument(
-        '--effect-file',
-        action='append',
-        default=[],
-        metavar='FILE',
-        help='Python file with an effect of your own (is executed; may be given several times)',
-    )
-
-
 def refuse_existing(option: str, path: str | None, overwrite: bool) -> None:
     """Raise InputError before any work where a file would be replaced, or has no folder."""
     if path is None:

@@ -31,8 +31,7 @@ from ..simulation.imperfect import Workmanship
 from ..simulation.measurements import SimulatedNoise, simulate
 from ..simulation.plant import Plant, make_plant
 from ..workspace.postures import default_postures
-from .data_options import add_effect_files
-from .options import named_numbers, vector
+from .options import add_effect_files, named_numbers, vector
 
 HELP = 'write measurements of a robot with hidden effects, to rehearse with'
 
