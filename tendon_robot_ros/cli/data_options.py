@@ -1,4 +1,4 @@
-"""Measurements that a command is given: a data set, or a recording as it is."""
+"""Measurements that a command is given, and where it writes a changed description."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an addition writes into a robot description, and how that is undone."""
+"""Add effects to a robot description and take them out: fitted, written, undone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Serial ports of any kind of motor: which there are, and why one cannot be opened."""
+"""Serial ports of any kind of motor: which there are, why one cannot be opened, lost ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an emulated bus does to the answers on it, switched on and off while it runs."""
+"""An emulated serial port that can be unplugged, what it does to answers, and its words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compose the compiled kernel from a catalogue of effects and cache it under a key of sources."""
+"""The kernel composed from a catalogue and cached, and the flat arrays that it reads."""
 
 from __future__ import annotations
 

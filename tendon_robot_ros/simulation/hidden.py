@@ -1,4 +1,4 @@
-"""What a robot may do that no effect of the catalogue describes."""
+"""What a plant hides: effects of the catalogue, and causes that none of them describes."""
 
 from __future__ import annotations
 

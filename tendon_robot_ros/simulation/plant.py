@@ -1,4 +1,4 @@
-"""The description of a plant: the owner's robot with finer cells, each a section of its own."""
+"""A plant: the robot as it really is, for simulated measurements and the mock driver."""
 
 from __future__ import annotations
 
@@ -187,9 +187,7 @@ class Plant:
 
         """
         asked, last = self.model.tensions(np.asarray(tensions, dtype=float)), self._state
-        pulled_by = asked * self._gain(asked[None])[0]
-        bend, memory = (None, None) if last is None else (last.bend, last.memory)
-        shape = self.model.shape(pulled_by, bend, memory)
+        shape = self.model.follow(last, asked * self._gain(asked[None])[0])
         self._state = PlantShape(shape, self, asked)
         return self._state
 

@@ -1,4 +1,4 @@
-"""A robot with something hidden: which, how large, and postures that show it."""
+"""Something hidden in a robot: which, how large, postures that show it, and the story."""
 
 from __future__ import annotations
 

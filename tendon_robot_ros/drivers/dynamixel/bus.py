@@ -1,9 +1,9 @@
 """
-The serial port: the SDK's port handler, opened for one process, waiting without burning a core.
+The bus: the serial port, and every conversation with the servos, through the SDK.
 
-Only what the SDK leaves to its port handler is replaced: opening (exclusively), waiting for bytes
-(asleep instead of spinning), the clock (monotonic) and the time to wait for an answer (the SDK
-waits 34 ms whatever the adapter's latency is).
+Of the port only what the SDK leaves to its port handler is replaced: opening (exclusively),
+waiting for bytes (asleep instead of spinning), the clock (monotonic) and the time to wait for an
+answer (the SDK waits 34 ms whatever the adapter's latency is).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The wires of the configuration: motor, spool, limits and calibration of every input."""
+"""The driver's configuration: motors, spools, limits, calibration (docs/dynamixel.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tendons of the configuration: channel, spool, limits and load cell of every input."""
+"""The driver's configuration: channels, spools, limits, load cells (docs/serial_board.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""ROS messages to arrays and back."""
+"""ROS messages to arrays and back, and the quality of service of every topic."""
 
 from __future__ import annotations
 
