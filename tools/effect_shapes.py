@@ -9,12 +9,13 @@ from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.robot.size import natural_sizes
 from tendon_robot_ros.workspace.postures import default_postures
 
 ROOT = Path(__file__).resolve().parents[1]
 UP = (0.0, 0.0, -9.81)  # [m/s²] the arm stands: the weight points to its base
 ROBOT = replace(load_robot(ROOT / 'config/robots/kato_10_1.yaml'), gravity=UP)
-CATALOGUE = load_catalogue()
+CATALOGUE = load_catalogue().sized(natural_sizes(ROBOT))
 
 # What is drawn: sizes that one sees. SI units.
 SIZES = {
@@ -37,6 +38,9 @@ SIZES = {
     'tension_offset': {'offset': 0.1},
     'moment_arm': {'relative_change': 0.15},
     'tendon_elongation': {'compliance': 0.02},
+    'wire_spring': {'compliance': 4e-3},
+    'pull_zero': {'offset': 1e-3},
+    'spool_gain': {'relative_change': 0.1},
     'base_misalignment': {
         'shift_x': 5e-3, 'shift_y': 0.0, 'shift_z': 0.0,
         'rotation_x': 0.0, 'rotation_y': 0.08, 'rotation_z': 0.0,
@@ -77,7 +81,7 @@ def robots(name):
 
 def by_pulls(name):
     """Tell whether an effect shows under wire pulls only."""
-    return CATALOGUE[name].stage == 'stretch'
+    return CATALOGUE[name].needs == 'pulls'
 
 
 def positions(model, posture, tensions, pulls=None):
@@ -142,7 +146,7 @@ def look_alikes(name, tensions, least=0.7):
     aim = change(name, small(name, SIZES[name], base))
     found = {}
     for other in CATALOGUE:
-        if other.name == name or (other.stage == 'stretch' and not by_pulls(name)):
+        if other.name == name or (by_pulls(other.name) and not by_pulls(name)):
             continue
         columns = [change(other.name, values) for values in single_steps(other, base)]
         one_sided = len(columns) == 1 and other.parameters[0].low == other.parameters[0].neutral

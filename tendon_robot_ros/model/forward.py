@@ -14,6 +14,7 @@ import numpy.typing as npt
 from ..common.errors import NoEquilibriumError
 from ..effects import STAGES, Catalogue, load_catalogue
 from ..robot import Robot
+from ..robot.size import natural_sizes
 from .compile import KernelArrays
 from .inputs import TensionsLike, tension_rows, tensions_of
 from .shape import FIELDS, ResultLayout, Shape, ShapeBatch
@@ -42,7 +43,7 @@ class ForwardModel:
 
         """
         self.robot = robot
-        self.catalogue = catalogue or load_catalogue()
+        self.catalogue = (catalogue or load_catalogue()).sized(natural_sizes(robot))
         self.arrays = KernelArrays(robot, self.catalogue)
         self.inputs = robot.inputs
         self.limits: Floats = np.array([robot.tension_limits] * len(robot.inputs))

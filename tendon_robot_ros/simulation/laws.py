@@ -54,4 +54,4 @@ def plant_catalogue(catalogue: Catalogue) -> Catalogue:
     )
     side = Effect('side_force', 'a force on one cell', 'load', sides, side_force)
     effects = [_unbounded(effect) for effect in catalogue if effect.name != 'tendon_friction']
-    return Catalogue([friction, *effects, side], catalogue.files)
+    return Catalogue([friction, *effects, side], catalogue.files, catalogue.is_sized)
