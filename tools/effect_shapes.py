@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
@@ -74,8 +75,14 @@ class Drawn:
 
 
 def robots(name):
-    """Return the arm without and with an effect; tendon friction is in both but for itself."""
+    """
+    Return the arm without and with an effect; tendon friction is in both but for itself.
+
+    Stiff wires that are wound more than commanded find no equilibrium: theirs end in springs.
+    """
     base = ROBOT.without_effect(name) if name in ROBOT.effects else ROBOT
+    if name in ('pull_zero', 'spool_gain'):
+        base = base.with_effect('wire_spring', SIZES['wire_spring'])
     return base, base.with_effect(name, SIZES[name])
 
 
@@ -148,7 +155,10 @@ def look_alikes(name, tensions, least=0.7):
     for other in CATALOGUE:
         if other.name == name or (by_pulls(other.name) and not by_pulls(name)):
             continue
-        columns = [change(other.name, values) for values in single_steps(other, base)]
+        try:
+            columns = [change(other.name, values) for values in single_steps(other, base)]
+        except InputError:  # taut stiff wires cannot be wound any further
+            continue
         one_sided = len(columns) == 1 and other.parameters[0].low == other.parameters[0].neutral
         one_sided = one_sided and other.name not in base.effects
         found[other.name] = imitated(aim, np.array(columns).T, one_sided)

@@ -62,6 +62,17 @@ class Parameter:
         """Whose value it is: that of a 'section', of a 'tendon', or of the robot ('')."""
         return 'section' if self.per_section else 'tendon' if self.per_tendon else ''
 
+    @property
+    def described_bounds(self) -> tuple[float, float]:
+        """
+        Bounds of a value in a description [unit].
+
+        Wider than those of a fit where they follow the robot: a fit may change it a little.
+        """
+        if not self.of:
+            return self.low, self.high
+        return (0.5 if self.low > 0.0 else 2.0) * self.low, 2.0 * self.high
+
     def sized(self, sizes: Mapping[str, float]) -> Parameter:
         """
         Return the parameter with bounds, neutral and typical value in its unit for one robot.
@@ -80,7 +91,7 @@ class Parameter:
             )
         one = sizes[self.of]
         scaled = {key: one * getattr(self, key) for key in ('low', 'high', 'neutral', 'typical')}
-        return replace(self, of='', **scaled)
+        return replace(self, **scaled)
 
 
 @dataclass(frozen=True)

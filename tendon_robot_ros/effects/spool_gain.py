@@ -13,9 +13,7 @@ EFFECT = Effect(
     title='the spools wind more or less wire than commanded',
     stage='winding',
     law=law,
-    parameters=(
-        Parameter('relative_change', '1', -0.8, 4.0, 0.0, typical=0.05, per_tendon=True),
-    ),
+    parameters=(Parameter('relative_change', '1', -0.8, 4.0, 0.0, typical=0.05, per_tendon=True),),
     needs='pulls',
     divisible=True,
 )

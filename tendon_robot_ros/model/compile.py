@@ -243,15 +243,11 @@ class KernelArrays:
                     count = len(self.columns(parameter))
                     wanted = f'{count} numbers (one per {parameter.per})'
                 raise RobotDescriptionError(robot.source, where, wanted, list(value))
+            low, high = parameter.described_bounds
             for number in numbers:
-                if not parameter.low <= number <= parameter.high:
-                    raise RobotDescriptionError(
-                        robot.source,
-                        where,
-                        f'a number from {parameter.low:g} to '
-                        f'{parameter.high:g} [{parameter.unit}]',
-                        number,
-                    )
+                if not low <= number <= high:
+                    wanted = f'a number from {low:g} to {high:g} [{parameter.unit}]'
+                    raise RobotDescriptionError(robot.source, where, wanted, number)
             row = self.values[self.layout.rows[name, key]]
             row[: len(numbers)] = numbers
             row[len(numbers) :] = numbers[0]

@@ -1,4 +1,4 @@
-"""What is large and what is small for a robot: sizes that its length, stiffness and limits give."""
+"""What is large and what is small for a robot: its length, stiffness and limits decide."""
 
 from __future__ import annotations
 

@@ -37,8 +37,7 @@ def entry(*signature):
 # step, residual, respond, newton, settle: addresses of these functions
 Chain = namedtuple(
     'Chain',
-    'n k m wide cells offset tendon values on gravity radius step residual respond newton '
-    'settle',
+    'n k m wide cells offset tendon values on gravity radius step residual respond newton settle',
 )
 LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT = range(6)
 COLUMNS = 6

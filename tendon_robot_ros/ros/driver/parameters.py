@@ -134,7 +134,7 @@ def _check_whose(backend: str, mode: str, config: dict[str, Any], source: str) -
 def _plant(robot: Robot, mode: str, config: dict[str, Any], source: str) -> Any:
     """Make the mock arm; imported here because drivers of hardware load no compiler."""
     twin = config.pop('twin', False)
-    if mode == 'pull' and 'tendon_elongation' not in robot.effects:
+    if mode == 'pull' and not {'tendon_elongation', 'wire_spring'} & set(robot.effects):
         # stiff wires pull against each other without bound; theirs give a little
         compliance = TWIN_COMPLIANCE if twin else WIRE_COMPLIANCE
         robot = robot.with_effect('tendon_elongation', {'compliance': compliance})
