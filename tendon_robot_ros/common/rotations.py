@@ -89,3 +89,23 @@ def from_quaternion(quaternion: Sequence[float]) -> Array:
     cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
     turn: Array = np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
     return turn
+
+
+def rigid_fit(points: Array, onto: Array, weights: Array | None = None) -> tuple[Array, Array]:
+    """
+    Return the rotation (3, 3) and the shift (3,) [m] that lay points best onto others.
+
+    Least squares over weighted (n, 3) [m] pairs: `turn @ point + shift` (Kabsch 1976).
+    """
+    middle = np.average(points, axis=0, weights=weights)
+    there = np.average(onto, axis=0, weights=weights)
+    scaled = points - middle if weights is None else weights[:, None] * (points - middle)
+    u, _, vt = np.linalg.svd(scaled.T @ (onto - there))
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])
+    turn: Array = vt.T @ flip @ u.T
+    return turn, there - turn @ middle
+
+
+def turn_angle(turn: Array) -> float:
+    """Return the angle [rad] of a rotation matrix (3, 3)."""
+    return math.acos(min(max((float(np.trace(turn)) - 1.0) / 2.0, -1.0), 1.0))

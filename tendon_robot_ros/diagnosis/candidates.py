@@ -1,4 +1,4 @@
-"""Effects that may be missing or whose value may be off, and why some cannot be judged."""
+"""Why the postures of a data set say nothing about an effect."""
 
 from __future__ import annotations
 

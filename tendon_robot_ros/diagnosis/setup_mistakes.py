@@ -15,6 +15,7 @@ from itertools import permutations, product
 import numpy as np
 import numpy.typing as npt
 
+from ..common.rotations import rigid_fit, turn_angle
 from ..comparison.noise import rms
 from ..comparison.predict import Predictor
 from .decide import (
@@ -150,12 +151,8 @@ def _registered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try a free rigid registration, any angle (Kabsch)."""
     measured = predictor.dataset.mean
     seen = np.isfinite(measured).all(axis=2)
-    a, b = measured[seen], markers[seen]
-    u, _, vt = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])
-    turn = vt.T @ flip @ u.T
-    shift = b.mean(axis=0) - turn @ a.mean(axis=0)
-    angle = math.degrees(math.acos(float(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))))
+    turn, shift = rigid_fit(measured[seen], markers[seen])
+    angle = math.degrees(turn_angle(turn))
     millimetres = ', '.join(f'{1e3 * x:.1f}' for x in shift)
     yield Mistake(
         'registration',

@@ -1,4 +1,4 @@
-"""How far to trust a diagnosis: alarm rate and smallest sizes, on the user's own postures."""
+"""The smallest size of every effect that the postures of a data set would show."""
 
 from __future__ import annotations
 

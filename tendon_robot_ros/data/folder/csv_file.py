@@ -1,4 +1,4 @@
-"""Strict reading of CSV files: columns at a million rows a second; refusals name rows."""
+"""Columns of a table: names as codes, numbers as floats."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""A folder of plain files to a data set and back; nothing is taken that does not fit."""
+"""A folder of plain files to a data set; nothing is taken that does not fit."""
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -80,9 +80,15 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
 # A data set to a folder of plain files: whole, or not at all.
 
 FILES = ('dataset.yaml', 'inputs.csv', 'robot.yaml', 'shapes.csv')
+BESIDE = ('import.png', 'import.yaml')  # how it came out of tables
 
 
-def save_dataset(dataset: DataSet, folder: str | Path, overwrite: bool = False) -> Path:
+def save_dataset(
+    dataset: DataSet,
+    folder: str | Path,
+    overwrite: bool = False,
+    beside: Mapping[str, bytes] | None = None,
+) -> Path:
     """
     Write a data set with its robot description; `load_dataset` reads the same values back.
 
@@ -94,6 +100,8 @@ def save_dataset(dataset: DataSet, folder: str | Path, overwrite: bool = False) 
         A new or empty folder.
     overwrite : bool
         Replace a data set; a folder with any other file in it is never replaced.
+    beside : mapping, optional
+        Further files, by their names in `BESIDE`.
 
     Raises
     ------
@@ -114,11 +122,13 @@ def save_dataset(dataset: DataSet, folder: str | Path, overwrite: bool = False) 
             str(folder), 'holds a data set already', 'name a new folder or allow --overwrite'
         )
     dataset = _without_unseen(dataset)
-    with new_folder(Path(folder), FILES if overwrite else ()) as new:
+    with new_folder(Path(folder), (*FILES, *BESIDE) if overwrite else ()) as new:
         (new / 'dataset.yaml').write_text(dump_description(dataset), encoding='utf-8')
         (new / 'robot.yaml').write_text(dump_robot(dataset.robot), encoding='utf-8')
         _write(new / 'inputs.csv', _input_rows(dataset))
         _write(new / 'shapes.csv', _shape_rows(dataset))
+        for name, content in (beside or {}).items():
+            (new / name).write_bytes(content)
     return Path(folder)
 
 

@@ -1,4 +1,4 @@
-"""inputs.csv and shapes.csv: what was commanded, and where the markers were."""
+"""inputs.csv: what was commanded, or measured, in every posture."""
 
 from __future__ import annotations
 

@@ -86,24 +86,28 @@ def import_bag(
         segments = [one for one in segments if (np.nan_to_num(one.inputs) >= rest).any()]
     if not any(np.isfinite(one.positions).any() for one in segments):
         raise _never_still(recording.name, moved, rule)
-    segments = _plausible(recording.name, segments, robot, described.input, rule)
-    dataset = _dataset(recording.name, segments, robot, described, markers)
+    _check_places(recording.name, segments, robot)
+    segments = plausible_inputs(recording.name, segments, robot, described.input, rule)
+    dataset = segments_dataset(recording.name, segments, robot, described, markers)
     return Imported(
         dataset, tuple(segments), moved, recording.state_times, inputs, rule, tuple(left_out)
     )
 
 
-def _dataset(
+def segments_dataset(
     bag: str,
     segments: list[Segment],
     robot: Robot,
     description: Description,
     markers: tuple[Marker, ...],
 ) -> DataSet:
+    """Return the data set of named segments; their frames tell the noise where no trials do."""
     arrays = assemble(bag, segments)
     noise = description.position_noise
     if noise is None and len(arrays.trials) == 1:  # no trials to tell it: the frames have to
-        noise = max(float(np.sqrt(np.nanmean([one.noise**2 for one in segments]))), NOISE_MIN_M)
+        squares = np.array([one.noise**2 for one in segments])
+        if np.isfinite(squares).any():
+            noise = max(float(np.sqrt(np.nanmean(squares))), NOISE_MIN_M)
     return DataSet(
         name=bag,
         robot=robot,
@@ -194,10 +198,8 @@ def _inputs(recording: Recording, robot: Robot, kind: str) -> FloatArray:
     return inputs
 
 
-def _plausible(
-    bag: str, segments: list[Segment], robot: Robot, kind: str, rule: Rule
-) -> list[Segment]:
-    """Refuse what is in another unit; what a load cell shows below zero at rest is zero."""
+def _check_places(bag: str, segments: list[Segment], robot: Robot) -> None:
+    """Refuse positions in another unit or frame."""
     far = max(float(np.nan_to_num(np.abs(one.positions)).max()) for one in segments)
     if far > DISTANCE_MAX_LENGTHS * robot.length:
         raise DataSetError(
@@ -205,6 +207,20 @@ def _plausible(
             f'a marker is {far:g} m away, but the robot is only {robot.length:g} m long',
             'record metres in the base frame (are these mm?)',
         )
+
+
+def plausible_inputs(
+    bag: str, segments: list[Segment], robot: Robot, kind: str, rule: Rule
+) -> list[Segment]:
+    """
+    Return the segments; what a load cell shows below zero at rest is zero.
+
+    Raises
+    ------
+    DataSetError
+        An input is in another unit.
+
+    """
     inputs = np.nan_to_num([one.inputs for one in segments])
     unit, limit = ('m', robot.length) if kind == 'displacement' else ('N', robot.tension_limits[1])
     highest = limit if kind == 'displacement' else TENSION_MAX_LIMITS * limit

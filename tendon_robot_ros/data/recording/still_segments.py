@@ -1,4 +1,4 @@
-"""Where a recorded arm stands still: segments, averaged and put together to a data set."""
+"""Where a recorded arm stands still: the segments that count as measurements."""
 
 from __future__ import annotations
 
@@ -170,11 +170,14 @@ def _changes(times: FloatArray, inputs: FloatArray, grid: FloatArray, window: fl
 
 def _speeds(track: Track, times: FloatArray, window: float) -> FloatArray:
     """Return the speed of every marker, (G, J) [m/s], NaN where it was not seen."""
-    S, J = track.positions.shape[:2]
-    flat = track.positions.reshape(S, 3 * J)
-    before = sample_means(track.times, flat, times - window / 2, times)
-    after = sample_means(track.times, flat, times, times + window / 2)
-    return np.linalg.norm((after - before).reshape(len(times), J, 3), axis=2) / (window / 2)
+    begin = np.concatenate([times - window / 2, times])
+    end = begin + window / 2
+    speeds = np.empty((len(times), track.positions.shape[1]))
+    for j in range(speeds.shape[1]):  # one by one: a million frames of all would fill the memory
+        means = sample_means(track.times, track.positions[:, j], begin, end)
+        before, after = means[: len(times)], means[len(times) :]
+        speeds[:, j] = np.linalg.norm(after - before, axis=1) / (window / 2)
+    return speeds
 
 
 # -----------------------------------------------------------------------------
@@ -231,7 +234,7 @@ def find_segments(
     """
     if not any(text for _, text in recording.labels):
         averages = [_average(recording, inputs, *part) for part in still_stretches(moved, rule)]
-        return _named(averages, rule, sequence), []
+        return name_segments(averages, rule, sequence), []
     segments, left_out = [], []
     ends = [time for time, _ in recording.labels[1:]] + [np.inf]
     stretches = still_stretches(moved, rule, np.array([time for time, _ in recording.labels]))
@@ -268,15 +271,18 @@ def _average(recording: Recording, inputs: FloatArray, begin: float, end: float)
     positions, orientations, noise = [], [], []
     for track in recording.tracks:
         count = track.positions.shape[1]
-        flat = track.positions.reshape(-1, 3 * count)
-        positions.append(sample_means(track.times, flat, first, last).reshape(count, 3))
-        inside = (track.times >= begin - 1e-9) & (track.times <= end + 1e-9)
+        inside = slice(*np.searchsorted(track.times, [begin - 1e-9, end + 1e-9]))
+        frames = track.positions[inside]
+        flat = frames.reshape(-1, 3 * count)
+        positions.append(sample_means(track.times[inside], flat, first, last).reshape(count, 3))
         orientations.append(_mean_turn(track.orientations[inside]))
-        noise.append(_noise(track.positions[inside]))
+        noise.append(_noise(frames))
+    begun, ended = np.searchsorted(recording.state_times, [begin - 1e-9, end + 1e-9])
+    near = slice(max(int(begun) - 1, 0), max(int(ended), 1))  # and the last state before
     return Segment(
         begin,
         end,
-        held_means(recording.state_times, inputs, first, last)[0].round(DIGITS),
+        held_means(recording.state_times[near], inputs[near], first, last)[0].round(DIGITS),
         np.concatenate(positions).round(DIGITS),
         np.concatenate(orientations),
         float(np.sqrt(np.mean(np.square(noise)))),
@@ -312,7 +318,7 @@ def _mean_turn(turned: FloatArray) -> FloatArray:
     return np.where(norm > 0, total / np.maximum(norm, 1e-12), np.nan)
 
 
-def _named(segments: list[Segment], rule: Rule, sequence: bool) -> list[Segment]:
+def name_segments(segments: list[Segment], rule: Rule, sequence: bool) -> list[Segment]:
     """Name segments: the same inputs are trials of one posture; in a sequence all differ."""
     if sequence:
         return [replace(one, posture=str(i), trial='0') for i, one in enumerate(segments)]
