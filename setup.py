@@ -23,6 +23,8 @@ PACKAGE_XML = ElementTree.parse(HERE / 'package.xml').getroot()
 EXTRAS = {
     'viewer': ['viser>=1.0'],
     'report': ['plotly>=5.18'],
+    # a laboratory's tables: CSV a million rows a second, Parquet, motion capture's .c3d
+    'tables': ['ezc3d>=1.5', 'pandas>=2.2', 'pyarrow>=15'],
     'bags': ['rosbags>=0.11'],
     'dynamixel': ['dynamixel-sdk>=3.7'],
     'serial': ['pyserial>=3.5'],

@@ -11,6 +11,7 @@ driver is counted: nobody asked for one. Prints JSON. Linux only.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shlex
 import signal
@@ -20,7 +21,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from machine import machine, tell
+from machine import machine
 
 os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
@@ -141,7 +142,10 @@ def main() -> dict[str, object]:
             result |= beside(watcher, options.load, options.minutes)
     watcher.destroy_node()
     rclpy.shutdown()
-    tell(result, options.json)
+    text = json.dumps(result, indent=2)
+    print(text)
+    if options.json:
+        options.json.write_text(text)
     return result
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from machine import machine, tell
+from machine import machine
 
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import Robot, Section, Tendon, load_robot
@@ -167,7 +168,11 @@ def main() -> int:
         'inverse, spatial_6, implicit': inverse('spatial_6', max(options.targets // 500, 10), 1.0),
         **starts(),
     }
-    tell({'machine': machine(), 'seconds': figures}, options.json)
+    text = json.dumps({'machine': machine(), 'seconds': figures}, indent=1)
+    print(text)
+    if options.json:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+        options.json.write_text(text)
     return 0
 
 

@@ -26,9 +26,6 @@ TYPICAL = {  # every effect at a size that matters; friction_memory has tests of
     'tension_offset': {'offset': 0.05},
     'moment_arm': {'relative_change': 0.1},
     'tendon_elongation': {'compliance': 2e-3},
-    'wire_spring': {'compliance': 8e-4},
-    'pull_zero': {'offset': 5e-4},
-    'spool_gain': {'relative_change': 0.05},
 }
 
 

@@ -9,9 +9,8 @@ from arms import GRAVITY, TYPICAL, planar, spatial, turned, two_sections
 
 from tendon_robot_ros.effects import BUILT_IN, STAGES, load_catalogue
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.robot.size import natural_sizes
 
-CATALOGUE = load_catalogue().sized(natural_sizes(two_sections()))
+CATALOGUE = load_catalogue()
 EFFECTS = [effect.name for effect in CATALOGUE]
 MEMORY = {'friction_memory': {'presliding_length': 1e-4}}
 SHIFTED = {'shift_x': 1e-3, 'shift_y': -2e-3, 'shift_z': 5e-4}
@@ -41,7 +40,7 @@ def seen(model, inputs):
 
 
 def test_the_catalogue_is_that_of_the_design_and_every_effect_stands_in_the_tests():
-    assert tuple(EFFECTS) == BUILT_IN and len(EFFECTS) == 23
+    assert tuple(EFFECTS) == BUILT_IN and len(EFFECTS) == 20
     assert set(EFFECTS) == set(VALUES)
 
 

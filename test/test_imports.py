@@ -23,10 +23,12 @@ ALLOWED['workspace'] = ALLOWED['paths'] | {'paths'}
 ALLOWED['comparison'] = ALLOWED['model'] | {'model', 'data'}
 ALLOWED['diagnosis'] = ALLOWED['comparison'] | {'comparison', 'workspace'}
 ALLOWED['simulation'] = ALLOWED['diagnosis'] | {'diagnosis'}
+ALLOWED['tables'] = ALLOWED['diagnosis'] | {'diagnosis'}
 ALLOWED['paper'] = ALLOWED['diagnosis'] | {'diagnosis', 'simulation'}
 ALLOWED['report'] = ALLOWED['paper'] | {'paper', 'paths'}
 ALLOWED['monitoring'] = ALLOWED['diagnosis'] | {'diagnosis', 'report'}
 ALLOWED['cli'] = ALLOWED['report'] | ALLOWED['emulator'] | {'report', 'emulator', 'control'}
+ALLOWED['cli'] |= {'tables'}
 ALLOWED['ros'] = ALLOWED['report'] | {'report', 'control', 'drivers', 'monitoring'}
 # the package itself says what a notebook needs, and imports it when it is asked for
 ALLOWED['__init__'] = set(ALLOWED) - {'cli', 'ros'}

@@ -53,6 +53,7 @@ COMMANDS: dict[str, str] = {
     'simulate': 'tendon_robot_ros.cli.simulate',
     'export-bag': 'tendon_robot_ros.cli.export_bag',
     'import-bag': 'tendon_robot_ros.cli.import_bag',
+    'import-table': 'tendon_robot_ros.cli.import_table',
     'emulate': 'tendon_robot_ros.cli.emulate',
     'calibrate': 'tendon_robot_ros.cli.calibrate',
 }

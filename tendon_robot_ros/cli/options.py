@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -23,11 +24,6 @@ if TYPE_CHECKING:
 def add_robot(parser: argparse.ArgumentParser) -> None:
     """Declare the robot description and the user's own effects."""
     parser.add_argument('robot', metavar='ROBOT', help='robot description (YAML)')
-    add_effect_files(parser)
-
-
-def add_effect_files(parser: argparse.ArgumentParser) -> None:
-    """Declare --effect-file."""
     parser.add_argument(
         '--effect-file',
         action='append',
@@ -117,6 +113,25 @@ def vector(option: str, text: str | None) -> list[float] | None:
         values = []
     if len(values) != 3:
         raise InputError(f'{option}: expected three numbers x,y,z, got {text!r}')
+    return values
+
+
+def numbers(what: str, text: str, separator: str) -> tuple[float, ...]:
+    """
+    Read numbers with a separator between them.
+
+    Raises
+    ------
+    InputError
+        One is no finite number.
+
+    """
+    try:
+        values = tuple(map(float, text.split(separator)))
+    except ValueError:
+        values = ()
+    if not values or not all(map(math.isfinite, values)):
+        raise InputError(f'{what}: expected numbers, got {text!r}')
     return values
 
 

@@ -30,8 +30,10 @@ from ..robot import Robot, load_robot
 from ..simulation.imperfect import Workmanship
 from ..simulation.measurements import SimulatedNoise, simulate
 from ..simulation.plant import Plant, make_plant
+from ..simulation.raw_table import raw_table, write_table
 from ..workspace.postures import default_postures
-from .options import add_effect_files, named_numbers, vector
+from .data_options import add_effect_files, refuse_existing
+from .options import named_numbers, numbers, vector
 
 HELP = 'write measurements of a robot with hidden effects, to rehearse with'
 
@@ -48,8 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--scatter', type=float, metavar='SD', help=scatter)
     add('--seed', type=int, default=0, help='another seed: another robot, other noise')
     add('--gravity', metavar='X,Y,Z', help='[m/s²] in the base frame (default: as in ROBOT)')
-    add('--output', required=True, metavar='DIR', help='folder of the data set')
+    add('--output', metavar='DIR', help='folder of the data set')
     add('--check', metavar='DIR', help='a second data set: other postures of the same robot')
+    add('--table', metavar='CSV', help='instead: a table over time as laboratories have them')
     add('--overwrite', action='store_true', help='replace data sets')
     _add_measuring(parser)
     add_effect_files(parser)
@@ -87,8 +90,13 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(
             'hidden gravity: ROBOT does not say where down is; give --gravity 0,0,9.81'
         )
+    if bool(args.output) == bool(args.table):
+        raise InputError('--output DIR or --table CSV: expected one of them')
+    refuse_existing('--table', args.table, args.overwrite)
     catalogue = load_catalogue(args.effect_file)
     plant = make_plant(robot, hidden, seed=args.seed, catalogue=catalogue, work=_work(args))
+    if args.table:
+        return _write_table(args, plant)
     made = [(args.output, _measured(args, plant, 0))]
     if args.check:
         made.append((args.check, _measured(args, plant, 1)))
@@ -96,10 +104,35 @@ def run(args: argparse.Namespace) -> int:
         save_dataset(dataset, folder, args.overwrite)
         P, Q, J = dataset.positions.shape[:3]
         print(f'written: {folder}: {P} postures x {Q} trials x {J} markers')
+    _tell(args, plant)
+    print(f'next:    python -m tendon_robot_ros compare {args.output}')
+    return 0
+
+
+def _tell(args: argparse.Namespace, plant: Plant) -> None:
+    """Say what is hidden, and how it is built."""
     print(f'hidden:  {", ".join(args.hidden) or "nothing"}')
     for line in () if args.exact else plant.built.text():
         print(f'built:   {line}')
-    print(f'next:    python -m tendon_robot_ros compare {args.output}')
+
+
+def _write_table(args: argparse.Namespace, plant: Plant) -> int:
+    """Write a table over time."""
+    if args.check or args.input != 'tension' or args.path != 'from_straight':
+        raise InputError('--table: tensions from straight only, and no --check')
+    names, values = raw_table(
+        plant,
+        default_postures(plant.robot, args.count or 12, args.seed),
+        noise=_noise(args.noise),
+        trials=args.trials,
+        seed=args.seed,
+        markers=_markers(args.markers, plant.robot),
+    )
+    write_table(args.table, names, values)
+    rows, columns = values.shape
+    print(f'written: {args.table}: {rows:,} rows of {columns} columns, {values[-1, 0]:.0f} s')
+    _tell(args, plant)
+    print(f'next:    python -m tendon_robot_ros import-table {args.table} --robot {args.robot}')
     return 0
 
 
@@ -140,8 +173,8 @@ def _effect(text: str) -> tuple[str, dict[str, float | tuple[float, ...]]]:
     values: dict[str, float | tuple[float, ...]] = {}
     for part in filter(None, rest.split(',')):
         key, _, value = part.partition('=')
-        numbers = _numbers(f'{name}: {key}', value, '/')
-        values[key] = numbers if len(numbers) > 1 else numbers[0]
+        found = numbers(f'{name}: {key}', value, '/')
+        values[key] = found if len(found) > 1 else found[0]
     return name, values
 
 
@@ -160,15 +193,5 @@ def _markers(text: str | None, robot: Robot) -> tuple[Marker, ...] | None:
     if text.isdigit() and int(text) > 0:
         places = tuple(robot.length * (np.arange(int(text)) + 1.0) / int(text))
     else:
-        places = _numbers('--markers', text, ',')
+        places = numbers('--markers', text, ',')
     return tuple(Marker(str(i + 1), float(place)) for i, place in enumerate(places))
-
-
-def _numbers(what: str, text: str, separator: str) -> tuple[float, ...]:
-    try:
-        numbers = tuple(map(float, text.split(separator)))
-    except ValueError:
-        numbers = ()
-    if not numbers or not np.isfinite(numbers).all():
-        raise InputError(f'{what}: expected numbers, got {text!r}')
-    return numbers

@@ -1,4 +1,4 @@
-"""Compare models with measurements."""
+"""The shapes of a model in the postures of a data set, or the reason why there is none."""
 
 from __future__ import annotations
 

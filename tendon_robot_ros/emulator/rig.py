@@ -1,4 +1,4 @@
-"""What emulated servos pull on: spools and wires, and time that passes for all at once."""
+"""What the emulated servos pull on: wound wire in, wire tensions out."""
 
 from __future__ import annotations
 

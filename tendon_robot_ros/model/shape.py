@@ -1,4 +1,4 @@
-"""What the model returns: shapes, batches of shapes, and tensions for a target."""
+"""Where the results of postures lie in the one array that the kernel fills."""
 
 from __future__ import annotations
 

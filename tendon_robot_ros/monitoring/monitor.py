@@ -162,7 +162,10 @@ class Monitor:
         last = self._shape
         try:
             if np.isfinite(tensions).all():
-                self._shape = self.model.follow(last, np.maximum(tensions, 0.0))
+                pulling = np.maximum(tensions, 0.0)
+                bend = None if last is None else last.bend
+                memory = last.memory if last is not None and self.model.remembers else None
+                self._shape = self.model.shape(pulling, bend, memory)
             else:
                 self._shape = self.model.pull_shape(pulls, last)
         except (NoEquilibriumError, InputError) as error:

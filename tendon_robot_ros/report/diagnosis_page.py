@@ -1,4 +1,4 @@
-"""The page of a diagnosis: verdict first, then what to do, then evidence and pictures."""
+"""What the pictures of a diagnosis show: the model before and after, and what it lacks where."""
 
 from __future__ import annotations
 

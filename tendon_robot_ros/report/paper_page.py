@@ -1,4 +1,4 @@
-"""The page that `paper` writes: section IV of Kato et al. 2015, published beside ours."""
+"""What the reproduction of the paper assumes, in words."""
 
 from __future__ import annotations
 

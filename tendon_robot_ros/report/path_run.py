@@ -1,4 +1,4 @@
-"""What was reached along a path against what was asked: as a table and as a picture."""
+"""What was reached against what was asked, as a table."""
 
 from __future__ import annotations
 

@@ -2,7 +2,6 @@
 The description of a robot: sections, tendons, limits, and the effects of its model.
 
 description.py   YAML to frozen, validated dataclasses and back (docs/robot_file.md)
-size.py          what is large and what is small for a robot
 urdf.py          the same robot as a URDF with its joints, for RViz and TF
 
 A new key of the description is read and written in description.py.

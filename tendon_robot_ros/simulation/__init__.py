@@ -6,6 +6,7 @@ imperfect.py      how well it is built: scatter, kinks, gains, holes, registrati
 laws.py           laws that a plant has and the catalogue has not
 hidden.py         what may be hidden: effects of the catalogue, and causes outside it
 measurements.py   a plant as a tracker and load cells would see it
+raw_table.py      the same as a laboratory logs it: a table over time, in the tracker's frame
 rehearsal.py      which cause `make live` hides, the tour that shows it, and its story
 
 Nothing that controls or diagnoses a real robot imports from here.

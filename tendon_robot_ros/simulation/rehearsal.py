@@ -1,4 +1,4 @@
-"""Something hidden in a robot: which, how large, postures that show it, and the story."""
+"""A robot with something hidden: which, how large, and postures that show it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from ..effects import Catalogue
 from ..model.model import Model
 from ..robot import Robot
 from ..robot.description import EffectValues
-from ..robot.size import natural_sizes
 from ..workspace.postures import default_postures
 from .hidden import CAUSES, chosen
 
@@ -100,8 +99,7 @@ def draw(robot: Robot, catalogue: Catalogue, name: str, seed: int) -> Hidden:
         raise InputError(f'hidden: expected one of {", ".join(known)}, got {name!r}')
     if name == NOTHING_HIDDEN or name in CAUSES:
         return Hidden(name, {})
-    catalogue = catalogue.sized(natural_sizes(robot))
-    typical = chosen(catalogue[name], {}, robot)
+    typical = chosen(catalogue[name], {}, len(robot.sections))
     wanted = random.uniform(*VISIBLE_TIP_ERROR) * robot.length
     low, high = 0.02, 20.0
     for _ in range(14):

@@ -1,4 +1,4 @@
-"""Postures that hold one view angle: the paper's, and sweeps that look around."""
+"""The paper's postures: all that hold one view angle, and the salient ones among them."""
 
 from __future__ import annotations
 

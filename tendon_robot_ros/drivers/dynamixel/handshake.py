@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from ...common.errors import DriverError
-from ..ports import PortLostError
-from .bus import Bus
+from .bus import Bus, PortLostError
 from .config import DynamixelConfig
 from .motor import Motor
 from .tables import MODEL_NAMES, VOLT_PER_COUNT

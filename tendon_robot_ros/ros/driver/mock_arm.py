@@ -1,4 +1,4 @@
-"""A mock arm that is the controller's own model, and a tracker that sees it."""
+"""A mock arm that is the controller's own model: nothing hidden, nothing scattered."""
 
 from __future__ import annotations
 
@@ -33,7 +33,11 @@ class Twin:
 
     def respond(self, tensions: Array) -> Shape:
         """Return the shape under tensions (m,) [N]."""
-        self._last = self._model.follow(self._last, tensions)
+        bend = None if self._last is None else self._last.bend
+        memory = None
+        if self._last is not None and self._model.remembers:
+            memory = self._last.memory
+        self._last = self._model.shape(tensions, guess=bend, memory=memory)
         return self._last
 
     def respond_to_pulls(self, pulls: Array) -> Shape:

@@ -1,4 +1,4 @@
-"""Lifecycle nodes that start by themselves and keep trying; the status of a node."""
+"""Lifecycle nodes that start by themselves, and keep trying while something is missing."""
 
 from __future__ import annotations
 

@@ -1,0 +1,192 @@
+"""
+Make a data set of a table as laboratories have it: time, tensions, x, y, z of every marker.
+
+RAW is .csv, .parquet, .c3d or OptiTrack's CSV export; several are recordings one after the other,
+or one of tensions and one of markers per recording. What a column is, is guessed from its name and
+shown; units are read from names ("T1 [N]", "m3_x (mm)", "time_s"). Where the arm stood still it
+was measured; the same inputs are trials of one posture; markers are put in order along the arm,
+and the tracker's frame is laid onto the robot's. DIR gets the data set, import.yaml with every
+choice (edit it, then import again with --recipe) and import.png: look at it before you trust it.
+
+example: python -m tendon_robot_ros import-table raw.csv --robot arm.yaml --up y --output data/run
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+from ..common.errors import InputError
+from ..robot import load_robot
+from ..tables import import_table
+from ..tables.columns import ColumnUse
+from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe, load_recipe
+from ..tables.units import read_quantity, read_unit
+from .data_options import add_effect_files
+from .options import numbers
+
+HELP = 'make a data set of a table of tensions and markers over time'
+INPUT_KINDS = ('force', 'length', 'angle', 'counts', 'current')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add('raw', nargs='*', metavar='RAW', help='the tables (default: those of --recipe)')
+    add('--robot', metavar='YAML', help='robot description (default: that of --recipe)')
+    add('--output', metavar='DIR', required=True, help='folder of the data set')
+    add('--overwrite', action='store_true', help='replace a data set in DIR')
+    add('--recipe', metavar='YAML', help='an import.yaml; other options go before what it says')
+    add_effect_files(parser)
+    _add_columns(parser.add_argument_group('columns and units'))
+    _add_arm(parser.add_argument_group('markers and frame'))
+    _add_still(parser.add_argument_group('what is a measurement'))
+
+
+def _add_columns(group: argparse._ArgumentGroup) -> None:
+    add = group.add_argument
+    what = 'column of an input, or of time; may be repeated'
+    add('--column', action='append', default=[], metavar='INPUT=COLUMN', help=what)
+    what = 'where no name says it: inputs=g, positions=mm, time=ms; may be repeated'
+    add('--unit', action='append', default=[], metavar='WHAT=UNIT', help=what)
+    add('--spool', type=float, metavar='MM', help='radius at which the wire winds up')
+    add('--counts-per-turn', type=float, metavar='N', help='where motors tell ticks')
+    add('--torque-constant', type=float, metavar='K', help='N·m/A at the spool, for currents')
+    what = 'inputs count from where they are when the arm first stands still (default: of motors)'
+    add('--zero', action='store_true', default=None, help=what)
+
+
+def _add_arm(group: argparse._ArgumentGroup) -> None:
+    add = group.add_argument
+    add('--up', choices=UPS, help='axis of the tracker that points up: gravity is known then')
+    what = (
+        'distances from the base along the arm [mm], base first (default: the last marker is at '
+        'the tip, the others as far below as the arm between them is long)'
+    )
+    add('--markers', metavar='MM,MM,...', help=what)
+    what = (
+        'model: onto the postures of the model; level: the same, verticals together (default '
+        "where --up and the robot's gravity are known); straight: the straight posture onto +z; "
+        'base: it is the base frame'
+    )
+    add('--frame', choices=METHODS, help=what)
+
+
+def _add_still(group: argparse._ArgumentGroup) -> None:
+    add = group.add_argument
+    add('--speed', type=float, metavar='MM/S', help='slower is still (default: 2, or the noise)')
+    add('--duration', type=float, metavar='S', help='at least so long (default: 1)')
+    what = 'inputs that differ by less belong to one posture, as 0.05N, or 0.2mm of pull'
+    add('--same', metavar='X', help=what)
+    what = 'where all inputs are below this the arm rests, as 0.2N or 0.5mm; 0: it never does'
+    add('--rest', metavar='X', help=what)
+    what = 'sequence: every posture was reached from the one before'
+    add('--path', choices=('from_straight', 'sequence'), help=what)
+    add('--delay', type=float, metavar='S', help="the tracker's clock is behind by this")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Import, tell, write."""
+    from ..effects import load_catalogue
+
+    recipe = load_recipe(args.recipe) if args.recipe else Recipe()
+    robot_path = args.robot or recipe.robot
+    if robot_path is None:
+        raise InputError('--robot: describe the arm with new-robot, then name its file')
+    robot = load_robot(robot_path)
+    recipe = _with_arm(_with_columns(recipe, args, robot.inputs), args)
+    recipe = _with_measurements(recipe, args)
+    imported = import_table(args.raw, robot, recipe, load_catalogue(args.effect_file))
+    print(imported.text())
+    folder = imported.save(args.output, args.overwrite)
+    print(f'written: {folder}    every choice: {folder}/import.yaml    look: {folder}/import.png')
+    print(f'next:    python -m tendon_robot_ros compare {folder}')
+    return 0
+
+
+def _pairs(option: str, texts: list[str]) -> dict[str, str]:
+    pairs = {}
+    for text in texts:
+        name, _, value = text.partition('=')
+        if not name.strip() or not value.strip() or name in pairs:
+            raise InputError(f'{option} {text}: write NAME=VALUE, each name once')
+        pairs[name.strip()] = value.strip()
+    return pairs
+
+
+def _with_columns(recipe: Recipe, args: argparse.Namespace, inputs: tuple[str, ...]) -> Recipe:
+    columns, units = _pairs('--column', args.column), _pairs('--unit', args.unit)
+    for name in columns:
+        if name != 'time' and name not in inputs:
+            raise InputError(f'--column {name}=...: expected time or one of {", ".join(inputs)}')
+    for name in units:
+        if name not in ('inputs', 'positions', 'time'):
+            raise InputError(f'--unit {name}=...: expected inputs, positions or time')
+    time_unit = read_unit('--unit time', units.get('time', 's'), 'time').text
+    if 'time' in columns:
+        recipe = replace(recipe, time={columns['time']: time_unit})
+    unit = units.get('inputs')
+    if unit is not None:
+        unit = read_unit('--unit inputs', unit, *INPUT_KINDS).text
+    uses = dict(recipe.inputs or {})
+    uses |= {n: ColumnUse(c, unit or '') for n, c in columns.items() if n != 'time'}
+    if 'positions' in units:
+        unit_of_places = read_unit('--unit positions', units['positions'], 'length').text
+        recipe = replace(recipe, positions=unit_of_places)
+    spool: dict[str, float] = {}
+    for key, value in (
+        ('radius', None if args.spool is None else 1e-3 * args.spool),
+        ('counts_per_turn', args.counts_per_turn),
+        ('torque_constant', args.torque_constant),
+    ):
+        if value is not None:
+            _check('--' + key.replace('_', '-'), value, 0.0)
+            spool[key] = value
+    return replace(
+        recipe,
+        inputs=uses or None,
+        input_unit=unit,
+        time_unit=time_unit if 'time' in units else None,
+        zero=args.zero or recipe.zero,
+        spool=replace(recipe.spool, **spool),
+    )
+
+
+def _with_arm(recipe: Recipe, args: argparse.Namespace) -> Recipe:
+    if args.markers:
+        places = tuple(1e-3 * value for value in numbers('--markers', args.markers, ','))
+        if any(b <= a for a, b in pairwise(places)):
+            raise InputError('--markers: expected distances that grow, from base to tip [mm]')
+        open_ones = tuple(replace(m, arc_length=None) for m in recipe.markers or ())
+        recipe = replace(recipe, places=places, markers=open_ones or None)
+    if args.frame:
+        recipe = replace(recipe, frame=FrameChoice(args.frame))
+    return replace(recipe, up=args.up or recipe.up)
+
+
+def _with_measurements(recipe: Recipe, args: argparse.Namespace) -> Recipe:
+    given: dict[str, Any] = {}
+    for key, value in (
+        ('speed', None if args.speed is None else 1e-3 * args.speed),
+        ('duration', args.duration),
+        ('same', _quantity('--same', args.same)),
+        ('rest', _quantity('--rest', args.rest)),
+    ):
+        if value is not None:
+            _check(f'--{key}', value, 0.0 if key != 'rest' else -1.0)
+            given[key] = value
+    given |= {} if args.delay is None else {'delay': args.delay}
+    given |= {} if args.path is None else {'path': args.path}
+    return replace(recipe, **given)
+
+
+def _quantity(option: str, text: str | None) -> float | None:
+    """Read 0.2N or 0.5mm into newtons or metres; a bare number is newtons."""
+    return None if text is None else read_quantity(option, text, 'N', 'force', 'length')
+
+
+def _check(option: str, value: float, low: float) -> None:
+    if not low < value < 1e9:
+        raise InputError(f'{option}: expected a number above {low:g}, got {value:g}')

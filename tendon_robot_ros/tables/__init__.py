@@ -1,0 +1,24 @@
+"""
+A laboratory's tables to a data set: units, still segments, marker order, the tracker's frame.
+
+importing.py      `import_table`: the whole way
+imported.py       what it gives: a data set, how it came about, `save`, `plot` and `text`
+reading.py        a file to named columns; refuses what is no table
+formats.py        OptiTrack's CSV export and .c3d
+raw_table.py      named columns of numbers, as they were found; a DataFrame as well
+units.py          units as people write them, to SI
+columns.py        what a column is, by its name
+recipe.py         import.yaml: every choice written out
+choices.py        the columns and units that a recipe leaves open
+traces.py         columns to inputs and markers over time, in SI units
+measuring.py      where the arm stood still: cleaned, named by posture and trial
+marker_order.py   which marker is where on the arm
+registration.py   how the tracker's frame lies in the base's, with the model's help
+account.py        the table of what was taken and why
+picture.py        raw traces, what was cut out, markers on the arm
+"""
+
+from .imported import ImportedTable
+from .importing import import_table
+
+__all__ = ['ImportedTable', 'import_table']

@@ -1,0 +1,246 @@
+"""Fill in which columns are taken, and their units, where a recipe leaves it open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..common.errors import DataSetError, InputError
+from ..data.dataset import listing
+from ..robot import Robot
+from .columns import (
+    ColumnUse,
+    guess_inputs,
+    guess_markers,
+    guess_time,
+    names_of,
+    need_column,
+)
+from .raw_table import RawTable
+from .recipe import MarkerColumns, Recipe
+from .units import UNITS, find_unit
+
+STEP_MAX_S = 2.0  # a median step above is no second: nobody records an arm so slowly
+LENGTH_UNITS = ('m', 'mm', 'cm', 'inch')  # that a table without units may be in
+EXTENT = (0.25, 1.3)  # lengths of the arm that markers on it may be apart
+
+
+@dataclass(frozen=True)
+class Taken:
+    """Which columns are used for what, and why; in the order of the tables."""
+
+    recipe: Recipe
+    reasons: Mapping[str, str]  # column -> how it was recognised
+    unused: tuple[str, ...]
+    assumed: tuple[str, ...]
+    kind: str  # 'tension' or 'displacement'
+
+
+def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> Taken:
+    """
+    Fill in the columns and units that a recipe leaves open.
+
+    Raises
+    ------
+    DataSetError, InputError
+        Columns for the inputs or the markers are missing, or a unit.
+
+    """
+    assumed = [f'{t.name}: {note}' for t in tables for note in t.notes]
+    reasons: dict[str, str] = {}
+    recipe = _choose_times(tables, recipe, reasons, assumed)
+    recipe = _choose_inputs(tables, robot, recipe, reasons)
+    recipe = _choose_markers(tables, recipe, reasons)
+    recipe = _choose_position_unit(tables, robot, recipe, assumed)
+    used = set(reasons)
+    unused = [c for t in tables for c in (*t.columns, *t.texts) if c not in used]
+    kind = _kind_of_inputs(recipe)
+    if recipe.zero is None:
+        units = {find_unit(use.unit) for use in (recipe.inputs or {}).values()}
+        turned = any(u is not None and u.kind in ('angle', 'counts') for u in units)
+        recipe = replace(recipe, zero=turned)
+        if turned:
+            assumed.append('motors count from where they are when the arm first stands still')
+    return Taken(recipe, reasons, tuple(dict.fromkeys(unused)), tuple(assumed), kind)
+
+
+def _choose_times(
+    tables: Sequence[RawTable], recipe: Recipe, reasons: dict[str, str], assumed: list[str]
+) -> Recipe:
+    times = dict(recipe.time or {})
+    for table in tables:
+        mine = [column for column in times if column in table.columns or column in table.texts]
+        if mine:
+            reasons[mine[0]] = 'as given'
+            continue
+        if recipe.time is not None:
+            continue
+        if (use := guess_time(names_of(table))) is None:
+            continue
+        reasons[use.column] = 'its name'
+        unit = recipe.time_unit or use.unit
+        if not unit:
+            unit, note = _time_unit(table, use.column)
+            assumed += [f'{table.name}: {note}'] if note else []
+        times[use.column] = unit
+    if times and not all(time_column(table, times) for table in tables):
+        lacking = next(table for table in tables if not time_column(table, times))
+        raise DataSetError(lacking.name, 'has no column of times', 'say --time COLUMN')
+    if not times and len(tables) > 1:
+        assumed.append('no column of times: every row is a measurement')
+    return replace(recipe, time=times or None)
+
+
+def _time_unit(table: RawTable, column: str) -> tuple[str, str]:
+    if column in table.texts:
+        return 's', ''
+    step = float(np.nanmedian(np.abs(np.diff(table.columns[column])))) if len(table) > 1 else 0.0
+    for unit, factor in (('s', 1.0), ('ms', 1e-3), ('us', 1e-6), ('ns', 1e-9)):
+        if step * factor <= STEP_MAX_S:
+            rate = (
+                '' if step == 0.0 else f', then there are {1 / (step * factor):.3g} rows a second'
+            )
+            return unit, f'{column} is in {unit}{rate}'
+    return 's', ''
+
+
+def time_column(table: RawTable, times: Mapping[str, str] | None) -> str | None:
+    """Return the column of times that a table has."""
+    known = (c for c in times or {} if c in table.columns or c in table.texts)
+    return next(known, None)
+
+
+def _choose_inputs(
+    tables: Sequence[RawTable], robot: Robot, recipe: Recipe, reasons: dict[str, str]
+) -> Recipe:
+    inputs = dict(recipe.inputs or {})
+    for name, use in inputs.items():
+        if name not in robot.inputs:
+            raise InputError(f'inputs: expected {", ".join(robot.inputs)}, got {name!r}')
+        table = next((t for t in tables if use.column in t.columns or use.column in t.texts), None)
+        if table is None:
+            need_column(tables[0], use.column, f'input {name}')
+        reasons[use.column] = 'as given'
+    missing = [name for name in robot.inputs if name not in inputs]
+    if missing:
+        guesses = ((t, guess_inputs(names_of(t), missing)) for t in tables)
+        _, guess = next(((t, g) for t, g in guesses if g is not None), (None, None))
+        if guess is None:
+            raise DataSetError(
+                tables[0].name,
+                f'no columns for the inputs {listing(missing)} are recognised among '
+                f'{listing(_columns_without_axis(tables))}',
+                'name each by --column INPUT=COLUMN',
+            )
+        inputs |= guess.columns
+        reasons |= {use.column: guess.reason for use in guess.columns.values()}
+    told = {use.column: _unit_told(tables, use, recipe) for use in inputs.values()}
+    inputs = {name: replace(use, unit=told[use.column]) for name, use in inputs.items()}
+    lacking = [use.column for use in inputs.values() if not use.unit]
+    if lacking:
+        raise DataSetError(
+            tables[0].name,
+            f'nothing says the unit of {listing(lacking)}',
+            'write it into the header, as in "T1 [N]", or say --unit inputs=N (mN, g, kgf, lbf, '
+            'mm, deg, ticks, mA ...)',
+        )
+    return replace(recipe, inputs={name: inputs[name] for name in robot.inputs})
+
+
+def _unit_told(tables: Sequence[RawTable], use: ColumnUse, recipe: Recipe) -> str:
+    """Return the unit of an input: as an option says, as a recipe, or as the file does."""
+    named = (n.unit for t in tables for n in names_of(t) if n.column == use.column)
+    unit = next((unit.text for unit in named if unit is not None), '')
+    return recipe.input_unit or use.unit or unit
+
+
+def _columns_without_axis(tables: Iterable[RawTable]) -> list[str]:
+    return [name.column for t in tables for name in names_of(t) if not name.axis]
+
+
+def _choose_markers(tables: Sequence[RawTable], recipe: Recipe, reasons: dict[str, str]) -> Recipe:
+    if recipe.markers is not None:
+        for marker in recipe.markers:
+            for column in marker.columns:
+                if not any(column in t.columns or column in t.texts for t in tables):
+                    need_column(tables[0], column, 'markers')
+                reasons[column] = 'as given'
+        return recipe
+    found: dict[tuple[str, str, str], str] = {}
+    for table in tables:
+        for name, columns in guess_markers(names_of(table)).items():
+            found.setdefault(columns, name)
+    if not found:
+        raise DataSetError(
+            tables[0].name,
+            'no columns of a marker are recognised',
+            'name them alike but for the axis, such as tip_x, tip_y, tip_z',
+        )
+    for columns in found:
+        reasons |= dict.fromkeys(columns, 'its name')
+    return replace(recipe, markers=tuple(MarkerColumns(columns) for columns in found))
+
+
+def _choose_position_unit(
+    tables: Sequence[RawTable], robot: Robot, recipe: Recipe, assumed: list[str]
+) -> Recipe:
+    if recipe.positions is not None:
+        return recipe
+    columns = [column for marker in recipe.markers or () for column in marker.columns]
+    told = set()
+    for table in tables:
+        for name in names_of(table):
+            if name.column in columns:
+                told.add(None if name.unit is None else name.unit.text)
+    if len(told) == 1 and (unit := told.pop()) is not None:
+        return replace(recipe, positions=unit)
+    if len(told - {None}) > 1:
+        raise DataSetError(
+            tables[0].name,
+            f'markers are in several units: {listing(sorted(str(u) for u in told))}',
+            'say --unit positions=mm',
+        )
+    apart = _extent(tables, recipe)
+    low, high = (share * robot.length for share in EXTENT)
+    fitting = [u for u in LENGTH_UNITS if low <= apart * UNITS['length'][u] <= high]
+    if not fitting:
+        raise DataSetError(
+            tables[0].name,
+            f'nothing says the unit of the markers, and none fits: they are {apart:.4g} apart, '
+            f'the arm is {1e3 * robot.length:.4g} mm long',
+            'say --unit positions=mm, and look at cell_length and cells of the robot',
+        )
+    assumed.append(
+        f'markers are in {fitting[0]}: they are up to {apart:.4g} apart on an arm of '
+        f'{1e3 * robot.length:.4g} mm'
+    )
+    return replace(recipe, positions=fitting[0])
+
+
+def _extent(tables: Sequence[RawTable], recipe: Recipe) -> float:
+    """Return the largest distance between two markers in their unit; from the origin of one."""
+    largest = 0.0
+    for table in tables:
+        places = [
+            np.column_stack([table.numbers(c)[:: max(len(table) // 2000, 1)] for c in m.columns])
+            for m in recipe.markers or ()
+            if all(c in table.columns or c in table.texts for c in m.columns)
+        ]
+        for i, one in enumerate(places):
+            for other in places[i + 1 :]:
+                apart = np.linalg.norm(one - other, axis=1)
+                largest = max(largest, float(np.nanpercentile(apart, 95)))
+        if len(places) == 1:
+            largest = float(np.nanmax(np.ptp(places[0], axis=0)))
+    return largest
+
+
+def _kind_of_inputs(recipe: Recipe) -> str:
+    kinds = {find_unit(use.unit).kind for use in (recipe.inputs or {}).values()}  # type: ignore[union-attr]
+    if kinds <= {'force', 'current'}:
+        return 'tension'
+    if kinds <= {'length', 'angle', 'counts'}:
+        return 'displacement'
+    raise InputError('inputs: all are tensions or all are wire pulls; give columns of one kind')

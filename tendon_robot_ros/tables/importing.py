@@ -1,0 +1,295 @@
+"""Tables to a data set in the robot's frame: what was taken, dropped and assumed is told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..common.errors import DataSetError
+from ..common.words import listed, mm
+from ..comparison.predict import Predictor
+from ..data import DataSet, Marker
+from ..data.folder.description import Description
+from ..data.recording.importing import segments_dataset
+from ..data.recording.still_segments import Segment
+from ..diagnosis.outliers import Outliers, find_outliers
+from ..effects import Catalogue, load_catalogue
+from ..robot import Robot, load_robot
+from .choices import Taken, choose_columns
+from .columns import marker_label
+from .imported import ImportedTable
+from .marker_order import AS_GIVEN, MarkerOrder, order_markers
+from .measuring import StillMeasurements, measure
+from .raw_table import RawTable, from_frame
+from .reading import read_table
+from .recipe import FrameChoice, MarkerColumns, Recipe, load_recipe, read_recipe
+from .registration import G, TrackerFrame, find_frame, gravity_of, rotation_vector
+from .traces import make_traces
+
+APART_RAD = 0.3  # [rad] between gravity as the robot says it and as the tracker does
+
+
+def import_table(
+    source: Any = (),
+    robot: Robot | str | Path | None = None,
+    recipe: Recipe | Mapping[str, Any] | str | Path | None = None,
+    catalogue: Catalogue | None = None,
+) -> ImportedTable:
+    """
+    Make a data set of a laboratory's tables.
+
+    Parameters
+    ----------
+    source : path, DataFrame, or sequence of these
+        .csv, .parquet or .c3d: recordings one after the other, or one of inputs and one of
+        markers for each. By default those that the recipe names.
+    robot : Robot or path, optional
+        By default the one that the recipe names.
+    recipe : Recipe, mapping, or path of an import.yaml, optional
+        What is not to be guessed; the mapping has the keys of the file (docs/import_table.md).
+    catalogue : Catalogue, optional
+        Of effects, where the description has one of your own.
+
+    Raises
+    ------
+    DataSetError, InputError
+        With file and row where there are some, what is wrong, and what to do.
+    MissingExtraError
+        pandas (or what a format needs) is not installed.
+
+    """
+    recipe = _recipe(recipe)
+    robot = _robot(robot, recipe)
+    tables = _tables(source, recipe)
+    taken = choose_columns(tables, robot, recipe)
+    measured = measure(make_traces(tables, taken), taken, robot)
+    name = tables[0].name
+    order = _order(measured, taken, robot, name)
+    raw, markers = _in_tracker_frame(measured, taken, order, robot, name)
+    catalogue = catalogue or load_catalogue(())
+    dataset, frame, left_out = _registered(raw, recipe, catalogue)
+    final, look = _known_frame(dataset, frame, taken.recipe)
+    predicted = Predictor(final, final.robot, catalogue).markers({})
+    assert predicted is not None  # it was, before
+    return ImportedTable(
+        dataset=final,
+        recipe=_written_out(taken.recipe, tables, markers, measured, frame, left_out),
+        taken=taken,
+        measured=measured,
+        order=order,
+        frame=frame,
+        source=', '.join(f'{t.name} ({len(t):,} rows of {t.width} columns)' for t in tables),
+        predicted=predicted,
+        dropped=(*_columns_dropped(taken), *measured.dropped, *_trials_dropped(left_out)),
+        assumed=(*taken.assumed, *measured.assumed, *_markers_assumed(order, taken)),
+        look=(*look, *_frame_look(frame)),
+    )
+
+
+def _written_out(
+    recipe: Recipe,
+    tables: Sequence[RawTable],
+    markers: tuple[MarkerColumns, ...],
+    measured: StillMeasurements,
+    frame: TrackerFrame,
+    left_out: tuple[tuple[str, str], ...],
+) -> Recipe:
+    """Return the recipe with every choice, so that nothing is guessed the next time."""
+    x, y, z = frame.shift.tolist()
+    return replace(
+        recipe,
+        sources=tuple(t.name for t in tables),
+        markers=markers,
+        change=measured.rule.change,
+        speed=measured.rule.speed,
+        same=measured.same,
+        rest=measured.rest,
+        frame=FrameChoice(frame.method, rotation_vector(frame.rotation), (x, y, z)),
+        leave_out=left_out,
+    )
+
+
+def _known_frame(
+    dataset: DataSet, frame: TrackerFrame, recipe: Recipe
+) -> tuple[DataSet, tuple[str, ...]]:
+    """Say gravity, and how well the frame is known, so that a diagnosis may move it."""
+    gravity, look = _gravity(dataset, frame, recipe)
+    robot = dataset.robot
+    tolerances = frame.tolerances(robot.length)
+    widened = {k: max(v, robot.tolerances.get(k, 0.0)) for k, v in tolerances.items()}
+    robot = replace(robot, tolerances={**robot.tolerances, **widened})
+    return replace(dataset, gravity=gravity, robot=robot), look
+
+
+def _recipe(recipe: Recipe | Mapping[str, Any] | str | Path | None) -> Recipe:
+    if recipe is None:
+        return Recipe()
+    if isinstance(recipe, str | Path):
+        return load_recipe(recipe)
+    return recipe if isinstance(recipe, Recipe) else read_recipe(dict(recipe))
+
+
+def _robot(robot: Robot | str | Path | None, recipe: Recipe) -> Robot:
+    if isinstance(robot, Robot):
+        return robot
+    path = robot or recipe.robot
+    if path is None:
+        raise DataSetError(
+            'robot', 'none is named', 'describe the arm with new-robot, then say --robot arm.yaml'
+        )
+    return load_robot(path)
+
+
+def _tables(source: Any, recipe: Recipe) -> list[RawTable]:
+    if isinstance(source, str | Path) or hasattr(source, 'columns'):
+        source = [source]
+    found = list(source) or list(recipe.sources)
+    if not found:
+        raise DataSetError('tables', 'none is named', 'name a .csv, .parquet or .c3d file')
+    return [read_table(s) if isinstance(s, str | Path) else from_frame(s) for s in found]
+
+
+def _order(measured: StillMeasurements, taken: Taken, robot: Robot, name: str) -> MarkerOrder:
+    """MarkerOrder the markers, unless a recipe says where each of them is."""
+    markers = taken.recipe.markers or ()
+    given = [marker.arc_length for marker in markers]
+    if all(value is not None for value in given):
+        return MarkerOrder(
+            tuple(range(len(markers))), tuple(v or 0.0 for v in given), 'places as given'
+        )
+    positions = np.array([one.positions for one in measured.segments])
+    return order_markers(positions, robot, taken.recipe.places, name)
+
+
+def _in_tracker_frame(
+    measured: StillMeasurements, taken: Taken, order: MarkerOrder, robot: Robot, name: str
+) -> tuple[DataSet, tuple[MarkerColumns, ...]]:
+    """Put the segments together; positions stay in the tracker's frame."""
+    known = taken.recipe.markers or ()
+    markers = tuple(
+        replace(known[j], name=known[j].name or str(i + 1), arc_length=arc_length)
+        for i, (j, arc_length) in enumerate(zip(order.members, order.arc_lengths, strict=True))
+    )
+    placed = tuple(Marker(m.name or '', m.arc_length or 0.0, m.offset) for m in markers)
+    members = list(order.members)
+    segments = [_picked(one, members) for one in measured.segments]
+    said = Description(taken.kind, taken.recipe.path, None, None, 0.0, 0.0, None, placed)
+    return segments_dataset(name, segments, robot, said, placed), markers
+
+
+def _picked(segment: Segment, members: Sequence[int]) -> Segment:
+    return replace(
+        segment,
+        positions=segment.positions[list(members)],
+        orientations=segment.orientations[list(members)],
+    )
+
+
+def _registered(
+    raw: DataSet, recipe: Recipe, catalogue: Catalogue
+) -> tuple[DataSet, TrackerFrame, tuple[tuple[str, str], ...]]:
+    """Find the frame, the trials that the others contradict, and the frame without them."""
+    robot, choice = raw.robot, recipe.frame
+    kept = raw
+    if recipe.leave_out is not None:
+        kept = _without(raw, recipe.leave_out)
+    predictor = Predictor(kept, robot, catalogue)
+    frame = find_frame(kept, predictor, choice, recipe.up)
+    if recipe.leave_out is not None:
+        return _placed(kept, frame), frame, recipe.leave_out
+    placed = _placed(kept, frame)
+    outliers = find_outliers(Predictor(placed, robot, catalogue), {})
+    pairs = tuple(
+        (raw.postures[p], raw.trial_names[q]) for p, q in np.argwhere(outliers.trials).tolist()
+    )
+    if pairs:
+        kept = _without(raw, pairs)
+        frame = find_frame(kept, Predictor(kept, robot, catalogue), choice, recipe.up)
+    return _placed(kept, frame), frame, pairs
+
+
+def _without(dataset: DataSet, pairs: Sequence[tuple[str, str]]) -> DataSet:
+    out = np.zeros(dataset.trial_mask.shape, dtype=bool)
+    for posture, trial in pairs:
+        if posture not in dataset.postures or trial not in dataset.trial_names:
+            raise DataSetError(
+                f'{dataset.name}: leave_out',
+                f'there is no posture {posture!r}, trial {trial!r}',
+                'take that line out',
+            )
+        out[dataset.postures.index(posture), dataset.trial_names.index(trial)] = True
+    nothing = np.zeros((*out.shape, len(dataset.markers)), dtype=bool)
+    return Outliers(nothing, out, np.zeros(nothing.shape)).without(dataset)
+
+
+def _placed(dataset: DataSet, frame: TrackerFrame) -> DataSet:
+    positions = dataset.positions @ frame.rotation.T + frame.shift
+    return replace(dataset, positions=positions.round(9))
+
+
+def _gravity(
+    dataset: DataSet, frame: TrackerFrame, recipe: Recipe
+) -> tuple[tuple[float, float, float] | None, tuple[str, ...]]:
+    """Return gravity as the tracker tells it where the robot does not, and what contradicts."""
+    known = dataset.robot.gravity
+    if recipe.up is None:
+        told = 'where down is: say --up (y for OptiTrack, z for most others)'
+        return None, (f'nothing says {told}',) if known is None else ()
+    seen = gravity_of(frame, recipe.up)
+    if known is None or not np.linalg.norm(known):
+        return (seen if known is None else None), ()
+    cosine = float(np.dot(known, seen) / (G * np.linalg.norm(known)))
+    apart = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    if apart < APART_RAD:
+        return None, ()
+    return None, (
+        f'gravity of the robot and up of the tracker are {np.degrees(apart):.0f}° apart; '
+        "the robot's counts",
+    )
+
+
+def _columns_dropped(taken: Taken) -> list[str]:
+    if not taken.unused:
+        return []
+    names = list(taken.unused)
+    shown = listed(names[:8]) if len(names) <= 8 else f'{", ".join(names[:8])} and more'
+    return [f'{len(names)} columns: {shown}']
+
+
+def _trials_dropped(pairs: Sequence[tuple[str, str]]) -> list[str]:
+    if not pairs:
+        return []
+    names = listed(f'posture {posture} trial {trial}' for posture, trial in pairs)
+    return [f'{names}: the other trials contradict (a slipped tendon?)']
+
+
+def _markers_assumed(order: MarkerOrder, taken: Taken) -> list[str]:
+    said = [] if order.reason == AS_GIVEN else [order.reason]
+    labels = [marker_label(marker.columns) for marker in taken.recipe.markers or ()]
+    if order.off_arm:
+        names = listed(labels[j] for j in order.off_arm)
+        said.append(f'{names}: below the base, not on the arm')
+    if order.twice:
+        names = listed(labels[j] for j in order.twice)
+        said.append(f'{names}: at the place of another marker, left out')
+    return said
+
+
+def _frame_look(frame: TrackerFrame) -> list[str]:
+    said = []
+    if frame.is_mirrored:
+        said.append(
+            f'a left-handed frame would fit better ({mm(frame.mirrored)} instead of '
+            f'{mm(frame.free)}): an axis has the wrong sign, or two inputs are swapped'
+        )
+    elif frame.residual > 3.0 * frame.free + 1e-3:
+        said.append(
+            f'free to turn, the frame would fit to {mm(frame.free)} instead of '
+            f'{mm(frame.residual)}: a load that the description lacks, or is what is said of it '
+            '(up, gravity, frame) not right?'
+        )
+    return said

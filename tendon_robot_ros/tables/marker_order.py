@@ -1,0 +1,190 @@
+"""Which marker is where on the arm: their order, and their arc lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ..common.errors import DataSetError
+from ..common.words import listed
+from ..data import default_markers
+from ..robot import Robot
+from .raw_table import FloatArray
+
+AS_GIVEN = 'places as given'
+SAME_PLACE_M = 1e-3  # [m] markers that are never farther apart are one that was exported twice
+OFF_ARM = 0.5  # cells that a marker may seem to be below the base and still be on the arm
+SNAP = 0.3  # of a cell's length: that near to the ends of cells, markers are at them
+EVEN = 0.06  # of the spacing: that near to even spacing, markers are evenly spaced
+ROUND_M = 1e-4  # [m] arc lengths that were measured
+
+
+@dataclass(frozen=True)
+class MarkerOrder:
+    """Markers from base to tip: indices into what was measured, and where on the arm they are."""
+
+    members: tuple[int, ...]
+    arc_lengths: tuple[float, ...]  # [m]
+    reason: str
+    off_arm: tuple[int, ...] = ()  # fixed beside the base, say
+    twice: tuple[int, ...] = ()
+
+
+def order_markers(
+    positions: FloatArray, robot: Robot, given: Sequence[float | None] = (), name: str = 'markers'
+) -> MarkerOrder:
+    """
+    MarkerOrder markers by their place along the arm where it is straightest.
+
+    Parameters
+    ----------
+    positions : (N, J, 3) [m]
+        Of the markers in still segments, in any frame; NaN = not seen.
+    robot : Robot
+        Gives the length of the arm and its cells.
+    given : sequence of float, optional
+        Arc lengths [m] from base to tip that somebody measured; else the last marker is taken to
+        be at the tip, and the others as far below as they are when the arm is straight.
+    name : str
+        Of the table, for messages.
+
+    Raises
+    ------
+    DataSetError
+        The markers do not fit on the arm, or their count is another one.
+
+    """
+    apart = _distances(positions)
+    twice = tuple(
+        j for j in range(len(apart)) if any(apart[i, j] < SAME_PLACE_M for i in range(j))
+    )
+    members = [j for j in range(len(apart)) if j not in twice]
+    if len(members) == 1:
+        return MarkerOrder((members[0],), _alone(robot, given, name), 'the only marker', (), twice)
+    base, _ = _ends(positions, apart, members)
+    members.sort(key=lambda j: float(apart[base, j]))
+    below_tip = robot.length - _lengths_to_tip(positions[:, members], apart, members)
+    cell = min(section.cell_length for section in robot.sections)
+    if given:
+        known = [value for value in given if value is not None]
+        off = members[: max(len(members) - len(known), 0)]
+        if len(known) > len(members) or any(below_tip[i] > cell for i in range(len(off))):
+            raise DataSetError(
+                name,
+                f'has {len(members)} markers, but {len(known)} places on the arm are given',
+                'give one arc length for each, from base to tip',
+            )
+        kept = tuple(j for j in members if j not in off)
+        _check_spacing(name, apart[kept[0], kept[-1]], known, cell)
+        return MarkerOrder(kept, tuple(known), AS_GIVEN, tuple(off), twice)
+    on_arm = below_tip > -OFF_ARM * cell
+    kept = tuple(j for j, one in zip(members, on_arm, strict=True) if one)
+    if len(kept) < 2:
+        far = 1e3 * float(apart[base, members[-1]])
+        raise DataSetError(
+            name,
+            f'markers are up to {far:.4g} mm apart, the arm is {1e3 * robot.length:.4g} mm long',
+            'check the unit (--unit positions=...), and cells and cell_length of the robot',
+        )
+    places, reason = _snapped(below_tip[on_arm], robot)
+    off = [j for j in members if j not in kept]
+    return MarkerOrder(kept, places, reason, tuple(off), twice)
+
+
+def _distances(positions: FloatArray) -> FloatArray:
+    """
+    Return the distance (J, J) [m] of markers where the arm is straightest.
+
+    The chord between two markers is longest, and as long as the arm between them, where the arm
+    is straight; this needs neither a frame nor a model.
+    """
+    with np.errstate(invalid='ignore'):
+        chords = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
+    seen = np.isfinite(chords)
+    longest: FloatArray = np.where(seen, chords, -1.0).max(axis=0)
+    whole = np.where(seen.all(axis=(1, 2)), np.nan_to_num(chords).max(axis=(1, 2)), -1.0)
+    best = int(whole.argmax())
+    if whole[best] >= 0.995 * longest.max():  # one posture, instead of the luckiest of many
+        straightest: FloatArray = chords[best]
+        return straightest
+    return longest
+
+
+def _lengths_to_tip(
+    positions: FloatArray, apart: FloatArray, members: Sequence[int]
+) -> FloatArray:
+    """
+    Return how much of the arm lies between each marker and the last one, (J,) [m].
+
+    The chord between neighbours is lengthened to the arc that the turns of the chain beside it
+    tell, and averaged over all postures: a longest chord would collect noise, and no arm with a
+    load is ever straight.
+    """
+    steps = np.diff(positions, axis=1)  # (N, J - 1, 3)
+    chords = np.linalg.norm(steps, axis=2)
+    with np.errstate(invalid='ignore', divide='ignore'):
+        along = steps / chords[..., None]
+        turns = np.arccos(np.clip((along[:, 1:] * along[:, :-1]).sum(axis=2), -1.0, 1.0))
+    turns = np.nan_to_num(turns)
+    beside = np.concatenate([turns[:, :1], turns, turns[:, -1:]], axis=1)
+    half = 0.25 * (beside[:, 1:] + beside[:, :-1]) if turns.shape[1] else np.zeros(chords.shape)
+    arcs = chords / np.sinc(half / np.pi)
+    seen = np.isfinite(arcs)
+    total = np.where(seen, arcs, 0.0).sum(axis=0)
+    longest = [apart[a, b] for a, b in pairwise(members)]
+    lengths = np.where(seen.any(axis=0), total / np.maximum(seen.sum(axis=0), 1), longest)
+    return np.append(np.cumsum(lengths[::-1])[::-1], 0.0)
+
+
+def _ends(positions: FloatArray, apart: FloatArray, members: Sequence[int]) -> tuple[int, int]:
+    """Return the markers next to the base and to the tip: the ends, and of them the tip moves."""
+    inner = apart[np.ix_(members, members)]
+    first, last = np.unravel_index(int(inner.argmax()), inner.shape)
+    ends = members[int(first)], members[int(last)]
+    moves = [np.nanstd(positions[:, j], axis=0).sum() for j in ends]
+    return ends if moves[0] <= moves[1] else ends[::-1]
+
+
+def _alone(robot: Robot, given: Sequence[float | None], name: str) -> tuple[float]:
+    known = [value for value in given if value is not None]
+    if len(known) > 1:
+        raise DataSetError(
+            name, f'has one marker, but {len(known)} places are given', 'give one of them'
+        )
+    return (known[0] if known else robot.length,)
+
+
+def _check_spacing(name: str, apart: float, known: Sequence[float], cell: float) -> None:
+    """Refuse places that are not as far apart as the markers."""
+    span = known[-1] - known[0]
+    if abs(apart - span) > max(cell, 0.1 * span):
+        raise DataSetError(
+            name,
+            f'the first and the last marker are {1e3 * apart:.4g} mm apart where the arm is '
+            f'straightest, but {1e3 * span:.4g} mm by the places that are given',
+            'give the distance of every marker from the base along the arm, in mm',
+        )
+
+
+def _snapped(measured: FloatArray, robot: Robot) -> tuple[tuple[float, ...], str]:
+    """Return arc lengths at the ends of cells where all markers are near them."""
+    ends = np.array([marker.arc_length for marker in default_markers(robot)])
+    lengths = np.diff(ends, prepend=0.0)
+    nearest = np.abs(measured[:, None] - ends).argmin(axis=1)
+    near = np.abs(measured - ends[nearest]) < SNAP * lengths[nearest]
+    if near.all() and len(set(nearest.tolist())) == len(measured):
+        where = 'the ends of its cells'
+        if len(measured) < len(ends):
+            where = f'the ends of cells {listed(str(i + 1) for i in nearest)}'
+        return tuple(ends[nearest].tolist()), f'the last marker is at the tip, all at {where}'
+    even = robot.length * (np.arange(len(measured)) + 1.0) / len(measured)
+    if np.abs(measured - even).max() < EVEN * even[0]:
+        return tuple(even.round(9).tolist()), 'the last marker is at the tip, all evenly spaced'
+    places = np.clip(np.round(measured / ROUND_M) * ROUND_M, 0.0, robot.length).round(9)
+    return (
+        tuple(places.tolist()),
+        'the last marker is at the tip, the others as far below as the arm between them is long',
+    )

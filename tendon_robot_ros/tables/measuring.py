@@ -1,0 +1,297 @@
+"""Traces to measurements: where the arm stood still, cleaned, named by posture and trial."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.cluster.hierarchy import fcluster, linkage
+
+from ..common.errors import DataSetError
+from ..common.words import digits
+from ..data.recording.importing import plausible_inputs
+from ..data.recording.reader import Recording
+from ..data.recording.still_segments import (
+    ArmMotion,
+    Rule,
+    Segment,
+    find_segments,
+    motion,
+    name_segments,
+    still_stretches,
+)
+from ..robot import Robot
+from .choices import Taken
+from .columns import marker_label
+from .raw_table import FloatArray
+from .recipe import MarkerColumns, Recipe
+from .traces import Traces
+
+SPEEDS = (0.002, 0.02)  # [m/s] slower is still, whatever the tracker's noise makes of it
+CHANGES = (0.01, 0.1)  # of the largest input: a smaller change within a window is none
+NOISE_MARGIN = 3.0  # times what noise makes of an arm that stands
+QUIET_SHARE = 0.15  # of the time that an arm stands at least
+JUMP = 8.0  # robust standard deviations from the median of a still segment: a frame jumps
+SEEN_SHARE = 0.5  # of the frames of a still segment in which a marker has to be seen
+JUMP_MIN_M = 5e-4  # [m] a tracker's ordinary noise is no jump
+# shares of the largest input: differences below are nothing; a usual one; from which it is another
+SAME = (0.002, 0.01, 0.08)
+GAP = 2.5  # times, between the scatter of trials and the steps of postures
+REST_SHARE = 0.3  # of the segments that are at rest where an arm rests between trials
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One recording: what it held, how the arm moved, and where it stood still."""
+
+    recording: Recording
+    inputs: FloatArray  # (T, m) [N] or [m]
+    motion: ArmMotion | None  # None: every row is a measurement
+    segments: tuple[Segment, ...]
+    resting: tuple[Segment, ...]
+    jumps: FloatArray  # (J,) frames that were cut out
+
+
+@dataclass(frozen=True)
+class StillMeasurements:
+    """The measurements of all recordings in the tracker's frame, and what was dropped."""
+
+    pieces: tuple[Piece, ...]
+    segments: tuple[Segment, ...]
+    rule: Rule
+    same: float  # [N] or [m] inputs that differ by less are those of one posture
+    rest: float  # [N] or [m] below, the arm rests; 0: it never does
+    dropped: tuple[str, ...]
+    assumed: tuple[str, ...]
+
+
+def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasurements:
+    """
+    Find the still segments of all recordings, and name them by posture and trial.
+
+    Raises
+    ------
+    DataSetError
+        The arm never stands still, or an input is in another unit.
+
+    """
+    recipe, kind = taken.recipe, taken.kind
+    rule = Rule(recipe.speed or SPEEDS[0], recipe.duration, recipe.change).fill(robot, kind)
+    motions: list[ArmMotion | None] = [None] * len(traces)
+    dropped, assumed = _zeros(traces), list[str]()
+    if recipe.time is not None:
+        motions = [motion(one.recording, one.inputs, rule) for one in traces]
+        rule = _still_rule([m for m in motions if m is not None], traces, rule, recipe)
+    sequence = recipe.path == 'sequence'
+    pieces = [_piece(one, moved, rule) for one, moved in zip(traces, motions, strict=True)]
+    if recipe.zero:
+        pieces = _from_zero(pieces)
+    pieces = [_plausible(piece, robot, kind, rule) for piece in pieces]
+    found = [one for piece in pieces for one in piece.segments]
+    if not found:
+        raise _never_still(traces[0].recording.name, motions, rule)
+    same = _guess_same(found) if recipe.same is None else recipe.same
+    rest = recipe.rest
+    if rest is None:
+        rest = 0.0 if sequence else _guess_rest(found, same)
+        if rest:
+            unit = 'N' if kind == 'tension' else 'm'
+            assumed.append(f'where all inputs are below {digits(rest, 3)} {unit} the arm rests')
+    pieces = [_without_rest(piece, rest, first=index == 0) for index, piece in enumerate(pieces)]
+    dropped += _told(pieces, recipe.markers or ())
+    kept = [one for piece in pieces for one in piece.segments]
+    return StillMeasurements(
+        tuple(pieces),
+        tuple(name_segments(kept, replace(rule, change=same), sequence)),
+        rule,
+        same,
+        rest,
+        tuple(dropped),
+        tuple(assumed),
+    )
+
+
+def _still_rule(
+    motions: Sequence[ArmMotion], traces: Sequence[Traces], rule: Rule, recipe: Recipe
+) -> Rule:
+    """Return what counts as still for the noise that this tracker and these load cells have."""
+    speeds = np.concatenate([m.speed[np.isfinite(m.speed)] for m in motions])
+    changes = np.concatenate([m.change[np.isfinite(m.change)] for m in motions])
+    if recipe.speed is None and len(speeds):
+        quiet = NOISE_MARGIN * float(np.quantile(speeds, QUIET_SHARE))
+        rule = replace(rule, speed=float(np.clip(round(quiet, 5), *SPEEDS)))
+    if recipe.change is None and len(changes):
+        size = max(float(np.nanquantile(np.abs(one.inputs), 0.995)) for one in traces)
+        quiet = NOISE_MARGIN * float(np.quantile(changes, QUIET_SHARE))
+        low, high = (share * max(size, 1e-9) for share in CHANGES)
+        rule = replace(rule, change=float(f'{np.clip(quiet, low, high):.3g}'))
+    return rule
+
+
+def _piece(traces: Traces, moved: ArmMotion | None, rule: Rule) -> Piece:
+    recording, inputs = traces.recording, traces.inputs
+    count = recording.tracks[0].positions.shape[1]
+    if moved is None:
+        return Piece(recording, inputs, None, _rows(recording, inputs), (), np.zeros(count))
+    cleaned, jumps = _without_jumps(recording, still_stretches(moved, rule))
+    segments, _ = find_segments(cleaned, inputs, moved, rule, sequence=True)
+    seen = [one for one in segments if np.isfinite(one.positions).any()]
+    return Piece(recording, inputs, moved, tuple(seen), (), jumps + traces.jumps)
+
+
+def _rows(recording: Recording, inputs: FloatArray) -> tuple[Segment, ...]:
+    """Return every row as a measurement."""
+    positions = recording.tracks[0].positions
+    turned = np.full((positions.shape[1], 4), np.nan)
+    return tuple(
+        Segment(float(i), float(i), inputs[i].round(9), positions[i].round(9), turned, np.nan)
+        for i in range(len(positions))
+        if np.isfinite(positions[i]).any()
+    )
+
+
+def _without_jumps(
+    recording: Recording, stretches: Sequence[tuple[float, float]]
+) -> tuple[Recording, FloatArray]:
+    """Cut out frames in which a marker is far from where it is in the others of a stretch."""
+    track = recording.tracks[0]
+    positions = track.positions.copy()
+    jumps = np.zeros(positions.shape[1])
+    for begin, end in stretches:
+        inside = slice(*np.searchsorted(track.times, [begin - 1e-9, end + 1e-9]))
+        frames = positions[inside]
+        for j in range(frames.shape[1]):
+            seen = np.flatnonzero(np.isfinite(frames[:, j, 0]))
+            if len(seen) < SEEN_SHARE * len(frames):  # the arm may have settled in the gap
+                frames[:, j] = np.nan
+            if len(seen) < 5:
+                continue
+            away = np.linalg.norm(frames[seen, j] - np.median(frames[seen, j], axis=0), axis=1)
+            far = away > max(JUMP * float(np.median(away)) / 1.54, JUMP_MIN_M)
+            frames[seen[far], j] = np.nan  # a view: positions change
+            jumps[j] += far.sum()
+    return replace(recording, tracks=(replace(track, positions=positions),)), jumps
+
+
+def _from_zero(pieces: Sequence[Piece]) -> list[Piece]:
+    """Count inputs from their value in the first segment of each recording."""
+    moved = []
+    for piece in pieces:
+        zero = piece.segments[0].inputs if piece.segments else 0.0
+        segments = tuple(replace(s, inputs=(s.inputs - zero).round(9)) for s in piece.segments)
+        moved.append(replace(piece, inputs=piece.inputs - zero, segments=segments))
+    return moved
+
+
+def _plausible(piece: Piece, robot: Robot, kind: str, rule: Rule) -> Piece:
+    if not piece.segments:
+        return piece
+    name = piece.recording.name
+    checked = plausible_inputs(name, list(piece.segments), robot, kind, rule)
+    return replace(piece, segments=tuple(checked))
+
+
+def _sizes(segments: Sequence[Segment]) -> FloatArray:
+    """Return the largest input of every segment."""
+    return np.array([np.nan_to_num(one.inputs).max() for one in segments])
+
+
+def _clusters(segments: Sequence[Segment], same: float) -> npt.NDArray[np.int64]:
+    """Return the number (N,) of the posture that each segment belongs to, by its inputs."""
+    if len(segments) < 2:
+        return np.zeros(len(segments), dtype=np.int64)
+    inputs = np.nan_to_num([one.inputs for one in segments])
+    tree = linkage(inputs, 'single', metric='chebyshev')
+    return np.asarray(fcluster(tree, same, 'distance'), dtype=np.int64)
+
+
+def _guess_same(segments: Sequence[Segment]) -> float:
+    """
+    Return the difference of inputs up to which segments are trials of one posture.
+
+    Trials differ by what motors and load cells scatter, postures by what somebody chose: between
+    the two there is a gap.
+    """
+    inputs = np.nan_to_num([one.inputs for one in segments])
+    size = float(np.abs(inputs).max()) or 1.0
+    usual = float(f'{SAME[1] * size:.3g}')
+    if len(segments) < 3:
+        return usual
+    heights = linkage(inputs, 'single', metric='chebyshev')[:, 2]
+    steps = np.concatenate([[0.0], heights[heights < SAME[2] * size], [np.inf]])
+    steps[-1] = heights[len(steps) - 2] if len(steps) - 2 < len(heights) else SAME[2] * size
+    steps = np.maximum(steps, SAME[0] * size)
+    ratios = steps[1:] / steps[:-1]
+    best = int(ratios.argmax())
+    if ratios[best] < GAP:
+        return usual
+    return float(f'{np.sqrt(steps[best] * steps[best + 1]):.3g}')
+
+
+def _guess_rest(segments: Sequence[Segment], same: float) -> float:
+    """Return the input below which the arm rests between two trials; 0: it does not."""
+    postures, sizes = _clusters(segments, same), _sizes(segments)
+    at_rest = postures == postures[int(sizes.argmin())]
+    if at_rest.mean() < REST_SHARE or at_rest.sum() < 3 or at_rest.all():
+        return 0.0
+    lowest, loaded = float(sizes[at_rest].max()), float(sizes[~at_rest].min())
+    return float(f'{0.5 * (lowest + min(loaded, 2.0 * lowest + 10.0 * same)):.3g}')
+
+
+def _without_rest(piece: Piece, rest: float, first: bool) -> Piece:
+    """Take out the segments at rest; the very first one shows the straight arm and stays."""
+    if not rest:
+        return piece
+    resting = _sizes(piece.segments) < rest
+    if first and len(resting) and resting[0]:
+        resting[0] = False
+    pairs = list(zip(piece.segments, resting, strict=True))
+    return replace(
+        piece,
+        segments=tuple(one for one, is_rest in pairs if not is_rest),
+        resting=tuple(one for one, is_rest in pairs if is_rest),
+    )
+
+
+def _zeros(traces: Sequence[Traces]) -> list[str]:
+    count = sum(one.zeros for one in traces)
+    return [f'{count:,} marker readings of exactly 0, 0, 0: not seen'] if count else []
+
+
+def _told(pieces: Sequence[Piece], markers: Sequence[MarkerColumns]) -> list[str]:
+    """Say what was not used."""
+    said = []
+    resting = sum(len(piece.resting) for piece in pieces)
+    if resting:
+        said.append(f'{resting} still segments at rest between the others')
+    jumps = np.sum([piece.jumps for piece in pieces], axis=0)
+    if jumps.any():
+        places = ', '.join(
+            f'{marker_label(markers[j].columns)} {int(jumps[j])}'
+            for j in np.flatnonzero(jumps).tolist()
+        )
+        said.append(f'{int(jumps.sum())} frames in which a marker jumps ({places})')
+    positions = [piece.recording.tracks[0].positions[..., 0] for piece in pieces]
+    lost = np.sum([np.isnan(one).sum(axis=0) for one in positions], axis=0)
+    total = sum(len(one) for one in positions)
+    if lost.any():
+        worst = int(lost.argmax())
+        said.append(
+            f'{100.0 * lost.sum() / (total * len(lost)):.2g} % of the marker readings are missing '
+            f'(most of {marker_label(markers[worst].columns)}: '
+            f'{100.0 * lost[worst] / total:.2g} %)'
+        )
+    return said
+
+
+def _never_still(name: str, motions: Sequence[ArmMotion | None], rule: Rule) -> DataSetError:
+    speeds = [m.speed.min(initial=np.inf) for m in motions if m is not None]
+    slowest = 1e3 * float(min(speeds, default=np.inf))
+    return DataSetError(
+        name,
+        f'the arm is never slower than {1e3 * rule.speed:g} mm/s for {rule.duration:g} s (at its '
+        f'slowest moment {slowest:.2g} mm/s)',
+        'allow a higher --speed or a shorter --duration',
+    )

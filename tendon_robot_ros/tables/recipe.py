@@ -1,0 +1,286 @@
+"""import.yaml: how tables became a data set, every choice written out; gaps are guessed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ..common.errors import DataSetError, short
+from ..common.yaml_reading import Reader, parse_yaml
+from ..data.dataset import PATHS, Vector
+from .columns import ColumnUse
+from .units import UNITS, find_unit
+
+KEYS = ('sources', 'robot', 'time', 'inputs', 'zero', 'spool', 'positions', 'markers', 'places',
+        'up', 'delay', 'still', 'same', 'rest', 'path', 'frame', 'leave_out')  # fmt: skip
+UPS = ('x', 'y', 'z', '-x', '-y', '-z')
+METHODS = ('model', 'level', 'straight', 'base')
+HEAD = """\
+# How the tables named under sources became the data set beside this file. SI units but for the
+# units of columns. Change a line, or take one out to have it guessed again, and run
+#   python -m tendon_robot_ros import-table --recipe THIS_FILE --output NEW_FOLDER
+"""
+
+
+@dataclass(frozen=True)
+class MarkerColumns:
+    """Columns of a marker, and where on the arm it is."""
+
+    columns: tuple[str, str, str]  # of x, y and z
+    name: str | None = None  # of the marker in the data set
+    arc_length: float | None = None  # [m]; None: found by its place along the straight arm
+    offset: Vector = (0.0, 0.0, 0.0)  # [m] in the frame there
+
+
+@dataclass(frozen=True)
+class WireSpool:
+    """What makes a wire pull or a tension of what a motor tells."""
+
+    radius: float | None = None  # [m]
+    counts_per_turn: float | None = None
+    torque_constant: float | None = None  # [N·m/A], at the spool
+
+
+@dataclass(frozen=True)
+class FrameChoice:
+    """Where the tracker's frame lies: how it is found, or the result."""
+
+    method: str | None = None  # one of METHODS
+    rotation: Vector | None = None  # [rad] rotation vector, tracker to base
+    shift: Vector | None = None  # [m] of the tracker's origin, in the base frame
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Every choice of an import; None is guessed from the tables."""
+
+    sources: tuple[str, ...] = ()
+    robot: str | None = None
+    time: Mapping[str, str] | None = None  # column -> unit; each table has one of them
+    inputs: Mapping[str, ColumnUse] | None = None  # input -> its column
+    input_unit: str | None = None  # where columns are guessed; goes before what names say
+    time_unit: str | None = None
+    zero: bool | None = None  # inputs count from their value when the arm first stands still
+    spool: WireSpool = WireSpool()
+    positions: str | None = None  # unit of the markers
+    markers: tuple[MarkerColumns, ...] | None = None
+    places: tuple[float, ...] = ()  # [m] arc lengths from base to tip, where columns are guessed
+    up: str | None = None  # axis of the tracker
+    delay: float = 0.0  # [s] that the tracker's clock is behind
+    speed: float | None = None  # [m/s] slower is still
+    duration: float = 1.0  # [s] at least so long
+    change: float | None = None  # [N] or [m] of an input, while the arm stands still
+    same: float | None = None  # [N] or [m] inputs that differ by less are those of one posture
+    rest: float | None = None  # [N] or [m] below, the arm rests between; 0: it never does
+    path: str = 'from_straight'
+    frame: FrameChoice = FrameChoice()
+    leave_out: tuple[tuple[str, str], ...] | None = None  # posture, trial
+
+
+class RecipeFields(Reader):
+    """Checked reading of import.yaml."""
+
+    def error(self, key: str, expected: str, got: object) -> DataSetError:
+        """Build the error for a key."""
+        return DataSetError(
+            f'{self.source}: {self._where(key)}', f'got {short(got)}', f'expected {expected}'
+        )
+
+    def text(self, key: str) -> str | None:
+        """Return a text such as the name of a column, None when absent."""
+        value = self.content.get(key)
+        if value is None:
+            return None
+        if isinstance(value, bool | list | dict):
+            raise self.error(key, 'a text (put it in quotes: YAML reads it otherwise)', value)
+        return str(value)
+
+    def some(self, key: str, low: float, high: float, unit: str) -> float | None:
+        """Return a number within bounds, None when absent."""
+        return self.number(key, low, high, unit) if self.has(key) else None
+
+    def unit(self, key: str, *kinds: str) -> str | None:
+        """Return a unit of these kinds, None when absent."""
+        text = self.text(key)
+        unit = None if text is None else find_unit(text)
+        if text is not None and (unit is None or unit.kind not in kinds):
+            known = ', '.join(name for kind in kinds for name in UNITS[kind])
+            raise self.error(key, f'one of {known}', text)
+        return text
+
+
+def load_recipe(path: str | Path) -> Recipe:
+    """
+    Read an import.yaml; its sources are relative to its folder.
+
+    Raises
+    ------
+    DataSetError
+        With file, key, what was expected and what came.
+
+    """
+    path = Path(path)
+    try:
+        content = parse_yaml(path.read_text(encoding='utf-8-sig'))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, 'strerror', None) or 'no UTF-8 text'
+        raise DataSetError(
+            str(path), f'cannot be read ({reason})', 'name an import.yaml'
+        ) from None
+    except ValueError as error:
+        raise DataSetError(str(path), f'is no valid YAML ({error})', 'correct that line') from None
+    return read_recipe(content, str(path), path.parent)
+
+
+def read_recipe(content: Any, source: str = 'recipe', folder: Path | None = None) -> Recipe:
+    """Check the content of an import.yaml."""
+    top = RecipeFields(source, '', content)
+    top.only(*KEYS)
+    still = top.child('still', optional=True)
+    still.only('speed', 'duration', 'change')
+    files = top.content.get('sources') or []
+    if not isinstance(files, list):
+        raise top.error('sources', 'a list of files', files)
+    robot = top.text('robot')
+    return Recipe(
+        sources=tuple(_place(str(name), folder) for name in files),
+        robot=None if robot is None else _place(robot, folder),
+        time=_times(top),
+        inputs=_inputs(top),
+        zero=top.flag('zero') if top.has('zero') else None,
+        spool=_spool(top),
+        positions=top.unit('positions', 'length'),
+        markers=tuple(map(_marker, top.items('markers'))) if top.has('markers') else None,
+        places=_places(top),
+        up=top.choice('up', UPS) if top.has('up') else None,
+        delay=top.some('delay', -1e5, 1e5, 's') or 0.0,
+        speed=still.some('speed', 1e-6, 10.0, 'm/s'),
+        duration=still.some('duration', 1e-3, 1e4, 's') or 1.0,
+        change=still.some('change', 1e-9, 1e4, 'N or m'),
+        same=top.some('same', 1e-12, 1e4, 'N or m'),
+        rest=top.some('rest', 0.0, 1e4, 'N or m'),
+        path=top.choice('path', PATHS, default='from_straight'),
+        frame=_frame(top),
+        leave_out=_left_out(top),
+    )
+
+
+def _place(name: str, folder: Path | None) -> str:
+    return name if folder is None else os.path.normpath(folder / name)
+
+
+def _times(top: RecipeFields) -> dict[str, str] | None:
+    if not top.has('time'):
+        return None
+    times = top.child('time')
+    return {str(column): times.unit(column, 'time') or 's' for column in times.content}
+
+
+def _inputs(top: RecipeFields) -> dict[str, ColumnUse] | None:
+    if not top.has('inputs'):
+        return None
+    found = {}
+    for name in top.child('inputs').content:
+        one = top.child('inputs').child(str(name))
+        one.only('column', 'unit')
+        unit = one.unit('unit', 'force', 'length', 'angle', 'counts', 'current')
+        found[str(name)] = ColumnUse(one.text('column') or '', unit or '')
+    return found
+
+
+def _spool(top: RecipeFields) -> WireSpool:
+    spool = top.child('spool', optional=True)
+    spool.only('radius', 'counts_per_turn', 'torque_constant')
+    return WireSpool(
+        spool.some('radius', 1e-5, 1.0, 'm'),
+        spool.some('counts_per_turn', 1e-3, 1e9, '1'),
+        spool.some('torque_constant', 1e-9, 1e6, 'N·m/A'),
+    )
+
+
+def _marker(item: RecipeFields) -> MarkerColumns:
+    item.only('columns', 'name', 'arc_length', 'offset')
+    columns = item.content.get('columns')
+    if not isinstance(columns, list) or len(columns) != 3:
+        raise item.error('columns', 'the columns of x, y and z', columns)
+    x, y, z = map(str, columns)
+    offset = item.vector('offset', 3) if item.has('offset') else (0.0, 0.0, 0.0)
+    arc_length = item.some('arc_length', 0.0, 100.0, 'm')
+    return MarkerColumns(
+        (x, y, z), item.text('name'), arc_length, (offset[0], offset[1], offset[2])
+    )
+
+
+def _places(top: RecipeFields) -> tuple[float, ...]:
+    places = top.numbers('places') if top.has('places') else ()
+    return places if isinstance(places, tuple) else (places,)
+
+
+def _frame(top: RecipeFields) -> FrameChoice:
+    frame = top.child('frame', optional=True)
+    frame.only('method', 'rotation', 'shift')
+    method = frame.choice('method', METHODS) if frame.has('method') else None
+    if not frame.has('rotation') and not frame.has('shift'):
+        return FrameChoice(method)
+    a, b, c = frame.vector('rotation', 3)
+    x, y, z = frame.vector('shift', 3)
+    return FrameChoice(method, (a, b, c), (x, y, z))
+
+
+def _left_out(top: RecipeFields) -> tuple[tuple[str, str], ...] | None:
+    rows = top.content.get('leave_out')
+    if rows is None:
+        return None
+    if not isinstance(rows, list) or any(not isinstance(r, list) or len(r) != 2 for r in rows):
+        raise top.error('leave_out', 'a list of [posture, trial]', rows)
+    return tuple((str(posture), str(trial)) for posture, trial in rows)
+
+
+def dump_recipe(recipe: Recipe, folder: Path) -> str:
+    """Write an import.yaml that lies in a folder; `load_recipe` gives the same recipe."""
+    base = os.path.abspath(folder)
+    plain: dict[str, Any] = {
+        'sources': [os.path.relpath(os.path.abspath(s), base) for s in recipe.sources],
+        'robot': 'robot.yaml',
+        'time': dict(recipe.time) if recipe.time else None,
+        'inputs': {
+            name: {'column': use.column, 'unit': use.unit}
+            for name, use in (recipe.inputs or {}).items()
+        },
+        'zero': recipe.zero or None,
+        'spool': {k: v for k, v in vars(recipe.spool).items() if v is not None} or None,
+        'positions': recipe.positions,
+        'markers': [_plain_marker(marker) for marker in recipe.markers or ()],
+        'up': recipe.up,
+        'delay': recipe.delay or None,
+        'still': {
+            'speed': recipe.speed, 'duration': recipe.duration, 'change': recipe.change
+        } if recipe.time else None,
+        'same': recipe.same,
+        'rest': recipe.rest,
+        'path': recipe.path,
+        'frame': {
+            'method': recipe.frame.method,
+            'rotation': list(recipe.frame.rotation or ()),
+            'shift': list(recipe.frame.shift or ()),
+        },
+        'leave_out': [list(pair) for pair in recipe.leave_out or ()],
+    }  # fmt: skip
+    kept = {key: value for key, value in plain.items() if value is not None}
+    return HEAD + str(
+        yaml.safe_dump(kept, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    )
+
+
+def _plain_marker(marker: MarkerColumns) -> dict[str, Any]:
+    plain: dict[str, Any] = {
+        'name': marker.name,
+        'columns': list(marker.columns),
+        'arc_length': marker.arc_length,
+    }
+    return {**plain, 'offset': list(marker.offset)} if any(marker.offset) else plain

@@ -1,0 +1,268 @@
+"""How the tracker's frame lies in that of the arm's base: found from the postures themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from ..common.errors import InputError
+from ..common.rotations import rigid_fit, towards, turn_angle
+from ..comparison.noise import rms
+from ..comparison.predict import Predictor
+from ..data import DataSet
+from ..data.dataset import BoolArray, Vector
+from .raw_table import FloatArray
+from .recipe import FrameChoice
+
+DIGITS = 9  # nanometres
+G = 9.80665  # [m/s²]
+ROUNDS = 6  # of weights and fit
+NOISE_M = 5e-4  # [m] of a tracker, about
+NEXT_TO_BASE = 2  # markers
+STRAIGHT_WITHIN = 0.02  # lengths of the arm that a straight posture's tip is off the axis
+LEVEL_WITHIN_RAD = 0.035  # [rad] that a mount and a tracker are level, 1 sd
+MIRRORED = 0.3  # of the residual that is left where the frame is taken as left-handed
+MIRRORED_MIN_M = 1e-3  # [m] residual from which that is asked
+UP = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
+Z = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class TrackerFrame:
+    """
+    The tracker's frame: position in the base frame = rotation @ measured + shift.
+
+    Attributes
+    ----------
+    rotation : (3, 3)
+    shift : (3,) [m]
+    method : str
+        'model': all postures onto the model's; 'level': the same with both verticals together;
+        'straight': the straight posture, turned about it by the others; 'base': as it is; 'given'.
+    residual : float [m]
+        Rms distance to the model's postures that is left; it holds the model's errors, too.
+    at_base : float [m]
+        The same for the two markers next to the base.
+    straight : float [m] or None
+        The same for the straight postures.
+    free : float [m]
+        What a free rotation and shift would leave.
+    mirrored : float [m]
+        What a left-handed frame would leave.
+
+    """
+
+    rotation: FloatArray
+    shift: FloatArray
+    method: str
+    residual: float
+    at_base: float
+    straight: float | None
+    free: float
+    mirrored: float
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether the postures ask for a left-handed frame (or for two inputs swapped)."""
+        return self.mirrored < MIRRORED * self.free and self.free > MIRRORED_MIN_M
+
+    def tolerances(self, length: float) -> dict[str, float]:
+        """
+        Return how well the frame is known, 1 sd: position [m] and rotation [rad].
+
+        The model that it was found with lacks what a diagnosis looks for; so it may be off by as
+        much as the model was, next to the base in position, at the tip in rotation.
+        """
+        if self.method in ('base', 'given'):
+            return {}
+        rotation = LEVEL_WITHIN_RAD if self.method == 'level' else 2.0 * self.residual / length
+        return {
+            'position': float(f'{max(self.at_base, 1e-3):.2g}'),
+            'rotation': float(f'{min(max(rotation, 5.2e-3), 1.0):.2g}'),
+        }
+
+
+def up_axis(up: str) -> FloatArray:
+    """Return the unit vector (3,) of an axis such as `y` or `-z`."""
+    vector = np.array(UP[up[-1]])
+    return -vector if up.startswith('-') else vector
+
+
+def find_frame(
+    dataset: DataSet, predictor: Predictor, choice: FrameChoice, up: str | None
+) -> TrackerFrame:
+    """
+    Find where the tracker's frame lies, from postures in that frame.
+
+    Parameters
+    ----------
+    dataset : DataSet
+        Positions in the tracker's frame.
+    predictor : Predictor
+        Of the robot as described.
+    choice : FrameChoice
+        The method, or the result.
+    up : str or None
+        Axis of the tracker that points up.
+
+    Raises
+    ------
+    InputError
+        The model has no equilibrium for a posture, or the method needs what is not there.
+
+    """
+    markers = predictor.markers({})
+    if markers is None:
+        raise InputError(
+            'the model finds no equilibrium for these inputs: check their unit, and the '
+            'stiffness in the robot description'
+        )
+    measured = dataset.mean
+    seen = np.isfinite(measured).all(axis=2)
+    gravity = np.array(predictor.robot.gravity or (0.0, 0.0, 0.0))
+    method = choice.method or _suited(up, gravity)
+    if choice.rotation is not None and choice.shift is not None:
+        method = 'given' if choice.method is None else choice.method
+        turn, shift = matrix_of(choice.rotation), np.array(choice.shift)
+    elif method == 'base':
+        turn, shift = np.eye(3), np.zeros(3)
+    elif method == 'straight':
+        turn, shift = _straight(measured, markers, dataset, seen)
+    else:
+        above = _above(up, gravity) if method == 'level' else None
+        turn, shift = _weighted(measured, markers, dataset.arc_lengths, up, above)
+    turn = matrix_of(rotation_vector(turn))  # as a file gives it back, to the last digit
+    shift = shift.round(DIGITS)
+    off = measured @ turn.T + shift - markers
+    straight = _straight_postures(markers, dataset)
+    return TrackerFrame(
+        turn,
+        shift,
+        method,
+        rms(off),
+        rms(off[:, :NEXT_TO_BASE]),
+        rms(off[straight]) if seen[straight].any() else None,
+        _left(measured[seen], markers[seen]),
+        _left(measured[seen] * [1.0, 1.0, -1.0], markers[seen]),
+    )
+
+
+def _weighted(
+    measured: FloatArray,
+    markers: FloatArray,
+    arc_lengths: FloatArray,
+    up: str | None,
+    above: FloatArray | None,
+) -> tuple[FloatArray, FloatArray]:
+    """
+    Lay postures (P, J, 3) [m] onto the model's; with `above` the verticals stay together.
+
+    A model's error grows along the arm, as s³ in its square where curvatures are off at random;
+    so the markers next to the base count most. How fast it grows is told by what is left.
+    """
+    seen = np.isfinite(measured).all(axis=2)
+    a, b = measured[seen], markers[seen]
+    weights = np.ones(seen.shape)
+    for _ in range(ROUNDS):
+        w = weights[seen]
+        if above is None or up is None:
+            turn, shift = rigid_fit(a, b, w)
+        else:
+            turn, shift = _level(a, b, w, up_axis(up), above)
+        left = np.where(seen, ((measured @ turn.T + shift - markers) ** 2).sum(axis=2), 0.0)
+        cube = seen * arc_lengths**3
+        growth = float((left * cube).sum() / (cube**2).sum())
+        weights = np.broadcast_to(1.0 / (NOISE_M**2 + growth * arc_lengths**3), seen.shape)
+    return turn, shift
+
+
+def _left(measured: FloatArray, markers: FloatArray) -> float:
+    turn, shift = rigid_fit(measured, markers)
+    return rms(measured @ turn.T + shift - markers)
+
+
+def _suited(up: str | None, gravity: FloatArray) -> str:
+    """Return the method that uses what is known."""
+    return 'level' if up is not None and np.linalg.norm(gravity) > 0.0 else 'model'
+
+
+def _turned_about(axis: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the rotation about an axis that lays vectors a (n, 3) best onto b."""
+    cross = float(np.sum(np.cross(a, b) @ axis))
+    along = float(np.sum(a * b) - np.sum((a @ axis) * (b @ axis)))
+    return matrix_of(axis * np.arctan2(cross, along))
+
+
+def _above(up: str | None, gravity: FloatArray) -> FloatArray:
+    """Return where up is in the base frame, (3,)."""
+    if up is None or not np.linalg.norm(gravity):
+        raise InputError(
+            "--frame level needs the tracker's --up and the robot's gravity (where the arm points)"
+        )
+    return -gravity / np.linalg.norm(gravity)
+
+
+def _level(
+    a: FloatArray, b: FloatArray, weights: FloatArray, up: FloatArray, above: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Lay the tracker's up onto the base's, turn about it and shift onto the model."""
+    first = towards(above) @ towards(up).T
+    here, there = (np.average(points, axis=0, weights=weights) for points in (a @ first.T, b))
+    moved = weights[:, None] * (a @ first.T - here)
+    turn = _turned_about(above, moved, b - there) @ first
+    return turn, there - turn @ np.average(a, axis=0, weights=weights)
+
+
+def _straight_postures(markers: FloatArray, dataset: DataSet) -> BoolArray:
+    """Tell which postures are straight by the model, (P,)."""
+    straight = np.zeros_like(markers)
+    straight[..., 2] = dataset.arc_lengths
+    off = np.linalg.norm(markers - straight - dataset.offsets, axis=2).max(axis=1)
+    found: BoolArray = off < STRAIGHT_WITHIN * dataset.robot.length
+    return found
+
+
+def _straight(
+    measured: FloatArray, markers: FloatArray, dataset: DataSet, seen: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Lay the straight posture onto +z; the others tell the turn about it."""
+    chosen = _straight_postures(markers, dataset)
+    use = seen & chosen[:, None]
+    if use.sum() < 2:
+        raise InputError(
+            '--frame straight needs a posture in which the arm is straight with two markers seen'
+        )
+    points = measured[use]
+    arc = np.broadcast_to(dataset.arc_lengths, seen.shape)[use]
+    slope = (arc - arc.mean()) @ (points - points.mean(axis=0))
+    first = towards(slope / np.linalg.norm(slope)).T
+    middle = points.mean(axis=0)
+    a, b = (measured[seen] - middle) @ first.T, markers[seen] - arc.mean() * Z
+    turn = _turned_about(Z, a, b) @ first
+    return turn, arc.mean() * Z - turn @ middle
+
+
+def gravity_of(frame: TrackerFrame, up: str) -> Vector:
+    """Return gravity [m/s²] in the base frame where the tracker's axis `up` points up."""
+    x, y, z = (-G * (frame.rotation @ up_axis(up))).round(6).tolist()
+    return x, y, z
+
+
+def matrix_of(vector: npt.ArrayLike) -> FloatArray:
+    """Return the matrix (3, 3) of a rotation vector [rad]."""
+    matrix: FloatArray = Rotation.from_rotvec(np.asarray(vector, dtype=float)).as_matrix()
+    return matrix
+
+
+def rotation_vector(rotation: FloatArray) -> Vector:
+    """Return the rotation vector [rad] of a matrix."""
+    x, y, z = Rotation.from_matrix(rotation).as_rotvec().round(DIGITS + 3).tolist()
+    return x, y, z
+
+
+def angle_of(frame: TrackerFrame) -> float:
+    """Return by how much the frame is turned [rad]."""
+    return turn_angle(frame.rotation)

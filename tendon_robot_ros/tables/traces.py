@@ -1,0 +1,189 @@
+"""Columns to what was measured over time: inputs and markers in SI units, times that grow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import DataSetError, InputError
+from ..data.dataset import listing
+from ..data.recording.reader import Recording, Track
+from .choices import Taken, time_column
+from .raw_table import FloatArray, RawTable, pandas
+from .recipe import Recipe, WireSpool
+from .units import UNITS, find_unit
+
+IntArray = npt.NDArray[np.int64]
+JUMP_MAX_S = 0.3  # [s] a marker is taken for another one for a few frames
+JUMP_FROM = 10.0  # times the usual step from frame to frame
+JUMP_MIN_M = 2e-3  # [m]
+
+
+def input_factor(unit_text: str, spool: WireSpool) -> float:
+    """
+    Return what one unit of an input's column is in newtons or metres.
+
+    Raises
+    ------
+    InputError
+        A motor's angle or current is given without the spool that it turns.
+
+    """
+    unit = find_unit(unit_text)
+    assert unit is not None  # checked when it was read
+    if unit.kind in ('force', 'length'):
+        return unit.factor
+    if spool.radius is None:
+        raise InputError(
+            f'inputs are in {unit.text}: how far is the wire from the axis of its spool? '
+            'say --spool MM'
+        )
+    if unit.kind == 'angle':
+        return unit.factor * spool.radius
+    if unit.kind == 'current':
+        if spool.torque_constant is None:
+            raise InputError(
+                f'inputs are in {unit.text}: say --torque-constant, N·m per ampere at the spool'
+            )
+        return unit.factor * spool.torque_constant / spool.radius
+    if spool.counts_per_turn is None:
+        raise InputError(f'inputs are in {unit.text}: say --counts-per-turn, 4096 for example')
+    return 2.0 * np.pi * spool.radius / spool.counts_per_turn
+
+
+@dataclass(frozen=True)
+class Traces:
+    """What one recording holds; inputs have times of their own where they have their own file."""
+
+    recording: Recording
+    inputs: FloatArray  # (T, m) [N] or [m] at `recording.state_times`
+    zeros: int  # marker readings of exactly 0, 0, 0: not seen
+    jumps: IntArray  # (J,) frames in which a marker was elsewhere for a moment
+
+
+def make_traces(tables: Sequence[RawTable], taken: Taken) -> list[Traces]:
+    """
+    Return one recording per table, or per pair of tables where markers have their own.
+
+    Raises
+    ------
+    DataSetError
+        Time goes back, a cell is no number, or tables do not fit to each other.
+
+    """
+    recipe = taken.recipe
+    inputs = [u.column for u in (recipe.inputs or {}).values()]
+    places = [c for marker in recipe.markers or () for c in marker.columns]
+    told = [t for t in tables if _holds(t, inputs)]
+    seen = [t for t in tables if _holds(t, places)]
+    for table in tables:
+        if table not in told and table not in seen:
+            missing = [c for c in (*inputs, *places) if not _holds(table, [c])]
+            raise DataSetError(
+                table.name, f'lacks the columns {listing(missing)}', 'give all tables the same'
+            )
+    if len(told) != len(seen):
+        raise DataSetError(
+            tables[0].name,
+            f'{len(told)} tables hold inputs and {len(seen)} markers',
+            'name one of each per recording',
+        )
+    return [_trace(a, b, recipe) for a, b in zip(told, seen, strict=True)]
+
+
+def _holds(table: RawTable, columns: Sequence[str]) -> bool:
+    return all(c in table.columns or c in table.texts for c in columns)
+
+
+def _trace(told: RawTable, seen: RawTable, recipe: Recipe) -> Traces:
+    uses = (recipe.inputs or {}).values()
+    inputs = np.column_stack(
+        [told.numbers(use.column) * input_factor(use.unit, recipe.spool) for use in uses]
+    )
+    factor = UNITS['length'][find_unit(recipe.positions or 'm').text]  # type: ignore[union-attr]
+    positions = np.empty((len(seen), len(recipe.markers or ()), 3))
+    for j, marker in enumerate(recipe.markers or ()):
+        for axis, column in enumerate(marker.columns):
+            positions[:, j, axis] = seen.numbers(column) * factor
+    lost = (positions == 0.0).all(axis=2)
+    positions[lost | ~np.isfinite(positions).all(axis=2)] = np.nan
+    if recipe.time is None:
+        times = state_times = np.arange(len(told), dtype=float)
+    else:
+        state_times, times = _times(told, recipe), _times(seen, recipe)
+        if told is not seen:  # clocks of their own: they begin when they are started
+            times = times + recipe.delay
+    jumps = _cut_jumps(positions, times) if recipe.time else np.zeros(positions.shape[1], int)
+    turned = np.broadcast_to(np.nan, (*positions.shape[:2], 4))
+    track = Track(times, positions, turned)
+    recording = Recording(seen.name, state_times, [], (track,), (), [], None, None)
+    return Traces(recording, inputs, int(lost.sum()), jumps)
+
+
+def _cut_jumps(positions: FloatArray, times: FloatArray) -> IntArray:
+    """Take out frames in which a marker leaps away and, a moment later, is back; count them."""
+    step_s = float(np.median(np.diff(times))) if len(times) > 2 else 1.0
+    most = int(np.clip(JUMP_MAX_S / max(step_s, 1e-9), 1, 50))
+    counts = np.zeros(positions.shape[1], dtype=np.int64)
+    for j in range(positions.shape[1]):
+        seen = np.flatnonzero(np.isfinite(positions[:, j, 0]))
+        path = positions[seen, j]
+        steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+        if len(steps) < 3:
+            continue
+        leaps = np.flatnonzero(steps > max(JUMP_FROM * float(np.median(steps)), JUMP_MIN_M)) + 1
+        out = set[int]()
+        for frame in leaps.tolist():
+            before = frame - 1
+            while before in out:
+                before -= 1
+            leap = float(np.linalg.norm(path[frame] - path[before]))
+            if before < 0 or frame in out or leap < JUMP_MIN_M:
+                continue
+            back = np.linalg.norm(path[frame : frame + most] - path[before], axis=1)
+            near = np.flatnonzero(back < 0.25 * leap)
+            out |= set(range(frame, frame + int(near[0]))) if len(near) else set()
+        positions[seen[sorted(out)], j] = np.nan
+        counts[j] = len(out)
+    return counts
+
+
+def _times(table: RawTable, recipe: Recipe) -> FloatArray:
+    column = time_column(table, recipe.time)
+    assert column is not None
+    times = _stamps(table, column)
+    if times is None:
+        unit = find_unit((recipe.time or {})[column])
+        times = table.numbers(column, 'a time') * (1.0 if unit is None else unit.factor)
+    if np.isnan(times).any():
+        row = int(np.isnan(times).argmax())
+        raise DataSetError(table.where(row), f'{column} is empty', 'every row needs its time')
+    back = np.flatnonzero(np.diff(times) < 0.0)
+    if len(back):
+        row = int(back[0]) + 1
+        raise DataSetError(
+            table.where(row),
+            f'time goes back from {times[row - 1]:g} to {times[row]:g} s',
+            'one file per recording: split it there',
+        )
+    started: FloatArray = times - times[0]
+    return started
+
+
+def _stamps(table: RawTable, column: str) -> FloatArray | None:
+    """Return times (R,) [s] written as dates, None where they are numbers."""
+    if column not in table.texts:
+        return None
+    stamps = pandas().to_datetime(list(table.texts[column]), errors='coerce', utc=True)
+    if stamps.isna().mean() > 0.5:
+        return None
+    bad = np.asarray(stamps.isna())
+    if bad.any():
+        row = int(bad.argmax())
+        text = table.texts[column][row]
+        raise DataSetError(table.where(row), f'{column} is {text!r}', 'expected a date and time')
+    found: FloatArray = np.asarray((stamps - stamps[0]).total_seconds())
+    return found

@@ -1,0 +1,118 @@
+"""Units as people write them, in names of columns and in options, to SI."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from ..common.errors import InputError
+
+GRAM_FORCE = 9.80665e-3  # [N], standard gravity
+POUND_FORCE = 4.4482216  # [N]
+
+# kind of quantity -> unit as written -> factor to SI (angles to radians; counts need a scale)
+UNITS: dict[str, dict[str, float]] = {
+    'time': {'s': 1.0, 'sec': 1.0, 'seconds': 1.0, 'ms': 1e-3, 'us': 1e-6, 'µs': 1e-6, 'ns': 1e-9,
+             'min': 60.0},
+    'length': {'m': 1.0, 'meters': 1.0, 'metres': 1.0, 'mm': 1e-3, 'millimeters': 1e-3,
+               'millimetres': 1e-3, 'cm': 1e-2, 'centimeters': 1e-2, 'um': 1e-6, 'µm': 1e-6,
+               'inch': 0.0254, 'inches': 0.0254},
+    'force': {'N': 1.0, 'newton': 1.0, 'newtons': 1.0, 'mN': 1e-3, 'cN': 1e-2, 'kN': 1e3,
+              'g': GRAM_FORCE, 'gf': GRAM_FORCE, 'grams': GRAM_FORCE, 'kg': 1e3 * GRAM_FORCE,
+              'kgf': 1e3 * GRAM_FORCE, 'kp': 1e3 * GRAM_FORCE, 'lbf': POUND_FORCE,
+              'lb': POUND_FORCE, 'lbs': POUND_FORCE, 'ozf': POUND_FORCE / 16.0},
+    'angle': {'deg': math.pi / 180.0, 'degrees': math.pi / 180.0, '°': math.pi / 180.0,
+              'rad': 1.0, 'rev': 2.0 * math.pi, 'turns': 2.0 * math.pi},
+    'counts': {'ticks': 1.0, 'tick': 1.0, 'counts': 1.0, 'count': 1.0, 'steps': 1.0},
+    'current': {'A': 1.0, 'mA': 1e-3, 'amps': 1.0},
+}  # fmt: skip
+QUANTITY = re.compile(
+    r'^\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>\S*)\s*$'
+)
+MARKED = re.compile(r'^(?P<name>.+?)\s*(?:\[\s*(?P<a>[^\]]+?)\s*\]|\(\s*(?P<b>[^)]+?)\s*\))$')
+TAILED = re.compile(r'^(?P<name>.+?)(?:[ _./]+|\s*/\s*)(?P<unit>[A-Za-zµ°]+)$')
+AFTER_NAME_ONLY = ('min', 'm', 'g', 'A', '°', 'count', 'tick', 'rev')  # rather names than units
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit as it was written, its kind, and what one of it is in SI."""
+
+    text: str
+    kind: str
+    factor: float
+
+
+def find_unit(text: str) -> Unit | None:
+    """Return the unit that a text is, None where it is none; long ones in any case of letters."""
+    cleaned = text.strip()
+    for kind, known in UNITS.items():
+        for name, factor in known.items():
+            if cleaned == name or (len(name) > 2 and cleaned.lower() == name.lower()):
+                return Unit(name, kind, factor)
+    return None
+
+
+def read_unit(option: str, text: str, *kinds: str) -> Unit:
+    """
+    Return a unit of one of these kinds.
+
+    Raises
+    ------
+    InputError
+        It is none.
+
+    """
+    unit = find_unit(text)
+    if unit is None or unit.kind not in kinds:
+        known = [name for kind in kinds for name in UNITS[kind]]
+        raise InputError(f'{option}: expected one of {", ".join(known)}, got {text!r}')
+    return unit
+
+
+def read_quantity(option: str, text: str, usual: str, *kinds: str) -> float:
+    """
+    Return a number with a unit, such as `0.2N`, `30 mm` or `12in`, in SI units.
+
+    Parameters
+    ----------
+    option : str
+        Where it stands, for messages.
+    text : str
+        The number, with or without unit.
+    usual : str
+        The unit of a bare number.
+    *kinds : str
+        Kinds of units that may stand there.
+
+    Raises
+    ------
+    InputError
+        It is no finite number, or its unit is of another kind.
+
+    """
+    found = QUANTITY.match(text)
+    if found is None or not math.isfinite(float(found['number'])):
+        raise InputError(f'{option}: expected a number with a unit such as {usual}, got {text!r}')
+    return float(found['number']) * read_unit(option, found['unit'] or usual, *kinds).factor
+
+
+def split_name(column: str) -> tuple[str, Unit | None]:
+    """
+    Split the name of a column into what it names and its unit: `T1 [N]`, `m3_x (mm)`, `time_s`.
+
+    A bare letter at the end, such as the m of `tip_m`, counts as a unit only where it is newtons
+    or seconds; others stand in brackets.
+    """
+    text = column.strip()
+    if marked := MARKED.match(text):
+        unit = find_unit(marked['a'] or marked['b'])
+        if unit is not None:
+            return marked['name'].strip(), unit
+    if tailed := TAILED.match(text):
+        unit = find_unit(tailed['unit'])
+        exact = tailed['unit'] in [name for known in UNITS.values() for name in known]
+        if unit is not None and exact and unit.text not in AFTER_NAME_ONLY:
+            return tailed['name'].strip(), unit
+    return text, None

@@ -1,0 +1,357 @@
+"""A laboratory's table becomes the data set that was simulated, wherever the tracker stands."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+pytest.importorskip('pandas')
+
+import pandas
+from scipy.spatial.transform import Rotation
+from source_tree import ROOT
+
+from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.common.errors import DataSetError, InputError
+from tendon_robot_ros.common.rotations import rigid_fit
+from tendon_robot_ros.data import Marker, load_dataset
+from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.robot import dump_robot, load_robot
+from tendon_robot_ros.simulation.imperfect import Workmanship
+from tendon_robot_ros.simulation.measurements import SimulatedNoise
+from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.simulation.raw_table import (
+    Laboratory,
+    raw_table,
+    tracker_frame,
+    write_table,
+)
+from tendon_robot_ros.tables import import_table
+from tendon_robot_ros.tables.marker_order import order_markers
+from tendon_robot_ros.workspace.postures import default_postures
+
+THREE = load_robot(ROOT / 'config/robots/spatial_3.yaml')
+COARSE = replace(
+    THREE.sections[0],
+    cells=8,
+    cell_length=0.015,
+    bending_stiffness=(0.016,) * 8,
+    mass_profile=(1.0,) * 8,
+)
+ARM = replace(THREE, sections=(COARSE,), gravity=(-9.81, 0.0, 0.0))  # quick to diagnose
+PLACES = tuple(Marker(str(i), s) for i, s in enumerate((0.03, 0.06, 0.09, 0.12)))
+EXACT = Workmanship().times(0.0)
+QUIET = SimulatedNoise(position=0.0, setting=0.0, trial=0.0)
+CALM = Laboratory(lost=0.0, slips=0, frame_noise=0.0, cell_noise=0.0, hold=1.6, rate=20.0)
+NOISY = Laboratory(rate=25.0, hold=1.6)
+
+
+def recorded(lab, hidden=None, noise=None, trials=1, count=4, robot=ARM, work=EXACT):
+    """Return a recording as a frame of pandas."""
+    plant = make_plant(robot, hidden or {}, seed=3, work=work)
+    names, values = raw_table(
+        plant,
+        default_postures(robot, count),
+        lab=lab,
+        noise=noise or QUIET,
+        trials=trials,
+        markers=PLACES,
+    )
+    return pandas.DataFrame(values, columns=names)
+
+
+@pytest.fixture(scope='module')
+def calm():
+    return recorded(CALM)
+
+
+@pytest.fixture(scope='module')
+def noisy():
+    noise = SimulatedNoise(position=1e-4, setting=0.0, trial=0.002)
+    return recorded(NOISY, {'tip_load': {'force_x': -0.05}}, noise, trials=3, count=6)
+
+
+def test_an_exact_recording_gives_the_model_back(calm):
+    imported = import_table(calm, ARM, {'up': 'y'})
+    data = imported.dataset
+    assert data.path == 'from_straight'
+    assert_allclose(data.inputs[1:], default_postures(ARM, 4), atol=1e-3)
+    expected = Model(ARM).shapes(data.inputs).markers(data.arc_lengths, data.offsets)
+    assert_allclose(data.mean, expected, atol=3e-4)
+    assert imported.frame.method == 'level'
+    assert imported.frame.residual < 3e-4
+
+
+def test_the_frame_is_the_one_that_the_tracker_stood_in(calm):
+    frame = import_table(calm, ARM, {'up': 'y'}).frame
+    turn, shift = tracker_frame(ARM.gravity, CALM)  # base to tracker
+    assert_allclose(frame.rotation @ turn, np.eye(3), atol=3e-3)
+    assert_allclose(frame.rotation @ shift + frame.shift, 0.0, atol=3e-4)
+
+
+@pytest.mark.parametrize('method', ['model', 'straight'])
+@pytest.mark.parametrize('seed', [0, 1])
+def test_any_rotation_of_the_tracker_gives_the_same_data_set(calm, method, seed):
+    turn = Rotation.random(random_state=seed).as_matrix()
+    moved = calm.copy()
+    columns = [name for name in calm.columns if '[mm]' in name]
+    places = calm[columns].to_numpy().reshape(-1, 3) @ turn.T + [300.0, -4000.0, 77.0]
+    moved[columns] = places.reshape(len(calm), -1)
+    imported = import_table(moved, ARM, {'frame': {'method': method}})
+    expected = Model(ARM).shapes(imported.dataset.inputs)
+    expected = expected.markers(imported.dataset.arc_lengths, imported.dataset.offsets)
+    assert_allclose(imported.dataset.mean, expected, atol=3e-4)
+
+
+def test_markers_in_another_order_give_the_same_data_set(calm):
+    reference = import_table(calm, ARM, {'up': 'y'}).dataset
+    order = np.random.default_rng(5).permutation(len(calm.columns))
+    again = import_table(calm[calm.columns[order]], ARM, {'up': 'y'}).dataset
+    assert_allclose(again.positions, reference.positions, atol=1e-9)
+    assert again.markers == reference.markers
+
+
+def other_units(frame):
+    """Write the same in grams, metres and milliseconds, and name columns otherwise."""
+    other = frame.copy()
+    renamed = {}
+    for name in frame.columns:
+        if '[mm]' in name:
+            other[name] = frame[name] / 1e3
+            renamed[name] = name.replace(' [mm]', '').replace('marker_', 'M')
+        elif '[N]' in name:
+            other[name] = frame[name] / 9.80665e-3
+            renamed[name] = name.replace('T', 'load ').replace('[N]', '(g)')
+        else:
+            other[name] = 1e3 * frame[name]
+            renamed[name] = 't [ms]'
+    return other.rename(columns=renamed)
+
+
+def test_units_do_not_matter(calm):
+    reference = import_table(calm, ARM, {'up': 'y'})
+    other = import_table(other_units(calm), ARM, {'up': 'y'})
+    assert_allclose(other.dataset.inputs, reference.dataset.inputs, atol=1e-8)
+    assert_allclose(other.dataset.positions, reference.dataset.positions, atol=1e-7)
+    assert any('markers are in m:' in line for line in other.assumed)
+
+
+def test_motors_with_a_spool_give_wire_pulls():
+    radius = 0.01
+    shapes = Model(ARM).shapes(default_postures(ARM, 3))
+    turns = np.vstack([np.zeros(3), shapes.pulls]) / radius / (2.0 * np.pi)
+    straight = np.zeros((1, 8, 3))
+    straight[0, :, 2] = 0.015 * np.arange(1, 9)
+    places = np.vstack([straight, shapes.positions])
+    columns = {f'motor{i + 1} [ticks]': 4096.0 * turns[:, i] + 1234.0 for i in range(3)}
+    for j in range(8):
+        columns |= {f'm{j}_{axis}_mm': 1e3 * places[:, j, a] for a, axis in enumerate('xyz')}
+    spool = {'radius': radius, 'counts_per_turn': 4096}
+    recipe = {'spool': spool, 'frame': {'method': 'base'}}
+    data = import_table(pandas.DataFrame(columns), ARM, recipe).dataset
+    assert data.input == 'displacement'
+    assert_allclose(data.inputs[1:], shapes.pulls, atol=1e-8)
+    with pytest.raises(InputError, match='inputs are in ticks: say --counts-per-turn'):
+        import_table(pandas.DataFrame(columns), ARM, {'spool': {'radius': radius}})
+    with pytest.raises(InputError, match='how far is the wire from the axis of its spool'):
+        import_table(pandas.DataFrame(columns), ARM)
+
+
+def test_currents_with_a_torque_constant_give_tensions(calm):
+    spool = {'radius': 0.01, 'torque_constant': 0.5}
+    amps = calm.copy()
+    for name in [n for n in calm.columns if '[N]' in n]:
+        amps[name] = calm[name] * 0.01 / 0.5 * 1e3
+    amps = amps.rename(columns=lambda name: name.replace('T', 'I').replace('[N]', '[mA]'))
+    data = import_table(amps, ARM, {'up': 'y', 'spool': spool}).dataset
+    assert_allclose(data.inputs[1:], default_postures(ARM, 4), atol=1e-3)
+
+
+def test_a_slipped_trial_is_named_and_left_out(noisy):
+    imported = import_table(noisy, ARM, {'up': 'y'})
+    ((posture, trial),) = imported.recipe.leave_out
+    line = f'posture {posture} trial {trial}: the other trials contradict (a slipped tendon?)'
+    assert line in imported.dropped
+    p, q = imported.dataset.postures.index(posture), imported.dataset.trial_names.index(trial)
+    assert not imported.dataset.trial_mask[p, q]
+    kept = import_table(noisy, ARM, replace(imported.recipe, leave_out=()))
+    away = kept.dataset.positions[p, :, -1] - np.nanmedian(kept.dataset.positions[p, :, -1], 0)
+    assert np.linalg.norm(away, axis=1).argmax() == q
+
+
+def test_gaps_rest_and_jumps_are_told(noisy):
+    jumping = noisy.copy()
+    column = next(name for name in noisy.columns if name.endswith('_x [mm]'))
+    still = noisy.index[(noisy['time_s'] > 2.5) & (noisy['time_s'] < 3.2)][::6]
+    jumping.loc[still, column] += 40.0
+    reference = import_table(noisy, ARM, {'up': 'y'})
+    imported = import_table(jumping, ARM, {'up': 'y'})
+    told = ' | '.join(imported.dropped)
+    assert 'still segments at rest between the others' in told
+    assert f'{len(still)} frames in which a marker jumps (marker 01 {len(still)})' in told
+    assert '% of the marker readings are missing' in told
+    difference = imported.dataset.mean - reference.dataset.mean
+    assert np.abs(difference).max() < 2e-4
+    assert 'below' in ' '.join(imported.assumed)
+
+
+def test_what_was_hidden_is_found_through_the_table(noisy):
+    imported = import_table(noisy, ARM, {'up': 'y'})
+    assert imported.frame.residual > 5e-3  # the model lacks the load, the frame is off by it
+    found = diagnose(imported.dataset, workers=1)
+    assert [effect.name for effect in found.effects] == ['tip_load']
+    force = found.effects[0].parameters['force_x']
+    assert force.low < -0.05 < force.high
+
+
+def test_importing_again_from_the_yaml_gives_the_same_data_set(noisy, tmp_path, capsys):
+    write_table(tmp_path / 'raw.csv', list(noisy.columns), noisy.to_numpy())
+    (tmp_path / 'arm.yaml').write_text(dump_robot(ARM))
+    call = ['import-table', '--output', str(tmp_path / 'one'), '--up', 'y']
+    call += [str(tmp_path / 'raw.csv'), '--robot', str(tmp_path / 'arm.yaml')]
+    assert main(call) == 0
+    printed = capsys.readouterr().out
+    again = ['import-table', '--recipe', str(tmp_path / 'one/import.yaml')]
+    assert main([*again, '--output', str(tmp_path / 'two')]) == 0
+    names = sorted(path.name for path in (tmp_path / 'one').iterdir())
+    assert names == [
+        'dataset.yaml', 'import.png', 'import.yaml', 'inputs.csv', 'robot.yaml', 'shapes.csv'
+    ]  # fmt: skip
+    for name in names[:1] + names[2:]:
+        one, two = (tmp_path / folder / name for folder in ('one', 'two'))
+        assert one.read_bytes() == two.read_bytes(), name
+    for line in ('T1 [N]', 'input one', 'taken    6 postures', 'known to'):
+        assert line in printed
+    assert load_dataset(tmp_path / 'one').robot.tolerances['rotation'] == pytest.approx(0.035)
+    assert main([*call, '--overwrite', '--frame', 'base']) == 0  # 200 mm off is not the base
+    assert 'free to turn, the frame would fit to' in capsys.readouterr().out
+    assert main([*call, '--overwrite', '--markers', '30,60,90']) == 1
+    assert 'has 4 markers, but 3 places on the arm are given' in capsys.readouterr().err
+
+
+def test_two_tables_of_one_recording_are_joined_on_time(calm):
+    tensions = calm[[name for name in calm.columns if '[mm]' not in name]][::2]
+    markers = calm[[name for name in calm.columns if '[N]' not in name]]
+    reference = import_table(calm, ARM, {'up': 'y'}).dataset
+    joined = import_table([tensions, markers], ARM, {'up': 'y'}).dataset
+    assert_allclose(joined.mean, reference.mean, atol=2e-4)
+    assert_allclose(joined.inputs, reference.inputs, atol=2e-3)
+    with pytest.raises(DataSetError, match='2 tables hold inputs and 1 markers'):
+        import_table([tensions, tensions, markers], ARM)
+
+
+def test_recordings_one_after_the_other_are_trials_of_the_same_postures(calm):
+    data = import_table([calm, calm], ARM, {'up': 'y'}).dataset
+    assert data.postures == tuple('01234')
+    assert data.trials.tolist() == [1, 2, 2, 2, 2]
+
+
+@pytest.mark.parametrize(
+    ('change', 'message'),
+    [
+        (lambda f: f.assign(time_s=f['time_s'].where(f.index != 40, 0.0)),
+         r'row 41: time goes back from 1\.95 to 0 s; one file per recording: split it there'),
+        (lambda f: f.assign(time_s=f['time_s'].where(f.index != 40)),
+         'row 41: time_s is empty; every row needs its time'),
+        (lambda f: f.drop(columns='T2 [N]'), 'no columns for the inputs one, two, three'),
+        (lambda f: f[[c for c in f.columns if '_y' not in c]], 'no columns of a marker'),
+        (lambda f: f.rename(columns=lambda c: c.replace('T1 [N]', 'T1')), 'unit of T1'),
+        (lambda f: f.rename(columns=lambda c: c.replace('T1 [N]', 'T1 [mN]')), None),
+        (lambda f: f.assign(**{'T1 [N]': 1e3 * f['T1 [N]']}), 'a tendon has'),
+        (lambda f: f.assign(**{c: 1e3 * f[c] for c in f if '[mm]' in c}), 'check the unit'),
+        (lambda f: f.rename(columns=lambda c: c.replace('04_x [mm]', '04_x [m]')
+                            .replace('04_y [mm]', '04_y [m]').replace('04_z [mm]', '04_z [m]')),
+         'markers are in several units: m, mm'),
+    ],
+)  # fmt: skip
+def test_a_bad_table_is_one_line(calm, change, message):
+    if message is None:  # one tension a thousand times smaller is a table as good as any
+        assert import_table(change(calm), ARM, {'up': 'y'}).dataset.inputs[:, 0].max() < 1e-2
+        return
+    with pytest.raises((DataSetError, InputError), match=message) as refusal:
+        import_table(change(calm), ARM, {'up': 'y'})
+    assert '\n' not in str(refusal.value)
+
+
+def test_an_arm_that_never_stands_still_is_refused(calm):
+    moving = calm.copy()
+    column = next(name for name in calm.columns if '[mm]' in name)
+    moving[column] += 300.0 * np.sin(3.0 * calm['time_s'])
+    with pytest.raises(DataSetError, match='the arm is never slower than 20 mm/s for 1 s'):
+        import_table(moving, ARM)
+
+
+def test_a_mirrored_tracker_is_said(calm):
+    mirrored = calm.copy()
+    for name in [n for n in calm.columns if '_x [mm]' in n]:
+        mirrored[name] = -calm[name]
+    look = ' '.join(import_table(mirrored, ARM).look)
+    assert 'an axis has the wrong sign, or two inputs are swapped' in look
+
+
+def test_gravity_is_told_by_the_up_of_the_tracker(calm):
+    data = import_table(calm, replace(ARM, gravity=None), {'up': 'y'}).dataset
+    assert_allclose(data.gravity, [-9.80665, 0.0, 0.0], atol=0.15)
+    wrong = import_table(calm, ARM, {'up': '-y', 'frame': {'method': 'model'}})
+    assert 'gravity of the robot and up of the tracker are 180° apart' in ' '.join(wrong.look)
+
+
+def arc(radius, lengths, towards=0.0):
+    """Return points (n, 3) [m] of a circular arc from the origin along +z."""
+    angle = np.asarray(lengths) / radius
+    across, along = radius * (1.0 - np.cos(angle)), radius * np.sin(angle)
+    return np.stack([across * np.cos(towards), across * np.sin(towards), along], axis=1)
+
+
+def test_order_and_places_follow_from_the_straight_arm():
+    lengths = np.array([0.012, 0.03, 0.066, 0.12])
+    postures = np.array([arc(r, lengths, t) for r, t in ((1e5, 0), (0.1, 0), (0.08, 2), (0.1, 4))])
+    shuffled = [2, 0, 3, 1]
+    order = order_markers(postures[:, shuffled] + 5.0, ARM)
+    assert [shuffled[j] for j in order.members] == [0, 1, 2, 3]
+    assert_allclose(order.arc_lengths, lengths, atol=3e-4)  # bends of 0.8 rad between markers
+    known = order_markers(postures[:, shuffled], ARM, (0.01, 0.028, 0.064, 0.118))
+    assert known.arc_lengths == (0.01, 0.028, 0.064, 0.118)
+
+
+def test_places_are_measured_along_an_arm_that_is_never_straight():
+    lengths = np.array([0.012, 0.03, 0.066, 0.12])
+    random = np.random.default_rng(1)
+    postures = np.array([arc(r, lengths, t) for r in (0.15, 0.1, 0.08, -0.1) for t in range(9)])
+    order = order_markers(postures + random.normal(0.0, 2e-4, postures.shape), ARM)
+    assert_allclose(order.arc_lengths, lengths, atol=3e-4)
+    even = np.array([arc(r, [0.03, 0.06, 0.09, 0.12]) for r in (1e5, 0.1, 0.07)])
+    assert order_markers(even, ARM).arc_lengths == (0.03, 0.06, 0.09, 0.12)
+
+
+def test_markers_beside_the_arm_and_markers_that_stand_twice_are_left_out():
+    lengths = np.array([0.03, 0.06, 0.09, 0.12])
+    postures = np.array([arc(r, lengths) for r in (1e5, 0.1, 0.07)])
+    base, twice = np.array([0.0, 0.0, -0.04]), postures[:, 1:2] + 1e-4
+    everything = np.concatenate([postures, np.tile(base, (3, 1, 1)), twice], axis=1)
+    order = order_markers(everything, ARM)
+    assert order.members == (0, 1, 2, 3)
+    assert (order.off_arm, order.twice) == ((4,), (5,))
+
+
+@pytest.mark.parametrize(
+    ('places', 'message'),
+    [
+        ((0.03, 0.06), 'has 4 markers, but 2 places on the arm are given'),
+        ((0.01, 0.02, 0.03, 0.04), 'are 90 mm apart where the arm is straightest, but 30 mm'),
+    ],
+)
+def test_places_that_do_not_fit_are_refused(places, message):
+    postures = np.array([arc(r, [0.03, 0.06, 0.09, 0.12]) for r in (1e5, 0.1, 0.07)])
+    with pytest.raises(DataSetError, match=message):
+        order_markers(postures, ARM, places)
+
+
+def test_a_rigid_fit_gives_rotation_and_shift_back():
+    random = np.random.default_rng(2)
+    points, turn = random.normal(size=(9, 3)), Rotation.random(random_state=3).as_matrix()
+    found, shift = rigid_fit(points, points @ turn.T + [1.0, 2.0, 3.0], random.uniform(1, 2, 9))
+    assert_allclose(found, turn, atol=1e-12)
+    assert_allclose(shift, [1.0, 2.0, 3.0], atol=1e-12)
