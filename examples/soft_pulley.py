@@ -14,4 +14,5 @@ EFFECT = Effect(
     stage='actuation',
     parameters=(Parameter('loss', '1/N', 0.0, 0.15, 0.0, typical=0.05),),
     law=law,
+    divisible=True,
 )

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.robot import Robot, Section, Tendon
 
 GRAVITY = (1.0, -2.0, 9.4)
-TYPICAL = {  # every effect at a size that matters; friction_memory has tests of its own
+OWN_SIZES = {  # where the typical size, or its sign, would show less
     'tendon_friction': {'friction_coefficient': 0.3},
     'eyelet_wrap': {'fraction': 0.7},
     'tendon_travel': {'fraction': 0.6},
@@ -26,6 +27,11 @@ TYPICAL = {  # every effect at a size that matters; friction_memory has tests of
     'tension_offset': {'offset': 0.05},
     'moment_arm': {'relative_change': 0.1},
     'tendon_elongation': {'compliance': 2e-3},
+}
+TYPICAL = {  # every effect at a size that matters; these two have tests of their own
+    effect.name: OWN_SIZES.get(effect.name, {p.name: p.typical for p in effect.parameters})
+    for effect in load_catalogue()
+    if effect.name not in ('friction_memory', 'base_misalignment')
 }
 
 

@@ -15,17 +15,7 @@ KATO = str(ROBOTS / 'kato_10_1.yaml')
 GROUPS = str(ROBOTS / 'kato_1_1.yaml')
 SPATIAL = str(ROBOTS / 'spatial_6.yaml')
 
-LAW = """
-from tendon_robot_ros.effects import Effect, Parameter
-
-
-def law(tension, share):
-    return tension * (1.0 - share)
-
-
-EFFECT = Effect(name='knot', title='a knot takes a share', stage='actuation', law=law,
-                parameters=(Parameter('share', '1', 0.0, 0.9, 0.0, typical=0.1),))
-"""
+PULLEY = ROOT / 'examples' / 'soft_pulley.py'
 
 
 def answer(capsys, *arguments):
@@ -102,18 +92,17 @@ def test_json_goes_to_a_file_and_the_table_to_the_terminal(capsys, tmp_path):
 
 
 def test_an_effect_of_the_users_own_works_on_the_command_line(capsys, tmp_path):
-    (tmp_path / 'knot.py').write_text(LAW)
-    robot = load_robot(KATO).with_effect('knot', {'share': 0.5})
+    robot = load_robot(KATO).with_effect('soft_pulley', {'loss': 0.1})
     from tendon_robot_ros.robot import dump_robot
 
     (tmp_path / 'arm.yaml').write_text(dump_robot(robot))
     found = answer(
         capsys,
-        *('shape', str(tmp_path / 'arm.yaml'), '--tensions', 'dist_right=1'),
-        *('--effect-file', str(tmp_path / 'knot.py')),
+        *('shape', str(tmp_path / 'arm.yaml'), '--tensions', 'dist_right=2'),
+        *('--effect-file', str(PULLEY)),
     )
-    half = answer(capsys, 'shape', KATO, '--tensions', 'dist_right=0.5')
-    assert found['positions'] == half['positions']
+    less = answer(capsys, 'shape', KATO, '--tensions', 'dist_right=1.6')
+    assert found['positions'] == less['positions']
 
 
 MISTAKES = [

@@ -16,8 +16,8 @@ UP = (0.0, 0.0, -9.81)  # [m/s²] the arm stands: the weight points to its base
 ROBOT = replace(load_robot(ROOT / 'config/robots/kato_10_1.yaml'), gravity=UP)
 CATALOGUE = load_catalogue()
 
-# What is drawn: sizes that one sees. SI units.
-SIZES = {
+# Sizes that one sees, SI units, where the typical one is too small or too large.
+OWN_SIZES = {
     'tendon_friction': {'friction_coefficient': 0.33},
     'eyelet_wrap': {'fraction': 1.0},
     'tendon_travel': {'fraction': 1.0},
@@ -42,6 +42,16 @@ SIZES = {
         'rotation_x': 0.0, 'rotation_y': 0.08, 'rotation_z': 0.0,
     },
 }  # fmt: skip
+
+
+def size_of(effect):
+    """Return the values at which an effect is drawn: its first parameter, if not its own."""
+    first = effect.parameters[0].name
+    usual = {p.name: p.typical if p.name == first else p.neutral for p in effect.parameters}
+    return OWN_SIZES.get(effect.name, usual)
+
+
+SIZES = {effect.name: size_of(effect) for effect in CATALOGUE}
 
 # prox_left, prox_right, dist_left, dist_right [N]
 POSTURES = {

@@ -7,6 +7,7 @@ Between `<!-- NAME: ... -->` and `<!-- end -->` the page is written by this comm
 hand; test/test_docs_effects.py compares the two.
 """
 
+import inspect
 import json
 import re
 import sys
@@ -48,8 +49,18 @@ def main():
 
 
 def refreshed(text):
-    """Return the page with every written part as it is now."""
+    """Return the page with every written part as it is now, new effects last."""
+    for effect in CATALOGUE:
+        if f'\n## {effect.name}\n' not in text:
+            text = f'{text.rstrip()}\n\n{begun(effect)}'
     return WRITTEN.sub(lambda m: m[1] + part(m[2]) + m[3], text)
+
+
+def begun(effect):
+    """Write the section of a new effect; its equation and how to tell it apart are by hand."""
+    physics = inspect.getdoc(inspect.getmodule(effect.law))
+    mark = f'<!-- written by tools/effects_page.py: {effect.name} -->'
+    return f'## {effect.name}\n\n{physics}\n\n{mark}\n<!-- end -->\n\nTell apart: \n'
 
 
 def part(name):
@@ -57,13 +68,22 @@ def part(name):
     if name == 'overview':
         return overview()
     effect = CATALOGUE[name]
-    lines = [f'*{effect.title[0].upper() + effect.title[1:]}.* {acts_in(effect)}', '']
-    lines += ['| parameter | unit | bounds | off at | typical |', '|---|---|---|---|---|']
-    lines += [row(parameter) for parameter in effect.parameters]
-    lines += ['', f'![Shapes without and with {name}](images/effects/{name}.png)', '']
+    lines = [
+        *table(effect),
+        '',
+        f'![Shapes without and with {name}](images/effects/{name}.png)',
+        '',
+    ]
     for label, tensions in SETS.items():
         lines.append(f'- Looks like, {label}: {listed(look_alikes(name, tensions))}')
     return '\n'.join([*lines, ''])
+
+
+def table(effect):
+    """Write what an effect is, and its parameters."""
+    lines = [f'*{effect.title[0].upper() + effect.title[1:]}.* {acts_in(effect)}', '']
+    lines += ['| parameter | unit | bounds | off at | typical |', '|---|---|---|---|---|']
+    return lines + [row(parameter) for parameter in effect.parameters]
 
 
 def acts_in(effect):
