@@ -271,7 +271,7 @@ class KernelArrays:
             radius=float(np.linalg.norm(self.offset, axis=2).max()),
             step=lay.address_of(self.part('sweep').step),
             residual=lay.address_of(self.part('residual').residual),
-            respond=lay.address_of(self.part('elimination').respond),
+            respond=lay.address_of(self.part('response').respond),
             newton=lay.address_of(self.part('newton').newton),
             settle=lay.address_of(self.part('solve').solve_equilibrium),
             **at,

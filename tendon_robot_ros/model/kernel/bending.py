@@ -62,7 +62,19 @@ def is_linear(chain):
 
 @inlined
 def bend_linear(chain, i, mx, my, load_x, load_y, scale):
-    """Bend (x, y) of a cell that bends in proportion to load plus scale times moment [N·m]."""
+    """
+    Bend (x, y) of a cell that bends in proportion to load plus scale times moment [N·m].
+
+    Parameters
+    ----------
+    mx, my : float
+        Moment of the tendons [N·m], to be scaled.
+    load_x, load_y : float
+        Moment of the loads [N·m].
+    scale : float
+        Factor on the tendon offsets, and so on their moment [1].
+
+    """
     section = section_of(chain, i)
     x0, y0 = rest(0.0, 0.0, chain, section)
     compliance = 1.0 / cell_stiffness(chain, i, section)

@@ -67,7 +67,23 @@ def place_as(chain, inputs, bend, work, past):
 
 @compiled
 def move_along(chain, inputs, bend, rows, j, step, trial):
-    """Move input j and the bends, into `trial` (n, 2), along their derivative; undo: minus."""
+    """
+    Move input j and the bends, into `trial` (n, 2), along their derivative; undo: minus.
+
+    Parameters
+    ----------
+    inputs, bend : address
+        (m,) [N]; (n, 2) [rad].
+    rows : ndarray, shape (m, 2n)
+        How the bends follow the inputs [rad/N].
+    j : int
+        The input that moves.
+    step : float
+        [N]
+    trial : address
+        Takes the bends (n, 2) [rad].
+
+    """
     floats(inputs)[j] += step
     for q in range(2 * chain.n):
         floats(trial)[q] = floats(bend)[q] + step * rows[j, q]
@@ -130,7 +146,23 @@ def residuals(robot, inputs, bends, past, scratch, out):
 
 @entry()
 def responses(robot, inputs, bends, past, scratch, changes, rows):
-    """Fill how equilibrium bends follow, rows (b, q, 2n), rates of the residual (b, q, 2n)."""
+    """
+    Fill how equilibrium bends follow, rows (b, q, 2n), rates of the residual (b, q, 2n).
+
+    Parameters
+    ----------
+    robot : int
+        Address of a Chain.
+    inputs, bends : ndarray, shapes (b, m) and (b, n, 2)
+        Equilibria [N], [rad].
+    past : ndarray
+        Memory of the posture before.
+    scratch : int
+        Address of `KernelArrays.scratch`.
+    changes, rows : ndarray, shape (b, q, 2n)
+        Rates of the residual by q quantities; takes those of the bends.
+
+    """
     chain = chain_at(robot)
     work, then = work_in(chain, scratch), memory_in(chain, address(past))
     f, count = np.empty(2 * chain.n), rows.shape[1]

@@ -1,5 +1,5 @@
 """
-The linear equations of the chain, solved from the tip to the base and back.
+One cell of the linear equations of the chain: eliminated, with all that lies beyond it.
 
 Towards the tip go the changes u of the tensions, of the bend before, and of the turn of the
 frame; towards the base the changes w of the travel beyond an eyelet and of the loads' torque. At
@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from .layout import RESPOND, address, compiled, entry, floats, keep, words
+from .layout import compiled, floats, words
 from .loads import loaded
 from .stages import eyelet_acts
 from .tangent import (
@@ -30,10 +30,7 @@ from .tangent import (
     TORQUE_BY_OWN,
     TORQUE_BY_TURN,
     TRAVELS,
-    TURNS,
-    differentiate,
     tangent_of,
-    tangent_size,
 )
 
 
@@ -85,6 +82,21 @@ def pass_tensions(chain, tangent, i, s, by_own, tensions, direct):
 
     A tendon about to slide at the eyelet before the cell feels all travel beyond: s (rows, width)
     and by_own (rows, 2) say how that answers.
+
+    Parameters
+    ----------
+    tangent : address
+        Derivatives of the cells, see `tangent`.
+    i : int
+    s : ndarray, shape (k + 3, width)
+        How what lies beyond the cell answers what comes into it.
+    by_own : ndarray, shape (k + 3, 2)
+        And how it answers the cell's own bend.
+    tensions : ndarray, shape (n, k, width)
+        Takes the changes in row i [N per unit].
+    direct : ndarray, shape (k, 2)
+        Takes their part by the bend of the cell [N/rad].
+
     """
     kt, _, _ = columns(chain)
     tendon, width = words(chain.tendon), tensions.shape[2]
@@ -111,7 +123,26 @@ def pass_tensions(chain, tangent, i, s, by_own, tensions, direct):
 
 @compiled
 def slide_together(chain, tangent, i, s, by_own, tensions, direct, active):
-    """Solve for the changes of the tensions of active tendons, which feel each other's travel."""
+    """
+    Solve for the changes of the tensions of active tendons, which feel each other's travel.
+
+    Parameters
+    ----------
+    tangent : address
+        Derivatives of the cells, see `tangent`.
+    i : int
+    s : ndarray, shape (k + 3, width)
+        How what lies beyond the cell answers what comes into it.
+    by_own : ndarray, shape (k + 3, 2)
+        And how it answers the cell's own bend.
+    tensions : ndarray, shape (n, k, width)
+        Row i holds what comes from before, and takes the result.
+    direct : ndarray, shape (k, 2)
+        The same by the bend of the cell [N/rad].
+    active : ndarray
+        Indices of the tendons.
+
+    """
     kt, turn, _ = columns(chain)
     count, width = active.shape[0], tensions.shape[2]
     left, right = np.zeros((count, count)), np.empty((count, width + 2))
@@ -148,6 +179,23 @@ def solve_cell(chain, tangent, i, s, by_own, tensions, direct, bends):
     Fill the changes of the bend of cell i (2, width), which holds its right-hand sides.
 
     Returns the cell's pivot, the derivative of its residual with all beyond eliminated.
+
+    Parameters
+    ----------
+    tangent : address
+        Derivatives of the cells, see `tangent`.
+    i : int
+    s : ndarray, shape (k + 3, width)
+        How what lies beyond the cell answers what comes into it.
+    by_own : ndarray, shape (k + 3, 2)
+        And how it answers the cell's own bend.
+    tensions : ndarray, shape (n, k, width)
+        Changes of the tensions in row i.
+    direct : ndarray, shape (k, 2)
+        Their part by the bend of the cell [N/rad].
+    bends : ndarray, shape (n, 2, width)
+        Row i holds the right-hand sides, and takes the changes [rad per unit].
+
     """
     kt, turn, constant = columns(chain)
     row, width = floats(tangent_of(chain, tangent, i)), bends.shape[2]
@@ -186,7 +234,24 @@ def solve_cell(chain, tangent, i, s, by_own, tensions, direct, bends):
 
 @compiled
 def answer_row(chain, i, s, r, by_own, extra, tensions, bends, out):
-    """Row r of the next S: how what lies beyond a cell's start answers what comes in there."""
+    """
+    Row r of the next S: how what lies beyond a cell's start answers what comes in there.
+
+    Parameters
+    ----------
+    i, r : int
+    s : ndarray, shape (k + 3, width)
+        How what lies beyond the cell answers.
+    by_own : ndarray, shape (k + 3, 2)
+        And how it answers the cell's own bend.
+    extra : tuple of float
+        What the bend of the cell adds itself (2,).
+    tensions, bends : ndarray, shapes (n, k, width) and (n, 2, width)
+        Changes by what comes into each cell.
+    out : ndarray, shape (k + 3, width)
+        The next S.
+
+    """
     kt, turn, _ = columns(chain)
     width = out.shape[1]
     u, v = by_own[r, 0] + extra[0], by_own[r, 1] + extra[1]
@@ -203,7 +268,26 @@ def answer_row(chain, i, s, r, by_own, extra, tensions, bends, out):
 
 @compiled
 def answer(chain, tangent, i, s, by_own, tensions, bends, first, out):
-    """Fill the next S (rows, width) from that of cell i."""
+    """
+    Fill the next S (rows, width) from that of cell i.
+
+    Parameters
+    ----------
+    tangent : address
+        Derivatives of the cells, see `tangent`.
+    i : int
+    s : ndarray, shape (k + 3, width)
+        How what lies beyond the cell answers what comes into it.
+    by_own : ndarray, shape (k + 3, 2)
+        And how it answers the cell's own bend.
+    tensions, bends : ndarray, shapes (n, k, width) and (n, 2, width)
+        Changes by what comes into each cell.
+    first : ndarray, shape (k,)
+        `first_slides`.
+    out : ndarray, shape (k + 3, width)
+        The next S.
+
+    """
     kt, turn, constant = columns(chain)
     row, tendon = floats(tangent_of(chain, tangent, i)), words(chain.tendon)
     for k in range(kt):
@@ -222,143 +306,3 @@ def answer(chain, tangent, i, s, by_own, tensions, bends, first, out):
         answer_row(chain, i, s, kt + m, by_own, extra, tensions, bends, out)
         for a in range(3):
             out[kt + m, turn + a] += row[TORQUE_BY_TURN + 3 * m + a]
-
-
-@compiled
-def first_slides(chain, tangent):
-    """First cell (k,) from which on a tendon's travel matters to an eyelet before it."""
-    kt, _, _ = columns(chain)
-    first, tendon = np.empty(kt, np.int64), words(chain.tendon)
-    for k in range(kt):
-        first[k] = chain.n
-        for i in range(1, tendon[2 * k]):
-            if floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))[SLIDES] != 0.0:
-                first[k] = i
-                break
-    return first
-
-
-@compiled
-def eliminate(chain, tangent, bends, tensions):
-    """
-    Eliminate the cells from the tip to the base.
-
-    `bends` (n, 2, width) holds the right-hand sides in its last columns and zeros before; it and
-    `tensions` (n, k, width) take the changes by what comes into each cell. Returns the first cell
-    from the tip whose pivot is not positive, and that pivot; -1 if all are: the equilibrium is
-    then stable.
-    """
-    kt, turn, constant = columns(chain)
-    width, unstable, pivot = bends.shape[2], -1, (1.0, 0.0, 0.0, 1.0)
-    rows = kt + 3
-    s, out, by_own = np.zeros((rows, width)), np.zeros((rows, width)), np.zeros((rows, 2))
-    direct, first = np.empty((kt, 2)), first_slides(chain, tangent)
-    tendon = words(chain.tendon)
-    for i in range(chain.n - 1, -1, -1):
-        row = floats(tangent_of(chain, tangent, i))
-        for r in range(rows if turn != constant else kt):
-            for a in range(2):
-                by_own[r, a] = s[r, kt + a]
-                if turn != constant:
-                    for m in range(3):
-                        by_own[r, a] += s[r, turn + m] * row[TURNS + 2 * m + a]
-        pass_tensions(chain, tangent, i, s, by_own, tensions, direct)
-        a, b, c, d = solve_cell(chain, tangent, i, s, by_own, tensions, direct, bends)
-        if unstable < 0 and not (a > 0.0 and a * d > 0.25 * (b + c) * (b + c)):
-            unstable, pivot = i, (a, b, c, d)
-        for k in range(kt):
-            if i < tendon[2 * k]:
-                for j in range(width):
-                    tensions[i, k, j] += (
-                        direct[k, 0] * bends[i, 0, j] + direct[k, 1] * bends[i, 1, j]
-                    )
-        out[:] = 0.0
-        answer(chain, tangent, i, s, by_own, tensions, bends, first, out)
-        s, out = out, s
-    return unstable, pivot
-
-
-@compiled
-def substitute(chain, tangent, bends, tensions, column, first, start, solution):
-    """
-    Fill a solution (2n,) at an address by back-substitution, base to tip.
-
-    That of the right-hand side in a column of `bends`; or, with `column` -1, how the cells beyond
-    cell `first` follow when that bends by `start` (x, y) and those before it stay.
-    """
-    kt, turn, constant = columns(chain)
-    u, new, out = np.zeros(constant), np.zeros(constant), floats(solution)
-    for i in range(chain.n):
-        row = floats(tangent_of(chain, tangent, i))
-        for a in range(2):
-            total = bends[i, a, column] if column >= 0 else 0.0
-            for j in range(constant):
-                total += bends[i, a, j] * u[j]
-            out[2 * i + a] = start[a] if i == first else total
-        for k in range(kt):
-            new[k] = tensions[i, k, column] if column >= 0 else 0.0
-            for j in range(constant):
-                new[k] += tensions[i, k, j] * u[j]
-        x, y = out[2 * i], out[2 * i + 1]
-        for k in range(kt):
-            u[k] = new[k]
-        u[kt], u[kt + 1] = x, y
-        for j in range(turn, constant):
-            m = j - turn
-            u[j] += row[TURNS + 2 * m] * x + row[TURNS + 2 * m + 1] * y
-
-
-@compiled
-def yielding(pivot):
-    """Bend (x, y) in which the energy falls: eigenvector of a pivot's lower eigenvalue."""
-    a, b, c, d = pivot
-    both = 0.5 * (b + c)
-    low = 0.5 * (a + d) - math.sqrt(0.25 * (a - d) * (a - d) + both * both)
-    if both == 0.0:
-        return (1.0, 0.0) if a <= d else (0.0, 1.0)
-    return both, low - a
-
-
-@compiled
-def yielding_to(chain, pivot, wanted):
-    """Bend (x, y) in which the energy falls, to the side of bends wanted (n, 2) if it can be."""
-    a, b, c, d = pivot
-    x, y, bends = 0.0, 0.0, floats(wanted)
-    for i in range(chain.n):
-        x += bends[2 * i]
-        y += bends[2 * i + 1]
-    if a * x * x + (b + c) * x * y + d * y * y < 0.0:
-        size = math.sqrt(x * x + y * y)
-        return x / size, y / size
-    return yielding(pivot)
-
-
-@entry(RESPOND)
-def respond(chain, bend, rates, count, work, past, ways):
-    """
-    Fill how bends (n, 2), whose states `work` holds, balance rates of the residual (count, 2n).
-
-    `ways` (count, 2n): minus the inverse Jacobian of the residual times the rates. Returns the
-    first cell from the tip whose pivot is not positive, -1 if none: the equilibrium is stable.
-    With `count` 0 and such a cell, `ways` (2n,) is a direction in which the energy falls, to the
-    side of what it held: that cell yields, all beyond it follow.
-    """
-    tangent = np.zeros(tangent_size(chain.n, chain.k))
-    derivatives = address(tangent)
-    differentiate(chain, bend, work, past, derivatives)
-    kt, _, constant = columns(chain)
-    bends = np.zeros((chain.n, 2, constant + count))
-    tensions = np.empty((chain.n, kt, constant + count))
-    for q in range(count):
-        rate = floats(rates + 16 * chain.n * q)
-        for i in range(chain.n):
-            bends[i, 0, constant + q], bends[i, 1, constant + q] = -rate[2 * i], -rate[2 * i + 1]
-    first, pivot = eliminate(chain, derivatives, bends, tensions)
-    for q in range(count):
-        way = ways + 16 * chain.n * q
-        substitute(chain, derivatives, bends, tensions, constant + q, -1, (0.0, 0.0), way)
-    if count == 0 and first >= 0:
-        start = yielding_to(chain, pivot, ways)
-        substitute(chain, derivatives, bends, tensions, -1, first, start, ways)
-    keep(tangent)
-    return first

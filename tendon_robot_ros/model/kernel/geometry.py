@@ -35,7 +35,21 @@ def scale_lengths(chain, work):
 
 @compiled
 def path_lost(chain, i, k, bend, ux, uy, sin_half, cos_half, scale):
-    """Path that tendon k loses in cell i [m], its moment arm along the bend and across it [m]."""
+    """
+    Path that tendon k loses in cell i [m], its moment arm along the bend and across it [m].
+
+    Parameters
+    ----------
+    bend : float
+        Size of the cell's bend [rad].
+    ux, uy : float
+        Its direction, of length one.
+    sin_half, cos_half : float
+        Of half the bend.
+    scale : float
+        Factor on the tendon offsets [1].
+
+    """
     offset = floats(chain.offset + 16 * (chain.k * i + k))
     radial = scale * (offset[0] * ux + offset[1] * uy)
     lost, along, across = tendon_path(
@@ -86,7 +100,19 @@ def plain_travel(chain, bend, scale, work):
 
 @compiled
 def straight_travel(chain, i, x, y, s, c, scale, work):
-    """Fill travel and moment_arms [m] of cell i, bent by (x, y) with half angles s, c."""
+    """
+    Fill travel and moment_arms [m] of cell i, bent by (x, y) with half angles s, c.
+
+    Parameters
+    ----------
+    x, y : float
+        Bend [rad].
+    s, c : float
+        sin(a / 2) / a [1/rad] and cos(a / 2) of its size a, see `turning`.
+    scale : float
+        Factor on the tendon offsets [1].
+
+    """
     travel, tendon = floats(work.travel), words(chain.tendon)
     moment_arms = floats(work.moment_arms)
     a, ux, uy, sin_half, cos_half = polar(x, y, s, c)

@@ -58,7 +58,25 @@ def free_inputs(inputs, gradient, low, high, free):
 
 @compiled
 def normal_equations(jacobian, f, inputs, low, preference, damping, normal, gradient):
-    """Fill the damped normal matrix (m, m) and the gradient (m,) of the cost."""
+    """
+    Fill the damped normal matrix (m, m) and the gradient (m,) of the cost.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (6, m)
+        Of the weighted tip error [m/N].
+    f : ndarray, shape (6,)
+        That error [m].
+    inputs, low : ndarray, shape (m,)
+        [N]
+    preference : float
+        Weight of low tension [m/N].
+    damping : float
+        Of Levenberg and Marquardt [1].
+    normal, gradient : ndarray, shapes (m, m) and (m,)
+        Take the result [m²/N²], [m²/N].
+
+    """
     m = inputs.shape[0]
     for j in range(m):
         gradient[j] = preference * preference * (inputs[j] - low[j])
@@ -78,6 +96,24 @@ def gauss_newton_step(jacobian, f, inputs, low, high, preference, damping, trial
 
     Linear least squares with bounds: where a step would leave the limits, the input that leaves
     them by most stays at its limit and the others step anew.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (6, m)
+        Of the weighted tip error [m/N].
+    f : ndarray, shape (6,)
+        That error [m].
+    inputs, low, high : ndarray, shape (m,)
+        Where the step begins, and limits [N].
+    preference : float
+        Weight of low tension [m/N].
+    damping : float
+        Of Levenberg and Marquardt [1].
+    trial : ndarray, shape (m,)
+        Takes where it ends [N].
+    free : ndarray, shape (m,)
+        Scratch: indices of the inputs that move.
+
     """
     m = inputs.shape[0]
     normal, part, step = np.empty((m, m)), np.empty((m, m)), np.empty(m)
@@ -129,6 +165,30 @@ def aim(robot, inputs, bends, target, low, high, preference, most, enough, past,
 
     `bends` (2, n, 2) holds a guess and takes the equilibrium in its first half. With the tip
     `COST_REACHED_M2`, the search ends with a step that gains less than `enough` of the cost.
+
+    Parameters
+    ----------
+    robot : int
+        Address of a Chain.
+    inputs : ndarray, shape (m,)
+        [N], start and result.
+    bends : ndarray, shape (2, n, 2)
+        [rad]
+    target : ndarray, shape (8,)
+        Position [m], direction, weight of the position [1], weight of the direction [m/rad].
+    low, high : ndarray, shape (m,)
+        [N]
+    preference : float
+        Weight of low tension [m/N].
+    most : int
+        Steps.
+    enough : float
+        [1]
+    past : ndarray
+        Memory of the posture before.
+    scratch : int
+        Address of `KernelArrays.scratch`.
+
     """
     chain = chain_at(robot)
     m, there = chain.m, workspace(chain, bends, past, scratch)

@@ -3,6 +3,10 @@ What the compiled functions pass to each other: addresses of arrays, never array
 
 Numba counts references to arrays at every call, which costs more than the physics here; an
 address costs nothing. Whoever calls an entry keeps the arrays alive until it returns.
+
+Names that mean the same in every function, and are not explained again: `chain` a Chain, `work` a
+Work, `past` the Memory of the posture before, `there` a Workspace; `i` a cell and `section` its
+section, `k` a tendon, `j` an input. "Address" is that of the first float of an array, row-major.
 """
 
 from collections import namedtuple

@@ -86,6 +86,22 @@ def cell_moment(x, y, s, c, force, torque, own, cell_length, hinge):
 
     All in the cell's first frame; half an arc's bend moves its middle, a hinge's does not. Also
     returns where the middle lies: (towards the bend over the bend [m/rad], along z [m]).
+
+    Parameters
+    ----------
+    x, y : float
+        Bend [rad].
+    s, c : float
+        sin(a / 2) / a [1/rad] and cos(a / 2) of its size a, see `turning`.
+    force, torque : tuple of float
+        Of everything beyond, at the cell's end: (3,) [N], (3,) [N·m].
+    own : tuple of float
+        The cell's weight (3,) [N].
+    cell_length : float
+        [m]
+    hinge : float
+        1 where the cell is a hinge, 0 where it is an arc.
+
     """
     q = x * x + y * y
     sinc, versine = 2.0 * s * c, 2.0 * s * s

@@ -25,7 +25,17 @@ STEPS_MAX = 30
 
 @compiled
 def cell_residual(chain, work, past, i, last_x, last_y, x, y):
-    """Residual (x, y) [rad] of cell i, bent by (x, y), behind a cell bent by the last ones."""
+    """
+    Residual (x, y) [rad] of cell i, bent by (x, y), behind a cell bent by the last ones.
+
+    Parameters
+    ----------
+    last_x, last_y : float
+        Bend of the cell before [rad], solved already.
+    x, y : float
+        Bend of this cell [rad].
+
+    """
     half, scale = floats(work.half), offset_scale(1.0, chain, 0)
     half[2 * i], half[2 * i + 1] = half_turn(x * x + y * y)
     if tendon_path_acts(chain):
@@ -41,7 +51,17 @@ def cell_residual(chain, work, past, i, last_x, last_y, x, y):
 
 @compiled
 def solve_cell_alone(chain, work, past, i, last_x, last_y, x, y):
-    """Newton on the two equations of cell i from (x, y); return its bend."""
+    """
+    Newton on the two equations of cell i from (x, y); return its bend.
+
+    Parameters
+    ----------
+    last_x, last_y : float
+        Bend of the cell before [rad].
+    x, y : float
+        Where the search begins [rad].
+
+    """
     fx, fy = cell_residual(chain, work, past, i, last_x, last_y, x, y)
     for _ in range(STEPS_MAX):
         if abs(fx) + abs(fy) < RESIDUAL_SOLVED:

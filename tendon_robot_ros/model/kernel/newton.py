@@ -59,7 +59,25 @@ def residual(chain, inputs, bend, work, past, f):
 
 @compiled
 def newton_step(chain, inputs, bend, f, move, work, past, trial, trial_f, halvings):
-    """Step the bends by `move` (2n,) with a line search; return the largest residual, or -1."""
+    """
+    Step the bends by `move` (2n,) with a line search; return the largest residual, or -1.
+
+    Parameters
+    ----------
+    inputs : address
+        (m,) [N]
+    bend : address
+        (n, 2) [rad]; moves on where the step is taken.
+    f : ndarray, shape (2n,)
+        Residual there [rad]; becomes that after the step.
+    move : ndarray, shape (2n,)
+        Newton's step [rad].
+    trial, trial_f : ndarray, shape (2n,)
+        Scratch.
+    halvings : int
+        How often the step is halved before it is given up.
+
+    """
     before, x = dot(f, f), floats(bend)
     share = min(1.0, 1.0 / max(largest(move), 1e-300))
     for _ in range(halvings):
@@ -76,7 +94,17 @@ def newton_step(chain, inputs, bend, f, move, work, past, trial, trial_f, halvin
 
 @entry(NEWTON)
 def newton(chain, inputs, bend, work, past, most):
-    """Newton on the bends (n, 2) with a line search; return the last residual [rad]."""
+    """
+    Newton on the bends (n, 2) with a line search; return the last residual [rad].
+
+    Parameters
+    ----------
+    inputs, bend : address
+        (m,) [N]; (n, 2) [rad], guess and result.
+    most : int
+        Steps.
+
+    """
     size = 2 * chain.n
     f, trial_f = np.empty(size), np.empty(size)
     trial, move = np.empty(size), np.empty(size)

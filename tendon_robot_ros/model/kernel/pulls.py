@@ -79,6 +79,24 @@ def solve_stiff_wires(robot, inputs, target, bends, past, scratch, most):
 
     `inputs` holds the guess. Returns the largest remaining gap [m], infinite where the model
     finds no equilibrium.
+
+    Parameters
+    ----------
+    robot : int
+        Address of a Chain.
+    inputs : ndarray, shape (m,)
+        [N], start and result.
+    target : ndarray, shape (m,)
+        Wire pulls [m]; NaN: a slack wire.
+    bends : ndarray, shape (2, n, 2)
+        [rad], guess and result in its first half.
+    past : ndarray
+        Memory of the posture before.
+    scratch : int
+        Address of `KernelArrays.scratch`.
+    most : int
+        Steps.
+
     """
     chain = chain_at(robot)
     m, there = chain.m, workspace(chain, bends, past, scratch)

@@ -69,7 +69,20 @@ def remember(chain, inputs, bend, work, past, now):
 
 @compiled
 def ramp(chain, inputs, work, past, now, bend, parts):
-    """Go from the remembered tensions to new ones in equal parts; `now` is the memory then."""
+    """
+    Go from the remembered tensions to new ones in equal parts; `now` is the memory then.
+
+    Parameters
+    ----------
+    inputs : address
+        (m,) [N] to go to.
+    past, now : Memory
+        Of the posture before; takes that after the last part.
+    bend : address
+        Takes the bends (n, 2) [rad].
+    parts : int
+
+    """
     change = 0.0
     copy(past.bend, bend, 2 * chain.n)
     copy(past.bend, now.bend, 2 * chain.n + 2 * chain.n * chain.k + chain.m)
@@ -92,6 +105,18 @@ def posture(chain, inputs, work, past, now, bend, before):
 
     With friction memory it is reached from the posture in `past`, in ever finer parts until the
     result stays; without, from the guess in `bend`. `before` (n, 2) is scratch.
+
+    Parameters
+    ----------
+    inputs : address
+        (m,) [N]
+    past, now : Memory
+        Of the posture before; takes that after this one.
+    bend : address
+        (n, 2) [rad], guess and result.
+    before : address
+        Scratch (n, 2).
+
     """
     if not memory_acts(chain):
         change = settle_at(chain.settle)(chain, inputs, work, past, bend)
@@ -220,6 +245,20 @@ def postures(robot, block, count, begin, end, past, scratch, carry):
     each posture follows the one before and friction remembers (`past` moves on); 0: every
     posture comes from the memory in `past`, which stays. `past` and `scratch` are addresses;
     `past` 0: it lies in the block behind the results.
+
+    Parameters
+    ----------
+    robot : int
+        Address of a Chain.
+    block : ndarray
+        Results of `count` postures, see `model.shape.ResultLayout`.
+    count, begin, end : int
+    past : int
+        Address of the memory of the posture before.
+    scratch : int
+        Address of `KernelArrays.scratch`.
+    carry : int
+
     """
     chain = chain_at(robot)
     n, k, m = chain.n, chain.k, chain.m

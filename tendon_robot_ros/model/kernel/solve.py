@@ -25,7 +25,23 @@ ANDERSON_DEPTH = 5  # guesses that the acceleration remembers
 
 @compiled
 def anderson_step(x, f, steps, changes, used, gram, factor, weights):
-    """Anderson's next guess: x + f - (steps + changes) weights, weights from least squares."""
+    """
+    Anderson's next guess: x + f - (steps + changes) weights, weights from least squares.
+
+    Parameters
+    ----------
+    x, f : ndarray, shape (2n,)
+        Guess and change of the last sweep [rad]; x becomes the next guess.
+    steps, changes : ndarray, shape (ANDERSON_DEPTH, 2n)
+        Differences of the last guesses and of their changes [rad].
+    used : int
+        Rows of them that are filled.
+    gram, factor : ndarray, shape (ANDERSON_DEPTH, ANDERSON_DEPTH)
+        Inner products of the changes [rad²], and scratch.
+    weights : ndarray, shape (ANDERSON_DEPTH,)
+        Scratch.
+
+    """
     for p in range(used):
         for q in range(p + 1):
             factor[p, q] = gram[p, q]
@@ -169,7 +185,21 @@ def begin_again(chain, inputs, x, bend, work, past, cold):
 
 @compiled
 def solve_stuck(chain, inputs, x, bend, work, past, cold):
-    """Solve where tendons may stick: near a guess at once, else from a wide slip length."""
+    """
+    Solve where tendons may stick: near a guess at once, else from a wide slip length.
+
+    Parameters
+    ----------
+    inputs : address
+        (m,) [N]
+    x : ndarray, shape (2n,)
+        Takes the bends [rad].
+    bend : address
+        Guess (n, 2) [rad].
+    cold : bool
+        Whether there is no guess.
+
+    """
     change = math.inf
     begin_again(chain, inputs, x, bend, work, past, cold)
     if not cold:
@@ -186,7 +216,21 @@ def solve_stuck(chain, inputs, x, bend, work, past, cold):
 
 @compiled
 def solve_smooth(chain, inputs, x, bend, work, past, cold):
-    """Newton from the guess, or cell by cell, else while the sign of friction sharpens."""
+    """
+    Newton from the guess, or cell by cell, else while the sign of friction sharpens.
+
+    Parameters
+    ----------
+    inputs : address
+        (m,) [N]
+    x : ndarray, shape (2n,)
+        Takes the bends [rad].
+    bend : address
+        Guess (n, 2) [rad].
+    cold : bool
+        Whether there is no guess.
+
+    """
     begin_again(chain, inputs, x, bend, work, past, cold)
     if is_causal(chain):
         change = march(chain, inputs, x, work, past)

@@ -87,6 +87,26 @@ def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, mo
 
     Arguments as in `pulls.solve_stiff_wires`. Returns the largest remaining gap [m], infinite
     where the model finds no equilibrium.
+
+    Parameters
+    ----------
+    robot : int
+        Address of a Chain.
+    inputs : ndarray, shape (m,)
+        [N], start and result.
+    target : ndarray, shape (m,)
+        Wire pulls [m]; NaN: a slack wire.
+    bends : ndarray, shape (2, n, 2)
+        [rad], guess and result in its first half.
+    past : ndarray
+        Memory of the posture before.
+    scratch : int
+        Address of `KernelArrays.scratch`.
+    stretch : float
+        Compliance of a wire [m/N].
+    most : int
+        Steps.
+
     """
     chain = chain_at(robot)
     m, there = chain.m, workspace(chain, bends, past, scratch)

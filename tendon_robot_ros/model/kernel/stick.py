@@ -46,9 +46,17 @@ def next_travel(z, travel, width, new_width):
 @compiled
 def take_over(chain, work, move, own, width, new_width):
     """
-    Move the travel of the eyelets with a step (2n,) of the bends, and change the slip length.
+    Move the travel of the eyelets with a step of the bends, and change the slip length.
 
-    `own` (4, n, k) [m]: that of the eyelets, here and beyond, and the real one.
+    Parameters
+    ----------
+    move : ndarray, shape (2n,)
+        Step of the bends [rad].
+    own : ndarray, shape (4, n, k)
+        Travel [m]: the eyelets' own, here and beyond, then the real one, here and beyond.
+    width, new_width : float
+        Slip length now and next [m].
+
     """
     tendon, (moment_arms, scale) = words(chain.tendon), moment_arms_of(chain, work)
     lever = floats(moment_arms)
@@ -93,6 +101,20 @@ def solve_sliding(chain, inputs, x, work, past, wide, shrink, most):
     Newton with a state of every eyelet, from x (2n,); return the last residual [rad].
 
     The slip length starts `wide` times its own and shrinks by a factor at every good step.
+
+    Parameters
+    ----------
+    inputs : address
+        (m,) [N]
+    x : ndarray, shape (2n,)
+        Bends [rad], guess and result.
+    wide : float
+        Slip length at the start, over SLIP_LENGTH [1].
+    shrink : float
+        Factor on it at every good step [1].
+    most : int
+        Steps.
+
     """
     size, slip = x.shape[0], floats(work.slip)
     f, move = np.empty(size), np.empty(size)

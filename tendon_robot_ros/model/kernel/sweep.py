@@ -45,7 +45,19 @@ def smooth_sign(travel, slip_rate):
 
 @inlined
 def slip_direction(chain, work, past, at, section, here, slides, remembers):
-    """Direction s of friction at entry `at` of the travel (n, k), and what has travelled [m]."""
+    """
+    Direction s of friction at entry `at` of the travel (n, k), and what has travelled [m].
+
+    Parameters
+    ----------
+    at : int
+        Entry chain.k i + k of the arrays (n, k).
+    here : float
+        Travel of the tendon in cell i [m].
+    slides, remembers : bool
+        Whether the travel beyond counts, and whether friction remembers.
+
+    """
     beyond = floats(work.beyond)[at] if slides else 0.0
     if remembers:
         travel = friction_travel(here, beyond, chain, section)
@@ -130,6 +142,20 @@ def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, moment_arms, scale
     Take the tensions over the eyelet between cells i and i + 1 (eq. 10).
 
     work.half holds that of cell i. Returns moment (x, y) [N·m] and sum [N] of the next cell.
+
+    Parameters
+    ----------
+    i : int
+        The cell before the eyelet.
+    bx, by, next_x, next_y : float
+        Bends of the cells on both sides [rad].
+    moment_arms : address
+        (n, k, 2) [m], see `residual.moment_arms_of`.
+    scale : float
+        Factor on the tendon offsets, from which travel follows [1].
+    flags : tuple of bool
+        `active_stages`.
+
     """
     friction, straight, wraps, slides, remembers = flags
     tensions, tendon, at = floats(work.tensions), words(chain.tendon), chain.k * i
@@ -173,6 +199,15 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
     Moment arms, loads, travel beyond and the neighbour's bend are those of the guess (`prepare`);
     all else is new, so that without implicit effects the result is exact after one sweep. `shaped`
     False: as if no effect needed the shape. work.half becomes that of the new bends.
+
+    Parameters
+    ----------
+    inputs, guess : address
+        (m,) [N]; bends (n, 2) [rad].
+    out : address
+        Takes the bends (n, 2) [rad]; may be that of the guess.
+    shaped : bool
+
     """
     load, bends, guesses, half = floats(work.load), floats(out), floats(guess), floats(work.half)
     flags = active_stages(chain, shaped)
@@ -203,7 +238,21 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
 
 @compiled
 def carry_tensions(chain, inputs, bend, work, past, flags, moment_arms, scale):
-    """Fill work.tensions (n, k) [N] at bends (n, 2); work.half, travel and beyond are theirs."""
+    """
+    Fill work.tensions (n, k) [N] at bends (n, 2); work.half, travel and beyond are theirs.
+
+    Parameters
+    ----------
+    inputs, bend : address
+        (m,) [N]; (n, 2) [rad].
+    flags : tuple of bool
+        `active_stages`.
+    moment_arms : address
+        (n, k, 2) [m].
+    scale : float
+        Factor on the tendon offsets [1].
+
+    """
     bends = floats(bend)
     base_tensions(chain, inputs, work, moment_arms)
     for i in range(chain.n - 1):

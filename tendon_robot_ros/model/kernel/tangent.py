@@ -96,7 +96,19 @@ def moment_arm_slopes(chain, work, i, x, y, scale):
 
 @inlined
 def slip_slopes(chain, work, past, at, section, here, slides, remembers):
-    """Direction of friction at an eyelet, and its derivatives by travel here and beyond [1/m]."""
+    """
+    Direction of friction at an eyelet, and its derivatives by travel here and beyond [1/m].
+
+    Parameters
+    ----------
+    at : int
+        Entry chain.k i + k of the arrays (n, k).
+    here : float
+        Travel of the tendon in cell i [m].
+    slides, remembers : bool
+        Whether the travel beyond counts, and whether friction remembers.
+
+    """
     beyond = floats(work.beyond)[at] if slides else 0.0
     h = TRAVEL_STEP
     by_here, by_beyond = 1.0, 0.0
@@ -117,21 +129,28 @@ def slip_slopes(chain, work, past, at, section, here, slides, remembers):
     by_here = rate * (1.0 - s * s)
     if slides:
         t, h = smooth_sign(beyond, rate), SINE_STEP
-        share = friction_travel(s + h, t, chain, section) - friction_travel(
-            s - h, t, chain, section
-        )
-        by_here *= share / (2.0 * h)
-        share = friction_travel(s, t + h, chain, section) - friction_travel(
-            s, t - h, chain, section
-        )
-        by_beyond = rate * (1.0 - t * t) * share / (2.0 * h) if t * t < SLIDING_FROM else 0.0
+        share = friction_travel(s + h, t, chain, section)
+        by_here *= (share - friction_travel(s - h, t, chain, section)) / (2.0 * h)
+        share = friction_travel(s, t + h, chain, section)
+        share = (share - friction_travel(s, t - h, chain, section)) / (2.0 * h)
+        by_beyond = rate * (1.0 - t * t) * share if t * t < SLIDING_FROM else 0.0
         s = friction_travel(s, t, chain, section)
     return s, by_here, by_beyond
 
 
 @compiled
 def turning_slopes(chain, i, bx, by, next_x, next_y, wraps):
-    """Return what passes the eyelet behind cell i, its derivatives by the bends on both sides."""
+    """
+    Return what passes the eyelet behind cell i, its derivatives by the bends on both sides.
+
+    Parameters
+    ----------
+    bx, by, next_x, next_y : float
+        Bends of the cells on both sides [rad].
+    wraps : bool
+        Whether the mean of both bends turns the tendon.
+
+    """
     section, h = section_of(chain, i), SINE_STEP
     q = bx * bx + by * by
     s, c = half_turn(q)
@@ -159,7 +178,19 @@ def turning_slopes(chain, i, bx, by, next_x, next_y, wraps):
 
 @compiled
 def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
-    """Fill what the tensions of cell i + 1 depend on: those of cell i, both bends, the travel."""
+    """
+    Fill what the tensions of cell i + 1 depend on: those of cell i, both bends, the travel.
+
+    Parameters
+    ----------
+    bend : address
+        (n, 2) [rad]
+    flags : tuple of bool
+        `sweep.active_stages`.
+    tangent : address
+        Derivatives of all cells.
+
+    """
     _, _, wraps, slides, remembers = flags
     bends, tendon, section = floats(bend), words(chain.tendon), section_of(chain, i)
     bx, by, next_x, next_y = bends[2 * i], bends[2 * i + 1], bends[2 * i + 2], bends[2 * i + 3]
@@ -190,7 +221,17 @@ def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
 
 @compiled
 def bent_cell(chain, work, i, x, y, force, torque, own):
-    """Moment (x, y) [N·m] on a cell bent by (x, y), where its end and its middle lie [m]."""
+    """
+    Moment (x, y) [N·m] on a cell bent by (x, y), where its end and its middle lie [m].
+
+    Parameters
+    ----------
+    x, y : float
+        Bend [rad].
+    force, torque, own : tuple of float
+        Of all beyond at the cell's end, and its weight, in its first frame: (3,) [N], [N·m], [N].
+
+    """
     s, c = half_turn(x * x + y * y)
     reach, hinge = floats(work.lengths)[i], cell(chain, i, HINGE)
     mx, my, lean, rise = cell_moment(x, y, s, c, force, torque, own, reach, hinge)
@@ -245,7 +286,19 @@ def load_slopes(chain, bend, work, i, row):
 
 @compiled
 def turn_slopes(chain, work, i, x, y, force, torque, own, row):
-    """Fill what a turn of the frame of cell i does, and how its own bend turns the next one."""
+    """
+    Fill what a turn of the frame of cell i does, and how its own bend turns the next one.
+
+    Parameters
+    ----------
+    x, y : float
+        Bend [rad].
+    force, torque, own : tuple of float
+        Of all beyond at the cell's end, and its weight, base frame: (3,) [N], [N·m], [N].
+    row : pointer
+        Derivatives of the cell.
+
+    """
     f = floats(work.frames + 72 * i)
     s, c = half_turn(x * x + y * y)
     sinc, versine = 2.0 * s * c, 2.0 * s * s
@@ -286,7 +339,19 @@ def compression_slopes(chain, bend, work, i, total):
 
 @compiled
 def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
-    """Fill the derivatives of the residual of cell i."""
+    """
+    Fill the derivatives of the residual of cell i.
+
+    Parameters
+    ----------
+    bend : address
+        (n, 2) [rad]
+    moment_arms, scale : address, float
+        (n, k, 2) [m], and the factor on them [1].
+    tangent : address
+        Derivatives of this cell, SIZE + TENDON k floats.
+
+    """
     row, at = floats(tangent), chain.k * i
     x, y = floats(bend)[2 * i], floats(bend)[2 * i + 1]
     mx, my, total = tendon_moment(chain, work, i, moment_arms, scale)

@@ -81,7 +81,21 @@ def end_of(q, s, c, cell_length, hinge):
 
 @fused
 def turn_row(row, x, y, sinc, versine, cosine, across, along):
-    """One row of a frame, and of the place where it is, taken over a cell that bends by (x, y)."""
+    """
+    One row of a frame, and of the place where it is, taken over a cell that bends by (x, y).
+
+    Parameters
+    ----------
+    row : tuple of float
+        Row (3,) of the frame, and that coordinate of its origin [m].
+    x, y : float
+        Bend [rad].
+    sinc, versine, cosine : float
+        sin(a) / a, (1 - cos a) / a² [1/rad²] and cos a of its size a.
+    across, along : float
+        Where the cell ends, see `end_of` [m/rad], [m].
+
+    """
     fx, fy, fz, place = row
     toward = fx * x + fy * y
     turned = versine * toward + sinc * fz
