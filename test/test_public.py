@@ -3,12 +3,16 @@
 import os
 import sys
 
+import numpy as np
 import processes
 import pytest
+from matplotlib import pyplot as plt
 from source_tree import ROOT
 
 import tendon_robot_ros
 from tendon_robot_ros import Model, compare, load_dataset, load_robot
+from tendon_robot_ros.common.errors import InputError
+from tendon_robot_ros.model.plot import bending_azimuth, plot_arms, views_of
 
 ROBOTS = ROOT / 'config' / 'robots'
 
@@ -60,6 +64,25 @@ def test_an_arm_is_drawn_flat_or_in_space(name, axis):
     assert len(axes.lines) == 2
 
 
+@pytest.mark.parametrize('turn', [0.0, 1.0, 2.5, -2.0])
+def test_an_arm_is_seen_across_the_plane_in_which_it_bends(turn):
+    c, s = np.cos(turn), np.sin(turn)
+    bent = np.array([[0.0, 0.0, 0.1], [0.03, 0.002, 0.18], [np.nan] * 3, [0.08, -0.002, 0.2]])
+    arm = bent @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    azimuth = bending_azimuth(arm)
+    assert azimuth == pytest.approx(turn + bending_azimuth(bent), abs=1e-12)
+    np.testing.assert_allclose(views_of(arm, turn), bent, atol=1e-12)
+    axes = plot_arms(arm[[0, 1, 3]][None], None)
+    if turn:
+        line_of_sight = np.radians(axes.azim)
+        assert np.cos(line_of_sight - azimuth) == pytest.approx(0.0, abs=1e-12)
+    plt.close('all')
+
+
+def test_a_straight_arm_is_seen_with_x_to_the_right():
+    assert bending_azimuth(np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.2]])) == 0.0
+
+
 def test_a_comparison_prints_and_draws_its_errors():
     dataset = load_dataset(ROOT / 'data' / 'hinge_friction' / 'fit')
     assert ': 12 postures x up to 5 trials x 15 markers of planar1; tension [N]' in repr(dataset)
@@ -67,6 +90,13 @@ def test_a_comparison_prints_and_draws_its_errors():
     assert 'planar1: rms 2.66 mm, tip 4.9 mm; a perfect model: 0.245 mm' in repr(comparison)
     axes = comparison.plot()
     assert axes.lines[0].get_ydata()[-1] == pytest.approx(1e3 * comparison.best.tip_rms)
+    across, along = comparison.plot_shapes('3').axes
+    measured = next(line for line in across.lines if line.get_label() == 'measured')
+    np.testing.assert_allclose(measured.get_ydata(), 1e3 * comparison.measured.mean[3, :, 2])
+    assert np.abs(along.lines[-1].get_xdata()).max() < np.abs(measured.get_xdata()).max()
+    with pytest.raises(InputError, match="no posture 'third'; there are: 0, 1, 2"):
+        comparison.plot_shapes('third')
+    plt.close('all')
 
 
 def test_the_example_tells_the_whole_story(tmp_path):

@@ -68,9 +68,31 @@ def test_every_axis_of_every_figure_has_a_unit_or_counts_something(planar):
         for name in ('xaxis', 'yaxis'):
             title = figure['layout'][name].get('title', {}).get('text')
             assert title in counted or re.search(r'\[(mm|°)\]$', title), title
-    spatial = shape_figures(compared(blind('e') / 'fit'))[0][0]
-    scene = spatial.layout['scene']
+    scene = shape_figures(compared(blind('e') / 'fit'))[0][0][0].layout['scene']
     assert [scene[f'{a}axis']['title']['text'] for a in 'xyz'] == ['x [mm]', 'y [mm]', 'z [mm]']
+
+
+def test_a_spatial_arm_is_seen_across_the_plane_in_which_it_bends():
+    tentacle = compared(ROOT / 'data' / 'tentacle', pcca=False)
+    p = tentacle.measured.postures.index('m2_u025')
+    ((scene,), _), (sides, _) = shape_figures(tentacle)
+    menu = scene.layout['updatemenus'][0]
+    drawn = chosen_postures(tentacle)
+    assert menu['active'] == drawn.index(p)  # the worst
+    camera = menu['buttons'][menu['active']]['args'][1]['scene.camera']
+    assert camera == scene.layout['scene']['camera']
+    view = np.array([camera['eye'][axis] for axis in 'xy'])
+    error = tentacle.models[0].markers[p, -1] - tentacle.measured.mean[p, -1]
+    assert abs(error[:2] @ view) < 0.3 * np.linalg.norm(error) * np.linalg.norm(view)
+    assert len(sides) == len(drawn)
+    across, along = (t for t in sides[drawn.index(p)].data if t['name'] == 'measured')
+    assert (across['xaxis'], along['xaxis']) == ('x', 'x2')
+    seen = np.column_stack([across['x'], along['x'], across['y']])
+    measured = 1e3 * tentacle.measured.mean[p]
+    np.testing.assert_allclose(
+        np.linalg.norm(seen, axis=1), np.linalg.norm(measured, axis=1), atol=1e-3
+    )
+    assert np.abs(along['x']).max() < 0.3 * np.max(across['x'])
 
 
 def test_the_figures_show_the_numbers_of_the_comparison(planar):

@@ -17,6 +17,7 @@ from .statistics import Estimate, PairedT, estimate, half_width, paired_t
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Floats = npt.NDArray[np.float64]
 GROWN_FROM_FLOORS = 2.0  # times the noise floor: an error that is no longer noise
@@ -63,6 +64,11 @@ class ModelErrors:
     distance: Floats  # (P, J) [m] from the trial mean
     tip_errors: Floats  # (P, Q) [m] of the last marker, trial by trial: the residual distance
     centreline: Floats | None = None  # (P, n, 3) [m], where the markers do not lie on it
+
+    @property
+    def line(self) -> Floats:
+        """What to draw of the arm (P, n, 3) [m]: its centreline, else its markers."""
+        return self.markers if self.centreline is None else self.centreline
 
     @cached_property
     def rms(self) -> float:
@@ -126,7 +132,52 @@ class Comparison:
         Axes
 
         """
-        return plot_errors(self, axes)
+        from matplotlib import pyplot as plt
+
+        measured = self.measured
+        if axes is None:
+            axes = plt.figure(layout='constrained').add_subplot()
+        along = 1e3 * measured.arc_lengths
+        for model in self.models:
+            axes.plot(along, 1e3 * model.per_marker_rms, '.-', label=model.name)
+        if measured.floor_per_marker is not None:
+            floor = 1e3 * measured.floor_per_marker
+            axes.fill_between(along, 0.0, floor, color='0.8', label='noise of the measurements')
+        axes.set(
+            xlabel='along the arm [mm]',
+            ylabel='rms error [mm]',
+            title=f'{measured.data}: {len(measured.postures)} postures',
+            ylim=(0.0, None),
+        )
+        axes.legend()
+        return axes
+
+    def plot_shapes(self, posture: str | None = None) -> Figure:
+        """
+        Draw a posture, measured and predicted, across the plane in which it bends and along it.
+
+        Parameters
+        ----------
+        posture : str, optional
+            Its name; default: the one that the best model predicts worst.
+
+        Raises
+        ------
+        InputError
+            There is no such posture.
+
+        """
+        from ..model.plot import plot_sides
+
+        names = self.measured.postures
+        if posture is not None and posture not in names:
+            raise InputError(f'no posture {posture!r}; there are: {", ".join(names)}')
+        p = self.worst_posture(self.best) if posture is None else names.index(posture)
+        figure = plot_sides(
+            self.measured.mean[p], {m.name: (m.line[p], m.markers[p]) for m in self.models}
+        )
+        figure.suptitle(f'{self.measured.data}, {names[p]}')
+        return figure
 
     @property
     def noise_floor(self) -> float | None:
@@ -368,30 +419,3 @@ def _numbers(values: Floats | None) -> list[Any] | None:
 
 def _array(rows: Any) -> Floats:
     return np.array(list(rows), dtype=float)
-
-
-# -----------------------------------------------------------------------------
-# Pictures of comparisons for notebooks, with matplotlib; the pages have figures of their own.
-
-
-def plot_errors(comparison: Comparison, axes: Axes | None = None) -> Axes:
-    """Draw the rms error per marker [mm] of every model along the arm [mm], and the floor."""
-    from matplotlib import pyplot as plt
-
-    measured = comparison.measured
-    if axes is None:
-        axes = plt.figure(layout='constrained').add_subplot()
-    along = 1e3 * measured.arc_lengths
-    for model in comparison.models:
-        axes.plot(along, 1e3 * model.per_marker_rms, '.-', label=model.name)
-    if measured.floor_per_marker is not None:
-        floor = 1e3 * measured.floor_per_marker
-        axes.fill_between(along, 0.0, floor, color='0.8', label='noise of the measurements')
-    axes.set(
-        xlabel='along the arm [mm]',
-        ylabel='rms error [mm]',
-        title=f'{measured.data}: {len(measured.postures)} postures',
-        ylim=(0.0, None),
-    )
-    axes.legend()
-    return axes

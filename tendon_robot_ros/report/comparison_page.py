@@ -78,14 +78,14 @@ def steps(comparison: Comparison) -> list[Step]:
 def add_shapes(page: Page, comparison: Comparison) -> None:
     """Add the measured and predicted shapes."""
     page.heading('Shapes')
-    figures, across = shape_figures(comparison)
     drawn, measured = len(chosen_postures(comparison)), int((comparison.measured.trials > 0).sum())
     if drawn < measured:
         page.text(
             f'The {drawn} postures of {measured} that {comparison.best.name} predicts worst.'
         )
     page.key(shape_key(comparison))
-    page.figures(figures, across)
+    for figures, across in shape_figures(comparison):
+        page.figures(figures, across)
 
 
 def add_angles(page: Page, comparison: Comparison) -> None:

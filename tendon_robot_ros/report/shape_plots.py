@@ -1,4 +1,4 @@
-"""Shapes, measured and predicted: a small picture per posture, or one scene in space."""
+"""Shapes, measured and predicted: pictures per posture; of spatial arms also a scene in space."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 
 from ..common.colours import FLOOR, MEASURED, look
 from ..common.words import capital, mm
-from ..comparison.result import Comparison, Floats, ModelErrors
+from ..comparison.result import Comparison, Floats
+from ..model.plot import bending_azimuth, views_of
 from .comparison_text import posture_name
-from .numbers import mm_list
+from .numbers import mm_list, plain
 from .page import Figure, symbol
 
 POSTURES_DRAWN_MAX = 12  # postures that are drawn
@@ -19,12 +20,12 @@ FLAT_WITHIN_SHARE = 0.03  # of the arm's length: farther from the x-z plane is s
 Trace = dict[str, Any]
 
 
-def shape_figures(comparison: Comparison) -> tuple[list[Figure], str]:
-    """Return the figures of the shapes, and how many stand beside each other."""
+def shape_figures(comparison: Comparison) -> list[tuple[list[Figure], str]]:
+    """Return rows of figures of the shapes, and how many of each stand beside each other."""
     chosen = chosen_postures(comparison)
     if is_planar(comparison):
-        return [_planar(comparison, p) for p in chosen], 'many'
-    return [_spatial(comparison, chosen)], ''
+        return [([_planar(comparison, p) for p in chosen], 'many')]
+    return [([_spatial(comparison, chosen)], ''), ([_sides(comparison, p) for p in chosen], 'two')]
 
 
 def shape_key(comparison: Comparison) -> list[tuple[str, str]]:
@@ -62,8 +63,42 @@ def _planar(comparison: Comparison, p: int) -> Figure:
     return Figure(data, layout, capital(posture_name(comparison, p)), caption, height=270)
 
 
+def _sides(comparison: Comparison, p: int) -> Figure:
+    """One posture seen across the plane in which it bends, and along that plane."""
+    azimuth = _azimuth(comparison, p)
+    data = []
+    for trace in _traces(comparison, p):
+        seen = views_of(np.array([trace[axis] for axis in 'xyz'], dtype=float).T, azimuth)
+        rest = {key: value for key, value in trace.items() if key not in 'xyz'}
+        for side, name in enumerate(('x', 'x2')):
+            points = {'x': plain(seen[:, side]), 'y': plain(seen[:, 2])}
+            data.append({**rest, **points, 'xaxis': name})
+    towards = f'plane of bending, {np.degrees(azimuth):.0f}° from x [mm]'
+    layout = {
+        'showlegend': False,
+        'margin': {'l': 46, 'r': 8, 't': 6, 'b': 40},
+        'xaxis': {'title': {'text': towards}, 'domain': [0.0, 0.64]},
+        'xaxis2': {
+            'title': {'text': 'across it [mm]'},
+            'domain': [0.7, 1.0],
+            'scaleanchor': 'x',
+            'nticks': 5,
+        },
+        'yaxis': {'title': {'text': 'z [mm]'}, 'scaleanchor': 'x'},
+    }
+    best = comparison.best.per_posture_rms[p]
+    caption = f'{comparison.best.name}: rms {mm(best)}'
+    return Figure(data, layout, capital(posture_name(comparison, p)), caption, height=340)
+
+
+def _azimuth(comparison: Comparison, p: int) -> float:
+    """Direction [rad] in which a posture bends, as measured and as predicted."""
+    lines = [comparison.measured.mean[p], *(model.line[p] for model in comparison.models)]
+    return bending_azimuth(np.concatenate(lines))
+
+
 def _spatial(comparison: Comparison, chosen: list[int]) -> Figure:
-    """One scene; a menu chooses the posture, the worst first."""
+    """One scene; a menu chooses the posture, the worst first, and looks across its plane."""
     worst = comparison.worst_posture(comparison.best)
     groups = [_traces(comparison, p) for p in chosen]
     data = [
@@ -75,8 +110,11 @@ def _spatial(comparison: Comparison, chosen: list[int]) -> Figure:
     buttons = [
         {
             'label': escape(_short(posture_name(comparison, p))),
-            'method': 'restyle',
-            'args': ['visible', (owner == p).tolist()],
+            'method': 'update',
+            'args': [
+                {'visible': (owner == p).tolist()},
+                {'scene.camera': _camera(_azimuth(comparison, p))},
+            ],
         }
         for p in chosen
     ]
@@ -92,16 +130,27 @@ def _spatial(comparison: Comparison, chosen: list[int]) -> Figure:
     layout = {
         'showlegend': False,
         'margin': {'l': 0, 'r': 0, 't': 48, 'b': 0},
-        'scene': _scene(comparison, chosen),
+        'scene': _scene(comparison, chosen, _camera(_azimuth(comparison, worst))),
         'updatemenus': [menu],
     }
-    return Figure(data, layout, '', 'Choose a posture in the menu; drag to turn.', height=520)
+    caption = 'Choose a posture, seen across the plane in which it bends; drag to turn.'
+    return Figure(data, layout, '', caption, height=520)
 
 
-def _scene(comparison: Comparison, chosen: list[int]) -> dict[str, Any]:
+def _camera(azimuth: float) -> dict[str, Any]:
+    """Look across the plane of bending, without perspective, a little from above."""
+    u, v = float(np.cos(azimuth)), float(np.sin(azimuth))
+    return {
+        'eye': {'x': 1.4 * v, 'y': -1.4 * u, 'z': 0.2},
+        'center': {'x': 0, 'y': 0, 'z': -0.05},
+        'projection': {'type': 'orthographic'},
+    }
+
+
+def _scene(comparison: Comparison, chosen: list[int], camera: Trace) -> Trace:
     """Return a box that holds all postures at one scale."""
     shapes = [comparison.measured.mean[chosen]]
-    shapes += [line[chosen] for model in comparison.models for line in _lines(model)]
+    shapes += [line[chosen] for m in comparison.models for line in (m.markers, m.line)]
     points = np.concatenate([np.zeros((1, 3)), *(shape.reshape(-1, 3) for shape in shapes)])
     low, high = 1e3 * np.nanmin(points, axis=0), 1e3 * np.nanmax(points, axis=0)
     size = np.maximum(high - low, 0.15 * float((high - low).max()))
@@ -114,13 +163,8 @@ def _scene(comparison: Comparison, chosen: list[int]) -> dict[str, Any]:
         }
         for i, axis in enumerate('xyz')
     }
-    camera = {'eye': {'x': 1.45, 'y': -1.45, 'z': 0.75}, 'center': {'x': 0, 'y': 0, 'z': -0.08}}
     shares = dict(zip('xyz', (1.25 * size / size.max()).tolist(), strict=True))
     return {'aspectmode': 'manual', 'aspectratio': shares, 'camera': camera, **axes}
-
-
-def _lines(model: ModelErrors) -> list[Floats]:
-    return [model.markers] if model.centreline is None else [model.markers, model.centreline]
 
 
 def _traces(comparison: Comparison, p: int) -> list[Trace]:
@@ -128,10 +172,9 @@ def _traces(comparison: Comparison, p: int) -> list[Trace]:
     measured, traces = comparison.measured, []
     for i, model in enumerate(comparison.models):
         style = look(i)
-        line = model.markers if model.centreline is None else model.centreline
         traces.append(
             {
-                **_xyz(np.concatenate([np.zeros((1, 3)), line[p]])),
+                **_xyz(np.concatenate([np.zeros((1, 3)), model.line[p]])),
                 'name': escape(model.name),
                 'mode': 'lines',
                 'line': {'color': style.colour, 'dash': style.dash, 'width': 3},
