@@ -1,8 +1,9 @@
 """
-Print what ROBOT is: its sections, tendons, limits, and the physical effects of its model.
+Print what ROBOT is, what one newton does to it, and whether that is plausible.
 
-With --urdf print a URDF instead, for RViz and TF: two revolute joints per cell, `<name>_x` towards
-x and `<name>_y` towards y.
+Sections, tendons, limits, tolerances, and the physical effects of its model. With --urdf print a
+URDF instead, for RViz and TF: two revolute joints per cell, `<name>_x` towards x and `<name>_y`
+towards y.
 
 example: python -m tendon_robot_ros describe config/robots/kato_10_1.yaml
 """
@@ -13,6 +14,7 @@ import argparse
 
 from ..common.words import columns
 from ..robot import Robot, Section, load_robot
+from ..robot.estimates import handling
 
 NAME = 'describe'
 HELP = 'print a robot description, or a URDF of it'
@@ -50,8 +52,8 @@ def description(robot: Robot) -> str:
     ]
     if robot.gravity is not None:
         lines.append(f'gravity: {", ".join(f"{g:g}" for g in robot.gravity)} m/s²')
-    lines += ['', _sections(robot), '', _tendons(robot)]
-    return '\n'.join([*lines, '', *_effects(robot)])
+    lines += ['', _sections(robot), '', _tendons(robot), '', *handling(robot)]
+    return '\n'.join([*lines, '', *_effects(robot), *_tolerances(robot)])
 
 
 def model_name(robot: Robot) -> str:
@@ -97,6 +99,12 @@ def _tendons(robot: Robot) -> str:
         offset = base if base == end else f'{base} to {end}'
         rows.append([tendon.name, offset, tendon.section, tendon.group or tendon.name])
     return columns(rows)
+
+
+def _tolerances(robot: Robot) -> list[str]:
+    """Say what is not sure, 1 sd."""
+    shown = ', '.join(f'{name} {value:g}' for name, value in robot.tolerances.items())
+    return [f'not sure (1 sd): {shown}'] if shown else []
 
 
 def _effects(robot: Robot) -> list[str]:

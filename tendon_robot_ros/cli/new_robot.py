@@ -1,9 +1,12 @@
 """
-Ask a dozen questions, write a robot description and draw it.
+Ask what is known of a robot, write its description and draw it.
 
-An empty answer takes the value in brackets. The answers may also come from a file or a pipe,
-one per line; what is missing at its end takes the value in brackets. The file is short and
-meant to be edited: per-cell values, tapered or uneven tendons and effects go in there.
+The stiffness may be known as a number (of one cell), from a rod or a tube (diameters and modulus),
+a sag (the tip of the level arm under a weight), a bend (of a section under one tendon), or not at
+all; then it is such that the highest tension bends a section by 180°. What one newton does, and
+whether that is plausible, is printed. An empty answer takes the value in brackets; the answers may
+also come from a file or a pipe, one per line. The file is short and meant to be edited: per-cell
+values, tapered or uneven tendons and effects go in there.
 
 example: python -m tendon_robot_ros new-robot --output arm.yaml
 """
@@ -14,6 +17,7 @@ import argparse
 import math
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
@@ -22,6 +26,13 @@ import yaml
 from ..common.errors import InputError, RobotDescriptionError
 from ..common.files import new_file
 from ..robot import Robot, dump_robot, parse_robot
+from ..robot.estimates import (
+    SAG_SHARE_MAX,
+    G,
+    rod_stiffness,
+    stiffness_from_bend,
+    stiffness_from_sag,
+)
 from .describe import description
 
 NAME = 'new-robot'
@@ -70,25 +81,27 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
     """Return the content of the description."""
     count = questions.whole('How many sections', 2, 1, 20)
     cells = questions.whole('Cells (guide to guide) per section', 15, 1, 1000)
-    length = questions.number('Length of a cell [mm]', 7.0, 1e-3, 1e4) * 1e-3
-    stiffness = questions.number('Bending stiffness of a cell [N·m/rad]', 0.027, 1e-9, 1e6)
+    length = 1e-3 * questions.number('Length of a cell [mm]', 7.0, 1e-3, 1e4)
+    known = _ask_stiffness(questions)
     bends = questions.choice('Cells bend as', ('arc', 'hinge'))
     many = questions.whole('Tendons per section (2: planar)', 2, 1, 12)
-    radius = (
-        questions.number('Distance of the tendons from the centre [mm]', 5.5, 1e-3, 1e3) * 1e-3
+    radius = 1e-3 * questions.number(
+        'Distance of the tendons from the centre [mm]', 5.5, 1e-3, 1e3
     )
     low = questions.number('Lowest tension [N]', 0.1, 0.0, 1e4)
     high = questions.number('Highest tension [N]', max(5.0, 10.0 * low), low, 1e5)
+    if high <= low:
+        raise RobotDescriptionError('answers', 'Highest tension', f'more than {low:g} N', high)
     friction = questions.number(
         'Friction coefficient of tendon on eyelet (0: none)', 0.3, 0.0, 1.0
     )
-    gravity = questions.choice(
-        'The straight arm points (for gravity)', ('unknown', 'up', 'down', 'horizontal')
-    )
-    if high <= low:
-        raise RobotDescriptionError('answers', 'Highest tension', f'more than {low:g} N', high)
+    size = _Size(count, cells, length, radius, high)
     names = _section_names(count)
-    section = {'cells': cells, 'cell_length': length, 'bending_stiffness': stiffness}
+    section = {
+        'cells': cells,
+        'cell_length': length,
+        'bending_stiffness': float(f'{known.of_cell(size):.4g}'),
+    }
     content: dict[str, Any] = {
         'name': name,
         'sections': [{'name': s, **section, 'bends_as': bends} for s in names],
@@ -96,10 +109,105 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
         'tension_limits': [low, high],
         'effects': {'tendon_friction': {'friction_coefficient': friction}} if friction else {},
     }
-    if gravity != 'unknown':
-        along = GRAVITY_ALONG_Z[gravity]
-        content['gravity'] = [along, 0.0, 0.0] if gravity == 'horizontal' else [0.0, 0.0, along]
-    return content
+    content |= _ask_weight(questions, count * cells * length, content['effects'])
+    return content | _ask_tolerances(questions, known, friction)
+
+
+def _ask_weight(
+    questions: Questions, length: float, effects: dict[str, Any]
+) -> dict[str, list[float]]:
+    """Ask where the arm points and what it weighs; its weight becomes an effect."""
+    along = questions.choice(
+        'The straight arm points (for gravity)', ('unknown', 'up', 'down', 'horizontal')
+    )
+    if along == 'unknown':
+        return {}
+    acceleration = GRAVITY_ALONG_Z[along]
+    grams = questions.number('Weight of the arm, without its base [g] (0: leave out)', 0, 0, 1e6)
+    if grams:
+        effects['gravity'] = {'linear_density': float(f'{1e-3 * grams / length:.4g}')}
+    if along == 'horizontal':
+        print('  then +x is down: in the file, turn gravity if it is not', file=sys.stderr)
+        return {'gravity': [acceleration, 0.0, 0.0]}
+    return {'gravity': [0.0, 0.0, acceleration]}
+
+
+def _ask_tolerances(
+    questions: Questions, known: _Stiffness, friction: float
+) -> dict[str, dict[str, float]]:
+    """Ask what is how sure; a diagnosis moves it so far before it calls something missing."""
+    percent = questions.number('How sure is the stiffness [± %]', known.percent, 0, 90)
+    tolerances = {'bending_stiffness': percent / 100.0} if percent else {}
+    if friction and (percent := questions.number('How sure is the friction [± %]', 20, 0, 90)):
+        tolerances['friction_coefficient'] = percent / 100.0
+    return {'tolerances': tolerances} if tolerances else {}
+
+
+# -----------------------------------------------------------------------------
+# The stiffness of a cell from what people know of their arm.
+
+
+@dataclass(frozen=True)
+class _Size:
+    """What a stiffness is worked out for."""
+
+    sections: int
+    cells: int  # of a section
+    length: float  # [m] of a cell
+    radius: float  # [m] of the tendons
+    highest: float  # [N]
+
+
+@dataclass(frozen=True)
+class _Stiffness:
+    """How the stiffness is known, and how well, usually."""
+
+    of_cell: Callable[[_Size], float]  # [N·m/rad]
+    percent: float
+
+
+def _ask_stiffness(questions: Questions) -> _Stiffness:
+    """Ask for the stiffness of a cell, or for what it follows from."""
+    source = questions.choice(
+        'The bending stiffness is known as', ('number', 'rod', 'tube', 'sag', 'bend', 'unknown')
+    )
+    if source == 'number':
+        value = questions.number('Bending stiffness of a cell [N·m/rad]', 0.027, 1e-9, 1e6)
+        return _Stiffness(lambda size: value, 5.0)
+    if source in ('rod', 'tube'):
+        outer = 1e-3 * questions.number('Outer diameter [mm]', 1.0, 1e-3, 1e3)
+        inner = 0.0
+        if source == 'tube':
+            wall = questions.number('Wall [mm]', 0.1 * 1e3 * outer, 1e-4, 0.5e3 * outer)
+            inner = outer - 2e-3 * wall
+        modulus = 1e9 * questions.number(
+            'Modulus E [GPa] (nitinol 60, steel 200, glass fibre 40, PEEK 3.6, nylon 2)',
+            60.0, 1e-6, 1e4,
+        )  # fmt: skip
+        return _Stiffness(lambda size: rod_stiffness(modulus, outer, inner, size.length), 10.0)
+    if source == 'sag':
+        grams = questions.number('Hold the arm level, weight at its tip [g]', 10.0, 1e-3, 1e6)
+        drop = 1e-3 * questions.number('Its tip then sags by [mm]', 5.0, 1e-3, 1e4)
+        return _Stiffness(lambda size: _from_sag(1e-3 * G * grams, drop, size), 10.0)
+    if source == 'bend':
+        tension = questions.number('One tendon alone, tension [N]', 1.0, 1e-6, 1e5)
+        angle = math.radians(questions.number('Its section then bends by [°]', 45.0, 1e-3, 1e4))
+        return _Stiffness(
+            lambda size: stiffness_from_bend(tension, angle, size.cells, size.radius), 20.0
+        )
+    return _Stiffness(
+        lambda size: stiffness_from_bend(size.highest, math.pi, size.cells, size.radius), 50.0
+    )
+
+
+def _from_sag(force: float, drop: float, size: _Size) -> float:
+    whole = size.sections * size.cells * size.length
+    if drop > SAG_SHARE_MAX * whole:
+        raise InputError(
+            f'sag: {1e3 * drop:g} mm are more than {100 * SAG_SHARE_MAX:g} % of the arm of '
+            f'{1e3 * whole:g} mm; take a lighter weight'
+        )
+    return stiffness_from_sag(force, drop, size.sections * size.cells, size.length)
 
 
 def _section_names(count: int) -> list[str]:

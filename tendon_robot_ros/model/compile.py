@@ -23,6 +23,7 @@ import numpy.typing as npt
 from ..common.errors import EffectError, RobotDescriptionError
 from ..effects import STAGES, Catalogue
 from ..robot import Robot
+from ..robot.estimates import tendon_offsets
 
 KERNEL = Path(__file__).parent / 'kernel'
 _COMPOSED: dict[str, ModuleType] = {}
@@ -310,20 +311,3 @@ def _cells(robot: Robot) -> Floats:
                 ]
             )
     return np.array(rows)
-
-
-def tendon_offsets(robot: Robot) -> Floats:
-    """
-    Return the offset of every tendon in every cell, (n, k, 2) [m].
-
-    Linear in arc length from the base to the end of the tendon's last cell, taken at mid-cell.
-    """
-    lengths = np.concatenate([[s.cell_length] * s.cells for s in robot.sections])
-    ends = np.cumsum(lengths)
-    offset = np.zeros((robot.cells, len(robot.tendons), 2))
-    for k, tendon in enumerate(robot.tendons):
-        cells = robot.tendon_cells[k]
-        share = (ends - 0.5 * lengths)[:cells, None] / ends[cells - 1]
-        base, end = np.array(tendon.base), np.array(tendon.end)
-        offset[:cells, k] = base + share * (end - base)
-    return offset

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from ..common.colours import COLOURS
 from ..common.errors import NoEquilibriumError
 from ..model.model import Model
+from ..robot.estimates import bend_rates
 
 Floats = npt.NDArray[np.float64]
 BEND_RAD = 0.5 * np.pi  # [rad] that a posture of the picture bends a section by, if it may
@@ -48,12 +49,7 @@ def postures(model: Model) -> list[tuple[str, Floats]]:
 
 def _tension_for(model: Model, j: int) -> float:
     """Tension [N] at which input j alone bends the section it ends in by `BEND_RAD` (PCCA)."""
-    cells, offset = model.arrays.cells, model.arrays.offset
-    members = model.robot.input_tendons[j]
-    last = max(model.robot.tendon_cells[k] for k in members) - 1
-    section = cells[:, 4] == cells[last, 4]
-    moment = np.linalg.norm(offset[:, members].sum(axis=1), axis=1)
-    rate = float((moment / cells[:, 1])[section].sum())
+    rate = float(np.linalg.norm(bend_rates(model.robot)[j]))
     return BEND_RAD / rate if rate > 0.0 else 0.0
 
 

@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
-from ..model.compile import tendon_offsets
 from ..model.forward import TOLERANCE
 from ..model.model import Model
 from ..model.shape import ShapeBatch
 from ..robot import Robot
+from ..robot.estimates import tendon_offsets
 
 ALIGNED_COSINE = 0.5  # cosine from which two inputs pull to the same side
 

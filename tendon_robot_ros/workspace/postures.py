@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
-from ..model.compile import tendon_offsets
 from ..model.model import Model
 from ..robot import Robot
+from ..robot.estimates import bend_rates, end_sections
 
 Floats = npt.NDArray[np.float64]
 SECTION_BEND_MAX_RAD = 2.0  # [rad] largest bend of a section, by the frictionless model
@@ -66,16 +66,8 @@ class _Design:
     def __init__(self, robot: Robot, random: np.random.Generator, squeezes: bool) -> None:
         self.robot, self.random, self.squeezes = robot, random, squeezes
         self.count = len(robot.inputs)
-        stiffness = np.concatenate([s.bending_stiffness for s in robot.sections])
-        per_newton = tendon_offsets(robot) / stiffness[:, None, None]  # (n, k, 2) [rad/N]
-        edges = np.concatenate([[0], np.cumsum([s.cells for s in robot.sections])])
-        names = [section.name for section in robot.sections]
-        self.last = np.zeros(self.count, dtype=int)  # section that an input ends in
-        self.rate = np.zeros((self.count, 2))  # bend of that section per newton [rad/N]
-        for j, tendons in enumerate(robot.input_tendons):
-            self.last[j] = max(names.index(robot.tendons[k].section) for k in tendons)
-            cells = slice(edges[self.last[j]], edges[self.last[j] + 1])
-            self.rate[j] = per_newton[cells][:, list(tendons)].sum(axis=(0, 1))
+        self.last = end_sections(robot)  # section that an input ends in
+        self.rate = bend_rates(robot)  # bend of that section per newton [rad/N]
         self.sections = np.unique(self.last)
 
     def singles(self) -> list[Floats]:

@@ -1,0 +1,195 @@
+"""What a description means in the hand: bend per newton, sag, and whether that is plausible."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .description import Robot
+
+Floats = NDArray[np.float64]
+G = 9.81  # [m/s²]
+BEND_MIN_RAD = 0.35  # [rad] that the highest tension bends a section by, at least
+RIGHT_ANGLE_RAD = 0.5 * math.pi
+TENSION_SHARE_MIN = (
+    0.01  # of the highest tension: a right angle takes more, and more than the lowest
+)
+SAG_SHARE_MAX = 0.3  # of the length: beyond, the sag of a straight beam is none
+
+
+def tendon_offsets(robot: Robot) -> Floats:
+    """
+    Return the offset of every tendon in every cell, (n, k, 2) [m].
+
+    Linear in arc length from the base to the end of the tendon's last cell, taken at mid-cell.
+    """
+    lengths = np.concatenate([[s.cell_length] * s.cells for s in robot.sections])
+    ends = np.cumsum(lengths)
+    offset = np.zeros((robot.cells, len(robot.tendons), 2))
+    for k, tendon in enumerate(robot.tendons):
+        cells = robot.tendon_cells[k]
+        share = (ends - 0.5 * lengths)[:cells, None] / ends[cells - 1]
+        base, end = np.array(tendon.base), np.array(tendon.end)
+        offset[:cells, k] = base + share * (end - base)
+    return offset
+
+
+def stiffnesses(robot: Robot) -> Floats:
+    """Return the bending stiffness of every cell, (n,) [N·m/rad]."""
+    return np.concatenate([section.bending_stiffness for section in robot.sections])
+
+
+def end_sections(robot: Robot) -> NDArray[np.int64]:
+    """Return the index (m,) of the section in which each input ends."""
+    names = [section.name for section in robot.sections]
+    return np.array(
+        [
+            max(names.index(robot.tendons[k].section) for k in members)
+            for members in robot.input_tendons
+        ]
+    )
+
+
+def bend_rates(robot: Robot) -> Floats:
+    """
+    Return by how much one newton on each input bends the section in which it ends, (m, 2) [rad/N].
+
+    The sum over its cells of offset / stiffness: no friction, small bends (PCCA).
+    """
+    per_newton = tendon_offsets(robot) / stiffnesses(robot)[:, None, None]  # (n, k, 2)
+    edges = np.concatenate([[0], np.cumsum([section.cells for section in robot.sections])])
+    rates = np.zeros((len(robot.inputs), 2))
+    for j, (last, members) in enumerate(
+        zip(end_sections(robot), robot.input_tendons, strict=True)
+    ):
+        cells = slice(edges[last], edges[last + 1])
+        rates[j] = per_newton[cells][:, list(members)].sum(axis=(0, 1))
+    return rates
+
+
+def mass(robot: Robot) -> float:
+    """Return the mass of the arm [kg], 0 where the description has no `gravity`."""
+    density = robot.effects.get('gravity', {}).get('linear_density', 0.0)
+    if isinstance(density, tuple):
+        return 0.0
+    profile = sum(s.cell_length * sum(s.mass_profile) for s in robot.sections)
+    return float(density) * profile
+
+
+def sag(robot: Robot, force: float = 0.0, weight: float = 0.0) -> float:
+    """
+    Return by how much the tip of the level arm sags [m], as long as that is little.
+
+    Every cell bends by its moment over its stiffness, at its middle.
+
+    Parameters
+    ----------
+    robot : Robot
+        Gives lengths and stiffness.
+    force : float
+        [N] at the tip.
+    weight : float
+        [N] of the arm, spread evenly.
+
+    """
+    lengths = np.concatenate([[s.cell_length] * s.cells for s in robot.sections])
+    beyond = robot.length - (np.cumsum(lengths) - 0.5 * lengths)  # [m] from mid-cell to the tip
+    moments = force * beyond + 0.5 * weight / robot.length * beyond**2
+    return float(np.sum(moments / stiffnesses(robot) * beyond))
+
+
+def handling(robot: Robot) -> list[str]:
+    """Say what one newton on each input does, what the arm weighs, and what is not plausible."""
+    rates = np.linalg.norm(bend_rates(robot), axis=1)
+    groups: dict[str, list[str]] = {}
+    for name, rate, last in zip(robot.inputs, rates, end_sections(robot), strict=True):
+        text = f'bends {robot.sections[last].name} by {_degrees(rate)}'
+        groups.setdefault(text, []).append(name)
+    lines = [f'1 N on {" or ".join(names)} {text}' for text, names in groups.items()]
+    lines[0] += ' (without friction)'
+    if (kilograms := mass(robot)) > 0.0:
+        drop = sag(robot, weight=G * kilograms)
+        lines.append(f'weighs {1e3 * kilograms:.3g} g; level, it {_sags(drop, robot.length)}')
+    return lines + doubts(robot, rates)
+
+
+def doubts(robot: Robot, rates: Floats) -> list[str]:
+    """Return a line about what no arm is like, or one that says how its tensions suit it."""
+    low, top = robot.tension_limits
+    lines = []
+    for name, rate in zip(robot.inputs, rates.tolist(), strict=True):
+        if 0.0 < rate * top < BEND_MIN_RAD:
+            lines.append(
+                f'{name} at its limit of {top:g} N bends by {_degrees(rate * top)} only; is '
+                'bending_stiffness too high (N·m/rad of one cell), or an offset too small (m)?'
+            )
+        elif rate * max(low, TENSION_SHARE_MIN * top) > RIGHT_ANGLE_RAD:
+            lines.append(
+                f'{name} bends by 90° at {RIGHT_ANGLE_RAD / rate:.2g} N, with tensions from '
+                f'{low:g} to {top:g} N; is bending_stiffness too low (N·m/rad of one cell), or '
+                'tension_limits too high (N)?'
+            )
+    if lines:
+        return [f'NOT PLAUSIBLE: {line}' for line in lines[:1]]
+    moving = rates[rates > 0.0]
+    if not len(moving):
+        return ['NOT PLAUSIBLE: no input bends its section; are the signs of the offsets right?']
+    needed = sorted({f'{RIGHT_ANGLE_RAD / rate:.2g}' for rate in moving}, key=float)
+    span = needed[0] if len(needed) == 1 else f'{needed[0]} to {needed[-1]}'
+    return [f'plausible: 90° take {span} N, at most {top:g} N may pull']
+
+
+def _degrees(angle: float) -> str:
+    return f'{math.degrees(angle):.3g}°'
+
+
+def _sags(drop: float, length: float) -> str:
+    if drop > SAG_SHARE_MAX * length:
+        return 'hangs down under its own weight'
+    return f'sags by {1e3 * drop:.2g} mm at the tip'
+
+
+# -----------------------------------------------------------------------------
+# Stiffness of a cell from what people know.
+
+
+def rod_stiffness(modulus: float, outer: float, inner: float, length: float) -> float:
+    """
+    Return the bending stiffness of a cell [N·m/rad]: E π (D⁴ - d⁴) / 64 over its length.
+
+    Parameters
+    ----------
+    modulus : float
+        Young's modulus E [Pa].
+    outer, inner : float
+        Diameters D and d [m]; d = 0 for a rod.
+    length : float
+        Of the cell [m].
+
+    """
+    return modulus * math.pi * (outer**4 - inner**4) / 64.0 / length
+
+
+def stiffness_from_sag(force: float, drop: float, cells: int, length: float) -> float:
+    """
+    Return the stiffness [N·m/rad] of each of n equal cells whose tip sags under a force.
+
+    Parameters
+    ----------
+    force : float
+        [N] at the tip of the level arm.
+    drop : float
+        [m] that the tip sags by.
+    cells, length : int, float
+        Number of cells, and the length of one [m].
+
+    """
+    beyond = length * (cells - 0.5 - np.arange(cells))
+    return float(force * np.sum(beyond**2) / drop)
+
+
+def stiffness_from_bend(tension: float, bend: float, cells: int, offset: float) -> float:
+    """Return the stiffness [N·m/rad] of cells that a tension [N] bends by an angle [rad]."""
+    return tension * offset * cells / bend
