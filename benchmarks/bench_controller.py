@@ -10,7 +10,6 @@ Prints JSON. Run alone: two cores are just enough for the three processes.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import tempfile
@@ -18,7 +17,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from machine import machine
+from machine import machine, tell
 
 os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
@@ -159,10 +158,7 @@ def main() -> dict[str, object]:
             result['start_cold_s'] = round(cold, 1)
     sender.destroy_node()
     rclpy.shutdown()
-    text = json.dumps(result, indent=2)
-    print(text)
-    if options.json:
-        options.json.write_text(text)
+    tell(result, options.json)
     return result
 
 

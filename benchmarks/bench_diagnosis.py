@@ -83,7 +83,7 @@ def inside(case: Case, found, values) -> float | None:
 def judge(case: Case) -> Outcome:
     """Simulate, diagnose, and hold the verdict against the truth."""
     robot = described(case)
-    values = hidden_values(case.hidden, case.size, case.seed)
+    values = hidden_values(case.hidden, case.size, case.seed, robot)
     start = time.perf_counter()
     try:
         sets, built = measured(case, robot, values)

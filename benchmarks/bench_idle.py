@@ -11,7 +11,6 @@ driver is counted: nobody asked for one. Prints JSON. Linux only.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import shlex
 import signal
@@ -21,7 +20,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from machine import machine
+from machine import machine, tell
 
 os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
@@ -142,10 +141,7 @@ def main() -> dict[str, object]:
             result |= beside(watcher, options.load, options.minutes)
     watcher.destroy_node()
     rclpy.shutdown()
-    text = json.dumps(result, indent=2)
-    print(text)
-    if options.json:
-        options.json.write_text(text)
+    tell(result, options.json)
     return result
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from machine import machine
-from simulated_cases import SHAPING, hidden_values, robot_of
+from simulated_cases import SHAPING, hidden_values, needs_pulls, robot_of
 
 from tendon_robot_ros.common.errors import TendonRobotError
 from tendon_robot_ros.diagnosis.add import add_effects
@@ -32,11 +32,11 @@ def held(task) -> tuple[tuple[str, str], dict[str, bool] | None, float]:
     """Fit one simulated data set; per parameter, whether its interval holds the truth."""
     name, effect, seed, size = task
     robot = robot_of(name, effect)
-    values = hidden_values(effect, size, seed)
+    values = hidden_values(effect, size, seed, robot)
     if effect in SHAPING and seed % 2:
         values = {'fraction': 0.6}
     path = 'sequence' if effect == 'friction_memory' else 'from_straight'
-    kind = 'displacement' if effect == 'tendon_elongation' else 'tension'
+    kind = 'displacement' if needs_pulls(effect) else 'tension'
     count = 20 if path == 'sequence' else 12
     try:
         plant = make_plant(robot, {effect: values}, refine=1, scatter=0.0, capstan=False)

@@ -10,7 +10,6 @@ machine is printed beside the figures.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import tempfile
@@ -29,7 +28,7 @@ import bench_controller
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from live_browser import Browser
-from machine import machine
+from machine import machine, tell
 
 from tendon_robot_ros.ros.shared.messages import LATCHED
 from tendon_robot_ros.ros.shared.runtime import NodeProcess
@@ -141,10 +140,7 @@ def main() -> int:
         watcher.destroy_node()
     rclpy.shutdown()
     found['load_after'] = os.getloadavg()[0]
-    text = json.dumps(found, indent=1)
-    print(text)
-    if options.json:
-        options.json.write_text(text + '\n')
+    tell(found, options.json)
     return 0
 
 

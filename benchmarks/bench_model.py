@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -13,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from machine import machine
+from machine import machine, tell
 
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import Robot, Section, Tendon, load_robot
@@ -168,11 +167,7 @@ def main() -> int:
         'inverse, spatial_6, implicit': inverse('spatial_6', max(options.targets // 500, 10), 1.0),
         **starts(),
     }
-    text = json.dumps({'machine': machine(), 'seconds': figures}, indent=1)
-    print(text)
-    if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(text)
+    tell({'machine': machine(), 'seconds': figures}, options.json)
     return 0
 
 

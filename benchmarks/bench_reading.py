@@ -5,13 +5,12 @@ usage: python benchmarks/bench_reading.py
 """
 
 import argparse
-import json
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
-from machine import machine
+from machine import machine, tell
 
 from tendon_robot_ros.data import load_dataset
 
@@ -63,10 +62,7 @@ def main():
         with tempfile.TemporaryDirectory() as folder:
             write(Path(folder), missing)
             result[name] = round(seconds(folder), 3)
-    text = json.dumps(result, indent=2)
-    print(text)
-    if options.json:
-        options.json.write_text(text)
+    tell(result, options.json)
     return result
 
 

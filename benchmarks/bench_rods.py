@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from machine import machine
+from machine import machine, tell
 
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import Robot, Section, Tendon
@@ -82,11 +82,7 @@ def main() -> int:
     options = parser.parse_args()
     figures = {'one cell per disk': compare(20)}
     figures['published'] = json.loads((RODS / 'published.json').read_text())
-    text = json.dumps({'machine': machine(), 'rods': figures}, indent=1)
-    print(text)
-    if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(text)
+    tell({'machine': machine(), 'rods': figures}, options.json)
     return 0
 
 

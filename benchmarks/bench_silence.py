@@ -9,14 +9,13 @@ the targets were answered, and the load of the machine before and after.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
-from machine import machine
+from machine import machine, tell
 
 os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
@@ -132,10 +131,7 @@ def main() -> dict[str, object]:
     result['load_after'] = os.getloadavg()[0]
     watcher.destroy_node()
     rclpy.shutdown()
-    text = json.dumps(result, indent=2)
-    print(text)
-    if options.json:
-        options.json.write_text(text)
+    tell(result, options.json)
     return result
 
 

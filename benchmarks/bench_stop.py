@@ -17,7 +17,6 @@ above a ramp that begins then: 0 means that nothing was late.
 """
 
 import argparse
-import json
 import os
 import signal
 import tempfile
@@ -27,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from chain import TARGETS, Chain, Load
 from emulated_bus import driver_for
-from machine import machine
+from machine import machine, tell
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
@@ -257,10 +256,7 @@ def main():
         'died': died,
         **{kind: {**summary(rows), 'not held': skipped[kind]} for kind, rows in found.items()},
     }
-    text = json.dumps(result, indent=1)
-    print(text)
-    if args.json:
-        args.json.write_text(text)
+    tell(result, args.json)
     return (
         1
         if died or any(row.get('late') for row in result.values() if isinstance(row, dict))

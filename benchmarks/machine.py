@@ -1,5 +1,6 @@
-"""Which machine a figure was measured on."""
+"""Which machine a figure was measured on, and how figures are told."""
 
+import json
 import os
 import platform
 from pathlib import Path
@@ -17,3 +18,12 @@ def machine():
         'cores': os.cpu_count(),
         'python': platform.python_version(),
     }
+
+
+def tell(figures, file=None):
+    """Print figures as JSON, and write them to a file where one is named."""
+    text = json.dumps(figures, indent=1)
+    print(text)
+    if file is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text + '\n')

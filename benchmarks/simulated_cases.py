@@ -14,12 +14,14 @@ from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.robot import Robot, load_robot
+from tendon_robot_ros.robot.size import natural_sizes
 from tendon_robot_ros.simulation.imperfect import Workmanship
 from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import default_postures
 
 ROBOTS = Path(__file__).parent.parent / 'config' / 'robots'
+CATALOGUE = load_catalogue()
 SHAPING = ('eyelet_wrap', 'straight_tendon', 'tendon_travel')
 CAUSES = ('soft_cell', 'tether', 'posture_gain', 'posture_rotation', 'stiffness_gradient')
 TWINS = (
@@ -72,13 +74,18 @@ def robot_of(name: str, hidden: str) -> Robot:
     return replace(robot, effects=effects, gravity=gravity)
 
 
-def hidden_values(hidden: str, size: float, seed: int) -> dict[str, float]:
+def needs_pulls(hidden: str) -> bool:
+    """Tell whether an effect shows under wire pulls only."""
+    return hidden in CATALOGUE and CATALOGUE[hidden].needs == 'pulls'
+
+
+def hidden_values(hidden: str, size: float, seed: int, robot: Robot) -> dict[str, float]:
     """Return the true parameters: typical ones times size; forces and bends point anywhere."""
     if hidden in ('soft_cell',):
         return {'cell': float(4 + seed % 8), 'factor': 1.0 - 0.45 * size}
     if hidden in CAUSES or hidden == 'none':
         return {}
-    effect = load_catalogue()[hidden]
+    effect = CATALOGUE[hidden].sized(natural_sizes(robot))
     if hidden in SHAPING:
         return {'fraction': 1.0}
     if hidden == 'tendon_friction':
@@ -100,7 +107,7 @@ def measured(case: Case, robot: Robot, values):
     """Simulate the postures to diagnose and those to check on."""
     hidden = {} if case.hidden == 'none' else {case.hidden: values}
     path = 'sequence' if case.hidden == 'friction_memory' else 'from_straight'
-    kind = 'displacement' if case.hidden == 'tendon_elongation' else 'tension'
+    kind = 'displacement' if needs_pulls(case.hidden) else 'tension'
     work = Workmanship().times(case.level) if case.level else None
     plant = make_plant(robot, hidden, scatter=case.scatter, seed=case.seed, work=work)
     count = 20 if path == 'sequence' else 12

@@ -27,6 +27,9 @@ OWN_SIZES = {  # where the typical size, or its sign, would show less
     'tension_offset': {'offset': 0.05},
     'moment_arm': {'relative_change': 0.1},
     'tendon_elongation': {'compliance': 2e-3},
+    'wire_spring': {'compliance': 8e-4},
+    'pull_zero': {'offset': 5e-4},
+    'spool_gain': {'relative_change': 0.05},
 }
 TYPICAL = {  # every effect at a size that matters; these two have tests of their own
     effect.name: OWN_SIZES.get(effect.name, {p.name: p.typical for p in effect.parameters})

@@ -172,4 +172,7 @@ class Reference:
         """Wire pulls (k,) [m]."""
         stretch = self.get('tendon_elongation', 'compliance')
         lengths = np.array([section.cell_length for section in self.sections])
-        return self.travel(bend).sum(axis=0) + stretch * lengths @ tension
+        taken = self.travel(bend).sum(axis=0) + stretch * lengths @ tension
+        taken = taken + self.get('wire_spring', 'compliance') * tension[0]
+        taken = taken - self.get('pull_zero', 'offset')
+        return taken / (1.0 + self.get('spool_gain', 'relative_change'))

@@ -1,5 +1,6 @@
 """A node of the tests, and nodes of the package as processes of their own."""
 
+import contextlib
 import os
 import sys
 import time
@@ -182,3 +183,13 @@ def start(name, namespace, output, extra=(), **parameters):
     known = {**defaults[name], **PATIENT[name], **parameters}
     with open(output / f'{name}_{time.monotonic_ns()}.log', 'w', encoding='utf-8') as log:
         return NodeProcess(name, known, namespace, log, extra)
+
+
+@contextlib.contextmanager
+def holding(space, logs):
+    """Start a driver and a controller, and wait until the arm holds; a station beside them."""
+    with start('driver', space, logs), start('controller', space, logs):
+        station = Station(space)
+        station.until_code(station.controller, 'holding', timeout=120.0)  # compiles when cold
+        with contextlib.closing(station):
+            yield station

@@ -10,6 +10,7 @@ from simulated import CATALOGUE, measured
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import add_effects
 from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.robot.size import natural_sizes
 
 pytestmark = pytest.mark.blind
 CONFUSION = Confusion()
@@ -36,7 +37,7 @@ def test_a_blind_case_gets_the_right_verdict(letter):
 def typical(effect, robot):
     """Return typical values of an effect, with signs where both are possible."""
     values = {}
-    for i, parameter in enumerate(CATALOGUE[effect].parameters):
+    for i, parameter in enumerate(CATALOGUE[effect].sized(natural_sizes(robot)).parameters):
         sign = -1.0 if i % 2 and parameter.low < 0.0 else 1.0
         value = float(np.clip(sign * parameter.typical, parameter.low, parameter.high))
         values[parameter.name] = value
@@ -51,7 +52,7 @@ def hiding(effect, name):
     gravity = (9.81, 0.0, 0.0) if effect == 'gravity' else (0.0, 0.0, 0.0)
     robot = simulated.robot(name, lacks=lacks, gravity=gravity)
     path = 'sequence' if effect == 'friction_memory' else 'from_straight'
-    kind = 'displacement' if effect == 'tendon_elongation' else 'tension'
+    kind = 'displacement' if CATALOGUE[effect].needs == 'pulls' else 'tension'
     return robot, {'path': path, 'input': kind, 'count': 20 if path == 'sequence' else 12}
 
 

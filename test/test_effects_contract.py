@@ -9,8 +9,9 @@ from arms import GRAVITY, TYPICAL, planar, spatial, turned, two_sections
 
 from tendon_robot_ros.effects import BUILT_IN, STAGES, load_catalogue
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.robot.size import natural_sizes
 
-CATALOGUE = load_catalogue()
+CATALOGUE = load_catalogue().sized(natural_sizes(two_sections()))
 EFFECTS = [effect.name for effect in CATALOGUE]
 MEMORY = {'friction_memory': {'presliding_length': 1e-4}}
 SHIFTED = {'shift_x': 1e-3, 'shift_y': -2e-3, 'shift_z': 5e-4}

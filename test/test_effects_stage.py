@@ -47,7 +47,7 @@ def test_every_stage_is_composed_with_what_its_table_says():
     source = stages_source(load_catalogue())
     for stage in STAGES.values():
         takes = ', '.join(quantity.name for quantity in stage.inputs)
-        assert f'def {stage.name}({takes}, chain, section):' in source
+        assert f'def {stage.name}({takes}, chain, column):' in source
         assert f'def {stage.name}_acts(chain):' in source
 
 

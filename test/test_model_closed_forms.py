@@ -241,6 +241,44 @@ def test_the_tracker_sees_the_robot_through_its_own_frame():
     assert model.measured(points[None, None]).shape == (1, 1, 3, 3)
 
 
+def antagonists(cells, compliance, pretension):
+    """Return one section whose two wires end in springs and are pulled more than commanded."""
+    effects = {'wire_spring': {'compliance': compliance}, 'pull_zero': {'offset': pretension}}
+    return Model(planar(cells, effects))
+
+
+def test_wires_that_end_in_springs_share_a_pull_with_the_arm():
+    """Both taut: b = 2 r p / (c K / n + 2 r^2), whatever the pretension; one slack: r (p + z)."""
+    c, z, p = 4e-4, 2e-3, 1e-3
+    model = antagonists(6, c, z)
+    k, r = model.arrays.cells[0, 1] / 6, 0.0055
+    bend = model.pull_shape([-p, p]).bend[:, 0].sum()
+    assert bend == pytest.approx(2.0 * r * p / (c * k + 2.0 * r * r), rel=1e-8)
+    shape = model.pull_shape([-0.02, 4e-3])
+    assert shape.inputs[0] == 0.0
+    assert shape.bend[:, 0].sum() == pytest.approx(r * (4e-3 + z) / (c * k + r * r), rel=1e-8)
+
+
+def test_a_spring_takes_the_same_of_a_long_wire_as_of_a_short_one():
+    for cells in (3, 9):
+        plain, sprung = (
+            Model(planar(cells, effects)).shape([0.2, 1.0])
+            for effects in ({}, {'wire_spring': {'compliance': (1e-3, 2e-3)}})
+        )
+        assert np.array_equal(plain.positions, sprung.positions)
+        assert np.allclose(sprung.pulls - plain.pulls, [0.2e-3, 2e-3], rtol=0, atol=1e-15)
+
+
+def test_what_is_commanded_is_what_is_wound_less_the_offset_over_the_gain():
+    effects = {
+        'pull_zero': {'offset': (1e-3, -2e-3)},
+        'spool_gain': {'relative_change': (0.25, 0.0)},
+    }
+    plain, wound = (Model(planar(4, given)).shape([0.3, 1.0]) for given in ({}, effects))
+    expected = (plain.pulls - [1e-3, -2e-3]) / [1.25, 1.0]
+    assert np.allclose(wound.pulls, expected, rtol=0, atol=1e-15)
+
+
 def test_elongation_adds_strain_to_the_wire_pull_only():
     plain = Model(planar(4)).shape([0.3, 1.0])
     stretched = Model(planar(4, {'tendon_elongation': {'compliance': 0.01}})).shape([0.3, 1.0])

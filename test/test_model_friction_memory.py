@@ -41,6 +41,18 @@ def test_two_cells_follow_dahls_law_in_closed_form():
     assert back.tendon_tensions[1, 1] == pytest.approx(0.5 * ratio, rel=1e-12)
 
 
+def test_a_shape_that_follows_another_is_that_of_the_sequence():
+    model = Model(two_sections(4, FULL))
+    tensions = [[0.0, 0.9, 0.0, 0.2], [0.0, 0.4, 0.0, 0.6], [0.3, 0.0, 0.0, 0.1]]
+    last = None
+    for row, shape in zip(tensions, model.sequence(tensions).bend, strict=True):
+        last = model.follow(last, row)
+        np.testing.assert_allclose(last.bend, shape, atol=1e-9)
+    forgets = Model(two_sections(4, {'tendon_friction': EFFECTS['tendon_friction']}))
+    after = forgets.follow(forgets.shape(tensions[0]), tensions[1])
+    np.testing.assert_allclose(after.bend, forgets.shape(tensions[1]).bend, atol=1e-9)
+
+
 @pytest.mark.parametrize('robot', [two_sections(4, FULL), spatial(3, FULL)])
 def test_loading_in_one_go_satisfies_the_laws_with_dahls_signs(robot):
     inputs = np.array([0.0, 0.8, 0.0, 0.6, 0.0, 0.3][: len(robot.inputs)])

@@ -85,6 +85,14 @@ ROBOTS = {
         two_sections(6, REFINED | {'gravity': {'linear_density': 0.2}}), gravity=GRAVITY
     ),
     'stretching': spatial(5, REFINED | {'tendon_elongation': {'compliance': 0.003}}),
+    'sprung': spatial(
+        5,
+        REFINED
+        | {
+            'wire_spring': {'compliance': (1e-3, 8e-4, 6e-4, 4e-4, 3e-4, 2e-4)},
+            'pull_zero': {'offset': 5e-4},
+        },
+    ),
     'remembering': two_sections(6, REFINED | {'friction_memory': {'presliding_length': 1e-4}}),
 }
 

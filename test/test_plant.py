@@ -188,7 +188,7 @@ def test_friction_remembers_from_call_to_call():
         ({'tip_load': {'force': 1}}, 'tip_load: expected one of force_x, force_y, force_z, got '),
         (
             {'hinge_friction': {'lever': -1.0}},
-            'hinge_friction: lever: expected a number from 0 to 0.003 [m], got -1',
+            'hinge_friction: lever: expected a number from 0 to 0.00275 [m], got -1',
         ),
         ({'hinge_friction': {'lever': 'big'}}, 'hinge_friction: lever: expected one number, got'),
         (

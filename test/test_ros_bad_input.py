@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
-from ros_station import BASE, HIGH, LOW, Station, last, point, start, values
+from ros_station import BASE, HIGH, LOW, holding, last, point, values
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -24,12 +24,8 @@ LONG = 'name: x\n' + 'sections: [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]\n' * 25_000
 
 @pytest.fixture(scope='module')
 def running(tmp_path_factory):
-    logs = tmp_path_factory.mktemp('logs')
-    with start('driver', SPACE, logs), start('controller', SPACE, logs):
-        station = Station(SPACE)
-        station.until_code(station.controller, 'holding', timeout=120.0)  # compiles when cold
+    with holding(SPACE, tmp_path_factory.mktemp('logs')) as station:
         yield station
-        station.close()
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ pytest.importorskip('rclpy')
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from ros_station import BASE, HIGH, LOW, Station, last, point, start, values
+from ros_station import BASE, HIGH, LOW, Station, holding, last, point, values
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from visualization_msgs.msg import MarkerArray
@@ -23,12 +23,8 @@ SPACE = '/chain'
 
 @pytest.fixture(scope='module')
 def running(tmp_path_factory):
-    logs = tmp_path_factory.mktemp('logs')
-    with start('driver', SPACE, logs), start('controller', SPACE, logs):
-        station = Station(SPACE)
-        station.until_code(station.controller, 'holding', timeout=120.0)  # compiles when cold
+    with holding(SPACE, tmp_path_factory.mktemp('logs')) as station:
         yield station
-        station.close()
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from ros_station import LOW, Station, last, start
+from ros_station import LOW, Station, holding, last, start
 from std_msgs.msg import Bool
 
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
@@ -24,12 +24,8 @@ KINDS = list(
 
 @pytest.fixture(scope='module')
 def running(tmp_path_factory):
-    logs = tmp_path_factory.mktemp('logs')
-    with start('driver', SPACE, logs), start('controller', SPACE, logs):
-        station = Station(SPACE)
-        station.until_code(station.controller, 'holding', timeout=120.0)  # compiles when cold
+    with holding(SPACE, tmp_path_factory.mktemp('logs')) as station:
         yield station
-        station.close()
 
 
 class Panels:

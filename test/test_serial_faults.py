@@ -12,7 +12,8 @@ from emulated import codes, healthy, until
 from emulated_board import needs_compiler
 
 from tendon_robot_ros.common.errors import DriverError
-from tendon_robot_ros.emulator.board import obey_board
+from tendon_robot_ros.emulator.board import ACTIONS
+from tendon_robot_ros.emulator.port import obey
 
 pytest.importorskip('serial')
 pytestmark = needs_compiler
@@ -126,7 +127,7 @@ QUICK = ('overheating', 'load_cell')
 def test_a_fault_of_a_channel_takes_its_torque_only_until_cause_and_fault_are_gone(arm, code):
     driver, line, command = arm
     broken, mended = FAULTS[code]
-    obey_board(line, broken)
+    obey(line, broken, ACTIONS)
     hard = np.array(command) + [0.0, 0.0, 4.0 if code == 'encoder' else 0.0, 0.0]
     reading = until(driver, hard, lambda r: r.faults)
     (fault,) = reading.faults
@@ -141,7 +142,7 @@ def test_a_fault_of_a_channel_takes_its_torque_only_until_cause_and_fault_are_go
     if code in ('voltage', 'overheating', 'load_cell'):
         with pytest.raises(DriverError, match='west'):  # the cause is still there
             driver.reboot(['west'])
-    obey_board(line, mended)
+    obey(line, mended, ACTIONS)
     time.sleep(0.1)
     driver.reboot()
     assert driver.read().faults == ()

@@ -5,16 +5,18 @@ from pathlib import Path
 
 import numpy as np
 
+from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.robot.size import natural_sizes
 from tendon_robot_ros.workspace.postures import default_postures
 
 ROOT = Path(__file__).resolve().parents[1]
 UP = (0.0, 0.0, -9.81)  # [m/s²] the arm stands: the weight points to its base
 ROBOT = replace(load_robot(ROOT / 'config/robots/kato_10_1.yaml'), gravity=UP)
-CATALOGUE = load_catalogue()
+CATALOGUE = load_catalogue().sized(natural_sizes(ROBOT))
 
 # Sizes that one sees, SI units, where the typical one is too small or too large.
 OWN_SIZES = {
@@ -37,6 +39,9 @@ OWN_SIZES = {
     'tension_offset': {'offset': 0.1},
     'moment_arm': {'relative_change': 0.15},
     'tendon_elongation': {'compliance': 0.02},
+    'wire_spring': {'compliance': 4e-3},
+    'pull_zero': {'offset': 1e-3},
+    'spool_gain': {'relative_change': 0.1},
     'base_misalignment': {
         'shift_x': 5e-3, 'shift_y': 0.0, 'shift_z': 0.0,
         'rotation_x': 0.0, 'rotation_y': 0.08, 'rotation_z': 0.0,
@@ -80,14 +85,20 @@ class Drawn:
 
 
 def robots(name):
-    """Return the arm without and with an effect; tendon friction is in both but for itself."""
+    """
+    Return the arm without and with an effect; tendon friction is in both but for itself.
+
+    Stiff wires that are wound more than commanded find no equilibrium: theirs end in springs.
+    """
     base = ROBOT.without_effect(name) if name in ROBOT.effects else ROBOT
+    if name in ('pull_zero', 'spool_gain'):
+        base = base.with_effect('wire_spring', SIZES['wire_spring'])
     return base, base.with_effect(name, SIZES[name])
 
 
 def by_pulls(name):
     """Tell whether an effect shows under wire pulls only."""
-    return CATALOGUE[name].stage == 'stretch'
+    return CATALOGUE[name].needs == 'pulls'
 
 
 def positions(model, posture, tensions, pulls=None):
@@ -152,9 +163,12 @@ def look_alikes(name, tensions, least=0.7):
     aim = change(name, small(name, SIZES[name], base))
     found = {}
     for other in CATALOGUE:
-        if other.name == name or (other.stage == 'stretch' and not by_pulls(name)):
+        if other.name == name or (by_pulls(other.name) and not by_pulls(name)):
             continue
-        columns = [change(other.name, values) for values in single_steps(other, base)]
+        try:
+            columns = [change(other.name, values) for values in single_steps(other, base)]
+        except InputError:  # taut stiff wires cannot be wound any further
+            continue
         one_sided = len(columns) == 1 and other.parameters[0].low == other.parameters[0].neutral
         one_sided = one_sided and other.name not in base.effects
         found[other.name] = imitated(aim, np.array(columns).T, one_sided)

@@ -96,8 +96,8 @@ def acts_in(effect):
 def row(parameter):
     """Write the line of a parameter."""
     name = f'`{parameter.name}`' + (' per section' if parameter.per_section else '')
-    bounds = f'{parameter.low:g} to {parameter.high:g}'
-    numbers = f'{parameter.neutral:g} | {parameter.typical:g}'
+    bounds = f'{parameter.low:.3g} to {parameter.high:.3g}'
+    numbers = f'{parameter.neutral:.3g} | {parameter.typical:.3g}'
     return f'| {name} | {parameter.unit} | {bounds} | {numbers} |'
 
 

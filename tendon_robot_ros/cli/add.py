@@ -22,7 +22,6 @@ from ..model.compile import is_compiled
 from ..report.addition_text import addition_lines
 from .data_options import (
     DATA_HELP,
-    add_effect_files,
     add_overwrite,
     load_check,
     load_measurements,
@@ -30,7 +29,7 @@ from .data_options import (
     refuse_existing,
     write_description,
 )
-from .options import add_json, emit
+from .options import add_effect_files, add_json, emit
 
 HELP = 'add a physical effect to a robot description, fitted on measurements'
 

@@ -25,6 +25,7 @@ import yaml
 
 from ..common.errors import InputError, MissingExtraError
 from ..common.yaml_reading import parse_yaml
+from ..drivers.hardware import STANDARD_GRAVITY
 from ..robot import load_robot
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def _calibrate_motor(args: argparse.Namespace) -> int:
 
     if not (0.001 <= args.travel <= 1.0 and 1e-4 <= args.speed <= 0.2):
         raise InputError('--travel, --speed: expected 0.001 to 1 m and 0.0001 to 0.2 m/s')
-    bus, motor, cap = _prepare(args, calibration.GRAVITY)
+    bus, motor, cap = _prepare(args, STANDARD_GRAVITY)
     try:
         points = [_weigh(args, bus, motor, mass, calibration) for mass in args.weights]
     finally:
@@ -129,7 +130,7 @@ def _weigh(
     if not args.yes:
         input('press Enter when ready ')
     point: CurrentPoint = calibration.measure(
-        bus, motor, mass * calibration.GRAVITY, args.travel, args.speed
+        bus, motor, mass * STANDARD_GRAVITY, args.travel, args.speed
     )
     print(
         f'  {point.tension:.3f} N: winding {point.wind:.4f} A, paying out {point.pay_out:.4f} A',
@@ -222,7 +223,7 @@ def measure_cell(args: argparse.Namespace) -> dict[str, Any]:
             print(f'{hang} the load cell of {tendon}', file=sys.stderr)
             if not args.yes:
                 input('press Enter when it hangs still ')
-            force = mass * calibration.GRAVITY
+            force = mass * STANDARD_GRAVITY
             points.append(
                 calibration.measure(link, channels, tendon.channel, force, SECONDS_PER_WEIGHT)
             )

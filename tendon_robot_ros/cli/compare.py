@@ -27,8 +27,8 @@ from ..effects import load_catalogue
 from ..model.compile import is_compiled
 from ..report.comparison_text import sentences, table
 from ..robot import Robot, load_robot
-from .data_options import DATA_HELP, add_effect_files, load_measurements
-from .options import add_json, emit
+from .data_options import DATA_HELP, load_measurements
+from .options import add_effect_files, add_json, emit
 
 HELP = 'compare models with measurements'
 

@@ -1,4 +1,4 @@
-"""Measurements that a command is given: a data set, or a recording as it is."""
+"""Measurements that a command is given, and where it writes a changed description."""
 
 from __future__ import annotations
 
@@ -42,17 +42,6 @@ def load_measurements(path: str, robot: Robot | str | None) -> DataSet:
 def add_overwrite(parser: argparse.ArgumentParser) -> None:
     """Declare --overwrite."""
     parser.add_argument('--overwrite', action='store_true', help='replace a file that is there')
-
-
-def add_effect_files(parser: argparse.ArgumentParser) -> None:
-    """Declare --effect-file."""
-    parser.add_argument(
-        '--effect-file',
-        action='append',
-        default=[],
-        metavar='FILE',
-        help='Python file with an effect of your own (is executed; may be given several times)',
-    )
 
 
 def refuse_existing(option: str, path: str | None, overwrite: bool) -> None:

@@ -32,7 +32,6 @@ from ..report import addition_text
 from ..report.diagnosis_text import lines, trust_lines
 from .data_options import (
     DATA_HELP,
-    add_effect_files,
     add_overwrite,
     load_check,
     load_measurements,
@@ -40,7 +39,7 @@ from .data_options import (
     refuse_existing,
     write_description,
 )
-from .options import add_json, emit, progress
+from .options import add_effect_files, add_json, emit, progress
 
 HELP = 'name the physical effect that a model lacks'
 REFUSED_EXIT_CODE = 2

@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 
 from ..common.errors import InputError
 from ..drivers.dynamixel.tables import BAUD_RATES, MODELS, smallest_spool
-from ..emulator import board
+from ..emulator import board, bus
 from ..emulator.board import BoardRig, EmulatedBoard
-from ..emulator.bus import EmulatedBus, obey_bus
-from ..emulator.port import Plug
+from ..emulator.bus import EmulatedBus
+from ..emulator.port import Plug, obey
 from ..emulator.rig import Arm, ElasticArm, HangingWeights, Rig, SpringArm, Wire
 from ..emulator.servo import Servo
 from ..robot import Robot, load_robot
@@ -142,7 +142,7 @@ def _servos(args: argparse.Namespace, robot: Robot) -> Emulated:
         'motors': {name: {'id': i} for name, i in zip(robot.inputs, many, strict=True)},
     }
     words = f'{len(servos)} x {args.model}, ids 1 to {len(servos)}, spools of {1e3 * radius:g} mm'
-    return Emulated(line, config, words, lambda text: obey_bus(line, text))
+    return Emulated(line, config, words, lambda text: obey(line, text, bus.ACTIONS))
 
 
 def _board(args: argparse.Namespace, robot: Robot) -> Emulated:
@@ -150,7 +150,7 @@ def _board(args: argparse.Namespace, robot: Robot) -> Emulated:
     line = EmulatedBoard(rig, args.port)
     words = f'a board with {rig.channels} motors and load cells, channels 0 to {rig.channels - 1}'
     config = {'port': line.port, **board.config(rig, robot.inputs)}
-    return Emulated(line, config, words, lambda text: board.obey_board(line, text))
+    return Emulated(line, config, words, lambda text: obey(line, text, board.ACTIONS))
 
 
 def _arm(args: argparse.Namespace, robot: Robot) -> Arm:

@@ -24,8 +24,7 @@ from ..tables import import_table
 from ..tables.columns import ColumnUse
 from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe, load_recipe
 from ..tables.units import read_quantity, read_unit
-from .data_options import add_effect_files
-from .options import numbers
+from .options import add_effect_files, numbers
 
 HELP = 'make a data set of a table of tensions and markers over time'
 INPUT_KINDS = ('force', 'length', 'angle', 'counts', 'current')

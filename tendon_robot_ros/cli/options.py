@@ -24,6 +24,11 @@ if TYPE_CHECKING:
 def add_robot(parser: argparse.ArgumentParser) -> None:
     """Declare the robot description and the user's own effects."""
     parser.add_argument('robot', metavar='ROBOT', help='robot description (YAML)')
+    add_effect_files(parser)
+
+
+def add_effect_files(parser: argparse.ArgumentParser) -> None:
+    """Declare --effect-file."""
     parser.add_argument(
         '--effect-file',
         action='append',

@@ -32,8 +32,8 @@ from ..simulation.measurements import SimulatedNoise, simulate
 from ..simulation.plant import Plant, make_plant
 from ..simulation.raw_table import raw_table, write_table
 from ..workspace.postures import default_postures
-from .data_options import add_effect_files, refuse_existing
-from .options import named_numbers, numbers, vector
+from .data_options import refuse_existing
+from .options import add_effect_files, named_numbers, numbers, vector
 
 HELP = 'write measurements of a robot with hidden effects, to rehearse with'
 

@@ -1,4 +1,4 @@
-"""The shapes of a model in the postures of a data set, or the reason why there is none."""
+"""Compare models with measurements."""
 
 from __future__ import annotations
 

@@ -22,12 +22,12 @@ CELLS = 'cell_stiffness'  # no effect: every cell's own deviation, where a toler
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """One parameter of an effect that a fit may move: of the robot, of a section or a cell."""
+    """One parameter of an effect that a fit may move: of the robot, a section, tendon or cell."""
 
     effect: str
     parameter: Parameter
-    section: int | None = None
-    label: str = ''  # the section's name
+    column: int | None = None  # index of the section, tendon or cell whose value it is
+    label: str = ''  # the name of the section or tendon
 
     @property
     def key(self) -> str:
@@ -36,13 +36,19 @@ class FreeParameter:
 
 
 def free_parameters(effect: Effect, robot: Robot) -> tuple[FreeParameter, ...]:
-    """All parameters of an effect; one per section where sections have their own."""
+    """
+    All parameters of an effect: one per section where sections have their own.
+
+    Tendons have their own where the description lists one each, else they share one.
+    """
     frees: list[FreeParameter] = []
     for parameter in effect.parameters:
-        if parameter.per_section:
+        described = robot.effects.get(effect.name, {}).get(parameter.name)
+        if parameter.per_section or (parameter.per_tendon and isinstance(described, tuple)):
+            owners = robot.sections if parameter.per_section else robot.tendons
             frees += [
-                FreeParameter(effect.name, parameter, i, section.name)
-                for i, section in enumerate(robot.sections)
+                FreeParameter(effect.name, parameter, i, owner.name)
+                for i, owner in enumerate(owners)
             ]
         else:
             frees.append(FreeParameter(effect.name, parameter))
@@ -84,7 +90,7 @@ class Predictor:
             return 0.0
         return float(
             self._values[
-                self.model.arrays.layout.rows[free.effect, free.parameter.name], free.section or 0
+                self.model.arrays.layout.rows[free.effect, free.parameter.name], free.column or 0
             ]
         )
 
@@ -116,9 +122,9 @@ class Predictor:
             arrays.cells[:, 1] *= stiffness
         for free, value in point.items():
             if free.effect == CELLS:
-                arrays.cells[free.section, 1] *= 1.0 + value
+                arrays.cells[free.column, 1] *= 1.0 + value
             else:
-                arrays.set(free.effect, free.parameter.name, free.section, value)
+                arrays.set(free.effect, free.parameter.name, free.column, value)
         inputs = self.inputs if inputs is None else inputs
         shapes = (
             self._shapes_at_pulls(inputs, near or self._first)

@@ -1,4 +1,4 @@
-"""What a comparison holds: measured and predicted shapes, and the errors that follow."""
+"""What a comparison holds: shapes and errors; its JSON, and pictures for notebooks."""
 
 from __future__ import annotations
 

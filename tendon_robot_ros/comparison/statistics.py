@@ -1,7 +1,7 @@
 """
-Tails of the chi², F, t and normal distributions, and the minimum of a curve.
+Tails of distributions, the minimum of a curve, means with intervals, the paired t-test.
 
-scipy has all of them; importing it costs more than a fit.
+scipy has the distributions; importing it costs more than a fit.
 """
 
 from __future__ import annotations

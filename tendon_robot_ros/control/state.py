@@ -1,4 +1,4 @@
-"""What the controller is told, and what it gives."""
+"""What the controller is told and gives: commands, measured states, the shape now."""
 
 from __future__ import annotations
 
@@ -135,9 +135,7 @@ class ShapeTracker:
     def finding(self, tensions: Array, before: Shape | None = None) -> Callable[[GiveUp], Shape]:
         """Return how to find the shape under tensions (m,) [N] after another, or the last, one."""
         model, before = self.model, before or self.last
-        guess = None if before is None else before.bend
-        memory = before.memory if before is not None and model.remembers else None
-        return lambda give_up: model.shape(tensions, guess=guess, memory=memory)
+        return lambda give_up: model.follow(before, tensions)
 
     def took(self, shape: Shape) -> None:
         """Remember a shape."""

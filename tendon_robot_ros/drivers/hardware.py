@@ -1,20 +1,26 @@
-"""What drivers of real motors share: being open, commands within limits and rates, retries."""
+"""What drivers of real motors share: ports, commands within limits and rates, configuration."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.errors import DriverError
+from ..common.errors import DriverError, MovedError
+from ..common.yaml_reading import ConfigFields, parse_yaml
 from ..robot import Robot
 from .interface import Array, Driver
+from .ports import PortLostError
 from .safety import approach, bounded
 
 WRITE_STEP_MAX_S = 0.1  # [s]; after a pause the command does not catch up
 RETRY_PERIOD_S = 0.2  # [s] between two attempts to get a port or a motor back
+STANDARD_GRAVITY = 9.80665  # [m/s²] of the weights that calibrate
 
 
 class HardwareDriver(Driver):
@@ -71,3 +77,197 @@ class HardwareDriver(Driver):
             return False
         self._retried = now
         return True
+
+
+# -----------------------------------------------------------------------------
+# Motors behind a serial port, which may go and come back.
+
+
+class PortConfig(Protocol):
+    """What the configuration of such a driver says at least."""
+
+    @property
+    def port(self) -> str:
+        """Path of the port."""
+
+    @property
+    def zero(self) -> str:
+        """`find` slack at enabling, or `here`: pull 0 is where the wires are."""
+
+
+class PortLink(Protocol):
+    """The port itself."""
+
+    def open(self) -> None:
+        """Open it for this process alone."""
+
+    def close(self) -> None:
+        """Give it back."""
+
+
+class PortDriver(HardwareDriver):
+    """
+    Opens a port, asks who is there, finds the slack of the wires before their first torque.
+
+    Attributes
+    ----------
+    cancelled : callable
+        Asked while `enable` looks for slack; a true answer ends it.
+
+    """
+
+    config: PortConfig
+    read_config: ClassVar[Callable[..., Any]]
+
+    def __init__(
+        self, robot: Robot, mode: str, config: PortConfig, link: PortLink, *bounds: Array
+    ) -> None:
+        """Take limits (m, 2) and rates (m,) last, in the unit of the mode."""
+        super().__init__(robot, mode, config.port, *bounds)
+        self.config, self.port, self.link = config, config.port, link
+        self.cancelled: Callable[[], bool] = lambda: False
+
+    @classmethod
+    def from_config(
+        cls, robot: Robot, config: Mapping[str, Any], *, mode: str, source: str
+    ) -> Self:
+        """Make the driver from what its configuration file says."""
+        return cls(robot, cls.read_config(robot, config, mode, source), mode)  # type: ignore
+
+    def open(self) -> None:
+        """Open the port for this process alone and ask who is there."""
+        self.link.open()
+        try:
+            self._shake_hands()
+        except (DriverError, PortLostError) as error:
+            self.link.close()
+            raise DriverError(str(error)) from None
+        self._is_open = True
+
+    def close(self) -> None:
+        """Give the port back; what the motors do then is up to their watchdogs."""
+        self._is_open = False
+        self.link.close()
+
+    def enable(self) -> None:
+        """Torque on where the arm is; with `zero: find`, wind up the slack first."""
+        self._require_open('enable')
+        failed: type[DriverError] = DriverError
+        try:
+            self._check_motors()
+            if self.config.zero == 'find' and self._slack_unknown():
+                self._find_slack()
+                failed = MovedError
+            self._torque_on()
+        except MovedError:
+            self.disable()
+            raise
+        except (DriverError, PortLostError) as error:
+            self.disable()
+            raise failed(str(error)) from None
+        self._start_from_measured()
+
+    @abstractmethod
+    def _shake_hands(self) -> None:
+        """Check who is behind the open port, and read where the wires are."""
+
+    def _check_motors(self) -> None:
+        """Refuse to go on with motors that latched a fault."""
+
+    @abstractmethod
+    def _slack_unknown(self) -> bool:
+        """Whether it is not known where pull is zero."""
+
+    @abstractmethod
+    def _find_slack(self) -> None:
+        """Wind every wire until it is taut; MovedError where that fails after a motor moved."""
+
+    @abstractmethod
+    def _torque_on(self) -> None:
+        """Switch all motors on, where they are."""
+
+    @abstractmethod
+    def _start_from_measured(self) -> None:
+        """Let the next command begin at what is measured."""
+
+
+# -----------------------------------------------------------------------------
+# What the configuration files of all drivers say: motors of inputs, spools, limits, calibration.
+
+
+def fields_of_inputs(
+    top: ConfigFields, key: str, what: str, robot: Robot
+) -> dict[str, ConfigFields]:
+    """
+    Return the fields of every input of the robot.
+
+    Parameters
+    ----------
+    top : ConfigFields
+    key : str
+        Where they stand: `motors`, `tendons`.
+    what : str
+        What every input needs, for messages: `a motor`.
+    robot : Robot
+
+    Raises
+    ------
+    DriverError
+        An input is unknown, or has none.
+
+    """
+    mapping = top.child(key)
+    mapping.only(*robot.inputs)
+    missing = [name for name in robot.inputs if not mapping.has(name)]
+    if missing:
+        expected = f'{what} for every input of the robot'
+        raise top.error(key, expected, f'none for {", ".join(missing)}')
+    return {name: mapping.child(name) for name in robot.inputs}
+
+
+def nearest(item: ConfigFields, top: ConfigFields, key: str) -> ConfigFields:
+    """Return the fields of an input where it has a key of its own, else those of the file."""
+    return item if item.has(key) else top
+
+
+def read_spool_radius(item: ConfigFields, top: ConfigFields) -> float:
+    """Return the radius of a spool [m]."""
+    return nearest(item, top, 'spool_radius').number('spool_radius', 5e-4, 0.2, 'm')
+
+
+def read_direction(item: ConfigFields, winding: str) -> int:
+    """Return 1 where `winding` (what winds the wire, for messages) holds, else -1."""
+    value = item.content.get('direction', 1)
+    if isinstance(value, bool) or value not in (1, -1):
+        raise item.error('direction', f'1 ({winding}) or -1', value)
+    return int(value)
+
+
+def read_pull_limits(fields: ConfigFields, largest: float) -> tuple[float, float]:
+    """Return the lowest and the highest pull [m], within `largest` either way."""
+    low, high = fields.vector('pull_limits', 2)
+    if not -largest <= low < high <= largest:
+        raise fields.error('pull_limits', '[lowest, highest] [m], lowest < highest', [low, high])
+    return float(low), float(high)
+
+
+def read_calibrations(top: ConfigFields, required: bool) -> ConfigFields:
+    """
+    Open the calibrations: a mapping, or the path of the file that `calibrate` writes.
+
+    Raises
+    ------
+    DriverError
+        The file cannot be read, or is required and not there.
+
+    """
+    value = top.content.get('calibration')
+    if not isinstance(value, str):
+        return ConfigFields(top.source, 'calibration', value)
+    file = Path(top.source).parent / value
+    try:
+        return ConfigFields(str(file), '', parse_yaml(file.read_text(encoding='utf-8')))
+    except (OSError, ValueError) as error:
+        if isinstance(error, FileNotFoundError) and not required:
+            return ConfigFields(str(file), '', {})
+        raise top.error('calibration', 'a readable YAML file', f'{file}: {error}') from None

@@ -1,4 +1,4 @@
-"""Serial ports of any kind of motor: which there are, and why one cannot be opened."""
+"""Serial ports of any kind of motor: which there are, why one cannot be opened, lost ones."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ from pathlib import Path
 
 # what an unplugged port raises: serial's error is an OSError, termios.error is none
 PORT_ERRORS = (OSError, termios.error)
+
+
+class PortLostError(Exception):
+    """The port is gone; `reopen` may bring it back."""
 
 
 def take_alone(file: int) -> None:

@@ -17,13 +17,21 @@ import numpy as np
 from ..common.errors import DriverError
 from ..common.yaml_reading import ConfigFields
 from ..robot import Robot
-from .hardware import HardwareDriver
+from .hardware import (
+    HardwareDriver,
+    fields_of_inputs,
+    nearest,
+    read_direction,
+    read_pull_limits,
+    read_spool_radius,
+)
 from .interface import Array, Fault, Reading
 
 CONFIG_KEYS = (
     'command_topic', 'state_topic', 'joints', 'spool_radius', 'timeout', 'tension_source',
     'tension_rate', 'pull_rate', 'pull_limits', 'tendons',
 )  # fmt: skip
+PULL_LIMITS_DEFAULT_M = (-0.05, 0.05)
 JOINT_KEYS = ('joint', 'spool_radius', 'direction', 'zero')
 
 
@@ -65,12 +73,7 @@ class Ros2ControlConfig:
         """Read a mapping; DriverError says key, what was expected and what came."""
         top = ConfigFields(source, '', dict(content))
         top.only(*CONFIG_KEYS)
-        tendons = top.child('tendons')
-        tendons.only(*robot.inputs)
-        if missing := [name for name in robot.inputs if not tendons.has(name)]:
-            raise top.error('tendons', 'a joint for every input of the robot', f'none for '
-                            f'{", ".join(missing)}')  # fmt: skip
-        items = [tendons.child(name) for name in robot.inputs]
+        items = list(fields_of_inputs(top, 'tendons', 'a joint', robot).values())
         for item in items:
             item.only(*JOINT_KEYS)
         names = tuple(item.name('joint') for item in items)
@@ -79,35 +82,28 @@ class Ros2ControlConfig:
             expected = f'the joints of the tendons, {", ".join(names)}, as the controller has them'
             raise top.error('joints', expected, joints)
         kind = 'effort' if mode == 'tension' else 'position'
-        low, high = top.vector('pull_limits', 2) if top.has('pull_limits') else (-0.05, 0.05)
-        if not -10.0 <= low < high <= 10.0:
-            raise top.error('pull_limits', '[lowest, highest] [m]', [low, high])
+        limited = top.has('pull_limits')
+        pull_limits = read_pull_limits(top, 10.0) if limited else PULL_LIMITS_DEFAULT_M
         return cls(
             str(top.content.get('command_topic') or f'{kind}_group_controller/commands'),
             str(top.content.get('state_topic') or '/joint_states'),
             tuple(map(str, joints)),
             names,
             np.array([_radius(item, top) for item in items]),
-            np.array([_direction(item) for item in items]),
+            np.array([read_direction(item, 'growing positions wind') for item in items]),
             np.array([item.value('zero', 0.0, -1e6, 1e6, 'rad or m') for item in items]),
             top.value('timeout', 0.1, 0.005, 10.0, 's'),
             top.choice('tension_source', ('load_cell', 'current'), 'current'),
             top.value('tension_rate', 20.0, 0.01, 1000.0, 'N/s'),
             top.value('pull_rate', 0.05, 1e-5, 10.0, 'm/s'),
-            (float(low), float(high)),
+            pull_limits,
         )
 
 
 def _radius(item: ConfigFields, top: ConfigFields) -> float:
-    own = item if item.has('spool_radius') else top
-    return own.value('spool_radius', 1.0, 5e-4, 0.2, 'm') if own.has('spool_radius') else 1.0
-
-
-def _direction(item: ConfigFields) -> int:
-    direction = item.content.get('direction', 1)
-    if isinstance(direction, bool) or direction not in (1, -1):
-        raise item.error('direction', '1 (growing positions wind) or -1', direction)
-    return int(direction)
+    """Return the radius of a spool [m]; 1 for prismatic joints."""
+    rolled = nearest(item, top, 'spool_radius').has('spool_radius')
+    return read_spool_radius(item, top) if rolled else 1.0
 
 
 class Ros2ControlDriver(HardwareDriver):

@@ -1,4 +1,4 @@
-"""Two small rules that keep a command where it may be; used by drivers and by the controller."""
+"""What keeps an arm safe: commands within limits and rates, a stop that latches, the rules."""
 
 from __future__ import annotations
 

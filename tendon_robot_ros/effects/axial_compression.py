@@ -13,6 +13,6 @@ EFFECT = Effect(
     title='the tendons shorten the backbone',
     stage='length',
     law=law,
-    parameters=(Parameter('compliance', '1/N', 0.0, 0.1, 0.0, typical=3e-3),),
+    parameters=(Parameter('compliance', '1/N', 0.0, 0.1, 0.0, typical=1e-3, of='compliance'),),
     divisible=True,
 )

@@ -27,7 +27,9 @@ EFFECT = Effect(
     stage='measurement',
     law=law,
     parameters=tuple(
-        Parameter(f'shift_{axis}', 'm', -0.1, 0.1, 0.0, typical=1e-3, tolerance='position')
+        Parameter(
+            f'shift_{axis}', 'm', -1.0, 1.0, 0.0, typical=0.01, of='length', tolerance='position'
+        )
         for axis in 'xyz'
     )
     + tuple(

@@ -7,7 +7,7 @@ import importlib
 import importlib.machinery
 import importlib.util
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -35,6 +35,9 @@ BUILT_IN = (
     'tension_offset',
     'moment_arm',
     'tendon_elongation',
+    'wire_spring',
+    'pull_zero',
+    'spool_gain',
     'base_misalignment',
 )
 ENTRY_POINT_GROUP = 'tendon_robot_ros.effects'
@@ -44,9 +47,11 @@ _LAWS: dict[tuple[str, str], Effect] = {}  # (name, digest) -> effect, for the c
 class Catalogue:
     """An ordered set of effects."""
 
-    def __init__(self, effects: Iterable[Effect], files: tuple[str, ...] = ()) -> None:
-        """Refuse names that stand twice."""
-        self.files = files
+    def __init__(
+        self, effects: Iterable[Effect], files: tuple[str, ...] = (), is_sized: bool = False
+    ) -> None:
+        """Refuse names that stand twice; `is_sized`: bounds are those for one robot already."""
+        self.files, self.is_sized = files, is_sized
         self._effects: dict[str, Effect] = {}
         for effect in effects:
             if effect.name in self._effects:
@@ -96,7 +101,13 @@ class Catalogue:
 
     def without(self, *names: str) -> Catalogue:
         """Return a catalogue that lacks some effects."""
-        return Catalogue((e for e in self if e.name not in names), self.files)
+        return Catalogue((e for e in self if e.name not in names), self.files, self.is_sized)
+
+    def sized(self, sizes: Mapping[str, float]) -> Catalogue:
+        """Return the catalogue with bounds and typical values for a robot of these sizes."""
+        if self.is_sized:
+            return self
+        return Catalogue((effect.sized(sizes) for effect in self), self.files, is_sized=True)
 
 
 def load_catalogue(files: Iterable[str | Path] = ()) -> Catalogue:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from copy import copy
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ..common.errors import EffectError
@@ -29,8 +30,14 @@ class Parameter:
         Where the effect changes nothing.
     typical : float
         A size that matters, used to scale and start fits.
+    of : str
+        The size of the robot that these four count in, a key of `robot.size.natural_sizes`; ''
+        where they are the same for every robot.
     per_section : bool
         Whether every section has a value of its own.
+    per_tendon : bool
+        Whether tendons may have values of their own; where a description lists one number, they
+        share it, and a fit frees that one.
     tolerance : str
         The quantity under `tolerances` of a description whose deviation this parameter is.
     parts_power : int
@@ -44,9 +51,47 @@ class Parameter:
     high: float
     neutral: float
     typical: float
+    of: str = ''
     per_section: bool = False
+    per_tendon: bool = False
     tolerance: str = ''
     parts_power: int = 0
+
+    @property
+    def per(self) -> str:
+        """Whose value it is: that of a 'section', of a 'tendon', or of the robot ('')."""
+        return 'section' if self.per_section else 'tendon' if self.per_tendon else ''
+
+    @property
+    def described_bounds(self) -> tuple[float, float]:
+        """
+        Bounds of a value in a description [unit].
+
+        Wider than those of a fit where they follow the robot: a fit may change it a little.
+        """
+        if not self.of:
+            return self.low, self.high
+        return (0.5 if self.low > 0.0 else 2.0) * self.low, 2.0 * self.high
+
+    def sized(self, sizes: Mapping[str, float]) -> Parameter:
+        """
+        Return the parameter with bounds, neutral and typical value in its unit for one robot.
+
+        Raises
+        ------
+        EffectError
+            It counts in a size that robots do not have.
+
+        """
+        if not self.of:
+            return self
+        if self.of not in sizes:
+            raise EffectError(
+                f'{self.name}: of: expected one of {", ".join(sizes)}, got {self.of!r}'
+            )
+        one = sizes[self.of]
+        scaled = {key: one * getattr(self, key) for key in ('low', 'high', 'neutral', 'typical')}
+        return replace(self, **scaled)
 
 
 @dataclass(frozen=True)
@@ -128,3 +173,10 @@ class Effect:
         source = inspect.getsourcefile(self.law)
         with open(source or '', 'rb') as file:
             object.__setattr__(self, 'digest', hashlib.sha256(file.read()).hexdigest()[:16])
+
+    def sized(self, sizes: Mapping[str, float]) -> Effect:
+        """Return the effect with its parameters as they are for a robot of these sizes."""
+        made = copy(self)
+        sized = tuple(parameter.sized(sizes) for parameter in self.parameters)
+        object.__setattr__(made, 'parameters', sized)
+        return made

@@ -23,6 +23,6 @@ EFFECT = Effect(
     title='tendons lie on the inner side of their eyelets',
     stage='moment',
     law=law,
-    parameters=(Parameter('clearance', 'm', 0.0, 2e-3, 0.0, typical=2e-4),),
+    parameters=(Parameter('clearance', 'm', 0.0, 0.4, 0.0, typical=0.04, of='radius'),),
     divisible=True,
 )

@@ -25,5 +25,5 @@ EFFECT = Effect(
     acts_on='tendon_friction',
     needs='history',
     law=law,
-    parameters=(Parameter('presliding_length', 'm', 1e-6, 2e-3, 1e-6, typical=1e-4),),
+    parameters=(Parameter('presliding_length', 'm', 2e-4, 0.4, 2e-4, typical=0.02, of='radius'),),
 )

@@ -14,7 +14,7 @@ EFFECT = Effect(
     title="the arm's own weight",
     stage='load',
     law=law,
-    parameters=(Parameter('linear_density', 'kg/m', 0.0, 20.0, 0.0, typical=0.05),),
+    parameters=(Parameter('linear_density', 'kg/m', 0.0, 1e3, 0.0, typical=3.0, of='density'),),
     needs='gravity',
     divisible=True,
 )

@@ -16,7 +16,7 @@ EFFECT = Effect(
     name='hinge_friction',
     title='friction in the hinges of the pressed guides',
     stage='joint_friction',
-    parameters=(Parameter('lever', 'm', 0.0, 3e-3, 0.0, typical=3e-4),),
+    parameters=(Parameter('lever', 'm', 0.0, 0.5, 0.0, typical=0.05, of='radius'),),
     law=law,
     divisible=True,
 )

@@ -158,6 +158,11 @@ _ALL = (
         _quantities(('tension', 'N', 'tension in the cell'), ('length', 'm', 'its length')),
     ),
     Stage(
+        'winding',
+        _quantities(('pull', 'm', 'pull of the wire as it is commanded')),
+        _quantities(('tension', 'N', 'tension that enters the first cell')),
+    ),
+    Stage(
         'measurement',
         _quantities(*((axis, 'm', f'{axis} as the tracker sees it') for axis in 'xyz')),
     ),

@@ -13,7 +13,7 @@ EFFECT = Effect(
     title='the tendons stretch',
     stage='stretch',
     law=law,
-    parameters=(Parameter('compliance', '1/N', 0.0, 0.1, 0.0, typical=2e-3),),
+    parameters=(Parameter('compliance', '1/N', 0.0, 0.1, 0.0, typical=6e-4, of='compliance'),),
     needs='pulls',
     divisible=True,
 )

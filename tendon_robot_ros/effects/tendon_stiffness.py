@@ -13,6 +13,10 @@ EFFECT = Effect(
     title='the tendons resist bending',
     stage='stiffness',
     law=law,
-    parameters=(Parameter('per_tendon', 'N·m/rad', 0.0, 0.1, 0.0, typical=5e-4, parts_power=1),),
+    parameters=(
+        Parameter(
+            'per_tendon', 'N·m/rad', 0.0, 4.0, 0.0, typical=0.02, of='stiffness', parts_power=1
+        ),
+    ),
     divisible=True,
 )

@@ -15,6 +15,6 @@ EFFECT = Effect(
     title='the tension reading has an offset',
     stage='actuation',
     law=law,
-    parameters=(Parameter('offset', 'N', -2.0, 2.0, 0.0, typical=0.05),),
+    parameters=(Parameter('offset', 'N', -6.0, 6.0, 0.0, typical=0.15, of='tension'),),
     divisible=True,
 )

@@ -14,9 +14,9 @@ EFFECT = Effect(
     stage='tip_load',
     law=law,
     parameters=(
-        Parameter('force_x', 'N', -5.0, 5.0, 0.0, typical=3e-3),
-        Parameter('force_y', 'N', -5.0, 5.0, 0.0, typical=3e-3),
-        Parameter('force_z', 'N', -5.0, 5.0, 0.0, typical=3e-3),
+        Parameter('force_x', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force'),
+        Parameter('force_y', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force'),
+        Parameter('force_z', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force'),
     ),
     divisible=True,
 )

@@ -5,17 +5,17 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.errors import InputError
-from ..drivers.serial_board.messages import CHANNEL_FAULTS
+from ..drivers.hardware import STANDARD_GRAVITY
+from ..drivers.serial_board.messages import CELL_COUNTS_MAX, CHANNEL_FAULTS
 from .firmware import Firmware
-from .port import Faults, Plug
+from .port import COMMON_HELP, Action, Plug
 from .rig import Arm
 
 STEP_S = 1e-3  # [s] of firmware and physics
@@ -27,7 +27,6 @@ BACKDRIVE_SLOPE = 0.05  # [m/s per N] that a motor without power turns back ...
 BACKDRIVE_FRICTION_N = 0.05  # [N] ... above this
 SPOOL_RADIUS, TICKS_PER_TURN = 0.01, 2000  # [m] of the spools, ticks per turn
 CELL_NOISE_COUNTS = 40.0  # [counts] 1 sd of a load cell
-SATURATED = 0x7FFFFF
 
 
 @dataclass
@@ -94,7 +93,7 @@ class BoardRig:
             if sensor.fresh:
                 force = float(self.tensions[i]) + cell.hung
                 counts = cell.zero + force / cell.newtons_per_count + noise[i]
-                sensor.cell = max(-SATURATED, min(SATURATED, round(counts)))
+                sensor.cell = max(-CELL_COUNTS_MAX, min(CELL_COUNTS_MAX, round(counts)))
             sensor.ticks = ticks[i]
             sensor.current = min(30000, round(1000.0 * abs(self.firmware.duties[i])))
             sensor.faults = int(self.faults[i])
@@ -116,7 +115,7 @@ class EmulatedBoard(Plug):
 
     def __init__(self, rig: BoardRig, port: str | None = None) -> None:
         """Plug it in; `start` begins to let time pass."""
-        self.rig, self.faults = rig, Faults()
+        self.rig = rig
         self.deaf = False
         super().__init__('board', port, idle=2.0 * STEP_S)
 
@@ -142,14 +141,10 @@ class EmulatedBoard(Plug):
 # -----------------------------------------------------------------------------
 # Words that do something to the emulated board: faults for a person, or a test, to switch on.
 
-GRAVITY = 9.80665  # [m/s²]
 BRIDGE = {code: bit for bit, (code, _) in CHANNEL_FAULTS.items()}
-HELP = """\
+HELP = f"""\
 silent | hear         the board neither hears nor answers; it does again
-spoil N | cut N | double N   the next N pieces it sends: a wrong byte, half missing, sent twice
-slow SECONDS          before everything it sends; slow 0: as fast as ever
-unplug [SECONDS]      pull the plug; with SECONDS put it back after that time
-plug                  put it back
+{COMMON_HELP}
 restart               the board loses its power for a moment
 overheating CHANNEL | voltage CHANNEL   its motor bridge says so; cool CHANNEL: no longer
 overload CHANNEL NEWTONS   something pulls at that load cell; overload CHANNEL 0: no longer
@@ -160,42 +155,11 @@ state                 print what motors and wires do, as JSON
 quit"""
 
 
-def obey_board(line: EmulatedBoard, text: str) -> str:
-    """
-    Carry out one command; return what to answer.
-
-    Raises
-    ------
-    InputError
-        It is none of the known ones, or its values are wrong.
-
-    """
-    word, *values = text.split()
-    try:
-        return ACTIONS[word](line, values) or 'ok'
-    except (ValueError, IndexError, KeyError) as error:
-        raise InputError(f'{text!r}: {error}; type help') from None
-
-
-def _set(owner: Callable[[EmulatedBoard], Any], name: str, kind: type) -> Action:
-    def change(line: EmulatedBoard, values: list[str]) -> None:
-        setattr(owner(line), name, kind(values[0]))
-
-    return change
-
-
 def _deaf(deaf: bool) -> Action:
     def change(line: EmulatedBoard, values: list[str]) -> None:
         line.deaf = deaf
 
     return change
-
-
-def _unplug(line: EmulatedBoard, values: list[str]) -> None:
-    line.unplug()
-    if values:
-        time.sleep(float(values[0]))
-        line.plug()
 
 
 def _bridge(code: str) -> Action:
@@ -262,16 +226,9 @@ def config(rig: BoardRig, inputs: Sequence[str]) -> dict[str, Any]:
     }
 
 
-Action = Callable[[EmulatedBoard, list[str]], str | None]
 ACTIONS: dict[str, Action] = {
     'silent': _deaf(True),
     'hear': _deaf(False),
-    'spoil': _set(lambda line: line.faults, 'spoilt', int),
-    'cut': _set(lambda line: line.faults, 'cut', int),
-    'double': _set(lambda line: line.faults, 'doubled', int),
-    'slow': _set(lambda line: line.faults, 'delay', float),
-    'unplug': _unplug,
-    'plug': lambda line, values: line.plug(),
     'restart': lambda line, values: line.restart(),
     'overheating': _bridge('overheating'),
     'voltage': _bridge('voltage'),
@@ -281,7 +238,7 @@ ACTIONS: dict[str, Action] = {
     'free': _block(False),
     'cell': _cell(True),
     'mend': _cell(False),
-    'weight': _hang(GRAVITY),
+    'weight': _hang(STANDARD_GRAVITY),
     'state': lambda line, values: json.dumps(state(line)),
     'help': lambda line, values: HELP,
 }

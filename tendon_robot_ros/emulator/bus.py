@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 import termios
 import time
-from collections.abc import Callable
 
 import numpy as np
 
-from ..common.errors import InputError
 from ..drivers.dynamixel.tables import BAUD_RATES, HARDWARE_ERRORS, WATCHDOG_TRIPPED
-from .port import Faults, Plug
+from .port import COMMON_HELP, Action, Plug
 from .protocol import InstructionReceiver, Responder
 from .rig import HangingWeights, Rig
 from .servo import Servo
@@ -26,14 +24,13 @@ class EmulatedBus(Plug):
     Attributes
     ----------
     rig : Rig
-    faults : Faults
     responder : Responder
 
     """
 
     def __init__(self, rig: Rig, port: str | None = None) -> None:
         """Plug it in, at a path of its own if none is given; `start` begins to answer."""
-        self.rig, self.faults = rig, Faults()
+        self.rig = rig
         self.responder = Responder(rig)
         self._heard = time.monotonic()
         self._receiver = InstructionReceiver()
@@ -80,14 +77,10 @@ class EmulatedBus(Plug):
 # -----------------------------------------------------------------------------
 # Words that do something to the emulated bus: faults for a person, or a test, to switch on.
 
-BITS = {code: bit for bit, (code, _) in HARDWARE_ERRORS.items()}
 OF_WIRES = ('tensions', 'wound', 'highest', 'least', 'most')
-HELP = """\
+HELP = f"""\
 silent ID...          these servos neither hear nor answer; hear ID...: they do again
-spoil N | cut N | double N   the next N answers: wrong CRC, second half missing, sent twice
-slow SECONDS          before every answer; slow 0: as fast as ever
-unplug [SECONDS]      pull the plug; with SECONDS put it back after that time
-plug                  put it back
+{COMMON_HELP}
 overload ID, overheating ID, encoder ID, shock ID   a hardware error, until a reboot
 hot ID CELSIUS        temperature of a motor
 volts VOLTS           supply of all motors
@@ -100,39 +93,12 @@ trace SECONDS         print what they did lately, as JSON: [time, [A], [N of wir
 quit"""
 
 
-def obey_bus(line: EmulatedBus, text: str) -> str:
-    """
-    Carry out one command; return what to answer.
-
-    Raises
-    ------
-    InputError
-        It is none of the known ones, or its values are wrong.
-
-    """
-    word, *values = text.split()
-    try:
-        action = ACTIONS.get(word) or _hardware_error(word)
-        return action(line, values) or 'ok'
-    except (ValueError, IndexError, KeyError) as error:
-        raise InputError(f'{text!r}: {error}; type help') from None
-
-
-def _hardware_error(word: str) -> Callable[[EmulatedBus, list[str]], str | None]:
-    bit = BITS[word]
-
+def _hardware_error(bit: int) -> Action:
     def fail(line: EmulatedBus, values: list[str]) -> None:
         for servo in map(int, values):
             line.servo(servo).fail(bit)
 
     return fail
-
-
-def _set(name: str, kind: type) -> Callable[[EmulatedBus, list[str]], None]:
-    def change(line: EmulatedBus, values: list[str]) -> None:
-        setattr(line.faults, name, kind(values[0]))
-
-    return change
 
 
 def _silent(line: EmulatedBus, values: list[str]) -> None:
@@ -141,17 +107,6 @@ def _silent(line: EmulatedBus, values: list[str]) -> None:
 
 def _hear(line: EmulatedBus, values: list[str]) -> None:
     line.responder.silent -= {int(value) for value in values}
-
-
-def _unplug(line: EmulatedBus, values: list[str]) -> None:
-    line.unplug()
-    if values:
-        time.sleep(float(values[0]))
-        line.plug()
-
-
-def _plug(line: EmulatedBus, values: list[str]) -> None:
-    line.plug()
 
 
 def _hot(line: EmulatedBus, values: list[str]) -> None:
@@ -227,15 +182,10 @@ def state(line: EmulatedBus) -> dict[str, object]:
     }
 
 
-ACTIONS: dict[str, Callable[[EmulatedBus, list[str]], str | None]] = {
+ACTIONS: dict[str, Action] = {
+    **{code: _hardware_error(bit) for bit, (code, _) in HARDWARE_ERRORS.items()},
     'silent': _silent,
     'hear': _hear,
-    'spoil': _set('spoilt', int),
-    'cut': _set('cut', int),
-    'double': _set('doubled', int),
-    'slow': _set('delay', float),
-    'unplug': _unplug,
-    'plug': _plug,
     'hot': _hot,
     'volts': _volts,
     'restart': _restart,

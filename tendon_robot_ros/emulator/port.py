@@ -1,4 +1,4 @@
-"""What an emulated bus does to the answers on it, switched on and off while it runs."""
+"""An emulated serial port that can be unplugged, what it does to answers, and its words."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ import tempfile
 import threading
 import time
 import tty
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from ..common.errors import InputError
 
@@ -60,7 +61,7 @@ class Faults:
 
 class Plug(abc.ABC):
     """
-    An emulated port; `port` is the path to open.
+    An emulated port; `port` is the path to open, `faults` what is wrong with its answers.
 
     A subclass says what happens as time passes and when bytes come; both with the lock held.
     """
@@ -79,7 +80,7 @@ class Plug(abc.ABC):
             Between two looks at the clock when nothing arrives [s].
 
         """
-        self._idle = idle
+        self._idle, self.faults = idle, Faults()
         if port and os.path.exists(port):
             raise InputError(f'{port}: there is a file of that name already')
         self._folder = Path(tempfile.mkdtemp(prefix='tendon_robot_ros_'))
@@ -175,3 +176,55 @@ class Plug(abc.ABC):
         if self._master is not None and answer:
             with contextlib.suppress(OSError):
                 os.write(self._master, answer)
+
+
+# -----------------------------------------------------------------------------
+# Words that do something to what is emulated: faults for a person, or a test, to switch on.
+
+Action = Callable[[Any, list[str]], str | None]  # of the line and the values behind the word
+COMMON_HELP = """\
+spoil N | cut N | double N   the next N pieces it sends: a wrong byte, half missing, sent twice
+slow SECONDS          before everything it sends; slow 0: as fast as ever
+unplug [SECONDS]      pull the plug; with SECONDS put it back after that time
+plug                  put it back"""
+
+
+def obey(line: Plug, text: str, actions: Mapping[str, Action]) -> str:
+    """
+    Carry out one command, of every line or one of its own `actions`; return what to answer.
+
+    Raises
+    ------
+    InputError
+        It is none of the known ones, or its values are wrong.
+
+    """
+    word, *values = text.split()
+    try:
+        return {**COMMON_ACTIONS, **actions}[word](line, values) or 'ok'
+    except (ValueError, IndexError, KeyError) as error:
+        raise InputError(f'{text!r}: {error}; type help') from None
+
+
+def _set(name: str, kind: type) -> Action:
+    def change(line: Plug, values: list[str]) -> None:
+        setattr(line.faults, name, kind(values[0]))
+
+    return change
+
+
+def _unplug(line: Plug, values: list[str]) -> None:
+    line.unplug()
+    if values:
+        time.sleep(float(values[0]))
+        line.plug()
+
+
+COMMON_ACTIONS: dict[str, Action] = {
+    'spoil': _set('spoilt', int),
+    'cut': _set('cut', int),
+    'double': _set('doubled', int),
+    'slow': _set('delay', float),
+    'unplug': _unplug,
+    'plug': lambda line, values: line.plug(),
+}

@@ -1,5 +1,5 @@
 """
-Bytes of Protocol 2.0 as the e-manual describes them: framing, byte stuffing, CRC.
+Protocol 2.0 as the e-manual describes it: framing, stuffing, CRC, and who answers what.
 
 References
 ----------

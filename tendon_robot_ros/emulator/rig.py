@@ -1,4 +1,4 @@
-"""What the emulated servos pull on: wound wire in, wire tensions out."""
+"""What emulated servos pull on: spools and wires, and time that passes for all at once."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """
-Motor, gear and wires of an emulated servo: current in, turning out, with dry friction.
+An emulated servo: motor and gear with dry friction, control table, how it protects itself.
 
 The gear's dry friction is what a geared servo shows: below it nothing moves, winding needs more
 current than the wire's pull alone, paying out less.

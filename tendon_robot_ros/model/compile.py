@@ -1,4 +1,4 @@
-"""Compose the compiled kernel from a catalogue of effects and cache it under a key of sources."""
+"""The kernel composed from a catalogue and cached, and the flat arrays that it reads."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import EffectError, RobotDescriptionError
-from ..effects import STAGES, Catalogue
+from ..effects import STAGES, Catalogue, Parameter
 from ..robot import Robot
 from ..robot.estimates import tendon_offsets
 
@@ -66,12 +66,12 @@ def stages_source(catalogue: Catalogue) -> str:
         takes = ', '.join(quantity.name for quantity in stage.inputs)
         value = ', '.join(quantity.name for quantity in stage.outputs)
         members = [effect for effect in catalogue if effect.stage == stage.name]
-        lines += ['', '', '@compiled', f'def {stage.name}({takes}, chain, section):']
+        lines += ['', '', '@compiled', f'def {stage.name}({takes}, chain, column):']
         if members:
             lines.append('    values, on = floats(chain.values), flags(chain.on)')
         for effect in members:
             rows = [where.rows[effect.name, p.name] for p in effect.parameters]
-            parameters = ', '.join(f'values[{row} * chain.sections + section]' for row in rows)
+            parameters = ', '.join(f'values[{row} * chain.wide + column]' for row in rows)
             number = where.index[effect.name]
             lines += [
                 f'    if on[{number}] != 0:',
@@ -189,7 +189,8 @@ class KernelArrays:
             dtype=np.int64,
         )
         self.gravity = np.array(robot.gravity or (0.0, 0.0, 0.0))
-        self.values = np.empty((len(self.layout.rows), len(robot.sections)))
+        wide = max(len(robot.sections), len(robot.tendons))
+        self.values = np.empty((len(self.layout.rows), wide))
         self.on = np.zeros(len(self.layout.index), dtype=np.uint8)
         for effect in catalogue:
             for parameter in effect.parameters:
@@ -205,15 +206,20 @@ class KernelArrays:
         """Return a module of the composed kernel."""
         return self.kernel(name)
 
-    def set(self, effect: str, parameter: str, section: int | None, value: float) -> None:
-        """Set one parameter (of one section, or of all) and switch its effect on."""
+    def columns(self, parameter: Parameter) -> tuple[str, ...]:
+        """Return whose values the columns of a parameter are: sections, tendons, or nobody's."""
+        owners = {'section': self.robot.sections, 'tendon': self.robot.tendons}
+        return tuple(one.name for one in owners.get(parameter.per, ()))
+
+    def set(self, effect: str, parameter: str, column: int | None, value: float) -> None:
+        """Set one parameter (of one section or tendon, or of all) and switch its effect on."""
         row = self.layout.rows[effect, parameter]
-        self.values[row, slice(None) if section is None else section] = value
+        self.values[row, slice(None) if column is None else column] = value
         self.on[self.layout.index[effect]] = 1
 
-    def get(self, effect: str, parameter: str, section: int | None = None) -> float:
-        """Return one parameter (of one section)."""
-        return float(self.values[self.layout.rows[effect, parameter], section or 0])
+    def get(self, effect: str, parameter: str, column: int | None = None) -> float:
+        """Return one parameter (of one section or tendon)."""
+        return float(self.values[self.layout.rows[effect, parameter], column or 0])
 
     def switch(self, effect: str, on: bool) -> None:
         """Switch an effect on or off; its parameters stay."""
@@ -231,24 +237,21 @@ class KernelArrays:
             if key not in known:
                 raise RobotDescriptionError(robot.source, where, 'one of ' + ', '.join(known), key)
             parameter = known[key]
-            many = isinstance(value, tuple)
-            if many and (not parameter.per_section or len(value) != len(robot.sections)):
-                wanted = (
-                    f'{len(robot.sections)} numbers (one per section)'
-                    if parameter.per_section
-                    else 'one number'
-                )
+            numbers = value if isinstance(value, tuple) else (value,)
+            if isinstance(value, tuple) and len(value) != len(self.columns(parameter)):
+                wanted = 'one number'
+                if parameter.per:
+                    count = len(self.columns(parameter))
+                    wanted = f'{count} numbers (one per {parameter.per})'
                 raise RobotDescriptionError(robot.source, where, wanted, list(value))
-            for number in value if many else (value,):
-                if not parameter.low <= number <= parameter.high:
-                    raise RobotDescriptionError(
-                        robot.source,
-                        where,
-                        f'a number from {parameter.low:g} to '
-                        f'{parameter.high:g} [{parameter.unit}]',
-                        number,
-                    )
-            self.values[self.layout.rows[name, key]] = value
+            low, high = parameter.described_bounds
+            for number in numbers:
+                if not low <= number <= high:
+                    wanted = f'a number from {low:g} to {high:g} [{parameter.unit}]'
+                    raise RobotDescriptionError(robot.source, where, wanted, number)
+            row = self.values[self.layout.rows[name, key]]
+            row[: len(numbers)] = numbers
+            row[len(numbers) :] = numbers[0]
         missing = [key for key in known if key not in values]
         if effect.always_on and missing:
             raise RobotDescriptionError(robot.source, f'effects.{name}', ', '.join(missing), None)
@@ -268,7 +271,7 @@ class KernelArrays:
             n=robot.cells,
             k=len(robot.tendons),
             m=len(robot.inputs),
-            sections=len(robot.sections),
+            wide=self.values.shape[1],
             radius=float(np.linalg.norm(self.offset, axis=2).max()),
             step=lay.address_of(self.part('sweep').step),
             residual=lay.address_of(self.part('residual').residual),

@@ -1,4 +1,4 @@
-"""Shapes all over the workspace: where a cold inverse search starts from."""
+"""The model forwards: from tensions to shapes, one, many, or one after the other."""
 
 from __future__ import annotations
 
@@ -14,54 +14,15 @@ import numpy.typing as npt
 from ..common.errors import NoEquilibriumError
 from ..effects import STAGES, Catalogue, load_catalogue
 from ..robot import Robot
+from ..robot.size import natural_sizes
 from .compile import KernelArrays
 from .inputs import TensionsLike, tension_rows, tensions_of
 from .shape import FIELDS, ResultLayout, Shape, ShapeBatch
 
-USEFUL_BEND_RAD = 1.5 * np.pi  # [rad] of one section: bends beyond it are rarely wanted
-
-
-def workspace_library(model: ForwardModel) -> ShapeBatch:
-    """
-    Return shapes under random tensions within the limits; seeded, so always the same.
-
-    Tensions concentrate where a section bends by less than three quarters of a turn, and half of
-    the postures leave one of two opposing tendons at its lower limit.
-    """
-    count = 1024 if model.implicit else 4096
-    random = np.random.default_rng(1)
-    low, high = model.limits.T
-    scale = np.minimum(high, low + _useful(model))
-    spread = random.random((count, len(low)))
-    spread *= random.random((count, len(low))) < 0.6
-    top = np.where(random.random((count, 1)) < 0.25, high, scale)
-    inputs = low + spread * (top - low)
-    batch, changes = model.solve(inputs)
-    good = changes < TOLERANCE
-    return replace(batch, **{name: getattr(batch, name)[good] for name in FIELDS})
-
-
-def _useful(model: ForwardModel) -> np.ndarray:
-    """Tension (m,) [N] at which an input alone bends its section by `USEFUL_BEND_RAD` (PCCA)."""
-    cells, offset = model.arrays.cells, model.arrays.offset
-    per_newton = np.linalg.norm(offset, axis=2) / cells[:, 1:2]  # (n, k) [rad/N]
-    sections = cells[:, 4].astype(int)
-    useful = []
-    for members in model.robot.input_tendons:
-        rate = max(
-            sum(per_newton[sections == s, k].sum() for k in members)
-            for s in range(len(model.robot.sections))
-        )
-        useful.append(USEFUL_BEND_RAD / rate)
-    return np.array(useful)
-
-
-# -----------------------------------------------------------------------------
-# The model of a robot: one object for prediction, control, fitting and the mock robot.
-
 Floats = npt.NDArray[np.float64]
 TOLERANCE = 1e-10  # [rad] as in the kernel
 THREADS = 2
+USEFUL_BEND_RAD = 1.5 * np.pi  # [rad] of one section: bends beyond it are rarely wanted
 
 
 class ForwardModel:
@@ -82,7 +43,7 @@ class ForwardModel:
 
         """
         self.robot = robot
-        self.catalogue = catalogue or load_catalogue()
+        self.catalogue = (catalogue or load_catalogue()).sized(natural_sizes(robot))
         self.arrays = KernelArrays(robot, self.catalogue)
         self.inputs = robot.inputs
         self.limits: Floats = np.array([robot.tension_limits] * len(robot.inputs))
@@ -157,6 +118,27 @@ class ForwardModel:
         if not change < TOLERANCE:
             self._refuse(block[None, : form.m], np.array([change]))
         return Shape(form, block)
+
+    def follow(self, last: Shape | None, tensions: TensionsLike) -> Shape:
+        """
+        Return the shape under input tensions that follow those of the last shape.
+
+        The search begins at the last one, and friction remembers it where it remembers at all.
+
+        Parameters
+        ----------
+        last : Shape or None
+            None: the arm was straight and free of tension.
+        tensions : mapping or (m,) [N]
+
+        Raises
+        ------
+        InputError, NoEquilibriumError
+
+        """
+        if last is None:
+            return self.shape(tensions)
+        return self.shape(tensions, last.bend, last.memory if self.remembers else None)
 
     def shapes(self, tensions: npt.ArrayLike, guesses: Floats | None = None) -> ShapeBatch:
         """
@@ -244,7 +226,7 @@ class ForwardModel:
     def measured(self, points: Floats) -> Floats:
         """Move points (..., 3) [m] from the robot's base frame to the tracker's."""
         moved = np.array(points, dtype=float, order='C')
-        if self.acts('base_misalignment') if 'base_misalignment' in self.catalogue else False:
+        if any(e.stage == 'measurement' and self.acts(e.name) for e in self.catalogue):
             self.arrays.part('shape').measured(self.arrays.address, moved.reshape(-1, 3))
         return moved
 
@@ -257,3 +239,42 @@ class ForwardModel:
             )
             where = f'posture {bad[0]} ({named})' if len(inputs) > 1 else named
             raise NoEquilibriumError(where, self.implicit_effects, float(changes[bad[0]]))
+
+
+# -----------------------------------------------------------------------------
+# Shapes all over the workspace: where a cold search for a target begins.
+
+
+def workspace_library(model: ForwardModel) -> ShapeBatch:
+    """
+    Return shapes under random tensions within the limits; seeded, so always the same.
+
+    Tensions concentrate where a section bends by less than three quarters of a turn, and half of
+    the postures leave one of two opposing tendons at its lower limit.
+    """
+    count = 1024 if model.implicit else 4096
+    random = np.random.default_rng(1)
+    low, high = model.limits.T
+    scale = np.minimum(high, low + _useful(model))
+    spread = random.random((count, len(low)))
+    spread *= random.random((count, len(low))) < 0.6
+    top = np.where(random.random((count, 1)) < 0.25, high, scale)
+    inputs = low + spread * (top - low)
+    batch, changes = model.solve(inputs)
+    good = changes < TOLERANCE
+    return replace(batch, **{name: getattr(batch, name)[good] for name in FIELDS})
+
+
+def _useful(model: ForwardModel) -> np.ndarray:
+    """Tension (m,) [N] at which an input alone bends its section by `USEFUL_BEND_RAD` (PCCA)."""
+    cells, offset = model.arrays.cells, model.arrays.offset
+    per_newton = np.linalg.norm(offset, axis=2) / cells[:, 1:2]  # (n, k) [rad/N]
+    sections = cells[:, 4].astype(int)
+    useful = []
+    for members in model.robot.input_tendons:
+        rate = max(
+            sum(per_newton[sections == s, k].sum() for k in members)
+            for s in range(len(model.robot.sections))
+        )
+        useful.append(USEFUL_BEND_RAD / rate)
+    return np.array(useful)

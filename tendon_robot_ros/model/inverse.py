@@ -1,4 +1,4 @@
-"""Targets for an arm that is driven by wire lengths: they hold no two wires tight."""
+"""Tensions for a target of the tip, within limits; also for an arm driven by wire lengths."""
 
 from __future__ import annotations
 

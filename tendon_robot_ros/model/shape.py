@@ -1,4 +1,4 @@
-"""Where the results of postures lie in the one array that the kernel fills."""
+"""What the model returns: shapes, batches of shapes, and tensions for a target."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was measured lately, and its value at a moment in between."""
+"""What was measured lately: its value at a moment, and when the arm stands still."""
 
 from __future__ import annotations
 

@@ -162,10 +162,7 @@ class Monitor:
         last = self._shape
         try:
             if np.isfinite(tensions).all():
-                pulling = np.maximum(tensions, 0.0)
-                bend = None if last is None else last.bend
-                memory = last.memory if last is not None and self.model.remembers else None
-                self._shape = self.model.shape(pulling, bend, memory)
+                self._shape = self.model.follow(last, np.maximum(tensions, 0.0))
             else:
                 self._shape = self.model.pull_shape(pulls, last)
         except (NoEquilibriumError, InputError) as error:

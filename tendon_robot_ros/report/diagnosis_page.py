@@ -1,4 +1,4 @@
-"""What the pictures of a diagnosis show: the model before and after, and what it lacks where."""
+"""The page of a diagnosis: verdict first, then what to do, then evidence and pictures."""
 
 from __future__ import annotations
 

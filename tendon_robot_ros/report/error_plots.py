@@ -1,4 +1,4 @@
-"""Errors as figures: per cell, per posture, angular displacement, tip, and the staircase."""
+"""Errors as figures: per cell, per posture, at the tip; the staircase; what a model lacks."""
 
 from __future__ import annotations
 

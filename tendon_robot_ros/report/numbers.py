@@ -1,4 +1,4 @@
-"""Arrays as the numbers that figures carry: rounded, null where nothing was measured."""
+"""Numbers as figures carry them and as people read them: rounded, in the unit that suits."""
 
 from __future__ import annotations
 

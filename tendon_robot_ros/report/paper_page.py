@@ -1,4 +1,4 @@
-"""What the reproduction of the paper assumes, in words."""
+"""The page that `paper` writes: section IV of Kato et al. 2015, published beside ours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was reached against what was asked, as a table."""
+"""What was reached along a path against what was asked: as a table and as a picture."""
 
 from __future__ import annotations
 

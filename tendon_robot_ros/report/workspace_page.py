@@ -1,4 +1,4 @@
-"""Postures at a view angle as figures (7 and 8 of Kato et al. 2015), and their table."""
+"""A workspace as a page: postures at a view angle (figures 7 and 8 of Kato et al. 2015)."""
 
 from __future__ import annotations
 

@@ -205,7 +205,7 @@ def _robot(top: Reader) -> Robot:
 
 def _section(item: Reader) -> Section:
     item.only('name', 'cells', 'cell_length', 'bending_stiffness', 'mass_profile', 'bends_as')
-    cells = item.count('cells')
+    cells = item.whole('cells', 1, 10000)
     return Section(
         name=item.name('name'),
         cells=cells,

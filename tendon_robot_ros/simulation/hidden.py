@@ -1,4 +1,4 @@
-"""What a robot may do that no effect of the catalogue describes."""
+"""What a plant hides: effects of the catalogue, and causes that none of them describes."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def hide(
             _refuse_unknown(name, values, tuple(CAUSES[name].parameters))
             CAUSES[name].act(damage, {key: _one(name, key, v) for key, v in values.items()})
         elif name in catalogue:
-            effects[name] = chosen(catalogue[name], values, len(robot.sections))
+            effects[name] = chosen(catalogue[name], values, robot)
         else:
             raise EffectError(
                 f'unknown hidden effect {name!r}; in the catalogue: '
@@ -138,7 +138,7 @@ def hide(
     return effects
 
 
-def chosen(effect: Effect, values: HiddenValues, sections: int) -> EffectValues:
+def chosen(effect: Effect, values: HiddenValues, robot: Robot) -> EffectValues:
     """
     Return checked parameters of an effect; without any, the sizes that typically matter.
 
@@ -154,11 +154,11 @@ def chosen(effect: Effect, values: HiddenValues, sections: int) -> EffectValues:
     made: EffectValues = {}
     for parameter in effect.parameters:
         if parameter.name in values:
-            made[parameter.name] = _checked(
-                effect.name, parameter, values[parameter.name], sections
-            )
+            made[parameter.name] = _checked(effect.name, parameter, values[parameter.name], robot)
         else:
-            made[parameter.name] = parameter.neutral if values else _typical(parameter, sections)
+            made[parameter.name] = (
+                parameter.neutral if values else _typical(parameter, len(robot.sections))
+            )
     return made
 
 
@@ -171,13 +171,14 @@ def _typical(parameter: Parameter, sections: int) -> float | tuple[float, ...]:
 
 
 def _checked(
-    effect: str, parameter: Parameter, value: float | Sequence[float], sections: int
+    effect: str, parameter: Parameter, value: float | Sequence[float], robot: Robot
 ) -> float | tuple[float, ...]:
     many = isinstance(value, Sequence) and not isinstance(value, str)
     entries = list(value) if isinstance(value, Sequence) and many else [value]
     numbers = tuple(_one(effect, parameter.name, number) for number in entries)
-    if many and not (parameter.per_section and len(numbers) == sections):
-        wanted = f'{sections} numbers, one per section' if parameter.per_section else 'one number'
+    count = {'section': len(robot.sections), 'tendon': len(robot.tendons)}.get(parameter.per)
+    if many and len(numbers) != count:
+        wanted = f'{count} numbers, one per {parameter.per}' if count else 'one number'
         raise EffectError(f'{effect}: {parameter.name}: expected {wanted}, got {len(numbers)}')
     for number in numbers:
         if not parameter.low <= number <= parameter.high:

@@ -30,11 +30,9 @@ def side_force(  # type: ignore[no-untyped-def]
 
 
 def _unbounded(effect: Effect) -> Effect:
-    """Finer cells have other values: a bend of a third, nine times the cubic stiffness."""
-    each = effect.name == 'pre_curvature'  # every cell has its own kink
+    """Finer cells have other values, each its own: a third of a bend, nine times a cube."""
     wide = tuple(
-        replace(p, low=-math.inf, high=math.inf, per_section=p.per_section or each)
-        for p in effect.parameters
+        replace(p, low=-math.inf, high=math.inf, per_section=True) for p in effect.parameters
     )
     return replace(effect, parameters=wide)
 
@@ -56,4 +54,4 @@ def plant_catalogue(catalogue: Catalogue) -> Catalogue:
     )
     side = Effect('side_force', 'a force on one cell', 'load', sides, side_force)
     effects = [_unbounded(effect) for effect in catalogue if effect.name != 'tendon_friction']
-    return Catalogue([friction, *effects, side], catalogue.files)
+    return Catalogue([friction, *effects, side], catalogue.files, catalogue.is_sized)

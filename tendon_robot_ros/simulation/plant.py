@@ -1,4 +1,4 @@
-"""The description of a plant: the owner's robot with finer cells, each a section of its own."""
+"""A plant: the robot as it really is, for simulated measurements and the mock driver."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from ..model.pulls import pull_shapes
 from ..model.shape import Shape, ShapeBatch
 from ..robot import Robot, Section
 from ..robot.description import EffectValues
+from ..robot.size import natural_sizes
 from .hidden import Damage, Hidden, hide
 from .imperfect import Built, Workmanship
 from .laws import plant_catalogue
@@ -126,12 +127,15 @@ def _scaled(effect: Effect, values: EffectValues, robot: Robot, parts: int) -> E
     """Scale what counts per cell; repeat what counts per section for every cell of it."""
     cells = [s.cells * parts for s in robot.sections]
     powers = {parameter.name: parameter.parts_power for parameter in effect.parameters}
+    wide = {parameter.name for parameter in effect.parameters if parameter.per_section}
     made: EffectValues = {}
     for key, value in values.items():
         factor = float(parts) ** powers[key]
-        made[key] = (
-            tuple(np.repeat(value, cells) * factor) if isinstance(value, tuple) else value * factor
-        )
+        if not isinstance(value, tuple):
+            made[key] = value * factor
+        else:
+            each = np.repeat(value, cells) if key in wide else np.array(value)
+            made[key] = tuple((factor * each).tolist())
     return made
 
 
@@ -187,9 +191,7 @@ class Plant:
 
         """
         asked, last = self.model.tensions(np.asarray(tensions, dtype=float)), self._state
-        pulled_by = asked * self._gain(asked[None])[0]
-        bend, memory = (None, None) if last is None else (last.bend, last.memory)
-        shape = self.model.shape(pulled_by, bend, memory)
+        shape = self.model.follow(last, asked * self._gain(asked[None])[0])
         self._state = PlantShape(shape, self, asked)
         return self._state
 
@@ -328,7 +330,7 @@ def make_plant(
         raise InputError(
             f'plant: expected refine >= 1 and scatter from 0 to 0.2, got {refine} and {scatter}'
         )
-    catalogue = catalogue or load_catalogue()
+    catalogue = (catalogue or load_catalogue()).sized(natural_sizes(robot))
     damage = Damage.none(robot, seed)
     effects = hide(robot, hidden or {}, catalogue, damage)
     stiffness, built = damage.stiffness, Built.exact(robot)

@@ -1,4 +1,4 @@
-"""A robot with something hidden: which, how large, and postures that show it."""
+"""Something hidden in a robot: which, how large, postures that show it, and the story."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from ..effects import Catalogue
 from ..model.model import Model
 from ..robot import Robot
 from ..robot.description import EffectValues
+from ..robot.size import natural_sizes
 from ..workspace.postures import default_postures
 from .hidden import CAUSES, chosen
 
@@ -99,7 +100,8 @@ def draw(robot: Robot, catalogue: Catalogue, name: str, seed: int) -> Hidden:
         raise InputError(f'hidden: expected one of {", ".join(known)}, got {name!r}')
     if name == NOTHING_HIDDEN or name in CAUSES:
         return Hidden(name, {})
-    typical = chosen(catalogue[name], {}, len(robot.sections))
+    catalogue = catalogue.sized(natural_sizes(robot))
+    typical = chosen(catalogue[name], {}, robot)
     wanted = random.uniform(*VISIBLE_TIP_ERROR) * robot.length
     low, high = 0.02, 20.0
     for _ in range(14):

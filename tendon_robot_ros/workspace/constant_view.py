@@ -1,4 +1,4 @@
-"""The paper's postures: all that hold one view angle, and the salient ones among them."""
+"""Postures that hold one view angle: the paper's, and sweeps that look around."""
 
 from __future__ import annotations
 

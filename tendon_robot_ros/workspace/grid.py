@@ -1,4 +1,4 @@
-"""Which two inputs of a robot are pulled together (Kato et al. 2015, section IV.B)."""
+"""Where the tip can be while it looks in a direction (Kato et al. 2015, section IV.B)."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """
-The serial port: the SDK's port handler, opened for one process, waiting without burning a core.
+The bus: the serial port, and every conversation with the servos, through the SDK.
 
-Only what the SDK leaves to its port handler is replaced: opening (exclusively), waiting for bytes
-(asleep instead of spinning), the clock (monotonic) and the time to wait for an answer (the SDK
-waits 34 ms whatever the adapter's latency is).
+Of the port only what the SDK leaves to its port handler is replaced: opening (exclusively),
+waiting for bytes (asleep instead of spinning), the clock (monotonic) and the time to wait for an
+answer (the SDK waits 34 ms whatever the adapter's latency is).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from dynamixel_sdk import (
 )
 
 from ...common.errors import DriverError
-from ..ports import PORT_ERRORS, take_alone, why_not
+from ..ports import PORT_ERRORS, PortLostError, take_alone, why_not
 from .tables import REGISTERS, decode, encode
 
 UDEV_FILE = '/etc/udev/rules.d/99-usb-serial-latency.rules'
@@ -149,10 +149,6 @@ def check_latency(path: str, allow: bool, sysfs: str = '/sys') -> int | None:
 
 T = TypeVar('T')
 GOALS = ('goal_current', 'goal_position')
-
-
-class PortLostError(Exception):
-    """The port is gone; `reopen` may bring it back."""
 
 
 class Bus:

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from ...common.errors import DriverError, InputError
-from .bus import Bus, PortLostError
+from ..ports import PortLostError
+from .bus import Bus
 from .config import WireConfig
 from .motor import Motor
 from .tables import CURRENT_POSITION_MODE, Calibration, CurrentLine
 from .torque import read_state, torque_off, torque_on
 
-GRAVITY = 9.80665  # [m/s²]
 SAMPLE_PERIOD_S = 0.01  # [s]
 ARRIVAL_TIMEOUT_S = 1.0  # [s] for the end of a way, after its last goal
 STEADY_PART = (0.35, 0.9)  # part of the way in which the current counts

@@ -1,18 +1,25 @@
-"""The wires of the configuration: motor, spool, limits and calibration of every input."""
+"""The driver's configuration: motors, spools, limits, calibration (docs/dynamixel.md)."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...common.errors import DriverError
-from ...common.yaml_reading import ConfigFields, parse_yaml
+from ...common.yaml_reading import ConfigFields
 from ...robot import Robot
+from ..hardware import (
+    fields_of_inputs,
+    nearest,
+    read_calibrations,
+    read_direction,
+    read_pull_limits,
+    read_spool_radius,
+)
 from ..interface import Array
 from .tables import (
     BAUD_RATES,
@@ -39,6 +46,7 @@ MOTOR_KEYS = (
     'pull_rate',
     'calibration',
 )
+PULL_MAX_M = 1.0  # [m] of wire either way
 PULL_RATE = 'pull_rate', 0.02, 1e-6, 1.0, 'm/s'
 
 
@@ -86,37 +94,38 @@ class WireConfig:
 
 def read_wires(top: ConfigFields, robot: Robot, mode: str) -> tuple[WireConfig, ...]:
     """Read the motor of every input of the robot."""
-    motors = top.child('motors')
-    motors.only(*robot.inputs)
-    lines = _calibrations(top)
-    missing = [name for name in robot.inputs if not motors.has(name)]
-    if missing:
-        raise top.error(
-            'motors', 'a motor for every input of the robot', f'none for {", ".join(missing)}'
-        )
-    sharing = [motors.child(name).content.get('id') for name in robot.inputs]
-    return tuple(_wire(top, name, lines, robot, mode, sharing) for name in robot.inputs)
+    fields = fields_of_inputs(top, 'motors', 'a motor', robot)
+    lines = read_calibrations(top, required=True)
+    sharing = [item.content.get('id') for item in fields.values()]
+    return tuple(
+        _wire(top, name, item, lines, robot, mode, sharing) for name, item in fields.items()
+    )
 
 
 def _wire(
-    top: ConfigFields, name: str, lines: ConfigFields, robot: Robot, mode: str, sharing: list[Any]
+    top: ConfigFields,
+    name: str,
+    item: ConfigFields,
+    lines: ConfigFields,
+    robot: Robot,
+    mode: str,
+    sharing: list[Any],
 ) -> WireConfig:
-    item = top.child('motors').child(name)
     item.only(*MOTOR_KEYS)
-    identity = item.content.get('id')
-    if isinstance(identity, bool) or not isinstance(identity, int) or not 0 <= identity <= 252:
-        raise item.error('id', 'a whole number from 0 to 252', identity)
-    where = item if item.has('model') else top
-    model = MODELS[where.choice('model', tuple(MODELS))]
-    where = item if item.has('spool_radius') else top
-    spool = Spool(where.number('spool_radius', 5e-4, 0.2, 'm'), _direction(item))
+    identity = item.whole('id', 0, 252)
+    model = MODELS[nearest(item, top, 'model').choice('model', tuple(MODELS))]
+    direction = read_direction(item, 'counter-clockwise winds')
+    spool = Spool(read_spool_radius(item, top), direction)
     calibration = from_data_sheet(model, spool.radius)
     if lines.has(name) or item.has('calibration'):
         source = lines.child(name) if lines.has(name) else item.child('calibration')
         calibration = read_calibration(source, model, spool.radius)
     most = model.current_limit * model.current_unit
     lowest, highest = robot.tension_limits
-    where = item if item.has('current_limit') else top
+    limited = nearest(item, top, 'pull_limits')
+    pull_limits = -math.inf, math.inf
+    if limited.has('pull_limits') or mode == 'pull':
+        pull_limits = read_pull_limits(limited, PULL_MAX_M)
     return WireConfig(
         name=name,
         motor=identity,
@@ -124,47 +133,19 @@ def _wire(
         spool=spool,
         share=item.value('share', 1.0 / sharing.count(identity), 0.0, 1.0, '1'),
         tension_limit=item.value('tension_limit', highest, lowest + 1e-6, highest, 'N'),
-        current_limit=where.value('current_limit', most, model.current_unit, most, 'A'),
-        pull_limits=_pull_limits(top, item, mode),
+        current_limit=nearest(item, top, 'current_limit').value(
+            'current_limit', most, model.current_unit, most, 'A'
+        ),
+        pull_limits=pull_limits,
         rate=_rate(top, item, highest, mode),
         calibration=calibration,
     )
 
 
-def _direction(item: ConfigFields) -> int:
-    value = item.content.get('direction', 1)
-    if isinstance(value, bool) or value not in (1, -1):
-        raise item.error('direction', '1 (counter-clockwise winds) or -1', value)
-    return int(value)
-
-
 def _rate(top: ConfigFields, item: ConfigFields, highest: float, mode: str) -> float:
     tension = 'tension_rate', 2.0 * highest, 1e-6, 1e4, 'N/s'
     key, default, low, high, unit = tension if mode == 'tension' else PULL_RATE
-    return (item if item.has(key) else top).value(key, default, low, high, unit)
-
-
-def _pull_limits(top: ConfigFields, item: ConfigFields, mode: str) -> tuple[float, float]:
-    where = item if item.has('pull_limits') else top
-    if not where.has('pull_limits') and mode == 'tension':
-        return (-math.inf, math.inf)
-    low, high = where.vector('pull_limits', 2)
-    if not -1.0 <= low < high <= 1.0:
-        raise where.error('pull_limits', '[lowest, highest] [m], lowest < highest', [low, high])
-    return low, high
-
-
-def _calibrations(top: ConfigFields) -> ConfigFields:
-    """Open the calibrations: a mapping, or the path of the file that `calibrate` wrote."""
-    value = top.content.get('calibration')
-    if isinstance(value, str):
-        file = Path(top.source).parent / value
-        try:
-            value = parse_yaml(file.read_text(encoding='utf-8'))
-        except (OSError, ValueError) as error:
-            raise top.error('calibration', 'a readable YAML file', f'{file}: {error}') from None
-        return ConfigFields(str(file), '', value)
-    return ConfigFields(top.source, 'calibration', value)
+    return nearest(item, top, key).value(key, default, low, high, unit)
 
 
 def read_calibration(item: ConfigFields, model: ServoModel, radius: float) -> Calibration:

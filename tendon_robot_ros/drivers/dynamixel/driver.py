@@ -1,19 +1,19 @@
-"""What the servos say, as a reading, and as text for diagnostics."""
+"""Dynamixel servos behind the driver interface; what they say as readings and as text."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Self
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.errors import DriverError, MovedError
+from ...common.errors import DriverError
 from ...robot import Robot
-from ..hardware import HardwareDriver
+from ..hardware import PortDriver
 from ..interface import Array, Fault, Reading
-from .bus import Bus, PortLostError, check_latency
+from ..ports import PortLostError
+from .bus import Bus, check_latency
 from .config import DynamixelConfig, limits, read_config
 from .handshake import shake_hands
 from .homing import find_slack
@@ -99,25 +99,18 @@ def driver_reading(
 REBOOT_TIME_S = 2.0  # [s]
 
 
-class DynamixelDriver(HardwareDriver):
-    """
-    Drives the wires of a robot with Dynamixel servos.
+class DynamixelDriver(PortDriver):
+    """Drives the wires of a robot with Dynamixel servos."""
 
-    Attributes
-    ----------
-    cancelled : callable
-        Asked while `enable` looks for slack; a true answer ends it.
-
-    """
+    config: DynamixelConfig
+    link: Bus
+    read_config = staticmethod(read_config)
 
     def __init__(self, robot: Robot, config: DynamixelConfig, mode: str) -> None:
         """Take robot, checked configuration, and `tension` or `pull`."""
-        super().__init__(robot, mode, config.port, *limits(config, robot, mode))
-        self.config = config
-        self.port = config.port
-        self.motors = make_motors(config, mode)
         self.bus = Bus(config.port, config.baud, config.answer_time)
-        self.cancelled: Callable[[], bool] = lambda: False
+        super().__init__(robot, mode, config, self.bus, *limits(config, robot, mode))
+        self.motors = make_motors(config, mode)
         self._operating = operating_mode(config, mode)
         self._watchdog = watchdog_counts(config)
         self._watch = Watch(self.bus, self._operating, self._watchdog)
@@ -127,51 +120,27 @@ class DynamixelDriver(HardwareDriver):
         observable = config.allow_coarse or mode == 'tension'
         self._observable = np.array([observable or not w.resolution.coarse for w in config.wires])
 
-    @classmethod
-    def from_config(
-        cls, robot: Robot, config: Mapping[str, Any], *, mode: str, source: str
-    ) -> Self:
-        """Make the driver from what its configuration file says."""
-        return cls(robot, read_config(robot, config, mode, source), mode)
-
     def open(self) -> None:
         """Open the port for this process alone and check every servo."""
         self._latency = check_latency(self.config.port, self.config.allow_latency)
         if self._latency is not None:
             self.bus.answer_time = self.config.answer_time + 2e-3 * self._latency
-        self.bus.open()
-        try:
-            shake_hands(self.bus, self.config, self.motors)
-            read_state(self.bus, self.motors.values())
-        except (DriverError, PortLostError) as error:
-            self.bus.close()
-            raise DriverError(str(error)) from None
-        self._zero_here()
-        self._is_open = True
+        super().open()
 
-    def close(self) -> None:
-        """Give the port back."""
-        self._is_open = False
-        self.bus.close()
-
-    def enable(self) -> None:
-        """Torque on where the arm is; with `zero: find`, wind up the slack first."""
-        self._require_open('enable')
-        motors = list(self.motors.values())
-        failed: type[DriverError] = DriverError
-        try:
-            if self.config.zero == 'find' and any(motor.zero is None for motor in motors):
-                find_slack(self.bus, self.config, motors, self.cancelled)
-                failed = MovedError
-            torque_on(self.bus, motors, self._operating, self._watchdog)
-        except MovedError:
-            self.disable()
-            raise
-        except (DriverError, PortLostError) as error:
-            self.disable()
-            raise failed(str(error)) from None
+    def _shake_hands(self) -> None:
+        shake_hands(self.bus, self.config, self.motors)
+        read_state(self.bus, self.motors.values())
         self._zero_here()
-        self._start_from_measured(motors)
+
+    def _slack_unknown(self) -> bool:
+        return any(motor.zero is None for motor in self.motors.values())
+
+    def _find_slack(self) -> None:
+        find_slack(self.bus, self.config, list(self.motors.values()), self.cancelled)
+
+    def _torque_on(self) -> None:
+        torque_on(self.bus, list(self.motors.values()), self._operating, self._watchdog)
+        self._zero_here()
 
     def disable(self, inputs: Sequence[str] = ()) -> None:
         """Torque off at once; a motor that two inputs share goes off with either."""
@@ -277,9 +246,9 @@ class DynamixelDriver(HardwareDriver):
             faults = (Fault('port', gone),)
         return driver_reading(self.config, self.motors, self._observable, now, faults)
 
-    def _start_from_measured(self, motors: list[Motor]) -> None:
-        """Let the next command begin at what these motors measure."""
-        for motor in motors:
+    def _start_from_measured(self, motors: Iterable[Motor] | None = None) -> None:
+        """Let the next command begin at what these motors, or all, measure."""
+        for motor in self.motors.values() if motors is None else motors:
             for wire in motor.wires:
                 value = motor.tension(wire) if self.mode == 'tension' else motor.pull(wire)
                 self._goal[self.inputs.index(wire.name)] = value if np.isfinite(value) else 0.0

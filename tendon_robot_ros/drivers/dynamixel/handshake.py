@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ...common.errors import DriverError
-from .bus import Bus, PortLostError
+from ..ports import PortLostError
+from .bus import Bus
 from .config import DynamixelConfig
 from .motor import Motor
 from .tables import MODEL_NAMES, VOLT_PER_COUNT

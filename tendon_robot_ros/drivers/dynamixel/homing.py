@@ -14,8 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ...common.errors import DriverError, MovedError
-from ..ports import travelled
-from .bus import Bus, PortLostError
+from ..ports import PortLostError, travelled
+from .bus import Bus
 from .config import DynamixelConfig
 from .motor import Motor
 from .tables import CURRENT_POSITION_MODE, RPM_PER_COUNT, TICKS_PER_TURN

@@ -1,5 +1,5 @@
 """
-Control tables of the supported servos, as data.
+Control tables of the supported servos; current to tension, encoder ticks to wire pull.
 
 Addresses, sizes, units and limits are those of the e-manual's page of each motor; torque per
 ampere is the printed stall torque over stall current at the recommended voltage. The X series

@@ -18,14 +18,13 @@ import numpy as np
 
 from ...common.errors import DriverError, InputError
 from ..interface import Array
+from ..ports import PortLostError
 from . import messages
 from .config import BoardConfig, Cell
-from .link import BoardLink, LinkLostError, identify, wait_for
+from .link import BoardLink, identify, wait_for
 
-GRAVITY = 9.80665  # [m/s²]
 SAMPLE_S = 0.0125  # [s] between two values of an HX711
 WEIGHTS_MIN = 3  # nothing hung included
-SATURATED = 0x7FFFFF
 VALUES_MIN = 5
 SETTLE_S = 0.2  # [s] not counted: values from before the weight hung
 
@@ -97,7 +96,7 @@ def connect(config: BoardConfig) -> tuple[BoardLink, int]:
     link.open()
     try:
         return link, identify(link, config).channels
-    except (DriverError, LinkLostError) as error:
+    except (DriverError, PortLostError) as error:
         link.close()
         raise DriverError(str(error)) from None
 
@@ -129,7 +128,7 @@ def measure(
     values = values[np.append(True, np.diff(values) != 0.0)]  # the same value, asked for twice
     if len(values) < VALUES_MIN:
         raise DriverError(f'{link.path}: channel {channel}: no values of its load cell')
-    if np.max(np.abs(values)) >= SATURATED:
+    if np.max(np.abs(values)) >= messages.CELL_COUNTS_MAX:
         raise DriverError(f'{link.path}: channel {channel}: load cell saturated; less weight')
     spread = float(values.std(ddof=1))
     noise = 1.05 * float(np.median(np.abs(np.diff(values))))  # 1 sd, of any that hangs still
@@ -152,6 +151,6 @@ def _counts(link: BoardLink, channels: int, channel: int, seconds: float) -> Arr
                 if cells is not None and passed > SETTLE_S:
                     counts.append(float(cells[channel]))
             time.sleep(SAMPLE_S)
-    except LinkLostError as error:
+    except PortLostError as error:
         raise DriverError(f'{error}: lost while calibrating') from None
     return np.array(counts)

@@ -1,17 +1,26 @@
-"""The tendons of the configuration: channel, spool, limits and load cell of every input."""
+"""The driver's configuration: channels, spools, limits, load cells (docs/serial_board.md)."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from ...common.yaml_reading import ConfigFields, parse_yaml
+from ...common.yaml_reading import ConfigFields
 from ...robot import Robot
+from ..hardware import (
+    fields_of_inputs,
+    nearest,
+    read_calibrations,
+    read_direction,
+    read_pull_limits,
+    read_spool_radius,
+)
 from ..interface import Array
 
 TENDON_KEYS = (
@@ -77,15 +86,11 @@ def read_tendons(
     top: ConfigFields, robot: Robot, mode: str, calibrated: bool
 ) -> tuple[TendonConfig, ...]:
     """Read the channel of every input; `calibrated` tells whether load cells must be."""
-    tendons = top.child('tendons')
-    tendons.only(*robot.inputs)
-    missing = [name for name in robot.inputs if not tendons.has(name)]
-    if missing:
-        raise top.error(
-            'tendons', 'a channel for every input of the robot', f'none for {", ".join(missing)}'
-        )
-    cells = _calibrations(top)
-    made = tuple(_tendon(top, name, cells, robot, mode, calibrated) for name in robot.inputs)
+    fields = fields_of_inputs(top, 'tendons', 'a channel', robot)
+    cells = read_calibrations(top, required=False)
+    made = tuple(
+        _tendon(top, name, item, cells, robot, mode, calibrated) for name, item in fields.items()
+    )
     numbers = [tendon.channel for tendon in made]
     for tendon in made:
         if numbers.count(tendon.channel) > 1:
@@ -94,22 +99,23 @@ def read_tendons(
 
 
 def _tendon(
-    top: ConfigFields, name: str, cells: ConfigFields, robot: Robot, mode: str, calibrated: bool
+    top: ConfigFields,
+    name: str,
+    item: ConfigFields,
+    cells: ConfigFields,
+    robot: Robot,
+    mode: str,
+    calibrated: bool,
 ) -> TendonConfig:
-    item = top.child('tendons').child(name)
     item.only(*TENDON_KEYS)
-    channel = item.content.get('channel')
-    if (
-        isinstance(channel, bool)
-        or not isinstance(channel, int)
-        or not 0 <= channel < CHANNELS_MAX
-    ):
-        raise item.error('channel', f'a whole number from 0 to {CHANNELS_MAX - 1}', channel)
-    direction = item.content.get('direction', 1)
-    if isinstance(direction, bool) or direction not in (1, -1):
-        raise item.error('direction', '1 (growing encoder ticks wind) or -1', direction)
-    radius = _where(item, top, 'spool_radius').number('spool_radius', 5e-4, 0.2, 'm')
-    ticks = _where(item, top, 'ticks_per_turn').number('ticks_per_turn', 1.0, 1e7, 'ticks')
+    channel = item.whole('channel', 0, CHANNELS_MAX - 1)
+    direction = read_direction(item, 'growing encoder ticks wind')
+    radius = read_spool_radius(item, top)
+    ticks = nearest(item, top, 'ticks_per_turn').number('ticks_per_turn', 1.0, 1e7, 'ticks')
+    limited = nearest(item, top, 'pull_limits')
+    pull_limits = -PULL_RANGE_DEFAULT_M, PULL_RANGE_DEFAULT_M
+    if limited.has('pull_limits') or mode == 'pull':
+        pull_limits = read_pull_limits(limited, PULL_RANGE_DEFAULT_M)
     low, high = robot.tension_limits
     if calibrated and not cells.has(name):
         raise top.error(
@@ -123,36 +129,9 @@ def _tendon(
         channel=channel,
         metres_per_tick=direction * 2.0 * math.pi * radius / ticks,
         tension_limit=item.value('tension_limit', high, low + 1e-6, high, 'N'),
-        pull_limits=_pull_limits(_where(item, top, 'pull_limits'), mode),
+        pull_limits=pull_limits,
         cell=_cell(cells.child(name)) if cells.has(name) else None,
     )
-
-
-def _where(item: ConfigFields, top: ConfigFields, key: str) -> ConfigFields:
-    return item if item.has(key) else top
-
-
-def _pull_limits(where: ConfigFields, mode: str) -> tuple[float, float]:
-    if not where.has('pull_limits') and mode == 'tension':
-        return -PULL_RANGE_DEFAULT_M, PULL_RANGE_DEFAULT_M
-    low, high = where.vector('pull_limits', 2)
-    if not -PULL_RANGE_DEFAULT_M <= low < high <= PULL_RANGE_DEFAULT_M:
-        raise where.error('pull_limits', '[lowest, highest] [m], lowest < highest', [low, high])
-    return low, high
-
-
-def _calibrations(top: ConfigFields) -> ConfigFields:
-    """Open the calibrations: a mapping, or the path of the file that `calibrate` wrote."""
-    value = top.content.get('calibration')
-    if not isinstance(value, str):
-        return ConfigFields(top.source, 'calibration', value)
-    file = Path(top.source).parent / value
-    try:
-        return ConfigFields(str(file), '', parse_yaml(file.read_text(encoding='utf-8')))
-    except FileNotFoundError:
-        return ConfigFields(str(file), '', {})
-    except (OSError, ValueError) as error:
-        raise top.error('calibration', 'a readable YAML file', f'{file}: {error}') from None
 
 
 def _cell(item: ConfigFields) -> Cell:
@@ -220,6 +199,11 @@ class BoardConfig:
     home_time: float  # [s]
     home_travel: float  # [m]
     tendons: tuple[TendonConfig, ...]
+
+    @cached_property
+    def places(self) -> npt.NDArray[np.int64]:
+        """Channel (m,) of every input."""
+        return np.array([tendon.channel for tendon in self.tendons])
 
 
 def read_config(

@@ -11,16 +11,12 @@ import serial
 
 from ...common.errors import DriverError
 from ..interface import Array
-from ..ports import PORT_ERRORS, take_alone, why_not
+from ..ports import PORT_ERRORS, PortLostError, take_alone, why_not
 from . import messages
 from .config import BoardConfig
 from .messages import VERSION, Frame, FrameReceiver, Identity, Telemetry, encode
 
 CHUNK_BYTES = 65536
-
-
-class LinkLostError(Exception):
-    """The port is gone; `reopen` may bring it back."""
 
 
 class BoardLink:
@@ -137,12 +133,12 @@ class BoardLink:
 
     def _open_port(self) -> serial.Serial:
         if self._port is None:
-            raise LinkLostError(self.path)
+            raise PortLostError(self.path)
         return self._port
 
     def _lost(self, error: BaseException) -> None:
         self.close()
-        raise LinkLostError(f'{self.path}: {error}') from None
+        raise PortLostError(f'{self.path}: {error}') from None
 
 
 # -----------------------------------------------------------------------------

@@ -1,5 +1,7 @@
 """
-Frames of the serial protocol: byte stuffing, a CRC over the stuffed bytes, a zero at the end.
+Frames and messages of the serial protocol (docs/serial_protocol.md).
+
+A frame is byte stuffed, has a CRC over the stuffed bytes, and a zero at its end.
 
 The CRC stands outside the stuffing, so that it protects the very bytes on the wire: as they are
 at most 32751 bits long, any one, two or three flipped bits are noticed.
@@ -154,6 +156,7 @@ CHANNEL_FAULTS = {
     0x10: ('voltage', 'motor supply too low'),
 }
 CELL, ENCODER = 0x04, 0x08
+CELL_COUNTS_MAX = 0x7FFFFF  # an HX711 gives 24 bits; at the end of them a cell is overloaded
 
 MICRO = 1e-6
 _HEADER = struct.Struct('<IBBBBH')

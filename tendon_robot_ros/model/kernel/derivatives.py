@@ -23,7 +23,7 @@ from .layout import (
     workspace,
 )
 from .shape import mean_pulls, place, wire_pulls
-from .stages import length_acts, stretch_acts
+from .stages import length_acts, stretch_acts, winding_acts
 from .sweep import is_implicit
 from .turning import half_turns
 
@@ -57,7 +57,7 @@ def input_response(chain, inputs, bend, work, past, rows):
 @compiled
 def place_as(chain, inputs, bend, work, past):
     """Fill work.frames, work.origins and, where they matter, work.tensions at given bends."""
-    if length_acts(chain) or stretch_acts(chain):
+    if length_acts(chain) or stretch_acts(chain) or winding_acts(chain):
         f = np.empty(2 * chain.n)
         residual_at(chain.residual)(chain, inputs, bend, work, past, address(f))
         keep(f)

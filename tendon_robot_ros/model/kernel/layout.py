@@ -34,14 +34,14 @@ def entry(*signature):
 #   cells   (n, 6)    columns below, SI
 #   offset  (n, k, 2) tendon offsets [m]
 #   tendon  (k, 2)    int: cells that the tendon runs through, index of its input
-#   values  (rows, sections) effect parameters; on (effects,) uint8, which effects act
+#   values  (rows, wide) effect parameters of each section, or of each tendon;
+#   on      (effects,) uint8, which effects act
 #   gravity (3,)      [m/s²], base frame
 # radius: largest distance of a tendon from the centroid [m]
 # step, residual, respond, newton, settle: addresses of these functions
 Chain = namedtuple(
     'Chain',
-    'n k m sections cells offset tendon values on gravity radius step residual respond newton '
-    'settle',
+    'n k m wide cells offset tendon values on gravity radius step residual respond newton settle',
 )
 LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT = range(6)
 COLUMNS = 6

@@ -31,6 +31,8 @@ from .stages import (
     offset_scale,
     stretch,
     stretch_acts,
+    winding,
+    winding_acts,
 )
 from .sweep import slip_direction
 from .turning import chain_frames
@@ -145,7 +147,7 @@ def place(chain, bend, work):
 
 @compiled
 def wire_pulls(chain, bend, work, pulls):
-    """Wire pull (k,) [m] of every tendon: travel of all its cells and its own stretch."""
+    """Wire pull (k,) [m] of every tendon, as commanded: its travel, stretch and winding."""
     tendon, tensions, travel = words(chain.tendon), floats(work.tensions), floats(work.travel)
     totals, n, k = floats(pulls), chain.n, chain.k
     tendon_travel(chain, bend, offset_scale(1.0, chain, 0), work)
@@ -160,6 +162,9 @@ def wire_pulls(chain, bend, work, pulls):
                 totals[j] += stretch(
                     0.0, tensions[k * i + j], cell(chain, i, LENGTH), chain, section_of(chain, i)
                 )
+    if winding_acts(chain):
+        for j in range(k):
+            totals[j] = winding(totals[j], tensions[j], chain, j)
 
 
 @compiled

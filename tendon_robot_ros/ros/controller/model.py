@@ -1,4 +1,4 @@
-"""The `model` parameter: what is loaded, what is asked for, and what was refused."""
+"""The `model` parameter: what is loaded, asked for and refused; the arm as the model sees it."""
 
 from __future__ import annotations
 

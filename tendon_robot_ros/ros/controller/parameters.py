@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ...control import Settings
 from ..shared.lifecycle import AUTOSTART
-from ..shared.parameters import Parameters, Spec
+from ..shared.parameters import COMMAND_MODE, Parameters, Spec
 
 SPECS = (
     Spec(
@@ -18,13 +18,7 @@ SPECS = (
         [''],
         'Python files with effects of your own (they are executed); read when a model is loaded',
     ),
-    Spec(
-        'command_mode',
-        'tension',
-        'what is commanded: tension [N] (effort) or wire pull [m] (position)',
-        read_only=True,
-        choices=('tension', 'pull'),
-    ),
+    COMMAND_MODE,
     Spec('rate', 200.0, 'commands per second', 'Hz', 10.0, 1000.0, read_only=True),
     Spec(
         'shape_rate',

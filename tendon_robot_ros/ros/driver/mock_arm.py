@@ -1,4 +1,4 @@
-"""A mock arm that is the controller's own model: nothing hidden, nothing scattered."""
+"""A mock arm that is the controller's own model, and a tracker that sees it."""
 
 from __future__ import annotations
 
@@ -33,11 +33,7 @@ class Twin:
 
     def respond(self, tensions: Array) -> Shape:
         """Return the shape under tensions (m,) [N]."""
-        bend = None if self._last is None else self._last.bend
-        memory = None
-        if self._last is not None and self._model.remembers:
-            memory = self._last.memory
-        self._last = self._model.shape(tensions, guess=bend, memory=memory)
+        self._last = self._model.follow(self._last, tensions)
         return self._last
 
     def respond_to_pulls(self, pulls: Array) -> Shape:

@@ -19,7 +19,7 @@ from ...robot import Robot
 from ..shared.files import read_mapping
 from ..shared.lifecycle import AUTOSTART
 from ..shared.messages import COMMAND, JOINTS
-from ..shared.parameters import Parameters, Spec
+from ..shared.parameters import COMMAND_MODE, Parameters, Spec
 
 MOCK_KEYS = {'plant', 'tracker', 'lag'}  # what no other backend has in its configuration
 EXAMPLES = {'serial': 'serial_board', 'ros2_control': 'ros2_control'}  # else BACKEND_MODE
@@ -45,13 +45,7 @@ SPECS = (
         'configuration of the backend: a path, the name of a file in config, or YAML text',
         read_only=True,
     ),
-    Spec(
-        'command_mode',
-        'tension',
-        'what is commanded: tension [N] (effort) or wire pull [m] (position)',
-        read_only=True,
-        choices=('tension', 'pull'),
-    ),
+    COMMAND_MODE,
     Spec('rate', 200.0, 'cycles of command and reading', 'Hz', 10.0, 1000.0, read_only=True),
     Spec('command_timeout', 0.1, 'silence after which the arm is released', 's', 0.01, 10.0),
     Spec('rate_limit', 20.0, 'largest change of a commanded tension', 'N/s', 0.01, 1000.0),
@@ -140,7 +134,7 @@ def _check_whose(backend: str, mode: str, config: dict[str, Any], source: str) -
 def _plant(robot: Robot, mode: str, config: dict[str, Any], source: str) -> Any:
     """Make the mock arm; imported here because drivers of hardware load no compiler."""
     twin = config.pop('twin', False)
-    if mode == 'pull' and 'tendon_elongation' not in robot.effects:
+    if mode == 'pull' and not {'tendon_elongation', 'wire_spring'} & set(robot.effects):
         # stiff wires pull against each other without bound; theirs give a little
         compliance = TWIN_COMPLIANCE if twin else WIRE_COMPLIANCE
         robot = robot.with_effect('tendon_elongation', {'compliance': compliance})

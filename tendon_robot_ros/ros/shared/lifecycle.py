@@ -1,4 +1,4 @@
-"""Lifecycle nodes that start by themselves, and keep trying while something is missing."""
+"""Lifecycle nodes that start by themselves and keep trying; the status of a node."""
 
 from __future__ import annotations
 

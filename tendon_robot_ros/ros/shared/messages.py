@@ -1,4 +1,4 @@
-"""ROS messages to arrays and back."""
+"""ROS messages to arrays and back, and the quality of service of every topic."""
 
 from __future__ import annotations
 
@@ -103,45 +103,26 @@ def arm_markers(
 # -----------------------------------------------------------------------------
 # Quality of service of every topic, in one place.
 
+
+def _keep(depth: int, *, reliable: bool = True, latched: bool = False) -> QoSProfile:
+    """Keep the last so many messages; a latched topic also for who comes later."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
 # commands and set points: none may be lost, only the newest counts
-COMMAND = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
+COMMAND = _keep(1)
 # states, shapes and markers as published: suits reliable and best-effort subscribers
-STATE = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=10,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
+STATE = _keep(10)
 # states of joints that may come in several messages: from reliable publishers, too
-JOINTS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=10,
-    reliability=ReliabilityPolicy.BEST_EFFORT,
-    durability=DurabilityPolicy.VOLATILE,
-)
+JOINTS = _keep(10, reliable=False)
 # states, trackers and velocities as subscribed: hears publishers of either kind
-LISTEN = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.BEST_EFFORT,
-    durability=DurabilityPolicy.VOLATILE,
-)
+LISTEN = _keep(1, reliable=False)
 # statuses: who comes later still gets the last one
-LATCHED = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+LATCHED = _keep(1, latched=True)
 # what several publishers keep for who comes later: the last words of all of them
-LATCHED_BY_MANY = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=50,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+LATCHED_BY_MANY = _keep(50, latched=True)

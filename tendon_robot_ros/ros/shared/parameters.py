@@ -84,6 +84,15 @@ class Spec:
         return made
 
 
+COMMAND_MODE = Spec(
+    'command_mode',
+    'tension',
+    'what is commanded: tension [N] (effort) or wire pull [m] (position)',
+    read_only=True,
+    choices=('tension', 'pull'),
+)
+
+
 class Parameters:
     """The parameters of a node, by name; always valid."""
 

@@ -1,0 +1,21 @@
+"""The wires are pulled more than commanded, by an offset: pretension, or slack."""
+
+from .effect import Effect, Parameter
+
+
+def law(pull, tension, offset):
+    """Pull that is commanded: what the arm and the springs take, less the offset."""
+    return pull - offset
+
+
+EFFECT = Effect(
+    name='pull_zero',
+    title='the commanded pulls have an offset',
+    stage='winding',
+    law=law,
+    parameters=(
+        Parameter('offset', 'm', -3.0, 3.0, 0.0, typical=0.05, of='radius', per_tendon=True),
+    ),
+    needs='pulls',
+    divisible=True,
+)

@@ -1,0 +1,154 @@
+"""
+A robot ten times as long, or a thousand times as stiff, is the same robot in other units.
+
+Lengths times a and stiffnesses times b make forces times b / a; what a model or a diagnosis says
+of the one it must say of the other, its numbers scaled by their units.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import planar, spatial, two_sections
+from simulated import measure, postures
+
+from tendon_robot_ros.comparison.noise import Noise
+from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.model.pulls import pull_shapes
+from tendon_robot_ros.robot.size import natural_sizes
+
+SCALES = ((0.1, 1.0), (10.0, 1.0), (1.0, 1e3), (10.0, 1e3))  # of lengths, of stiffness
+UNITS = {  # unit -> powers of length and force
+    '1': (0, 0),
+    'rad': (0, 0),
+    '1/rad²': (0, 0),
+    'm': (1, 0),
+    'N': (0, 1),
+    '1/N': (0, -1),
+    'm/N': (1, -1),
+    'N·m/rad': (1, 1),
+    'kg/m': (-1, 1),
+}
+CATALOGUE = load_catalogue()
+FRICTION = {'tendon_friction': {'friction_coefficient': 0.3}}
+TENSIONS = np.array([[0.1, 0.9, 0.1, 0.5], [1.2, 0.1, 0.1, 0.4]])
+
+
+def scaled(robot, length, stiffness):
+    """Return a robot whose lengths and bending stiffness are so many times as large."""
+    sections = tuple(
+        replace(
+            section,
+            cell_length=length * section.cell_length,
+            bending_stiffness=tuple(stiffness * k for k in section.bending_stiffness),
+        )
+        for section in robot.sections
+    )
+    tendons = tuple(
+        replace(t, base=tuple(length * x for x in t.base), end=tuple(length * x for x in t.end))
+        for t in robot.tendons
+    )
+    force = stiffness / length
+    limits = tuple(force * limit for limit in robot.tension_limits)
+    effects = {
+        name: {key: factor(name, key, length, force) * value for key, value in values.items()}
+        for name, values in robot.effects.items()
+    }
+    return replace(
+        robot, sections=sections, tendons=tendons, tension_limits=limits, effects=effects
+    )
+
+
+def factor(effect, key, length, force):
+    """Return what a parameter of an effect is multiplied by."""
+    unit = {p.name: p.unit for p in CATALOGUE[effect].parameters}[key]
+    powers = UNITS[unit]
+    return length ** powers[0] * force ** powers[1]
+
+
+def test_natural_sizes_scale_as_their_units():
+    units = {'radius': 'm', 'length': 'm', 'stiffness': 'N·m/rad', 'tension': 'N', 'force': 'N'}
+    units |= {'density': 'kg/m', 'compliance': '1/N', 'give': 'm/N'}
+    robot = spatial(taper=0.7)
+    for length, stiffness in SCALES:
+        found = natural_sizes(scaled(robot, length, stiffness))
+        for key, value in natural_sizes(robot).items():
+            powers = UNITS[units[key]]
+            expected = value * length ** powers[0] * (stiffness / length) ** powers[1]
+            assert found[key] == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_limit_below_what_bends_the_arm_is_the_tension_that_counts():
+    robot = planar()
+    weak = replace(robot, tension_limits=(0.0, 0.01))
+    assert natural_sizes(weak)['tension'] == 0.01
+    assert natural_sizes(robot)['tension'] == pytest.approx(0.027 / 6 / 0.0055)
+
+
+def shown(robot, effect, force):
+    """Return what an effect of a size that matters shows, in lengths of the robot."""
+    base = replace(robot, gravity=(2.0, 0.0, 9.0)) if effect.needs == 'gravity' else robot
+    sized = effect.sized(natural_sizes(base))
+    base = base.with_effect(effect.name, {p.name: p.typical for p in sized.parameters})
+    model = Model(base)
+    if effect.needs == 'pulls':
+        plain = Model(robot).shapes(force * TENSIONS).pulls
+        positions = pull_shapes(model, np.where(TENSIONS > 0.15, plain, np.nan)).positions
+    elif effect.needs == 'history':
+        positions = model.sequence(force * TENSIONS).positions
+    else:
+        positions = model.shapes(force * TENSIONS).positions
+    return model.measured(positions) / robot.length
+
+
+@pytest.mark.parametrize('effect', CATALOGUE, ids=CATALOGUE.names)
+def test_a_size_that_matters_follows_the_robot(effect):
+    """It moves robots of all sizes by the same share of their length, and visibly."""
+    robot = two_sections(5, dict(FRICTION))
+    expected = shown(robot, effect, 1.0)
+    base = robot.without_effect(effect.name) if effect.name in robot.effects else robot
+    model = Model(replace(base, gravity=None))
+    change = np.abs(expected - model.shapes(TENSIONS).positions / robot.length).max()
+    if effect.name not in ('tendon_travel', 'friction_memory'):
+        assert 1e-4 < change < 0.5
+    for length, stiffness in SCALES:
+        found = shown(scaled(robot, length, stiffness), effect, stiffness / length)
+        # friction smoothed over 2 um is all that does not scale
+        assert np.allclose(found, expected, rtol=0, atol=2e-4 * change + 1e-7)
+
+
+def noise_of(length):
+    """Return the noise of trackers that follow the robot, too."""
+    return Noise(2e-4 * length, 0.004, 0.002, np.inf, 'declared')
+
+
+@pytest.mark.parametrize(
+    ('name', 'values', 'kind'),
+    [
+        ('tip_load', {'force_x': 0.03, 'force_z': 0.1}, 'tension'),
+        ('wire_spring', {'compliance': 1e-3}, 'displacement'),
+    ],
+)
+def test_a_scaled_robot_with_scaled_data_gets_the_same_verdict(name, values, kind):
+    robot = replace(planar(5, dict(FRICTION)), gravity=(0.0, 0.0, 0.0))
+    inputs = np.array([[0.0, 1.0], [1.4, 0.2], [0.2, 1.8], [2.2, 0.0], [0.2, 0.6], [0.1, 2.5]])
+    taut = np.where(inputs > 0.25, Model(robot).shapes(inputs).pulls, np.nan)
+    found = []
+    for length, stiffness in ((1.0, 1.0), (0.1, 1.0), (10.0, 1e3)):
+        force = stiffness / length
+        there = scaled(robot, length, stiffness)
+        given = force * inputs if kind == 'tension' else length * taut
+        hidden = {name: {k: factor(name, k, length, force) * v for k, v in values.items()}}
+        noise = noise_of(length)
+        data = measure(postures(there, given, 4, noise, input=kind), hidden, noise)
+        result = diagnose(data)
+        assert [effect.name for effect in result.effects] == [name], result
+        parameters = result.effects[0].parameters
+        sizes = [parameters[k].value / factor(name, k, length, force) for k in values]
+        found.append((result.verdict, result.cannot_tell_apart, result.not_tested, sizes))
+    for other in found[1:]:
+        assert other[:3] == found[0][:3]
+        assert np.allclose(other[3], found[0][3], rtol=0.02)
+    assert np.allclose(found[0][3], list(values.values()), rtol=0.2)
