@@ -22,7 +22,7 @@ for _library in ('OPENBLAS', 'MKL'):
 if TYPE_CHECKING:
     from .common.errors import TendonRobotError
     from .comparison.compare import compare
-    from .data import DataSet, Marker, load_dataset, save_dataset
+    from .data import DataSet, Marker, join, load_dataset, save_dataset
     from .diagnosis.add import add_effect
     from .diagnosis.diagnose import diagnose
     from .model.model import Model
@@ -43,6 +43,7 @@ PUBLIC = {
     'default_postures': '.workspace.postures',
     'diagnose': '.diagnosis.diagnose',
     'dump_robot': '.robot',
+    'join': '.data',
     'load_dataset': '.data',
     'load_robot': '.robot',
     'make_plant': '.simulation.plant',
@@ -61,6 +62,7 @@ __all__ = [
     'default_postures',
     'diagnose',
     'dump_robot',
+    'join',
     'load_dataset',
     'load_robot',
     'make_plant',

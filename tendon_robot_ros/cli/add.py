@@ -21,7 +21,7 @@ from ..effects import load_catalogue
 from ..model.compile import is_compiled
 from ..report.addition_text import addition_lines
 from .data_options import (
-    DATA_HELP,
+    add_data,
     add_overwrite,
     load_check,
     load_measurements,
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
     add('effects', nargs='+', metavar='EFFECT', help='effects of the catalogue, fitted together')
-    add('--data', required=True, metavar='DATA', help=f'{DATA_HELP} to fit on')
+    add_data(parser, '--data', to=' to fit on', required=True)
     add('--robot', metavar='ROBOT', help='description to add to (default: the one of DATA)')
     add('--output', required=True, metavar='NEW', help='the new description')
     add('--check', metavar='DATA2', help='other postures, to judge the effect by')

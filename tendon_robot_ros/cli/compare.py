@@ -27,7 +27,7 @@ from ..effects import load_catalogue
 from ..model.compile import is_compiled
 from ..report.comparison_text import sentences, table
 from ..robot import Robot, load_robot
-from .data_options import DATA_HELP, load_measurements
+from .data_options import add_data, load_measurements
 from .options import add_effect_files, add_json, emit
 
 HELP = 'compare models with measurements'
@@ -35,7 +35,7 @@ HELP = 'compare models with measurements'
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('data', metavar='DATA', help=DATA_HELP)
+    add_data(parser, 'data')
     parser.add_argument(
         '--model',
         nargs='+',

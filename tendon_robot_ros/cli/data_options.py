@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from ..common.errors import InputError
 from ..common.files import new_file
-from ..data import DataSet, load_dataset
+from ..data import DataSet, join, load_dataset
 from ..data.recording.importing import import_bag, summary
 from ..data.recording.reader import is_bag
 from ..robot import Robot, dump_robot
@@ -16,9 +18,15 @@ from ..robot import Robot, dump_robot
 DATA_HELP = 'data set (folder), or a recording (rosbag2 folder, .mcap or .db3 file)'
 
 
-def load_measurements(path: str, robot: Robot | str | None) -> DataSet:
+def add_data(parser: argparse.ArgumentParser, *names: str, to: str = '', **options: Any) -> None:
+    """Declare one or several data sets."""
+    words = f'{DATA_HELP}{to}; several of one robot count together'
+    parser.add_argument(*names, nargs='+', metavar='DATA', help=words, **options)
+
+
+def load_measurements(paths: str | Sequence[str], robot: Robot | str | None) -> DataSet:
     """
-    Read a data set; of a recording, every segment in which the arm stood still.
+    Read data sets, and join several; of a recording, every segment in which the arm stood still.
 
     Raises
     ------
@@ -26,6 +34,9 @@ def load_measurements(path: str, robot: Robot | str | None) -> DataSet:
         As `load_dataset` and `import_bag`.
 
     """
+    if not isinstance(paths, str):
+        return join([load_measurements(path, robot) for path in paths])
+    path = paths
     if not is_bag(path):
         return load_dataset(path, robot)
     imported = import_bag(path, robot)

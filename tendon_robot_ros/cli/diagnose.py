@@ -31,7 +31,7 @@ from ..model.compile import is_compiled
 from ..report import addition_text
 from ..report.diagnosis_text import lines, trust_lines
 from .data_options import (
-    DATA_HELP,
+    add_data,
     add_overwrite,
     load_check,
     load_measurements,
@@ -48,7 +48,7 @@ REFUSED_EXIT_CODE = 2
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
-    add('data', metavar='DATA', help=DATA_HELP)
+    add_data(parser, 'data')
     add('--robot', metavar='ROBOT', help='description to judge (default: the one of DATA)')
     add_json(parser)
     add('--add', metavar='NEW', help='write a description with the effect')

@@ -13,17 +13,19 @@ from ..data import DataSet, default_markers
 from ..effects import Catalogue, load_catalogue
 from ..model.model import Model
 from ..model.pulls import pull_shapes
-from ..model.shape import ShapeBatch
+from ..model.shape import FIELDS, ShapeBatch
 from ..robot import Robot
 from .noise import Whitener, estimate_noise, input_slopes
-from .predict import Predictor, mean_inputs
+from .predict import Predictor
 from .result import Comparison, Measured, ModelErrors
 from .statistics import ERRORS
 
+Floats = npt.NDArray[np.float64]
 
-def equilibria(dataset: DataSet, model: Model) -> ShapeBatch:
+
+def equilibria(predictor: Predictor) -> ShapeBatch:
     """
-    Return the shapes of the postures, reached as the data set's were.
+    Return the shapes of the postures of a description, reached as the data set's were.
 
     Raises
     ------
@@ -31,7 +33,18 @@ def equilibria(dataset: DataSet, model: Model) -> ShapeBatch:
         With the posture and what acts in it.
 
     """
-    inputs = mean_inputs(dataset)
+    parts = []
+    for part in predictor.parts:
+        predictor.set_parameters({}, part)
+        parts.append(_shapes(predictor.dataset, predictor.model, predictor.inputs[part.rows]))
+    order = np.argsort(np.concatenate([part.rows for part in predictor.parts]))
+    fields = {
+        name: np.concatenate([getattr(batch, name) for batch in parts])[order] for name in FIELDS
+    }
+    return replace(parts[0], **fields)
+
+
+def _shapes(dataset: DataSet, model: Model, inputs: Floats) -> ShapeBatch:
     carry = model.remembers and dataset.path == 'sequence'
     if dataset.input == 'displacement':
         memory = model.arrays.fresh_memory() if carry else None
@@ -41,8 +54,6 @@ def equilibria(dataset: DataSet, model: Model) -> ShapeBatch:
 
 # -----------------------------------------------------------------------------
 # Compare models with measurements.
-
-Floats = npt.NDArray[np.float64]
 
 
 def compare(
@@ -106,7 +117,7 @@ def _check(dataset: DataSet, name: str, robot: Robot) -> None:
 def _predict(predictor: Predictor) -> Floats:
     markers = predictor.markers({})
     if markers is None:
-        equilibria(predictor.dataset, predictor.model)  # says in which posture
+        equilibria(predictor)  # says in which posture
         raise NoEquilibriumError(predictor.dataset.name, predictor.model.implicit_effects, np.nan)
     return markers
 

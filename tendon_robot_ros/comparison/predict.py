@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import TendonRobotError
-from ..data import DataSet
+from ..common.errors import EffectError, TendonRobotError
+from ..data import DataSet, Part
 from ..effects import Catalogue, Effect, Parameter
 from ..model.forward import TOLERANCE
 from ..model.model import Model
@@ -65,15 +66,74 @@ class SettledShapes:
     tensions: Floats  # (P, m) [N]
     bend: Floats  # (P, n, 2) [rad]
 
+    def of(self, rows: npt.NDArray[np.int64]) -> SettledShapes:
+        """Return those of some postures."""
+        return SettledShapes(self.tensions[rows], self.bend[rows])
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What acts on the arm in some of the postures."""
+
+    rows: npt.NDArray[np.int64]
+    gravity: Floats  # (3,) [m/s²]
+    known: Mapping[tuple[str, str], float]  # (effect, parameter) -> value, whatever is freed
+
+
+def known_values(part: Part, catalogue: Catalogue) -> dict[tuple[str, str], float]:
+    """
+    Return the parameters of the effects that a data set calls known; unnamed ones are neutral.
+
+    Raises
+    ------
+    EffectError
+        An effect or parameter is not in the catalogue, or a value is out of its bounds.
+
+    """
+    found = {}
+    for name, values in part.known.items():
+        where = f'{part.name}: known'
+        if name not in catalogue:
+            raise EffectError(f'{where}: unknown effect {name!r}; known: {catalogue.names}')
+        parameters = {p.name: p for p in catalogue[name].parameters}
+        for key, value in values.items():
+            if key not in parameters:
+                expected = ', '.join(parameters)
+                raise EffectError(f'{where}: {name}: expected one of {expected}, got {key!r}')
+            low, high = parameters[key].described_bounds
+            if not low <= value <= high:
+                raise EffectError(
+                    f'{where}: {name}.{key}: expected a number from {low:g} to {high:g} '
+                    f'[{parameters[key].unit}], got {value:g}'
+                )
+        found |= {(name, key): values.get(key, p.neutral) for key, p in parameters.items()}
+    return found
+
 
 class Predictor:
     """A model whose parameters move; one per thread."""
 
     def __init__(self, dataset: DataSet, robot: Robot, catalogue: Catalogue) -> None:
-        """Build the model under the gravity of the data set."""
+        """
+        Build the model under the gravity of the data set.
+
+        Raises
+        ------
+        EffectError
+            An effect or parameter that the data set calls known is not in the catalogue.
+
+        """
         self.dataset = dataset
         self.robot = replace(robot, gravity=dataset.gravity_for(robot))
         self.model = Model(self.robot, catalogue)
+        self.parts = [
+            Conditions(
+                rows,
+                np.array(part.gravity or robot.gravity or (0.0, 0.0, 0.0)),
+                known_values(part, self.model.catalogue),
+            )
+            for part, rows in dataset.divided
+        ]
         arrays = self.model.arrays
         self._values, self._on, self._cells = (
             arrays.values.copy(),
@@ -116,8 +176,45 @@ class Predictor:
             To start from (`settled` of a neighbouring point); default: the first one.
 
         """
+        inputs, near = self.inputs if inputs is None else inputs, near or self._first
+        P, n = len(inputs), self.model.arrays.chain.n
+        placed = np.empty((P, len(self.dataset.markers), 3))
+        settled = SettledShapes(np.empty(inputs.shape), np.empty((P, n, 2)))
+        for part in self.parts:
+            self.set_parameters(point, part, stiffness)
+            there = None if near is None else near.of(part.rows)
+            shapes = (
+                self._shapes_at_pulls(inputs[part.rows], there)
+                if self.dataset.input == 'displacement'
+                else self._shapes_at_tensions(inputs[part.rows], there)
+            )
+            if shapes is None:
+                return None
+            settled.tensions[part.rows], settled.bend[part.rows] = shapes.inputs, shapes.bend
+            seen = shapes.markers(self.dataset.arc_lengths, self.dataset.offsets)
+            placed[part.rows] = self.model.measured(seen)
+        self.settled = settled
+        if self._first is None:  # later ones would make results depend on the order
+            self._first = settled
+        return placed
+
+    @contextmanager
+    def under_gravity(self, vector: Floats) -> Iterator[None]:
+        """Let a gravity (3,) [m/s²] act on all postures while the block runs."""
+        before = self.parts
+        self.parts = [replace(part, gravity=vector) for part in before]
+        try:
+            yield
+        finally:
+            self.parts = before
+
+    def set_parameters(
+        self, point: Point, part: Conditions, stiffness: Floats | None = None
+    ) -> None:
+        """Set the parameters of the model for one part of the postures; see `markers`."""
         arrays = self.model.arrays
         arrays.values[:], arrays.on[:], arrays.cells[:] = self._values, self._on, self._cells
+        arrays.gravity[:] = part.gravity
         if stiffness is not None:
             arrays.cells[:, 1] *= stiffness
         for free, value in point.items():
@@ -125,19 +222,8 @@ class Predictor:
                 arrays.cells[free.column, 1] *= 1.0 + value
             else:
                 arrays.set(free.effect, free.parameter.name, free.column, value)
-        inputs = self.inputs if inputs is None else inputs
-        shapes = (
-            self._shapes_at_pulls(inputs, near or self._first)
-            if self.dataset.input == 'displacement'
-            else self._shapes_at_tensions(inputs, near or self._first)
-        )
-        if shapes is None:
-            return None
-        self.settled = SettledShapes(shapes.inputs, shapes.bend)
-        if self._first is None:  # later ones would make results depend on the order
-            self._first = self.settled
-        placed = shapes.markers(self.dataset.arc_lengths, self.dataset.offsets)
-        return self.model.measured(placed)
+        for (effect, parameter), value in part.known.items():
+            arrays.set(effect, parameter, None, value)
 
     def _shapes_at_tensions(self, inputs: Floats, near: SettledShapes | None) -> ShapeBatch | None:
         """Shapes under tensions; None without equilibrium."""

@@ -2,11 +2,13 @@
 Measurements: `DataSet`, and where it comes from.
 
 dataset.py    measured postures as frozen arrays; a missing value is nan (SI units)
+joining.py    several data sets of one robot as one
 folder/       a data set as a folder of plain files, read strictly and written whole
 recording/    recordings of ROS 2, read and written without ROS
 """
 
-from .dataset import DataSet, Marker, default_markers
+from .dataset import DataSet, Marker, Part, default_markers
 from .folder.folder import load_dataset, save_dataset
+from .joining import join
 
-__all__ = ['DataSet', 'Marker', 'default_markers', 'load_dataset', 'save_dataset']
+__all__ = ['DataSet', 'Marker', 'Part', 'default_markers', 'join', 'load_dataset', 'save_dataset']

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -15,7 +15,9 @@ from ..robot import Robot
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
 Vector = tuple[float, float, float]
+Known = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 
 INPUTS = ('tension', 'displacement')
 PATHS = ('from_straight', 'sequence')
@@ -41,6 +43,15 @@ def listing(names: Iterable[str]) -> str:
     """List names in a message; a long list is cut in the middle."""
     known = list(names)
     return ', '.join(known if len(known) <= 12 else [*known[:6], '...', *known[-3:]]) or 'none'
+
+
+@dataclass(frozen=True)
+class Part:
+    """What acted on the arm while some of the postures were measured, as far as it is known."""
+
+    name: str  # of the data set that they come from
+    gravity: Vector | None  # [m/s²], base frame
+    known: Known
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +81,9 @@ class DataSet:
     trial_noise: float = 0.0  # [1], relative 1 sd per tendon and trial
     accuracy: float | None = None  # [m], the error the user can live with
     robot_path: Path | None = None  # the description's file
+    known: Known = field(default_factory=dict)  # effects that acted here and nowhere else
+    parts: tuple[Part, ...] = ()  # the data sets that it was joined from; none: it is one
+    part: IntArray | None = None  # (P,) index of the part that a posture belongs to
 
     def __post_init__(self) -> None:
         """Make the arrays read-only and refuse shapes that do not fit each other."""
@@ -112,6 +126,26 @@ class DataSet:
     def input_names(self) -> tuple[str, ...]:
         """Names of the columns of `inputs`."""
         return self.robot.inputs
+
+    @cached_property
+    def divided(self) -> tuple[tuple[Part, IntArray], ...]:
+        """The parts, and which postures each of them has."""
+        if self.part is None:
+            whole = Part(self.name, self.gravity, self.known)
+            return ((whole, np.arange(len(self.postures))),)
+        return tuple((part, np.flatnonzero(self.part == i)) for i, part in enumerate(self.parts))
+
+    @cached_property
+    def groups(self) -> IntArray:
+        """
+        Index (P,) of what was commanded: the same for postures of the same inputs.
+
+        Such postures tell of each other: leave all of them out to judge a prediction.
+        """
+        if self.path == 'sequence':
+            return np.arange(len(self.postures))
+        commanded = np.nan_to_num(self.inputs, nan=np.inf)
+        return np.unique(commanded, axis=0, return_inverse=True)[1].reshape(-1)
 
     @cached_property
     def mask(self) -> BoolArray:
@@ -228,6 +262,7 @@ class DataSet:
             self,
             postures=tuple(self.postures[i] for i in rows),
             inputs=self.inputs[rows],
+            part=None if self.part is None else self.part[rows],
             positions=self.positions[rows],
             orientations=part(self.orientations),
             trial_inputs=part(self.trial_inputs),

@@ -209,14 +209,10 @@ class SplitPredictor(Predictor):
         weighs = self._on[self.model.arrays.layout.index[weight.name]]
         if weighs or any(free.effect == weight.name for free in point):
             return None
-        gravity, mass = self.model.arrays.gravity, self.model.arrays.cells[cell, 2]
-        before = gravity.copy()
+        mass = self.model.arrays.cells[cell, 2]
         own = FreeParameter(weight.name, weight.parameters[0], cell, 'own')
-        try:
-            gravity[:] = np.asarray(force) / max(size, 1e-30)
+        with self.under_gravity(np.asarray(force) / max(size, 1e-30)):
             return self.markers({**point, own: size / mass})
-        finally:
-            gravity[:] = before
 
     def spread(self, free: FreeParameter) -> tuple[FreeParameter, ...]:
         """Return a free parameter of one section as those of its cells."""

@@ -64,7 +64,7 @@ def missing_moment(
         return None
     predictor = Predictor(dataset, robot, catalogue)
     markers = predictor.markers({})
-    shapes = equilibria(dataset, predictor.model)
+    shapes = equilibria(predictor)
     if markers is None:  # equilibria has raised
         return None
     arm = _Arm(shapes, dataset)

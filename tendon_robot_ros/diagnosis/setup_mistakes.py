@@ -195,17 +195,12 @@ def _units(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
 
 def _gravity(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try gravity along every axis, where the weight of the arm is described."""
-    arrays = predictor.model.arrays
-    size = float(np.linalg.norm(arrays.gravity))
+    size = float(np.linalg.norm(predictor.parts[0].gravity))
     if size == 0.0 or not predictor.model.acts('gravity'):
         return
-    before = arrays.gravity.copy()
     for axis, sign in product(range(3), (1.0, -1.0)):
-        arrays.gravity[:] = sign * size * np.eye(3)[axis]
-        try:
+        with predictor.under_gravity(sign * size * np.eye(3)[axis]):
             moved = predictor.markers({})
-        finally:
-            arrays.gravity[:] = before
         if moved is not None:
             vector = ', '.join(f'{x:g}' for x in sign * size * np.eye(3)[axis])
             yield Mistake(

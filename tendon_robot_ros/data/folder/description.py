@@ -12,7 +12,7 @@ import yaml
 from ...common.errors import DataSetError, short
 from ...common.yaml_reading import Reader, parse_yaml
 from ...robot import Robot, load_robot
-from ..dataset import INPUTS, PATHS, DataSet, Marker, Vector, default_markers
+from ..dataset import INPUTS, PATHS, DataSet, Known, Marker, Vector, default_markers
 
 KEYS = (
     'robot',
@@ -22,6 +22,7 @@ KEYS = (
     'position_noise',
     'tension_noise',
     'accuracy',
+    'known',
     'markers',
 )
 GRAVITY_MAX = 30.0  # [m/s²]; Jupiter has 25
@@ -59,6 +60,7 @@ class Description:
     setting_noise: float
     trial_noise: float
     accuracy: float | None
+    known: Known
     markers: tuple[Marker, ...] | None  # None = one per cell
 
 
@@ -145,12 +147,26 @@ def describe(fields: DatasetFields, robot: Robot) -> Description:
         setting_noise=_relative(noise, 'setting'),
         trial_noise=_relative(noise, 'trial'),
         accuracy=fields.distance('accuracy', robot.length),
+        known=_known(fields),
         markers=_markers(fields, robot) if fields.has('markers') else None,
     )
 
 
 def _relative(noise: DatasetFields, key: str) -> float:
     return noise.number(key, 0.0, 0.5) if noise.has(key) else 0.0
+
+
+def _known(fields: DatasetFields) -> Known:
+    """Read effects that acted while this was measured; what they mean the catalogue says."""
+    known: dict[str, dict[str, float]] = {}
+    for name in fields.mapping('known'):
+        effect = fields.child('known').child(str(name))
+        if not effect.content:
+            raise fields.error(
+                'known', 'parameters such as tip_load: {force_z: 0.98}', effect.content
+            )
+        known[str(name)] = {str(key): effect.number(str(key)) for key in effect.content}
+    return known
 
 
 def _gravity(fields: DatasetFields) -> Vector:
@@ -187,6 +203,8 @@ def dump_description(dataset: DataSet, robot: str = 'robot.yaml') -> str:
         content['tension_noise'] = noise
     if dataset.accuracy is not None:
         content['accuracy'] = dataset.accuracy
+    if dataset.known:
+        content['known'] = {name: dict(values) for name, values in dataset.known.items()}
     if dataset.markers != default_markers(dataset.robot):
         content['markers'] = [_plain(marker) for marker in dataset.markers]
     return str(

@@ -70,6 +70,7 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
         path=description.path,
         gravity=description.gravity,
         accuracy=description.accuracy,
+        known=description.known,
         position_noise=description.position_noise,
         setting_noise=description.setting_noise,
         trial_noise=description.trial_noise,
@@ -109,6 +110,9 @@ def save_dataset(
         The folder is not empty or cannot be written, or there is no measurement to write.
 
     """
+    if dataset.parts:
+        names = ', '.join(part.name for part in dataset.parts)
+        raise DataSetError(dataset.name, f'was joined from {names}', 'write each of them')
     unmeasured = dataset.trials == 0
     if unmeasured.all() or (unmeasured.any() and dataset.path == 'from_straight'):
         posture = dataset.postures[int(unmeasured.argmax())]

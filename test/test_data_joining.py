@@ -1,0 +1,150 @@
+"""Several data sets of one robot as one, and what is known of each."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+import small_dataset
+from arms import planar
+from simulated import measure, postures
+
+from tendon_robot_ros.common.errors import DataSetError, EffectError
+from tendon_robot_ros.comparison.compare import compare, equilibria
+from tendon_robot_ros.comparison.predict import Predictor
+from tendon_robot_ros.data import join, load_dataset, save_dataset
+from tendon_robot_ros.diagnosis.add import add_effects
+from tendon_robot_ros.model.model import Model
+
+ROBOT = replace(planar(5), gravity=(0.0, 0.0, 0.0), exact=True)
+INPUTS = np.array([[0.0, 1.0], [1.4, 0.2], [0.3, 1.8], [2.2, 0.0], [1.0, 0.9]])
+LOAD = {'tip_load': {'force_x': 0.05, 'force_z': 0.2}}
+
+
+def loaded(robot=ROBOT, **fields):
+    """Return measurements without a load, and with a known one."""
+    free = replace(measure(postures(robot, INPUTS, 3), seed=1), name='lab/free')
+    weighed = measure(postures(robot, INPUTS[:3], 4), LOAD, seed=2)
+    return free, replace(weighed, name='lab/weight', known=LOAD, **fields)
+
+
+def test_postures_keep_their_data_set_and_the_trials_they_had():
+    both = join(loaded())
+    assert both.postures[0] == 'free/0' and both.postures[5] == 'weight/0'
+    assert both.name == 'lab/free lab/weight'
+    assert both.positions.shape[:2] == (8, 4)
+    assert both.trials.tolist() == [3] * 5 + [4] * 3
+    assert [part.name for part, _ in both.divided] == ['free', 'weight']
+    assert [rows.tolist() for _, rows in both.divided] == [[0, 1, 2, 3, 4], [5, 6, 7]]
+    assert both.groups[0] == both.groups[5] and len(set(both.groups.tolist())) == 5
+
+
+def test_one_data_set_stays_as_it_is_and_joined_ones_join_again():
+    free, weighed = loaded()
+    assert join([free]) is free
+    three = join([join([free, weighed]), replace(free, name='again')])
+    assert [part.name for part, _ in three.divided] == ['free', 'weight', 'again']
+    part = three.select([three.postures[1], three.postures[6]])
+    assert part.part.tolist() == [0, 1]
+
+
+def test_what_is_known_acts_on_its_own_postures_only():
+    both = join(loaded())
+    predictor = Predictor(both, ROBOT, simulated.CATALOGUE)
+    shown = predictor.markers({})
+    plain = Model(ROBOT).shapes(INPUTS)
+    pulled = Model(ROBOT.with_effect('tip_load', LOAD['tip_load'])).shapes(INPUTS[:3])
+    expected = [batch.markers(both.arc_lengths, both.offsets) for batch in (plain, pulled)]
+    assert np.allclose(shown, np.concatenate(expected), rtol=0, atol=1e-12)
+    assert np.allclose(equilibria(predictor).positions[5:], pulled.positions, rtol=0, atol=1e-12)
+    assert compare(both).measured.floor is not None
+
+
+def test_gravity_is_that_of_each_data_set():
+    heavy = replace(ROBOT, gravity=None).with_effect('gravity', {'linear_density': 0.3})
+    free = postures(heavy, INPUTS)
+    lying, standing = (
+        replace(free, gravity=g, name=str(g)) for g in ((9.81, 0.0, 0.0), (0.0, 0.0, -9.81))
+    )
+    both = Predictor(join([lying, standing]), heavy, simulated.CATALOGUE).markers({})
+    for data, found in ((lying, both[:5]), (standing, both[5:])):
+        alone = Predictor(data, heavy, simulated.CATALOGUE).markers({})
+        assert np.allclose(found, alone, rtol=0, atol=1e-12)
+
+
+def test_a_known_load_gives_the_scale_of_forces():
+    """Pulled by lengths, stiffness and forces have one scale: a known weight tells it."""
+    soft = planar(5, {'wire_spring': {'compliance': 1e-3}, 'pull_zero': {'offset': 1e-3}})
+    soft = replace(soft, gravity=(0.0, 0.0, 0.0), exact=True)
+    pulls = np.array([[-3e-3, 3e-3], [4e-3, -4e-3], [-1e-3, 1e-3], [6e-3, -6e-3]])
+    truth = {'backbone_stiffness': {'relative_change': 0.3}}
+    sets = [
+        measure(postures(soft, pulls, 4, input='displacement'), truth | hidden, seed=seed)
+        for seed, hidden in ((1, {}), (2, LOAD))
+    ]
+    both = join([replace(sets[0], name='a'), replace(sets[1], name='b', known=LOAD)])
+    made = add_effects(both, ['backbone_stiffness', 'wire_spring'])
+    value = made.values['backbone_stiffness']['relative_change']
+    assert value.low <= 0.3 <= value.high
+    alone = add_effects(sets[0], ['backbone_stiffness', 'wire_spring'])
+    unknown = alone.values['backbone_stiffness']['relative_change']
+    assert unknown.high - unknown.low > 10.0 * (value.high - value.low)
+    assert 'tip_load' not in made.robot.effects
+
+
+@pytest.mark.parametrize(
+    ('changes', 'message'),
+    [
+        ({'input': 'displacement'}, 'has other input than lab/free'),
+        ({'path': 'sequence'}, 'has other path than lab/free'),
+        ({'robot': replace(ROBOT, tension_limits=(0.0, 9.0))}, 'has another robot description'),
+    ],
+)
+def test_data_sets_that_do_not_belong_together_are_refused(changes, message):
+    free, weighed = loaded()
+    with pytest.raises(DataSetError, match=message):
+        join([free, replace(weighed, **changes)])
+
+
+@pytest.mark.parametrize(
+    ('known', 'message'),
+    [
+        ({'load': {'force_z': 1.0}}, "lab/free: known: unknown effect 'load'; known: "),
+        (
+            {'tip_load': {'fz': 1.0}},
+            "known: tip_load: expected one of force_x, force_y, force_z, got 'fz'",
+        ),
+        ({'tip_load': {'force_z': 1e9}}, 'known: tip_load.force_z: expected a number from'),
+    ],
+)
+def test_what_cannot_be_known_is_refused(known, message):
+    with pytest.raises(EffectError) as refusal:
+        Predictor(replace(loaded()[0], known=known), ROBOT, simulated.CATALOGUE)
+    assert message in str(refusal.value)
+
+
+def test_joined_data_sets_are_not_written_as_one(tmp_path):
+    with pytest.raises(DataSetError, match='was joined from free, weight'):
+        save_dataset(join(loaded()), tmp_path / 'both')
+
+
+def test_known_effects_are_read_and_written(tmp_path):
+    text = small_dataset.DATASET + 'known: {tip_load: {force_z: 0.98}}\n'
+    data = load_dataset(small_dataset.write(tmp_path / 'a', dataset=text))
+    assert data.known == {'tip_load': {'force_z': 0.98}}
+    assert load_dataset(save_dataset(data, tmp_path / 'b')).known == data.known
+
+
+@pytest.mark.parametrize(
+    ('line', 'message'),
+    [
+        ('known: 3', 'known: got 3; expected'),
+        ('known: {tip_load: }', 'known: got {}; expected parameters such as tip_load: {force_z'),
+        ('known: {tip_load: {force_z: big}}', "known.tip_load.force_z: got 'big'"),
+    ],
+)
+def test_known_effects_that_are_none_are_refused(tmp_path, line, message):
+    folder = small_dataset.write(tmp_path / 'a', dataset=small_dataset.DATASET + line)
+    with pytest.raises(DataSetError) as refusal:
+        load_dataset(folder)
+    assert message in str(refusal.value)
