@@ -136,11 +136,11 @@ class Reader:
             raise self.error(key, 'true or false', value)
         return value
 
-    def count(self, key: str) -> int:
-        """Return a whole number of at least one."""
+    def whole(self, key: str, low: int, high: int) -> int:
+        """Return a whole number within bounds."""
         value = self.content.get(key)
-        if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= 10000:
-            raise self.error(key, 'a whole number from 1 to 10000', value)
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise self.error(key, f'a whole number from {low} to {high}', value)
         return value
 
     def number(
@@ -234,13 +234,6 @@ class ConfigFields(Reader):
     def value(self, key: str, default: float, low: float, high: float, unit: str) -> float:
         """Return a number, or the default when absent."""
         return self.number(key, low, high, unit) if self.has(key) else default
-
-    def flag(self, key: str) -> bool:
-        """Return true or false, false when absent."""
-        value = self.content.get(key, False)
-        if not isinstance(value, bool):
-            raise self.error(key, 'true or false', value)
-        return value
 
     def port(self) -> str:
         """Return the path of the serial port."""

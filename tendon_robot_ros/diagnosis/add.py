@@ -1,4 +1,4 @@
-"""What an addition writes into a robot description, and how that is undone."""
+"""Add effects to a robot description and take them out: fitted, written, undone."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def changed_robot(robot: Robot, catalogue: Catalogue, fit: Fit, dataset: DataSet
         items = fitted.setdefault(free.effect, {})
         items.setdefault(free.parameter.name, []).append(float(f'{value:.6g}'))
     for name, items in fitted.items():
-        wide = {p.name for p in catalogue[name].parameters if p.per_section}
+        wide = {p.name for p in catalogue[name].parameters if p.per}
         robot = robot.with_effect(
             name,
             {key: tuple(v) if key in wide and len(v) > 1 else v[0] for key, v in items.items()},

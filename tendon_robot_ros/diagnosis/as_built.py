@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..comparison.predict import CELLS, FreeParameter, Point, Predictor
+from ..effects import Catalogue
 from ..robot import Robot, Section
 from ..robot.description import EffectValues
 
@@ -129,7 +130,9 @@ class SplitPredictor(Predictor):
         """Split the robot of a predictor."""
         self.whole = predictor.robot
         super().__init__(
-            predictor.dataset, split_robot(predictor.robot), predictor.model.catalogue
+            predictor.dataset,
+            split_robot(predictor.robot, predictor.model.catalogue),
+            predictor.model.catalogue,
         )
         ends = np.cumsum([section.cells for section in self.whole.sections])
         self._spans = [
@@ -216,10 +219,11 @@ class SplitPredictor(Predictor):
 
     def spread(self, free: FreeParameter) -> tuple[FreeParameter, ...]:
         """Return a free parameter of one section as those of its cells."""
-        if free.section is None or free.effect == CELLS or free.label == 'own':
+        whole = free.column is None or free.parameter.per_tendon
+        if whole or free.effect == CELLS or free.label == 'own':
             return (free,)
-        span = self._spans[free.section]
-        return tuple(replace(free, section=i) for i in range(span.start, span.stop))
+        span = self._spans[free.column]
+        return tuple(replace(free, column=i) for i in range(span.start, span.stop))
 
     def markers(self, point: Point, *args: object, **options: object) -> Floats | None:
         """Predict marker positions; see `Predictor.markers`."""
@@ -227,7 +231,7 @@ class SplitPredictor(Predictor):
         return super().markers(split, *args, **options)  # type: ignore[arg-type]
 
 
-def split_robot(robot: Robot) -> Robot:
+def split_robot(robot: Robot, catalogue: Catalogue) -> Robot:
     """Return the same robot with every cell a section of its own."""
     sections = tuple(
         Section(
@@ -243,9 +247,12 @@ def split_robot(robot: Robot) -> Robot:
     )
     ends = {s.name: f'{s.name} {s.cells}' for s in robot.sections}
     cells = [s.cells for s in robot.sections]
+    wide = {(e.name, p.name) for e in catalogue for p in e.parameters if p.per_section}
     effects: dict[str, EffectValues] = {
         name: {
-            key: tuple(np.repeat(value, cells).tolist()) if isinstance(value, tuple) else value
+            key: tuple(np.repeat(value, cells).tolist())
+            if isinstance(value, tuple) and (name, key) in wide
+            else value
             for key, value in values.items()
         }
         for name, values in robot.effects.items()

@@ -1,4 +1,4 @@
-"""Why the postures of a data set say nothing about an effect."""
+"""Effects that may be missing or whose value may be off, and why some cannot be judged."""
 
 from __future__ import annotations
 

@@ -14,6 +14,7 @@ from ..comparison.predict import Point, Predictor
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
+from ..robot.size import natural_sizes
 from .as_built import Members, imperfections
 from .candidates import Candidate, Ranked, candidates_of, gain_p_value, is_tested, nuisances_of
 from .cells import cell_slopes
@@ -49,13 +50,13 @@ class Session:
         progress: Progress | None = None,
     ) -> None:
         """Build a predictor per worker."""
-        self.robot, self.catalogue = robot, catalogue
+        self.robot, self.catalogue = robot, catalogue.sized(natural_sizes(robot))
         self.workers = max(1, workers)
         self.progress = progress or (lambda what, done, total: None)
         self._measured_by(dataset)
         self.outliers: Outliers | None = None
-        self.nuisances = nuisances_of(robot, catalogue, self.predictor)
-        self.candidates = candidates_of(robot, catalogue)
+        self.nuisances = nuisances_of(robot, self.catalogue, self.predictor)
+        self.candidates = candidates_of(robot, self.catalogue)
         self.accuracy = dataset.accuracy or 0.0
         self.use_accuracy = False
         self.noise: Noise | None = None

@@ -1,4 +1,4 @@
-"""The smallest size of every effect that the postures of a data set would show."""
+"""How far to trust a diagnosis: alarm rate and smallest sizes, on the user's own postures."""
 
 from __future__ import annotations
 

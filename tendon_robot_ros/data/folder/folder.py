@@ -1,4 +1,4 @@
-"""A folder of plain files to a data set; nothing is taken that does not fit."""
+"""A folder of plain files to a data set and back; nothing is taken that does not fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""inputs.csv: what was commanded, or measured, in every posture."""
+"""inputs.csv and shapes.csv: what was commanded, and where the markers were."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Read what a ROS 2 recording holds about a measurement."""
+"""Read what a ROS 2 recording holds about a measurement, and about moving."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a recorded arm stands still: the segments that count as measurements."""
+"""Where a recorded arm stands still: segments, averaged and put together to a data set."""
 
 from __future__ import annotations
 
