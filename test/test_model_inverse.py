@@ -14,7 +14,7 @@ from tendon_robot_ros.robot import load_robot
 ROBOTS = Path(__file__).parent.parent / 'config' / 'robots'
 
 
-@pytest.fixture(scope='module', params=['kato_10_1'])
+@pytest.fixture(scope='module', params=['kato_10_1', 'spatial_6'])
 def model(request):
     return Model(load_robot(ROBOTS / f'{request.param}.yaml'))
 
@@ -97,17 +97,18 @@ def test_by_pulls_the_tensions_are_those_that_lengths_hold():
         assert np.allclose(arm.inputs, found.tensions, rtol=0.0, atol=1e-3)
 
 
-@pytest.mark.parametrize('robot', ['kato_10_1', 'kato_1_1'])
+@pytest.mark.parametrize('robot', ['kato_10_1', 'kato_1_1', 'spatial_6'])
 def test_of_the_ways_to_a_target_one_of_low_tension_is_taken(robot):
     """A straight arm needs next to no tension, though any amount holds it straight."""
     model = Model(load_robot(ROBOTS / f'{robot}.yaml'))
     straight = [0.0, 0.0, 0.95 * model.robot.length]
-    squeezed = model.reach(straight, guess=model.shape([2.0, 2.0, 2.5, 2.5]))
+    much = np.linspace(2.0, 2.5, len(model.inputs))
+    squeezed = model.reach(straight, guess=model.shape(much))
     low = model.reach(straight)
     again = model.reach(straight, guess=squeezed.shape, relax=True)
     assert squeezed.status == low.status == again.status == 'reached'
-    assert again.tensions.sum() < 0.7 * squeezed.tensions.sum()
-    assert low.tensions.sum() < 0.7 * squeezed.tensions.sum()
+    assert again.tensions.sum() < 0.7 * much.sum()
+    assert low.tensions.sum() < 0.7 * much.sum()
 
 
 def test_the_papers_highest_posture_needs_one_tendon_of_each_section():
@@ -122,6 +123,17 @@ def test_a_search_that_is_given_up_returns_the_best_found_so_far():
     far = [0.15, 0.0, 0.25]  # [m] out of reach: every start is tried
     asked = []
     found = model.reach(far, guess=model.shape([0.1] * 4), give_up=lambda: not asked.append(1))
-    assert len(asked) == 2  # after the first start, and before the limits are questioned
+    assert len(asked) == 3  # after the first start, before the best is improved, and the limits
     assert found.status == 'nearest'
     assert found.position_error < 0.15
+
+
+def test_a_direction_alone_is_met_by_a_gentle_bend_and_no_curl():
+    """The cells turn in one plane and one way: their bends add up to the angle asked for."""
+    model = Model(load_robot(ROBOTS / 'spatial_6.yaml'))
+    for angle, azimuth in ((0.3, 0.0), (0.9, 2.0), (1.6, 4.5)):
+        across = np.sin(angle)
+        direction = [across * np.cos(azimuth), across * np.sin(azimuth), np.cos(angle)]
+        found = model.reach(direction=direction)
+        assert found.status == 'reached'
+        assert np.linalg.norm(found.shape.bend, axis=1).sum() < 1.05 * angle

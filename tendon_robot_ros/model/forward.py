@@ -73,6 +73,12 @@ class ForwardModel:
         """Whether friction remembers the loading history."""
         return any(e.stage == 'memory' and self.acts(e.name) for e in self.catalogue)
 
+    @property
+    def sticks(self) -> bool:
+        """Whether tendons stick where the travel beyond an eyelet says so, without memory."""
+        acting = {e.stage for e in self.catalogue if self.acts(e.name)}
+        return {'eyelet', 'friction_travel'} <= acting and 'memory' not in acting
+
     def tensions(self, tensions: TensionsLike) -> Floats:
         """
         Return input tensions (m,) [N] from names or numbers; names left out are slack (0).

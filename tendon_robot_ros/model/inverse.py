@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -83,8 +84,13 @@ PULL_STARTS = 4  # each is several searches
 # [1] gain of a step: a search goes on, tracking has the next tick
 GAIN_MIN, TRACKING_GAIN_MIN = 1e-6, 1e-2
 LIBRARY_NEIGHBOURS = 128  # shapes of the library among which starts are chosen
+START_TENSION_WEIGHT = 3e-3  # [m/N] how the tensions of a shape count when a start is chosen
 LOW_TENSION_WEIGHT = 1e-6  # [m/N] how little low tension counts
 RELAXING_WEIGHTS = (1e-2, 1e-3, 1e-4, 1e-5)  # [m/N] how it counts on the way there
+SEEKING_WEIGHT = 1e-4  # [m/N] and where bends and tensions are found at once
+SEEKING_WIDTHS, SEEKING_SHRINK, SEEKING_STEPS_MAX = (1e3, 1e2), 0.5, 60
+FAR_M2 = 5e-5  # [m²] cost of a tip that no search for an equilibrium improves: 1 cm
+STEPS_MAX = 60
 
 
 def reach(
@@ -130,15 +136,12 @@ def reach(
     """
     target = _target(model, position, direction, position_weight, direction_weight)
     best: tuple[float, Floats, Floats] | None = None
-    enough = GAIN_MIN if guess is None else TRACKING_GAIN_MIN
     starts = min(starts, PULL_STARTS) if by_pulls else starts
-    for inputs, bend in _starts(model, target, guess, starts):
-        aim = partial(_aim, model, target, enough)
+    for search, inputs, bend in _starts(model, target, guess, starts):
         if by_pulls:
-            cost, bends = aim_by_pulls(model, aim, inputs, bend)
+            cost, bends = aim_by_pulls(model, search, inputs, bend)
         else:
-            cost, bends = aim(inputs, bend, model.limits)
-        enough = GAIN_MIN
+            cost, bends = search(inputs, bend, model.limits)
         if best is None or cost < best[0]:
             best = (cost, inputs, bends)
         if cost - _preferred(model, inputs) < COST_REACHED_M2 or give_up():
@@ -146,20 +149,28 @@ def reach(
     assert best is not None
     if not np.isfinite(best[0]):
         raise NoEquilibriumError('any start of the search', model.implicit_effects, np.inf)
-    if (relax or guess is None) and not by_pulls and not give_up():
-        best = _relaxed(model, target, *best)
+    if not by_pulls and not give_up():
+        best = _finished(model, target, relax or guess is None, *best)
     return _judge(model, target, *best, in_time=not give_up())
 
 
-def _relaxed(
-    model: ForwardModel, target: Floats, cost: float, inputs: Floats, bend: Floats
+def _finished(
+    model: ForwardModel, target: Floats, relax: bool, cost: float, inputs: Floats, bend: Floats
 ) -> tuple[float, Floats, Floats]:
-    """Move from a solution along those that meet the target to one of low tension."""
+    """Go to the least error from the best that was found or, with it met, to low tension."""
     if cost - _preferred(model, inputs) > COST_REACHED_M2:
+        if model.sticks:  # no search for an equilibrium has gone on from there
+            cost, bend = _aim(model, target, GAIN_MIN, inputs, bend, model.limits)
         return cost, inputs, bend
-    less, bends = inputs.copy(), bend
-    for preference in (*RELAXING_WEIGHTS, LOW_TENSION_WEIGHT):
-        new, bends = _aim(model, target, GAIN_MIN, less, bends, model.limits, preference)
+    if not relax:
+        return cost, inputs, bend
+    less = inputs.copy()
+    if model.sticks:
+        new, bends = _seek(model, target, SEEKING_WIDTHS[1], less, bend, model.limits)
+    else:
+        bends = bend
+        for preference in (*RELAXING_WEIGHTS, LOW_TENSION_WEIGHT):
+            new, bends = _aim(model, target, GAIN_MIN, less, bends, model.limits, preference)
     if new < cost and new - _preferred(model, less) < COST_REACHED_M2:
         return new, less, bends
     return cost, inputs, bend
@@ -189,26 +200,50 @@ def _target(
 
 def _starts(
     model: ForwardModel, target: Floats, guess: Shape | None, count: int
-) -> Iterator[tuple[Floats, Floats]]:
+) -> Iterator[tuple[Aim, Floats, Floats]]:
     """
-    Yield tensions and bends to start from; made only when needed.
+    Yield how to search, and tensions and bends to start from; made only when needed.
 
-    The guess, then the shape of the library whose tip is nearest, then, of the nearest
-    `LIBRARY_NEIGHBOURS`, the one whose tensions are furthest from those tried: the same tip is
-    often met with much tension against much tension, and from little there is no way down to it.
+    The guess, then the straight arm, from where a gentle bend is nearer than a curl, then the
+    shapes of the library whose tips are nearest, those of low tension first: from much tension
+    against much tension there is often no way down.
     """
+    near = partial(_aim, model, target, GAIN_MIN if guess is None else TRACKING_GAIN_MIN)
+    seek = partial(_seek, model, target, SEEKING_WIDTHS[0])
     if guess is not None:
-        yield np.clip(guess.inputs, *model.limits.T), guess.bend
-    library = model.library
+        inputs = np.clip(guess.inputs, *model.limits.T)
+        if model.sticks:
+            yield partial(near, far=FAR_M2), inputs.copy(), guess.bend
+            near = seek
+        if count or not model.sticks:
+            yield near, inputs, guess.bend
+    near = seek if model.sticks else partial(_aim, model, target, GAIN_MIN)
+    if count:
+        yield near, model.limits[:, 0].copy(), np.zeros((model.robot.cells, 2))
+        for row in islice(_rows_near(model, target), count):
+            yield near, model.library.inputs[row].copy(), model.library.bend[row]
+
+
+def _rows_near(model: ForwardModel, target: Floats) -> Iterator[int]:
+    """
+    Yield shapes of the library whose tips are near a target, those of low tension first.
+
+    Every other one is that whose tensions are furthest from those before: from much tension
+    against much tension there is often no way down.
+    """
+    library, low, high = model.library, *model.limits.T
     tips = np.concatenate([library.tip_position, library.tip_direction], axis=1)
     miss = np.repeat(target[6:], 3) * (tips - target[:6])
-    near = np.argsort((miss * miss).sum(axis=1))[:LIBRARY_NEIGHBOURS]
-    places = library.inputs[near] / model.limits[:, 1]
-    away, row = np.full(len(near), np.inf), 0
-    for _ in range(min(count, len(near))):
-        yield library.inputs[near[row]].copy(), library.bend[near[row]]
+    tension = START_TENSION_WEIGHT * (library.inputs - low).sum(axis=1)
+    near = np.argsort((miss * miss).sum(axis=1) + tension * tension)[:LIBRARY_NEIGHBOURS]
+    places, away = library.inputs[near] / high, np.full(len(near), np.inf)
+    for count in range(len(near)):
+        left = np.flatnonzero(away > 0.0)
+        if not len(left):
+            return
+        row = int(np.argmax(away)) if count % 2 else int(left[0])
+        yield int(near[row])
         away = np.minimum(away, ((places - places[row]) ** 2).sum(axis=1))
-        row = int(np.argmax(away))
 
 
 def _preferred(model: ForwardModel, inputs: Floats) -> float:
@@ -224,11 +259,13 @@ def _aim(
     bend: Floats,
     limits: Floats,
     preference: float = LOW_TENSION_WEIGHT,
+    far: float = np.inf,
 ) -> tuple[float, Floats]:
     """
     Improve inputs in place; return the cost [m²] and the bends of the equilibrium.
 
-    Once the tip is there, a step that gains less than `enough` of the cost is the last.
+    Once the tip is there, a step that gains less than `enough` of the cost is the last. What
+    costs more than `far` stays as it is.
     """
     bends = np.array([bend, bend])
     cost = model.arrays.part('inverse').aim(
@@ -239,12 +276,40 @@ def _aim(
         np.ascontiguousarray(limits[:, 0]),
         np.ascontiguousarray(limits[:, 1]),
         preference,
-        60,
+        STEPS_MAX,
         enough,
+        far,
         model.arrays.fresh_memory(),
         model.scratch,
     )
     return float(cost), bends[0]
+
+
+def _seek(
+    model: ForwardModel, target: Floats, wide: float, inputs: Floats, bend: Floats, limits: Floats
+) -> tuple[float, Floats]:
+    """
+    Improve inputs in place from far away; return the cost [m²] and the bends of the equilibrium.
+
+    For tendons that stick and slip: bends and tensions are found at once, with a slip length that
+    starts `wide` times its own.
+    """
+    bends = np.array([bend, bend])
+    model.arrays.part('simultaneous').seek(
+        model.arrays.address,
+        inputs,
+        bends,
+        target,
+        np.ascontiguousarray(limits[:, 0]),
+        np.ascontiguousarray(limits[:, 1]),
+        SEEKING_WEIGHT,
+        wide,
+        SEEKING_SHRINK,
+        SEEKING_STEPS_MAX,
+        model.arrays.fresh_memory(),
+        model.scratch,
+    )
+    return _aim(model, target, TRACKING_GAIN_MIN, inputs, bends[0], limits, far=FAR_M2)
 
 
 def _errors(shape: Shape, target: Floats) -> tuple[float, float]:

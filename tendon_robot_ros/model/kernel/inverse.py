@@ -159,7 +159,7 @@ def weighted_slopes(chain, inputs, there, target, ways, slopes):
 
 
 @entry()
-def aim(robot, inputs, bends, target, low, high, preference, most, enough, past, scratch):
+def aim(robot, inputs, bends, target, low, high, preference, most, enough, far, past, scratch):
     """
     Move inputs (m,) [N] within [low, high] so that the tip meets the target; return the cost.
 
@@ -197,7 +197,7 @@ def aim(robot, inputs, bends, target, low, high, preference, most, enough, past,
     tip_residual(chain, inputs, there, there.bend, target, f)
     cost, damping = cost_of(f, inputs, low, preference), 1e-9
     for _ in range(most):
-        if not cost < math.inf:
+        if not cost < far:
             break
         weighted_slopes(chain, inputs, there, target, ways, jacobian)
         gain = 0.0
@@ -211,7 +211,7 @@ def aim(robot, inputs, bends, target, low, high, preference, most, enough, past,
             if new < cost:
                 gain = cost - new
                 break
-            damping = max(4.0 * damping, 1e-6)
+            damping = max(10.0 * damping, 1e-6)
         if gain == 0.0:
             break
         damping = max(0.05 * damping, 1e-13)

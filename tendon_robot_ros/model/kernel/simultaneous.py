@@ -1,0 +1,148 @@
+"""
+Tensions and bends for a tip target at once: Newton on the equilibrium and the target together.
+
+Where tendons stick and slip, tensions to tip is full of kinks, and a search that asks for an
+equilibrium at every trial stumbles over them. Here the tensions are further unknowns of the
+primal-dual method of `stick`: the same elimination says how the bends follow the residual and
+every tension, the tip's error is then linear in the tensions, and least squares with bounds says
+how these move. The slip length shrinks on the way: the kinks come where the target is met.
+"""
+
+import math
+
+import numpy as np
+
+from .derivatives import place_as
+from .inverse import gauss_newton_step
+from .layout import (
+    SLIP_LENGTH,
+    address,
+    chain_at,
+    compiled,
+    entry,
+    floats,
+    respond_at,
+    workspace,
+)
+from .newton import largest
+from .residual import imbalance, place_forces, place_travel
+from .stick import exchange, own_travel, take_over
+
+TENSION_STEP = 1e-6  # [N] of differences
+BEND_STEP = 1e-6  # [rad] of differences
+GOOD = 0.3  # [rad] step after which the slip length shrinks
+LONGEST = 0.2  # [rad] step of a bend
+SETTLED = 1e-4  # [rad] step with which the search ends
+UNDAMPED, DAMPING = 15, 1e-2  # turns without damping; later tensions may go in circles
+
+
+@compiled
+def fill_rates(chain, inputs, bend, work, past, rates):
+    """Fill the rates (m + 1, 2n) of the residual by every tension; the residual itself is last."""
+    m, size, tension = chain.m, 2 * chain.n, floats(inputs)
+    for j in range(m + 1):
+        step = TENSION_STEP if j < m else 0.0
+        if j < m:
+            tension[j] += step
+        place_forces(chain, inputs, bend, work, past)
+        imbalance(chain, bend, work, past, address(rates) + 8 * size * j)
+        if j < m:
+            tension[j] -= step
+    for j in range(m):
+        for q in range(size):
+            rates[j, q] = (rates[j, q] - rates[m, q]) / TENSION_STEP
+
+
+@compiled
+def tip_error(chain, work, target, f):
+    """Fill the weighted tip error (6,) [m] of the frames in `work`."""
+    frames, origins, n = floats(work.frames), floats(work.origins), chain.n
+    for r in range(3):
+        f[r] = target[6] * (origins[3 * n + r] - target[r])
+        f[3 + r] = target[7] * (frames[9 * n + 3 * r + 2] - target[3 + r])
+
+
+@compiled
+def tip_slopes(chain, inputs, there, target, ways, f, slopes):
+    """
+    Fill the tip error (6,) [m] and how it moves (6, m + 1) along the ways (m + 1, 2n).
+
+    The first m are those of the bends by a tension, which itself moves with them.
+    """
+    tension, bend, near = floats(inputs), floats(there.bend), floats(there.near)
+    up, down = np.empty(6), np.empty(6)
+    for j in range(chain.m + 1):
+        step = BEND_STEP / max(largest(ways[j]), 1e-9)
+        for side in range(2):
+            h = step if side == 0 else -step
+            for q in range(2 * chain.n):
+                near[q] = bend[q] + h * ways[j, q]
+            was = tension[j % chain.m]
+            if j < chain.m:
+                tension[j] += h
+            place_as(chain, inputs, there.near, there.work, there.past)
+            tension[j % chain.m] = was
+            tip_error(chain, there.work, target, up if side == 0 else down)
+        for r in range(6):
+            slopes[r, j] = (up[r] - down[r]) / (2.0 * step)
+            f[r] = 0.5 * (up[r] + down[r])
+
+
+@compiled
+def move_both(chain, inputs, there, ways, trial, move):
+    """Move inputs (m,) to a trial and the bends with them by `move` (2n,); return its length."""
+    m, bend = chain.m, floats(there.bend)
+    for q in range(2 * chain.n):
+        move[q] = ways[m, q]
+        for j in range(m):
+            move[q] += ways[j, q] * (trial[j] - inputs[j])
+    longest = largest(move)
+    if not longest < math.inf:
+        return longest
+    share = min(1.0, LONGEST / max(longest, 1e-300))
+    for q in range(2 * chain.n):
+        move[q] *= share
+        bend[q] += move[q]
+    for j in range(m):
+        inputs[j] += share * (trial[j] - inputs[j])
+    return longest
+
+
+@entry()
+def seek(robot, inputs, bends, target, low, high, preference, wide, shrink, most, past, scratch):
+    """
+    Move inputs (m,) [N] within [low, high] and bends[0] (n, 2) [rad] towards a tip target.
+
+    The slip length starts `wide` times its own and shrinks by a factor at every good step. Returns
+    the last step [rad]: where it is small, an equilibrium is near.
+    """
+    chain = chain_at(robot)
+    m, size, there = chain.m, 2 * chain.n, workspace(chain, bends, past, scratch)
+    work, then, slip, tensions = there.work, there.past, floats(there.work.slip), address(inputs)
+    rates, ways = np.empty((m + 1, size)), np.empty((m + 1, size))
+    f, slopes, move = np.empty(6), np.empty((6, m + 1)), np.empty(size)
+    trial, free = np.empty(m), np.empty(m, np.int64)
+    own, width, longest = own_travel(chain, there.bend, work), wide * SLIP_LENGTH, math.inf
+    for turn in range(most):
+        slip[0] = width
+        exchange(chain, work, own)
+        fill_rates(chain, tensions, there.bend, work, then, rates)
+        respond_at(chain.respond)(
+            chain, there.bend, address(rates), m + 1, work, then, address(ways)
+        )
+        tip_slopes(chain, tensions, there, target, ways, f, slopes)
+        for r in range(6):
+            f[r] += slopes[r, m]  # where the bends go that balance the tensions as they are
+        damping = 0.0 if turn < UNDAMPED else DAMPING
+        gauss_newton_step(slopes, f, inputs, low, high, preference, damping, trial, free)
+        longest = move_both(chain, inputs, there, ways, trial, move)
+        if not longest < math.inf or (longest < SETTLED and width == SLIP_LENGTH):
+            break
+        new_width = max(shrink * width, SLIP_LENGTH) if longest < GOOD else width
+        take_over(chain, work, move, own, width, new_width)
+        width = new_width
+        place_travel(chain, there.bend, work)
+    slip[0] = SLIP_LENGTH
+    for j in range(2 * chain.n * chain.k):
+        floats(work.lag)[j] = 0.0
+    return longest
