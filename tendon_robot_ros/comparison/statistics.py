@@ -73,6 +73,19 @@ def normal_ppf(p: float) -> float:
     return NormalDist().inv_cdf(p)
 
 
+def false_discovery_control(p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """
+    Adjust p-values (n,) so that those below q have a false discovery rate of at most q.
+
+    Benjamini and Hochberg 1995, for independent or positively dependent tests.
+    """
+    order = np.argsort(p)
+    steps = p[order] * len(p) / np.arange(1, len(p) + 1)
+    adjusted = np.empty(len(p))
+    adjusted[order] = np.minimum(np.minimum.accumulate(steps[::-1])[::-1], 1.0)
+    return adjusted
+
+
 def minimum(
     cost: Callable[[float], float], low: float, high: float, precision: float
 ) -> tuple[float, float]:

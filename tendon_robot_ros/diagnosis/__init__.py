@@ -16,6 +16,7 @@ cells.py              cells whose stiffness scatters
 as_built.py           imperfections of an arm, and how they move the markers
 marginal.py           the likelihood in which they are random
 arm_report.py         how much an arm scatters, and what is out of line
+local_tests.py        where the best model is still wrong: cell, posture, tendon, direction
 outliers.py           readings and trials that the others contradict
 setup_mistakes.py     swapped columns, turned axes, wrong units: before physics
 rivals.py             patterns without physics: does the catalogue lack the cause

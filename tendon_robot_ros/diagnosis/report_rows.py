@@ -14,6 +14,7 @@ from .candidates import Ranked, why_untested
 from .decide import ALARM_LEVEL, APART_FROM_SCORE, CORRELATED_FROM, P_SINGLE_MIN, Verdict
 from .fit import Fit
 from .fitter import Fitter
+from .local_tests import local_faults
 from .result import CandidateRow, EffectFinding, Value
 from .session import Session
 
@@ -142,6 +143,7 @@ def details_of(
     noise = session.noise
     assert noise is not None
     relative = verdict is Verdict.OUTSIDE_CATALOGUE
+    fit = chosen[0].fit if chosen else base
     details: dict[str, Any] = {
         'robot': session.robot.name,
         'data': session.dataset.name,
@@ -157,7 +159,8 @@ def details_of(
         },
         'exact': session.robot.exact,
         'outliers': outliers_of(session),
-        'as_built': arm_report(session, chosen[0].fit if chosen else base),
+        'as_built': arm_report(session, fit),
+        'local_faults': [fault.to_json(session) for fault in local_faults(session, fit)],
         'tolerances': dict(session.robot.tolerances),
         'moved': base.prior_z,
         'base': {

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..common.words import capital, mm
 from ..comparison.result import Comparison, ModelErrors
 from . import comparison_text as say
 from .error_plots import Step, angles, per_marker, per_posture, staircase, tip_boxes
+from .local_text import Fault
 from .page import Page
 from .shape_plots import chosen_postures, shape_figures, shape_key
 
@@ -75,16 +77,16 @@ def steps(comparison: Comparison) -> list[Step]:
     return [*made, Step('noise floor', floor, 'floor')] if floor is not None else made
 
 
-def add_shapes(page: Page, comparison: Comparison) -> None:
-    """Add the measured and predicted shapes."""
+def add_shapes(page: Page, comparison: Comparison, faults: Sequence[Fault] = ()) -> None:
+    """Add the measured and predicted shapes; what a diagnosis found wrong is marked."""
     page.heading('Shapes')
     drawn, measured = len(chosen_postures(comparison)), int((comparison.measured.trials > 0).sum())
     if drawn < measured:
         page.text(
             f'The {drawn} postures of {measured} that {comparison.best.name} predicts worst.'
         )
-    page.key(shape_key(comparison))
-    for figures, across in shape_figures(comparison):
+    page.key(shape_key(comparison, faults))
+    for figures, across in shape_figures(comparison, faults):
         page.figures(figures, across)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from . import addition_text, diagnosis_text
 from .comparison_page import add_shapes
 from .diagnosis_text import next_measurement, trust_lines
 from .error_plots import Step, heat_maps, moments, per_marker, per_posture, staircase
+from .local_text import Fault, where_wrong
 from .numbers import quantities
 from .page import Page
 
@@ -124,7 +126,7 @@ def diagnosis_page(
         add_staircase(page, diagnosis, made)
         add_alternatives(page, diagnosis)
     if pictures is not None:
-        add_pictures(page, pictures)
+        add_pictures(page, pictures, diagnosis.details.get('local_faults', ()))
     add_assumptions(page, diagnosis)
     return page
 
@@ -222,10 +224,11 @@ def _row(row: CandidateRow) -> list[str]:
     ]
 
 
-def add_pictures(page: Page, pictures: Pictures) -> None:
-    """Add shapes, errors, heat maps and missing moments."""
+def add_pictures(page: Page, pictures: Pictures, faults: Sequence[Fault] = ()) -> None:
+    """Add shapes, errors, heat maps and missing moments, and mark where the model is wrong."""
     comparison = pictures.comparison
     page.heading('Where the model is off')
+    page.text(*(f'{capital(line)}.' for line in where_wrong(faults)))
     page.figures([per_marker(comparison), per_posture(comparison)], 'two')
     if pictures.before is not None:
         page.text(
@@ -239,7 +242,7 @@ def add_pictures(page: Page, pictures: Pictures) -> None:
             'What it follows hints at its cause; the verdict does not rest on these pictures.'
         )
         page.figures(moments(pictures.before), 'two')
-    add_shapes(page, comparison)
+    add_shapes(page, comparison, faults)
 
 
 def add_assumptions(page: Page, diagnosis: Diagnosis) -> None:

@@ -12,6 +12,7 @@ from ..common.words import commands, digits, listed, mm
 from ..diagnosis.decide import P_SINGLE_MIN, SEPARABLE_FROM_SD, Verdict
 from ..diagnosis.result import Diagnosis, EffectFinding, NextMeasurement
 from .arm_text import as_built, left_out
+from .local_text import where_wrong
 from .numbers import described_quantity, quantities, short_quantities
 
 
@@ -21,6 +22,7 @@ def lines(diagnosis: Diagnosis) -> list[str]:
     if not diagnosis.verdict.judged:
         return text
     text.append(diagnosis.remainder)
+    text += where_wrong(diagnosis.details.get('local_faults', ()))
     text += as_built(diagnosis)
     text += [
         line for line in (alike(diagnosis), untested(diagnosis), detectable(diagnosis)) if line

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
 from typing import Any
 
 import numpy as np
 
-from ..common.colours import FLOOR, MEASURED, look
+from ..common.colours import FLOOR, MEASURED, WARN, look
 from ..common.words import capital, mm
 from ..comparison.result import Comparison, Floats
 from ..model.plot import bending_azimuth, views_of
 from .comparison_text import posture_name
+from .local_text import Fault, marks, of_inputs
 from .numbers import mm_list, plain
 from .page import Figure, symbol
 
@@ -20,19 +23,28 @@ FLAT_WITHIN_SHARE = 0.03  # of the arm's length: farther from the x-z plane is s
 Trace = dict[str, Any]
 
 
-def shape_figures(comparison: Comparison) -> list[tuple[list[Figure], str]]:
-    """Return rows of figures of the shapes, and how many of each stand beside each other."""
-    chosen = chosen_postures(comparison)
+def shape_figures(
+    comparison: Comparison, faults: Sequence[Fault] = ()
+) -> list[tuple[list[Figure], str]]:
+    """
+    Return rows of figures of the shapes, and how many of each stand beside each other.
+
+    `faults` of the details of a diagnosis are marked where the model is wrong.
+    """
+    drawn = [_drawn(comparison, p, faults) for p in chosen_postures(comparison)]
     if is_planar(comparison):
-        return [([_planar(comparison, p) for p in chosen], 'many')]
-    return [([_spatial(comparison, chosen)], ''), ([_sides(comparison, p) for p in chosen], 'two')]
+        return [([_planar(one) for one in drawn], 'many')]
+    sides = [_sides(one) for one in drawn]
+    return [([_spatial(comparison, drawn)], ''), (sides, 'two')]
 
 
-def shape_key(comparison: Comparison) -> list[tuple[str, str]]:
+def shape_key(comparison: Comparison, faults: Sequence[Fault] = ()) -> list[tuple[str, str]]:
     """Return the legend that the pictures share."""
     entries = [(symbol(MEASURED, dot=True), 'measured (mean of the trials)')]
     for i, model in enumerate(comparison.models):
         entries.append((symbol(look(i).colour, look(i).stroke), model.name))
+    if any(fault['along'] is not None for fault in faults):
+        entries.append((symbol(WARN, dot=True), 'here the model is wrong'))
     return entries
 
 
@@ -50,30 +62,66 @@ def is_planar(comparison: Comparison) -> bool:
     return all(np.nanmax(np.abs(shape[..., 1])) < FLAT_WITHIN_SHARE * length for shape in shapes)
 
 
-def _planar(comparison: Comparison, p: int) -> Figure:
-    data = [_flat(trace) for trace in _traces(comparison, p)]
+@dataclass(frozen=True)
+class _Drawn:
+    """One posture in space."""
+
+    p: int
+    title: str
+    caption: str
+    traces: list[Trace]
+    azimuth: float  # [rad] in which it bends, as measured and as predicted
+
+
+def _drawn(comparison: Comparison, p: int, faults: Sequence[Fault]) -> _Drawn:
+    """Return the lines, points and marks of a posture, and the words around them."""
+    lines = [comparison.measured.mean[p], *(model.line[p] for model in comparison.models)]
+    best, name = comparison.best, comparison.measured.postures[p]
+    words = [f'{best.name}: rms {mm(best.per_posture_rms[p])}', *of_inputs(faults, name)]
+    return _Drawn(
+        p,
+        capital(posture_name(comparison, p)),
+        '; '.join(words),
+        _traces(comparison, p) + _marks(best.line[p], marks(faults, name)),
+        bending_azimuth(np.concatenate(lines)),
+    )
+
+
+def _marks(line: Floats, places: Sequence[tuple[float, str]]) -> list[Trace]:
+    """Return a ring around every place of an arm's line at which it is wrong."""
+    if not places:
+        return []
+    nodes = np.concatenate([np.zeros((1, 3)), line])
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))])
+    at = [distance for distance, _ in places]
+    points = np.column_stack([np.interp(at, along, nodes[:, axis]) for axis in range(3)])
+    ring = {'color': WARN, 'symbol': 'circle-open', 'size': 16, 'line': {'width': 3}}
+    words = [escape(text) for _, text in places]
+    return [{**_xyz(points), 'name': 'wrong here', 'mode': 'markers', 'marker': ring,
+             'text': words, 'hoverinfo': 'text'}]  # fmt: skip
+
+
+def _planar(drawn: _Drawn) -> Figure:
+    data = [_flat(trace) for trace in drawn.traces]
     layout = {
         'showlegend': False,
         'margin': {'l': 46, 'r': 8, 't': 6, 'b': 40},
         'xaxis': {'title': {'text': 'x [mm]'}},
         'yaxis': {'title': {'text': 'z [mm]'}, 'scaleanchor': 'x'},
     }
-    best = comparison.best.per_posture_rms[p]
-    caption = f'{comparison.best.name}: rms {mm(best)}'
-    return Figure(data, layout, capital(posture_name(comparison, p)), caption, height=270)
+    return Figure(data, layout, drawn.title, drawn.caption, height=270)
 
 
-def _sides(comparison: Comparison, p: int) -> Figure:
+def _sides(drawn: _Drawn) -> Figure:
     """One posture seen across the plane in which it bends, and along that plane."""
-    azimuth = _azimuth(comparison, p)
     data = []
-    for trace in _traces(comparison, p):
-        seen = views_of(np.array([trace[axis] for axis in 'xyz'], dtype=float).T, azimuth)
+    for trace in drawn.traces:
+        seen = views_of(np.array([trace[axis] for axis in 'xyz'], dtype=float).T, drawn.azimuth)
         rest = {key: value for key, value in trace.items() if key not in 'xyz'}
         for side, name in enumerate(('x', 'x2')):
             points = {'x': plain(seen[:, side]), 'y': plain(seen[:, 2])}
             data.append({**rest, **points, 'xaxis': name})
-    towards = f'plane of bending, {np.degrees(azimuth):.0f}° from x [mm]'
+    towards = f'plane of bending, {np.degrees(drawn.azimuth):.0f}° from x [mm]'
     layout = {
         'showlegend': False,
         'margin': {'l': 46, 'r': 8, 't': 6, 'b': 40},
@@ -86,51 +134,44 @@ def _sides(comparison: Comparison, p: int) -> Figure:
         },
         'yaxis': {'title': {'text': 'z [mm]'}, 'scaleanchor': 'x'},
     }
-    best = comparison.best.per_posture_rms[p]
-    caption = f'{comparison.best.name}: rms {mm(best)}'
-    return Figure(data, layout, capital(posture_name(comparison, p)), caption, height=340)
+    return Figure(data, layout, drawn.title, drawn.caption, height=340)
 
 
-def _azimuth(comparison: Comparison, p: int) -> float:
-    """Direction [rad] in which a posture bends, as measured and as predicted."""
-    lines = [comparison.measured.mean[p], *(model.line[p] for model in comparison.models)]
-    return bending_azimuth(np.concatenate(lines))
-
-
-def _spatial(comparison: Comparison, chosen: list[int]) -> Figure:
+def _spatial(comparison: Comparison, drawn: Sequence[_Drawn]) -> Figure:
     """One scene; a menu chooses the posture, the worst first, and looks across its plane."""
     worst = comparison.worst_posture(comparison.best)
-    groups = [_traces(comparison, p) for p in chosen]
+    active = next(i for i, one in enumerate(drawn) if one.p == worst)
     data = [
-        {**_solid(trace), 'type': 'scatter3d', 'visible': p == worst}
-        for p, group in zip(chosen, groups, strict=True)
-        for trace in group
+        {**_solid(trace), 'type': 'scatter3d', 'visible': i == active}
+        for i, one in enumerate(drawn)
+        for trace in one.traces
     ]
-    owner = np.repeat(chosen, [len(group) for group in groups])
+    owner = np.repeat(np.arange(len(drawn)), [len(one.traces) for one in drawn])
     buttons = [
         {
-            'label': escape(_short(posture_name(comparison, p))),
+            'label': escape(_short(posture_name(comparison, one.p))),
             'method': 'update',
             'args': [
-                {'visible': (owner == p).tolist()},
-                {'scene.camera': _camera(_azimuth(comparison, p))},
+                {'visible': (owner == i).tolist()},
+                {'scene.camera': _camera(one.azimuth)},
             ],
         }
-        for p in chosen
+        for i, one in enumerate(drawn)
     ]
     menu = {
         'buttons': buttons,
-        'active': chosen.index(worst),
+        'active': active,
         'x': 0.0,
         'xanchor': 'left',
         'y': 1.0,
         'yanchor': 'bottom',
         'pad': {'l': 4, 'b': 6},
     }
+    chosen = [one.p for one in drawn]
     layout = {
         'showlegend': False,
         'margin': {'l': 0, 'r': 0, 't': 48, 'b': 0},
-        'scene': _scene(comparison, chosen, _camera(_azimuth(comparison, worst))),
+        'scene': _scene(comparison, chosen, _camera(drawn[active].azimuth)),
         'updatemenus': [menu],
     }
     caption = 'Choose a posture, seen across the plane in which it bends; drag to turn.'

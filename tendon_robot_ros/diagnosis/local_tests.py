@@ -1,0 +1,247 @@
+"""
+Where the best model is still wrong: one test per place, with the false discovery rate held.
+
+A place (one cell, one tendon; in all postures or in one) is a column c of what a fault there would
+do to the whitened markers. With the parameters and the imperfections of a fit free to give way, c_
+is what they leave of it, r what they leave of the measurements, and z = c_'r / |c_| is standard
+normal where nothing is wrong: the score test (Rao 1948) under the covariance of an arm as it is
+built. Among the places of one kind the false discovery rate is held by Benjamini and Hochberg's
+step (1995), at an equal share for every kind, so that it is held over all of them. What the
+strongest place explains is taken off before the next one is named.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..comparison.predict import CELLS
+from ..comparison.statistics import false_discovery_control, normal_ppf, t_sf
+from .as_built import ACROSS, GAIN, HOLE, KINK, ZERO, imperfections
+from .decide import FALSE_DISCOVERY_RATE, LOCAL_FAULTS_MAX, LOCAL_SHARE_MIN
+from .fit import Fit
+
+if TYPE_CHECKING:
+    from .session import Session
+
+Floats = npt.NDArray[np.float64]
+IN_CELLS = (CELLS, KINK, ACROSS)
+IN_INPUTS = (GAIN, HOLE, ZERO)
+ONCE = (KINK, ACROSS, GAIN, ZERO)  # kinds that are also looked for in single postures
+NEVER_NAMED_BELOW_SD = 1.9  # at the rate that is held
+REFINEMENTS = 2  # rounds in which places are looked for again beside the others
+SAME_AS_BEST_CHI2 = 6.63  # below the strongest: neighbours not told apart from it (99 %)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a fault may be."""
+
+    kind: str  # 'cell_stiffness', 'cell_kink', 'cell_kink_across', 'channel_gain', ...
+    name: str  # of the member: 'cell 9', 'cell 9 towards x', 'left'
+    unit: str
+    posture: int | None = None  # None: in all of them
+
+
+@dataclass(frozen=True)
+class LocalFault:
+    """A place at which the model is wrong by more than chance, the false discovery rate held."""
+
+    place: Place
+    size: float  # [unit of the place] that the markers ask for
+    low: float
+    high: float
+    z: float  # [1] in standard deviations
+    rate: float  # false discovery rate at which it would just be named
+    alike: tuple[str, ...]  # places beside it that would do as well, itself included
+
+    def to_json(self, session: Session) -> dict[str, Any]:
+        """Return plain data for JSON; `along` [m] is where the cell lies on the straight arm."""
+        p, words = self.place.posture, self.place.name.split()
+        along = None
+        if words[0] == 'cell' and self.place.kind in IN_CELLS:
+            lengths = [s.cell_length for s in session.robot.sections for _ in range(s.cells)]
+            ends = np.cumsum([0.0, *lengths])
+            along = ends[int(words[1]) - 1 : int(words[1]) + 1].tolist()
+        return {
+            'kind': self.place.kind,
+            'place': self.place.name,
+            'posture': None if p is None else session.dataset.postures[p],
+            'along': along,
+            'size': self.size,
+            'low': self.low,
+            'high': self.high,
+            'unit': self.place.unit,
+            'z': self.z,
+            'rate': self.rate,
+            'alike': list(self.alike),
+        }
+
+
+def local_faults(session: Session, fit: Fit) -> list[LocalFault]:
+    """
+    Return where a fit is still wrong, the strongest first; empty where it is nowhere.
+
+    Parameters
+    ----------
+    session : Session
+        Weighed at that fit.
+    fit : Fit
+
+    """
+    places, columns = _places(session, fit)
+    padded = np.zeros((len(fit.residual), len(places)))
+    padded[: len(columns)] = columns
+    return faults_among(places, padded, fit.residual, fit.jacobian, session.freedom)
+
+
+def faults_among(
+    places: Sequence[Place],
+    columns: Floats,
+    residual: Floats,
+    jacobian: Floats,
+    freedom: float = np.inf,
+) -> list[LocalFault]:
+    """
+    Test places against the residual of a fit.
+
+    Parameters
+    ----------
+    places : (M,)
+    columns : (N, M)
+        What a unit of each does to the whitened prediction.
+    residual : (N,)
+        Measured minus predicted, whitened, rows of priors last.
+    jacobian : (N, q)
+        Of the residual by all that may give way.
+    freedom : float
+        Degrees of freedom behind the noise.
+
+    """
+    tests = _Tests(places, columns, residual, jacobian)
+    chosen, rates = list[int](), list[float]()
+    while len(chosen) < LOCAL_FAULTS_MAX:
+        z, _ = tests.beside(chosen)
+        rate = _rates(places, z, np.isfinite(z), freedom)
+        lowest = np.flatnonzero(rate <= rate.min(initial=1.0))
+        if not len(lowest) or rate[lowest[0]] > FALSE_DISCOVERY_RATE:
+            break
+        chosen.append(int(lowest[np.argmax(np.abs(z[lowest]))]))
+        rates.append(float(rate[chosen[-1]]))
+    for _ in range(REFINEMENTS):  # a place is told best when what the others do is known
+        for k in range(len(chosen)):
+            z, _ = tests.beside(chosen[:k] + chosen[k + 1 :])
+            chosen[k] = max(tests.rivals(chosen[k], z), key=lambda i: abs(z[i]))
+    faults = []
+    for k, best in enumerate(chosen):
+        z, length = tests.beside(chosen[:k] + chosen[k + 1 :])
+        size, half = float(z[best] / length[best]), float(normal_ppf(0.975) / length[best])
+        alike = tuple(
+            places[i].name
+            for i in tests.rivals(best, z)
+            if z[i] ** 2 > z[best] ** 2 - SAME_AS_BEST_CHI2
+        )
+        faults.append(
+            LocalFault(
+                places[best], size, size - half, size + half, float(z[best]), rates[k], alike
+            )
+        )
+    return sorted(faults, key=lambda fault: -abs(fault.z))
+
+
+class _Tests:
+    """The columns of places and a residual, without what a fit can do about them."""
+
+    def __init__(
+        self, places: Sequence[Place], columns: Floats, residual: Floats, jacobian: Floats
+    ) -> None:
+        basis = _basis(jacobian)
+        self.columns = columns - basis @ (basis.T @ columns)
+        self.residual = residual - basis @ (basis.T @ residual)
+        self.least = LOCAL_SHARE_MIN * np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+        self.families = [(place.kind, place.posture) for place in places]
+
+    def beside(self, chosen: Sequence[int]) -> tuple[Floats, Floats]:
+        """Return z (M,), nan where nothing tells it, and lengths (M,) beside chosen places."""
+        basis = _basis(self.columns[:, list(chosen)])
+        left = self.columns - basis @ (basis.T @ self.columns)
+        length = np.linalg.norm(left, axis=0)
+        told = length > self.least
+        z = np.full(len(length), np.nan)
+        z[told] = left[:, told].T @ self.residual / length[told]
+        return z, length
+
+    def rivals(self, i: int, z: Floats) -> list[int]:
+        """Return the places of the same kind and posture that are told, i among them."""
+        return [
+            j
+            for j, family in enumerate(self.families)
+            if family == self.families[i] and np.isfinite(z[j])
+        ]
+
+
+def _rates(
+    places: Sequence[Place], z: Floats, told: npt.NDArray[np.bool_], freedom: float
+) -> Floats:
+    """Return the false discovery rate (M,) at which each place would just be named."""
+    families: dict[tuple[str, bool], list[int]] = {}
+    for i in np.flatnonzero(told).tolist():
+        families.setdefault((places[i].kind, places[i].posture is None), []).append(i)
+    rates = np.ones(len(places))
+    for members in families.values():
+        p = np.array([_p_value(abs(value), freedom) for value in z[members].tolist()])
+        rates[members] = np.minimum(len(families) * false_discovery_control(p), 1.0)
+    return rates
+
+
+def _p_value(z: float, freedom: float) -> float:
+    """Chance of so large a deviation to either side; what cannot be named counts as certain."""
+    if z < NEVER_NAMED_BELOW_SD:
+        return 1.0
+    return 2.0 * t_sf(z, freedom) if np.isfinite(freedom) else math.erfc(z / math.sqrt(2.0))
+
+
+def _basis(jacobian: Floats) -> Floats:
+    """Orthonormal basis (N, d) of what may give way."""
+    scale = np.linalg.norm(jacobian, axis=0)
+    used = jacobian[:, scale > 1e-9] / scale[scale > 1e-9]
+    values, vectors = np.linalg.eigh(used.T @ used)
+    kept = values > 1e-11 * max(values[-1:], default=0.0)
+    return np.asarray(used @ (vectors[:, kept] / np.sqrt(values[kept])))
+
+
+def _places(session: Session, fit: Fit) -> tuple[list[Place], Floats]:
+    """List what may be wrong, and what a unit of it does to the whitened markers (N, M)."""
+    if fit.built is not None and session.moves is not None:
+        kinds, moves = fit.built.kinds, session.moves
+    else:
+        found = imperfections(session.predictor, fit.point)
+        if found is None:
+            return [], np.zeros((session.whitener.size, 0))
+        kinds, moves = found.kinds, found.moves
+    names = [(kind, member) for kind in kinds for member in kind.members]
+    white = session.whitener.white(moves).T
+    places, columns = [], []
+    for (kind, member), column in zip(names, white.T, strict=True):
+        if kind.name not in IN_CELLS + IN_INPUTS:
+            continue
+        place = Place(kind.name, member, kind.unit)
+        for one, rows in _once_and_everywhere(place, session.whitener.owners):
+            places.append(one)
+            columns.append(np.where(rows, column, 0.0))
+    return places, np.array(columns).reshape(len(places), -1).T
+
+
+def _once_and_everywhere(
+    place: Place, owners: npt.NDArray[np.int64]
+) -> Iterator[tuple[Place, npt.NDArray[np.bool_]]]:
+    """Yield a place in all postures and, where that can happen, in each: with its rows (N,)."""
+    yield place, np.ones(len(owners), dtype=bool)
+    if place.kind in ONCE:
+        for p in np.unique(owners).tolist():
+            yield replace(place, posture=p), owners == p
