@@ -6,6 +6,7 @@ numbers.py            fitted values and arrays as people and figures need them
 comparison_text.py    a comparison in words; comparison_page.py is its page
 diagnosis_text.py     a diagnosis in words, and how far to trust it
 arm_text.py           an arm as it is built, and left-out readings, in words
+local_text.py         where the best model is still wrong, in words and as marks on pictures
 diagnosis_page.py     the page of a diagnosis, with pictures
 addition_text.py      what was added, in words
 error_plots.py        errors per cell, posture and angle; heat maps and moments
