@@ -19,9 +19,7 @@ def untested(robot=ROBOT, **options):
     session = Session(dataset, robot, CATALOGUE, workers=1)
     session.weigh({})
     _, rest = session.split_tested({})
-    return {
-        c.names[0]: why_untested(CATALOGUE[c.names[0]], dataset, robot, CATALOGUE) for c in rest
-    }
+    return {c.names[0]: why_untested(CATALOGUE[c.names[0]], dataset, robot) for c in rest}
 
 
 def test_what_does_not_act_is_not_tested():
@@ -49,7 +47,7 @@ def test_memory_needs_tendons_that_are_let_go():
     assert 'friction_memory' not in untested(path='sequence', count=10)
     dataset = measured(ROBOT, count=4)
     rising = replace(dataset, path='sequence', inputs=dataset.inputs.cumsum(axis=0))
-    reason = why_untested(CATALOGUE['friction_memory'], rising, ROBOT, CATALOGUE)
+    reason = why_untested(CATALOGUE['friction_memory'], rising, ROBOT)
     assert reason == 'no unloading'
 
 

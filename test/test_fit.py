@@ -68,7 +68,7 @@ def test_values_stay_within_their_bounds():
     assert values_of(fit)['hinge_friction']['lever'].note == 'at its bound'
 
 
-def coverage(effect, values, seeds=40, intervals_of=None):
+def coverage(effect, values, seeds=40):
     """Share of intervals that hold the true value."""
     held = []
     for seed in range(seeds):

@@ -168,7 +168,7 @@ class Whitener:
             block = np.diag(noise.position**2 / counts) + share * (g.T @ g)
             self.variance.append(np.diag(block).copy())
             if accuracy:
-                block += common_error(dataset, p, rows, accuracy)
+                block += common_error(dataset, rows, accuracy)
             self.factors.append(
                 np.linalg.inv(np.linalg.cholesky(block)) if len(rows) else np.zeros((0, 0))
             )
@@ -197,7 +197,7 @@ class Whitener:
         return float(np.sqrt(3.0 * total / max(self.size, 1)))
 
 
-def common_error(dataset: DataSet, p: int, rows: npt.NDArray[np.int64], accuracy: float) -> Floats:
+def common_error(dataset: DataSet, rows: npt.NDArray[np.int64], accuracy: float) -> Floats:
     """Covariance of an error of one posture that grows along the arm up to `accuracy` [m]."""
     share = np.repeat(dataset.arc_lengths / dataset.robot.length, 3)[rows]
     same = (rows[:, None] % 3) == (rows[None, :] % 3)

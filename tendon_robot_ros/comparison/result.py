@@ -271,12 +271,6 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def save_comparison(comparison: Comparison, path: str | Path) -> None:
-    """Write the JSON file."""
-    text = json.dumps(to_json(comparison), indent=1, allow_nan=False)
-    Path(path).write_text(text + '\n', encoding='utf-8')
-
-
 def load_comparison(path: str | Path) -> Comparison:
     """
     Read a comparison that `compare --json` wrote.

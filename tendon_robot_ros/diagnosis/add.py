@@ -300,7 +300,7 @@ def _refuse_untested(session: Session, candidate: Candidate, fit: Fit | None) ->
         and is_tested(candidate, session.predictor, session.whitener, point, here)
     ):
         return
-    reason = why_untested(effect, session.dataset, session.robot, session.catalogue)
+    reason = why_untested(effect, session.dataset, session.robot)
     raise InputError(
         f'{effect.name}: these measurements cannot tell its value ({reason}); nothing was written'
     )

@@ -20,7 +20,7 @@ from .decide import TESTED_FROM_CHI2
 from .fit import Fit, Nuisance
 
 
-def why_untested(effect: Effect, dataset: DataSet, robot: Robot, catalogue: Catalogue) -> str:
+def why_untested(effect: Effect, dataset: DataSet, robot: Robot) -> str:
     """Say in a few words why an effect does not show, and so cannot be judged."""
     if effect.acts_on and effect.acts_on not in robot.effects:
         return f'acts on {effect.acts_on}, which the description lacks'

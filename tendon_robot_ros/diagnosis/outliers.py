@@ -57,7 +57,7 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
         moves = dataset.positions[p, seen] - np.nanmedian(dataset.positions[p, seen], axis=0)
         g = slopes[p].reshape(len(slopes[p]), -1).T
         for q, move in zip(seen, moves.reshape(len(seen), -1), strict=True):
-            left[p, q], inputs[p, q] = _without_inputs(move, g, predictor)
+            left[p, q], inputs[p, q] = _without_inputs(move, g)
     distance = np.linalg.norm(left, axis=-1)
     readings = distance > _limit(distance, 3)
     trials = np.abs(inputs) > 1.5 * _limit(np.where(inputs == 0.0, np.nan, np.abs(inputs)), 1)
@@ -70,7 +70,7 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
     return Outliers(readings & ~trials[..., None], trials, moved)
 
 
-def _without_inputs(move: Floats, g: Floats, predictor: Predictor) -> tuple[Floats, float]:
+def _without_inputs(move: Floats, g: Floats) -> tuple[Floats, float]:
     """
     Take off a trial's move what its inputs explain, robustly.
 

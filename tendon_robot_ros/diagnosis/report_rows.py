@@ -217,9 +217,7 @@ def _alternatives(
         if name in session.robot.effects
     }
     details['not_tested_because'] = {
-        c.names[0]: why_untested(
-            session.catalogue[c.names[0]], session.dataset, session.robot, session.catalogue
-        )
+        c.names[0]: why_untested(session.catalogue[c.names[0]], session.dataset, session.robot)
         for c in evidence.not_tested
     }
     return details

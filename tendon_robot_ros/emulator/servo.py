@@ -176,7 +176,7 @@ def drive(
 # The manual does not say whether a stopped servo holds; here it is powerless in current mode and
 # holds its position in the position modes.
 
-RESULT_FAIL, INSTRUCTION_ERROR, CRC_ERROR = 0x01, 0x02, 0x03
+RESULT_FAIL, INSTRUCTION_ERROR = 0x01, 0x02
 DATA_RANGE, DATA_LENGTH, DATA_LIMIT, ACCESS = 0x04, 0x05, 0x06, 0x07
 ALERT = 0x80
 TABLE_END = 147

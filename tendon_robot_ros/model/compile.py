@@ -221,10 +221,6 @@ class KernelArrays:
         """Return one parameter (of one section or tendon)."""
         return float(self.values[self.layout.rows[effect, parameter], column or 0])
 
-    def switch(self, effect: str, on: bool) -> None:
-        """Switch an effect on or off; its parameters stay."""
-        self.on[self.layout.index[effect]] = on
-
     def _read(self, name: str, values: dict[str, Any]) -> None:
         robot = self.robot
         try:

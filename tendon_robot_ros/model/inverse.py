@@ -151,7 +151,7 @@ def reach(
         raise NoEquilibriumError('any start of the search', model.implicit_effects, np.inf)
     if not by_pulls and not give_up():
         best = _finished(model, target, relax or guess is None, *best)
-    return _judge(model, target, *best, in_time=not give_up())
+    return _judge(model, target, *best[1:], in_time=not give_up())
 
 
 def _finished(
@@ -322,7 +322,7 @@ def _errors(shape: Shape, target: Floats) -> tuple[float, float]:
 
 
 def _judge(
-    model: ForwardModel, target: Floats, cost: float, inputs: Floats, bend: Floats, in_time: bool
+    model: ForwardModel, target: Floats, inputs: Floats, bend: Floats, in_time: bool
 ) -> Reach:
     shape = model.shape(inputs, bend)
     position, direction = _errors(shape, target)

@@ -13,7 +13,6 @@ from ..robot import Robot
 Floats = npt.NDArray[np.float64]
 # [m] hinge friction of the 10:1 prototype: reproduces section IV.D's errors
 HINGE_LEVER_M = 0.40e-3
-SIDES = ('left', 'right')
 
 
 @dataclass(frozen=True)

@@ -163,8 +163,6 @@ class Bus:
         Whether group reads use the fast sync read.
     failures : dict of str to int
         How often what went wrong, since the start.
-    last_instruction : float
-        `time.monotonic()` when something was last sent [s]: what the watchdogs measure from.
 
     """
 
@@ -173,7 +171,6 @@ class Bus:
         self.path, self.baud, self.answer_time = path, baud, answer_time
         self.fast = False
         self.failures = {'no or broken answer': 0, 'port lost': 0}
-        self.last_instruction = time.monotonic()
         self._packets = Protocol2PacketHandler()
         self._port: Port | None = None
         self._readers: dict[tuple[int, int, tuple[int, ...]], Any] = {}
@@ -213,7 +210,6 @@ class Bus:
         """Run one conversation; a failing port is closed at once and reported as lost."""
         if self._port is None:
             raise PortLostError(self.path)
-        self.last_instruction = time.monotonic()
         try:
             return what(self._port)
         except PORT_ERRORS as error:

@@ -111,8 +111,6 @@ class ServoModel:
         First firmware with the fast sync read.
     shutdown : int
         Default of address 63: which hardware errors switch the torque off.
-    current_at_supply : bool
-        The current is measured at the power input and not at the motor.
 
     """
 
@@ -128,7 +126,6 @@ class ServoModel:
     temperature_limit: int
     fast_read_firmware: int
     shutdown: int
-    current_at_supply: bool = False
 
 
 _FRICTION_SHARE = 0.13 / 2.3  # of the stall current; measured on an XM430-W350
@@ -161,7 +158,6 @@ def _model(
         celsius,
         firmware,
         shutdown,
-        current_at_supply=name.startswith('XC330'),
     )
 
 

@@ -59,7 +59,7 @@ def main(arguments: Sequence[str]) -> int:
             sender.wait_until_up()
             for posture in postures:
                 outcomes.append(sender.go(posture))
-                print(_row(model, posture, outcomes[-1]), flush=True)
+                print(_row(posture, outcomes[-1]), flush=True)
         finally:
             sender.destroy_node()
     draw(PICTURE, model, postures, outcomes)
@@ -100,7 +100,7 @@ def _introduce(model: Model) -> None:
     )
 
 
-def _row(model: Model, posture: Posture, outcome: Outcome) -> str:
+def _row(posture: Posture, outcome: Outcome) -> str:
     x, _, z = 1e3 * outcome.position
     error = f'{1e3 * outcome.miss:.2f} mm {np.degrees(outcome.turn):.2f}°'
     tensions = ' '.join(f'{value:.2f}' for value in outcome.tensions)

@@ -42,7 +42,6 @@ class ManagedNode(LifecycleNode):
         self._asked_to_change, service.callback = service.callback, self._change
         self.phase = 'unconfigured'
         self._tried = -RETRY_PERIOD_S
-        self._last_problem = ''
 
     @property
     def node(self) -> LifecycleNode:

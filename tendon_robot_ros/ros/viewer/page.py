@@ -52,7 +52,6 @@ class LivePage:
             raise DriverError(f'port {port}: {error.strerror}; choose another port') from None
         self.commands: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         self._token, self._allowed, self._size = token, set[int](), size
-        self._dragging = -np.inf
         self._shown: dict[str, str] = {}
         self._scene()
         self._panel()
