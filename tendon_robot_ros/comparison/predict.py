@@ -46,10 +46,10 @@ def free_parameters(effect: Effect, robot: Robot) -> tuple[FreeParameter, ...]:
     for parameter in effect.parameters:
         described = robot.effects.get(effect.name, {}).get(parameter.name)
         if parameter.per_section or (parameter.per_tendon and isinstance(described, tuple)):
-            owners = robot.sections if parameter.per_section else robot.tendons
+            sections = [section.name for section in robot.sections]
+            owners = sections if parameter.per_section else [t.name for t in robot.tendons]
             frees += [
-                FreeParameter(effect.name, parameter, i, owner.name)
-                for i, owner in enumerate(owners)
+                FreeParameter(effect.name, parameter, i, owner) for i, owner in enumerate(owners)
             ]
         else:
             frees.append(FreeParameter(effect.name, parameter))

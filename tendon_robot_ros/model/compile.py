@@ -208,8 +208,9 @@ class KernelArrays:
 
     def columns(self, parameter: Parameter) -> tuple[str, ...]:
         """Return whose values the columns of a parameter are: sections, tendons, or nobody's."""
-        owners = {'section': self.robot.sections, 'tendon': self.robot.tendons}
-        return tuple(one.name for one in owners.get(parameter.per, ()))
+        if parameter.per == 'section':
+            return tuple(section.name for section in self.robot.sections)
+        return tuple(tendon.name for tendon in self.robot.tendons if parameter.per == 'tendon')
 
     def set(self, effect: str, parameter: str, column: int | None, value: float) -> None:
         """Set one parameter (of one section or tendon, or of all) and switch its effect on."""
