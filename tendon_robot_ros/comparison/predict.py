@@ -90,7 +90,7 @@ def known_values(part: Part, catalogue: Catalogue) -> dict[tuple[str, str], floa
         An effect or parameter is not in the catalogue, or a value is out of its bounds.
 
     """
-    found = {}
+    settled: dict[tuple[str, str], float] = {}
     for name, values in part.known.items():
         where = f'{part.name}: known'
         if name not in catalogue:
@@ -106,8 +106,8 @@ def known_values(part: Part, catalogue: Catalogue) -> dict[tuple[str, str], floa
                     f'{where}: {name}.{key}: expected a number from {low:g} to {high:g} '
                     f'[{parameters[key].unit}], got {value:g}'
                 )
-        found |= {(name, key): values.get(key, p.neutral) for key, p in parameters.items()}
-    return found
+        settled |= {(name, key): values.get(key, p.neutral) for key, p in parameters.items()}
+    return settled
 
 
 class Predictor:

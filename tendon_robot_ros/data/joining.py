@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +36,7 @@ def join(datasets: Sequence[DataSet]) -> DataSet:
     names = _short_names(datasets)
     trials = max((d.trial_names for d in datasets), key=len)
     parts, part = _divided(names, datasets)
-    noises = {key: _largest([getattr(d, key) for d in datasets]) for key in NOISES}
+    noises: dict[str, Any] = {key: _largest([getattr(d, key) for d in datasets]) for key in NOISES}
     return replace(
         first,
         name=' '.join(dataset.name for dataset in datasets),

@@ -219,8 +219,8 @@ class SplitPredictor(Predictor):
 
     def spread(self, free: FreeParameter) -> tuple[FreeParameter, ...]:
         """Return a free parameter of one section as those of its cells."""
-        whole = free.column is None or free.parameter.per_tendon
-        if whole or free.effect == CELLS or free.label == 'own':
+        own = free.effect == CELLS or free.label == 'own' or free.parameter.per_tendon
+        if own or free.column is None:
             return (free,)
         span = self._spans[free.column]
         return tuple(replace(free, column=i) for i in range(span.start, span.stop))

@@ -177,8 +177,8 @@ def _in_tracker_frame(
     placed = tuple(Marker(m.name or '', m.arc_length or 0.0, m.offset) for m in markers)
     members = list(order.members)
     segments = [_picked(one, members) for one in measured.segments]
-    said = Description(taken.kind, taken.recipe.path, None, None, 0.0, 0.0, None, placed)
-    return segments_dataset(name, segments, robot, said, placed), markers
+    described = Description(taken.kind, taken.recipe.path, None, None, 0.0, 0.0, None, {}, placed)
+    return segments_dataset(name, segments, robot, described, placed), markers
 
 
 def _picked(segment: Segment, members: Sequence[int]) -> Segment:
