@@ -5,7 +5,8 @@ All parameters of the effects are fitted, with the declared tolerances; the new 
 their values, and under `fitted` their 95 % intervals, the data set, the date, and the errors. The
 table shows the error before, after, and of a perfect model (noise floor), on the fitted postures
 and on others: those of --check, or postures left out in turn. An effect that ROBOT lists already
-gets new values. `remove` undoes it.
+gets new values. `remove` undoes it. Nothing is written, and the exit code is 2, where the error on
+others would rise.
 
 example: python -m tendon_robot_ros add hinge_friction --data data/hinge_friction/fit \
     --output better.yaml --check data/hinge_friction/check
@@ -19,7 +20,7 @@ import sys
 from ..diagnosis.add import add_effects
 from ..effects import load_catalogue
 from ..model.compile import is_compiled
-from ..report.addition_text import addition_lines
+from ..report.addition_text import NOT_WRITTEN, addition_lines
 from .data_options import (
     add_data,
     add_overwrite,
@@ -31,6 +32,7 @@ from .data_options import (
 )
 from .options import add_effect_files, add_json, emit
 
+REFUSED_EXIT_CODE = 2
 HELP = 'add a physical effect to a robot description, fitted on measurements'
 
 
@@ -56,7 +58,9 @@ def run(args: argparse.Namespace) -> int:
     if not is_compiled(catalogue):
         print('compiling the model (once)', file=sys.stderr)
     made = add_effects(dataset, args.effects, None, catalogue, check)
-    write_description(made.robot, args.output)
-    content = {**made.to_json(), 'written': args.output}
-    emit(args, content, '\n'.join([*addition_lines(made), next_step(args.output)]))
-    return 0
+    content = {**made.to_json(), 'written': args.output if made.helps else None}
+    if made.helps:
+        write_description(made.robot, args.output)
+    last = next_step(args.output) if made.helps else NOT_WRITTEN
+    emit(args, content, '\n'.join([*addition_lines(made), last]))
+    return 0 if made.helps else REFUSED_EXIT_CODE

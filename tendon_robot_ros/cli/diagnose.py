@@ -89,12 +89,13 @@ def run(args: argparse.Namespace) -> int:
         report_lines += [addition_text.never_used(made), *addition_text.warnings(made)]
         content['added'] = made.to_json()
     page = _reported(args, diagnosis, dataset, catalogue, made) if args.report else None
-    written = made is not None and args.add and _may_add(args, diagnosis)
+    written = made is not None and made.helps and args.add and _may_add(args, diagnosis)
     if made is not None and written:
         write_description(made.robot, args.add)
         report_lines.append(next_step(args.add))
     elif args.add:
-        report_lines.append(_refusal(diagnosis))
+        worse = made is not None and not made.helps
+        report_lines.append(addition_text.NOT_WRITTEN if worse else _refusal(diagnosis))
     content['written'] = args.add if written else None
     if page is not None:
         report_lines.append(page)

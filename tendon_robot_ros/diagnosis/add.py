@@ -38,6 +38,11 @@ class Addition:
     moved: dict[str, float] = field(default_factory=dict)  # tolerance -> declared sd it moved
     more_at_work: str = ''  # what the file says when the effects are not the whole story
 
+    @property
+    def helps(self) -> bool:
+        """Whether the error on postures that were not used does not rise."""
+        return self.check.after <= self.check.before
+
     def __repr__(self) -> str:
         """Say what was added, and how the errors fell."""
         errors = '; '.join(

@@ -38,6 +38,7 @@ PLAUSIBLE_SIZES: dict[str, tuple[str, float, float]] = {
     POSITION: ('m', 5e-4, 1e-3),
     ROTATION: ('rad', math.radians(0.3), 1e-3),
 }
+PLAUSIBLE_LENGTH = 0.2  # [m] of the arm for which plausible lengths are these
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,8 @@ class SplitPredictor(Predictor):
         made = []
         for name, members in labels.items():
             unit, plausible, _ = PLAUSIBLE_SIZES[name]
-            size = float(known.get(KINK if name == ACROSS else name, plausible))
+            usual = plausible * (self.whole.length / PLAUSIBLE_LENGTH if unit == 'm' else 1.0)
+            size = float(known.get(KINK if name == ACROSS else name, usual))
             if size > 0.0:
                 made.append(Kind(name, unit, size, tuple(members)))
         return tuple(made)

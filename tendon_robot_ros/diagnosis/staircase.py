@@ -89,12 +89,13 @@ def left_out(fitter: Fitter, fit: Fit, errors: Errors, moves: Floats | None = No
     """
     dataset, owners = fitter.predictor.dataset, fitter.whitener.owners
     measured = np.flatnonzero(dataset.trials > 0)
-    folds = min(FOLDS, len(measured))
+    groups = np.unique(dataset.groups[measured])  # postures of the same inputs tell of each other
+    folds = min(FOLDS, len(groups))
     low = [free.parameter.low for free in fit.frees]
     high = [free.parameter.high for free in fit.frees]
     predicted = np.full_like(fit.markers, np.nan)
     for fold in range(folds):
-        held = measured[fold::folds]
+        held = measured[np.isin(dataset.groups[measured], groups[fold::folds])]
         priors = np.ones(len(fit.jacobian) - len(owners), dtype=bool)
         used = np.append(~np.isin(owners, held), priors)
         step = np.linalg.lstsq(fit.jacobian[used], fit.residual[used], rcond=1e-10)[0]

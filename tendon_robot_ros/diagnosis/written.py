@@ -10,11 +10,11 @@ import numpy.typing as npt
 from ..comparison.predict import CELLS
 from ..robot import Robot
 from ..robot.description import EffectValues
-from .as_built import GAIN, HOLE, POSITION, ROTATION
+from .as_built import GAIN, HOLE, POSITION, ROTATION, ZERO
 from .fit import Fit
 
 Floats = npt.NDArray[np.float64]
-WRITABLE_KINDS = (CELLS, GAIN, HOLE, POSITION, ROTATION)  # kinds that a description can hold
+WRITABLE_KINDS = (CELLS, GAIN, HOLE, ZERO, POSITION, ROTATION)  # kinds that a description can hold
 
 
 def written_share(fit: Fit) -> Floats:
@@ -30,7 +30,8 @@ def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
     Return a description with the cells, tendons and the registration as a fit found them.
 
     The gain of a tension is written as an offset of its tendons: their product is what bends.
-    Kinks have no place in a description, nor gains and zeros of wire pulls.
+    Those of wire pulls are `spool_gain` and `pull_zero` of each tendon. Kinks have no place in a
+    description.
     """
     values = fit.members
     if values is None:
@@ -58,7 +59,26 @@ def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
         replace(t, base=_scaled(t.base, factor), end=_scaled(t.end, factor))
         for t, factor in zip(robot.tendons, scale.tolist(), strict=True)
     )
-    return _registered(replace(robot, sections=sections, tendons=tendons), values)
+    robot = replace(robot, sections=sections, tendons=tendons)
+    return _registered(robot if input == 'tension' else wound(robot, values), values)
+
+
+def wound(robot: Robot, members: dict[str, Floats]) -> Robot:
+    """Write gains and zeros of wire pulls: wound = commanded (1 + change) + offset."""
+    gain, zero = np.zeros(len(robot.tendons)), np.zeros(len(robot.tendons))
+    for kind, values in ((GAIN, gain), (ZERO, zero)):
+        for value, tendons in zip(members.get(kind, ()), robot.input_tendons, strict=False):
+            values[list(tendons)] = value
+    change = np.array(robot.effects.get('spool_gain', {}).get('relative_change', 0.0))
+    offset = np.array(robot.effects.get('pull_zero', {}).get('offset', 0.0))
+    for name, key, values in (
+        ('pull_zero', 'offset', offset + zero * (1.0 + change)),
+        ('spool_gain', 'relative_change', (1.0 + gain) * (1.0 + change) - 1.0),
+    ):
+        if (zero if name == 'pull_zero' else gain).any():
+            written = tuple(_short(value) for value in values.tolist())
+            robot = robot.with_effect(name, {key: written}, robot.fitted.get(name))
+    return robot
 
 
 def _registered(robot: Robot, members: dict[str, Floats]) -> Robot:

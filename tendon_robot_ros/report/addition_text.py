@@ -7,6 +7,8 @@ from ..diagnosis.add import Addition
 from ..diagnosis.staircase import Errors
 from .numbers import quantities
 
+NOT_WRITTEN = 'Nothing was written: the error on postures that were not used would rise.'
+
 
 def addition_lines(made: Addition) -> list[str]:
     """Return values, staircase, tolerances and warnings."""
