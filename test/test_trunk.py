@@ -1,12 +1,17 @@
 """The measured trunk: two data sets, one of them with a known load."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from source_tree import ROOT
 
+from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import join, load_dataset
+from tendon_robot_ros.diagnosis.add import Addition
+from tendon_robot_ros.diagnosis.staircase import Errors
 from tendon_robot_ros.effects import load_catalogue
 
 TRUNK = ROOT / 'data' / 'trunk'
@@ -35,3 +40,20 @@ def test_the_known_weight_pulls_its_own_postures_down(both):
 def test_every_folder_keeps_its_licence():
     for name in ('base', 'payload_100'):
         assert 'MIT License' in (TRUNK / name / 'LICENSE.txt').read_text(encoding='utf-8')
+
+
+def test_a_fit_that_makes_others_worse_is_not_written(tmp_path, monkeypatch, capsys):
+    data = TRUNK / 'base'
+    robot = load_dataset(data).robot
+    fitted = Errors('fitted', 'base', 9, 8e-3, 7e-3, 1e-3)
+    worse = Errors('left out', 'base', 9, 8e-3, 8.1e-3, 1e-3)
+    made = Addition(robot, {}, fitted, worse, 0.5)
+    monkeypatch.setattr('tendon_robot_ros.cli.add.add_effects', lambda *args, **options: made)
+    new = tmp_path / 'new.yaml'
+    assert main(['add', 'gravity', '--data', str(data), '--output', str(new)]) == 2
+    assert 'Nothing was written: the error on postures' in capsys.readouterr().out
+    assert not new.exists()
+    better = replace(made, check=replace(worse, after=7e-3))
+    monkeypatch.setattr('tendon_robot_ros.cli.add.add_effects', lambda *args, **options: better)
+    assert main(['add', 'gravity', '--data', str(data), '--output', str(new)]) == 0
+    assert new.exists()
