@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -40,7 +41,7 @@ def pull_shape(model: ForwardModel, pulls: TensionsLike, guess: Shape | None = N
     """
     target = wire_pulls(model.robot, pulls)
     start = None if guess is None else (guess.inputs, guess.bend)
-    inputs, bend = _tensions(model, target, start, model.arrays.fresh_memory())
+    inputs, bend = _tensions(model, target, start, model.arrays.fresh_memory(), _compliance(model))
     return model.shape(inputs, bend)
 
 
@@ -71,10 +72,11 @@ def pull_shapes(
     first = None if memory is None else memory.copy()
     targets = [wire_pulls(model.robot, row) for row in pulls]
     inputs, shapes = np.empty((len(targets), len(model.inputs))), []
+    compliance, straight = _compliance(model), model.arrays.fresh_memory()
     for b, target in enumerate(targets):
         start = None if tensions is None or bends is None else (tensions[b], bends[b])
-        past = model.arrays.fresh_memory() if memory is None else memory
-        inputs[b], bend = _tensions(model, target, start, past)
+        past = straight if memory is None else memory
+        inputs[b], bend = _tensions(model, target, start, past, compliance)
         shapes.append(bend)
         if memory is not None:
             model.solve(inputs[b : b + 1], bend[None], memory, carry=True)
@@ -84,7 +86,11 @@ def pull_shapes(
 
 
 def _tensions(
-    model: ForwardModel, target: Floats, start: tuple[Floats, Floats] | None, past: Floats
+    model: ForwardModel,
+    target: Floats,
+    start: tuple[Floats, Floats] | None,
+    past: Floats,
+    compliance: float,
 ) -> tuple[Floats, Floats]:
     """
     Find tensions (m,) [N] and bends (n, 2) [rad] that meet wire pulls (m,) [m].
@@ -96,7 +102,7 @@ def _tensions(
     for begin in _beginnings(model, target, start):
         inputs, bends = np.array(begin.tensions), np.array([begin.bend, begin.bend])
         problem = (model.arrays.address, inputs, target, bends, past, model.scratch)
-        if not _settles(model, begin, problem):
+        if not _settles(model, begin, problem, compliance):
             continue
         left = float(model.arrays.part('pulls').solve_stiff_wires(*problem, SEARCH_STEPS_MAX))
         if left < gap:
@@ -121,24 +127,24 @@ class _Beginning:
 
 def _beginnings(
     model: ForwardModel, target: Floats, start: tuple[Floats, Floats] | None
-) -> list[_Beginning]:
-    """List what is tried: from near, from straight, and at last for wires that do not stretch."""
+) -> Iterator[_Beginning]:
+    """Yield what is tried: from near, from straight, and at last for wires that do not stretch."""
+    if start is not None:
+        yield _Beginning(*start, SPRING_COMPLIANCES[-1:], NEAR_SEARCH_STEPS_MAX, GAP_ACCEPTED_M)
     straight = np.zeros((model.arrays.chain.n, 2))
     pulled, taut = (np.where(on, 0.1, 0.0) for on in (target > 0.0, ~np.isnan(target)))
-    near = (
-        []
-        if start is None
-        else [_Beginning(*start, SPRING_COMPLIANCES[-1:], NEAR_SEARCH_STEPS_MAX, GAP_ACCEPTED_M)]
-    )
-    through = [_Beginning(pulled, straight), _Beginning(taut, straight)]
-    stiff = [_Beginning(pulled, straight, ()), _Beginning(3.0 * taut, straight, ())]
-    return near + through + stiff
+    yield _Beginning(pulled, straight)
+    yield _Beginning(taut, straight)
+    yield _Beginning(pulled, straight, ())
+    yield _Beginning(3.0 * taut, straight, ())
 
 
-def _settles(model: ForwardModel, begin: _Beginning, problem: tuple[Any, ...]) -> bool:
+def _settles(
+    model: ForwardModel, begin: _Beginning, problem: tuple[Any, ...], compliance: float
+) -> bool:
     """Take tensions and bends in place through the springs; tell whether each one held."""
     for share in begin.springs:
-        stretch = share * _compliance(model)
+        stretch = share * compliance
         gap = model.arrays.part('springs').solve_elastic_wires(*problem, stretch, begin.steps)
         if not gap < STRETCH_OFF_N * stretch:
             return False  # stiffer wires will do no better
