@@ -7,7 +7,7 @@ from source_tree import ROOT
 
 from tendon_robot_ros.common.errors import EffectError
 from tendon_robot_ros.effects import STAGES, Catalogue, Effect, Parameter, load_catalogue
-from tendon_robot_ros.model.compile import stages_source
+from tendon_robot_ros.model.compile import kernel_key, stages_source
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.imperfect import Built
 from tendon_robot_ros.simulation.plant import parts_per_cell, real_robot
@@ -41,6 +41,13 @@ def test_every_quantity_of_a_stage_has_a_name_a_unit_and_a_meaning(stage):
     assert stage.outputs
     assert all(q.name.isidentifier() and q.unit and q.meaning for q in stage.inputs)
     assert len({q.name for q in stage.inputs}) == len(stage.inputs)
+
+
+def test_compiled_kernels_of_other_stages_are_not_taken_for_these(monkeypatch):
+    before = kernel_key(load_catalogue())
+    assert kernel_key(load_catalogue()) == before
+    monkeypatch.setitem(STAGES, 'tip_load', replace(STAGES['tip_load'], name='load_at_the_tip'))
+    assert kernel_key(load_catalogue()) != before
 
 
 def test_every_stage_is_composed_with_what_its_table_says():

@@ -112,8 +112,8 @@ def cache_folder() -> Path:
 
 
 def kernel_key(catalogue: Catalogue) -> str:
-    """Key over the sources of the kernel and of every effect, Python and numba."""
-    digest = hashlib.sha256(catalogue.digest.encode())
+    """Key over the sources of the kernel, its stages and every effect, Python and numba."""
+    digest = hashlib.sha256(f'{catalogue.digest} {stages_source(catalogue)}'.encode())
     for path in sorted(KERNEL.glob('*.py')):
         digest.update(path.read_bytes())
     digest.update(Path(__file__).read_bytes())
