@@ -19,6 +19,7 @@ from tendon_robot_ros.robot import Robot, Section, Tendon
 
 RODS = Path(__file__).parent / 'rods'
 RADIUS, YOUNG, LENGTH, OFFSET = 0.7e-3, 54e9, 0.2, 0.01  # [m], [Pa], [m] per segment, [m]
+EI_OVER_GJ = 1.3  # [1] of a round rod, 1 + Poisson's ratio
 BENDING = YOUNG * math.pi * RADIUS**4 / 4.0  # [N·m²]
 
 
@@ -46,9 +47,11 @@ def rod(cells: int) -> Robot:
     )
 
 
-def compare(cells: int) -> dict[str, object]:
+def compare(cells: int, torsion: float) -> dict[str, object]:
     """Distances [mm] of the tip from the exact rod, and CPU time of a cold posture [s]."""
     robot, apart, times = rod(cells), {'without': [], 'with': []}, []
+    if torsion:
+        robot = robot.with_effect('torsion', {'compliance': torsion})
     with (RODS / 'rods.csv').open(newline='') as file:
         rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
     for row in rows:
@@ -80,7 +83,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--json', type=Path)
     options = parser.parse_args()
-    figures = {'one cell per disk': compare(20)}
+    figures = {
+        'one cell per disk': compare(20, EI_OVER_GJ),
+        'one cell per disk, without torsion': compare(20, 0.0),
+    }
     figures['published'] = json.loads((RODS / 'published.json').read_text())
     tell({'machine': machine(), 'rods': figures}, options.json)
     return 0

@@ -20,6 +20,7 @@ OWN_SIZES = {  # where the typical size, or its sign, would show less
     'tendon_stiffness': {'per_tendon': 5e-4},
     'nonlinear_stiffness': {'cubic': 3.0},
     'pre_curvature': {'angle_x': 0.02, 'angle_y': -0.03},
+    'torsion': {'compliance': 1.3},
     'gravity': {'linear_density': 0.3},
     'tip_load': {'force_x': 0.01, 'force_y': -0.02, 'force_z': 0.03},
     'axial_compression': {'compliance': 3e-3},
@@ -89,6 +90,19 @@ def spatial(cells=4, effects=None, bends_as='hinge', taper=1.0):
         tension_limits=(0.0, 5.0),
         effects=effects or {},
     )
+
+
+def wound(robot, winding=(20.0, -15.0), beside=(0.002, -0.003)):
+    """Return the robot with tendons that wind about it [rad/m] and weight beside the axis [m]."""
+    tendons = tuple(
+        replace(tendon, winding=winding[k % 2]) for k, tendon in enumerate(robot.tendons)
+    )
+    sections = tuple(
+        replace(s, mass_offset=tuple((x + 1e-3 * i, y) for i in range(s.cells)))
+        for s in robot.sections
+        for x, y in (beside,)
+    )
+    return replace(robot, tendons=tendons, sections=sections)
 
 
 def section(name, cells, length, stiffness, bends_as='arc'):

@@ -2,8 +2,9 @@
 The model once more, straight down from its definition: plain Python, no solver, no shortcuts.
 
 Path lengths are distances between eyelets, moments are differences of path lengths and of the
-potential energy of the loads. `implied` says which bends the model's laws ask for, given the
-bends that a solver returned: at an equilibrium both are the same.
+potential energy of the loads. `implied` says which state the model's laws ask for, given the
+one that a solver returned: at an equilibrium both are the same. A state (3n,) holds the bends
+(n, 2) and behind them the twists (n,).
 """
 
 import math
@@ -14,6 +15,12 @@ from scipy.spatial.transform import Rotation
 
 STEP = 1e-5  # [rad] of central differences
 SLIP_LENGTH = 2e-6  # [m]
+
+
+def about_z(angle, x, y):
+    """Turn an offset (x, y) about the axis."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([c * x - s * y, s * x + c * y])
 
 
 class Reference:
@@ -33,49 +40,89 @@ class Reference:
         value = self.robot.effects.get(effect, {}).get(parameter, default)
         return value[self.robot.sections.index(section)] if isinstance(value, tuple) else value
 
-    def offset(self, i, k):
-        """Offset of tendon k in the middle of cell i [m]."""
-        tendon, middle = self.robot.tendons[k], 0.5 * (self.starts[i] + self.starts[i + 1])
-        share = middle / self.starts[self.ends[k]]
+    def cells(self, state):
+        """Bends and twist (n, 3) of the cells."""
+        bends = np.reshape(state[: 2 * self.n], (self.n, 2))
+        return np.column_stack([bends, state[2 * self.n :]])
+
+    def route(self, k, place):
+        """Offset of tendon k at an arc length [m]: on a line that winds about the axis."""
+        tendon, share = self.robot.tendons[k], place / self.starts[self.ends[k]]
         base, end = np.array(tendon.base), np.array(tendon.end)
         scale = 1.0 + self.get('moment_arm', 'relative_change')
-        return scale * (base + share * (end - base))
+        return scale * about_z(tendon.winding * place, *(base + share * (end - base)))
 
-    def rotation(self, theta):
+    def offset(self, i, k):
+        """Offset of tendon k in the middle of cell i [m]."""
+        return self.route(k, 0.5 * (self.starts[i] + self.starts[i + 1]))
+
+    def eyelets(self, i, k):
+        """Offsets of tendon k at the ends of cell i [m]: that of its middle, wound both ways."""
+        (x0, y0), (x1, y1) = (self.route(k, self.starts[j]) for j in (i, i + 1))
+        half = math.atan2(x0 * y1 - y0 * x1, 0.5 * ((x0 + x1) ** 2 + (y0 + y1) ** 2))
+        at = self.offset(i, k)
+        return np.array([*about_z(-half, *at), 0.0]), np.array([*about_z(half, *at), 0.0])
+
+    def bending(self, theta):
         """exp of the angle |theta| about z x theta."""
         return Rotation.from_rotvec([-theta[1], theta[0], 0.0]).as_matrix()
 
-    def end(self, i, theta, length):
+    def half_twist(self, twist):
+        """Turn about the axis by half a twist."""
+        return Rotation.from_rotvec([0.0, 0.0, 0.5 * twist]).as_matrix()
+
+    def rotation(self, cell):
+        """Turn of a cell (x, y, twist): half its twist, its bend, half its twist."""
+        twist = self.half_twist(cell[2])
+        return twist @ self.bending(cell[:2]) @ twist
+
+    def end(self, i, cell, length):
         """Where cell i ends, seen from where it begins [m]."""
+        return self.half_twist(cell[2]) @ self.bent_end(i, cell[:2], length)
+
+    def bent_end(self, i, theta, length):
+        """Where cell i ends, in the frame that bends [m]."""
         a = np.hypot(*theta)
         if self.sections[i].bends_as == 'hinge':
             half = np.array([0.0, 0.0, 0.5 * length])
-            return half + self.rotation(theta) @ half
+            return half + self.bending(theta) @ half
         if a < 1e-8:
             return length * np.array([0.5 * theta[0], 0.5 * theta[1], 1.0])
         across = (1.0 - math.cos(a)) / a
         return length * np.array([*(across * np.array(theta) / a), math.sin(a) / a])
 
-    def lost(self, i, k, theta):
-        """Path that tendon k loses in cell i from straight [m]: between its two eyelets."""
-        length = self.sections[i].cell_length
-        eyelet = np.array([*self.offset(i, k), 0.0])
-        apart = self.end(i, theta, length) + self.rotation(theta) @ eyelet - eyelet
-        straight = length - np.linalg.norm(apart)
-        share = self.get('straight_tendon', 'fraction')
-        return (1.0 - share) * (eyelet[:2] @ np.array(theta)) + share * straight
+    def lost(self, i, k, cell):
+        """
+        Path that tendon k loses in cell i from straight [m]: between its two eyelets.
 
-    def travel(self, bend):
+        The part along the chord of the backbone is what `straight_tendon` blends with the arm's
+        bend; what lies across it, because the tendon leans, is added as it is.
+        """
+        length, theta = self.sections[i].cell_length, cell[:2]
+        first, last = self.eyelets(i, k)
+        apart = self.end(i, cell, length) + self.rotation(cell) @ last - first
+        back = self.half_twist(-cell[2])
+        mean = 0.5 * (back @ first + back.T @ last)
+        along = np.linalg.norm(self.bent_end(i, theta, length) + self.bending(theta) @ mean - mean)
+        leaning = max(apart @ apart - along**2, 0.0)
+        share = self.get('straight_tendon', 'fraction')
+        blend = (1.0 - share) * (mean[:2] @ np.array(theta)) + share * (length - along)
+        whole = math.hypot(length, np.linalg.norm(last - first))
+        return whole - math.hypot(length - blend, math.sqrt(leaning))
+
+    def travel(self, state):
         """Path lost since the rest shape (n, k) [m]."""
-        travel = np.zeros((self.n, len(self.ends)))
-        for k, cells in enumerate(self.ends):
-            for i in range(cells):
-                travel[i, k] = self.lost(i, k, bend[i]) - self.lost(i, k, self.rest)
+        travel, rest = np.zeros((self.n, len(self.ends))), np.array([*self.rest, 0.0])
+        for i, cell in enumerate(self.cells(state)):
+            for k, cells in enumerate(self.ends):
+                if i < cells:
+                    travel[i, k] = self.lost(i, k, cell) - self.lost(i, k, rest)
         return travel
 
-    def tensions(self, inputs, bend, signs=None):
+    def tensions(self, inputs, state, signs=None):
         """Tension of every tendon in every cell (n, k) [N]; `signs` (n, k) if friction knows."""
-        travel, tension = self.travel(bend), np.zeros((self.n, len(self.ends)))
+        travel, tension = self.travel(state), np.zeros((self.n, len(self.ends)))
+        bend = self.cells(state)[:, :2]
         mu = self.get('tendon_friction', 'friction_coefficient')
         for j, members in enumerate(self.robot.input_tendons):
             t = inputs[j] * (1.0 - self.get('transmission_loss', 'fraction'))
@@ -99,7 +146,7 @@ class Reference:
             beyond / SLIP_LENGTH
         )
 
-    def energy(self, bend, tension):
+    def energy(self, state, tension):
         """Potential energy of the loads [J]."""
         gravity = np.array(self.robot.gravity or (0.0, 0.0, 0.0))
         density = self.get('gravity', 'linear_density')
@@ -109,32 +156,46 @@ class Reference:
         for i, section in enumerate(self.sections):
             mass = density * self.profile[i] * section.cell_length
             length = section.cell_length * (1.0 - compliance * tension[i].sum())
-            middle = np.array([0.0, 0.0, 0.5 * length])
+            cell, middle = self.cells(state)[i], np.array([0.0, 0.0, 0.5 * length])
             if section.bends_as == 'arc':
-                middle = self.end(i, 0.5 * bend[i], 0.5 * length)
-            energy -= mass * gravity @ (point + frame @ middle)
-            point = point + frame @ self.end(i, bend[i], length)
-            frame = frame @ self.rotation(bend[i])
+                middle = self.bent_end(i, 0.5 * cell[:2], 0.5 * length)
+            if section.mass_offset:
+                beside = section.mass_offset[self.place(i)]
+                middle = middle + self.bending(0.5 * cell[:2]) @ [*beside, 0.0]
+            energy -= mass * gravity @ (point + frame @ self.half_twist(cell[2]) @ middle)
+            point = point + frame @ self.end(i, cell, length)
+            frame = frame @ self.rotation(cell)
         return energy - force @ point
 
-    def moments(self, bend, tension):
-        """Bending moment on every cell (n, 2) [N·m], by virtual work."""
-        moments = np.zeros((self.n, 2))
+    def place(self, i):
+        """Which cell of its section cell i is."""
+        return sum(section is self.sections[i] for section in self.sections[:i])
+
+    def moments(self, state, tension):
+        """Moment (x, y, about the axis) on every cell (n, 3) [N·m], by virtual work."""
+        moments = np.zeros((self.n, 3))
         for i in range(self.n):
-            for c in range(2):
-                up, down = bend.copy(), bend.copy()
-                up[i, c] += STEP
-                down[i, c] -= STEP
-                work = self.energy(down, tension) - self.energy(up, tension)
+            for c in range(3):
+                step = np.zeros(3 * self.n)
+                step[2 * i + c if c < 2 else 2 * self.n + i] = STEP
+                up, down = self.cells(state + step)[i], self.cells(state - step)[i]
+                work = self.energy(state - step, tension) - self.energy(state + step, tension)
                 for k, cells in enumerate(self.ends):
                     if i < cells:
-                        work += tension[i, k] * (self.lost(i, k, up[i]) - self.lost(i, k, down[i]))
+                        work += tension[i, k] * (self.lost(i, k, up) - self.lost(i, k, down))
                 moments[i, c] = work / (2.0 * STEP)
         return moments
 
+    def bending_stiffness(self, i):
+        """Bending stiffness of cell i [N·m/rad]."""
+        k = self.stiffness[i] * (1.0 + self.get('backbone_stiffness', 'relative_change'))
+        section = self.sections[i]
+        k *= 1.0 + self.get('section_stiffness', 'relative_change', section=section)
+        return k + self.get('tendon_stiffness', 'per_tendon') * sum(i < e for e in self.ends)
+
     def bend_under(self, i, moment, tension):
         """Bend of cell i under a moment [N·m] and the tensions in it [N]."""
-        size, total, section = np.hypot(*moment), tension.sum(), self.sections[i]
+        size, total = np.hypot(*moment), tension.sum()
         if size == 0.0:
             return self.rest
         along = moment / size
@@ -144,35 +205,41 @@ class Reference:
         play = self.get('eyelet_clearance', 'clearance')
         size += play * total * size / max(math.hypot(size, 0.03 * total * radius), 1e-300)
         size = max(size - self.get('hinge_friction', 'lever') * total, 0.0)
-        k = self.stiffness[i] * (1.0 + self.get('backbone_stiffness', 'relative_change'))
-        k *= 1.0 + self.get('section_stiffness', 'relative_change', section=section)
-        k += self.get('tendon_stiffness', 'per_tendon') * sum(i < cells for cells in self.ends)
+        k = self.bending_stiffness(i)
         cubic = self.get('nonlinear_stiffness', 'cubic')
         most = 2.0 * size / k if cubic >= 0.0 else (-3.0 * cubic) ** -0.5  # there it gives way
         angle = brentq(lambda t: k * t * (1.0 + cubic * t * t) - size, 0.0, most, xtol=1e-15)
         return self.rest + angle * along
 
-    def implied(self, inputs, bend, signs=None):
-        """Bends (n, 2) [rad] that the laws ask for, arms and loads taken at `bend`."""
-        tension = self.tensions(inputs, bend, signs)
-        moments = self.moments(bend, tension)
-        return np.array([self.bend_under(i, moments[i], tension[i]) for i in range(self.n)])
+    def implied(self, inputs, state, signs=None):
+        """State (3n,) [rad] that the laws ask for, arms and loads taken at `state`."""
+        tension = self.tensions(inputs, state, signs)
+        moments = self.moments(state, tension)
+        bends = [self.bend_under(i, moments[i, :2], tension[i]) for i in range(self.n)]
+        twists = [
+            self.get('torsion', 'compliance', section=section)
+            * moments[i, 2]
+            / self.bending_stiffness(i)
+            for i, section in enumerate(self.sections)
+        ]
+        return np.concatenate([np.ravel(bends), twists])
 
-    def positions(self, bend, tension):
+    def positions(self, state, tension):
         """Distal ends of the cells (n, 3) [m]."""
         compliance = self.get('axial_compression', 'compliance')
         frame, points = np.eye(3), [np.zeros(3)]
         for i, section in enumerate(self.sections):
             length = section.cell_length * (1.0 - compliance * tension[i].sum())
-            points.append(points[-1] + frame @ self.end(i, bend[i], length))
-            frame = frame @ self.rotation(bend[i])
+            cell = self.cells(state)[i]
+            points.append(points[-1] + frame @ self.end(i, cell, length))
+            frame = frame @ self.rotation(cell)
         return np.array(points[1:])
 
-    def wire_pulls(self, bend, tension):
+    def wire_pulls(self, state, tension):
         """Wire pulls (k,) [m]."""
         stretch = self.get('tendon_elongation', 'compliance')
         lengths = np.array([section.cell_length for section in self.sections])
-        taken = self.travel(bend).sum(axis=0) + stretch * lengths @ tension
+        taken = self.travel(state).sum(axis=0) + stretch * lengths @ tension
         taken = taken + self.get('wire_spring', 'compliance') * tension[0]
         taken = taken - self.get('pull_zero', 'offset')
         return taken / (1.0 + self.get('spool_gain', 'relative_change'))

@@ -65,7 +65,7 @@ def test_the_urdf_is_a_chain_of_two_joints_per_cell(capsys):
 def test_the_urdf_takes_the_shape_of_the_model():
     robot = load_robot(SPATIAL)
     shape = Model(robot).shape([0.1, 1.5, 0.1, 0.1, 0.1, 1.2])
-    frames = bent(ElementTree.fromstring(urdf(robot)), joint_angles(shape.frames))
+    frames = bent(ElementTree.fromstring(urdf(robot)), joint_angles(robot, shape.frames))
     tips = frames[:, :3, 3] + 0.003 * frames[:, :3, 2]  # from the hinge to the end of the cell
     assert np.allclose(tips, shape.positions, rtol=0, atol=1e-9)
     assert np.allclose(frames[:, :3, 2], shape.frames[:, :, 2], rtol=0, atol=1e-12)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import planar, spatial, two_sections
+from arms import planar, spatial, two_sections, wound
 from reference import Reference
 from scipy.optimize import brentq, minimize
 from scipy.spatial.transform import Rotation
@@ -213,22 +213,24 @@ def test_without_friction_the_equilibrium_has_the_least_energy(bends_as):
         'tip_load': {'force_x': 0.02, 'force_y': 0.03, 'force_z': -0.05},
         'straight_tendon': {'fraction': 1.0},
         'pre_curvature': {'angle_x': 0.01, 'angle_y': 0.02},
+        'torsion': {'compliance': 1.3},
     }
-    robot = replace(spatial(2, effects, bends_as), gravity=(3.0, 1.0, -9.0))
+    robot = replace(wound(spatial(2, effects, bends_as)), gravity=(3.0, 1.0, -9.0))
     inputs = np.array([0.4, 0.0, 0.2, 0.9, 0.0, 0.1])
     shape, reference = Model(robot).shape(inputs), Reference(robot)
-    tension = reference.tensions(inputs, shape.bend)
+    tension = reference.tensions(inputs, shape.state)
     stiffness = np.array(reference.stiffness)[:, None]
 
-    def energy(flat):
-        bends = flat.reshape(-1, 2)
-        elastic = 0.5 * (stiffness * (bends - reference.rest) ** 2).sum()
-        done = (tension * reference.travel(bends)).sum()
-        return 1e3 * (elastic + reference.energy(bends, tension) - done)
+    def energy(state):
+        cells = reference.cells(state)
+        elastic = 0.5 * (stiffness * (cells[:, :2] - reference.rest) ** 2).sum()
+        elastic += 0.5 * (stiffness[:, 0] * cells[:, 2] ** 2).sum() / 1.3
+        done = (tension * reference.travel(state)).sum()
+        return 1e3 * (elastic + reference.energy(state, tension) - done)
 
-    least = minimize(energy, np.zeros(8), tol=1e-10)
-    assert energy(shape.bend.ravel()) <= least.fun + 1e-12
-    assert np.allclose(shape.bend.ravel(), least.x, rtol=0, atol=1e-4)
+    least = minimize(energy, np.zeros(12), tol=1e-10)
+    assert energy(shape.state) <= least.fun + 1e-12
+    assert np.allclose(shape.state, least.x, rtol=0, atol=1e-4)
 
 
 def test_the_tracker_sees_the_robot_through_its_own_frame():

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import GRAVITY, TYPICAL, spatial
+from arms import GRAVITY, TYPICAL, spatial, wound
 from reference import Reference
 from test_effects_contract import EFFECTS, VALUES
 
@@ -23,18 +23,23 @@ def arm(names, bends_as='hinge', cells=3):
     return replace(spatial(cells, effects, bends_as), gravity=GRAVITY)
 
 
-def residuals(model, inputs, bends):
-    """Bends minus those that their moments ask for, (b, n, 2) [rad]."""
-    out = np.empty_like(bends)
+def unknowns(model):
+    """Entries of a state that count: two bends per cell, and a twist where cells twist."""
+    return (3 if model.arrays.twists else 2) * model.robot.cells
+
+
+def residuals(model, inputs, states):
+    """States (b, 3n) minus what their moments ask for, (b, unknowns) [rad]."""
+    out = np.empty((len(states), unknowns(model)))
     past = model.arrays.fresh_memory()
     model.arrays.part('derivatives').residuals(
-        model.arrays.address, inputs, bends, past, model.scratch, out
+        model.arrays.address, inputs, states, past, model.scratch, out
     )
     return out
 
 
 def solved(model, inputs, bends, rates):
-    """How the bends balance rates of the residual, (b, q, 2n)."""
+    """How states (b, 3n) balance rates of the residual, (b, q, unknowns)."""
     ways, past = np.empty_like(rates), model.arrays.fresh_memory()
     model.arrays.part('derivatives').responses(
         model.arrays.address, inputs, bends, past, model.scratch, rates, ways
@@ -50,26 +55,27 @@ def solved(model, inputs, bends, rates):
 )
 def test_the_elimination_solves_the_equations_of_the_differences(names, bends_as):
     """Away from an equilibrium, at any bends: the Jacobian times the way is minus the rate."""
-    model, random = Model(arm(dict.fromkeys(names), bends_as)), np.random.default_rng(4)
-    n = model.robot.cells
-    bend, step = random.normal(0.0, 0.1, 2 * n), 1e-6
-    inputs = np.tile(TENSIONS[0], (2 * n, 1))
+    robot = arm(dict.fromkeys(names), bends_as)
+    model = Model(wound(robot) if 'torsion' in names else robot)
+    random = np.random.default_rng(4)
+    count, size, step = unknowns(model), 3 * model.robot.cells, 1e-6
+    state = random.normal(0.0, 0.1, size)
+    inputs = np.tile(TENSIONS[0], (count, 1))
     up, down = (
-        residuals(model, inputs, (bend + side * step * np.eye(2 * n)).reshape(-1, n, 2))
-        for side in (1.0, -1.0)
+        residuals(model, inputs, state + side * step * np.eye(count, size)) for side in (1.0, -1.0)
     )
-    jacobian = (up - down).reshape(2 * n, 2 * n).T / (2.0 * step)
-    rates = random.normal(size=(1, 4, 2 * n))
-    ways = solved(model, TENSIONS[:1], bend.reshape(1, n, 2), rates)
+    jacobian = (up - down).T / (2.0 * step)
+    rates = random.normal(size=(1, 4, count))
+    ways = solved(model, TENSIONS[:1], state[None], rates)
     assert np.allclose(jacobian @ ways[0].T, -rates[0].T, rtol=0, atol=1e-5)
 
 
 def test_the_residual_is_what_the_plain_model_says():
     model, random = Model(arm(TYPICAL)), np.random.default_rng(5)
-    bends = random.normal(0.0, 0.1, (2, model.robot.cells, 2))
+    states = random.normal(0.0, 0.1, (2, 3 * model.robot.cells))
     reference = Reference(model.robot)
-    for row, bend, told in zip(TENSIONS, bends, residuals(model, TENSIONS, bends), strict=True):
-        assert np.allclose(told, bend - reference.implied(row, bend), rtol=0, atol=1e-7)
+    for row, state, told in zip(TENSIONS, states, residuals(model, TENSIONS, states), strict=True):
+        assert np.allclose(told, state - reference.implied(row, state), rtol=0, atol=1e-7)
 
 
 def test_markers_inside_a_cell_by_tensions_and_by_parameters():
@@ -129,9 +135,9 @@ def test_every_posture_of_a_spatial_arm_has_its_equilibrium(name, request):
     assert np.abs(shapes.bend).max() < 0.9  # [rad] beyond it eyelets would pass each other
     reference = Reference(robot)
     for b in range(0, 200, 20):
-        implied = reference.implied(inputs[b], shapes.bend[b])
-        assert np.abs(implied - shapes.bend[b]).max() < 1e-6
-    near, changes = model.solve(inputs * 1.01, shapes.bend)
+        implied = reference.implied(inputs[b], shapes.state[b])
+        assert np.abs(implied - shapes.state[b]).max() < 1e-6
+    near, changes = model.solve(inputs * 1.01, shapes.state)
     assert (changes < 1e-10).all()
     cold, _ = model.solve(inputs * 1.01)
     apart = np.linalg.norm(near.tip_position - cold.tip_position, axis=1)
@@ -147,4 +153,4 @@ def test_without_tendon_travel_every_posture_settles_too(name, request):
     inputs = low + random.random((100, len(low))) * (np.minimum(high, 5.0) - low)
     shapes, changes = model.solve(inputs)
     assert (changes < 1e-10).all()
-    assert np.abs(residuals(model, inputs, np.ascontiguousarray(shapes.bend))).max() < 1e-10
+    assert np.abs(residuals(model, inputs, np.ascontiguousarray(shapes.state))).max() < 1e-10

@@ -21,7 +21,7 @@ def settled(robot, inputs):
         shape = Model(robot).shape(inputs)
     except NoEquilibriumError:
         return False
-    gap = np.abs(Reference(robot).implied(np.asarray(inputs), shape.bend) - shape.bend).max()
+    gap = np.abs(Reference(robot).implied(np.asarray(inputs), shape.state) - shape.state).max()
     assert gap < 1e-6, f'returned a shape that is off by {gap:.2g} rad'
     return True
 

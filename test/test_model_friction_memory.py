@@ -57,10 +57,10 @@ def test_a_shape_that_follows_another_is_that_of_the_sequence():
 def test_loading_in_one_go_satisfies_the_laws_with_dahls_signs(robot):
     inputs = np.array([0.0, 0.8, 0.0, 0.6, 0.0, 0.3][: len(robot.inputs)])
     shape, reference = Model(robot).shape(inputs), Reference(robot)
-    travel = reference.travel(shape.bend)
+    travel = reference.travel(shape.state)
     beyond = np.cumsum(travel[::-1], axis=0)[::-1] - travel
     signs = np.sign(beyond) * (1.0 - np.exp(-np.abs(beyond) / LENGTH))
-    steady = np.abs(reference.implied(inputs, shape.bend, signs) - shape.bend).max()
+    steady = np.abs(reference.implied(inputs, shape.state, signs) - shape.state).max()
     assert steady < 2e-3  # exact only where no travel reverses on the way
     if len(robot.inputs) == 4:
         assert steady < 1e-6

@@ -160,7 +160,7 @@ def test_a_batch_of_pulls_equals_single_ones_and_may_start_from_guesses():
     batch = pull_shapes(model, rows)
     for row, positions in zip(rows, batch.positions, strict=True):
         assert np.allclose(model.pull_shape(row).positions, positions, rtol=0, atol=1e-9)
-    again = pull_shapes(model, rows, batch.inputs, batch.bend)
+    again = pull_shapes(model, rows, batch.inputs, batch.state)
     assert np.allclose(again.positions, batch.positions, rtol=0, atol=1e-9)
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import GRAVITY, TYPICAL, planar, section, spatial, two_sections
+from arms import GRAVITY, TYPICAL, planar, section, spatial, two_sections, wound
 from reference import Reference
 from source_tree import ROOT
 
@@ -15,14 +15,14 @@ from tendon_robot_ros.robot import load_robot
 def check(robot, inputs, accuracy=1e-7):
     """Compare one posture: bends, tensions, positions and wire pulls."""
     shape, reference = Model(robot).shape(inputs), Reference(robot)
-    assert np.abs(reference.implied(inputs, shape.bend) - shape.bend).max() < accuracy
-    tension = reference.tensions(inputs, shape.bend)
+    assert np.abs(reference.implied(inputs, shape.state) - shape.state).max() < accuracy
+    tension = reference.tensions(inputs, shape.state)
     assert np.allclose(tension, shape.tendon_tensions, rtol=1e-7, atol=1e-12)
     assert np.allclose(
-        reference.positions(shape.bend, tension), shape.positions, rtol=0, atol=1e-12
+        reference.positions(shape.state, tension), shape.positions, rtol=0, atol=1e-12
     )
     assert np.allclose(
-        reference.wire_pulls(shape.bend, tension), shape.tendon_pulls, rtol=0, atol=1e-10
+        reference.wire_pulls(shape.state, tension), shape.tendon_pulls, rtol=0, atol=1e-10
     )
 
 
@@ -43,7 +43,25 @@ def test_each_effect_with_friction_in_space(effect, bends_as):
 
 
 @pytest.mark.parametrize('bends_as', ['arc', 'hinge'])
-@pytest.mark.parametrize('make', [two_sections, spatial])
+@pytest.mark.parametrize(
+    'names',
+    [[], ['torsion'], ['straight_tendon'], ['torsion', 'tendon_friction', 'tendon_travel']],
+)
+def test_tendons_that_wind_and_weight_beside_the_axis(names, bends_as):
+    effects = {name: TYPICAL[name] for name in [*names, 'gravity']}
+    robot = replace(wound(spatial(3, effects, bends_as, taper=0.6)), gravity=GRAVITY)
+    random = np.random.default_rng(6)
+    for _ in range(4):
+        check(robot, some(random, robot))
+
+
+def wound_spatial(cells, effects, bends_as):
+    """Return a spatial arm whose tendons wind and whose weight lies beside the axis."""
+    return wound(spatial(cells, effects, bends_as))
+
+
+@pytest.mark.parametrize('bends_as', ['arc', 'hinge'])
+@pytest.mark.parametrize('make', [two_sections, spatial, wound_spatial])
 def test_all_effects_at_once(make, bends_as):
     robot = replace(make(4, TYPICAL, bends_as), gravity=GRAVITY)
     random = np.random.default_rng(2)

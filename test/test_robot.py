@@ -56,6 +56,24 @@ def test_effects_and_gravity_may_be_left_out():
     assert (robot.effects, robot.gravity, robot.tolerances) == ({}, None, {})
 
 
+def test_tendons_that_wind_or_go_cell_by_cell_and_weight_beside_the_axis():
+    steps = [[0.005, 0.0], [0.0049, 0.001], [0.0048, 0.0014]]
+    content = yaml.safe_load(ARM)
+    content['tendons'][0]['offset'] = {'cells': steps}
+    content['tendons'][1]['offset'] = {'base': [0.0, 0.005], 'winding': 8.0}
+    content['tendons'][2]['offset'] = {'base': [0.0, 0.005], 'end': [0.0, 0.004], 'winding': -8.0}
+    content['sections'][0]['mass_offset'] = [0.001, -0.002]
+    content['sections'][1]['mass_offset'] = [[0.0, 0.0], [0.003, 0.0]]
+    robot = parse_robot(yaml.safe_dump(content))
+    listed, wound, tapered = robot.tendons
+    assert listed.offsets == tuple(map(tuple, steps)) and listed.base == (0.005, 0.0)
+    assert (wound.base, wound.end, wound.winding) == ((0.0, 0.005), (0.0, 0.005), 8.0)
+    assert (tapered.end, tapered.winding) == ((0.0, 0.004), -8.0)
+    assert robot.sections[0].mass_offset == ((0.001, -0.002),) * 3
+    assert robot.sections[1].mass_offset == ((0.0, 0.0), (0.003, 0.0))
+    assert parse_robot(dump_robot(robot)) == robot
+
+
 def change(path, value):
     """Return the description with one value replaced, or a key taken out (None)."""
     content = yaml.safe_load(ARM)
@@ -88,7 +106,13 @@ BAD = [
      "'ark'"),
     (('sections', 1, 'name'), 'near', "sections: expected names that differ, got 'near'"),
     (('sections', 0, 'stiff'), 1.0, "sections[0].stiff: expected one of name, cells, cell_length, "
-     "bending_stiffness, mass_profile, bends_as, got 'stiff'"),
+     "bending_stiffness, mass_profile, mass_offset, bends_as, got 'stiff'"),
+    (('sections', 0, 'mass_offset'), [3.0, 0.0], 'sections[0].mass_offset: expected an offset '
+     'below 1 m (is it in mm?), got [3.0, 0.0]'),
+    (('sections', 0, 'mass_offset'), [[0.0, 0.0], [0.0, 0.001]], 'sections[0].mass_offset: '
+     "expected 3 offsets [x, y] (one per cell), got '2 of them'"),
+    (('sections', 0, 'mass_offset'), [[0, 0], [0, 0], 0.001], 'sections[0].mass_offset[2]: '
+     'expected a list of 2 numbers, got 0.001'),
     (('sections',), [], 'sections: expected a list with at least one entry, got []'),
     (('tendons', 0, 'section'), 'middle', "tendons[0].section: expected one of near, far, got "
      "'middle'"),
@@ -98,6 +122,12 @@ BAD = [
      '0.005'),
     (('tendons', 0, 'offset'), {'base': [0.0, 0.1]}, 'tendons[0].offset.end: expected a list of 2 '
      'numbers, got None'),
+    (('tendons', 0, 'offset'), {'base': [0.0, 0.1], 'winding': 400.0}, 'tendons[0].offset.'
+     'winding: expected a finite number from -157.08 to 157.08 [rad/m], got 400.0'),
+    (('tendons', 1, 'offset'), {'cells': [[0.005, 0.0]] * 3}, 'tendons[1].offset.cells: expected '
+     "5 offsets [x, y] (one per cell), got '3 of them'"),
+    (('tendons', 0, 'offset'), {'cells': [[0.005, 0.0]] * 3, 'end': [0.0, 0.005]}, 'tendons[0].'
+     "offset.end: expected nothing beside cells, which say it all, got 'end'"),
     (('tendons', 0, 'name'), 'b2', "tendons: expected names that differ, got 'b2'"),
     (('tendons', 0, 'name'), 'b', "tendons: expected group names that are not tendon names, got "
      "'b'"),

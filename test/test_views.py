@@ -143,7 +143,7 @@ def test_the_joints_move_the_urdf_to_where_the_model_is(running):
 def test_the_frames_are_those_of_the_urdf_from_base_to_tip():
     robot = load_robot(ROBOTS / 'spatial_6.yaml')
     shape = Model(robot).shape([0.1, 1.5, 0.1, 0.1, 0.1, 1.2])
-    angles = joint_angles(shape.frames)
+    angles = joint_angles(robot, shape.frames)
     messages = stamped(robot, angles, 'spatial_6_', Time(sec=1))
     tree = ElementTree.fromstring(urdf(robot, 'spatial_6_'))
     pairs = [

@@ -32,6 +32,7 @@ OWN_SIZES = {
     'tendon_stiffness': {'per_tendon': 2e-3},
     'nonlinear_stiffness': {'cubic': 40.0},
     'pre_curvature': {'angle_x': 0.01, 'angle_y': 0.0},
+    'torsion': {'compliance': 2.0},
     'gravity': {'linear_density': 0.006},
     'tip_load': {'force_x': 0.003, 'force_y': 0.0, 'force_z': 0.0},
     'axial_compression': {'compliance': 0.03},
@@ -57,6 +58,13 @@ def size_of(effect):
 
 
 SIZES = {effect.name: size_of(effect) for effect in CATALOGUE}
+# What must be at work, with and without it, for an effect to show.
+BESIDE = {
+    'torsion': {
+        'tendon_travel': {'fraction': 1.0},
+        'tip_load': {'force_x': 0.0, 'force_y': 0.02, 'force_z': 0.0},
+    }
+}
 
 # prox_left, prox_right, dist_left, dist_right [N]
 POSTURES = {

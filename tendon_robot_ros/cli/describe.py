@@ -3,7 +3,7 @@ Print what ROBOT is, what one newton does to it, and whether that is plausible.
 
 Sections, tendons, limits, tolerances, and the physical effects of its model. With --urdf print a
 URDF instead, for RViz and TF: two revolute joints per cell, `<name>_x` towards x and `<name>_y`
-towards y.
+towards y, and where cells twist a third, `<name>_z`, about its axis.
 
 example: python -m tendon_robot_ros describe config/robots/kato_10_1.yaml
 """
@@ -11,9 +11,11 @@ example: python -m tendon_robot_ros describe config/robots/kato_10_1.yaml
 from __future__ import annotations
 
 import argparse
+import math
 
 from ..common.words import columns
 from ..robot import Robot, Section, load_robot
+from ..robot.description import XY
 from ..robot.estimates import handling
 
 NAME = 'describe'
@@ -77,26 +79,37 @@ def _range(values: tuple[float, ...], scale: float = 1.0) -> str:
 
 
 def _sections(robot: Robot) -> str:
+    beside = any(section.mass_offset for section in robot.sections)
+
     def row(section: Section) -> list[str]:
-        return [
+        cells = [
             section.name,
             str(section.cells),
             f'{1e3 * section.cell_length:g}',
             _range(section.bending_stiffness),
             section.bends_as,
         ]
+        return cells + [_route(section.mass_offset or ((0.0, 0.0),))] * beside
 
     head = ['section', 'cells', 'cell [mm]', 'stiffness [N·m/rad]', 'bends as']
+    head += ['weight at x, y [mm]'] * beside
     return columns([head, *map(row, robot.sections)])
+
+
+def _route(offsets: tuple[XY, ...]) -> str:
+    """Say where offsets [m] begin and end, in millimetres."""
+    first, last = ('{:g}, {:g}'.format(*(1e3 * v for v in at)) for at in (offsets[0], offsets[-1]))
+    return first if first == last else f'{first} to {last}'
 
 
 def _tendons(robot: Robot) -> str:
     rows = [['tendon', 'offset x, y [mm]', 'ends in', 'pulled by']]
     for tendon in robot.tendons:
-        base, end = (
-            '{:g}, {:g}'.format(*(1e3 * v for v in at)) for at in (tendon.base, tendon.end)
-        )
-        offset = base if base == end else f'{base} to {end}'
+        offset = _route((tendon.base, tendon.end))
+        if tendon.winding:
+            offset += f', winds {1e-3 * math.degrees(tendon.winding):.4g}°/mm'
+        elif tendon.offsets:
+            offset += f' in {len(tendon.offsets)} steps'
         rows.append([tendon.name, offset, tendon.section, tendon.group or tendon.name])
     return columns(rows)
 

@@ -59,6 +59,7 @@ def shape_content(model: Model, shape: Shape) -> dict[str, Any]:
     return {
         'positions': shape.positions.tolist(),
         'bend': shape.bend.tolist(),
+        **({'twist': shape.twist.tolist()} if model.arrays.twists else {}),
         'tensions': dict(zip(names, shape.tendon_tensions.T.tolist(), strict=True)),
         'pulls': dict(zip(names, shape.tendon_pulls.tolist(), strict=True)),
         'tip': tip_content(shape),
@@ -82,7 +83,11 @@ def _table(model: Model, shape: Shape) -> str:
     start = 0
     for section in robot.sections:
         x, y = np.degrees(shape.bend[start : start + section.cells].sum(axis=0))
-        lines.append(f'{section.name}: bends {x:.2f}° towards x, {y:.2f}° towards y')
+        line = f'{section.name}: bends {x:.2f}° towards x, {y:.2f}° towards y'
+        if model.arrays.twists:
+            turn = np.degrees(shape.twist[start : start + section.cells].sum())
+            line += f', twists {turn:.2f}°'
+        lines.append(line)
         start += section.cells
     rows = [['tendon', 'tension [N]', 'at its end [N]', 'wire pull [mm]']]
     for k, tendon in enumerate(robot.tendons):

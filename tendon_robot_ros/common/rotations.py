@@ -24,10 +24,18 @@ def bent(toward: Array, angle: Array) -> Array:
 
 
 def about(axis: int, angle: float) -> Array:
-    """Return the rotation about the x (0) or y (1) axis."""
-    s, c = math.sin(angle), math.cos(angle)
-    rows = [[1, 0, 0], [0, c, -s], [0, s, c]] if axis == 0 else [[c, 0, s], [0, 1, 0], [-s, 0, c]]
-    return np.array(rows, dtype=float)
+    """Return the rotation about the x (0), y (1) or z (2) axis."""
+    turn, (i, j) = np.eye(3), ((axis + 1) % 3, (axis + 2) % 3)
+    turn[i, i] = turn[j, j] = math.cos(angle)
+    turn[j, i] = math.sin(angle)
+    turn[i, j] = -turn[j, i]
+    return turn
+
+
+def turned_in_plane(vector: Array, angle: Array) -> Array:
+    """Turn vectors (..., 2) by angles (...) [rad] from x to y."""
+    x, y, c, s = vector[..., 0], vector[..., 1], np.cos(angle), np.sin(angle)
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
 
 
 def rotated(vector: Array, rotation: Array) -> Array:

@@ -187,21 +187,22 @@ class Reader:
             )
         return tuple(self._number(key, v, 1e-12, 1e6, unit) for v in values)
 
-    def offset(self, key: str) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return the offsets [m] at the base and at the end of a tendon."""
-        if isinstance(self.content.get(key), dict):
-            taper = self.child(key)
-            taper.only('base', 'end')
-            base, end = taper._offset('base'), taper._offset('end')
-        else:
-            base = end = self._offset(key)
-        return base, end
-
-    def _offset(self, key: str) -> tuple[float, float]:
+    def offset(self, key: str) -> tuple[float, float]:
+        """Return an offset (x, y) [m] from the axis."""
         x, y = self.vector(key, 2)
         if max(abs(x), abs(y)) > 1.0:
             raise self.error(key, 'an offset below 1 m (is it in mm?)', [x, y])
         return x, y
+
+    def offsets(self, key: str, cells: int) -> tuple[tuple[float, float], ...]:
+        """Return one offset (x, y) [m] per cell."""
+        value = self.content.get(key)
+        if not isinstance(value, list) or len(value) != cells:
+            got = f'{len(value)} of them' if isinstance(value, list) else value
+            raise self.error(key, f'{cells} offsets [x, y] (one per cell)', got)
+        listed = {f'{key}[{i}]': row for i, row in enumerate(value)}
+        rows = type(self)(self.source, self.path, listed)
+        return tuple(rows.offset(row) for row in rows.content)
 
     def _number(self, key: str, value: Any, low: float, high: float, unit: str) -> float:
         bounds = '' if low == -math.inf else f' from {low:g} to {high:g}'

@@ -34,7 +34,7 @@ def load(robot: Robot, catalogue: Catalogue) -> Model:
     model = Model(robot, catalogue)
     tensions = np.clip(np.full(len(model.inputs), 0.2), model.limits[:, 0], model.limits[:, 1])
     shape = model.shape(tensions)
-    model.shape(tensions, guess=shape.bend)
+    model.shape(tensions, guess=shape.state)
     model.reach(position=shape.tip_position, direction=shape.tip_direction)
     model.reach(position=shape.tip_position, guess=shape)
     model.reach(position=shape.tip_position, by_pulls=True)

@@ -28,6 +28,7 @@ BUILT_IN = (
     'tendon_stiffness',
     'nonlinear_stiffness',
     'pre_curvature',
+    'torsion',
     'gravity',
     'tip_load',
     'axial_compression',

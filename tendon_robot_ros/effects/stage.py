@@ -122,6 +122,15 @@ _ALL = (
         _quantities(TOTAL_TENSION),
     ),
     Stage(
+        'torsion',
+        _quantities(('twist', 'rad', 'turn of the cell about its own axis')),
+        _quantities(
+            ('moment', 'N·m', 'moment about that axis'),
+            ('stiffness', 'N·m/rad', 'bending stiffness of the cell'),
+        ),
+        implicit=True,
+    ),
+    Stage(
         'wrap',
         _quantities(('turning', '1', 'sine of half the angle that the eyelet turns the tendon')),
         _quantities(('mean', '1', 'the same for the mean bend of both neighbouring cells')),

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from ..common.errors import EffectError, RobotDescriptionError
 from ..effects import STAGES, Catalogue, Parameter
 from ..robot import Robot
-from ..robot.estimates import tendon_offsets
+from ..robot.routes import tendon_offsets, tendon_winding
 
 KERNEL = Path(__file__).parent / 'kernel'
 _COMPOSED: dict[str, ModuleType] = {}
@@ -179,6 +179,7 @@ class KernelArrays:
         self.layout = layout(catalogue)
         self.cells = _cells(robot)
         self.offset = tendon_offsets(robot)
+        self.winding = tendon_winding(robot)
         self.tendon = np.array(
             [
                 [robot.tendon_cells[k], j]
@@ -221,6 +222,13 @@ class KernelArrays:
     def get(self, effect: str, parameter: str, column: int | None = None) -> float:
         """Return one parameter (of one section or tendon)."""
         return float(self.values[self.layout.rows[effect, parameter], column or 0])
+
+    @property
+    def twists(self) -> bool:
+        """Whether cells twist about their own axis."""
+        return any(
+            self.on[self.layout.index[e.name]] for e in self.catalogue if e.stage == 'torsion'
+        )
 
     def _read(self, name: str, values: dict[str, Any]) -> None:
         robot = self.robot
@@ -275,6 +283,8 @@ class KernelArrays:
             respond=lay.address_of(self.part('response').respond),
             newton=lay.address_of(self.part('newton').newton),
             settle=lay.address_of(self.part('solve').solve_equilibrium),
+            winding=self.winding.ctypes.data if self.winding.any() else 0,
+            beside=int(any(any(any(xy) for xy in s.mass_offset) for s in robot.sections)),
             **at,
         )
 
@@ -283,7 +293,7 @@ class KernelArrays:
         lay, chain = self.part('layout'), self.chain
         return np.zeros(
             lay.work_size(chain.n, chain.k)
-            + 2 * chain.n
+            + 3 * chain.n
             + lay.memory_size(chain.n, chain.k, chain.m)
             + chain.k
             + chain.m
@@ -308,6 +318,7 @@ def _cells(robot: Robot) -> Floats:
                     float(section.bends_as == 'hinge'),
                     float(index),
                     float(present),
+                    *(section.mass_offset[i] if section.mass_offset else (0.0, 0.0)),
                 ]
             )
     return np.array(rows)

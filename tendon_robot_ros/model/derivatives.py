@@ -33,7 +33,7 @@ def tip_jacobian(model: ForwardModel, tensions: Floats) -> Floats:
     model.arrays.part('derivatives').jacobian(
         model.arrays.address,
         shape.inputs.copy(),
-        np.array([shape.bend, shape.bend]),
+        np.array([shape.state, shape.state]),
         model.arrays.fresh_memory(),
         model.scratch,
         slopes,
@@ -77,10 +77,10 @@ def derivatives(
         for side in (move.up, move.down):
             with move.made(model, side):
                 if ways is None:
-                    moved = model.shapes(move.inputs(shapes, side), shapes.bend)
+                    moved = model.shapes(move.inputs(shapes, side), shapes.state)
                 else:
-                    bend = shapes.bend + side[:, None, None] * ways[:, q]
-                    moved = _shown(model, shapes, move.inputs(shapes, side), bend)
+                    state = shapes.state + side[:, None] * ways[:, q]
+                    moved = _shown(model, shapes, move.inputs(shapes, side), state)
                 sides.append(seen(moved))
         width = (move.up - move.down).reshape(-1, *[1] * (sides[0].ndim - 1))
         slopes.append((sides[0] - sides[1]) / width)
@@ -142,30 +142,49 @@ def _section(column: Column) -> int | None:
 
 
 def _ways(model: ForwardModel, shapes: ShapeBatch, there: Sequence[_Move]) -> Floats:
-    """Return how the bends follow every quantity, (b, q, n, 2) [rad per unit]."""
-    part, past = model.arrays.part('derivatives'), model.arrays.fresh_memory()
-    b, n = shapes.bend.shape[:2]
-    bends = np.ascontiguousarray(shapes.bend)
-    changes, rows = np.empty((b, len(there), 2 * n)), np.empty((b, len(there), 2 * n))
-    sides = np.empty((2, b, n, 2))
-    for q, move in enumerate(there):
-        for out, side in zip(sides, (move.up, move.down), strict=True):
-            with move.made(model, side):
-                inputs = move.inputs(shapes, side)
-                part.residuals(model.arrays.address, inputs, bends, past, model.scratch, out)
-        width = (move.up - move.down)[:, None]
-        changes[:, q] = (sides[0] - sides[1]).reshape(b, -1) / width
-    inputs = np.ascontiguousarray(shapes.inputs)
-    part.responses(model.arrays.address, inputs, bends, past, model.scratch, changes, rows)
-    return rows.reshape(b, len(there), n, 2)
+    """Return how the states follow every quantity, (b, q, 3n) [rad per unit]."""
+    arrays, past = model.arrays, model.arrays.fresh_memory()
+    part, (b, entries) = arrays.part('derivatives'), shapes.state.shape
+    with _twisting(model, there):
+        count = entries if arrays.twists else entries // 3 * 2
+        states = np.ascontiguousarray(shapes.state)
+        changes, rows = np.empty((b, len(there), count)), np.empty((b, len(there), count))
+        sides = np.empty((2, b, count))
+        for q, move in enumerate(there):
+            for out, side in zip(sides, (move.up, move.down), strict=True):
+                with move.made(model, side):
+                    inputs = move.inputs(shapes, side)
+                    part.residuals(arrays.address, inputs, states, past, model.scratch, out)
+            width = (move.up - move.down)[:, None]
+            changes[:, q] = (sides[0] - sides[1]) / width
+        inputs = np.ascontiguousarray(shapes.inputs)
+        part.responses(arrays.address, inputs, states, past, model.scratch, changes, rows)
+    ways = np.zeros((b, len(there), entries))
+    ways[..., :count] = rows
+    return ways
 
 
-def _shown(model: ForwardModel, shapes: ShapeBatch, inputs: Floats, bend: Floats) -> ShapeBatch:
-    """Return what inputs (b, m) [N] and bends (b, n, 2) [rad] show, without solving."""
+@contextmanager
+def _twisting(model: ForwardModel, there: Sequence[_Move]) -> Iterator[None]:
+    """Let cells twist, if only by nothing, while derivatives by their torsion are taken."""
+    on = model.arrays.on.copy()
+    try:
+        for move in there:
+            if not isinstance(move.column, str):
+                effect = model.catalogue[move.column[0]]
+                if effect.stage == 'torsion':
+                    model.arrays.on[model.arrays.layout.index[effect.name]] = 1
+        yield
+    finally:
+        model.arrays.on[:] = on
+
+
+def _shown(model: ForwardModel, shapes: ShapeBatch, inputs: Floats, state: Floats) -> ShapeBatch:
+    """Return what inputs (b, m) [N] and states (b, 3n) [rad] show, without solving."""
     b, form = len(inputs), model.form
     block = np.zeros(b * form.size)
     fields = {name: form.rows(block, name, b) for name in FIELDS}
-    fields['inputs'][:], fields['bend'][:] = inputs, bend
+    fields['inputs'][:], fields['state'][:] = inputs, state
     past = model.arrays.fresh_memory()
     model.arrays.part('shape').show_postures(
         model.arrays.address, block, b, past.ctypes.data, model.scratch

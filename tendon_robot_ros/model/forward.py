@@ -103,8 +103,8 @@ class ForwardModel:
         Parameters
         ----------
         tensions : mapping or (m,) [N]
-        guess : (n, 2) [rad], optional
-            Bends to start an implicit model from.
+        guess : (3n,) or (n, 2) [rad], optional
+            State (`Shape.state`) or bends to start an implicit model from.
         memory : optional
             Friction memory of the posture before (`Shape.memory`); default: from straight.
 
@@ -117,7 +117,8 @@ class ForwardModel:
         block = np.zeros(form.size + form.memory)
         block[: form.m] = self.tensions(tensions)
         if guess is not None:
-            block[form.one['bend'][0]] = np.asarray(guess, float).reshape(-1)
+            flat = np.asarray(guess, float).reshape(-1)
+            block[form.m : form.m + len(flat)] = flat  # the state follows the inputs
         if memory is not None:
             block[form.size :] = memory
         change = self._postures(self.arrays.address, block, 1, 0, 1, 0, self.scratch, 1)
@@ -185,7 +186,10 @@ class ForwardModel:
         block = np.empty(b * form.size)
         fields = {name: form.rows(block, name, b) for name in FIELDS}
         fields['inputs'][:] = inputs
-        fields['bend'][:] = 0.0 if guesses is None else guesses
+        fields['state'][:] = 0.0
+        if guesses is not None:
+            flat = guesses.reshape(b, -1)
+            fields['state'][:, : flat.shape[1]] = flat
         past = self.arrays.fresh_memory() if memory is None else memory
         where, remembered = self.arrays.address, past.ctypes.data
 

@@ -43,13 +43,14 @@ def aim_by_pulls(
     Parameters
     ----------
     aim : callable
-        Inputs (m,) [N], bends (n, 2) [rad] and limits (m, 2) [N] to the cost [m²] and the bends.
+        Inputs (m,) [N], state (3n,) [rad] and limits (m, 2) [N] to the cost [m²] and the state.
 
     Returns
     -------
     cost : float [m²]
         Infinite where nothing was found that is held.
-    bends : (n, 2) [rad]
+    bends : (3n,) [rad]
+        State, bends and twists.
 
     """
     taut = inputs > model.limits[:, 0] + SLACK_BELOW_N
@@ -70,7 +71,7 @@ def aim_by_pulls(
         if not lost.any():
             break
         taut[np.argmin(np.where(lost, held.inputs, np.inf))] = False
-        inputs[:], bend = held.inputs, held.bend
+        inputs[:], bend = held.inputs, held.state
     return np.inf, bend
 
 
@@ -213,15 +214,15 @@ def _starts(
     if guess is not None:
         inputs = np.clip(guess.inputs, *model.limits.T)
         if model.sticks:
-            yield partial(near, far=FAR_M2), inputs.copy(), guess.bend
+            yield partial(near, far=FAR_M2), inputs.copy(), guess.state
             near = seek
         if count or not model.sticks:
-            yield near, inputs, guess.bend
+            yield near, inputs, guess.state
     near = seek if model.sticks else partial(_aim, model, target, GAIN_MIN)
     if count:
-        yield near, model.limits[:, 0].copy(), np.zeros((model.robot.cells, 2))
+        yield near, model.limits[:, 0].copy(), np.zeros(3 * model.robot.cells)
         for row in islice(_rows_near(model, target), count):
-            yield near, model.library.inputs[row].copy(), model.library.bend[row]
+            yield near, model.library.inputs[row].copy(), model.library.state[row]
 
 
 def _rows_near(model: ForwardModel, target: Floats) -> Iterator[int]:

@@ -40,7 +40,7 @@ def pull_shape(model: ForwardModel, pulls: TensionsLike, guess: Shape | None = N
 
     """
     target = wire_pulls(model.robot, pulls)
-    start = None if guess is None else (guess.inputs, guess.bend)
+    start = None if guess is None else (guess.inputs, guess.state)
     inputs, bend = _tensions(model, target, start, model.arrays.fresh_memory(), _compliance(model))
     return model.shape(inputs, bend)
 
@@ -59,7 +59,8 @@ def pull_shapes(
     ----------
     tensions : (b, m) [N], optional
         To start from, together with `bends`.
-    bends : (b, n, 2) [rad], optional
+    bends : (b, 3n) [rad], optional
+        States, bends and twists.
     memory : optional
         Friction memory of the posture before; postures then follow each other and it moves on.
         Default: every posture is loaded from straight.
@@ -93,12 +94,12 @@ def _tensions(
     compliance: float,
 ) -> tuple[Floats, Floats]:
     """
-    Find tensions (m,) [N] and bends (n, 2) [rad] that meet wire pulls (m,) [m].
+    Find tensions (m,) [N] and state (3n,) [rad] that meet wire pulls (m,) [m].
 
     First for wires that stretch, from soft to stiff: lengths alone often leave it open how hard
     two wires pull against each other, springs do not.
     """
-    gap, best = np.inf, (np.zeros_like(target), np.zeros((model.arrays.chain.n, 2)))
+    gap, best = np.inf, (np.zeros_like(target), np.zeros(3 * model.arrays.chain.n))
     for begin in _beginnings(model, target, start):
         inputs, bends = np.array(begin.tensions), np.array([begin.bend, begin.bend])
         problem = (model.arrays.address, inputs, target, bends, past, model.scratch)
@@ -131,7 +132,7 @@ def _beginnings(
     """Yield what is tried: from near, from straight, and at last for wires that do not stretch."""
     if start is not None:
         yield _Beginning(*start, SPRING_COMPLIANCES[-1:], NEAR_SEARCH_STEPS_MAX, GAP_ACCEPTED_M)
-    straight = np.zeros((model.arrays.chain.n, 2))
+    straight = np.zeros(3 * model.arrays.chain.n)
     pulled, taut = (np.where(on, 0.1, 0.0) for on in (target > 0.0, ~np.isnan(target)))
     yield _Beginning(pulled, straight)
     yield _Beginning(taut, straight)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
-from ..common.rotations import bent
+from ..common.rotations import bent, turned_in_plane
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,7 +41,7 @@ class ResultLayout:
         n, k, m = self.n, self.k, self.m
         return {
             'inputs': (m,),
-            'bend': (n, 2),
+            'state': (3 * n,),
             'tendon_tensions': (n, k),
             'frames': (n, 3, 3),
             'positions': (n, 3),
@@ -124,8 +124,12 @@ def _inside(
     unit = np.where(hinge, np.cos(0.5 * angle), np.sinc(0.5 * angle / np.pi))
     length = step / np.maximum(unit, 1e-12)
     across, along = _point(turned, angle, share, hinge, length)
+    twist = shapes.twist[:, cells]
+    toward = turned_in_plane(toward, 0.5 * twist)  # half of it lies before the bend
     local = np.concatenate([toward * across[..., None], along[..., None]], axis=2)
-    return (frames @ bent(toward, turned), points + np.einsum('bjrc,bjc->bjr', frames, local))
+    inside = frames @ bent(toward, turned)
+    inside[..., :2] = turned_in_plane(inside[..., :2], -(share * twist)[..., None])
+    return inside, points + np.einsum('bjrc,bjc->bjr', frames, local)
 
 
 def _point(
@@ -148,7 +152,7 @@ def _point(
 
 FIELDS = (
     'inputs',
-    'bend',
+    'state',
     'tendon_tensions',
     'frames',
     'positions',
@@ -157,12 +161,25 @@ FIELDS = (
 )
 
 
+def bends_in(state: Floats) -> Floats:
+    """Bends (..., n, 2) [rad] of states (..., 3n)."""
+    n = state.shape[-1] // 3
+    bends: Floats = state[..., : 2 * n].reshape(*state.shape[:-1], n, 2)
+    return bends
+
+
+def twists_in(state: Floats) -> Floats:
+    """Twists (..., n) [rad] of states (..., 3n)."""
+    twists: Floats = state[..., 2 * (state.shape[-1] // 3) :]
+    return twists
+
+
 @dataclass(frozen=True)
 class ShapeBatch:
     """Shapes of b postures of a robot with n cells, k tendons and m inputs."""
 
     inputs: Floats  # (b, m) [N]
-    bend: Floats  # (b, n, 2) [rad]
+    state: Floats  # (b, 3n) [rad]: bends (n, 2), then twists (n,)
     tendon_tensions: Floats  # (b, n, k) [N], 0 beyond a tendon's end
     frames: Floats  # (b, n, 3, 3) at the distal ends of the cells
     positions: Floats  # (b, n, 3) [m] distal ends of the cells
@@ -178,6 +195,16 @@ class ShapeBatch:
     def __repr__(self) -> str:
         """Say how many postures of how many cells."""
         return f'<ShapeBatch: {len(self)} postures of {len(self.cell_length)} cells>'
+
+    @property
+    def bend(self) -> Floats:
+        """Bends (b, n, 2) [rad]."""
+        return bends_in(self.state)
+
+    @property
+    def twist(self) -> Floats:
+        """Twists (b, n) [rad] about the cells' own axis; zero without `torsion`."""
+        return twists_in(self.state)
 
     @property
     def tip_position(self) -> Floats:
@@ -256,9 +283,19 @@ class Shape:
         return self._field('inputs')
 
     @cached_property
+    def state(self) -> Floats:
+        """Bends (n, 2) and behind them twists (n,) [rad]: where another search may start."""
+        return self._field('state')
+
+    @cached_property
     def bend(self) -> Floats:
         """Bends (n, 2) [rad]."""
-        return self._field('bend')
+        return bends_in(self.state)
+
+    @cached_property
+    def twist(self) -> Floats:
+        """Twists (n,) [rad] about the cells' own axis; zero without `torsion`."""
+        return twists_in(self.state)
 
     @cached_property
     def positions(self) -> Floats:

@@ -84,13 +84,19 @@ def _postures(axes: Any, model: Model, spatial: bool) -> None:
 def _cross_section(axes: Any, model: Model) -> None:
     robot = model.robot
     colours = {section.name: COLOURS[i % len(COLOURS)] for i, section in enumerate(robot.sections)}
-    largest = 1e3 * float(np.abs(model.arrays.offset).max())
+    places = (model.arrays.offset, model.arrays.cells[:, 6:])
+    largest = 1e3 * max(float(np.abs(at).max()) for at in places)
     angle = np.linspace(0.0, 2.0 * np.pi, 100)
     axes.plot(1.3 * largest * np.cos(angle), 1.3 * largest * np.sin(angle), color='#999999')
-    for tendon in robot.tendons:
+    for k, tendon in enumerate(robot.tendons):
+        route = 1e3 * model.arrays.offset[: robot.tendon_cells[k], k]
+        axes.plot(*route.T, '-', color=colours[tendon.section], linewidth=1.0)
         x, y = 1e3 * np.array(tendon.base)
         axes.plot(x, y, 'o', color=colours[tendon.section])
         axes.annotate(tendon.name, (x, y), xytext=(5, 5), textcoords='offset points', fontsize=8)
+    beside = 1e3 * model.arrays.cells[:, 6:]
+    if beside.any():
+        axes.plot(*beside.T, 'x', color='#555555', label='weight of the cells')
     for name, colour in colours.items():
         axes.plot([], [], 'o', color=colour, label=f'ends in {name}')
     axes.set_aspect('equal')
@@ -98,5 +104,5 @@ def _cross_section(axes: Any, model: Model) -> None:
     axes.set_xlabel('x [mm]')
     axes.set_ylabel('y [mm]')
     axes.grid(alpha=0.3)
-    axes.set_title('tendons at the base, seen against z', fontsize=10)
+    axes.set_title('tendons from the base (dot) on, seen against z', fontsize=10)
     axes.legend(fontsize=8, loc='lower right')

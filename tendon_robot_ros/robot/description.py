@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,6 +27,7 @@ TOLERANCES = (
     'position',
     'rotation',
 )
+XY = tuple[float, float]  # [m]
 EffectValues = dict[str, float | tuple[float, ...]]
 
 
@@ -39,17 +41,25 @@ class Section:
     bending_stiffness: tuple[float, ...]  # (cells,) [N·m/rad]
     mass_profile: tuple[float, ...]  # (cells,) [1]
     bends_as: str  # 'arc' or 'hinge'
+    mass_offset: tuple[XY, ...] = ()  # (cells, 2) [m]; empty: on the axis
 
 
 @dataclass(frozen=True)
 class Tendon:
-    """A tendon: its offset from the centroid, the section it ends in, the input that pulls it."""
+    """
+    A tendon: its offset from the centroid, the section it ends in, the input that pulls it.
+
+    The offset goes from `base` to `end` while it turns about the axis by `winding` per length; or
+    it is that of `offsets` in every cell.
+    """
 
     name: str
-    base: tuple[float, float]  # [m] at the base
-    end: tuple[float, float]  # [m] where it ends
+    base: XY  # [m] at the base
+    end: XY  # [m] where it ends
     section: str
     group: str | None = None
+    winding: float = 0.0  # [rad/m], from x to y
+    offsets: tuple[XY, ...] = ()  # (cells of the tendon, 2) [m] at mid-cell
 
 
 @dataclass(frozen=True)
@@ -133,6 +143,7 @@ class Robot:
         return replace(self, effects=keep, fitted=origin)
 
 
+WINDING_MAX_RAD = math.pi / 2.0  # [rad] of a tendon in one cell: it is straight there
 DESCRIPTION_MAX = 1_000_000  # characters of a description
 
 
@@ -182,8 +193,7 @@ def _robot(top: Reader) -> Robot:
     )
     sections = tuple(_section(item) for item in top.items('sections'))
     top.unique('sections', [section.name for section in sections])
-    names = tuple(section.name for section in sections)
-    tendons = tuple(_tendon(item, names) for item in top.items('tendons'))
+    tendons = tuple(_tendon(item, sections) for item in top.items('tendons'))
     top.unique('tendons', [tendon.name for tendon in tendons])
     groups = {tendon.group for tendon in tendons if tendon.group}
     for tendon in tendons:
@@ -204,7 +214,15 @@ def _robot(top: Reader) -> Robot:
 
 
 def _section(item: Reader) -> Section:
-    item.only('name', 'cells', 'cell_length', 'bending_stiffness', 'mass_profile', 'bends_as')
+    item.only(
+        'name',
+        'cells',
+        'cell_length',
+        'bending_stiffness',
+        'mass_profile',
+        'mass_offset',
+        'bends_as',
+    )
     cells = item.whole('cells', 1, 10000)
     return Section(
         name=item.name('name'),
@@ -213,19 +231,54 @@ def _section(item: Reader) -> Section:
         bending_stiffness=item.per_cell('bending_stiffness', cells, 'N·m/rad'),
         mass_profile=item.per_cell('mass_profile', cells, '1', default=1.0),
         bends_as=item.choice('bends_as', ('arc', 'hinge'), default='arc'),
+        mass_offset=_mass_offset(item, cells) if item.has('mass_offset') else (),
     )
 
 
-def _tendon(item: Reader, sections: tuple[str, ...]) -> Tendon:
+def _mass_offset(item: Reader, cells: int) -> tuple[XY, ...]:
+    """Return where the weight of each cell lies: one offset for all, or one per cell."""
+    value = item.content['mass_offset']
+    listed = isinstance(value, list) and any(isinstance(row, list) for row in value)
+    offsets = (
+        item.offsets('mass_offset', cells) if listed else (item.offset('mass_offset'),) * cells
+    )
+    return offsets if any(map(any, offsets)) else ()
+
+
+def _tendon(item: Reader, sections: tuple[Section, ...]) -> Tendon:
     item.only('name', 'offset', 'section', 'group')
-    base, end = item.offset('offset')
+    names = tuple(section.name for section in sections)
+    ending = item.choice('section', names)
+    runs_through = sections[: names.index(ending) + 1]
+    base, end, winding, offsets = _route(item, runs_through)
     return Tendon(
         name=item.name('name'),
         base=base,
         end=end,
-        section=item.choice('section', sections),
+        section=ending,
         group=item.name('group') if item.has('group') else None,
+        winding=winding,
+        offsets=offsets,
     )
+
+
+def _route(item: Reader, sections: tuple[Section, ...]) -> tuple[XY, XY, float, tuple[XY, ...]]:
+    """Return a tendon's offset at the base and at its end, its winding, its offset per cell."""
+    if not isinstance(item.content.get('offset'), dict):
+        at = item.offset('offset')
+        return at, at, 0.0, ()
+    route = item.child('offset')
+    route.only('base', 'end', 'winding', 'cells')
+    if route.has('cells'):
+        if other := [key for key in ('base', 'end', 'winding') if route.has(key)]:
+            raise route.error(other[0], 'nothing beside cells, which say it all', other[0])
+        offsets = route.offsets('cells', sum(section.cells for section in sections))
+        return offsets[0], offsets[-1], 0.0, offsets
+    base = route.offset('base')
+    end = route.offset('end') if route.has('end') or not route.has('winding') else base
+    most = WINDING_MAX_RAD / max(section.cell_length for section in sections)
+    winding = route.number('winding', -most, most, 'rad/m') if route.has('winding') else 0.0
+    return base, end, winding, ()
 
 
 def _effects(top: Reader) -> dict[str, EffectValues]:
@@ -284,13 +337,19 @@ def _plain_section(section: Section) -> dict[str, Any]:
     }
     if set(section.mass_profile) != {1.0}:
         plain['mass_profile'] = short(section.mass_profile)
+    if section.mass_offset:
+        rows = [list(at) for at in section.mass_offset]
+        plain['mass_offset'] = rows[0] if len(set(section.mass_offset)) == 1 else rows
     return {**plain, 'bends_as': section.bends_as}
 
 
 def _plain_tendon(tendon: Tendon) -> dict[str, Any]:
-    straight = tendon.base == tendon.end
-    offset = (
-        list(tendon.base) if straight else {'base': list(tendon.base), 'end': list(tendon.end)}
-    )
+    offset: Any = list(tendon.base)
+    if tendon.offsets:
+        offset = {'cells': [list(at) for at in tendon.offsets]}
+    elif tendon.base != tendon.end or tendon.winding:
+        offset = {'base': list(tendon.base), 'end': list(tendon.end)}
+        if tendon.winding:
+            offset['winding'] = tendon.winding
     plain = {'name': tendon.name, 'offset': offset, 'section': tendon.section}
     return plain if tendon.group is None else {**plain, 'group': tendon.group}

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .description import Robot
+from .routes import tendon_offsets
 
 Floats = NDArray[np.float64]
 G = 9.81  # [m/s²]
@@ -17,23 +18,6 @@ TENSION_SHARE_MIN = (
     0.01  # of the highest tension: a right angle takes more, and more than the lowest
 )
 SAG_SHARE_MAX = 0.3  # of the length: beyond, the sag of a straight beam is none
-
-
-def tendon_offsets(robot: Robot) -> Floats:
-    """
-    Return the offset of every tendon in every cell, (n, k, 2) [m].
-
-    Linear in arc length from the base to the end of the tendon's last cell, taken at mid-cell.
-    """
-    lengths = np.concatenate([[s.cell_length] * s.cells for s in robot.sections])
-    ends = np.cumsum(lengths)
-    offset = np.zeros((robot.cells, len(robot.tendons), 2))
-    for k, tendon in enumerate(robot.tendons):
-        cells = robot.tendon_cells[k]
-        share = (ends - 0.5 * lengths)[:cells, None] / ends[cells - 1]
-        base, end = np.array(tendon.base), np.array(tendon.end)
-        offset[:cells, k] = base + share * (end - base)
-    return offset
 
 
 def stiffnesses(robot: Robot) -> Floats:

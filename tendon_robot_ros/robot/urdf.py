@@ -1,4 +1,4 @@
-"""The robot as a URDF, for RViz and TF: two revolute joints in the middle of every cell."""
+"""The robot as a URDF, for RViz and TF: revolute joints in the middle of every cell."""
 
 from __future__ import annotations
 
@@ -15,34 +15,42 @@ Floats = npt.NDArray[np.float64]
 Transform = tuple[str, str, Floats, float]  # parent, child, rotation (3, 3), shift up [m]
 
 
+def joint_axes(robot: Robot) -> str:
+    """Return the axes of the joints of a cell: two that bend it, one more where it twists."""
+    return 'xyz' if 'torsion' in robot.effects else 'xy'
+
+
 def joint_names(robot: Robot) -> tuple[str, ...]:
     """Return the joints in the order of `joint_angles`: cell_01_x, cell_01_y, cell_02_x ..."""
-    return tuple(f'{name}_{axis}' for name in _cell_names(robot) for axis in 'xy')
+    return tuple(f'{name}_{axis}' for name in _cell_names(robot) for axis in joint_axes(robot))
 
 
-def joint_angles(frames: Floats) -> Floats:
+def joint_angles(robot: Robot, frames: Floats) -> Floats:
     """
-    Return the angles (2n,) [rad] that point every cell of the URDF as the model's frames do.
+    Return the angles (n j,) [rad] of the j joints of every cell that place it as the model does.
 
     Two joints cannot bend without twist, a cell of the model does: the twist that the joints leave
     behind is carried along and taken off in the next cell. Directions are exact; positions too
-    where cells bend as hinges (an arc is drawn as two straight halves).
+    where cells bend as hinges (an arc is drawn as two straight halves). With the third joint of
+    cells that twist the frames are exact, too.
 
     Parameters
     ----------
+    robot : Robot
     frames : (n, 3, 3)
         At the distal ends of the cells.
 
     """
-    angles, frame = np.empty((len(frames), 2)), np.eye(3)
+    axes = len(joint_axes(robot))
+    angles, frame = np.empty((len(frames), axes)), np.eye(3)
     for i, wanted in enumerate(frames):
         x, y, z = frame.T @ wanted[:, 2]
-        alpha, beta = math.atan2(x, z), math.asin(min(max(y, -1.0), 1.0))
-        angles[i] = alpha, beta
-        s, c, t, d = math.sin(alpha), math.cos(alpha), math.sin(beta), math.cos(beta)
-        about_y = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-        about_x = np.array([[1.0, 0.0, 0.0], [0.0, d, t], [0.0, -t, d]])
-        frame = frame @ about_y @ about_x
+        angles[i, :2] = math.atan2(x, z), math.asin(min(max(y, -1.0), 1.0))
+        frame = frame @ about(1, angles[i, 0]) @ about(0, -angles[i, 1])
+        if axes == 3:
+            left = frame.T @ wanted
+            angles[i, 2] = math.atan2(left[1, 0], left[0, 0])
+            frame = wanted
     return angles.reshape(-1)
 
 
@@ -53,7 +61,7 @@ def transforms(robot: Robot, angles: Floats, prefix: str) -> list[Transform]:
     Parameters
     ----------
     robot : Robot
-    angles : (2n,) [rad]
+    angles : (n j,) [rad]
         As `joint_angles` returns them.
     prefix : str
         Of the links; the last one is the tip.
@@ -61,10 +69,15 @@ def transforms(robot: Robot, angles: Floats, prefix: str) -> list[Transform]:
     """
     parent, before, made = f'{prefix}base', 0.0, list[Transform]()
     lengths = [s.cell_length for s in robot.sections for _ in range(s.cells)]
+    axes = len(joint_axes(robot))
     for i, name in enumerate(_cell_names(robot)):
+        turns = angles[axes * i : axes * (i + 1)]
         up, middle, child = 0.5 * (before + lengths[i]), f'{prefix}{name}_middle', prefix + name
-        made.append((parent, middle, about(1, angles[2 * i]), up))
-        made.append((middle, child, about(0, -angles[2 * i + 1]), 0.0))
+        bent = f'{prefix}{name}_bent' if axes == 3 else child
+        made.append((parent, middle, about(1, turns[0]), up))
+        made.append((middle, bent, about(0, -turns[1]), 0.0))
+        if axes == 3:
+            made.append((bent, child, about(2, turns[2]), 0.0))
         parent, before = child, lengths[i]
     return [*made, (parent, f'{prefix}tip', np.eye(3), 0.5 * before)]
 
@@ -73,23 +86,28 @@ def urdf(robot: Robot, prefix: str = '') -> str:
     """
     Return the URDF text; lengths in m.
 
-    Joint x of a cell bends it towards +x, joint y, which follows, towards +y. The root link is
-    `base`, with +z along the straight arm. With a prefix, such as the one of the nodes' frames,
-    the links begin with it, and the tip has a link of its own.
+    Joint x of a cell bends it towards +x, joint y, which follows, towards +y; where cells twist,
+    joint z turns it about its axis. The root link is `base`, with +z along the straight arm. With
+    a prefix, such as the one of the nodes' frames, the links begin with it, and the tip has a link
+    of its own.
     """
     radius = 1.15 * max(math.hypot(*at) for t in robot.tendons for at in (t.base, t.end))
     lengths = [s.cell_length for s in robot.sections for _ in range(s.cells)]
     colours = [i % 2 for i, s in enumerate(robot.sections) for _ in range(s.cells)]
     lines = ['<?xml version="1.0"?>', f'<robot name={quoteattr(robot.name)}>', *_MATERIALS]
     lines += _link(f'{prefix}base', 0.5 * lengths[0], radius, 0)
-    parent, before = f'{prefix}base', 0.0
+    parent, before, twists = f'{prefix}base', 0.0, len(joint_axes(robot)) == 3
     for i, name in enumerate(_cell_names(robot)):
         up = 0.5 * (before + lengths[i])
         beyond = 0.5 * (lengths[i] + lengths[i + 1]) if i + 1 < len(lengths) else 0.5 * lengths[i]
         link, middle = prefix + name, f'{prefix}{name}_middle'
         lines += _joint(f'{name}_x', parent, middle, up, '0 1 0')
         lines.append(f'  <link name="{middle}"/>')
-        lines += _joint(f'{name}_y', middle, link, 0.0, '-1 0 0')
+        bent = f'{prefix}{name}_bent' if twists else link
+        lines += _joint(f'{name}_y', middle, bent, 0.0, '-1 0 0')
+        if twists:
+            lines.append(f'  <link name="{bent}"/>')
+            lines += _joint(f'{name}_z', bent, link, 0.0, '0 0 1')
         lines += _link(link, beyond, radius, colours[i])
         parent, before = link, lengths[i]
     if prefix:

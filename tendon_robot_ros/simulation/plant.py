@@ -13,9 +13,10 @@ from ..common.rotations import bent
 from ..effects import Catalogue, Effect, load_catalogue
 from ..model.model import Model
 from ..model.pulls import pull_shapes
-from ..model.shape import Shape, ShapeBatch
+from ..model.shape import Shape, ShapeBatch, bends_in, twists_in
 from ..robot import Robot, Section
-from ..robot.description import EffectValues
+from ..robot.description import XY, EffectValues
+from ..robot.routes import tendon_winding
 from ..robot.size import natural_sizes
 from .hidden import Damage, Hidden, hide
 from .imperfect import Built, Workmanship
@@ -82,16 +83,28 @@ def real_robot(
         made['pre_curvature'] = _kinked(made.get('pre_curvature', {}), built, parts)
     sections = _sections(robot, parts, stiffness * (1.0 + built.stiffness))
     ends = {s.name: f'{s.name} {s.cells * parts}' for s in robot.sections}
+    winding = tendon_winding(robot)
     tendons = tuple(
         replace(
             tendon,
             section=ends[tendon.section],
             base=(tendon.base[0] * (1.0 + off), tendon.base[1] * (1.0 + off)),
             end=(tendon.end[0] * (1.0 + off), tendon.end[1] * (1.0 + off)),
+            offsets=_divided(tendon.offsets, winding[:, k], parts, 1.0 + off),
         )
-        for tendon, off in zip(robot.tendons, built.hole.tolist(), strict=True)
+        for k, (tendon, off) in enumerate(zip(robot.tendons, built.hole.tolist(), strict=True))
     )
     return replace(robot, sections=sections, tendons=tendons, effects=made, fitted={})
+
+
+def _divided(offsets: tuple[XY, ...], winding: Floats, parts: int, scale: float) -> tuple[XY, ...]:
+    """Return the offset of a tendon in every finer cell: that of the cell, wound on within it."""
+    share = (np.arange(parts) + 0.5) / parts - 0.5
+    made: list[XY] = []
+    for (x, y), angle in zip(offsets, winding.tolist(), strict=False):
+        c, s = scale * np.cos(angle * share), scale * np.sin(angle * share)
+        made += zip((c * x - s * y).tolist(), (s * x + c * y).tolist(), strict=True)
+    return tuple(made)
 
 
 def _kinked(before: EffectValues, built: Built, parts: int) -> EffectValues:
@@ -117,6 +130,7 @@ def _sections(robot: Robot, parts: int, stiffness: Floats) -> tuple[Section, ...
                     (one,),
                     (section.mass_profile[i],),
                     section.bends_as,
+                    section.mass_offset[i : i + 1],
                 )
                 for part in range(parts)
             ]
@@ -223,10 +237,10 @@ class Plant:
 
         """
         fine = self._fine(np.asarray(inputs, dtype=float), sequence, displacement)
-        b, n, ends = len(fine), self.robot.cells, slice(self.parts - 1, None, self.parts)
+        n, ends = self.robot.cells, slice(self.parts - 1, None, self.parts)
         return replace(
             fine,
-            bend=fine.bend.reshape(b, n, self.parts, 2).sum(axis=2),
+            state=_joined(fine.state, n, self.parts),
             tendon_tensions=fine.tendon_tensions[:, ends],
             frames=fine.frames[:, ends],
             positions=fine.positions[:, ends],
@@ -283,6 +297,13 @@ class Plant:
         radius = max(float(np.hypot(*tendon.end)) for tendon in self.robot.tendons)
         softness = sum(1.0 / k for s in self.robot.sections for k in s.bending_stiffness)
         return 0.5 / (softness * radius), 0.5 * radius
+
+
+def _joined(state: Floats, n: int, parts: int) -> Floats:
+    """Add up bends and twists of finer cells: states (b, 3 n parts) to (b, 3n) [rad]."""
+    b = len(state)
+    bends = bends_in(state).reshape(b, n, parts, 2).sum(axis=2).reshape(b, 2 * n)
+    return np.concatenate([bends, twists_in(state).reshape(b, n, parts).sum(axis=2)], axis=1)
 
 
 def make_plant(

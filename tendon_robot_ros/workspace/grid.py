@@ -17,7 +17,7 @@ from ..model.forward import TOLERANCE
 from ..model.model import Model
 from ..model.shape import ShapeBatch
 from ..robot import Robot
-from ..robot.estimates import tendon_offsets
+from ..robot.routes import tendon_offsets
 
 ALIGNED_COSINE = 0.5  # cosine from which two inputs pull to the same side
 

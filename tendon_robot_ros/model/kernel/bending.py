@@ -14,6 +14,7 @@ from .stages import (
     stiffening,
     stiffening_acts,
     stiffness,
+    torsion,
 )
 
 
@@ -21,6 +22,13 @@ from .stages import (
 def cell_stiffness(chain, i, section):
     """Bending stiffness of cell i with the tendons in it [N·m/rad]."""
     return stiffness(cell(chain, i, STIFFNESS), cell(chain, i, PRESENT), chain, section)
+
+
+@compiled
+def twist_of(chain, i, about):
+    """Twist [rad] of cell i under a moment about its axis [N·m]."""
+    section = section_of(chain, i)
+    return torsion(0.0, about, cell_stiffness(chain, i, section), chain, section)
 
 
 @compiled

@@ -26,14 +26,15 @@ from .shape import mean_pulls, place, wire_pulls
 from .stages import length_acts, stretch_acts, winding_acts
 from .sweep import is_implicit
 from .turning import half_turns
+from .twisting import unknowns
 
 TENSION_STEP = 1e-6  # [N]
 
 
 @compiled
 def input_response(chain, inputs, bend, work, past, rows):
-    """Fill how the bends follow the input tensions, rows (m, 2n) [rad/N]."""
-    m, size = chain.m, 2 * chain.n
+    """Fill how the state follows the input tensions, rows (m, unknowns) [rad/N]."""
+    m, size = chain.m, unknowns(chain)
     changes, low = np.empty((m, size)), np.empty(size)
     tension, explicit = floats(inputs), not is_implicit(chain)
     law, filled = (chain.step, rows) if explicit else (chain.residual, changes)
@@ -58,7 +59,7 @@ def input_response(chain, inputs, bend, work, past, rows):
 def place_as(chain, inputs, bend, work, past):
     """Fill work.frames, work.origins and, where they matter, work.tensions at given bends."""
     if length_acts(chain) or stretch_acts(chain) or winding_acts(chain):
-        f = np.empty(2 * chain.n)
+        f = np.empty(unknowns(chain))
         residual_at(chain.residual)(chain, inputs, bend, work, past, address(f))
         keep(f)
     half_turns(chain, bend, work)
@@ -68,24 +69,24 @@ def place_as(chain, inputs, bend, work, past):
 @compiled
 def move_along(chain, inputs, bend, rows, j, step, trial):
     """
-    Move input j and the bends, into `trial` (n, 2), along their derivative; undo: minus.
+    Move input j and the state, into `trial` (u,), along its derivative; undo: minus.
 
     Parameters
     ----------
     inputs, bend : address
-        (m,) [N]; (n, 2) [rad].
-    rows : ndarray, shape (m, 2n)
+        (m,) [N]; state [rad].
+    rows : ndarray, shape (m, u)
         How the bends follow the inputs [rad/N].
     j : int
         The input that moves.
     step : float
         [N]
     trial : address
-        Takes the bends (n, 2) [rad].
+        Takes the state (u,) [rad].
 
     """
     floats(inputs)[j] += step
-    for q in range(2 * chain.n):
+    for q in range(unknowns(chain)):
         floats(trial)[q] = floats(bend)[q] + step * rows[j, q]
 
 
@@ -94,8 +95,8 @@ def output_slopes(chain, inputs, there, ways, slopes):
     """
     Fill slopes (6 + m, m): tip position [m/N], tip direction [1/N], wire pulls [m/N] by inputs.
 
-    At the bends kept in the workspace, which balance inputs (m,) at an address. `ways` (m, 2n)
-    takes how the bends follow [rad/N].
+    At the state kept in the workspace, which balances inputs (m,) at an address. `ways` (m,
+    unknowns) takes how it follows [rad/N].
     """
     n, m, bend, work, past = chain.n, chain.m, there.bend, there.work, there.past
     input_response(chain, inputs, bend, work, past, ways)
@@ -124,30 +125,29 @@ def jacobian(robot, inputs, bends, past, scratch, slopes):
     """Fill `output_slopes` (6 + m, m) at the equilibrium bends[0] of inputs (m,) [N]."""
     chain = chain_at(robot)
     there = workspace(chain, bends, past, scratch)
-    output_slopes(chain, address(inputs), there, np.empty((chain.m, 2 * chain.n)), slopes)
+    output_slopes(chain, address(inputs), there, np.empty((chain.m, unknowns(chain))), slopes)
 
 
 @entry()
 def residuals(robot, inputs, bends, past, scratch, out):
-    """Fill the residuals `out` (b, n, 2) [rad] at inputs (b, m) [N] and bends (b, n, 2)."""
+    """Fill the residuals `out` (b, unknowns) [rad] at inputs (b, m) [N] and states (b, 3n)."""
     chain = chain_at(robot)
     work, then = work_in(chain, scratch), memory_in(chain, address(past))
     for b in range(inputs.shape[0]):
-        at = 16 * chain.n * b
         residual_at(chain.residual)(
             chain,
             address(inputs) + 8 * chain.m * b,
-            address(bends) + at,
+            address(bends) + 24 * chain.n * b,
             work,
             then,
-            address(out) + at,
+            address(out) + 8 * unknowns(chain) * b,
         )
 
 
 @entry()
 def responses(robot, inputs, bends, past, scratch, changes, rows):
     """
-    Fill how equilibrium bends follow, rows (b, q, 2n), rates of the residual (b, q, 2n).
+    Fill how equilibria follow, rows (b, q, u), rates of the residual (b, q, u).
 
     Parameters
     ----------
@@ -159,16 +159,17 @@ def responses(robot, inputs, bends, past, scratch, changes, rows):
         Memory of the posture before.
     scratch : int
         Address of `KernelArrays.scratch`.
-    changes, rows : ndarray, shape (b, q, 2n)
+    changes, rows : ndarray, shape (b, q, u)
         Rates of the residual by q quantities; takes those of the bends.
 
     """
     chain = chain_at(robot)
     work, then = work_in(chain, scratch), memory_in(chain, address(past))
-    f, count = np.empty(2 * chain.n), rows.shape[1]
+    size, count = unknowns(chain), rows.shape[1]
+    f = np.empty(size)
     for b in range(inputs.shape[0]):
-        tension, bend = address(inputs) + 8 * chain.m * b, address(bends) + 16 * chain.n * b
+        tension, bend = address(inputs) + 8 * chain.m * b, address(bends) + 24 * chain.n * b
         residual_at(chain.residual)(chain, tension, bend, work, then, address(f))
-        at = 16 * chain.n * count * b
+        at = 8 * size * count * b
         change, ways = address(changes) + at, address(rows) + at
         respond_at(chain.respond)(chain, bend, change, count, work, then, ways)

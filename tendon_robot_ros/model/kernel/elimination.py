@@ -1,7 +1,7 @@
 """
 One cell of the linear equations of the chain: eliminated, with all that lies beyond it.
 
-Towards the tip go the changes u of the tensions, of the bend before, and of the turn of the
+Towards the tip go the changes u of the tensions, of bend and twist before, and of the turn of the
 frame; towards the base the changes w of the travel beyond an eyelet and of the loads' torque. At
 every cell, what lies beyond answers u with w = S u + h. Eliminating a cell makes the S of the cell
 before; back-substitution runs from the base to the tip. The work grows linearly with the cells.
@@ -32,6 +32,7 @@ from .tangent import (
     TRAVELS,
     tangent_of,
 )
+from .twisting import coordinates
 
 
 @compiled
@@ -71,17 +72,17 @@ def solve_rows(a, b, size):
 def columns(chain):
     """Columns of the tensions; where those of the frame's turn begin, where the constants do."""
     tensions = chain.k if eyelet_acts(chain) else 0
-    turn = tensions + 2
+    turn = tensions + coordinates(chain)
     return tensions, turn, turn + 3 if loaded(chain) else turn
 
 
 @compiled
 def pass_tensions(chain, tangent, i, s, by_own, tensions, direct):
     """
-    Fill the changes of the tensions in cell i (k, width) and their part by the own bend (k, 2).
+    Fill the changes of the tensions in cell i (k, width) and their part by the own bend (k, 3).
 
     A tendon about to slide at the eyelet before the cell feels all travel beyond: s (rows, width)
-    and by_own (rows, 2) say how that answers.
+    and by_own (rows, 3) say how that answers.
 
     Parameters
     ----------
@@ -90,28 +91,28 @@ def pass_tensions(chain, tangent, i, s, by_own, tensions, direct):
     i : int
     s : ndarray, shape (k + 3, width)
         How what lies beyond the cell answers what comes into it.
-    by_own : ndarray, shape (k + 3, 2)
-        And how it answers the cell's own bend.
+    by_own : ndarray, shape (k + 3, 3)
+        And how it answers the cell's own bend and twist.
     tensions : ndarray, shape (n, k, width)
         Takes the changes in row i [N per unit].
-    direct : ndarray, shape (k, 2)
-        Takes their part by the bend of the cell [N/rad].
+    direct : ndarray, shape (k, 3)
+        Takes their part by bend and twist of the cell [N/rad].
 
     """
-    kt, _, _ = columns(chain)
+    kt, turn, _ = columns(chain)
     tendon, width = words(chain.tendon), tensions.shape[2]
     active, count = np.empty(kt, np.int64), 0
     for k in range(kt):
         for j in range(width):
             tensions[i, k, j] = 0.0
-        direct[k, 0], direct[k, 1] = 0.0, 0.0
+        direct[k, 0], direct[k, 1], direct[k, 2] = 0.0, 0.0, 0.0
         if i == 0 or i >= tendon[2 * k]:
             continue
         here = floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))
         tensions[i, k, k] = here[PASSED]
         if here[LAGS] != 0.0:
             tensions[i, k, width - 1] = here[LAGS]  # the only right-hand side
-        for a in range(2):
+        for a in range(turn - kt):
             tensions[i, k, kt + a] = here[BEFORE + a]
             direct[k, a] = here[HERE + a] + here[SLIDES] * here[TRAVELS + a]
         if here[SLIDES] != 0.0:
@@ -133,19 +134,19 @@ def slide_together(chain, tangent, i, s, by_own, tensions, direct, active):
     i : int
     s : ndarray, shape (k + 3, width)
         How what lies beyond the cell answers what comes into it.
-    by_own : ndarray, shape (k + 3, 2)
-        And how it answers the cell's own bend.
+    by_own : ndarray, shape (k + 3, 3)
+        And how it answers the cell's own bend and twist.
     tensions : ndarray, shape (n, k, width)
         Row i holds what comes from before, and takes the result.
-    direct : ndarray, shape (k, 2)
-        The same by the bend of the cell [N/rad].
+    direct : ndarray, shape (k, 3)
+        The same by bend and twist of the cell [N/rad].
     active : ndarray
         Indices of the tendons.
 
     """
     kt, turn, _ = columns(chain)
-    count, width = active.shape[0], tensions.shape[2]
-    left, right = np.zeros((count, count)), np.empty((count, width + 2))
+    count, width, own = active.shape[0], tensions.shape[2], turn - kt
+    left, right = np.zeros((count, count)), np.empty((count, width + own))
     is_active = np.zeros(kt, np.bool_)
     for p in range(count):
         is_active[active[p]] = True
@@ -154,7 +155,7 @@ def slide_together(chain, tangent, i, s, by_own, tensions, direct, active):
         slides = floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))[SLIDES]
         for j in range(width):
             right[p, j] = tensions[i, k, j] + (slides * s[k, j] if j >= turn else 0.0)
-        for a in range(2):
+        for a in range(own):
             right[p, width + a] = direct[k, a] + slides * by_own[k, a]
         for q in range(count):
             left[p, q] = (1.0 if p == q else 0.0) - slides * s[k, active[q]]
@@ -163,20 +164,21 @@ def slide_together(chain, tangent, i, s, by_own, tensions, direct, active):
             if share != 0.0:
                 for j in range(width):
                     right[p, j] += share * tensions[i, other, j]
-                for a in range(2):
+                for a in range(own):
                     right[p, width + a] += share * direct[other, a]
     if not solve_rows(left, right, count):
         right[:] = math.nan
     for p in range(count):
         for j in range(width):
             tensions[i, active[p], j] = right[p, j]
-        direct[active[p], 0], direct[active[p], 1] = right[p, width], right[p, width + 1]
+        for a in range(own):
+            direct[active[p], a] = right[p, width + a]
 
 
 @compiled
-def solve_cell(chain, tangent, i, s, by_own, tensions, direct, bends):
+def solve_cell(chain, tangent, i, s, by_own, tensions, direct, bends, twist):
     """
-    Fill the changes of the bend of cell i (2, width), which holds its right-hand sides.
+    Fill the changes of bend and twist of cell i, which hold its right-hand sides.
 
     Returns the cell's pivot, the derivative of its residual with all beyond eliminated.
 
@@ -187,20 +189,20 @@ def solve_cell(chain, tangent, i, s, by_own, tensions, direct, bends):
     i : int
     s : ndarray, shape (k + 3, width)
         How what lies beyond the cell answers what comes into it.
-    by_own : ndarray, shape (k + 3, 2)
-        And how it answers the cell's own bend.
+    by_own : ndarray, shape (k + 3, 3)
+        And how it answers the cell's own bend and twist.
     tensions : ndarray, shape (n, k, width)
         Changes of the tensions in row i.
-    direct : ndarray, shape (k, 2)
-        Their part by the bend of the cell [N/rad].
-    bends : ndarray, shape (n, 2, width)
+    direct : ndarray, shape (k, 3)
+        Their part by bend and twist of the cell [N/rad].
+    bends : ndarray, shape (n, 2 or 3, width)
         Row i holds the right-hand sides, and takes the changes [rad per unit].
 
     """
     kt, turn, constant = columns(chain)
     row, width = floats(tangent_of(chain, tangent, i)), bends.shape[2]
     tendon = words(chain.tendon)
-    a, b, c, d = row[OWN], row[OWN + 1], row[OWN + 2], row[OWN + 3]
+    a, b, c, d = row[OWN], row[OWN + 1], row[OWN + 3], row[OWN + 4]
     for k in range(kt):
         if i >= tendon[2 * k]:
             continue
@@ -225,11 +227,92 @@ def solve_cell(chain, tangent, i, s, by_own, tensions, direct, bends):
             for j in range(turn, width):
                 bends[i, 0, j] -= u * s[kt + m, j]
                 bends[i, 1, j] -= v * s[kt + m, j]
+    if turn - kt == 3:
+        x, y, u, v = reduce_twist(chain, tangent, i, s, by_own, tensions, direct, bends, twist)
+        a, b, c, d = a - x * u, b - x * v, c - y * u, d - y * v
     scale = 1.0 / (a * d - b * c)
     for j in range(width):
         u, v = bends[i, 0, j], bends[i, 1, j]
         bends[i, 0, j], bends[i, 1, j] = scale * (d * u - b * v), scale * (a * v - c * u)
+    if turn - kt == 3:
+        for j in range(width):
+            bends[i, 2, j] += twist[1] * bends[i, 0, j] + twist[2] * bends[i, 1, j]
     return a, b, c, d
+
+
+@compiled
+def reduce_twist(chain, tangent, i, s, by_own, tensions, direct, bends, twist):
+    """
+    Take the twist of cell i out of the equations of its bend.
+
+    `twist` (3,) becomes its pivot and how it follows the bend (x, y). Returns the derivatives of
+    the bend's residual (x, y) by the twist, and those of the twist's by the bend over its pivot.
+    """
+    kt, turn, constant = columns(chain)
+    row, width = floats(tangent_of(chain, tangent, i)), bends.shape[2]
+    x, y = row[OWN + 2], row[OWN + 5]
+    u, v, pivot = row[OWN + 6], row[OWN + 7], row[OWN + 8]
+    for k in range(kt):
+        if i >= words(chain.tendon)[2 * k]:
+            continue
+        here = floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))
+        shares = (here[BY_TENSION], here[BY_TENSION + 1], here[BY_TENSION + 2])
+        if turn != constant:
+            for m in range(3):
+                answer_here = s[kt + m, k]
+                shares = (
+                    shares[0] + row[BY_TORQUE + m] * answer_here,
+                    shares[1] + row[BY_TORQUE + 3 + m] * answer_here,
+                    shares[2] + row[BY_TORQUE + 6 + m] * answer_here,
+                )
+        x, y = x + shares[0] * direct[k, 2], y + shares[1] * direct[k, 2]
+        u, v = u + shares[2] * direct[k, 0], v + shares[2] * direct[k, 1]
+        pivot += shares[2] * direct[k, 2]
+        for j in range(width):
+            bends[i, 2, j] -= shares[2] * tensions[i, k, j]
+    if turn != constant:
+        for m in range(3):
+            at, share = kt + m, row[BY_TORQUE + 6 + m]
+            x += row[BY_TORQUE + m] * by_own[at, 2]
+            y += row[BY_TORQUE + 3 + m] * by_own[at, 2]
+            u, v = u + share * by_own[at, 0], v + share * by_own[at, 1]
+            pivot += share * by_own[at, 2]
+            bends[i, 2, turn + m] -= row[BY_TURN + 6 + m]
+            for j in range(turn, width):
+                bends[i, 2, j] -= share * s[at, j]
+    u, v = u / pivot, v / pivot
+    twist[0], twist[1], twist[2] = pivot, -u, -v
+    for j in range(width):
+        bends[i, 2, j] /= pivot
+        bends[i, 0, j] -= x * bends[i, 2, j]
+        bends[i, 1, j] -= y * bends[i, 2, j]
+    return x, y, u, v
+
+
+@compiled
+def complete_tensions(chain, i, direct, bends, tensions):
+    """
+    Add to the changes of the tensions in cell i those that its own bend and twist make.
+
+    Parameters
+    ----------
+    direct : ndarray, shape (k, 3)
+        Part of the tensions by bend and twist of the cell [N/rad].
+    bends : ndarray, shape (n, 2 or 3, width)
+        Changes of bend and twist.
+    tensions : ndarray, shape (n, k, width)
+        Row i holds the changes of what passes from before; takes all.
+
+    """
+    kt, turn, _ = columns(chain)
+    width = tensions.shape[2]
+    for k in range(kt):
+        if i < words(chain.tendon)[2 * k]:
+            for j in range(width):
+                tensions[i, k, j] += direct[k, 0] * bends[i, 0, j] + direct[k, 1] * bends[i, 1, j]
+            if turn - kt == 3:
+                for j in range(width):
+                    tensions[i, k, j] += direct[k, 2] * bends[i, 2, j]
 
 
 @compiled
@@ -242,8 +325,8 @@ def answer_row(chain, i, s, r, by_own, extra, tensions, bends, out):
     i, r : int
     s : ndarray, shape (k + 3, width)
         How what lies beyond the cell answers.
-    by_own : ndarray, shape (k + 3, 2)
-        And how it answers the cell's own bend.
+    by_own : ndarray, shape (k + 3, 3)
+        And how it answers the cell's own bend and twist.
     extra : tuple of float
         What the bend of the cell adds itself (2,).
     tensions, bends : ndarray, shapes (n, k, width) and (n, 2, width)
@@ -278,8 +361,8 @@ def answer(chain, tangent, i, s, by_own, tensions, bends, first, out):
     i : int
     s : ndarray, shape (k + 3, width)
         How what lies beyond the cell answers what comes into it.
-    by_own : ndarray, shape (k + 3, 2)
-        And how it answers the cell's own bend.
+    by_own : ndarray, shape (k + 3, 3)
+        And how it answers the cell's own bend and twist.
     tensions, bends : ndarray, shapes (n, k, width) and (n, 2, width)
         Changes by what comes into each cell.
     first : ndarray, shape (k,)
@@ -298,7 +381,8 @@ def answer(chain, tangent, i, s, by_own, tensions, bends, first, out):
     if turn == constant:
         return
     for m in range(3):
-        extra = (row[TORQUE_BY_OWN + 2 * m], row[TORQUE_BY_OWN + 2 * m + 1])
+        at = TORQUE_BY_OWN + 3 * m
+        extra = (row[at], row[at + 1])
         for k in range(kt):
             if i < tendon[2 * k]:
                 here = floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))
@@ -306,3 +390,20 @@ def answer(chain, tangent, i, s, by_own, tensions, bends, first, out):
         answer_row(chain, i, s, kt + m, by_own, extra, tensions, bends, out)
         for a in range(3):
             out[kt + m, turn + a] += row[TORQUE_BY_TURN + 3 * m + a]
+
+
+@compiled
+def answer_twist(chain, tangent, i, by_own, bends, first, out):
+    """Add to the next S what the twist of cell i does."""
+    kt, turn, constant = columns(chain)
+    row = floats(tangent_of(chain, tangent, i))
+    for r in range(kt if turn == constant else kt + 3):
+        if r >= kt:
+            share = by_own[r, 2] + row[TORQUE_BY_OWN + 3 * (r - kt) + 2]
+        elif first[r] <= i < words(chain.tendon)[2 * r]:
+            here = floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * r))
+            share = by_own[r, 2] + here[TRAVELS + 2]
+        else:
+            continue
+        for j in range(out.shape[1]):
+            out[r, j] += share * bends[i, 2, j]

@@ -2,9 +2,10 @@
 
 import math
 
-from .layout import HINGE, LENGTH, cell, compiled, floats, section_of, words
-from .stages import length, length_acts, rest, tendon_path, tendon_path_acts
+from .layout import HINGE, LENGTH, cell, compiled, floats, inlined, section_of, words
+from .stages import length, length_acts, rest, tendon_path
 from .turning import half_turn
+from .twisting import follows_shape, leans, twist_in
 
 
 @compiled
@@ -34,25 +35,9 @@ def scale_lengths(chain, work):
 
 
 @compiled
-def path_lost(chain, i, k, bend, ux, uy, sin_half, cos_half, scale):
-    """
-    Path that tendon k loses in cell i [m], its moment arm along the bend and across it [m].
-
-    Parameters
-    ----------
-    bend : float
-        Size of the cell's bend [rad].
-    ux, uy : float
-        Its direction, of length one.
-    sin_half, cos_half : float
-        Of half the bend.
-    scale : float
-        Factor on the tendon offsets [1].
-
-    """
-    offset = floats(chain.offset + 16 * (chain.k * i + k))
-    radial = scale * (offset[0] * ux + offset[1] * uy)
-    lost, along, across = tendon_path(
+def bent_path(chain, i, radial, bend, sin_half, cos_half):
+    """Path lost by a bend [m], derivative by the bend [m], and factor on an offset across it."""
+    return tendon_path(
         radial * bend,
         radial,
         1.0,
@@ -65,23 +50,113 @@ def path_lost(chain, i, k, bend, ux, uy, sin_half, cos_half, scale):
         chain,
         section_of(chain, i),
     )
-    return lost, along, scale * (offset[1] * ux - offset[0] * uy) * across
+
+
+@compiled
+def leaning_path(chain, at, i, bend, ux, uy, sin_half, cos_half, scale, twist):
+    """
+    Path lost by a tendon that leans (see `twisting`), its moment arms [m].
+
+    The chord between its eyelets: what the bend leaves of the cell's length along the chord of
+    the backbone, and across it the way from one offset to the other, seen from half the bend.
+
+    Parameters
+    ----------
+    at : int
+        Entry of the tendon and cell i among the offsets (n, k).
+    bend : float
+        Size of the cell's bend [rad].
+    ux, uy : float
+        Its direction, of length one.
+    sin_half, cos_half : float
+        Of half the bend.
+    scale : float
+        Factor on the tendon offsets [1].
+    twist : float
+        Of the cell [rad].
+
+    """
+    offset = floats(chain.offset + 16 * at)
+    winding = floats(chain.winding)[at] if chain.winding != 0 else 0.0
+    rx, ry = scale * offset[0], scale * offset[1]
+    ahead, aside = rx * ux + ry * uy, ry * ux - rx * uy  # in the bend plane and across it
+    co, si = math.cos(0.5 * (twist + winding)), math.sin(0.5 * (twist + winding))
+    lost, along, across = bent_path(chain, i, co * ahead, bend, sin_half, cos_half)
+    reach, way, way_aside = cell(chain, i, LENGTH) - lost, -2.0 * si * aside, 2.0 * si * ahead
+    q = cos_half * cos_half
+    over = 1.0 / math.sqrt(reach * reach + q * way * way + way_aside * way_aside)
+    along = reach * along + 0.5 * way * way * sin_half * cos_half
+    side = reach * across * co * aside
+    if bend > 0.0:
+        side += way * way_aside * sin_half * sin_half / bend
+    about = -0.5 * reach * across * bend * si * ahead
+    about += co * (q * way * aside - way_aside * ahead)
+    si = 2.0 * math.sin(0.5 * winding)
+    straight = cell(chain, i, LENGTH)
+    straight = math.sqrt(straight * straight + si * si * (rx * rx + ry * ry))
+    return straight - 1.0 / over, over * along, over * side, over * about
+
+
+@inlined
+def path_lost(chain, i, k, bend, ux, uy, sin_half, cos_half, scale, twist, leaning):
+    """
+    Path that tendon k loses in cell i [m], its moment arms along the bend, across it, about.
+
+    Parameters
+    ----------
+    bend : float
+        Size of the cell's bend [rad].
+    ux, uy : float
+        Its direction, of length one.
+    sin_half, cos_half : float
+        Of half the bend.
+    scale : float
+        Factor on the tendon offsets [1].
+    twist : float
+        Of the cell [rad].
+    leaning : bool
+        Whether the tendon may lean; a constant, each kind has code of its own.
+
+    """
+    at = chain.k * i + k
+    if leaning:
+        return leaning_path(chain, at, i, bend, ux, uy, sin_half, cos_half, scale, twist)
+    offset = floats(chain.offset + 16 * at)
+    radial = scale * (offset[0] * ux + offset[1] * uy)
+    lost, along, across = bent_path(chain, i, radial, bend, sin_half, cos_half)
+    return lost, along, scale * (offset[1] * ux - offset[0] * uy) * across, 0.0
+
+
+@inlined
+def add_moments(chain, i, x, y, twist, tensions, scale, leaning):
+    """Moment (x, y, about) [N·m] of tensions (k,) [N] on cell i with bend (x, y) and twist."""
+    tendon = words(chain.tendon)
+    s, c = half_turn(x * x + y * y)
+    a, ux, uy, sin_half, cos_half = polar(x, y, s, c)
+    mx, my, mz = 0.0, 0.0, 0.0
+    for k in range(chain.k):
+        t = floats(tensions)[k]
+        if i < tendon[2 * k] and t != 0.0:
+            _, along, side, about = path_lost(
+                chain, i, k, a, ux, uy, sin_half, cos_half, scale, twist, leaning
+            )
+            mx += t * (along * ux - side * uy)
+            my += t * (along * uy + side * ux)
+            mz += t * about
+    return mx, my, mz
 
 
 @compiled
 def moment_of_tendons(chain, i, x, y, tensions, scale):
-    """Moment (x, y) [N·m] of tensions (k,) [N] on cell i bent by (x, y), tendons straight."""
-    tendon = words(chain.tendon)
-    s, c = half_turn(x * x + y * y)
-    a, ux, uy, sin_half, cos_half = polar(x, y, s, c)
-    mx, my = 0.0, 0.0
-    for k in range(chain.k):
-        t = floats(tensions)[k]
-        if i < tendon[2 * k] and t != 0.0:
-            _, along, side = path_lost(chain, i, k, a, ux, uy, sin_half, cos_half, scale)
-            mx += t * (along * ux - side * uy)
-            my += t * (along * uy + side * ux)
+    """Moment (x, y) [N·m] of tensions (k,) [N] on cell i bent by (x, y)."""
+    mx, my, _ = add_moments(chain, i, x, y, 0.0, tensions, scale, False)
     return mx, my
+
+
+@compiled
+def moment_of_leaning(chain, i, x, y, twist, tensions, scale):
+    """Moment (x, y, about) [N·m] as in `moment_of_tendons`, of tendons that may lean."""
+    return add_moments(chain, i, x, y, twist, tensions, scale, True)
 
 
 @compiled
@@ -98,19 +173,21 @@ def plain_travel(chain, bend, scale, work):
             travel[at] = lost if i < tendon[2 * k] else 0.0
 
 
-@compiled
-def straight_travel(chain, i, x, y, s, c, scale, work):
+@inlined
+def fill_travel(chain, i, x, y, s, c, twist, scale, work, leaning):
     """
-    Fill travel and moment_arms [m] of cell i, bent by (x, y) with half angles s, c.
+    Fill travel, moment_arms and axial [m] of cell i, bent by (x, y) with half angles s, c.
 
     Parameters
     ----------
-    x, y : float
-        Bend [rad].
+    x, y, twist : float
+        Bend and twist [rad].
     s, c : float
         sin(a / 2) / a [1/rad] and cos(a / 2) of its size a, see `turning`.
     scale : float
         Factor on the tendon offsets [1].
+    leaning : bool
+        Whether tendons may lean; a constant, each kind has code of its own.
 
     """
     travel, tendon = floats(work.travel), words(chain.tendon)
@@ -124,28 +201,41 @@ def straight_travel(chain, i, x, y, s, c, scale, work):
         if i >= tendon[2 * k]:
             travel[at] = 0.0
             continue
-        lost, along, side = path_lost(chain, i, k, a, ux, uy, sin_half, cos_half, scale)
+        lost, along, side, about = path_lost(
+            chain, i, k, a, ux, uy, sin_half, cos_half, scale, twist, leaning
+        )
         if a0 > 0.0:
-            lost -= path_lost(chain, i, k, a0, ux0, uy0, sin0, cos0, scale)[0]
+            lost -= path_lost(chain, i, k, a0, ux0, uy0, sin0, cos0, scale, 0.0, leaning)[0]
         travel[at] = lost
+        if leaning:
+            floats(work.axial)[at] = about
         moment_arms[2 * at] = along * ux - side * uy
         moment_arms[2 * at + 1] = along * uy + side * ux
 
 
 @compiled
+def shaped_travel(chain, i, x, y, s, c, twist, scale, work):
+    """Fill travel and moment arms of a cell (`fill_travel`), each kind by code of its own."""
+    if leans(chain):
+        fill_travel(chain, i, x, y, s, c, twist, scale, work, True)
+    else:
+        fill_travel(chain, i, x, y, s, c, 0.0, scale, work, False)
+
+
+@compiled
 def tendon_travel(chain, bend, scale, work):
     """
-    Fill work.travel (n, k) [m] since the rest shape and, where needed, work.moment_arms [m].
+    Fill work.travel (n, k) [m] since the rest shape and, where needed, moment_arms and axial [m].
 
     work.half is that of these bends.
     """
-    if not tendon_path_acts(chain):
+    if not follows_shape(chain):
         plain_travel(chain, bend, scale, work)
         return
     bends, half = floats(bend), floats(work.half)
     for i in range(chain.n):
         x, y, s, c = bends[2 * i], bends[2 * i + 1], half[2 * i], half[2 * i + 1]
-        straight_travel(chain, i, x, y, s, c, scale, work)
+        shaped_travel(chain, i, x, y, s, c, twist_in(chain, bend, i), scale, work)
 
 
 @compiled

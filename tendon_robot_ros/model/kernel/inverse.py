@@ -8,6 +8,7 @@ from .derivatives import output_slopes
 from .layout import address, chain_at, compiled, entry, floats, workspace
 from .newton import solve_small
 from .shape import accept, balance, place, predict
+from .twisting import unknowns
 
 # Target: x, y, z [m], direction x, y, z, weight of position [1], weight of direction [m/rad].
 COST_REACHED_M2 = 1e-14  # [m²] half the squared error of a tip that is where it should be: 0.14 µm
@@ -18,7 +19,7 @@ def tip_residual(chain, inputs, there, bend, target, f):
     """
     Weighted tip error (6,) [m] at inputs (m,); infinite where there is no equilibrium.
 
-    `bend` (n, 2) holds a guess and takes the equilibrium.
+    `bend` holds a guess and takes the equilibrium.
     """
     if not balance(chain, inputs, there, bend):
         f[:] = math.inf
@@ -163,7 +164,7 @@ def aim(robot, inputs, bends, target, low, high, preference, most, enough, far, 
     """
     Move inputs (m,) [N] within [low, high] so that the tip meets the target; return the cost.
 
-    `bends` (2, n, 2) holds a guess and takes the equilibrium in its first half. With the tip
+    `bends` (2, 3n) holds a guess and takes the equilibrium in its first half. With the tip
     `COST_REACHED_M2`, the search ends with a step that gains less than `enough` of the cost.
 
     Parameters
@@ -172,7 +173,7 @@ def aim(robot, inputs, bends, target, low, high, preference, most, enough, far, 
         Address of a Chain.
     inputs : ndarray, shape (m,)
         [N], start and result.
-    bends : ndarray, shape (2, n, 2)
+    bends : ndarray, shape (2, 3n)
         [rad]
     target : ndarray, shape (8,)
         Position [m], direction, weight of the position [1], weight of the direction [m/rad].
@@ -193,7 +194,7 @@ def aim(robot, inputs, bends, target, low, high, preference, most, enough, far, 
     chain = chain_at(robot)
     m, there = chain.m, workspace(chain, bends, past, scratch)
     f, moved, jacobian = np.empty(6), np.empty(6), np.zeros((6 + m, m))
-    trial, free, ways = np.empty(m), np.empty(m, np.int64), np.empty((m, 2 * chain.n))
+    trial, free, ways = np.empty(m), np.empty(m, np.int64), np.empty((m, unknowns(chain)))
     tip_residual(chain, inputs, there, there.bend, target, f)
     cost, damping = cost_of(f, inputs, low, preference), 1e-9
     for _ in range(most):

@@ -6,7 +6,8 @@ address costs nothing. Whoever calls an entry keeps the arrays alive until it re
 
 Names that mean the same in every function, and are not explained again: `chain` a Chain, `work` a
 Work, `past` the Memory of the posture before, `there` a Workspace; `i` a cell and `section` its
-section, `k` a tendon, `j` an input. "Address" is that of the first float of an array, row-major.
+section, `k` a tendon, `j` an input; u (in shapes) the entries of a state that count. "Address" is
+that of the first float of an array, row-major.
 """
 
 from collections import namedtuple
@@ -31,22 +32,28 @@ def entry(*signature):
 
 
 # Chain: the robot and its effects; n cells, k tendons, m inputs; addresses of
-#   cells   (n, 6)    columns below, SI
+#   cells   (n, 8)    columns below, SI
 #   offset  (n, k, 2) tendon offsets [m]
 #   tendon  (k, 2)    int: cells that the tendon runs through, index of its input
 #   values  (rows, wide) effect parameters of each section, or of each tendon;
 #   on      (effects,) uint8, which effects act
 #   gravity (3,)      [m/s²], base frame
+#   winding (n, k)    angle [rad] by which a tendon winds about the axis in a cell; 0: none does
+# beside: whether weight lies beside the axis (1) or none does (0).
 # radius: largest distance of a tendon from the centroid [m]
 # step, residual, respond, newton, settle: addresses of these functions
 Chain = namedtuple(
     'Chain',
-    'n k m wide cells offset tendon values on gravity radius step residual respond newton settle',
+    'n k m wide cells offset tendon values on gravity radius step residual respond newton settle '
+    'helix beside',
 )
-LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT = range(6)
-COLUMNS = 6
+LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT, MASS_X, MASS_Y = range(8)
+COLUMNS = 8
 
-# Memory: what friction remembers of the last posture: bend (n, 2) [rad], sign (n, k),
+# The state of a posture: bends (n, 2) [rad], and behind them twists (n,) [rad], which count only
+# where cells twist; `bend` and `bends` are addresses of states.
+
+# Memory: what friction remembers of the last posture: its state (3n,) [rad], sign (n, k),
 # travel (n, k) [m], inputs (m,) [N]; one array, in this order.
 Memory = namedtuple('Memory', 'bend sign travel inputs')
 
@@ -54,12 +61,15 @@ Memory = namedtuple('Memory', 'bend sign travel inputs')
 # and torque [N·m] at the cells' ends of the loads beyond; lag (2, n, k): travel [m] that `stick`
 # has not taken over, here and beyond, else zeros; slip (3,): smoothing
 # length [m], load scale [1], and whether a sweep looks at the guess (1) or goes without (0).
+# axial (n, k): moment arms of the tendons about the axis [m]; torque (n,): of the loads [N·m].
 Work = namedtuple(
-    'Work', 'moment_arms travel beyond load lengths tensions frames origins half wrench lag slip'
+    'Work',
+    'moment_arms travel beyond load lengths tensions frames origins half wrench lag slip axial '
+    'torque',
 )
 
-# Workspace of a search: scratch, memory before and after, the bends kept and those of a trial
-# (n, 2), more bends (n, 2) as scratch, wire pulls of the tendons (k,) and of the inputs (m,).
+# Workspace of a search: scratch, memory before and after, the state kept and that of a trial
+# (3n,), one more (3n,) as scratch, wire pulls of the tendons (k,) and of the inputs (m,).
 Workspace = namedtuple('Workspace', 'work past now bend near before pulls means')
 
 # numba takes types of one name for one type, but each catalogue has a kernel of its own
@@ -69,9 +79,9 @@ for _kind in (Chain, Memory, Work, Workspace):
 SLIP_LENGTH = 2e-6  # [m] travel over which the sign of friction is smoothed
 
 WORD = types.int64
-CHAIN = types.NamedTuple((WORD,) * 10 + (types.float64,) + (WORD,) * 5, Chain)
+CHAIN = types.NamedTuple((WORD,) * 10 + (types.float64,) + (WORD,) * 7, Chain)
 MEMORY = types.NamedUniTuple(WORD, 4, Memory)
-WORK = types.NamedUniTuple(WORD, 12, Work)
+WORK = types.NamedUniTuple(WORD, 14, Work)
 STEP = types.void(CHAIN, WORD, WORD, WORK, MEMORY, WORD)
 RESPOND = types.int64(CHAIN, WORD, WORD, WORD, WORK, MEMORY, WORD)
 NEWTON = types.float64(CHAIN, WORD, WORD, WORK, MEMORY, WORD)
@@ -133,13 +143,13 @@ def address_of(function):
 @register_jitable
 def memory_size(n, k, m):
     """Floats that the friction memory takes."""
-    return 2 * n + 2 * n * k + m
+    return 3 * n + 2 * n * k + m
 
 
 @register_jitable
 def work_size(n, k):
     """Floats that the scratch of one posture takes."""
-    return 4 * n * k + 2 * n + n + n * k + 12 * (n + 1) + 8 * n + 2 * n * k + 3
+    return 4 * n * k + 2 * n + n + n * k + 12 * (n + 1) + 8 * n + 2 * n * k + 3 + n * k + n
 
 
 @compiled
@@ -175,6 +185,8 @@ def chain_at(start):
         w[13],
         w[14],
         w[15],
+        w[16],
+        w[17],
     )
 
 
@@ -182,7 +194,7 @@ def chain_at(start):
 def memory_in(chain, start):
     """Friction memory in an array of `memory_size` floats; all zero is straight and slack."""
     n, k = chain.n, chain.k
-    sign = start + 8 * 2 * n
+    sign = start + 8 * 3 * n
     travel = sign + 8 * n * k
     return Memory(start, sign, travel, travel + 8 * n * k)
 
@@ -202,24 +214,39 @@ def work_in(chain, start):
     wrench = half + 8 * 2 * n
     lag = wrench + 8 * 6 * n
     slip = lag + 8 * 2 * n * k
+    axial = slip + 8 * 3
+    torque = axial + 8 * n * k
     floats(slip)[0], floats(slip)[1], floats(slip)[2] = SLIP_LENGTH, 1.0, 1.0
     for r in range(3):
         floats(frames)[4 * r] = 1.0
     return Work(
-        start, travel, beyond, load, lengths, tensions, frames, origins, half, wrench, lag, slip
+        start,
+        travel,
+        beyond,
+        load,
+        lengths,
+        tensions,
+        frames,
+        origins,
+        half,
+        wrench,
+        lag,
+        slip,
+        axial,
+        torque,
     )
 
 
 @compiled
 def workspace(chain, bends, past, scratch):
-    """Lay out what a search needs; `bends` (2, n, 2) and `past` are kept alive outside."""
+    """Lay out what a search needs; `bends` (2, 3n) and `past` are kept alive outside."""
     n, k = chain.n, chain.k
     now = memory_in(chain, scratch + 8 * work_size(n, k))
     before = now.bend + 8 * memory_size(n, k, chain.m)
-    pulls, bend = before + 16 * n, address(bends)
+    pulls, bend = before + 24 * n, address(bends)
     then = memory_in(chain, address(past))
     work = work_in(chain, scratch)
-    return Workspace(work, then, now, bend, bend + 16 * n, before, pulls, pulls + 8 * k)
+    return Workspace(work, then, now, bend, bend + 24 * n, before, pulls, pulls + 8 * k)
 
 
 @compiled
@@ -238,6 +265,8 @@ def with_results(work, tensions, frames, origins):
         work.wrench,
         work.lag,
         work.slip,
+        work.axial,
+        work.torque,
     )
 
 

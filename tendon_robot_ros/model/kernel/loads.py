@@ -1,8 +1,9 @@
 """Moments of the loads on every bend, by virtual work, from the tip to the base."""
 
-from .layout import HINGE, MASS, cell, compiled, floats, section_of
+from .layout import HINGE, MASS, MASS_X, MASS_Y, cell, compiled, floats, inlined, section_of
 from .stages import load, load_acts, tip_load, tip_load_acts
 from .turning import arc_factor, halved
+from .twisting import axial_moment, bending_frame, is_general
 
 NO_LOAD = (0.0, 0.0, 0.0)
 
@@ -55,6 +56,16 @@ def local(f, v):
 
 
 @compiled
+def turned(f, v):
+    """Components in the base frame of a vector in a frame."""
+    return (
+        f[0] * v[0] + f[1] * v[1] + f[2] * v[2],
+        f[3] * v[0] + f[4] * v[1] + f[5] * v[2],
+        f[6] * v[0] + f[7] * v[1] + f[8] * v[2],
+    )
+
+
+@compiled
 def shift_moment(x, y, f, across, stretching, sinking):
     """
     Moment (x, y) on a bend of a force f at the end of its cell, in the cell's first frame.
@@ -80,12 +91,24 @@ def turn_moment(x, y, t, sinc, versine, own):
 
 
 @compiled
-def cell_moment(x, y, s, c, force, torque, own, cell_length, hinge):
+def beside_moment(x, y, s, c, own, beside):
+    """Moment (x, y) on a bend of a weight beside the axis, which half the bend turns; its arm."""
+    bx, by = 0.5 * x, 0.5 * y
+    s, c = halved(s, c)
+    sinc, versine, toward = 2.0 * s * c, 2.0 * s * s, bx * beside[0] + by * beside[1]
+    arm = (beside[0] - versine * toward * bx, beside[1] - versine * toward * by, -sinc * toward)
+    own_factor = versine - arc_factor(bx * bx + by * by, s, c)
+    mx, my = turn_moment(bx, by, cross(arm, own), sinc, versine, own_factor)
+    return 0.5 * mx, 0.5 * my, arm
+
+
+@inlined
+def cell_moment(chain, i, x, y, s, c, force, torque, own, reach, general):
     """
     Moment (x, y) on one bend of a force and a torque at the cell's end and of its own weight.
 
-    All in the cell's first frame; half an arc's bend moves its middle, a hinge's does not. Also
-    returns where the middle lies: (towards the bend over the bend [m/rad], along z [m]).
+    All in the frame that bends; half an arc's bend moves its middle, a hinge's does not. Also
+    returns where the weight lies (x, y, z) [m].
 
     Parameters
     ----------
@@ -97,11 +120,29 @@ def cell_moment(x, y, s, c, force, torque, own, cell_length, hinge):
         Of everything beyond, at the cell's end: (3,) [N], (3,) [N·m].
     own : tuple of float
         The cell's weight (3,) [N].
-    cell_length : float
-        [m]
-    hinge : float
-        1 where the cell is a hinge, 0 where it is an arc.
+    reach : float
+        Length of the cell [m].
+    general : bool
+        Whether the weight may lie beside the axis; a constant, each kind has code of its own.
 
+    """
+    mx, my, lean, rise = middle_moment(
+        x, y, s, c, force, torque, own, reach, cell(chain, i, HINGE)
+    )
+    middle = (lean * x, lean * y, rise)
+    if not general:
+        return mx, my, middle
+    beside = (cell(chain, i, MASS_X), cell(chain, i, MASS_Y))
+    ox, oy, arm = beside_moment(x, y, s, c, own, beside)
+    return mx + ox, my + oy, plus(middle, arm)
+
+
+@compiled
+def middle_moment(x, y, s, c, force, torque, own, cell_length, hinge):
+    """
+    Moment (x, y) as in `cell_moment` of a weight on the axis, and where the cell's middle lies.
+
+    (towards the bend over the bend [m/rad], along z [m]).
     """
     q = x * x + y * y
     sinc, versine = 2.0 * s * c, 2.0 * s * s
@@ -127,31 +168,32 @@ def load_moments(chain, bend, work):
     """
     Fill work.load (n, 2) [N·m]: minus the gradient of the loads' potential energy by each bend.
 
-    work.half, work.frames and work.origins are those of these bends. work.wrench (n, 6) becomes
-    the force [N] and the torque [N·m] at the end of each cell, of all beyond it.
+    And work.torque (n,) that by each twist, where cells twist. work.half, work.frames and
+    work.origins are those of these bends. work.wrench (n, 6) becomes the force [N] and the torque
+    [N·m] at the end of each cell, of all beyond it.
     """
+    if is_general(chain):
+        fill_moments(chain, bend, work, True)
+    else:
+        fill_moments(chain, bend, work, False)
+
+
+@inlined
+def fill_moments(chain, bend, work, general):
+    """Fill moments and wrenches as `load_moments` does."""
     bends, moments, origins = floats(bend), floats(work.load), floats(work.origins)
     half, lengths = floats(work.half), floats(work.lengths)
     scale = floats(work.slip)[1]
     force, torque = scaled(scale, force_at_tip(chain)), NO_LOAD
     for i in range(chain.n - 1, -1, -1):
-        x, y = bends[2 * i], bends[2 * i + 1]
-        f = floats(work.frames + 72 * i)
+        x, y, s, c = bends[2 * i], bends[2 * i + 1], half[2 * i], half[2 * i + 1]
+        f = bending_frame(chain, bend, work, i, general)
         wrench = floats(work.wrench + 48 * i)
         wrench[0], wrench[1], wrench[2] = force
         wrench[3], wrench[4], wrench[5] = torque
-        own = scaled(scale, weight(chain, i))
-        own_here = local(f, own)
-        mx, my, lean, rise = cell_moment(
-            x,
-            y,
-            half[2 * i],
-            half[2 * i + 1],
-            local(f, force),
-            local(f, torque),
-            own_here,
-            lengths[i],
-            cell(chain, i, HINGE),
+        own, torque_here = scaled(scale, weight(chain, i)), local(f, torque)
+        mx, my, middle = cell_moment(
+            chain, i, x, y, s, c, local(f, force), torque_here, local(f, own), lengths[i], general
         )
         moments[2 * i], moments[2 * i + 1] = mx, my
         at = 3 * i
@@ -160,11 +202,9 @@ def load_moments(chain, bend, work):
             origins[at + 4] - origins[at + 1],
             origins[at + 5] - origins[at + 2],
         )
-        lx, ly = lean * x, lean * y
-        middle = (
-            f[0] * lx + f[1] * ly + f[2] * rise,
-            f[3] * lx + f[4] * ly + f[5] * rise,
-            f[6] * lx + f[7] * ly + f[8] * rise,
-        )
-        torque = plus(torque, plus(cross(reach, force), cross(middle, own)))
+        torque = plus(torque, plus(cross(reach, force), cross(turned(f, middle), own)))
+        if general:
+            floats(work.torque)[i] = axial_moment(
+                x, y, 2.0 * s * c, 2.0 * s * s, torque_here, local(f, torque)
+            )
         force = plus(force, own)

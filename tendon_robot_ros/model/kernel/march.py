@@ -9,14 +9,15 @@ last digit of the bend.
 
 import numpy as np
 
-from .bending import bend_cell
-from .geometry import straight_travel
+from .bending import bend_cell, twist_of
+from .geometry import shaped_travel
 from .layout import address, compiled, floats, residual_at
 from .newton import largest
 from .residual import moment_arms_of, tendon_moment
-from .stages import offset_scale, tendon_path_acts
-from .sweep import active_stages, base_tensions, pass_eyelet
+from .stages import offset_scale, torsion_acts
+from .sweep import active_stages, base_tensions, pass_eyelet, tendons_about
 from .turning import half_turn
+from .twisting import follows_shape, twist_in
 
 BEND_STEP = 1e-7  # [rad] of the differences
 RESIDUAL_SOLVED = 1e-13  # [rad] residual of a cell that is solved
@@ -24,7 +25,28 @@ STEPS_MAX = 30
 
 
 @compiled
-def cell_residual(chain, work, past, i, last_x, last_y, x, y):
+def twist_residual(chain, work, i, x, y, twist):
+    """Residual [rad] of the twist of cell i, bent by (x, y), whose tensions are known."""
+    s, c = floats(work.half)[2 * i], floats(work.half)[2 * i + 1]
+    shaped_travel(chain, i, x, y, s, c, twist, offset_scale(1.0, chain, 0), work)
+    return twist - twist_of(chain, i, tendons_about(chain, work, i))
+
+
+@compiled
+def solve_twist(chain, work, state, i, x, y):
+    """Newton on the twist of cell i, kept in the state; leaves its moment arms behind."""
+    twists = floats(state + 16 * chain.n)
+    f = twist_residual(chain, work, i, x, y, twists[i])
+    for _ in range(STEPS_MAX):
+        if abs(f) < RESIDUAL_SOLVED:
+            break
+        slope = (twist_residual(chain, work, i, x, y, twists[i] + BEND_STEP) - f) / BEND_STEP
+        twists[i] -= f / slope
+        f = twist_residual(chain, work, i, x, y, twists[i])
+
+
+@compiled
+def cell_residual(chain, work, past, state, i, last_x, last_y, x, y):
     """
     Residual (x, y) [rad] of cell i, bent by (x, y), behind a cell bent by the last ones.
 
@@ -38,19 +60,22 @@ def cell_residual(chain, work, past, i, last_x, last_y, x, y):
     """
     half, scale = floats(work.half), offset_scale(1.0, chain, 0)
     half[2 * i], half[2 * i + 1] = half_turn(x * x + y * y)
-    if tendon_path_acts(chain):
-        straight_travel(chain, i, x, y, half[2 * i], half[2 * i + 1], scale, work)
+    if follows_shape(chain):
+        twist = twist_in(chain, state, i)
+        shaped_travel(chain, i, x, y, half[2 * i], half[2 * i + 1], twist, scale, work)
     moment_arms, factor = moment_arms_of(chain, work)
     if i > 0:
         flags = active_stages(chain, True)
         pass_eyelet(chain, work, past, i - 1, last_x, last_y, x, y, moment_arms, scale, flags)
+    if torsion_acts(chain):
+        solve_twist(chain, work, state, i, x, y)
     mx, my, total = tendon_moment(chain, work, i, moment_arms, factor)
     bx, by = bend_cell(chain, past, i, mx, my, total)
     return x - bx, y - by
 
 
 @compiled
-def solve_cell_alone(chain, work, past, i, last_x, last_y, x, y):
+def solve_cell_alone(chain, work, past, state, i, last_x, last_y, x, y):
     """
     Newton on the two equations of cell i from (x, y); return its bend.
 
@@ -62,12 +87,12 @@ def solve_cell_alone(chain, work, past, i, last_x, last_y, x, y):
         Where the search begins [rad].
 
     """
-    fx, fy = cell_residual(chain, work, past, i, last_x, last_y, x, y)
+    fx, fy = cell_residual(chain, work, past, state, i, last_x, last_y, x, y)
     for _ in range(STEPS_MAX):
         if abs(fx) + abs(fy) < RESIDUAL_SOLVED:
             break
-        ax, ay = cell_residual(chain, work, past, i, last_x, last_y, x + BEND_STEP, y)
-        bx, by = cell_residual(chain, work, past, i, last_x, last_y, x, y + BEND_STEP)
+        ax, ay = cell_residual(chain, work, past, state, i, last_x, last_y, x + BEND_STEP, y)
+        bx, by = cell_residual(chain, work, past, state, i, last_x, last_y, x, y + BEND_STEP)
         a, c = (ax - fx) / BEND_STEP, (ay - fy) / BEND_STEP
         b, d = (bx - fx) / BEND_STEP, (by - fy) / BEND_STEP
         over = 1.0 / (a * d - b * c)
@@ -75,7 +100,7 @@ def solve_cell_alone(chain, work, past, i, last_x, last_y, x, y):
         share, best = 1.0, abs(fx) + abs(fy)
         for _ in range(12):
             gx, gy = cell_residual(
-                chain, work, past, i, last_x, last_y, x - share * dx, y - share * dy
+                chain, work, past, state, i, last_x, last_y, x - share * dx, y - share * dy
             )
             if abs(gx) + abs(gy) < best:
                 break
@@ -83,19 +108,19 @@ def solve_cell_alone(chain, work, past, i, last_x, last_y, x, y):
         if not abs(gx) + abs(gy) < best:
             break
         x, y, fx, fy = x - share * dx, y - share * dy, gx, gy
-    cell_residual(chain, work, past, i, last_x, last_y, x, y)  # leaves its tensions behind
+    cell_residual(chain, work, past, state, i, last_x, last_y, x, y)  # leaves its tensions behind
     return x, y
 
 
 @compiled
 def march(chain, inputs, x, work, past):
-    """Solve for the bends x (2n,) from the base to the tip; return the residual [rad]."""
+    """Solve for the state x from the base to the tip; return the residual [rad]."""
     moment_arms, _ = moment_arms_of(chain, work)
     f, last_x, last_y = np.empty(x.shape[0]), 0.0, 0.0
     base_tensions(chain, inputs, work, moment_arms)
     for i in range(chain.n):
         last_x, last_y = solve_cell_alone(
-            chain, work, past, i, last_x, last_y, x[2 * i], x[2 * i + 1]
+            chain, work, past, address(x), i, last_x, last_y, x[2 * i], x[2 * i + 1]
         )
         x[2 * i], x[2 * i + 1] = last_x, last_y
     residual_at(chain.residual)(chain, inputs, address(x), work, past, address(f))

@@ -1,10 +1,11 @@
-"""Newton on the bends, for shapes that repeated sweeps do not settle."""
+"""Newton on bends and twists, for shapes that repeated sweeps do not settle."""
 
 import math
 
 import numpy as np
 
 from .layout import NEWTON, address, compiled, entry, floats, residual_at, respond_at
+from .twisting import unknowns
 
 BEND_TOLERANCE = 1e-10  # [rad] largest change of a bend at which a shape counts as settled
 
@@ -52,7 +53,7 @@ def dot(a, b):
 
 @compiled
 def residual(chain, inputs, bend, work, past, f):
-    """Fill f (2n,) [rad], `residual.residual` at the bends; return its largest entry."""
+    """Fill f [rad], `residual.residual` at the state; return its largest entry."""
     residual_at(chain.residual)(chain, inputs, bend, work, past, address(f))
     return largest(f)
 
@@ -60,19 +61,19 @@ def residual(chain, inputs, bend, work, past, f):
 @compiled
 def newton_step(chain, inputs, bend, f, move, work, past, trial, trial_f, halvings):
     """
-    Step the bends by `move` (2n,) with a line search; return the largest residual, or -1.
+    Step the state by `move` (u,) with a line search; return the largest residual, or -1.
 
     Parameters
     ----------
     inputs : address
         (m,) [N]
     bend : address
-        (n, 2) [rad]; moves on where the step is taken.
-    f : ndarray, shape (2n,)
+        State [rad]; moves on where the step is taken.
+    f : ndarray, shape (u,)
         Residual there [rad]; becomes that after the step.
-    move : ndarray, shape (2n,)
+    move : ndarray, shape (u,)
         Newton's step [rad].
-    trial, trial_f : ndarray, shape (2n,)
+    trial, trial_f : ndarray, shape (u,)
         Scratch.
     halvings : int
         How often the step is halved before it is given up.
@@ -95,17 +96,17 @@ def newton_step(chain, inputs, bend, f, move, work, past, trial, trial_f, halvin
 @entry(NEWTON)
 def newton(chain, inputs, bend, work, past, most):
     """
-    Newton on the bends (n, 2) with a line search; return the last residual [rad].
+    Newton on the state with a line search; return the last residual [rad].
 
     Parameters
     ----------
     inputs, bend : address
-        (m,) [N]; (n, 2) [rad], guess and result.
+        (m,) [N]; state [rad], guess and result.
     most : int
         Steps.
 
     """
-    size = 2 * chain.n
+    size = unknowns(chain)
     f, trial_f = np.empty(size), np.empty(size)
     trial, move = np.empty(size), np.empty(size)
     change = residual(chain, inputs, bend, work, past, f)

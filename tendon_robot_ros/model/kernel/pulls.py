@@ -8,6 +8,7 @@ from .derivatives import output_slopes
 from .layout import address, chain_at, compiled, entry, floats, workspace
 from .newton import solve_small
 from .shape import accept, balance, mean_pulls, predict, wire_pulls
+from .twisting import unknowns
 
 GAP_SETTLED = 1e-10  # [m] largest difference between a wire's pull and what was asked
 
@@ -88,7 +89,7 @@ def solve_stiff_wires(robot, inputs, target, bends, past, scratch, most):
         [N], start and result.
     target : ndarray, shape (m,)
         Wire pulls [m]; NaN: a slack wire.
-    bends : ndarray, shape (2, n, 2)
+    bends : ndarray, shape (2, 3n)
         [rad], guess and result in its first half.
     past : ndarray
         Memory of the posture before.
@@ -100,7 +101,7 @@ def solve_stiff_wires(robot, inputs, target, bends, past, scratch, most):
     """
     chain = chain_at(robot)
     m, there = chain.m, workspace(chain, bends, past, scratch)
-    ways = np.zeros((m, 2 * chain.n))
+    ways = np.zeros((m, unknowns(chain)))
     f, moved, slopes, trial = np.empty(m), np.empty(m), np.zeros((m, m)), np.empty(m)
     for j in range(m):
         inputs[j] = 0.0 if math.isnan(target[j]) else inputs[j]

@@ -5,13 +5,14 @@ Tensions, moment arms, travel and loads are all those of the bends given. (A `sw
 what it has just found, which settles faster, but ties every cell to all before it.)
 """
 
-from .bending import bend_cell
+from .bending import bend_cell, twist_of
 from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import STEP, compiled, entry, floats, words
 from .loads import load_moments, loaded
-from .stages import eyelet_acts, friction_travel_acts, offset_scale, tendon_path_acts
-from .sweep import active_stages, carry_tensions
+from .stages import eyelet_acts, friction_travel_acts, offset_scale, torsion_acts
+from .sweep import active_stages, carry_tensions, tendons_about
 from .turning import chain_frames, half_turns
+from .twisting import follows_shape
 
 
 @compiled
@@ -32,16 +33,16 @@ def tendon_moment(chain, work, i, moment_arms, scale):
 @compiled
 def moment_arms_of(chain, work):
     """Address of the tendons' moment arms (n, k, 2) [m], and the factor on them [1]."""
-    if tendon_path_acts(chain):
+    if follows_shape(chain):
         return work.moment_arms, 1.0
     return chain.offset, offset_scale(1.0, chain, 0)
 
 
 @compiled
 def place_travel(chain, bend, work):
-    """Fill work with what the tendons travel at bends (n, 2) [rad], and with their moment arms."""
+    """Fill work with what the tendons travel at a state, and with their moment arms."""
     half_turns(chain, bend, work)
-    if eyelet_acts(chain) or tendon_path_acts(chain):
+    if eyelet_acts(chain) or follows_shape(chain):
         tendon_travel(chain, bend, offset_scale(1.0, chain, 0), work)
     if eyelet_acts(chain) and friction_travel_acts(chain):
         travel_beyond(chain, work)
@@ -49,7 +50,7 @@ def place_travel(chain, bend, work):
 
 @compiled
 def place_forces(chain, inputs, bend, work, past):
-    """Fill work with tensions, frames and loads at bends (n, 2) whose travel is known."""
+    """Fill work with tensions, frames and loads at a state; travel and moment arms are known."""
     friction, _, wraps, slides, remembers = active_stages(chain, True)
     moment_arms, scale = moment_arms_of(chain, work)
     flags = (friction, True, wraps, slides, remembers)  # travel is that of these bends
@@ -62,7 +63,7 @@ def place_forces(chain, inputs, bend, work, past):
 
 @compiled
 def imbalance(chain, bend, work, past, out):
-    """Fill `out` (n, 2) [rad]: bends minus those that their moments, known to `work`, ask for."""
+    """Fill `out` [rad]: the state minus what its moments, known to `work`, ask for."""
     bends, load, f = floats(bend), floats(work.load), floats(out)
     moment_arms, scale = moment_arms_of(chain, work)
     loads = loaded(chain)
@@ -74,11 +75,17 @@ def imbalance(chain, bend, work, past, out):
         bx, by = bend_cell(chain, past, i, mx, my, total)
         f[2 * i] = bends[2 * i] - bx
         f[2 * i + 1] = bends[2 * i + 1] - by
+    if torsion_acts(chain):
+        for j in range(chain.n):
+            about = tendons_about(chain, work, j)
+            if loads:
+                about += floats(work.torque)[j]
+            f[2 * chain.n + j] = bends[2 * chain.n + j] - twist_of(chain, j, about)
 
 
 @entry(STEP)
 def residual(chain, inputs, bend, work, past, out):
-    """Fill `out` (n, 2) [rad], the residual at bends (n, 2), and work with all that these give."""
+    """Fill `out` [rad], the residual at a state, and work with all that the state gives."""
     place_travel(chain, bend, work)
     place_forces(chain, inputs, bend, work, past)
     imbalance(chain, bend, work, past, out)

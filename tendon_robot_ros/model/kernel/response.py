@@ -1,5 +1,5 @@
 """
-How the bends respond to what moves the equilibrium: the chain's linear equations, tip to base.
+How bends and twists respond to what moves the equilibrium: linear equations, tip to base.
 
 Eliminating a cell (`elimination`) makes what the cell before meets; back-substitution runs from
 the base to the tip. A pivot that is not positive means an unstable equilibrium.
@@ -9,7 +9,14 @@ import math
 
 import numpy as np
 
-from .elimination import answer, columns, pass_tensions, solve_cell
+from .elimination import (
+    answer,
+    answer_twist,
+    columns,
+    complete_tensions,
+    pass_tensions,
+    solve_cell,
+)
 from .layout import RESPOND, address, compiled, entry, floats, keep, words
 from .tangent import SIZE, SLIDES, TENDON, TURNS, differentiate, tangent_of, tangent_size
 
@@ -33,17 +40,17 @@ def eliminate(chain, tangent, bends, tensions):
     """
     Eliminate the cells from the tip to the base.
 
-    `bends` (n, 2, width) holds the right-hand sides in its last columns and zeros before; it and
-    `tensions` (n, k, width) take the changes by what comes into each cell. Returns the first cell
-    from the tip whose pivot is not positive, and that pivot; -1 if all are: the equilibrium is
-    then stable.
+    `bends` (n, 2 or 3, width) holds the right-hand sides in its last columns and zeros before; it
+    and `tensions` (n, k, width) take the changes by what comes into each cell. Returns the first
+    cell from the tip whose pivot is not positive, that pivot of the bend (4,), and the pivot of
+    the twist and how it follows the bend (3,); -1 if all are: the equilibrium is then stable.
     """
     kt, turn, constant = columns(chain)
-    width, unstable, pivot = bends.shape[2], -1, (1.0, 0.0, 0.0, 1.0)
-    rows = kt + 3
-    s, out, by_own = np.zeros((rows, width)), np.zeros((rows, width)), np.zeros((rows, 2))
-    direct, first = np.empty((kt, 2)), first_slides(chain, tangent)
-    tendon = words(chain.tendon)
+    width, unstable, pivot = bends.shape[2], -1, (1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
+    rows, twist = kt + 3, np.zeros(3)
+    twist[0] = 1.0
+    s, out, by_own = np.zeros((rows, width)), np.zeros((rows, width)), np.zeros((rows, 3))
+    direct, first = np.empty((kt, 3)), first_slides(chain, tangent)
     for i in range(chain.n - 1, -1, -1):
         row = floats(tangent_of(chain, tangent, i))
         for r in range(rows if turn != constant else kt):
@@ -51,19 +58,22 @@ def eliminate(chain, tangent, bends, tensions):
                 by_own[r, a] = s[r, kt + a]
                 if turn != constant:
                     for m in range(3):
-                        by_own[r, a] += s[r, turn + m] * row[TURNS + 2 * m + a]
+                        by_own[r, a] += s[r, turn + m] * row[TURNS + 3 * m + a]
+            if turn - kt == 3:
+                by_own[r, 2] = s[r, kt + 2]
+                if turn != constant:
+                    for m in range(3):
+                        by_own[r, 2] += s[r, turn + m] * row[TURNS + 3 * m + 2]
         pass_tensions(chain, tangent, i, s, by_own, tensions, direct)
-        a, b, c, d = solve_cell(chain, tangent, i, s, by_own, tensions, direct, bends)
-        if unstable < 0 and not (a > 0.0 and a * d > 0.25 * (b + c) * (b + c)):
-            unstable, pivot = i, (a, b, c, d)
-        for k in range(kt):
-            if i < tendon[2 * k]:
-                for j in range(width):
-                    tensions[i, k, j] += (
-                        direct[k, 0] * bends[i, 0, j] + direct[k, 1] * bends[i, 1, j]
-                    )
+        a, b, c, d = solve_cell(chain, tangent, i, s, by_own, tensions, direct, bends, twist)
+        positive = a > 0.0 and a * d > 0.25 * (b + c) * (b + c) and twist[0] > 0.0
+        if unstable < 0 and not positive:
+            unstable, pivot = i, (a, b, c, d, twist[0], twist[1], twist[2])
+        complete_tensions(chain, i, direct, bends, tensions)
         out[:] = 0.0
         answer(chain, tangent, i, s, by_own, tensions, bends, first, out)
+        if turn - kt == 3:
+            answer_twist(chain, tangent, i, by_own, bends, first, out)
         s, out = out, s
     return unstable, pivot
 
@@ -71,33 +81,37 @@ def eliminate(chain, tangent, bends, tensions):
 @compiled
 def substitute(chain, tangent, bends, tensions, column, first, start, solution):
     """
-    Fill a solution (2n,) at an address by back-substitution, base to tip.
+    Fill a solution (u,) at an address by back-substitution, base to tip.
 
     That of the right-hand side in a column of `bends`; or, with `column` -1, how the cells beyond
-    cell `first` follow when that bends by `start` (x, y) and those before it stay.
+    cell `first` follow when that moves by `start` (x, y, twist) and those before it stay.
 
     Parameters
     ----------
     tangent : address
         Derivatives of the cells.
-    bends, tensions : ndarray, shapes (n, 2, width) and (n, k, width)
+    bends, tensions : ndarray, shapes (n, 2 or 3, width) and (n, k, width)
         As `eliminate` leaves them.
     column, first : int
     start : tuple of float
-        (2,) [rad]
+        Bend and twist (3,) [rad].
     solution : address
-        Takes (2n,) [rad per unit].
+        Takes (u,) [rad per unit].
 
     """
     kt, turn, constant = columns(chain)
     u, new, out = np.zeros(constant), np.zeros(constant), floats(solution)
     for i in range(chain.n):
         row = floats(tangent_of(chain, tangent, i))
-        for a in range(2):
+        twist = 0.0
+        for a in range(turn - kt):
             total = bends[i, a, column] if column >= 0 else 0.0
             for j in range(constant):
                 total += bends[i, a, j] * u[j]
-            out[2 * i + a] = start[a] if i == first else total
+            if a < 2:
+                out[2 * i + a] = start[a] if i == first else total
+            else:
+                twist = out[2 * chain.n + i] = start[a] if i == first else total
         for k in range(kt):
             new[k] = tensions[i, k, column] if column >= 0 else 0.0
             for j in range(constant):
@@ -106,15 +120,17 @@ def substitute(chain, tangent, bends, tensions, column, first, start, solution):
         for k in range(kt):
             u[k] = new[k]
         u[kt], u[kt + 1] = x, y
+        if turn - kt == 3:
+            u[kt + 2] = twist
         for j in range(turn, constant):
-            m = j - turn
-            u[j] += row[TURNS + 2 * m] * x + row[TURNS + 2 * m + 1] * y
+            turns = TURNS + 3 * (j - turn)
+            u[j] += row[turns] * x + row[turns + 1] * y + row[turns + 2] * twist
 
 
 @compiled
 def yielding(pivot):
     """Bend (x, y) in which the energy falls: eigenvector of a pivot's lower eigenvalue."""
-    a, b, c, d = pivot
+    a, b, c, d, _, _, _ = pivot
     both = 0.5 * (b + c)
     low = 0.5 * (a + d) - math.sqrt(0.25 * (a - d) * (a - d) + both * both)
     if both == 0.0:
@@ -124,53 +140,61 @@ def yielding(pivot):
 
 @compiled
 def yielding_to(chain, pivot, wanted):
-    """Bend (x, y) in which the energy falls, to the side of bends wanted (n, 2) if it can be."""
-    a, b, c, d = pivot
+    """Bend and twist in which the energy falls, to the side of bends wanted (n, 2) if can be."""
+    a, b, c, d, twist, by_x, by_y = pivot
     x, y, bends = 0.0, 0.0, floats(wanted)
+    if not twist > 0.0:
+        return 0.0, 0.0, 1.0
     for i in range(chain.n):
         x += bends[2 * i]
         y += bends[2 * i + 1]
     if a * x * x + (b + c) * x * y + d * y * y < 0.0:
         size = math.sqrt(x * x + y * y)
-        return x / size, y / size
-    return yielding(pivot)
+        x, y = x / size, y / size
+    else:
+        x, y = yielding(pivot)
+    return x, y, by_x * x + by_y * y
 
 
 @entry(RESPOND)
 def respond(chain, bend, rates, count, work, past, ways):
     """
-    Fill how bends (n, 2), whose states `work` holds, balance rates of the residual (count, 2n).
+    Fill how a state, whose moments `work` holds, balances rates of the residual (count, u).
 
-    `ways` (count, 2n): minus the inverse Jacobian of the residual times the rates. Returns the
+    `ways` (count, u): minus the inverse Jacobian of the residual times the rates. Returns the
     first cell from the tip whose pivot is not positive, -1 if none: the equilibrium is stable.
-    With `count` 0 and such a cell, `ways` (2n,) is a direction in which the energy falls, to the
+    With `count` 0 and such a cell, `ways` (u,) is a direction in which the energy falls, to the
     side of what it held: that cell yields, all beyond it follow.
 
     Parameters
     ----------
     bend : address
-        (n, 2) [rad]
+        State [rad].
     rates : address
-        (count, 2n) [rad per unit]
+        (count, u) [rad per unit]
     count : int
     ways : address
-        (count, 2n) [rad per unit]
+        (count, u) [rad per unit]
 
     """
     tangent = np.zeros(tangent_size(chain.n, chain.k))
     derivatives = address(tangent)
     differentiate(chain, bend, work, past, derivatives)
-    kt, _, constant = columns(chain)
-    bends = np.zeros((chain.n, 2, constant + count))
+    kt, turn, constant = columns(chain)
+    size = turn - kt
+    bends = np.zeros((chain.n, size, constant + count))
     tensions = np.empty((chain.n, kt, constant + count))
     for q in range(count):
-        rate = floats(rates + 16 * chain.n * q)
+        rate = floats(rates + 8 * size * chain.n * q)
         for i in range(chain.n):
             bends[i, 0, constant + q], bends[i, 1, constant + q] = -rate[2 * i], -rate[2 * i + 1]
+            if size == 3:
+                bends[i, 2, constant + q] = -rate[2 * chain.n + i]
     first, pivot = eliminate(chain, derivatives, bends, tensions)
     for q in range(count):
-        way = ways + 16 * chain.n * q
-        substitute(chain, derivatives, bends, tensions, constant + q, -1, (0.0, 0.0), way)
+        way = ways + 8 * size * chain.n * q
+        start = (0.0, 0.0, 0.0)
+        substitute(chain, derivatives, bends, tensions, constant + q, -1, start, way)
     if count == 0 and first >= 0:
         start = yielding_to(chain, pivot, ways)
         substitute(chain, derivatives, bends, tensions, -1, first, start, ways)

@@ -36,6 +36,7 @@ from .stages import (
 )
 from .sweep import slip_direction
 from .turning import chain_frames
+from .twisting import unknowns
 
 GUESS_STEP_MAX = 0.3  # [rad] step of a bend over which a derivative is no guess
 
@@ -51,7 +52,7 @@ def copy(source, target, count):
 @compiled
 def remember(chain, inputs, bend, work, past, now):
     """Fill the friction memory `now` after a posture that came after `past`."""
-    copy(bend, now.bend, 2 * chain.n)
+    copy(bend, now.bend, unknowns(chain))
     copy(inputs, now.inputs, chain.m)
     if not memory_acts(chain):
         return
@@ -81,13 +82,13 @@ def ramp(chain, inputs, work, past, now, bend, parts):
     past, now : Memory
         Of the posture before; takes that after the last part.
     bend : address
-        Takes the bends (n, 2) [rad].
+        Takes the state [rad].
     parts : int
 
     """
     change = 0.0
-    copy(past.bend, bend, 2 * chain.n)
-    copy(past.bend, now.bend, 2 * chain.n + 2 * chain.n * chain.k + chain.m)
+    copy(past.bend, bend, unknowns(chain))
+    copy(past.bend, now.bend, memory_size(chain.n, chain.k, chain.m))
     aim, start, there = floats(inputs), floats(past.inputs), floats(now.inputs)
     for part in range(parts):
         for j in range(chain.m):
@@ -103,10 +104,10 @@ def ramp(chain, inputs, work, past, now, bend, parts):
 @compiled
 def posture(chain, inputs, work, past, now, bend, before):
     """
-    Equilibrium bends (n, 2) in `bend` and the memory `now` after it; return the last change.
+    Equilibrium state in `bend` and the memory `now` after it; return the last change.
 
     With friction memory it is reached from the posture in `past`, in ever finer parts until the
-    result stays; without, from the guess in `bend`. `before` (n, 2) is scratch.
+    result stays; without, from the guess in `bend`. `before` (3n,) is scratch.
 
     Parameters
     ----------
@@ -115,9 +116,9 @@ def posture(chain, inputs, work, past, now, bend, before):
     past, now : Memory
         Of the posture before; takes that after this one.
     bend : address
-        (n, 2) [rad], guess and result.
+        State [rad], guess and result.
     before : address
-        Scratch (n, 2).
+        Scratch (3n,).
 
     """
     if not memory_acts(chain):
@@ -127,11 +128,11 @@ def posture(chain, inputs, work, past, now, bend, before):
     parts = 1
     change = ramp(chain, inputs, work, past, now, bend, parts)
     while parts < 64:
-        copy(bend, before, 2 * chain.n)
+        copy(bend, before, unknowns(chain))
         parts *= 2
         change = ramp(chain, inputs, work, past, now, bend, parts)
         moved = 0.0
-        for j in range(2 * chain.n):
+        for j in range(unknowns(chain)):
             moved = max(moved, abs(floats(bend)[j] - floats(before)[j]))
         if change < BEND_TOLERANCE and moved < 1e-6:
             break
@@ -189,17 +190,18 @@ def balance(chain, inputs, there, bend):
 
 @compiled
 def predict(chain, there, ways, inputs, trial):
-    """Guess the bends of a trial: those kept, and how they follow the inputs (m, 2n) [rad/N]."""
+    """Guess the state of a trial: that kept, and how it follows the inputs (m, ...) [rad/N]."""
     near, longest = floats(there.near), 0.0
-    copy(there.bend, there.near, 2 * chain.n)
-    for q in range(2 * chain.n):
+    size = unknowns(chain)
+    copy(there.bend, there.near, size)
+    for q in range(size):
         move = 0.0
         for j in range(chain.m):
             move += ways[j, q] * (trial[j] - inputs[j])
         near[q] += move
         longest = max(longest, abs(move)) if move == move else math.inf
     if not longest < GUESS_STEP_MAX:
-        copy(there.bend, there.near, 2 * chain.n)
+        copy(there.bend, there.near, size)
 
 
 @compiled
@@ -207,7 +209,7 @@ def accept(chain, there, trial, moved, inputs, f):
     """Go to where a trial was: its tensions, residuals and bends."""
     inputs[:] = trial
     f[:] = moved
-    copy(there.near, there.bend, 2 * chain.n)
+    copy(there.near, there.bend, unknowns(chain))
 
 
 @compiled
@@ -220,7 +222,7 @@ def results_at(chain, block, count, b, work):
     """
     n, k, m = chain.n, chain.k, chain.m
     bends = block + 8 * m * count
-    tensions = bends + 16 * n * count
+    tensions = bends + 24 * n * count
     frames = tensions + 8 * n * k * count
     origins = frames + 72 * n * count
     pulls = origins + 24 * n * count
@@ -229,7 +231,7 @@ def results_at(chain, block, count, b, work):
     here = with_results(
         work, tensions + 8 * n * k * b, frames + 72 * (n * b - 1), origins + 24 * (n * b - 1)
     )
-    row = (block + 8 * m * b, bends + 16 * n * b, pulls + 8 * k * b, means + 8 * m * b)
+    row = (block + 8 * m * b, bends + 24 * n * b, pulls + 8 * k * b, means + 8 * m * b)
     return row, changes + 8 * b, here
 
 
@@ -282,7 +284,7 @@ def postures(robot, block, count, begin, end, past, scratch, carry):
         if not change <= worst:
             worst = change
         if carry != 0:
-            copy(now.bend, then.bend, 2 * n + 2 * n * k + m)
+            copy(now.bend, then.bend, memory_size(n, k, m))
         show(chain, row, here)
     return worst
 
@@ -292,7 +294,7 @@ def show_postures(robot, block, count, past, scratch):
     """Fill a block from its inputs and bends as they are, without solving."""
     chain = chain_at(robot)
     work, then = work_in(chain, scratch), memory_in(chain, past)
-    f = np.empty(2 * chain.n)
+    f = np.empty(unknowns(chain))
     for b in range(count):
         row, _, here = results_at(chain, address(block), count, b, work)
         solving = with_results(work, here.tensions, work.frames, work.origins)

@@ -13,6 +13,7 @@ from .stages import eyelet_acts, friction_travel_acts, memory_acts
 from .stick import solve_sliding
 from .sweep import is_implicit
 from .turning import half_turns
+from .twisting import unknowns
 
 # Factors on the slip length, over which the sign of friction is smooth: on the way of a
 # continuation, at the start of a search, and from one good step to the next.
@@ -30,7 +31,7 @@ def anderson_step(x, f, steps, changes, used, gram, factor, weights):
 
     Parameters
     ----------
-    x, f : ndarray, shape (2n,)
+    x, f : ndarray, shape (u,)
         Guess and change of the last sweep [rad]; x becomes the next guess.
     steps, changes : ndarray, shape (ANDERSON_DEPTH, 2n)
         Differences of the last guesses and of their changes [rad].
@@ -57,7 +58,7 @@ def anderson_step(x, f, steps, changes, used, gram, factor, weights):
 
 @compiled
 def repeat_sweeps(chain, inputs, x, work, past, most):
-    """Repeat sweeps from x (2n,), accelerated (Anderson 1965); return the last change [rad]."""
+    """Repeat sweeps from a state x, accelerated (Anderson 1965); return the last change [rad]."""
     size = x.shape[0]
     flat = np.empty(size)
     f, old_x, old_f = np.empty(size), np.empty(size), np.empty(size)
@@ -152,9 +153,9 @@ def is_zero(x):
 
 
 @compiled
-def is_planar(x):
+def is_planar(chain, x):
     """Tell whether nothing bends the arm across x."""
-    for j in range(1, x.shape[0], 2):
+    for j in range(1, 2 * chain.n, 2):
         if x[j] != 0.0:
             return False
     return True
@@ -168,7 +169,7 @@ def is_causal(chain):
 
 @compiled
 def step_plainly(chain, inputs, x, work, past):
-    """Fill x (2n,) with the bends that there are without the effects of shape."""
+    """Fill a state x with the one that there is without the effects of shape."""
     floats(work.slip)[2] = 0.0
     step_at(chain.step)(chain, inputs, address(x), work, past, address(x))
     floats(work.slip)[2] = 1.0
@@ -176,7 +177,7 @@ def step_plainly(chain, inputs, x, work, past):
 
 @compiled
 def begin_again(chain, inputs, x, bend, work, past, cold):
-    """Fill x (2n,) with the bends in `bend`, or where there is no guess with the plain ones."""
+    """Fill x with the state in `bend`, or where there is no guess with the plain one."""
     for j in range(x.shape[0]):
         x[j] = floats(bend)[j]
     if cold:
@@ -192,10 +193,10 @@ def solve_stuck(chain, inputs, x, bend, work, past, cold):
     ----------
     inputs : address
         (m,) [N]
-    x : ndarray, shape (2n,)
+    x : ndarray, shape (u,)
         Takes the bends [rad].
     bend : address
-        Guess (n, 2) [rad].
+        Guess, a state [rad].
     cold : bool
         Whether there is no guess.
 
@@ -223,10 +224,10 @@ def solve_smooth(chain, inputs, x, bend, work, past, cold):
     ----------
     inputs : address
         (m,) [N]
-    x : ndarray, shape (2n,)
+    x : ndarray, shape (u,)
         Takes the bends [rad].
     bend : address
-        Guess (n, 2) [rad].
+        Guess, a state [rad].
     cold : bool
         Whether there is no guess.
 
@@ -246,12 +247,12 @@ def solve_smooth(chain, inputs, x, bend, work, past, cold):
 @entry(SETTLE)
 def solve_equilibrium(chain, inputs, work, past, bend):
     """
-    Find the equilibrium for input tensions (m,) [N] from the bends (n, 2) [rad] in `bend`.
+    Find the equilibrium for input tensions (m,) [N] from the state [rad] in `bend`.
 
-    Returns the last change [rad]: above `BEND_TOLERANCE` there is no equilibrium and the bends
-    mean nothing. work.tensions are those of the equilibrium.
+    Returns the last change [rad]: above `BEND_TOLERANCE` there is no equilibrium and the state
+    means nothing. work.tensions are those of the equilibrium.
     """
-    size = 2 * chain.n
+    size = unknowns(chain)
     bends = floats(bend)
     if not is_implicit(chain):
         step_at(chain.step)(chain, inputs, bend, work, past, bend)
@@ -266,7 +267,7 @@ def solve_equilibrium(chain, inputs, work, past, bend):
     if cold:  # nothing known: begin without the effects of shape
         step_plainly(chain, inputs, x, work, past)
     swept, change = False, math.inf
-    if memory_acts(chain) or not eyelet_acts(chain) or is_planar(x):
+    if memory_acts(chain) or not eyelet_acts(chain) or is_planar(chain, x):
         change = repeat_sweeps(chain, inputs, x, work, past, 25)
         swept = change < BEND_TOLERANCE
     if not swept and friction_travel_acts(chain) and eyelet_acts(chain) and not memory_acts(chain):

@@ -13,6 +13,7 @@ from .elimination import solve_rows
 from .layout import chain_at, compiled, entry, workspace
 from .pulls import pull_residuals, pull_slopes
 from .shape import accept, predict
+from .twisting import unknowns
 
 GAP_CLOSED = 1e-2  # largest gap, over the stretch of a wire by 1 N
 STEP_MAX, STEP_MAX_N = 3.0, 0.01  # longest step, over the largest tension and this more [N]
@@ -96,7 +97,7 @@ def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, mo
         [N], start and result.
     target : ndarray, shape (m,)
         Wire pulls [m]; NaN: a slack wire.
-    bends : ndarray, shape (2, n, 2)
+    bends : ndarray, shape (2, 3n)
         [rad], guess and result in its first half.
     past : ndarray
         Memory of the posture before.
@@ -110,7 +111,7 @@ def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, mo
     """
     chain = chain_at(robot)
     m, there = chain.m, workspace(chain, bends, past, scratch)
-    ways = np.zeros((m, 2 * chain.n))
+    ways = np.zeros((m, unknowns(chain)))
     f, moved, slopes = np.empty(m), np.empty(m), np.zeros((m, m))
     trial, move, ahead = np.empty(m), np.empty(m), np.empty(m)
     for j in range(m):

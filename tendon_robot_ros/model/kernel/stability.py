@@ -35,7 +35,7 @@ def load_ratio(chain):
 @compiled
 def descend(chain, inputs, x, work, past, ratio):
     """
-    Leave an unstable equilibrium x (2n,); tell whether it has moved to one that is better.
+    Leave an unstable equilibrium x; tell whether it has moved to one that is better.
 
     The straight arm, pushed a little to the side that the loads prefer, sinks until it rests: the
     gradient of the energy is the stiffness times the residual.

@@ -20,6 +20,7 @@ import numpy as np
 from .layout import SLIP_LENGTH, address, compiled, floats, newton_at, respond_at, words
 from .newton import largest
 from .residual import imbalance, moment_arms_of, place_forces, place_travel
+from .stages import torsion_acts
 
 SLIPPING_FROM = 0.9999  # [1] direction of friction that counts as slipping
 SLIP_START_TRAVEL = 3.0  # [1] travel, over the slip length, of a tendon that begins to slip
@@ -50,7 +51,7 @@ def take_over(chain, work, move, own, width, new_width):
 
     Parameters
     ----------
-    move : ndarray, shape (2n,)
+    move : ndarray, shape (u,)
         Step of the bends [rad].
     own : ndarray, shape (4, n, k)
         Travel [m]: the eyelets' own, here and beyond, then the real one, here and beyond.
@@ -59,12 +60,14 @@ def take_over(chain, work, move, own, width, new_width):
 
     """
     tendon, (moment_arms, scale) = words(chain.tendon), moment_arms_of(chain, work)
-    lever = floats(moment_arms)
+    lever, twists = floats(moment_arms), torsion_acts(chain)
     for k in range(chain.k):
         total = 0.0
         for i in range(tendon[2 * k] - 1, -1, -1):
             at = 2 * (chain.k * i + k)
             step = scale * (lever[at] * move[2 * i] + lever[at + 1] * move[2 * i + 1])
+            if twists:
+                step += floats(work.axial)[at // 2] * move[2 * chain.n + i]
             own[0, i, k] = next_travel(own[0, i, k], own[2, i, k] + step, width, new_width)
             own[1, i, k] = next_travel(own[1, i, k], own[3, i, k] + total, width, new_width)
             total += step
@@ -85,7 +88,7 @@ def exchange(chain, work, own):
 
 @compiled
 def own_travel(chain, bend, work):
-    """Start with the travel that bends (n, 2) give: (4, n, k) [m], see `take_over`."""
+    """Start with the travel that a state gives: (4, n, k) [m], see `take_over`."""
     own = np.zeros((4, chain.n, chain.k))
     place_travel(chain, bend, work)
     for i in range(chain.n):
@@ -98,7 +101,7 @@ def own_travel(chain, bend, work):
 @compiled
 def solve_sliding(chain, inputs, x, work, past, wide, shrink, most):
     """
-    Newton with a state of every eyelet, from x (2n,); return the last residual [rad].
+    Newton with a state of every eyelet, from x (u,); return the last residual [rad].
 
     The slip length starts `wide` times its own and shrinks by a factor at every good step.
 
@@ -106,7 +109,7 @@ def solve_sliding(chain, inputs, x, work, past, wide, shrink, most):
     ----------
     inputs : address
         (m,) [N]
-    x : ndarray, shape (2n,)
+    x : ndarray, shape (u,)
         Bends [rad], guess and result.
     wide : float
         Slip length at the start, over SLIP_LENGTH [1].

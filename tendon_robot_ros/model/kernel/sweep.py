@@ -2,7 +2,7 @@
 
 import math
 
-from .bending import bend_cell, bend_linear, is_linear
+from .bending import bend_cell, bend_linear, is_linear, twist_of
 from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import STEP, compiled, entry, floats, fused, inlined, section_of, words
 from .loads import load_moments, loaded
@@ -17,18 +17,19 @@ from .stages import (
     memory_acts,
     offset_scale,
     rest,
-    tendon_path_acts,
+    torsion_acts,
     wrap,
     wrap_acts,
 )
 from .turning import chain_frames, half_turn, half_turns
+from .twisting import follows_shape
 
 
 @compiled
 def is_implicit(chain):
     """Tell whether an effect acts that needs the shape: one sweep is then not the answer."""
     shaped = wrap_acts(chain) or friction_travel_acts(chain) or memory_acts(chain)
-    return tendon_path_acts(chain) or loaded(chain) or (eyelet_acts(chain) and shaped)
+    return follows_shape(chain) or loaded(chain) or (eyelet_acts(chain) and shaped)
 
 
 @inlined
@@ -129,7 +130,7 @@ def active_stages(chain, shaped):
     """Which act: friction, straight tendons, wrap, travel, memory; `shaped`: a guess counts."""
     return (
         eyelet_acts(chain),
-        shaped and tendon_path_acts(chain),
+        shaped and follows_shape(chain),
         shaped and wrap_acts(chain),
         shaped and friction_travel_acts(chain),
         memory_acts(chain),
@@ -192,9 +193,19 @@ def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, moment_arms, scale
 
 
 @compiled
+def tendons_about(chain, work, i):
+    """Moment [N·m] of the tendons on cell i about its own axis."""
+    about, at = 0.0, chain.k * i
+    for k in range(chain.k):
+        if i < words(chain.tendon)[2 * k]:
+            about += floats(work.tensions)[at + k] * floats(work.axial)[at + k]
+    return about
+
+
+@compiled
 def sweep(chain, inputs, guess, work, past, out, shaped):
     """
-    Bends (n, 2) [rad] into `out` and work.tensions (n, k) [N] for input tensions (m,) [N].
+    State [rad] into `out` and work.tensions (n, k) [N] for input tensions (m,) [N].
 
     Moment arms, loads, travel beyond and the neighbour's bend are those of the guess (`prepare`);
     all else is new, so that without implicit effects the result is exact after one sweep. `shaped`
@@ -203,9 +214,9 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
     Parameters
     ----------
     inputs, guess : address
-        (m,) [N]; bends (n, 2) [rad].
+        (m,) [N]; state [rad].
     out : address
-        Takes the bends (n, 2) [rad]; may be that of the guess.
+        Takes the state [rad]; may be that of the guess.
     shaped : bool
 
     """
@@ -234,6 +245,18 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
             mx, my, total = pass_eyelet(
                 chain, work, past, i, bx, by, next_x, next_y, moment_arms, friction_scale, flags
             )
+    if torsion_acts(chain):
+        sweep_twists(chain, work, out, shaped, loads)
+
+
+@compiled
+def sweep_twists(chain, work, out, shaped, loads):
+    """Fill the twists of the state `out`; `shaped` False: no tendon leans, no load acts."""
+    for i in range(chain.n):
+        about = tendons_about(chain, work, i) if shaped else 0.0
+        if loads:
+            about += floats(work.torque)[i]
+        floats(out)[2 * chain.n + i] = twist_of(chain, i, about)
 
 
 @compiled
@@ -244,7 +267,7 @@ def carry_tensions(chain, inputs, bend, work, past, flags, moment_arms, scale):
     Parameters
     ----------
     inputs, bend : address
-        (m,) [N]; (n, 2) [rad].
+        (m,) [N]; state [rad].
     flags : tuple of bool
         `active_stages`.
     moment_arms : address

@@ -9,10 +9,21 @@ laws are differentiated as they stand, by central differences of scalars.
 
 import math
 
-from .bending import bend_cell, cell_stiffness, is_linear
-from .geometry import moment_of_tendons
+from .bending import bend_cell, cell_stiffness, is_linear, twist_of
+from .geometry import moment_of_leaning, moment_of_tendons
 from .layout import HINGE, cell, compiled, floats, inlined, section_of, words
-from .loads import cell_moment, cross, loaded, local, plus, scaled, turn_moment, weight
+from .loads import (
+    NO_LOAD,
+    cell_moment,
+    cross,
+    loaded,
+    local,
+    plus,
+    scaled,
+    turn_moment,
+    turned,
+    weight,
+)
 from .residual import moment_arms_of, tendon_moment
 from .stages import (
     eyelet,
@@ -21,22 +32,23 @@ from .stages import (
     length_acts,
     memory,
     offset_scale,
-    tendon_path_acts,
+    torsion_acts,
     wrap,
 )
-from .sweep import active_stages, smooth_sign
+from .sweep import active_stages, smooth_sign, tendons_about
 from .turning import arc_factor, end_of, half_turn
+from .twisting import axial_moment, bending_frame, follows_shape, is_general, leans, twist_in
 
-# Floats of one cell: derivatives of the residual [rad] by the own bend, by the turn of the first
-# frame (rotation vector, base frame), by the torque [N·m] at the end; turn of the last frame by
-# the own bend; torque at the start by the turn of the first frame and by the own bend. Then for
-# every tendon: TENDON floats.
-OWN, BY_TURN, BY_TORQUE, TURNS, TORQUE_BY_TURN, TORQUE_BY_OWN, SIZE = 0, 4, 10, 16, 22, 31, 37
-# Residual by tension; tension behind the eyelet at the cell's start by that before it, by the
-# bends before and in the cell, by the travel beyond; travel by the own bend; torque by tension;
-# tension behind the eyelet by what its travel lags.
-BY_TENSION, PASSED, BEFORE, HERE, SLIDES = 0, 2, 3, 5, 7
-TRAVELS, PULLS, LAGS, TENDON = 8, 10, 13, 14
+# Floats of one cell, matrices of three by three: derivatives of the residual [rad] by the own
+# bend and twist, by the turn of the first frame (rotation vector, base frame), by the torque
+# [N·m] at the end; turn of the last frame by the own bend and twist; torque at the start by the
+# turn of the first frame and by the own bend and twist. Then for every tendon: TENDON floats.
+OWN, BY_TURN, BY_TORQUE, TURNS, TORQUE_BY_TURN, TORQUE_BY_OWN, SIZE = 0, 9, 18, 27, 36, 45, 54
+# Residual by tension; tension behind the eyelet at the cell's start by that before it, by bends
+# and twist before and in the cell, by the travel beyond; travel by the own bend and twist; torque
+# by tension; tension behind the eyelet by what its travel lags.
+BY_TENSION, PASSED, BEFORE, HERE, SLIDES = 0, 3, 4, 7, 10
+TRAVELS, PULLS, LAGS, TENDON = 11, 14, 17, 18
 BEND_STEP = 1e-5  # [rad] of central differences
 MOMENT_STEP = 1e-6  # [rad] over a cell's compliance
 TENSION_STEP = 1e-4  # [1], and of 10 mN
@@ -82,9 +94,16 @@ def compliances(chain, past, i, mx, my, total):
 
 
 @compiled
+def twist_compliance(chain, i, about):
+    """Differentiate a cell's twist by the moment about its axis [rad/(N·m)]."""
+    h = MOMENT_STEP * cell_stiffness(chain, i, section_of(chain, i))
+    return (twist_of(chain, i, about + h) - twist_of(chain, i, about - h)) / (2.0 * h)
+
+
+@compiled
 def moment_arm_slopes(chain, work, i, x, y, scale):
     """Differentiate the tendons' moment by the bend, tensions held: (xx, xy, yy) [N·m/rad]."""
-    if not tendon_path_acts(chain):
+    if not follows_shape(chain):
         return 0.0, 0.0, 0.0
     h, tensions = BEND_STEP, work.tensions + 8 * chain.k * i
     ax, ay = moment_of_tendons(chain, i, x + h, y, tensions, scale)
@@ -92,6 +111,19 @@ def moment_arm_slopes(chain, work, i, x, y, scale):
     _, cy = moment_of_tendons(chain, i, x, y + h, tensions, scale)
     _, dy = moment_of_tendons(chain, i, x, y - h, tensions, scale)
     return (ax - bx) / (2.0 * h), (ay - by) / (2.0 * h), (cy - dy) / (2.0 * h)
+
+
+@compiled
+def leaning_slopes(chain, work, i, x, y, twist, scale):
+    """Differentiate the moment (x, y, about) of leaning tendons by x, y, twist [N·m/rad]."""
+    h, tensions = BEND_STEP, work.tensions + 8 * chain.k * i
+    slopes = (NO_LOAD, NO_LOAD, NO_LOAD)
+    for a in range(3):
+        dx, dy, dz = h if a == 0 else 0.0, h if a == 1 else 0.0, h if a == 2 else 0.0
+        up = moment_of_leaning(chain, i, x + dx, y + dy, twist + dz, tensions, scale)
+        low = moment_of_leaning(chain, i, x - dx, y - dy, twist - dz, tensions, scale)
+        slopes = (slopes[1], slopes[2], difference(h, up, low))
+    return slopes
 
 
 @inlined
@@ -184,7 +216,7 @@ def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
     Parameters
     ----------
     bend : address
-        (n, 2) [rad]
+        State [rad].
     flags : tuple of bool
         `sweep.active_stages`.
     tangent : address
@@ -213,40 +245,58 @@ def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
         row[PASSED] = ratio
         row[BEFORE] = share * ox + by_here * travels[0]
         row[BEFORE + 1] = share * oy + by_here * travels[1]
+        row[BEFORE + 2] = by_here * travels[2]
         row[HERE], row[HERE + 1] = share * nx, share * ny
         row[SLIDES] = t * log_passed * by_beyond
         lag = floats(work.lag)
         row[LAGS] = by_here * lag[at] + row[SLIDES] * lag[at + chain.n * chain.k]
 
 
-@compiled
-def bent_cell(chain, work, i, x, y, force, torque, own):
+@inlined
+def bend_cell_of(chain, work, i, x, y, force, torque, own, general):
     """
-    Moment (x, y) [N·m] on a cell bent by (x, y), where its end and its middle lie [m].
+    Moment (x, y, about) [N·m] on a cell bent by (x, y), where its end and its weight lie [m].
 
     Parameters
     ----------
     x, y : float
         Bend [rad].
     force, torque, own : tuple of float
-        Of all beyond at the cell's end, and its weight, in its first frame: (3,) [N], [N·m], [N].
+        Of all beyond at the cell's end, and its weight, in the frame that bends: (3,) [N], [N·m],
+        [N].
+    general : bool
+        Whether cells twist or weight lies beside the axis; a constant.
 
     """
     s, c = half_turn(x * x + y * y)
-    reach, hinge = floats(work.lengths)[i], cell(chain, i, HINGE)
-    mx, my, lean, rise = cell_moment(x, y, s, c, force, torque, own, reach, hinge)
-    across, along = end_of(x * x + y * y, s, c, reach, hinge)
-    return mx, my, (across * x, across * y, along), (lean * x, lean * y, rise)
+    reach = floats(work.lengths)[i]
+    mx, my, middle = cell_moment(chain, i, x, y, s, c, force, torque, own, reach, general)
+    across, along = end_of(x * x + y * y, s, c, reach, cell(chain, i, HINGE))
+    end, about = (across * x, across * y, along), 0.0
+    if general:
+        start = plus(torque, plus(cross(end, force), cross(middle, own)))
+        about = axial_moment(x, y, 2.0 * s * c, 2.0 * s * s, torque, start)
+    return (mx, my, about), end, middle
 
 
 @compiled
-def turned(f, v):
-    """Components in the base frame of a vector in a frame."""
-    return (
-        f[0] * v[0] + f[1] * v[1] + f[2] * v[2],
-        f[3] * v[0] + f[4] * v[1] + f[5] * v[2],
-        f[6] * v[0] + f[7] * v[1] + f[8] * v[2],
-    )
+def bent_cell(chain, work, i, x, y, force, torque, own):
+    """Return `bend_cell_of` where loads do no more than bend."""
+    return bend_cell_of(chain, work, i, x, y, force, torque, own, False)
+
+
+@compiled
+def general_cell(chain, work, i, x, y, force, torque, own):
+    """Return `bend_cell_of` where cells twist or weight lies beside the axis."""
+    return bend_cell_of(chain, work, i, x, y, force, torque, own, True)
+
+
+@inlined
+def loaded_cell(chain, work, i, x, y, force, torque, own, general):
+    """Return `bend_cell_of`, by code compiled once for each kind of loads."""
+    if general:
+        return general_cell(chain, work, i, x, y, force, torque, own)
+    return bent_cell(chain, work, i, x, y, force, torque, own)
 
 
 @compiled
@@ -255,37 +305,39 @@ def difference(h, a, b):
     return scaled(0.5 / h, (a[0] - b[0], a[1] - b[1], a[2] - b[2]))
 
 
-@compiled
-def load_slopes(chain, bend, work, i, row):
+@inlined
+def load_slopes(chain, bend, work, i, row, general):
     """
-    Fill what the loads say about cell i; return the derivative of their moment by its bend.
+    Fill what the loads say about cell i; differentiate their moment by x, y and the twist.
 
     In `row`, BY_TURN and BY_TORQUE take the moment's derivatives, before they meet the
     compliance.
     """
     x, y, h = floats(bend)[2 * i], floats(bend)[2 * i + 1], BEND_STEP
-    f, wrench = floats(work.frames + 72 * i), floats(work.wrench + 48 * i)
+    f, wrench = bending_frame(chain, bend, work, i, general), floats(work.wrench + 48 * i)
     force, torque = (wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])
     own = scaled(floats(work.slip)[1], weight(chain, i))
     loads = (local(f, force), local(f, torque), local(f, own))
-    slopes = (0.0, 0.0, 0.0, 0.0)
+    by_x = by_y = by_twist = NO_LOAD
     for a in range(2):
         dx, dy = (h, 0.0) if a == 0 else (0.0, h)
-        mx, my, up, mid = bent_cell(chain, work, i, x + dx, y + dy, *loads)
-        nx, ny, low, lowmid = bent_cell(chain, work, i, x - dx, y - dy, *loads)
-        slopes = (slopes[2], slopes[3], (mx - nx) / (2.0 * h), (my - ny) / (2.0 * h))
+        m, up, mid = loaded_cell(chain, work, i, x + dx, y + dy, *loads, general)
+        n, low, lowmid = loaded_cell(chain, work, i, x - dx, y - dy, *loads, general)
+        by_x, by_y = by_y, difference(h, m, n)
         by_own = plus(
             cross(turned(f, difference(h, up, low)), force),
             cross(turned(f, difference(h, mid, lowmid)), own),
         )
         for r in range(3):
-            row[TORQUE_BY_OWN + 2 * r + a] = by_own[r]
-    turn_slopes(chain, work, i, x, y, force, torque, own, row)
-    return slopes
+            row[TORQUE_BY_OWN + 3 * r + a] = by_own[r]
+    turn_slopes(chain, f, work, i, x, y, force, torque, own, row, general)
+    if general:
+        by_twist = twist_slopes(f, row)
+    return by_x, by_y, by_twist
 
 
-@compiled
-def turn_slopes(chain, work, i, x, y, force, torque, own, row):
+@inlined
+def turn_slopes(chain, f, work, i, x, y, force, torque, own, row, general):
     """
     Fill what a turn of the frame of cell i does, and how its own bend turns the next one.
 
@@ -299,42 +351,69 @@ def turn_slopes(chain, work, i, x, y, force, torque, own, row):
         Derivatives of the cell.
 
     """
-    f = floats(work.frames + 72 * i)
     s, c = half_turn(x * x + y * y)
     sinc, versine = 2.0 * s * c, 2.0 * s * s
     leaning = versine - arc_factor(x * x + y * y, s, c)
     wrench = (local(f, force), local(f, torque), local(f, own))
-    _, _, end, middle = bent_cell(chain, work, i, x, y, *wrench)
+    _, end, middle = loaded_cell(chain, work, i, x, y, *wrench, general)
     end, middle = turned(f, end), turned(f, middle)
     for r in range(3):
         unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
         wrench = (cross(force, unit), cross(torque, unit), cross(own, unit))
         wrench = (local(f, wrench[0]), local(f, wrench[1]), local(f, wrench[2]))
-        mx, my, _, _ = bent_cell(chain, work, i, x, y, *wrench)
-        row[BY_TURN + r], row[BY_TURN + 3 + r] = mx, my
-        tx, ty = turn_moment(x, y, local(f, unit), sinc, versine, leaning)
+        m, _, _ = loaded_cell(chain, work, i, x, y, *wrench, general)
+        unit_here = local(f, unit)
+        tx, ty = turn_moment(x, y, unit_here, sinc, versine, leaning)
+        row[BY_TURN + r], row[BY_TURN + 3 + r] = m[0], m[1]
         row[BY_TORQUE + r], row[BY_TORQUE + 3 + r] = tx, ty
-        row[TURNS + 2 * r], row[TURNS + 2 * r + 1] = tx, ty
+        row[TURNS + 3 * r], row[TURNS + 3 * r + 1] = tx, ty
+        if general:
+            about = axial_moment(x, y, sinc, versine, unit_here, unit_here)
+            row[BY_TURN + 6 + r] = m[2]
+            row[BY_TORQUE + 6 + r] = row[TURNS + 3 * r + 2] = about
         by_turn = plus(cross(cross(unit, end), force), cross(cross(unit, middle), own))
         for a in range(3):
             row[TORQUE_BY_TURN + 3 * a + r] = by_turn[a]
 
 
 @compiled
+def twist_slopes(f, row):
+    """
+    Fill what the twist of a cell does to the torque at its start; return what to its moment.
+
+    Half a twist turns the frame that bends about its z.
+    """
+    by_twist = (row[BY_TURN], row[BY_TURN + 3], row[BY_TURN + 6])
+    by_twist = scaled(0.5 * f[2], by_twist)
+    for r in range(1, 3):
+        column = (row[BY_TURN + r], row[BY_TURN + 3 + r], row[BY_TURN + 6 + r])
+        by_twist = plus(by_twist, scaled(0.5 * f[3 * r + 2], column))
+    for a in range(3):
+        turn = TORQUE_BY_TURN + 3 * a
+        row[TORQUE_BY_OWN + 3 * a + 2] = 0.5 * (
+            row[turn] * f[2] + row[turn + 1] * f[5] + row[turn + 2] * f[8]
+        )
+    return by_twist
+
+
+@compiled
 def compression_slopes(chain, bend, work, i, total):
-    """Differentiate the loads' moment (x, y) and the torque at the start by every tension."""
+    """Differentiate the loads' moment (x, y, about) and the torque at the start by tension."""
     h, section = TENSION_STEP * (total + 0.01), section_of(chain, i)
     rate = length(1.0, total + h, chain, section) - length(1.0, total - h, chain, section)
     rate /= 2.0 * h * length(1.0, total, chain, section)
     x, y = floats(bend)[2 * i], floats(bend)[2 * i + 1]
-    f, wrench = floats(work.frames + 72 * i), floats(work.wrench + 48 * i)
+    f, wrench = bending_frame(chain, bend, work, i, True), floats(work.wrench + 48 * i)
     force = (wrench[0], wrench[1], wrench[2])
     own = scaled(floats(work.slip)[1], weight(chain, i))
-    mx, my, end, middle = bent_cell(
-        chain, work, i, x, y, local(f, force), (0.0, 0.0, 0.0), local(f, own)
-    )
+    loads, lengths = (local(f, force), NO_LOAD, local(f, own)), floats(work.lengths)
+    m, end, middle = general_cell(chain, work, i, x, y, *loads)
+    reach, lengths[i] = lengths[i], 0.0  # a weight beside the axis stays where it is
+    rest, _, beside = general_cell(chain, work, i, x, y, *loads)
+    lengths[i] = reach
+    m, middle = plus(m, scaled(-1.0, rest)), plus(middle, scaled(-1.0, beside))
     pull = plus(cross(turned(f, end), force), cross(turned(f, middle), own))
-    return rate * mx, rate * my, scaled(rate, pull)
+    return scaled(rate, m), scaled(rate, pull)
 
 
 @compiled
@@ -345,30 +424,46 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
     Parameters
     ----------
     bend : address
-        (n, 2) [rad]
+        State [rad].
     moment_arms, scale : address, float
         (n, k, 2) [m], and the factor on them [1].
     tangent : address
         Derivatives of this cell, SIZE + TENDON k floats.
 
     """
-    row, at = floats(tangent), chain.k * i
-    x, y = floats(bend)[2 * i], floats(bend)[2 * i + 1]
+    if is_general(chain) or leans(chain):
+        fill_slopes(chain, bend, work, past, i, moment_arms, scale, tangent, True)
+    else:
+        fill_slopes(chain, bend, work, past, i, moment_arms, scale, tangent, False)
+
+
+@inlined
+def tendon_slopes(chain, bend, work, i, general):
+    """Differentiate the tendons' moment (x, y, about) by x, y and the twist, tensions held."""
+    x, y, scale = floats(bend)[2 * i], floats(bend)[2 * i + 1], offset_scale(1.0, chain, 0)
+    if general and leans(chain):
+        return leaning_slopes(chain, work, i, x, y, twist_in(chain, bend, i), scale)
+    xx, xy, yy = moment_arm_slopes(chain, work, i, x, y, scale)
+    return (xx, xy, 0.0), (xy, yy, 0.0), NO_LOAD
+
+
+@inlined
+def fill_slopes(chain, bend, work, past, i, moment_arms, scale, tangent, general):
+    """Fill the derivatives of the residual of cell i."""
+    row, at, loads = floats(tangent), chain.k * i, loaded(chain)
     mx, my, total = tendon_moment(chain, work, i, moment_arms, scale)
-    xx, xy, yy = moment_arm_slopes(chain, work, i, x, y, offset_scale(1.0, chain, 0))
-    yx, px, py, pull = xy, 0.0, 0.0, (0.0, 0.0, 0.0)
-    loads = loaded(chain)
+    by_x, by_y, by_twist = tendon_slopes(chain, bend, work, i, general)
+    press, pull = NO_LOAD, NO_LOAD
     if loads:
         mx += floats(work.load)[2 * i]
         my += floats(work.load)[2 * i + 1]
-        # columns of the Hessian: x, then y
-        hxx, hyx, hxy, hyy = load_slopes(chain, bend, work, i, row)
-        xx, yx, xy, yy = xx + hxx, yx + hyx, xy + hxy, yy + hyy
+        load_x, load_y, load_twist = load_slopes(chain, bend, work, i, row, general)
+        by_x, by_y, by_twist = plus(by_x, load_x), plus(by_y, load_y), plus(by_twist, load_twist)
         if length_acts(chain):
-            px, py, pull = compression_slopes(chain, bend, work, i, total)
+            press, pull = compression_slopes(chain, bend, work, i, total)
     a, b, c, d, e, f = compliances(chain, past, i, mx, my, total)
-    row[OWN], row[OWN + 1] = 1.0 - (a * xx + c * yx), -(a * xy + c * yy)
-    row[OWN + 2], row[OWN + 3] = -(b * xx + d * yx), 1.0 - (b * xy + d * yy)
+    row[OWN], row[OWN + 1] = 1.0 - (a * by_x[0] + c * by_x[1]), -(a * by_y[0] + c * by_y[1])
+    row[OWN + 3], row[OWN + 4] = -(b * by_x[0] + d * by_x[1]), 1.0 - (b * by_y[0] + d * by_y[1])
     if loads:
         for r in range(3):
             for start in (BY_TURN, BY_TORQUE):
@@ -381,9 +476,32 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
         here = floats(tangent + 8 * (SIZE + TENDON * k))
         u, v = scale * lever[2 * (at + k)], scale * lever[2 * (at + k) + 1]
         here[TRAVELS], here[TRAVELS + 1] = u, v
-        u, v = u + px, v + py
+        u, v = u + press[0], v + press[1]
         here[BY_TENSION], here[BY_TENSION + 1] = -(a * u + c * v + e), -(b * u + d * v + f)
         here[PULLS], here[PULLS + 1], here[PULLS + 2] = pull
+    if general and torsion_acts(chain):
+        row[OWN + 2] = -(a * by_twist[0] + c * by_twist[1])
+        row[OWN + 5] = -(b * by_twist[0] + d * by_twist[1])
+        fill_twist(chain, work, i, tangent, (by_x[2], by_y[2], by_twist[2]), press[2], loads)
+
+
+@compiled
+def fill_twist(chain, work, i, tangent, by_own, press, loads):
+    """Fill the derivatives of the residual of the twist of cell i, from those of its moment."""
+    row, about = floats(tangent), tendons_about(chain, work, i)
+    if loads:
+        about += floats(work.torque)[i]
+    yields = twist_compliance(chain, i, about)
+    for b in range(3):
+        row[OWN + 6 + b] = -yields * by_own[b]
+        row[BY_TURN + 6 + b] *= -yields
+        row[BY_TORQUE + 6 + b] *= -yields
+    row[OWN + 8] += 1.0
+    for k in range(chain.k):
+        if i < words(chain.tendon)[2 * k]:
+            here = floats(tangent + 8 * (SIZE + TENDON * k))
+            here[TRAVELS + 2] = floats(work.axial)[chain.k * i + k]
+            here[BY_TENSION + 2] = -yields * (here[TRAVELS + 2] + press)
 
 
 @compiled

@@ -7,7 +7,8 @@ sin(a) / a = 2 S C, (1 - cos a) / a² = 2 S².
 
 import math
 
-from .layout import HINGE, cell, compiled, floats, fused
+from .layout import HINGE, cell, compiled, floats, fused, inlined
+from .stages import torsion_acts
 
 SERIES_BELOW = 2.4  # [rad²] below it the polynomials hold to the last digit (a / 2 < pi / 4)
 
@@ -103,13 +104,30 @@ def turn_row(row, x, y, sinc, versine, cosine, across, along):
     return fx - x * turned, fy - y * turned, sinc * toward + cosine * fz, place
 
 
+@fused
+def twist_row(row, c, s):
+    """One row of a frame that turns about its own z by an angle of cosine c and sine s."""
+    fx, fy, fz, place = row
+    return c * fx + s * fy, c * fy - s * fx, fz, place
+
+
 @compiled
 def chain_frames(chain, bend, work):
     """
     Fill work.frames (n + 1, 3, 3) and work.origins (n + 1, 3) [m] from work.half.
 
-    Entry 0 is the base and stays as it is.
+    Entry 0 is the base and stays as it is. A cell twists by a half before and behind its bend.
     """
+    if torsion_acts(chain):
+        fill_frames(chain, bend, work, True)
+    else:
+        fill_frames(chain, bend, work, False)
+
+
+@inlined
+def fill_frames(chain, bend, work, twists):
+    """Fill frames and origins as `chain_frames` does."""
+    co, si = 1.0, 0.0
     frames, origins, bends = floats(work.frames), floats(work.origins), floats(bend)
     half, lengths = floats(work.half), floats(work.lengths)
     a, b, c = (1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)
@@ -119,9 +137,15 @@ def chain_frames(chain, bend, work):
         across, along = end_of(q, sine, cosine, lengths[i], cell(chain, i, HINGE))
         sinc, versine = 2.0 * sine * cosine, 2.0 * sine * sine
         cosine = 1.0 - versine * q
+        if twists:
+            half_twist = 0.5 * bends[2 * chain.n + i]
+            co, si = math.cos(half_twist), math.sin(half_twist)
+            a, b, c = twist_row(a, co, si), twist_row(b, co, si), twist_row(c, co, si)
         a = turn_row(a, x, y, sinc, versine, cosine, across, along)
         b = turn_row(b, x, y, sinc, versine, cosine, across, along)
         c = turn_row(c, x, y, sinc, versine, cosine, across, along)
+        if twists:
+            a, b, c = twist_row(a, co, si), twist_row(b, co, si), twist_row(c, co, si)
         f, o = 9 * i + 9, 3 * i + 3
         frames[f], frames[f + 1], frames[f + 2], origins[o] = a
         frames[f + 3], frames[f + 4], frames[f + 5], origins[o + 1] = b

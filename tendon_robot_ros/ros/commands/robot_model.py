@@ -108,7 +108,7 @@ class RobotModelNode(Node):
         if robot is None or len(message.poses) != robot.cells:
             return
         frames = np.array([matrix(pose.orientation) for pose in message.poses])
-        angles = joint_angles(frames)
+        angles = joint_angles(robot, frames)
         stamp = message.header.stamp
         self._joints.publish(joint_state(stamp, joint_names(robot), angles))
         if self._broadcaster is not None:
