@@ -58,13 +58,11 @@ def size_of(effect):
 
 
 SIZES = {effect.name: size_of(effect) for effect in CATALOGUE}
-# What must be at work, with and without it, for an effect to show.
-BESIDE = {
-    'torsion': {
-        'tendon_travel': {'fraction': 1.0},
-        'tip_load': {'force_x': 0.0, 'force_y': 0.02, 'force_z': 0.0},
-    }
-}
+# An arm along which nothing twists does not show torsion: a force across the plane of its
+# tendons, and no friction, whose sign across the bend would turn with the last digit.
+ACROSS = ROBOT.without_effect('tendon_friction').with_effect(
+    'tip_load', {'force_x': 0.0, 'force_y': 0.02, 'force_z': 0.0}
+)
 
 # prox_left, prox_right, dist_left, dist_right [N]
 POSTURES = {
@@ -101,6 +99,8 @@ def robots(name):
     base = ROBOT.without_effect(name) if name in ROBOT.effects else ROBOT
     if name in ('pull_zero', 'spool_gain'):
         base = base.with_effect('wire_spring', SIZES['wire_spring'])
+    if CATALOGUE[name].stage == 'torsion':
+        base = ACROSS
     return base, base.with_effect(name, SIZES[name])
 
 
@@ -124,7 +124,8 @@ def drawn(name, pulled=False):
     """
     Return the postures with and without an effect, the most affected one first.
 
-    `pulled`: the wires are pulled as they are without the effect, instead of the same tensions.
+    `pulled`: the wires are pulled as they are without the effect, instead of the same tensions;
+    postures whose wires cannot have these lengths together are left out.
     """
     without, with_it = (Model(robot, CATALOGUE) for robot in robots(name))
     found = []
@@ -133,12 +134,15 @@ def drawn(name, pulled=False):
         if pulled or by_pulls(name):
             given = without.shape(tensions).pulls
             pulls = [p if t > 0.1 else None for p, t in zip(given, tensions, strict=True)]
-        points = [
-            np.vstack(
-                [model.measured(np.zeros((1, 3))), positions(model, posture, tensions, pulls)]
-            )
-            for model in (without, with_it)
-        ]
+        try:
+            points = [
+                np.vstack(
+                    [model.measured(np.zeros((1, 3))), positions(model, posture, tensions, pulls)]
+                )
+                for model in (without, with_it)
+            ]
+        except InputError:
+            continue
         found.append(Drawn(posture, *points))
     return sorted(found, key=lambda one: -round(one.tip, 6))
 
