@@ -92,11 +92,9 @@ def spatial(cells=4, effects=None, bends_as='hinge', taper=1.0):
     )
 
 
-def wound(robot, winding=(20.0, -15.0), beside=(0.002, -0.003)):
+def wound(robot, helix=(20.0, -15.0), beside=(0.002, -0.003)):
     """Return the robot with tendons that wind about it [rad/m] and weight beside the axis [m]."""
-    tendons = tuple(
-        replace(tendon, winding=winding[k % 2]) for k, tendon in enumerate(robot.tendons)
-    )
+    tendons = tuple(replace(tendon, helix=helix[k % 2]) for k, tendon in enumerate(robot.tendons))
     sections = tuple(
         replace(s, mass_offset=tuple((x + 1e-3 * i, y) for i in range(s.cells)))
         for s in robot.sections

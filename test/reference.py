@@ -50,7 +50,7 @@ class Reference:
         tendon, share = self.robot.tendons[k], place / self.starts[self.ends[k]]
         base, end = np.array(tendon.base), np.array(tendon.end)
         scale = 1.0 + self.get('moment_arm', 'relative_change')
-        return scale * about_z(tendon.winding * place, *(base + share * (end - base)))
+        return scale * about_z(tendon.helix * place, *(base + share * (end - base)))
 
     def offset(self, i, k):
         """Offset of tendon k in the middle of cell i [m]."""

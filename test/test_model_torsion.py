@@ -17,12 +17,12 @@ K, L, R = 0.05, 0.01, 0.006
 TORSION = {'torsion': {'compliance': 1.3}}
 
 
-def around(cells=8, winding=0.0, effects=None, count=3):
+def around(cells=8, helix=0.0, effects=None, count=3):
     """Return an arm with tendons evenly around it, which wind about it [rad/m]."""
     tendons = []
     for angle in 2.0 * np.pi * np.arange(count) / count:
         at = (float(R * np.cos(angle)), float(R * np.sin(angle)))
-        tendons.append(Tendon(f't{len(tendons)}', at, at, 'only', winding=winding))
+        tendons.append(Tendon(f't{len(tendons)}', at, at, 'only', helix=helix))
     return Robot(
         'around', (section('only', cells, L, K),), tuple(tendons), (0.0, 9.0), effects or {}
     )
@@ -47,18 +47,18 @@ def test_a_moment_about_the_axis_twists_a_straight_rod_by_the_moment_over_its_st
 
 @pytest.mark.parametrize('straight', [0.0, 1.0])
 def test_tendons_that_wind_unwind_a_straight_arm(straight):
-    """K phi / compliance = -sum T r² sin(winding + phi) / chord, and no bend."""
-    winding, tension = 15.0, 4.0
+    """K phi / compliance = -sum T r² sin(helix + phi) / chord, and no bend."""
+    helix, tension = 15.0, 4.0
     effects = TORSION | {'straight_tendon': {'fraction': straight}}
-    shape = Model(around(8, winding, effects)).shape([tension] * 3)
+    shape = Model(around(8, helix, effects)).shape([tension] * 3)
 
     def balance(twist):
-        across = 2.0 * R * np.sin(0.5 * (winding * L + twist))
-        return K * twist / 1.3 + 3.0 * tension * R**2 * np.sin(winding * L + twist) / np.hypot(
+        across = 2.0 * R * np.sin(0.5 * (helix * L + twist))
+        return K * twist / 1.3 + 3.0 * tension * R**2 * np.sin(helix * L + twist) / np.hypot(
             L, across
         )
 
-    assert np.allclose(shape.twist, brentq(balance, -winding * L, 0.0, xtol=1e-15), rtol=1e-9)
+    assert np.allclose(shape.twist, brentq(balance, -helix * L, 0.0, xtol=1e-15), rtol=1e-9)
     assert np.allclose(shape.bend, 0.0, atol=1e-12)
     assert np.allclose(shape.tip_position, [0.0, 0.0, 8 * L], atol=1e-12)
 
@@ -157,7 +157,7 @@ def test_an_offset_per_cell_is_the_same_as_one_that_winds():
             (float(np.cos(a) * x - np.sin(a) * y), float(np.sin(a) * x + np.cos(a) * y))
             for a in places
         )
-        tendons.append(replace(tendon, winding=0.0, offsets=listed))
+        tendons.append(replace(tendon, helix=0.0, offsets=listed))
     listed = replace(robot, tendons=tuple(tendons))
     one, other = (Model(r).shape([0.5, 2.0, 0.1]) for r in (robot, listed))
     assert np.allclose(one.positions, other.positions, rtol=0, atol=1e-12)

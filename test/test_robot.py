@@ -60,15 +60,15 @@ def test_tendons_that_wind_or_go_cell_by_cell_and_weight_beside_the_axis():
     steps = [[0.005, 0.0], [0.0049, 0.001], [0.0048, 0.0014]]
     content = yaml.safe_load(ARM)
     content['tendons'][0]['offset'] = {'cells': steps}
-    content['tendons'][1]['offset'] = {'base': [0.0, 0.005], 'winding': 8.0}
-    content['tendons'][2]['offset'] = {'base': [0.0, 0.005], 'end': [0.0, 0.004], 'winding': -8.0}
+    content['tendons'][1]['offset'] = {'base': [0.0, 0.005], 'helix': 8.0}
+    content['tendons'][2]['offset'] = {'base': [0.0, 0.005], 'end': [0.0, 0.004], 'helix': -8.0}
     content['sections'][0]['mass_offset'] = [0.001, -0.002]
     content['sections'][1]['mass_offset'] = [[0.0, 0.0], [0.003, 0.0]]
     robot = parse_robot(yaml.safe_dump(content))
     listed, wound, tapered = robot.tendons
     assert listed.offsets == tuple(map(tuple, steps)) and listed.base == (0.005, 0.0)
-    assert (wound.base, wound.end, wound.winding) == ((0.0, 0.005), (0.0, 0.005), 8.0)
-    assert (tapered.end, tapered.winding) == ((0.0, 0.004), -8.0)
+    assert (wound.base, wound.end, wound.helix) == ((0.0, 0.005), (0.0, 0.005), 8.0)
+    assert (tapered.end, tapered.helix) == ((0.0, 0.004), -8.0)
     assert robot.sections[0].mass_offset == ((0.001, -0.002),) * 3
     assert robot.sections[1].mass_offset == ((0.0, 0.0), (0.003, 0.0))
     assert parse_robot(dump_robot(robot)) == robot
@@ -122,8 +122,8 @@ BAD = [
      '0.005'),
     (('tendons', 0, 'offset'), {'base': [0.0, 0.1]}, 'tendons[0].offset.end: expected a list of 2 '
      'numbers, got None'),
-    (('tendons', 0, 'offset'), {'base': [0.0, 0.1], 'winding': 400.0}, 'tendons[0].offset.'
-     'winding: expected a finite number from -157.08 to 157.08 [rad/m], got 400.0'),
+    (('tendons', 0, 'offset'), {'base': [0.0, 0.1], 'helix': 400.0}, 'tendons[0].offset.'
+     'helix: expected a finite number from -157.08 to 157.08 [rad/m], got 400.0'),
     (('tendons', 1, 'offset'), {'cells': [[0.005, 0.0]] * 3}, 'tendons[1].offset.cells: expected '
      "5 offsets [x, y] (one per cell), got '3 of them'"),
     (('tendons', 0, 'offset'), {'cells': [[0.005, 0.0]] * 3, 'end': [0.0, 0.005]}, 'tendons[0].'

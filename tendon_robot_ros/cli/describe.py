@@ -106,8 +106,8 @@ def _tendons(robot: Robot) -> str:
     rows = [['tendon', 'offset x, y [mm]', 'ends in', 'pulled by']]
     for tendon in robot.tendons:
         offset = _route((tendon.base, tendon.end))
-        if tendon.winding:
-            offset += f', winds {1e-3 * math.degrees(tendon.winding):.4g}°/mm'
+        if tendon.helix:
+            offset += f', winds {1e-3 * math.degrees(tendon.helix):.4g}°/mm'
         elif tendon.offsets:
             offset += f' in {len(tendon.offsets)} steps'
         rows.append([tendon.name, offset, tendon.section, tendon.group or tendon.name])

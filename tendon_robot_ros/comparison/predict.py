@@ -64,11 +64,11 @@ class SettledShapes:
     """Where the equilibria of P postures were found: a start for their neighbours."""
 
     tensions: Floats  # (P, m) [N]
-    bend: Floats  # (P, n, 2) [rad]
+    state: Floats  # (P, 3n) [rad], bends and twists
 
     def of(self, rows: npt.NDArray[np.int64]) -> SettledShapes:
         """Return those of some postures."""
-        return SettledShapes(self.tensions[rows], self.bend[rows])
+        return SettledShapes(self.tensions[rows], self.state[rows])
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ class Predictor:
         inputs, near = self.inputs if inputs is None else inputs, near or self._first
         P, n = len(inputs), self.model.arrays.chain.n
         placed = np.empty((P, len(self.dataset.markers), 3))
-        settled = SettledShapes(np.empty(inputs.shape), np.empty((P, n, 2)))
+        settled = SettledShapes(np.empty(inputs.shape), np.empty((P, 3 * n)))
         for part in self.parts:
             self.set_parameters(point, part, stiffness)
             there = None if near is None else near.of(part.rows)
@@ -190,7 +190,7 @@ class Predictor:
             )
             if shapes is None:
                 return None
-            settled.tensions[part.rows], settled.bend[part.rows] = shapes.inputs, shapes.bend
+            settled.tensions[part.rows], settled.state[part.rows] = shapes.inputs, shapes.state
             seen = shapes.markers(self.dataset.arc_lengths, self.dataset.offsets)
             placed[part.rows] = self.model.measured(seen)
         self.settled = settled
@@ -229,7 +229,7 @@ class Predictor:
         """Shapes under tensions; None without equilibrium."""
         if self.model.remembers:
             return self._remembering(inputs)
-        batch, changes = self.model.solve(inputs, None if near is None else near.bend)
+        batch, changes = self.model.solve(inputs, None if near is None else near.state)
         if near is not None and not (changes < TOLERANCE).all():
             batch, changes = self.model.solve(inputs)
         return batch if (changes < TOLERANCE).all() else None
@@ -245,7 +245,7 @@ class Predictor:
 
         carry = self.model.remembers and self.dataset.path == 'sequence'
         memory = self.model.arrays.fresh_memory() if carry else None
-        tensions, bends = (None, None) if near is None else (near.tensions, near.bend)
+        tensions, bends = (None, None) if near is None else (near.tensions, near.state)
         try:
             return pull_shapes(self.model, pulls, tensions, bends, memory)
         except TendonRobotError:

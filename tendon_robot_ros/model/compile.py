@@ -23,7 +23,7 @@ import numpy.typing as npt
 from ..common.errors import EffectError, RobotDescriptionError
 from ..effects import STAGES, Catalogue, Parameter
 from ..robot import Robot
-from ..robot.routes import tendon_offsets, tendon_winding
+from ..robot.routes import helix_angles, tendon_offsets
 
 KERNEL = Path(__file__).parent / 'kernel'
 _COMPOSED: dict[str, ModuleType] = {}
@@ -179,7 +179,7 @@ class KernelArrays:
         self.layout = layout(catalogue)
         self.cells = _cells(robot)
         self.offset = tendon_offsets(robot)
-        self.winding = tendon_winding(robot)
+        self.helix = helix_angles(robot)
         self.tendon = np.array(
             [
                 [robot.tendon_cells[k], j]
@@ -283,7 +283,7 @@ class KernelArrays:
             respond=lay.address_of(self.part('response').respond),
             newton=lay.address_of(self.part('newton').newton),
             settle=lay.address_of(self.part('solve').solve_equilibrium),
-            winding=self.winding.ctypes.data if self.winding.any() else 0,
+            helix=self.helix.ctypes.data if self.helix.any() else 0,
             beside=int(any(any(any(xy) for xy in s.mass_offset) for s in robot.sections)),
             **at,
         )

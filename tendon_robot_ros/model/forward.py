@@ -145,7 +145,7 @@ class ForwardModel:
         """
         if last is None:
             return self.shape(tensions)
-        return self.shape(tensions, last.bend, last.memory if self.remembers else None)
+        return self.shape(tensions, last.state, last.memory if self.remembers else None)
 
     def shapes(self, tensions: npt.ArrayLike, guesses: Floats | None = None) -> ShapeBatch:
         """

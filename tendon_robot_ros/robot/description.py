@@ -49,7 +49,7 @@ class Tendon:
     """
     A tendon: its offset from the centroid, the section it ends in, the input that pulls it.
 
-    The offset goes from `base` to `end` while it turns about the axis by `winding` per length; or
+    The offset goes from `base` to `end` while it turns about the axis by `helix` per length; or
     it is that of `offsets` in every cell.
     """
 
@@ -58,7 +58,7 @@ class Tendon:
     end: XY  # [m] where it ends
     section: str
     group: str | None = None
-    winding: float = 0.0  # [rad/m], from x to y
+    helix: float = 0.0  # [rad/m], from x to y
     offsets: tuple[XY, ...] = ()  # (cells of the tendon, 2) [m] at mid-cell
 
 
@@ -143,7 +143,7 @@ class Robot:
         return replace(self, effects=keep, fitted=origin)
 
 
-WINDING_MAX_RAD = math.pi / 2.0  # [rad] of a tendon in one cell: it is straight there
+HELIX_MAX_RAD = math.pi / 2.0  # [rad] of a tendon in one cell: it is straight there
 DESCRIPTION_MAX = 1_000_000  # characters of a description
 
 
@@ -250,35 +250,35 @@ def _tendon(item: Reader, sections: tuple[Section, ...]) -> Tendon:
     names = tuple(section.name for section in sections)
     ending = item.choice('section', names)
     runs_through = sections[: names.index(ending) + 1]
-    base, end, winding, offsets = _route(item, runs_through)
+    base, end, helix, offsets = _route(item, runs_through)
     return Tendon(
         name=item.name('name'),
         base=base,
         end=end,
         section=ending,
         group=item.name('group') if item.has('group') else None,
-        winding=winding,
+        helix=helix,
         offsets=offsets,
     )
 
 
 def _route(item: Reader, sections: tuple[Section, ...]) -> tuple[XY, XY, float, tuple[XY, ...]]:
-    """Return a tendon's offset at the base and at its end, its winding, its offset per cell."""
+    """Return a tendon's offset at the base and at its end, its helix, its offset per cell."""
     if not isinstance(item.content.get('offset'), dict):
         at = item.offset('offset')
         return at, at, 0.0, ()
     route = item.child('offset')
-    route.only('base', 'end', 'winding', 'cells')
+    route.only('base', 'end', 'helix', 'cells')
     if route.has('cells'):
-        if other := [key for key in ('base', 'end', 'winding') if route.has(key)]:
+        if other := [key for key in ('base', 'end', 'helix') if route.has(key)]:
             raise route.error(other[0], 'nothing beside cells, which say it all', other[0])
         offsets = route.offsets('cells', sum(section.cells for section in sections))
         return offsets[0], offsets[-1], 0.0, offsets
     base = route.offset('base')
-    end = route.offset('end') if route.has('end') or not route.has('winding') else base
-    most = WINDING_MAX_RAD / max(section.cell_length for section in sections)
-    winding = route.number('winding', -most, most, 'rad/m') if route.has('winding') else 0.0
-    return base, end, winding, ()
+    end = route.offset('end') if route.has('end') or not route.has('helix') else base
+    most = HELIX_MAX_RAD / max(section.cell_length for section in sections)
+    helix = route.number('helix', -most, most, 'rad/m') if route.has('helix') else 0.0
+    return base, end, helix, ()
 
 
 def _effects(top: Reader) -> dict[str, EffectValues]:
@@ -347,9 +347,9 @@ def _plain_tendon(tendon: Tendon) -> dict[str, Any]:
     offset: Any = list(tendon.base)
     if tendon.offsets:
         offset = {'cells': [list(at) for at in tendon.offsets]}
-    elif tendon.base != tendon.end or tendon.winding:
+    elif tendon.base != tendon.end or tendon.helix:
         offset = {'base': list(tendon.base), 'end': list(tendon.end)}
-        if tendon.winding:
-            offset['winding'] = tendon.winding
+        if tendon.helix:
+            offset['helix'] = tendon.helix
     plain = {'name': tendon.name, 'offset': offset, 'section': tendon.section}
     return plain if tendon.group is None else {**plain, 'group': tendon.group}

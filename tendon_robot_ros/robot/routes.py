@@ -22,21 +22,21 @@ def tendon_offsets(robot: Robot) -> Floats:
     return offset
 
 
-def tendon_winding(robot: Robot) -> Floats:
+def helix_angles(robot: Robot) -> Floats:
     """Return the angle by which every tendon winds about the axis in every cell, (n, k) [rad]."""
-    winding = np.zeros((robot.cells, len(robot.tendons)))
+    angles = np.zeros((robot.cells, len(robot.tendons)))
     for k, tendon in enumerate(robot.tendons):
         ends, lengths = _tendon_ends(robot, k)
         if tendon.offsets:
             angle = np.unwrap(np.arctan2(*np.transpose(tendon.offsets)[::-1]))
             rate = np.gradient(angle, ends - 0.5 * lengths) if len(ends) > 1 else 0.0
-            winding[: len(ends), k] = rate * lengths
+            angles[: len(ends), k] = rate * lengths
         else:
             (x0, y0), (x1, y1) = (_route(tendon, at, ends[-1]).T for at in (ends - lengths, ends))
             middle = 0.25 * ((x0 + x1) ** 2 + (y0 + y1) ** 2)
-            winding[: len(ends), k] = 2.0 * np.arctan2(x0 * y1 - y0 * x1, 2.0 * middle)
-    winding[np.abs(winding) < 1e-12] = 0.0  # what is left of rounding
-    return winding
+            angles[: len(ends), k] = 2.0 * np.arctan2(x0 * y1 - y0 * x1, 2.0 * middle)
+    angles[np.abs(angles) < 1e-12] = 0.0  # what is left of rounding
+    return angles
 
 
 def _tendon_ends(robot: Robot, k: int) -> tuple[Floats, Floats]:
@@ -47,10 +47,10 @@ def _tendon_ends(robot: Robot, k: int) -> tuple[Floats, Floats]:
 
 
 def _route(tendon: Tendon, arc_length: Floats, whole: float) -> Floats:
-    """Offset (j, 2) [m] of a tendon at arc lengths (j,): a line that turns by its winding."""
+    """Offset (j, 2) [m] of a tendon at arc lengths (j,): a line that turns by its helix."""
     base, end = np.array(tendon.base), np.array(tendon.end)
     x, y = (base + arc_length[:, None] / whole * (end - base)).T
-    if tendon.winding == 0.0:
+    if tendon.helix == 0.0:
         return np.stack([x, y], axis=1)
-    c, s = np.cos(tendon.winding * arc_length), np.sin(tendon.winding * arc_length)
+    c, s = np.cos(tendon.helix * arc_length), np.sin(tendon.helix * arc_length)
     return np.stack([c * x - s * y, s * x + c * y], axis=1)

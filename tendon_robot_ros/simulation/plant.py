@@ -16,7 +16,7 @@ from ..model.pulls import pull_shapes
 from ..model.shape import Shape, ShapeBatch, bends_in, twists_in
 from ..robot import Robot, Section
 from ..robot.description import XY, EffectValues
-from ..robot.routes import tendon_winding
+from ..robot.routes import helix_angles
 from ..robot.size import natural_sizes
 from .hidden import Damage, Hidden, hide
 from .imperfect import Built, Workmanship
@@ -83,25 +83,25 @@ def real_robot(
         made['pre_curvature'] = _kinked(made.get('pre_curvature', {}), built, parts)
     sections = _sections(robot, parts, stiffness * (1.0 + built.stiffness))
     ends = {s.name: f'{s.name} {s.cells * parts}' for s in robot.sections}
-    winding = tendon_winding(robot)
+    helix = helix_angles(robot)
     tendons = tuple(
         replace(
             tendon,
             section=ends[tendon.section],
             base=(tendon.base[0] * (1.0 + off), tendon.base[1] * (1.0 + off)),
             end=(tendon.end[0] * (1.0 + off), tendon.end[1] * (1.0 + off)),
-            offsets=_divided(tendon.offsets, winding[:, k], parts, 1.0 + off),
+            offsets=_divided(tendon.offsets, helix[:, k], parts, 1.0 + off),
         )
         for k, (tendon, off) in enumerate(zip(robot.tendons, built.hole.tolist(), strict=True))
     )
     return replace(robot, sections=sections, tendons=tendons, effects=made, fitted={})
 
 
-def _divided(offsets: tuple[XY, ...], winding: Floats, parts: int, scale: float) -> tuple[XY, ...]:
+def _divided(offsets: tuple[XY, ...], helix: Floats, parts: int, scale: float) -> tuple[XY, ...]:
     """Return the offset of a tendon in every finer cell: that of the cell, wound on within it."""
     share = (np.arange(parts) + 0.5) / parts - 0.5
     made: list[XY] = []
-    for (x, y), angle in zip(offsets, winding.tolist(), strict=False):
+    for (x, y), angle in zip(offsets, helix.tolist(), strict=False):
         c, s = scale * np.cos(angle * share), scale * np.sin(angle * share)
         made += zip((c * x - s * y).tolist(), (s * x + c * y).tolist(), strict=True)
     return tuple(made)

@@ -77,10 +77,10 @@ def leaning_path(chain, at, i, bend, ux, uy, sin_half, cos_half, scale, twist):
 
     """
     offset = floats(chain.offset + 16 * at)
-    winding = floats(chain.winding)[at] if chain.winding != 0 else 0.0
+    helix = floats(chain.helix)[at] if chain.helix != 0 else 0.0
     rx, ry = scale * offset[0], scale * offset[1]
     ahead, aside = rx * ux + ry * uy, ry * ux - rx * uy  # in the bend plane and across it
-    co, si = math.cos(0.5 * (twist + winding)), math.sin(0.5 * (twist + winding))
+    co, si = math.cos(0.5 * (twist + helix)), math.sin(0.5 * (twist + helix))
     lost, along, across = bent_path(chain, i, co * ahead, bend, sin_half, cos_half)
     reach, way, way_aside = cell(chain, i, LENGTH) - lost, -2.0 * si * aside, 2.0 * si * ahead
     q = cos_half * cos_half
@@ -91,7 +91,7 @@ def leaning_path(chain, at, i, bend, ux, uy, sin_half, cos_half, scale, twist):
         side += way * way_aside * sin_half * sin_half / bend
     about = -0.5 * reach * across * bend * si * ahead
     about += co * (q * way * aside - way_aside * ahead)
-    si = 2.0 * math.sin(0.5 * winding)
+    si = 2.0 * math.sin(0.5 * helix)
     straight = cell(chain, i, LENGTH)
     straight = math.sqrt(straight * straight + si * si * (rx * rx + ry * ry))
     return straight - 1.0 / over, over * along, over * side, over * about

@@ -38,7 +38,7 @@ def entry(*signature):
 #   values  (rows, wide) effect parameters of each section, or of each tendon;
 #   on      (effects,) uint8, which effects act
 #   gravity (3,)      [m/s²], base frame
-#   winding (n, k)    angle [rad] by which a tendon winds about the axis in a cell; 0: none does
+#   helix   (n, k)    angle [rad] by which a tendon winds about the axis in a cell; 0: none does
 # beside: whether weight lies beside the axis (1) or none does (0).
 # radius: largest distance of a tendon from the centroid [m]
 # step, residual, respond, newton, settle: addresses of these functions

@@ -27,6 +27,7 @@ from .layout import (
 from .newton import largest
 from .residual import imbalance, place_forces, place_travel
 from .stick import exchange, own_travel, take_over
+from .twisting import unknowns
 
 TENSION_STEP = 1e-6  # [N] of differences
 BEND_STEP = 1e-6  # [rad] of differences
@@ -38,8 +39,8 @@ UNDAMPED, DAMPING = 15, 1e-2  # turns without damping; later tensions may go in 
 
 @compiled
 def fill_rates(chain, inputs, bend, work, past, rates):
-    """Fill the rates (m + 1, 2n) of the residual by every tension; the residual itself is last."""
-    m, size, tension = chain.m, 2 * chain.n, floats(inputs)
+    """Fill the rates (m + 1, u) of the residual by every tension; the residual itself is last."""
+    m, size, tension = chain.m, unknowns(chain), floats(inputs)
     for j in range(m + 1):
         step = TENSION_STEP if j < m else 0.0
         if j < m:
@@ -65,7 +66,7 @@ def tip_error(chain, work, target, f):
 @compiled
 def tip_slopes(chain, inputs, there, target, ways, f, slopes):
     """
-    Fill the tip error (6,) [m] and how it moves (6, m + 1) along the ways (m + 1, 2n).
+    Fill the tip error (6,) [m] and how it moves (6, m + 1) along the ways (m + 1, u).
 
     The first m are those of the bends by a tension, which itself moves with them.
     """
@@ -75,7 +76,7 @@ def tip_slopes(chain, inputs, there, target, ways, f, slopes):
         step = BEND_STEP / max(largest(ways[j]), 1e-9)
         for side in range(2):
             h = step if side == 0 else -step
-            for q in range(2 * chain.n):
+            for q in range(unknowns(chain)):
                 near[q] = bend[q] + h * ways[j, q]
             was = tension[j % chain.m]
             if j < chain.m:
@@ -90,9 +91,9 @@ def tip_slopes(chain, inputs, there, target, ways, f, slopes):
 
 @compiled
 def move_both(chain, inputs, there, ways, trial, move):
-    """Move inputs (m,) to a trial and the bends with them by `move` (2n,); return its length."""
+    """Move inputs (m,) to a trial and the bends with them by `move` (u,); return its length."""
     m, bend = chain.m, floats(there.bend)
-    for q in range(2 * chain.n):
+    for q in range(unknowns(chain)):
         move[q] = ways[m, q]
         for j in range(m):
             move[q] += ways[j, q] * (trial[j] - inputs[j])
@@ -100,7 +101,7 @@ def move_both(chain, inputs, there, ways, trial, move):
     if not longest < math.inf:
         return longest
     share = min(1.0, LONGEST / max(longest, 1e-300))
-    for q in range(2 * chain.n):
+    for q in range(unknowns(chain)):
         move[q] *= share
         bend[q] += move[q]
     for j in range(m):
@@ -111,13 +112,13 @@ def move_both(chain, inputs, there, ways, trial, move):
 @entry()
 def seek(robot, inputs, bends, target, low, high, preference, wide, shrink, most, past, scratch):
     """
-    Move inputs (m,) [N] within [low, high] and bends[0] (n, 2) [rad] towards a tip target.
+    Move inputs (m,) [N] within [low, high] and bends[0] (3n,) [rad] towards a tip target.
 
     The slip length starts `wide` times its own and shrinks by a factor at every good step. Returns
     the last step [rad]: where it is small, an equilibrium is near.
     """
     chain = chain_at(robot)
-    m, size, there = chain.m, 2 * chain.n, workspace(chain, bends, past, scratch)
+    m, size, there = chain.m, unknowns(chain), workspace(chain, bends, past, scratch)
     work, then, slip, tensions = there.work, there.past, floats(there.work.slip), address(inputs)
     rates, ways = np.empty((m + 1, size)), np.empty((m + 1, size))
     f, slopes, move = np.empty(6), np.empty((6, m + 1)), np.empty(size)

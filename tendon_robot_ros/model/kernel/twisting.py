@@ -27,7 +27,7 @@ def unknowns(chain):
 @compiled
 def leans(chain):
     """Tell whether tendons may lean: they wind, or cells twist."""
-    return chain.winding != 0 or torsion_acts(chain)
+    return chain.helix != 0 or torsion_acts(chain)
 
 
 @compiled
