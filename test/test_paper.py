@@ -90,7 +90,7 @@ def test_a_turned_cell_keeps_lengths_and_moves_only_what_lies_beyond():
 
 def test_limp_tendons_cost_nothing_and_a_softer_backbone_cancels_stiff_ones():
     robot = kato('1_1')
-    found = motion.sweep(Model(robot), [np.pi], 0.5, 0.1, tolerance=0.2)
+    found = motion.find_workspace(Model(robot), [np.pi], 0.5, 0.1, tolerance=0.2)
     cost = motion.stiffening(robot, found.families[0])
     assert cost.tendons == (6, 3)
     assert cost.bending[0] > cost.bending[1] > 0.0

@@ -9,7 +9,7 @@ from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.paths.path import set_points, tip_path
 from tendon_robot_ros.paths.plan import Pace, plan, retreat, stretched, thinned
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.workspace.constant_view import sweep
+from tendon_robot_ros.workspace.constant_view import look_around
 
 PLACES = np.array([[0.0, 0.0, 0.2], [0.06, 0.0, 0.17], [0.08, 0.0, 0.14]])
 NONE = np.full((3, 3), np.nan)
@@ -127,7 +127,7 @@ def test_a_retreat_ends_where_the_flight_began_no_faster_than_allowed():
 )
 def test_a_sweep_keeps_the_view_angle_while_the_tip_moves(name, angle):
     robot = Model(load_robot(ROBOTS / f'{name}.yaml'))
-    postures = sweep(robot, np.radians(angle), 12)
+    postures = look_around(robot, np.radians(angle), 12)
     directions = np.array([posture.direction for posture in postures])
     assert np.degrees(np.arctan2(np.hypot(*directions.T[:2]), directions[:, 2])) == pytest.approx(
         angle, abs=0.3

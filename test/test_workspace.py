@@ -10,7 +10,7 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import dump_robot
-from tendon_robot_ros.workspace.grid import pairs_of, sweep
+from tendon_robot_ros.workspace.grid import find_workspace, pairs_of
 
 FRICTION = {'tendon_friction': {'friction_coefficient': 0.3}}
 
@@ -33,7 +33,7 @@ def test_one_section_has_the_pair_of_its_own_inputs():
 
 def test_without_friction_the_postures_are_those_of_the_closed_form():
     robot = planar(cells=6)
-    found = sweep(Model(robot), [np.radians(45.0)], step=0.1, tolerance=np.radians(3.0))
+    found = find_workspace(Model(robot), [np.radians(45.0)], step=0.1, tolerance=np.radians(3.0))
     cells, arm, stiffness = 6, 0.0055, 0.027
     levels = np.round(np.arange(51) * 0.1, 9)
     angle = cells * arm / stiffness * (levels[None, :] - levels[:, None])  # right minus left
@@ -45,10 +45,12 @@ def test_without_friction_the_postures_are_those_of_the_closed_form():
 
 def test_chunks_do_not_change_what_is_found(monkeypatch):
     model = Model(two_sections(effects=FRICTION))
-    whole = sweep(model, [1.0], step=0.5, tolerance=0.1)
+    whole = find_workspace(model, [1.0], step=0.5, tolerance=0.1)
     calls = []
     monkeypatch.setattr('tendon_robot_ros.workspace.grid.POSTURES_AT_ONCE', 50)
-    parts = sweep(model, [1.0], step=0.5, tolerance=0.1, progress=lambda *a: calls.append(a))
+    parts = find_workspace(
+        model, [1.0], step=0.5, tolerance=0.1, progress=lambda *a: calls.append(a)
+    )
     assert [len(family) for family in parts.families] == [len(f) for f in whole.families]
     np.testing.assert_array_equal(parts.families[0].positions, whole.families[0].positions)
     assert calls[-1][1] == calls[-1][2] == whole.postures
@@ -57,14 +59,16 @@ def test_chunks_do_not_change_what_is_found(monkeypatch):
 
 def test_a_spatial_arm_is_judged_by_its_tip_direction():
     robot = spatial(effects=FRICTION)
-    found = sweep(Model(robot), [np.radians(60.0)], step=1.0, tolerance=np.radians(10.0))
+    found = find_workspace(Model(robot), [np.radians(60.0)], step=1.0, tolerance=np.radians(10.0))
     assert found.families
     for family in found.families:
         assert np.abs(np.abs(family.angle) - np.radians(60.0)).max() <= np.radians(10.0)
 
 
 def test_highest_median_and_lowest_tip_are_in_that_order():
-    found = sweep(Model(two_sections(cells=8, effects=FRICTION)), [1.0], 0.25, tolerance=0.1)
+    found = find_workspace(
+        Model(two_sections(cells=8, effects=FRICTION)), [1.0], 0.25, tolerance=0.1
+    )
     family = found.families[0]
     heights = family.tips[list(family.salient), 2]
     assert heights[0] == family.tips[:, 2].max()
@@ -82,13 +86,13 @@ def test_highest_median_and_lowest_tip_are_in_that_order():
 )
 def test_sweeps_that_make_no_sense_are_refused(options, message):
     with pytest.raises(InputError, match=message):
-        sweep(Model(planar()), [1.0], **options)
+        find_workspace(Model(planar()), [1.0], **options)
 
 
 def test_a_robot_with_one_input_has_no_pair():
     robot = planar()
     with pytest.raises(InputError, match='one input only'):
-        sweep(Model(replace(robot, tendons=robot.tendons[:1])), [1.0])
+        find_workspace(Model(replace(robot, tendons=robot.tendons[:1])), [1.0])
 
 
 def test_the_command_writes_table_arrays_and_page(tmp_path, capsys):

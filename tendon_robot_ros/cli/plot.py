@@ -34,18 +34,18 @@ def run(args: argparse.Namespace) -> int:
     moves = read_moves(bag)
     if not len(moves.tips):
         raise InputError(f'{bag}: no measured_tip and no predicted_tip in it: nothing to draw')
-    flight = as_flight(moves)
-    seconds = float(flight.tip_times[-1])
+    path_run = as_run(moves)
+    seconds = float(path_run.tip_times[-1])
     print(
         f'{seconds:.1f} s, {len(moves.targets)} targets, {len(moves.tips)} tips'
         f'{"" if moves.measured else " as the model sees them"}, {len(moves.commands)} commands'
     )
-    print(f'picture: {draw_run(flight, output, f"{bag.name}, {seconds:.1f} s")}')
+    print(f'picture: {draw_run(path_run, output, f"{bag.name}, {seconds:.1f} s")}')
     return 0
 
 
-def as_flight(moves: Moves) -> PathRun:
-    """Return a recording as a flight; a target stands until the next one."""
+def as_run(moves: Moves) -> PathRun:
+    """Return a recording as a run; a target stands until the next one."""
     targets = _standing(moves, float(moves.tips.times[-1]))
     return PathRun(
         inputs=moves.inputs,

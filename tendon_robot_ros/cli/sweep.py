@@ -39,14 +39,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Find the postures and write them."""
     from ..paths.plan import stretched
-    from ..workspace.constant_view import sweep
+    from ..workspace.constant_view import look_around
 
     if not 0.0 < args.view <= 180.0:
         raise InputError(f'--view: expected more than 0° and at most 180°, got {args.view:g}')
     if args.steps < 2:
         raise InputError(f'--steps: expected at least 2, got {args.steps}')
     model = load_model(args)
-    postures = sweep(model, math.radians(args.view), args.steps)
+    postures = look_around(model, math.radians(args.view), args.steps)
     places = np.array([posture.position for posture in postures])
     rows: TipRows | TendonRows = TipRows(None, places, np.array([p.direction for p in postures]))
     if args.tensions:

@@ -22,7 +22,7 @@ from ..common.errors import InputError
 from ..common.files import new_folder
 from ..common.words import columns
 from ..report.workspace_page import FAMILY_COLUMNS, missing, rows
-from ..workspace.grid import WORKSPACE_FILES, Workspace, save_workspace, sweep
+from ..workspace.grid import WORKSPACE_FILES, Workspace, find_workspace, save_workspace
 from .options import add_json, add_robot, emit, load_model, progress
 
 HELP = 'where the tip can be at a view angle, over all pairs of tensions'
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     if folder and folder.exists() and any(folder.iterdir()) and not args.overwrite:
         raise InputError(f'{folder}: is not empty; use --overwrite or another --output')
     with progress() as show:
-        workspace = sweep(
+        workspace = find_workspace(
             load_model(args),
             [math.radians(view) for view in args.view or [180.0]],
             step=args.step,

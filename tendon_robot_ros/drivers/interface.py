@@ -6,7 +6,7 @@ import abc
 import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,25 @@ from .ports import travelled
 Array = NDArray[np.float64]
 MODES = ('tension', 'pull')
 SOURCES = ('load_cell', 'current', 'command')
-# backend -> (module, class, package that may be missing, extra that installs it)
+
+
+class Backend(NamedTuple):
+    """Where a driver is, what it needs, and the example of its configuration in config/."""
+
+    module: str
+    driver: str
+    example: str  # may name the {mode}
+    package: str = ''  # that may be missing
+    extra: str = ''  # that installs it
+
+
 BACKENDS = {
-    'mock': ('mock', 'MockDriver', '', ''),
-    'dynamixel': ('dynamixel.driver', 'DynamixelDriver', 'dynamixel_sdk', 'dynamixel'),
-    'serial': ('serial_board.driver', 'SerialDriver', 'serial', 'serial'),
-    'ros2_control': ('ros2_control', 'Ros2ControlDriver', '', ''),
+    'mock': Backend('mock', 'MockDriver', 'mock'),
+    'dynamixel': Backend(
+        'dynamixel.driver', 'DynamixelDriver', 'dynamixel_{mode}', 'dynamixel_sdk', 'dynamixel'
+    ),
+    'serial': Backend('serial_board.driver', 'SerialDriver', 'serial_board', 'serial', 'serial'),
+    'ros2_control': Backend('ros2_control', 'Ros2ControlDriver', 'ros2_control'),
 }
 
 
@@ -223,12 +236,13 @@ def make_driver(
         raise DriverError(
             f'{source}: command_mode: expected one of {", ".join(MODES)}, got {mode!r}'
         )
-    module, name, package, extra = BACKENDS[backend]
+    chosen = BACKENDS[backend]
     try:
-        kind = getattr(importlib.import_module(f'.{module}', __package__), name)
+        kind = getattr(importlib.import_module(f'.{chosen.module}', __package__), chosen.driver)
     except ModuleNotFoundError as error:
-        if error.name and error.name.split('.')[0] in (package, 'serial') and package:
-            raise MissingExtraError(error.name, extra) from None
+        missing = error.name or ''
+        if chosen.package and missing.split('.')[0] in (chosen.package, 'serial'):
+            raise MissingExtraError(missing, chosen.extra) from None
         raise
     driver: Driver = kind.from_config(robot, config, mode=mode, source=source, **parts)
     return driver

@@ -1,4 +1,10 @@
-"""The catalogue of physical effects: one small file each."""
+"""
+The catalogue of physical effects: one small file each, named as the effect.
+
+catalogue.py   the list of the built-in ones, in the order in which their laws apply
+effect.py      what an effect is: parameters with bounds and units, one law
+stage.py       where laws act: what a law takes there, and what it gives back
+"""
 
 from .catalogue import BUILT_IN, Catalogue, load_catalogue
 from .effect import Effect, Parameter

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..model.model import Model
 from ..robot import Robot
-from ..workspace.grid import Family, Pair, Workspace, sweep
+from ..workspace.grid import Family, Pair, Workspace, find_workspace
 from .robots import Floats
 
 VIEW_ANGLES_RAD = (float(np.pi), float(np.pi / 4.0))  # [rad]
@@ -62,7 +62,7 @@ class MotionExperiment:
 
 def motion(robot: Robot) -> MotionExperiment:
     """Sweep a robot of two sections with grouped tendons as section IV.B does."""
-    workspace = sweep(Model(robot), VIEW_ANGLES_RAD, TENSION_STEP_N, PRETENSION_N)
+    workspace = find_workspace(Model(robot), VIEW_ANGLES_RAD, TENSION_STEP_N, PRETENSION_N)
     family = workspace.of(VIEW_ANGLES_RAD[0])[0]
     made = tuple(_arrangement(name, one, family.pair) for name, one in _variants(robot))
     return MotionExperiment(
@@ -138,7 +138,7 @@ def _variants(robot: Robot) -> Iterator[tuple[str, Robot]]:
 
 def _arrangement(name: str, robot: Robot, pair: Pair) -> Arrangement:
     wide = np.radians(max(VIEW_TOLERANCES_DEG))
-    workspace = sweep(
+    workspace = find_workspace(
         Model(robot), VIEW_ANGLES_RAD[:1], TENSION_STEP_N, PRETENSION_N, wide, [pair]
     )
     families = workspace.of(VIEW_ANGLES_RAD[0])

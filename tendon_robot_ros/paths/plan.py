@@ -165,14 +165,14 @@ def stretched(times: Array, values: Array, rate: float) -> Array:
 
 def retreat(times: Array, commands: Array, rate: float) -> Playing:
     """
-    Return the commands of a flight backwards, so that the arm leaves by the way it came.
+    Return the commands of a run backwards, so that the arm leaves by the way it came.
 
     Parameters
     ----------
     times : ndarray, shape (n,) [s]
         Of the commands.
     commands : ndarray, shape (n, m) [N] or [m]
-        In the order of the flight.
+        In the order of the run.
     rate : float
         Largest change per second.
 

@@ -15,9 +15,9 @@ from ..paths.run import PathRun
 ROWS_PRINTED_MAX = 30  # rows of a table for a person
 
 
-def lines(flight: PathRun) -> list[str]:
+def lines(run: PathRun) -> list[str]:
     """Return the table, and what was between the rows."""
-    rows = _tendon_rows(flight) if flight.wanted is not None else _tip_rows(flight)
+    rows = _tendon_rows(run) if run.wanted is not None else _tip_rows(run)
     head, *body = rows
     shown = np.arange(len(body))
     if len(body) > ROWS_PRINTED_MAX:
@@ -25,25 +25,25 @@ def lines(flight: PathRun) -> list[str]:
     text = [columns([head, *(body[i] for i in shown)])]
     if len(shown) < len(body):
         text.append(f'{len(shown)} of {len(body)} rows')
-    if flight.wanted is not None:
-        text.insert(0, f'tendons: {", ".join(flight.inputs)}')
+    if run.wanted is not None:
+        text.insert(0, f'tendons: {", ".join(run.inputs)}')
     else:
-        rms, worst, across = flight.on_the_way()
+        rms, worst, across = run.on_the_way()
         text.append(
             f'on the way: {_mm(rms)} rms and {_mm(worst)} at most from the target of the moment, '
             f'{_mm(across)} at most from the path'
         )
-    if not flight.measured:
+    if not run.measured:
         text.append('no tracker: the tip is where the model sees it')
     return text
 
 
-def _tip_rows(flight: PathRun) -> list[list[str]]:
-    errors, turns = flight.errors(flight.row_times)
-    asked, views = flight.asked_at(flight.row_times)
-    reached, _ = flight.tip_at(flight.row_times)
+def _tip_rows(run: PathRun) -> list[list[str]]:
+    errors, turns = run.errors(run.row_times)
+    asked, views = run.asked_at(run.row_times)
+    reached, _ = run.tip_at(run.row_times)
     rows = [['row', 'time [s]', 'asked x, y, z [mm]', 'reached [mm]', 'error', 'turned by']]
-    for i, time in enumerate(flight.row_times):
+    for i, time in enumerate(run.row_times):
         turn = '' if np.isnan(views[i]).any() else f'{np.degrees(turns[i]):.2f}°'
         rows.append(
             [str(i + 1), f'{time:.2f}', place(asked[i]), place(reached[i]), _mm(errors[i]), turn]
@@ -51,16 +51,16 @@ def _tip_rows(flight: PathRun) -> list[list[str]]:
     return rows
 
 
-def _tendon_rows(flight: PathRun) -> list[list[str]]:
-    assert flight.wanted is not None
-    scale, unit = (1e3, 'mm') if flight.pull else (1.0, 'N')
-    reached, _ = flight.tip_at(flight.row_times)
-    commanded = flight.commanded_at(flight.row_times)
+def _tendon_rows(run: PathRun) -> list[list[str]]:
+    assert run.wanted is not None
+    scale, unit = (1e3, 'mm') if run.pull else (1.0, 'N')
+    reached, _ = run.tip_at(run.row_times)
+    commanded = run.commanded_at(run.row_times)
     rows = [['row', 'time [s]', f'asked [{unit}]', f'commanded [{unit}]', 'tip [mm]']]
-    for i, time in enumerate(flight.row_times):
+    for i, time in enumerate(run.row_times):
         asked, came = (
             ', '.join(f'{scale * v:.2f}' for v in values)
-            for values in (flight.wanted[i], commanded[i])
+            for values in (run.wanted[i], commanded[i])
         )
         rows.append([str(i + 1), f'{time:.2f}', asked, came, place(reached[i])])
     return rows
@@ -83,14 +83,14 @@ ROWS_DRAWN_MAX = 60  # more marks would hide the path
 PICTURES = ('.png', '.svg', '.pdf')
 
 
-def draw_run(flight: PathRun, path: str | Path, title: str) -> Path:
+def draw_run(run: PathRun, path: str | Path, title: str) -> Path:
     """
     Draw the path from two sides, the distance from the target, and the commands.
 
     Parameters
     ----------
-    flight : PathRun
-        What was flown.
+    run : PathRun
+        What was followed.
     path : str or Path
         Where the picture goes; the ending says the format, one of `PICTURES`.
     title : str
@@ -101,7 +101,7 @@ def draw_run(flight: PathRun, path: str | Path, title: str) -> Path:
 
     figure = Figure(figsize=(11.0, 6.5), layout='constrained')
     sides = {'xz': 0, 'yz': 1}
-    spans = np.ptp(flight.tips, axis=0)
+    spans = np.ptp(run.tips, axis=0)
     if spans[1] < FLAT_WITHIN_SHARE * spans.max():
         del sides['yz']  # all of it is in the x-z plane
     left = [*sides]
@@ -109,9 +109,9 @@ def draw_run(flight: PathRun, path: str | Path, title: str) -> Path:
         [[*left, 'error'], [*left, 'command']], width_ratios=[*[2.0 / len(left)] * len(left), 1.5]
     )
     for name, axis in sides.items():
-        _draw_side(parts[name], flight, axis)
-    _draw_errors(parts['error'], flight)
-    _draw_commands(parts['command'], flight)
+        _draw_side(parts[name], run, axis)
+    _draw_errors(parts['error'], run)
+    _draw_commands(parts['command'], run)
     for axes in parts.values():
         axes.spines[['top', 'right']].set_visible(False)
         axes.grid(alpha=0.25)
@@ -121,12 +121,12 @@ def draw_run(flight: PathRun, path: str | Path, title: str) -> Path:
     return Path(path)
 
 
-def _draw_side(axes: Any, flight: PathRun, axis: int) -> None:
+def _draw_side(axes: Any, run: PathRun, axis: int) -> None:
     """Draw asked and reached path, with arrows where a row asks for a direction."""
-    reached, _ = flight.tip_at(flight.row_times)
-    if len(flight.asked):
-        asked, views = flight.asked_at(flight.row_times)
-        axes.plot(*_seen(flight.asked, axis), '--', color=FLOOR, linewidth=1.2, label='asked')
+    reached, _ = run.tip_at(run.row_times)
+    if len(run.asked):
+        asked, views = run.asked_at(run.row_times)
+        axes.plot(*_seen(run.asked, axis), '--', color=FLOOR, linewidth=1.2, label='asked')
         if len(asked) <= ROWS_DRAWN_MAX:
             axes.plot(*_seen(asked, axis), 'o', color=FLOOR, markersize=5, fillstyle='none')
         shown = np.unique(np.linspace(0, len(asked) - 1, min(len(asked), 15)).round().astype(int))
@@ -135,9 +135,9 @@ def _draw_side(axes: Any, flight: PathRun, axis: int) -> None:
                 (x, z), tip = _seen(place, axis), 8.0 * view[[axis, 2]]
                 arrow = {'arrowstyle': '->', 'color': FLOOR}
                 axes.annotate('', (x + tip[0], z + tip[1]), (x, z), arrowprops=arrow)
-    label = 'measured' if flight.measured else 'as the model sees it'
-    colour = _tip_colour(flight)
-    axes.plot(*_seen(flight.tips, axis), '-', color=colour, linewidth=1.0, label=label)
+    label = 'measured' if run.measured else 'as the model sees it'
+    colour = _tip_colour(run)
+    axes.plot(*_seen(run.tips, axis), '-', color=colour, linewidth=1.0, label=label)
     if len(reached) <= ROWS_DRAWN_MAX:
         axes.plot(*_seen(reached, axis), 'x', color=colour, markersize=5)
     axes.set(xlabel=f'{"xy"[axis]} [mm]', ylabel='z [mm]')
@@ -146,42 +146,42 @@ def _draw_side(axes: Any, flight: PathRun, axis: int) -> None:
         axes.legend(fontsize='small', loc='best')
 
 
-def _tip_colour(flight: PathRun) -> str:
-    return MEASURED if flight.measured else PREDICTED
+def _tip_colour(run: PathRun) -> str:
+    return MEASURED if run.measured else PREDICTED
 
 
 def _seen(places: Any, axis: int) -> tuple[Any, Any]:
     return 1e3 * places[..., axis], 1e3 * places[..., 2]
 
 
-def _draw_errors(axes: Any, flight: PathRun) -> None:
-    if not len(flight.asked):
-        axes.plot(flight.tip_times, 1e3 * flight.tips, linewidth=1.0, label=['x', 'y', 'z'])
+def _draw_errors(axes: Any, run: PathRun) -> None:
+    if not len(run.asked):
+        axes.plot(run.tip_times, 1e3 * run.tips, linewidth=1.0, label=['x', 'y', 'z'])
         axes.set_ylabel('tip [mm]')
         axes.legend(fontsize='small', ncols=3)
         return
-    errors, _ = flight.errors(flight.tip_times)
+    errors, _ = run.errors(run.tip_times)
     axes.plot(
-        flight.tip_times,
+        run.tip_times,
         1e3 * errors,
-        color=_tip_colour(flight),
+        color=_tip_colour(run),
         label='from the target of the moment',
     )
-    axes.plot(flight.tip_times, 1e3 * flight.across(), ':', color=INK, label='from the path')
-    at, _ = flight.errors(flight.row_times)
+    axes.plot(run.tip_times, 1e3 * run.across(), ':', color=INK, label='from the path')
+    at, _ = run.errors(run.row_times)
     if len(at) <= ROWS_DRAWN_MAX:
-        axes.plot(flight.row_times, 1e3 * at, 'x', color=COLOURS[2], label='at the rows')
+        axes.plot(run.row_times, 1e3 * at, 'x', color=COLOURS[2], label='at the rows')
     axes.set(ylabel='error of the tip [mm]', ylim=(0.0, None))
     axes.legend(fontsize='small')
 
 
-def _draw_commands(axes: Any, flight: PathRun) -> None:
-    scale = 1e3 if flight.pull else 1.0
-    for i, name in enumerate(flight.inputs):
+def _draw_commands(axes: Any, run: PathRun) -> None:
+    scale = 1e3 if run.pull else 1.0
+    for i, name in enumerate(run.inputs):
         colour = COLOURS[i % len(COLOURS)]
-        axes.plot(flight.command_times, scale * flight.commands[:, i], color=colour, label=name)
-        if flight.wanted is not None:
-            axes.plot(flight.row_times, scale * flight.wanted[:, i], 'o', color=colour, ms=4,
+        axes.plot(run.command_times, scale * run.commands[:, i], color=colour, label=name)
+        if run.wanted is not None:
+            axes.plot(run.row_times, scale * run.wanted[:, i], 'o', color=colour, ms=4,
                       fillstyle='none')  # fmt: skip
-    axes.set(xlabel='time [s]', ylabel='wire pull [mm]' if flight.pull else 'tension [N]')
+    axes.set(xlabel='time [s]', ylabel='wire pull [mm]' if run.pull else 'tension [N]')
     axes.legend(fontsize='small', ncols=2)

@@ -112,7 +112,7 @@ def _posture(name: str, shapes: ShapeBatch, row: int) -> Posture:
 POSTURE_STEP_N = 0.02  # [N] between the postures from which those of a sweep are chosen
 
 
-def sweep(model: Model, angle: float, steps: int) -> list[Posture]:
+def look_around(model: Model, angle: float, steps: int) -> list[Posture]:
     """
     Return postures, one after the other, that all look at an angle [rad] from the base axis.
 

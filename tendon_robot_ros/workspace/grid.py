@@ -72,7 +72,7 @@ def _direction(robot: Robot, tendons: tuple[int, ...]) -> npt.NDArray[np.float64
 
 Floats = npt.NDArray[np.float64]
 POSTURES_AT_ONCE = 20_000  # postures that are solved at once
-POSTURES_MAX = 100_000_000  # postures that a sweep may hold
+POSTURES_MAX = 100_000_000  # postures that a grid may hold
 Progress = Callable[[str, int, int], None]
 
 
@@ -112,7 +112,7 @@ class Family:
 
 @dataclass(frozen=True, eq=False)
 class Workspace:
-    """A sweep over all pairs of inputs: what was kept, and how many postures there were."""
+    """A grid of tensions over all pairs of inputs: what was kept, and how many postures there were."""
 
     robot: Robot
     step: float  # [N]
@@ -151,7 +151,7 @@ class Workspace:
         return {**content, 'families': families}
 
 
-def sweep(
+def find_workspace(
     model: Model,
     views: Sequence[float],
     step: float = 0.1,
@@ -217,7 +217,7 @@ def sweep(
 
 
 class _Kept:
-    """The postures of a sweep that look at a view angle."""
+    """The postures of a grid that look at a view angle."""
 
     def __init__(self, views: tuple[float, ...], tolerance: float) -> None:
         self.views, self.tolerance = views, tolerance

@@ -81,15 +81,15 @@ def _follow(pilot: Pilot, options: argparse.Namespace, pace: Pace) -> int:
     pilot.connect()
     rows = _read(options, pilot)
     if isinstance(rows, TendonRows):
-        flight = _tendons(pilot, rows, options, pace)
+        path_run = _tendons(pilot, rows, options, pace)
     else:
-        flight = _tips(pilot, rows, options, pace)
-    if flight is None:
+        path_run = _tips(pilot, rows, options, pace)
+    if path_run is None:
         return 0
-    report_lines = lines(flight)
+    report_lines = lines(path_run)
     print('\n'.join(report_lines))
     title = f'{Path(options.path).name}: asked and reached'
-    print(f'picture: {draw_run(flight, options.picture, title)}', flush=True)
+    print(f'picture: {draw_run(path_run, options.picture, title)}', flush=True)
     if options.retreat:
         run_back(pilot, pace)
         print('retreated by the way flown')
@@ -177,7 +177,7 @@ def _pace(options: argparse.Namespace) -> Pace:
 
 
 # -----------------------------------------------------------------------------
-# Flights: a path of the tip or of the tendons sent in time, and what came of it.
+# Runs: a path of the tip or of the tendons sent in time, and what came of it.
 
 Array = NDArray[np.float64]
 APPROACH_TIMEOUT_S = 60.0  # [s] to the first row at most

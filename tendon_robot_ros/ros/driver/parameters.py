@@ -14,6 +14,7 @@ from std_msgs.msg import Float64MultiArray
 
 from ...common.errors import InputError
 from ...drivers import Driver, make_driver
+from ...drivers.interface import BACKENDS
 from ...drivers.safety import SafetyRules
 from ...robot import Robot
 from ..shared.files import read_mapping
@@ -22,7 +23,6 @@ from ..shared.messages import COMMAND, JOINTS
 from ..shared.parameters import COMMAND_MODE, Parameters, Spec
 
 MOCK_KEYS = {'plant', 'tracker', 'lag'}  # what no other backend has in its configuration
-EXAMPLES = {'serial': 'serial_board', 'ros2_control': 'ros2_control'}  # else BACKEND_MODE
 TWIN_COMPLIANCE, WIRE_COMPLIANCE = 1e-5, 1e-4  # [1/N] strain of a mock arm's wires
 
 SPECS = (
@@ -37,7 +37,7 @@ SPECS = (
         'mock',
         'what is behind the driver',
         read_only=True,
-        choices=('mock', 'dynamixel', 'serial', 'ros2_control'),
+        choices=tuple(BACKENDS),
     ),
     Spec(
         'config',
@@ -124,7 +124,7 @@ def _check_whose(backend: str, mode: str, config: dict[str, Any], source: str) -
     if config and not of_mock:
         return
     got = f'that of the mock arm ({source})' if of_mock else 'none'
-    example = EXAMPLES.get(backend, f'{backend}_{mode}')
+    example = BACKENDS[backend].example.format(mode=mode)
     raise InputError(
         f'config: expected the configuration of the motors for backend {backend}, got {got}; copy '
         f'config/{example}.yaml, put in your motors, and give that file as config'
