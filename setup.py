@@ -108,6 +108,7 @@ setup(
         'numpy>=1.26',
         'pyyaml>=6.0',
         'scipy>=1.11',
+        'threadpoolctl>=3.1',  # a notebook has imported numpy before this package
         'tqdm>=4.66',
     ],
     extras_require=EXTRAS,

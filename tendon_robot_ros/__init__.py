@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from .robot import Robot, dump_robot, load_robot
     from .simulation.measurements import simulate
     from .simulation.plant import make_plant
+    from .tables import import_table
     from .workspace.postures import default_postures
 
 # public name -> module of the package that has it
@@ -43,6 +44,7 @@ PUBLIC = {
     'default_postures': '.workspace.postures',
     'diagnose': '.diagnosis.diagnose',
     'dump_robot': '.robot',
+    'import_table': '.tables',
     'join': '.data',
     'load_dataset': '.data',
     'load_robot': '.robot',
@@ -62,6 +64,7 @@ __all__ = [
     'default_postures',
     'diagnose',
     'dump_robot',
+    'import_table',
     'join',
     'load_dataset',
     'load_robot',

@@ -99,18 +99,26 @@ def test_a_comparison_prints_and_draws_its_errors():
     plt.close('all')
 
 
-def test_the_example_tells_the_whole_story(tmp_path):
+def test_the_notebook_goes_from_a_table_to_a_verdict(tmp_path):
+    pytest.importorskip('pandas')
     run = processes.run(
-        [sys.executable, 'examples/find_the_missing_effect.py', tmp_path],
+        [sys.executable, 'examples/from_table_to_verdict.py', tmp_path],
         cwd=ROOT,
     )
     assert run.returncode == 0, run.stderr
-    starts = [line.split()[0] for line in run.stdout.splitlines()]
-    assert starts == ['<Robot', '<Shape:', '<DataSet', '<Comparison', '<Diagnosis', '<Addition']
-    assert 'missing_effect: hinge_friction: lever = ' in run.stdout
-    assert 'hinge_friction' in load_robot(tmp_path / 'better.yaml').effects
-    for name in ('shape.png', 'errors.png'):
+    starts = [line.split()[0] for line in run.stdout.splitlines() if line.startswith('<')]
+    assert starts == [
+        '<Robot', '<Shape:', '<ImportedTable', '<DataSet', '<Comparison', '<Diagnosis',
+        '<ImportedTable', '<Comparison',
+    ]  # fmt: skip
+    assert 'missing_effect: tip_load: force_x = ' in run.stdout
+    better = load_robot(tmp_path / 'better.yaml')
+    assert better.effects['tip_load']['force_x'] == pytest.approx(0.147, rel=0.04)  # 15 g
+    last = run.stdout.splitlines()[-1]
+    assert float(last.partition('rms ')[2].split()[0]) < 0.6  # [mm], on postures never used
+    for name in ('shape.png', 'errors.png', 'import.png', 'diagnosis.png'):
         assert (tmp_path / name).stat().st_size > 5000
+    assert len(load_dataset(tmp_path / 'data').markers) == 6
 
 
 def test_linear_algebra_runs_in_one_thread_unless_the_user_says_otherwise():
@@ -122,3 +130,17 @@ def test_linear_algebra_runs_in_one_thread_unless_the_user_says_otherwise():
             env=known | ({} if given is None else {'OPENBLAS_NUM_THREADS': given}),
         )
         assert run.stdout.strip() == expected
+
+
+def test_numpy_imported_first_makes_no_diagnosis_slow():
+    code = (
+        'import numpy, threadpoolctl\n'
+        'from tendon_robot_ros.common.threads import one_thread\n'
+        'blas = lambda: {p["num_threads"] for p in threadpoolctl.threadpool_info()\n'
+        '                if p["user_api"] == "blas"}\n'
+        'threadpoolctl.threadpool_limits(2, "blas")\n'
+        'with one_thread(): inside = blas()\n'
+        'print(inside, blas())\n'
+    )
+    run = processes.run([sys.executable, '-c', code])
+    assert run.stdout.strip() == '{1} {2}', run.stderr

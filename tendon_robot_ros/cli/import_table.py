@@ -91,6 +91,8 @@ def run(args: argparse.Namespace) -> int:
     from ..effects import load_catalogue
 
     recipe = load_recipe(args.recipe) if args.recipe else Recipe()
+    if args.raw:  # another recording: its trials are others
+        recipe = replace(recipe, leave_out=None)
     robot_path = args.robot or recipe.robot
     if robot_path is None:
         raise InputError('--robot: describe the arm with new-robot, then name its file')

@@ -96,7 +96,8 @@ def run(args: argparse.Namespace) -> int:
     catalogue = load_catalogue(args.effect_file)
     plant = make_plant(robot, hidden, seed=args.seed, catalogue=catalogue, work=_work(args))
     if args.table:
-        return _write_table(args, plant)
+        refuse_existing('--check', args.check, args.overwrite)
+        return _write_tables(args, plant)
     made = [(args.output, _measured(args, plant, 0))]
     if args.check:
         made.append((args.check, _measured(args, plant, 1)))
@@ -116,21 +117,24 @@ def _tell(args: argparse.Namespace, plant: Plant) -> None:
         print(f'built:   {line}')
 
 
-def _write_table(args: argparse.Namespace, plant: Plant) -> int:
-    """Write a table over time."""
-    if args.check or args.input != 'tension' or args.path != 'from_straight':
-        raise InputError('--table: tensions from straight only, and no --check')
-    names, values = raw_table(
-        plant,
-        default_postures(plant.robot, args.count or 12, args.seed),
-        noise=_noise(args.noise),
-        trials=args.trials,
-        seed=args.seed,
-        markers=_markers(args.markers, plant.robot),
-    )
-    write_table(args.table, names, values)
-    rows, columns = values.shape
-    print(f'written: {args.table}: {rows:,} rows of {columns} columns, {values[-1, 0]:.0f} s')
+def _write_tables(args: argparse.Namespace, plant: Plant) -> int:
+    """Write a table over time, and that of a check."""
+    if args.input != 'tension' or args.path != 'from_straight':
+        raise InputError('--table: of tensions and from straight only')
+    count = args.count or 12
+    for which, path in enumerate(filter(None, (args.table, args.check))):
+        names, values = raw_table(
+            plant,
+            default_postures(plant.robot, max(count // (1 + which), 1), which),
+            noise=_noise(args.noise),
+            trials=args.trials,
+            seed=args.seed,
+            which=which,
+            markers=_markers(args.markers, plant.robot),
+        )
+        write_table(path, names, values)
+        rows, columns = values.shape
+        print(f'written: {path}: {rows:,} rows of {columns} columns, {values[-1, 0]:.0f} s')
     _tell(args, plant)
     print(f'next:    python -m tendon_robot_ros import-table {args.table} --robot {args.robot}')
     return 0

@@ -4,8 +4,10 @@ What every part uses, and what knows nothing of robots.
 errors.py         every error that a user can meet: one line that says what to do
 files.py          files and folders that are there whole, or not at all
 yaml_reading.py   checked reading of YAML; every refusal names file, key, expectation and value
+threads.py        linear algebra in one thread
 processes.py      children that end with who started them; who goes before other work
 rotations.py      rotation matrices, rotation vectors and quaternions
 words.py          numbers as people read them: millimetres, degrees, names in a list
+frames.py         tables of pandas, for those who have it
 colours.py        the colours of measured, predicted and the rest, for pages and pictures
 """

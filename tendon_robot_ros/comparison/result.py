@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
+from ..common.frames import make_frame
 from .statistics import Estimate, PairedT, estimate, half_width, paired_t
 
 if TYPE_CHECKING:
@@ -118,6 +119,30 @@ class Comparison:
         if self.noise_floor is not None:
             rows.append(f'a perfect model: {_mm(self.noise_floor)}')
         return f'<Comparison with {self.measured.data}: {"; ".join(rows)}>'
+
+    def frame(self) -> Any:
+        """
+        Return the errors as a table (pandas): a row per model, posture and marker, SI units.
+
+        Columns `model`, `posture`, `marker`, `arc_length`, `measured_x` to `measured_z` (the mean
+        of the trials), `predicted_x` to `predicted_z`, `error`; lengths in metres.
+        """
+        measured = self.measured
+        P, J = measured.mean.shape[:2]
+        tables = []
+        for model in self.models:
+            table: dict[str, Any] = {
+                'model': np.full(P * J, model.name, dtype=object),
+                'posture': np.repeat(np.array(measured.postures, dtype=object), J),
+                'marker': np.tile(np.array(measured.markers, dtype=object), P),
+                'arc_length': np.tile(measured.arc_lengths, P),
+            }
+            for what, places in (('measured', measured.mean), ('predicted', model.markers)):
+                columns = places.reshape(-1, 3).T
+                table |= {f'{what}_{axis}': c for axis, c in zip('xyz', columns, strict=True)}
+            tables.append(table | {'error': model.distance.ravel()})
+        joined = {key: np.concatenate([table[key] for table in tables]) for key in tables[0]}
+        return make_frame(joined, dict.fromkeys(list(joined)[3:], 'm'))
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """

@@ -3,12 +3,16 @@ Measurements: `DataSet`, and where it comes from.
 
 dataset.py    measured postures as frozen arrays; a missing value is nan (SI units)
 joining.py    several data sets of one robot as one
+markers.py    tracked points of the arm
+units.py      what cannot be metres and newtons
+frames.py     the same as a tidy table of pandas, and back
 folder/       a data set as a folder of plain files, read strictly and written whole
 recording/    recordings of ROS 2, read and written without ROS
 """
 
-from .dataset import DataSet, Marker, Part, default_markers
+from .dataset import DataSet, Part
 from .folder.folder import load_dataset, save_dataset
 from .joining import join
+from .markers import Marker, default_markers
 
 __all__ = ['DataSet', 'Marker', 'Part', 'default_markers', 'join', 'load_dataset', 'save_dataset']

@@ -2,41 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import DataSetError, InputError
+from ..common.frames import make_frame
 from ..robot import Robot
+from .frames import FrameArrays, frame_columns, read_frame
+from .markers import Marker, Vector, place_markers
+from .units import check_units
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
-Vector = tuple[float, float, float]
 Known = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 
 INPUTS = ('tension', 'displacement')
 PATHS = ('from_straight', 'sequence')
-
-
-@dataclass(frozen=True)
-class Marker:
-    """A tracked point of the arm."""
-
-    name: str
-    arc_length: float  # [m] from the base along the straight backbone
-    offset: Vector = (0.0, 0.0, 0.0)  # [m] in the frame at that arc length
-
-
-def default_markers(robot: Robot) -> tuple[Marker, ...]:
-    """Return one marker per cell, named '1' to 'n', at the cell's distal end."""
-    lengths = np.repeat([s.cell_length for s in robot.sections], [s.cells for s in robot.sections])
-    ends = np.cumsum(lengths).round(12).tolist()  # 0.108, not 0.10800000000000003
-    return tuple(Marker(str(i + 1), end) for i, end in enumerate(ends))
 
 
 def listing(names: Iterable[str]) -> str:
@@ -121,6 +109,126 @@ class DataSet:
             f'{self.robot.name}; {self.input} [{unit}] of {", ".join(self.input_names)}; '
             f'{100.0 * lost:.2g} % of the markers not seen{noise}>'
         )
+
+    @classmethod
+    def from_frame(
+        cls,
+        frame: Any,
+        robot: Robot,
+        *,
+        markers: Sequence[Marker | float] | None = None,
+        name: str = 'DataFrame',
+        **fields: Any,
+    ) -> DataSet:
+        """
+        Return the data set of a tidy table: a row per posture, trial and marker, SI units.
+
+        Parameters
+        ----------
+        frame : DataFrame
+            Columns `posture`, `trial` (may be left out), `marker`, `x`, `y`, `z` [m] in the base
+            frame, one per input of the robot [N] or [m], and perhaps `arc_length` [m] and `qx`,
+            `qy`, `qz`, `qw`. A marker that was not seen is nan, or has no row. `frame` gives such
+            a table back; one over time goes through `import_table`.
+        robot : Robot
+            The robot that was measured.
+        markers : sequence of Marker or arc lengths [m], optional
+            In the order in which the table names them; default: its column `arc_length`, else
+            one per cell.
+        name : str
+            For messages.
+        **fields
+            `input`, `path`, `gravity`, `position_noise` and what else a data set says.
+
+        Raises
+        ------
+        DataSetError
+            A column or a value is missing, in another unit, or stands twice.
+
+        """
+        arrays = read_frame(frame, robot.inputs, name)
+        return _checked(cls, arrays, robot, markers, {'name': name, **fields})
+
+    @classmethod
+    def from_arrays(
+        cls,
+        robot: Robot,
+        inputs: NDArray[Any],
+        positions: NDArray[Any],
+        *,
+        markers: Sequence[Marker | float] | None = None,
+        postures: Sequence[str] = (),
+        name: str = 'arrays',
+        **fields: Any,
+    ) -> DataSet:
+        """
+        Return the data set of arrays.
+
+        Parameters
+        ----------
+        robot : Robot
+            The robot that was measured.
+        inputs : (P, m) [N] or [m]
+            Columns as `robot.inputs`; of wire pulls nan is slack.
+        positions : (P, J, 3) or (P, Q, J, 3) [m]
+            Of J markers in the base frame, in Q trials; nan was not seen.
+        markers : sequence of Marker or arc lengths [m], optional
+            Default: one per cell.
+        postures : sequence of str, optional
+            Names; default '0' to 'P-1'.
+        name : str
+            For messages.
+        **fields
+            `input`, `path`, `gravity`, `position_noise` and what else a data set says.
+
+        Raises
+        ------
+        DataSetError
+            Shapes do not fit each other, or values are in another unit.
+
+        """
+        places = np.asarray(positions, dtype=float)
+        places = places[:, None] if places.ndim == 3 else places
+        if places.ndim != 4 or places.shape[3] != 3:
+            raise DataSetError(
+                f'{name}: positions',
+                f'has shape {np.shape(positions)}',
+                'expected (postures, markers, 3) or (postures, trials, markers, 3)',
+            )
+        P, Q, J = places.shape[:3]
+        arrays = FrameArrays(
+            tuple(map(str, postures)) or tuple(map(str, range(P))),
+            tuple(map(str, range(Q))),
+            tuple(str(j + 1) for j in range(J)),
+            None,
+            np.asarray(inputs, dtype=float),
+            None,
+            places,
+            None,
+        )
+        return _checked(cls, arrays, robot, markers, {'name': name, **fields})
+
+    def frame(self) -> Any:
+        """
+        Return a tidy table (pandas): a row per posture, trial and marker, SI units.
+
+        Columns `posture`, `trial`, `marker`, `arc_length`, `x`, `y`, `z`, the inputs, and the
+        quaternion where there is one; `from_frame` makes the same measurements of it.
+        """
+        arrays = FrameArrays(
+            self.postures,
+            self.trial_names,
+            tuple(marker.name for marker in self.markers),
+            self.arc_lengths,
+            self.inputs,
+            self.trial_inputs,
+            self.positions,
+            self.orientations,
+        )
+        unit = 'N' if self.input == 'tension' else 'm'
+        units = dict.fromkeys(('arc_length', 'x', 'y', 'z'), 'm')
+        units |= dict.fromkeys(self.input_names, unit)
+        return make_frame(frame_columns(arrays, self.input_names), units)
 
     @property
     def input_names(self) -> tuple[str, ...]:
@@ -267,3 +375,26 @@ class DataSet:
             orientations=part(self.orientations),
             trial_inputs=part(self.trial_inputs),
         )
+
+
+def _checked(
+    cls: type[DataSet],
+    arrays: FrameArrays,
+    robot: Robot,
+    markers: Sequence[Marker | float] | None,
+    fields: dict[str, Any],
+) -> DataSet:
+    """Return a data set of arrays whose values are in plausible units."""
+    dataset = cls(
+        robot=robot,
+        markers=place_markers(arrays, robot, markers, fields['name']),
+        postures=arrays.postures,
+        inputs=arrays.inputs,
+        positions=arrays.positions,
+        orientations=arrays.orientations,
+        trial_inputs=arrays.trial_inputs,
+        trial_names=arrays.trials,
+        **fields,
+    )
+    check_units(dataset.name, robot, dataset.arc_lengths, dataset.input, arrays)
+    return dataset

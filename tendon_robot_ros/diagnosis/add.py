@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import InputError, NoEquilibriumError
+from ..common.frames import make_frame
+from ..common.threads import one_thread
 from ..comparison.predict import FreeParameter, Point
 from ..data import DataSet
 from ..effects import Catalogue, load_catalogue
@@ -50,6 +52,15 @@ class Addition:
             for e in (self.fitted, self.check)
         )
         return f'<Addition of {", ".join(self.values)} to {self.robot.name}: {errors}>'
+
+    def frame(self) -> Any:
+        """Return the added values as a table (pandas): a row per effect and parameter."""
+        rows = [
+            {'effect': name, 'parameter': key, **vars(value)}
+            for name, values in self.values.items()
+            for key, value in values.items()
+        ]
+        return make_frame({key: [row[key] for row in rows] for key in rows[0]}, {})
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -165,6 +176,7 @@ def _short(value: float | None) -> float | None:
 # Add effects to a robot description: fit their parameters and watch the error fall.
 
 
+@one_thread()
 def add_effects(
     dataset: DataSet,
     names: Sequence[str],

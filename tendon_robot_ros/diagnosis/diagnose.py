@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..common.threads import one_thread
 from ..comparison.noise import rms
 from ..data import DataSet
 from ..effects import Catalogue, load_catalogue
@@ -23,6 +24,7 @@ from .session import Progress, Session, indistinct, joined, several
 from .setup_mistakes import Mistake, find_mistake
 
 
+@one_thread()
 def diagnose(
     dataset: DataSet,
     robot: Robot | None = None,

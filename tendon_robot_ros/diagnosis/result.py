@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from ..common.colours import ERROR, GOOD, PREDICTED
+from ..common.frames import make_frame
 from .decide import Verdict
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 FORMAT = 'tendon_robot_ros/diagnosis@1'
+CANDIDATES_DRAWN = 12
 
 
 @dataclass(frozen=True)
@@ -113,6 +120,63 @@ class Diagnosis:
         plain = asdict(self)
         first = {key: plain.pop(key) for key in ('format', 'verdict', 'effects')}
         return dict(_plain({**first, **plain}))
+
+    def frame(self) -> Any:
+        """
+        Return the candidates as a table (pandas): a row per effect and parameter, best first.
+
+        Columns `effect`, `status`, `present`, `parameter`, `value`, `low`, `high`, `unit`, and of
+        the effect `error` and `held_out` [m], `explained` and `probability` [1].
+        """
+        rows = [
+            {
+                'effect': row.name,
+                'status': row.status,
+                'present': row.present,
+                'parameter': key,
+                'value': value.value,
+                'low': value.low,
+                'high': value.high,
+                'unit': value.unit,
+                'error': row.error,
+                'held_out': row.held_out,
+                'explained': row.explained,
+                'probability': row.probability,
+            }
+            for row in self.candidates
+            for key, value in row.parameters.items()
+        ]
+        columns = {key: [row[key] for row in rows] for key in (rows[0] if rows else {})}
+        return make_frame(columns, {'error': 'm', 'held_out': 'm'})
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """
+        Draw what each effect leaves of the error [mm], best first, with matplotlib.
+
+        The dashed line is the error of the model as described, the grey band the noise.
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+
+        """
+        from matplotlib import pyplot as plt
+
+        rows = [row for row in self.candidates if math.isfinite(row.error)][:CANDIDATES_DRAWN]
+        if axes is None:
+            height = 1.6 + 0.3 * len(rows)
+            axes = plt.figure(figsize=(6.4, height), layout='constrained').add_subplot()
+        chosen = {effect.name for effect in self.effects}
+        colours = [GOOD if row.name in chosen else ERROR for row in rows]
+        axes.barh([row.name for row in rows], [1e3 * row.error for row in rows], color=colours)
+        axes.axvspan(0.0, 1e3 * self.noise_floor, color='0.8', zorder=3, alpha=0.7)
+        axes.axvline(1e3 * self.error_before, color=PREDICTED, linestyle='--')
+        axes.invert_yaxis()
+        axes.set(
+            xlabel='rms error that is left [mm]; dashed: as described, grey: noise',
+            title=f'{self.verdict}: {", ".join(chosen)}' if chosen else str(self.verdict),
+        )
+        return axes
 
     def save(self, path: str | Path) -> None:
         """Write the JSON file."""

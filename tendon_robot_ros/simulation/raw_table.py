@@ -53,6 +53,7 @@ def raw_table(
     noise: SimulatedNoise | None = None,
     trials: int = 3,
     seed: int = 0,
+    which: int = 0,
     markers: Sequence[Marker] | None = None,
 ) -> tuple[list[str], Floats]:
     """
@@ -74,16 +75,23 @@ def raw_table(
     trials : int
         Of every posture.
     seed : int
-        Of the noise.
+        Of the noise, and of the numbers of the markers.
+    which : int
+        Another recording of the same arm by the same tracker.
     markers : sequence of Marker, optional
         Default: one per cell.
 
     """
-    lab, random = lab or Laboratory(), np.random.default_rng([seed, 7])
+    lab, random = lab or Laboratory(), np.random.default_rng([seed, 7, which])
     rows = np.asarray(inputs, dtype=float)
     rest = np.full((1, rows.shape[1]), plant.robot.tension_limits[0])
     seen = simulate(
-        plant, np.vstack([rest, rows]), noise=noise, trials=trials, seed=seed, markers=markers
+        plant,
+        np.vstack([rest, rows]),
+        noise=noise,
+        trials=trials,
+        seed=2 * seed + which,
+        markers=markers,
     )
     places = np.array(seen.positions)  # (1 + P, Q, J, 3)
     for _ in range(lab.slips):
@@ -102,7 +110,7 @@ def raw_table(
     tracked += random.normal(0.0, lab.frame_noise, tracked.shape)
     tracked[_not_seen(random, len(tracked), J, lab)] = np.nan
     tensions = values[:, :m] + random.normal(0.0, lab.cell_noise, (len(values), m))
-    shuffled = random.permutation(J)
+    shuffled = np.random.default_rng([seed, 8]).permutation(J)
     names = ['time_s', *(f'T{i + 1} [N]' for i in range(m))]
     names += [f'marker_{i + 1:02d}_{axis} [mm]' for i in range(J) for axis in 'xyz']
     times = np.arange(len(values)) / lab.rate

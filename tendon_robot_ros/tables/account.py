@@ -20,6 +20,7 @@ METHODS = {
     'model': "turned and shifted onto the model's postures",
     'level': "the tracker's up laid onto the robot's, turned about it onto the model's postures",
     'straight': "the straight posture laid onto +z, turned about it onto the model's postures",
+    'given': 'as given',
     'base': "taken to be the robot's base frame",
 }
 

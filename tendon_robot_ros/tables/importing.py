@@ -119,9 +119,10 @@ def _known_frame(
     """Say gravity, and how well the frame is known, so that a diagnosis may move it."""
     gravity, look = _gravity(dataset, frame, recipe)
     robot = dataset.robot
-    tolerances = frame.tolerances(robot.length)
-    widened = {k: max(v, robot.tolerances.get(k, 0.0)) for k, v in tolerances.items()}
-    robot = replace(robot, tolerances={**robot.tolerances, **widened})
+    known = frame.tolerances(robot.length)
+    if recipe.frame.rotation is not None:  # a frame that is given comes with its tolerances
+        known |= {key: robot.tolerances[key] for key in known if key in robot.tolerances}
+    robot = replace(robot, tolerances={**robot.tolerances, **known})
     return replace(dataset, gravity=gravity, robot=robot), look
 
 

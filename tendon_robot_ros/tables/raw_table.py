@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.errors import DataSetError, MissingExtraError, short
+from ..common.errors import DataSetError, short
 
 FloatArray = NDArray[np.float64]
 MISSING = ('', 'nan', 'NaN', 'NAN', 'NA', 'N/A', 'null', 'None', '-', '--')
@@ -60,23 +60,6 @@ class RawTable:
                     f'expected {expected}, or an empty cell where there is none',
                 )
         return np.array([float(t) if t not in MISSING else np.nan for t in self.texts[column]])
-
-
-def pandas() -> Any:
-    """
-    Return the package pandas, which reads tables.
-
-    Raises
-    ------
-    MissingExtraError
-        It is not installed.
-
-    """
-    try:
-        import pandas as found
-    except ImportError:
-        raise MissingExtraError('pandas', 'tables') from None
-    return found
 
 
 def is_number(text: str) -> bool:

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..common.errors import DataSetError, MissingExtraError, short
+from ..common.frames import pandas
 from .formats import is_optitrack, optitrack_header, read_c3d
-from .raw_table import MISSING, RawTable, is_number, pandas, table_of
+from .raw_table import MISSING, RawTable, is_number, table_of
 from .units import find_unit
 
 BYTES_MAX = 1_000_000_000  # of a file: its numbers and their parse must fit into the memory

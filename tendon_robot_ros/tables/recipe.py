@@ -12,7 +12,8 @@ import yaml
 
 from ..common.errors import DataSetError, short
 from ..common.yaml_reading import Reader, parse_yaml
-from ..data.dataset import PATHS, Vector
+from ..data.dataset import PATHS
+from ..data.markers import Vector
 from .columns import ColumnUse
 from .units import UNITS, find_unit
 

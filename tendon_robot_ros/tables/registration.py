@@ -13,7 +13,8 @@ from ..common.rotations import rigid_fit, towards, turn_angle
 from ..comparison.noise import rms
 from ..comparison.predict import Predictor
 from ..data import DataSet
-from ..data.dataset import BoolArray, Vector
+from ..data.dataset import BoolArray
+from ..data.markers import Vector
 from .raw_table import FloatArray
 from .recipe import FrameChoice
 
@@ -76,7 +77,7 @@ class TrackerFrame:
         The model that it was found with lacks what a diagnosis looks for; so it may be off by as
         much as the model was, next to the base in position, at the tip in rotation.
         """
-        if self.method in ('base', 'given'):
+        if self.method == 'base':
             return {}
         rotation = LEVEL_WITHIN_RAD if self.method == 'level' else 2.0 * self.residual / length
         return {

@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import DataSetError, InputError
+from ..common.frames import pandas
 from ..data.dataset import listing
 from ..data.recording.reader import Recording, Track
 from .choices import Taken, time_column
-from .raw_table import FloatArray, RawTable, pandas
+from .raw_table import FloatArray, RawTable
 from .recipe import Recipe, WireSpool
 from .units import UNITS, find_unit
 

@@ -12,7 +12,8 @@ import yaml
 from ...common.errors import DataSetError, short
 from ...common.yaml_reading import Reader, parse_yaml
 from ...robot import Robot, load_robot
-from ..dataset import INPUTS, PATHS, DataSet, Known, Marker, Vector, default_markers
+from ..dataset import INPUTS, PATHS, DataSet, Known
+from ..markers import Marker, Vector, default_markers
 
 KEYS = (
     'robot',

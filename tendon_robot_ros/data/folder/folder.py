@@ -13,7 +13,8 @@ import numpy as np
 from ...common.errors import DataSetError
 from ...common.files import new_folder
 from ...robot import Robot, dump_robot, load_robot
-from ..dataset import DataSet, default_markers
+from ..dataset import DataSet
+from ..markers import default_markers
 from .description import describe, dump_description, find_robot, read_fields, read_text
 from .tables import KEYS, ORIENTATION, POSITION, read_inputs, read_shapes
 

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from ...common.errors import DataSetError
 from ...robot import Robot
 from ..dataset import FloatArray, listing
+from ..units import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
 from .csv_file import CsvFile, IntArray, Table
-
-TENSION_MAX_LIMITS = 3.0  # tension limits; a larger tension is in another unit
 
 
 @dataclass(frozen=True)
@@ -133,8 +132,6 @@ def _check(file: CsvFile, values: FloatArray, robot: Robot, kind: str) -> None:
 KEYS = ('posture', 'trial', 'marker')
 POSITION = ('x', 'y', 'z')  # [m]
 ORIENTATION = ('qx', 'qy', 'qz', 'qw')
-# robot lengths; a marker farther from the base is in another unit or frame
-DISTANCE_MAX_LENGTHS = 3.0
 Places = tuple[IntArray, IntArray, NDArray[np.bool_], tuple[str, ...]]
 VALUES_MAX = 20_000_000  # postures x trials x markers that the arrays may hold
 

@@ -11,9 +11,14 @@ import numpy as np
 from ...common.errors import DataSetError
 from ...common.files import new_file
 from ...robot import Robot, load_robot, parse_robot
-from ..dataset import DataSet, FloatArray, Marker, default_markers, listing
+from ..dataset import (
+    DataSet,
+    FloatArray,
+    listing,
+)
 from ..folder.description import Description, describe, read_fields
-from ..folder.tables import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
+from ..markers import Marker, default_markers
+from ..units import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
 from .reader import Recording, Topics, read_bag
 from .still_segments import ArmMotion, Rule, Segment, assemble, find_segments, motion
 from .writer import DESCRIPTION, ROBOT

@@ -1,0 +1,184 @@
+"""Measurements as a tidy table, a row per posture, trial and marker, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.errors import DataSetError, short
+
+Floats = NDArray[np.float64]
+Codes = NDArray[np.int64]
+POSITION = ('x', 'y', 'z')
+QUATERNION = ('qx', 'qy', 'qz', 'qw')
+HINT = 'a table over time goes through import_table'
+
+
+@dataclass(frozen=True)
+class FrameArrays:
+    """What a tidy table holds: P postures, Q trials, J markers, m inputs."""
+
+    postures: tuple[str, ...]
+    trials: tuple[str, ...]
+    markers: tuple[str, ...]
+    arc_lengths: Floats | None  # (J,) [m], None where there is no such column
+    inputs: Floats  # (P, m) [N] or [m]
+    trial_inputs: Floats | None  # (P, Q, m), None where all trials of a posture have the same
+    positions: Floats  # (P, Q, J, 3) [m]
+    orientations: Floats | None  # (P, Q, J, 4)
+
+
+def read_frame(frame: Any, inputs: Sequence[str], name: str) -> FrameArrays:
+    """
+    Take a tidy table apart.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Columns `posture`, `trial` (0 where there is none), `marker`, x, y, z [m], one per input,
+        and perhaps `arc_length` [m] and qx, qy, qz, qw; others are not looked at.
+    inputs : sequence of str
+        Names of the inputs.
+    name : str
+        For messages.
+
+    Raises
+    ------
+    DataSetError
+        A column is missing, a cell is no number, or a measurement stands twice.
+
+    """
+    for column in ('posture', 'marker', *POSITION, *inputs):
+        if column not in frame.columns:
+            raise DataSetError(
+                name,
+                f'no column {column!r}',
+                f'a row per posture and marker needs posture, marker, x, y, z and '
+                f'{", ".join(inputs)}; {HINT}',
+            )
+    postures, posture = _codes(frame['posture'])
+    markers, marker = _codes(frame['marker'])
+    trials: tuple[str, ...] = ('0',)
+    trial = np.zeros(len(frame), dtype=np.int64)
+    if 'trial' in frame.columns:
+        trials, trial = _codes(frame['trial'])
+    sizes = len(postures), len(trials), len(markers)
+    rows = np.ravel_multi_index((posture, trial, marker), sizes)
+    values, counts = np.unique(rows, return_counts=True)
+    if (counts > 1).any():
+        p, q, j = np.unravel_index(int(values[counts.argmax()]), sizes)
+        raise DataSetError(
+            name,
+            f'posture {postures[p]!r}, trial {trials[q]!r}, marker {markers[j]!r} stands twice',
+            f'number the trials; {HINT}',
+        )
+    positions = np.full((*sizes, 3), np.nan)
+    positions[posture, trial, marker] = _numbers(frame, POSITION, name)
+    orientations = None
+    if all(column in frame.columns for column in QUATERNION):
+        orientations = np.full((*sizes, 4), np.nan)
+        orientations[posture, trial, marker] = _numbers(frame, QUATERNION, name)
+    each = _inputs(frame, inputs, (posture, trial), sizes[:2], name)
+    mean, by_trial = _by_posture(each)
+    return FrameArrays(
+        postures, trials, markers, _arc_lengths(frame, marker, len(markers), name),
+        mean, by_trial, positions, orientations,
+    )  # fmt: skip
+
+
+def _codes(column: Any) -> tuple[tuple[str, ...], Codes]:
+    """Return the names in a column, in the order in which they appear, and each row's."""
+    texts = [str(value) for value in column.tolist()]
+    names = {text: i for i, text in enumerate(dict.fromkeys(texts))}
+    return tuple(names), np.array([names[text] for text in texts], dtype=np.int64)
+
+
+def _numbers(frame: Any, columns: Sequence[str], name: str) -> Floats:
+    """Return columns (R, c) of numbers."""
+    values = np.empty((len(frame), len(columns)))
+    for i, column in enumerate(columns):
+        for row, value in enumerate(frame[column].tolist()):
+            try:
+                values[row, i] = np.nan if value is None else float(value)
+            except (TypeError, ValueError):
+                raise DataSetError(
+                    f'{name}, row {row}', f'{column} is {short(value)}', 'expected a number or nan'
+                ) from None
+    return values
+
+
+def _inputs(
+    frame: Any,
+    inputs: Sequence[str],
+    places: tuple[Codes, Codes],
+    sizes: tuple[int, int],
+    name: str,
+) -> Floats:
+    """Return the inputs of every trial (P, Q, m), inf where there is no such trial."""
+    values = _numbers(frame, inputs, name)
+    each = np.full((*sizes, len(inputs)), np.inf)
+    each[places] = values
+    other = ~np.isclose(each[places], values, rtol=0.0, atol=1e-12, equal_nan=True)
+    if other.any():
+        row, column = np.argwhere(other)[0].tolist()
+        raise DataSetError(
+            f'{name}, row {row}',
+            f'{inputs[column]} is {values[row, column]:g}, in another row of this trial '
+            f'{each[places][row, column]:g}',
+            'a trial has one value for each input',
+        )
+    return each
+
+
+def _by_posture(each: Floats) -> tuple[Floats, Floats | None]:
+    """Return the mean of the trials (P, m), and the trials (P, Q, m) where they differ."""
+    there = np.isfinite(each) | np.isnan(each)
+    counts = there.sum(axis=1)
+    mean = np.where(there, each, 0.0).sum(axis=1) / counts
+    spread = np.where(there, np.abs(each - mean[:, None]), 0.0)
+    if np.nan_to_num(spread).max() < 1e-12:
+        return mean, None
+    return mean, np.where(there, each, np.nan)
+
+
+def _arc_lengths(frame: Any, marker: Codes, count: int, name: str) -> Floats | None:
+    if 'arc_length' not in frame.columns:
+        return None
+    places = np.full(count, np.nan)
+    places[marker] = _numbers(frame, ('arc_length',), name)[:, 0]
+    return places
+
+
+def frame_columns(arrays: FrameArrays, names: Sequence[str]) -> dict[str, Any]:
+    """
+    Return the columns of a tidy table; a posture that nobody measured has one row of each marker.
+
+    Parameters
+    ----------
+    arrays : FrameArrays
+        What goes into the table.
+    names : sequence of str
+        Names of the inputs.
+
+    """
+    measured = np.isfinite(arrays.positions).all(axis=3).any(axis=2)  # (P, Q)
+    measured[~measured.any(axis=1), 0] = True
+    posture, trial = np.nonzero(measured)
+    count = len(arrays.markers)
+    p, q, j = np.repeat(posture, count), np.repeat(trial, count), np.tile(range(count), len(trial))
+    columns: dict[str, Any] = {
+        'posture': np.array(arrays.postures, dtype=object)[p],
+        'trial': np.array(arrays.trials, dtype=object)[q],
+        'marker': np.array(arrays.markers, dtype=object)[j],
+    }
+    if arrays.arc_lengths is not None:
+        columns['arc_length'] = arrays.arc_lengths[j]
+    columns |= dict(zip(POSITION, arrays.positions[p, q, j].T, strict=True))
+    if arrays.orientations is not None:
+        columns |= dict(zip(QUATERNION, arrays.orientations[p, q, j].T, strict=True))
+    each = arrays.inputs[p] if arrays.trial_inputs is None else arrays.trial_inputs[p, q]
+    return columns | dict(zip(names, each.T, strict=True))

@@ -1,0 +1,59 @@
+"""Tracked points of an arm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..common.errors import DataSetError
+from ..robot import Robot
+from .frames import FrameArrays
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A tracked point of the arm."""
+
+    name: str
+    arc_length: float  # [m] from the base along the straight backbone
+    offset: Vector = (0.0, 0.0, 0.0)  # [m] in the frame at that arc length
+
+
+def default_markers(robot: Robot) -> tuple[Marker, ...]:
+    """Return one marker per cell, named '1' to 'n', at the cell's distal end."""
+    lengths = np.repeat([s.cell_length for s in robot.sections], [s.cells for s in robot.sections])
+    ends = np.cumsum(lengths).round(12).tolist()  # 0.108, not 0.10800000000000003
+    return tuple(Marker(str(i + 1), end) for i, end in enumerate(ends))
+
+
+def place_markers(
+    arrays: FrameArrays, robot: Robot, given: Sequence[Marker | float] | None, name: str
+) -> tuple[Marker, ...]:
+    """
+    Return the markers: as given, else by their column of arc lengths, else one per cell.
+
+    Raises
+    ------
+    DataSetError
+        There are places for more or fewer markers.
+
+    """
+    if given is None and arrays.arc_lengths is not None:
+        given = arrays.arc_lengths.tolist()
+    if given is None and len(arrays.markers) == robot.cells:
+        return default_markers(robot)
+    if given is None or len(given) != len(arrays.markers):
+        known = 'none' if given is None else f'{len(given)}'
+        raise DataSetError(
+            f'{name}: markers',
+            f'there are {len(arrays.markers)}, {known} with a place',
+            'give the arc length [m] of each, from the base along the arm',
+        )
+    return tuple(
+        one if isinstance(one, Marker) else Marker(label, float(one))
+        for label, one in zip(arrays.markers, given, strict=True)
+    )
