@@ -47,7 +47,7 @@ BAD = {
         DATASET + 'gravty: [0,0,0]',
         "dataset.yaml: gravty: got 'gravty'",
         'expected one of robot, input, path, gravity, position_noise, tension_noise, accuracy, '
-        'markers',
+        'known, markers',
     ),
     'unknown input kind': (
         'dataset',

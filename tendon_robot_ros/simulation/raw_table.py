@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ..common.files import new_file
 from ..common.rotations import towards
-from ..data import Marker
+from ..data import DataSet, Marker
 from .measurements import SimulatedNoise, simulate
 from .plant import Plant
 
@@ -93,29 +93,54 @@ def raw_table(
         seed=2 * seed + which,
         markers=markers,
     )
-    places = np.array(seen.positions)  # (1 + P, Q, J, 3)
+    places = _with_slips(plant, seen, rows, lab, random)
+    stops = [(0, 0)]
+    for q in range(trials):
+        for p in range(1, len(rows) + 1):
+            stops += [(p, q), (0, q)]
+    values = _over_time([np.append(seen.inputs[p], places[p, q].ravel()) for p, q in stops], lab)
+    m, J = rows.shape[1], len(seen.markers)
+    tracked = _tracked(values[:, m:].reshape(-1, J, 3), plant.robot.gravity, lab, random)
+    shuffled = np.random.default_rng([seed, 8]).permutation(J)
+    columns = [
+        np.arange(len(values)) / lab.rate,
+        values[:, :m] + random.normal(0.0, lab.cell_noise, (len(values), m)),
+        1e3 * tracked[:, shuffled].reshape(len(values), -1),
+    ]
+    return _names(m, J), np.column_stack(columns)
+
+
+def _with_slips(
+    plant: Plant, seen: DataSet, rows: Floats, lab: Laboratory, random: np.random.Generator
+) -> Floats:
+    """Return positions (1 + P, Q, J, 3) [m], rest first; in some trials a tendon slips."""
+    places = np.array(seen.positions)
     for _ in range(lab.slips):
-        p, q = int(random.integers(len(rows))), int(random.integers(trials))
+        p, q = int(random.integers(len(rows))), int(random.integers(places.shape[1]))
         slipped = rows[p].copy()
         slipped[slipped.argmax()] *= SLIP
         places[p + 1, q] = plant.markers(slipped[None], seen.arc_lengths, seen.offsets)[0]
-    order = [(p, q) for q in range(trials) for p in range(1, len(rows) + 1)]
-    stops = [(0, 0)]
-    for p, q in order:
-        stops += [(p, q), (0, q)]
-    values = _over_time([np.append(seen.inputs[p], places[p, q].ravel()) for p, q in stops], lab)
-    m, J = rows.shape[1], len(seen.markers)
-    turn, shift = tracker_frame(plant.robot.gravity, lab)
-    tracked = values[:, m:].reshape(-1, J, 3) @ turn.T + shift
-    tracked += random.normal(0.0, lab.frame_noise, tracked.shape)
-    tracked[_not_seen(random, len(tracked), J, lab)] = np.nan
-    tensions = values[:, :m] + random.normal(0.0, lab.cell_noise, (len(values), m))
-    shuffled = np.random.default_rng([seed, 8]).permutation(J)
-    names = ['time_s', *(f'T{i + 1} [N]' for i in range(m))]
-    names += [f'marker_{i + 1:02d}_{axis} [mm]' for i in range(J) for axis in 'xyz']
-    times = np.arange(len(values)) / lab.rate
-    positions = 1e3 * tracked[:, shuffled].reshape(len(values), -1)
-    return names, np.column_stack([times, tensions, positions])
+    return places
+
+
+def _names(inputs: int, markers: int) -> list[str]:
+    """Name the columns, with their units."""
+    names = ['time_s', *(f'T{i + 1} [N]' for i in range(inputs))]
+    return names + [f'marker_{i + 1:02d}_{axis} [mm]' for i in range(markers) for axis in 'xyz']
+
+
+def _tracked(
+    positions: Floats,
+    gravity: Sequence[float] | None,
+    lab: Laboratory,
+    random: np.random.Generator,
+) -> Floats:
+    """Return positions (R, J, 3) [m] as the tracker sees them: its frame, its noise, its gaps."""
+    turn, shift = tracker_frame(gravity, lab)
+    seen = positions @ turn.T + shift
+    seen += random.normal(0.0, lab.frame_noise, seen.shape)
+    seen[_not_seen(random, len(seen), seen.shape[1], lab)] = np.nan
+    return seen
 
 
 def _over_time(stops: Sequence[Floats], lab: Laboratory) -> Floats:

@@ -112,7 +112,7 @@ class Family:
 
 @dataclass(frozen=True, eq=False)
 class Workspace:
-    """A grid of tensions over all pairs of inputs: what was kept, and how many postures there were."""
+    """A grid of tensions over all pairs of inputs: what was kept, of how many postures."""
 
     robot: Robot
     step: float  # [N]
