@@ -1,19 +1,19 @@
 """
 How soon a stop acts on the motors, whatever it is that stops: worst of many trials.
 
-    python benchmarks/bench_stop.py [--trials 200] [--busy 0] [--release-rate 10] [--json FILE]
+    python benchmarks/bench_stop.py [--trials 200] [--busy 0] [--stop-time 0.06] [--json FILE]
 
 Real controller and driver, each a process, on emulated servos in another one; a target bends the
 arm, then something stops it. The emulator tells when which motor got which current and what the
-wires carried. A release ramps (an elastic arm that is let go whips), so there are two figures:
+wires carried.
 
 - `begun_ms`: from the cause until the first motor gets less current;
-- `rest_ms`: until every motor is at pretension; `ramp_ms` is what the ramp alone takes.
+- `rest_ms`: until the current of every motor is that of pretension;
+- `ended_ms`: until the process is gone that was asked to end;
+- `late`: trials with a motor above pretension after 100 ms;
+- `rise`: by how much a wire was tighter after the cause than at it [N].
 
-The controller that is killed or told to stop says no more: the driver then waits for its time-out,
-motors whose port is gone for their watchdog.
-`above_ramp` is the largest tension [N] after 100 ms (and the time-out, where silence is the cause)
-above a ramp that begins then: 0 means that nothing was late.
+Motors whose port is gone get no command: they wait for their watchdog, then have no current.
 """
 
 import argparse
@@ -33,9 +33,9 @@ from std_msgs.msg import Bool
 SOON = 0.1  # [s]
 LEAST = 0.8  # [N] before a stop
 BEFORE = 0.1  # [s] of the trace before the cause
-AFTER = 0.25  # [s] more than the ramp should take
+AFTER = 0.8  # [s] of the trace after the cause
 TRIES = 3
-SETTLE = 0.3  # [s]
+SETTLE = 0.2  # [s]
 FALLEN = 0.97  # of the current before: the release has begun
 NEAR = 0.03  # [N], four counts of current: at pretension
 
@@ -93,6 +93,12 @@ class Stops:
     def driver_again(self):
         self.chain.again('driver')
 
+    def ended_controller(self):
+        return self._signal('controller', signal.SIGINT)
+
+    def controller_after_end(self):
+        self.chain.again('controller')
+
     def killed_controller(self):
         return self._signal('controller', signal.SIGKILL)
 
@@ -115,14 +121,14 @@ KINDS = {
     'any publisher': (Stops.topic, Stops.topic_off),
     'service of the driver': (Stops.service_of_driver, Stops.nothing),
     'service of the controller': (Stops.service_of_controller, Stops.nothing),
-    'SIGINT': (Stops.sigint, Stops.driver_again),
-    'SIGTERM': (Stops.sigterm, Stops.driver_again),
+    'SIGINT of the driver': (Stops.sigint, Stops.driver_again),
+    'SIGTERM of the driver': (Stops.sigterm, Stops.driver_again),
+    'SIGINT of the controller': (Stops.ended_controller, Stops.controller_after_end),
     'killed controller': (Stops.killed_controller, Stops.controller_again),
     'pulled port': (Stops.pulled_port, Stops.plug),
 }
-
-
-SILENCE = 'killed controller', 'service of the controller'
+ENDS = {'SIGINT of the driver': 'driver', 'SIGTERM of the driver': 'driver',
+        'SIGINT of the controller': 'controller'}  # fmt: skip
 
 
 class Scale:
@@ -142,7 +148,7 @@ class Scale:
         return np.array(rows).T
 
 
-def judge(trace, cause, scale, rate, allowed):
+def judge(trace, cause, scale):
     """Return the figures of one trial, None where the arm was not held when it was stopped."""
     times = np.array([moment[0] for moment in trace]) - cause
     tensions = scale(np.array([moment[1] for moment in trace]))
@@ -155,35 +161,32 @@ def judge(trace, cause, scale, rate, allowed):
     later = times > 0.0
     fallen = later & np.any(tensions[:, pulling] < FALLEN * start[pulling], axis=1)
     high = later & np.any(tensions > scale.rest + NEAR, axis=1)
-    if not fallen.any():
-        return {'begun_ms': np.inf, 'rest_ms': np.inf, 'ramp_ms': 0.0, 'above_ramp': np.inf,
-                'rise': 0.0}  # fmt: skip
-    ramp = np.maximum(scale.rest, start.max() - rate * np.maximum(times - SOON - allowed, 0.0))
-    late = times > SOON + allowed
     return {
-        'begun_ms': 1e3 * float(times[fallen][0]),
+        'from': float(start.max()),
+        'begun_ms': 1e3 * float(times[fallen][0]) if fallen.any() else np.inf,
         'rest_ms': np.inf if high[-1] else 1e3 * float(times[high][-1]),
-        'ramp_ms': 1e3 * float(start.max() - scale.rest) / rate,
-        'above_ramp': max(0.0, float((tensions.max(axis=1) - ramp)[late].max()) - NEAR),
         'rise': float((wires[later].max(axis=0) - wires[~later][-1]).max()),
+        'ended_ms': np.nan,
     }
 
 
-def trial(chain, stops, kind, scale, args, number):
+def trial(chain, stops, kind, scale, number):
     """Bend the arm, stop it, look; return the figures or None."""
     stop, undo = KINDS[kind]
-    held = chain.up(TARGETS[number % 2], LEAST)
+    held = chain.up(TARGETS[number % len(TARGETS)], LEAST)
     chain.user.spin(SETTLE)
-    allowed = dict.fromkeys(SILENCE, args.command_timeout) | {'pulled port': args.watchdog}
     cause = stop(stops)
-    time_needed = SOON + allowed.get(kind, 0.0) + args.high / args.release_rate + AFTER
-    chain.user.spin(time_needed)
-    seconds = time.monotonic() - cause
-    trace = chain.servos.ask(f'trace {seconds + BEFORE}')
+    ended = np.nan
+    if kind in ENDS:
+        chain.user.until(lambda: not chain.nodes[ENDS[kind]].runs, AFTER)
+        ended = 1e3 * (time.monotonic() - cause)
+    chain.user.spin(max(0.0, cause + AFTER - time.monotonic()))
+    trace = chain.servos.ask(f'trace {time.monotonic() - cause + BEFORE}')
     undo(stops)
     if not held:
         return None
-    return judge(trace, cause, scale, args.release_rate, allowed.get(kind, 0.0))
+    found = judge(trace, cause, scale)
+    return found and {**found, 'ended_ms': ended}
 
 
 def measure(args):
@@ -192,8 +195,8 @@ def measure(args):
     skipped = dict.fromkeys(args.kinds, 0)
     load = Load(args.busy)
     chain = Chain(
-        args.logs, arm='springs', servos={'watchdog': args.watchdog},
-        release_rate=args.release_rate, command_timeout=args.command_timeout,
+        args.logs, arm=args.arm, servos={'watchdog': args.watchdog},
+        stop_time=args.stop_time, command_timeout=args.command_timeout,
     )  # fmt: skip
     try:
         stops, scale = Stops(chain), Scale(chain.servos)
@@ -203,7 +206,7 @@ def measure(args):
                 if time.monotonic() > end:
                     break
                 for _ in range(TRIES):
-                    got = trial(chain, stops, kind, scale, args, number)
+                    got = trial(chain, stops, kind, scale, number)
                     if got is not None:
                         break
                 if got is None:
@@ -220,13 +223,15 @@ def summary(rows):
     if not rows:
         return {'trials': 0}
     columns = {key: np.array([row[key] for row in rows]) for key in rows[0]}
-    figures = {'trials': len(rows)}
-    for key in ('begun_ms', 'rest_ms'):
-        p50, p99, worst = np.percentile(columns[key], [50, 99, 100], method='higher')
-        figures |= {key: {'p50': round(p50, 1), 'p99': round(p99, 1), 'worst': round(worst, 1)}}
-    figures['ramp_ms'] = round(float(columns['ramp_ms'].max()), 1)
-    figures['above_ramp'] = round(float(columns['above_ramp'].max()), 3)
-    figures['late'] = int(np.sum(columns['above_ramp'] > 0.0))
+    figures = {'trials': len(rows), 'highest': round(float(columns['from'].max()), 2)}
+    for key in ('begun_ms', 'rest_ms', 'ended_ms'):
+        values = columns[key][~np.isnan(columns[key])]
+        if len(values):
+            p50, p99, worst = np.percentile(values, [50, 99, 100], method='higher')
+            figures |= {
+                key: {'p50': round(p50, 1), 'p99': round(p99, 1), 'worst': round(worst, 1)}
+            }
+    figures['late'] = int(np.sum(columns['rest_ms'] > 1e3 * SOON))
     figures['rise'] = round(float(columns['rise'].max()), 3)
     return figures
 
@@ -236,10 +241,10 @@ def main():
     parser.add_argument('--trials', type=int, default=200)
     parser.add_argument('--minutes', type=float, default=1e6, help='stop after so long')
     parser.add_argument('--busy', type=int, default=0, help='busy processes beside it')
-    parser.add_argument('--release-rate', type=float, default=10.0, help='[N/s]')
+    parser.add_argument('--stop-time', type=float, default=0.06, help='[s]')
+    parser.add_argument('--arm', default='plant', choices=('plant', 'springs'))
     parser.add_argument('--command-timeout', type=float, default=0.1, help='[s]')
-    parser.add_argument('--watchdog', type=float, default=0.2, help='[s] of the motors')
-    parser.add_argument('--high', type=float, default=2.0, help='[N] that may have to ramp down')
+    parser.add_argument('--watchdog', type=float, default=0.08, help='[s] of the motors')
     parser.add_argument('--kinds', nargs='+', default=list(KINDS), choices=list(KINDS))
     parser.add_argument('--logs', type=Path, default=Path(tempfile.gettempdir(), 'bench_stop'))
     parser.add_argument('--json', type=Path)
@@ -250,7 +255,8 @@ def main():
         **machine(),
         'load_average': [round(begun[0], 1), round(os.getloadavg()[1], 1)],
         'busy processes': args.busy,
-        'release_rate': args.release_rate,
+        'stop_time': args.stop_time,
+        'arm': args.arm,
         'command_timeout': args.command_timeout,
         'watchdog': args.watchdog,
         'died': died,

@@ -50,6 +50,7 @@ def config(port, /, **changes):
         'model': MODEL,
         'spool_radius': RADIUS,
         'answer_time': 0.03,  # [s]; the machine that tests is busy
+        'watchdog': 0.2,
         'pull_limits': [-0.01, 0.03],
         'motors': motors,
     }

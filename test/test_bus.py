@@ -11,7 +11,7 @@ pytest.importorskip('rclpy')
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers.mock import MockConfig, MockDriver
 from tendon_robot_ros.drivers.safety import SafetyRules
-from tendon_robot_ros.drivers.supervisor import FOLLOWING, LIMP, Supervisor
+from tendon_robot_ros.drivers.supervisor import FOLLOWING, LIMP, RELEASED, Supervisor
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.driver.motor_loop import MotorLoop
 
@@ -137,6 +137,15 @@ def test_a_reboot_takes_the_torque_of_healthy_motors_until_a_reset(bus):
     follow(bus)
     assert bus.off == ()
     assert bus.call(bus.driver.read).tensions == pytest.approx(COMMAND)
+
+
+def test_a_command_that_came_with_the_wish_to_let_go_counts_no_more(bus):
+    follow(bus)
+    bus.call(lambda: (bus.put(COMMAND), bus.let_go('the controller stopped')))
+    until(lambda: bus.supervisor.state == RELEASED)
+    assert bus.cycles[-1].decision.reasons == ('the controller stopped',)
+    assert bus.driver.written[-1] == pytest.approx([LOW, LOW])
+    follow(bus)
 
 
 def test_limp_comes_back_from_the_measured_state(bus):

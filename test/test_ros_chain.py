@@ -140,6 +140,7 @@ def test_a_stop_of_the_controller_lets_the_driver_release(station):
     station.go_to_point(0.06, 0.17)
     assert station.trigger('controller/stop').success
     station.until_code(station.driver, 'releasing', 'released')
+    assert 'the sender of the commands lets go' in last(station.driver).message  # not by silence
     station.until_code(station.controller, 'stopped')
     assert station.trigger('controller/reset').success
     station.until_code(station.controller, 'holding')

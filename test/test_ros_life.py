@@ -1,7 +1,6 @@
 """Starting, ending and killing nodes in any order: the arm ends safe, and the rest recovers."""
 
 import signal
-import time
 from itertools import pairwise
 
 import processes
@@ -13,14 +12,16 @@ pytest.importorskip('rclpy')
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from ros_station import LOW, Station, last, start, values
+from ros_station import LOW, Station, last, stamp, start, values
 from source_tree import ROOT
 
+from tendon_robot_ros.drivers.supervisor import CYCLE_MAX_S
 from tendon_robot_ros.robot import dump_robot
 from tendon_robot_ros.ros.shared.files import read_robot
 
 pytestmark = pytest.mark.ros
 FAR = (0.1, 0.1)  # [m] a posture with tension
+STOP_TIME = 1.0  # [s]
 
 
 @pytest.fixture
@@ -66,19 +67,18 @@ def test_a_transition_that_is_not_there_is_refused_and_nothing_else_happens(spac
     'numbers', [[signal.SIGINT], [signal.SIGTERM, signal.SIGINT]], ids=['one', 'and_its_echo']
 )
 def test_a_signal_ends_the_driver_after_a_ramp_to_pretension(space, numbers):
-    driver, _ = moved(space, release_rate=2.0)
+    driver, _ = moved(space, stop_time=STOP_TIME)
     space.states.clear()
-    asked = time.monotonic()
     for number in numbers:  # systemd tells all processes, launch tells them again
         driver.process.send_signal(number)
         space.spin(0.2)
     space.until(lambda: driver.process.poll() is not None, 'the end of the driver')
     assert driver.process.returncode == 0
-    efforts = [(at, max(message.effort)) for at, message in space.states if at > asked]
+    efforts = [(stamp(message), max(message.effort)) for _, message in space.states]
     assert efforts[-1][1] == pytest.approx(LOW, abs=0.02)
-    drops = [(b[1] - a[1]) for a, b in pairwise(efforts)]
-    assert min(drops) > -0.2  # no jump: 2 N/s, a delayed message or two
-    assert efforts[-1][0] - efforts[0][0] > 0.2
+    rate = (efforts[0][1] - LOW) / STOP_TIME
+    for before, after in pairwise(efforts):  # no jump, however many messages are lost
+        assert before[1] - after[1] < rate * (after[0] - before[0] + CYCLE_MAX_S) + 0.02
     space.until_code(space.controller, 'no_driver')
 
 
@@ -86,7 +86,7 @@ def test_a_killed_controller_lets_the_arm_go_and_a_new_one_takes_over(space):
     _, controller = moved(space)
     controller.process.kill()
     space.until_code(space.driver, 'releasing', 'released')
-    assert 'no command for ' in last(space.driver).message
+    assert 'the sender of the commands has died' in last(space.driver).message
     space.until(lambda: max(last(space.states).effort) < LOW + 0.01, 'pretension')
     space.run('controller')
     space.until_code(space.driver, 'following')
@@ -105,7 +105,7 @@ def test_a_killed_driver_halts_the_controller_and_the_next_one_moves_nothing(spa
     space.states.clear()
     space.run('driver')
     space.until_code(space.controller, 'holding')
-    space.spin(0.5)
+    space.until(lambda: len(space.states) > 50, 'states')
     assert max(max(message.effort) for _, message in space.states) < LOW + 0.01
     space.go_to_point(*FAR)
     assert max(last(space.states).effort) > 0.5
@@ -138,6 +138,7 @@ def test_a_signal_ends_the_controller_and_the_driver_releases(space):
     _, controller = moved(space)
     assert controller.end() == 0
     space.until_code(space.driver, 'releasing', 'released')
+    assert 'no command' not in last(space.driver).message  # it was told
     space.until(lambda: max(last(space.states).effort) < LOW + 0.01, 'pretension')
 
 

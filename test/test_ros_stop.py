@@ -1,16 +1,19 @@
 """The topic stop: anybody's true stops the arm, and nobody's false speaks for another."""
 
+import re
 from itertools import product
 
 import pytest
 
 pytest.importorskip('rclpy')
 
+from geometry_msgs.msg import PointStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from ros_station import LOW, Station, holding, last, start
-from std_msgs.msg import Bool
+from ros_station import LOW, Station, holding, last, point, start, values
+from std_msgs.msg import Bool, String
 
-from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
+from tendon_robot_ros.ros.shared.inbox import hear_anybody
+from tendon_robot_ros.ros.shared.messages import COMMAND, COMMAND_ALL, LATCHED, LISTEN
 
 pytestmark = pytest.mark.ros
 SPACE = '/stopping'
@@ -81,16 +84,87 @@ def test_a_publisher_of_any_kind_stops_both(running, panels, reliability, durabi
     running.until(lambda: max(last(running.states).effort) < LOW + 0.01, 'pretension')
 
 
-def test_a_false_of_one_does_not_end_the_true_of_another(running, panels):
-    pressed, other = panels(LATCHED), panels(COMMAND)
+@pytest.mark.parametrize(('reliability', 'durability'), KINDS)
+def test_a_target_of_any_kind_is_heard(running, reliability, durability):
+    running.go_to_point(0.0, 0.2)
+    qos = QoSProfile(depth=10, reliability=reliability, durability=durability)
+    person = running.node.create_publisher(PointStamped, 'controller/target_point', qos)
+
+    def there():
+        person.publish(point(0.05, 0.18))  # best effort may be lost before they know each other
+        return running.tip() == pytest.approx([0.05, 0.0, 0.18], abs=1e-3)
+
+    running.until(there, 'the arm')
+    running.node.destroy_publisher(person)
+
+
+@pytest.mark.parametrize(('qos', 'ways'), [(COMMAND, 2), (LISTEN, 1)])
+def test_what_comes_by_two_ways_is_heard_once(running, qos, ways):
+    heard, node = [], running.node
+    ears = hear_anybody(node, PointStamped, 'anything', heard.append)
+    person = node.create_publisher(PointStamped, 'anything', qos)
+
+    def begun():
+        person.publish(point(0.0, 0.0))
+        return heard
+
+    running.until(begun, 'each other')
+    running.until(lambda: person.get_subscription_count() == ways, 'all ways')
+    running.spin(0.1)
+    heard.clear()
+    for number, x in enumerate((1.0, 1.0, 2.0, 1.0)):
+        person.publish(point(x, 0.0))
+        running.until(lambda number=number: len(heard) > number, 'it')
+    running.spin(0.1)
+    assert [message.point.x for message in heard] == [1.0, 1.0, 2.0, 1.0]
+    for ear in ears:
+        node.destroy_subscription(ear)
+    node.destroy_publisher(person)
+
+
+@pytest.mark.parametrize('said_once', [LATCHED, COMMAND, LISTEN])
+def test_a_false_of_one_does_not_end_the_true_of_another(running, panels, said_once):
+    pressed, other = panels(said_once), panels(COMMAND)
+    other.publish(Bool(data=False))  # as many words as the other: numbers tell nothing
     pressed.publish(Bool(data=True))
     stopped(running)
     other.publish(Bool(data=False))
-    running.spin(1.0)  # time enough to ask the one that is pressed again
+    other.publish(Bool(data=False))
+    running.spin(0.3)
     for node in ('driver', 'controller'):
-        assert not running.trigger(f'{node}/reset').success
+        answer = running.trigger(f'{node}/reset')
+        assert not answer.success
+        assert 'topic stop says true' in answer.message
     pressed.publish(Bool(data=False))
     running.until(lambda: running.trigger('driver/reset').success, 'a reset')
+
+
+def test_after_a_false_the_cause_is_gone_when_who_said_true_is(running, panels):
+    other, pressed = panels(COMMAND), panels(COMMAND)
+    pressed.publish(Bool(data=True))
+    stopped(running)
+    other.publish(Bool(data=False))
+    running.spin(0.3)
+    assert not running.trigger('driver/reset').success
+    running.node.destroy_publisher(panels.made.pop())
+    running.until(lambda: running.trigger('driver/reset').success, 'a reset')
+
+
+def test_what_one_node_alone_has_heard_it_passes_on(running, panels):
+    teller = running.node.create_publisher(String, '_stop_heard', COMMAND_ALL)
+    own = running.hear(String, '_stop_heard')
+    running.until(lambda: teller.get_subscription_count() >= 3, 'both nodes to listen')
+    for text in ('', 'true', 'xyz 1 1 true', '01 1 1 true and more'):
+        teller.publish(String(data=text))
+    running.spin(0.2)
+    assert values(last(running.driver))['stopped'] == 'false'
+    teller.publish(String(data=f'{"0a" * 16} 1 1 true'))  # of one who has left
+    stopped(running)
+    own.clear()
+    panels(COMMAND).publish(Bool(data=False))
+    running.until(lambda: running.trigger('driver/reset').success, 'a reset')
+    assert any(re.fullmatch(r'[0-9a-f]{32} 1 \d+ false', told.data) for _, told in own)
+    running.node.destroy_publisher(teller)
 
 
 def test_a_publisher_that_left_holds_nobody(running, panels):

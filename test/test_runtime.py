@@ -1,7 +1,9 @@
 """How nodes are run: the executor, the priority, and what must not wait for callbacks."""
 
 import os
+import signal
 import sys
+import threading
 import time
 from types import SimpleNamespace
 
@@ -25,7 +27,7 @@ from tendon_robot_ros.ros.controller.node import ControllerNode
 from tendon_robot_ros.ros.driver.node import DriverNode
 from tendon_robot_ros.ros.shared.lifecycle import NEWS_INTERVAL_MIN_S
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
-from tendon_robot_ros.ros.shared.runtime import make_executor, run
+from tendon_robot_ros.ros.shared.runtime import make_executor, ros, run, when_asked_to_end
 
 pytestmark = pytest.mark.ros
 NAMES = ['prox_left', 'prox_right', 'dist_left', 'dist_right']
@@ -71,6 +73,24 @@ def test_commands_and_stops_reach_the_motors_while_no_callback_is_served(context
         driver.end(lambda seconds: None)
         driver.destroy_node()
         sender.destroy_node()
+
+
+def test_a_signal_is_heard_while_the_main_thread_is_in_the_middleware():
+    heard, found = threading.Event(), []
+    with ros([]) as ending:
+        executor = make_executor()
+        when_asked_to_end(heard.set)
+
+        def person():
+            os.kill(os.getpid(), signal.SIGINT)
+            found.append(heard.wait(20.0))
+            executor.create_task(lambda: None)
+
+        threading.Thread(target=person).start()
+        executor.spin_once(timeout_sec=60.0)
+        executor.shutdown()
+    assert found == [True]
+    assert ending.signal == signal.SIGINT
 
 
 def test_the_service_stop_answers_while_no_callback_is_served(context):
@@ -214,3 +234,28 @@ def test_what_moves_motors_goes_first_where_it_may():
     assert priority_after('go_first()') == int(wanted.stdout)  # 0 where it is not allowed
     assert priority_after('go_first(); go_with_others()') == 0
     assert priority_after('go_first()', nice=5) == 5
+
+
+REALTIME = """
+import os, threading
+from tendon_robot_ros.common.processes import go_realtime
+late = threading.Event()
+threading.Thread(target=late.wait).start()
+go_realtime()
+own = {os.sched_getscheduler(int(thread)) for thread in os.listdir('/proc/self/task')}
+child = os.popen('chrt -p $$').read()
+print(own == {os.SCHED_RR | os.SCHED_RESET_ON_FORK}, 'SCHED_OTHER' in child)
+late.set()
+"""
+
+
+def realtime(nice=0):
+    return processes.run(['nice', '-n', str(nice), sys.executable, '-c', REALTIME]).stdout
+
+
+def test_the_threads_of_the_driver_are_in_real_time_where_they_may_and_nothing_else():
+    if os.getpriority(os.PRIO_PROCESS, 0) != 0:
+        pytest.skip('the tests themselves were started with another priority')
+    allowed = processes.run(['chrt', '-r', '5', 'true']).returncode == 0
+    assert realtime() == f'{allowed} True\n'
+    assert realtime(nice=5) == 'False True\n'

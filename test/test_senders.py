@@ -1,17 +1,22 @@
 """Two senders of one topic: the first is followed until it is gone, the other is named."""
 
+import re
 import signal
 from itertools import count
+from types import SimpleNamespace
 
+import processes
 import pytest
 
 pytest.importorskip('rclpy')
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from ros_station import Station, last, point, start, values
 from sensor_msgs.msg import JointState
 
-from tendon_robot_ros.ros.shared.inbox import Received
-from tendon_robot_ros.ros.shared.senders import GONE_AFTER_S, Senders
+from tendon_robot_ros.ros.shared.messages import LATCHED
+from tendon_robot_ros.ros.shared.origin import Received
+from tendon_robot_ros.ros.shared.senders import GONE_AFTER_S, Senders, signature
 
 
 def numbered(number):
@@ -47,6 +52,31 @@ def test_a_middleware_that_does_not_number_messages_is_no_hindrance():
     assert all(senders.counts(0.01 * i, '', numbered(None)) for i in range(5))
 
 
+def test_the_death_of_who_is_followed_is_seen_and_the_next_is_followed_at_once():
+    senders = Senders()
+    with processes.Process(['sleep', '1000']) as process:
+        own = re.sub(r'process \d+', f'process {process.pid}', machine_signature())
+        assert senders.counts(0.0, own, numbered(1))
+        assert not senders.died()
+        process.kill()
+        process.wait()
+        assert senders.died()
+        assert not senders.died()  # said once
+    assert senders.counts(0.01, '/next', numbered(1))
+    assert not senders.died()
+
+
+@pytest.mark.parametrize('name', ['', '/x (process 1)', '/x (process 1 @ elsewhere)', '/x (pro'])
+def test_who_does_not_say_where_it_runs_is_known_by_its_silence_only(name):
+    senders = Senders()
+    assert senders.counts(0.0, name, numbered(1))
+    assert not senders.died()
+
+
+def machine_signature():
+    return signature(SimpleNamespace(get_fully_qualified_name=lambda: '/controller'))
+
+
 @pytest.fixture
 def robot(request, tmp_path):
     space = '/' + request.node.name[:30]
@@ -69,7 +99,7 @@ def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
     first = robot.run('controller')
     robot.until_code(robot.controller, 'holding', timeout=120.0)
     robot.go_to_point(0.06, 0.17)
-    second = robot.hear(type(last(robot.controller)), 'second/status')
+    second = robot.hear(DiagnosticStatus, 'second/status', LATCHED)
     intruder = robot.run('controller', extra=('-r', '__node:=second'))
     robot.until_code(second, 'driver_stopped', timeout=120.0)
     assert f'it follows {robot.namespace}/controller (process' in last(second).message
@@ -92,7 +122,7 @@ def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
 
 
 def others(heard):
-    return values(last(heard)).get('other_drivers')
+    return heard and values(last(heard)).get('other_drivers')
 
 
 @pytest.mark.ros
@@ -101,11 +131,9 @@ def test_a_second_driver_is_named_by_all(robot):
     robot.run('controller')
     robot.until_code(robot.controller, 'holding', timeout=120.0)
     robot.run('driver', extra=('-r', '__node:=second'))
-    second = robot.hear(type(last(robot.driver)), 'second/status')
+    second = robot.hear(DiagnosticStatus, 'second/status', LATCHED)
     own = robot.namespace
-    robot.until(
-        lambda: second and others(second) == f'{own}/driver', 'the second to say so', timeout=120.0
-    )
+    robot.until(lambda: others(second) == f'{own}/driver', 'the second to say so', timeout=120.0)
     robot.until(lambda: others(robot.driver) == f'{own}/second', 'the first to say so')
     assert f'another publishes tendon_states: {own}/second' in last(robot.driver).message
     robot.until(lambda: '/second (process' in last(robot.controller).message, 'the controller')

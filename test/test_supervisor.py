@@ -15,6 +15,7 @@ from tendon_robot_ros.drivers.supervisor import CYCLE_MAX_S, Supervisor
 
 INPUTS = ('left', 'right')
 LOW, HIGH, RATE, RELEASE = 0.1, 5.0, 8.0, 4.0
+STOP = 0.2  # [s]
 CYCLE = 0.005
 
 
@@ -27,6 +28,7 @@ def rules(mode='tension', **changes):
         'rates': np.full(2, RATE if mode == 'tension' else 0.02),
         'rest': np.full(2, LOW if mode == 'tension' else 0.0),
         'release_rate': RELEASE if mode == 'tension' else 0.01,
+        'stop_time': STOP if mode == 'tension' else 0.0,
         'tension_limits': (LOW, HIGH),
     }
     return SafetyRules(**{**known, **changes})
@@ -91,6 +93,7 @@ def test_no_sequence_of_inputs_breaks_limits_or_rates(mode, first, sequence):
     except DriverError:
         return
     limits, rate = supervisor.rules.limits, supervisor.rules.rates[0]
+    fall = max(rate, (HIGH - LOW) / STOP) if mode == 'tension' else rate
     before, faulty = supervisor.step(0.0, None, reading()).command, False
     now = 0.0
     for passed, command, state, event in sequence:
@@ -101,7 +104,8 @@ def test_no_sequence_of_inputs_breaks_limits_or_rates(mode, first, sequence):
         assert np.all(np.isfinite(out))
         begins_again = faulty and not state.faults
         if not begins_again:
-            assert np.all(np.abs(out - before) <= rate * CYCLE_MAX_S * (1 + 1e-9))
+            assert np.all(out - before <= rate * CYCLE_MAX_S * (1 + 1e-9))
+            assert np.all(before - out <= fall * CYCLE_MAX_S * (1 + 1e-9))
             assert np.all(out >= np.minimum(before, limits[:, 0]) - 1e-12)
             assert np.all(out <= np.maximum(before, limits[:, 1]) + 1e-12)
         if mode == 'tension':
@@ -143,6 +147,43 @@ def test_a_release_changes_tension_no_faster_than_the_release_rate():
     before = decision.command
     decision, _ = run(supervisor, now, 0.1)
     assert before[0] - decision.command[0] == pytest.approx(RELEASE * 0.1)
+
+
+@pytest.mark.parametrize('high', [0.5, 2.0, HIGH])
+def test_a_stop_lets_go_of_any_tension_in_its_time_and_begins_with_the_next_cycle(high):
+    supervisor = started(first=reading((high, 0.5)))
+    supervisor.latch.stop('button', 'button pressed')
+    path, now = [np.array([high, 0.5])], 0.0
+    while (decision := supervisor.step(now := now + CYCLE, None, reading())).state == 'releasing':
+        path.append(decision.command)
+    assert now == pytest.approx(min(STOP, (high - LOW) / RELEASE), abs=1.01 * CYCLE)
+    assert path[1][0] < high
+    steps = np.diff(path, axis=0)
+    assert steps.min() == pytest.approx(steps[0].min())  # a ramp, and no steeper than it must be
+    assert decision.command == pytest.approx([LOW, LOW])
+    assert decision.state == 'released'
+
+
+def test_an_error_of_a_motor_releases_the_others_slowly():
+    broken = Fault('overload', 'right: overload', True, ('right',))
+    supervisor = started(first=reading((4.0, 2.0)))
+    decision, _ = run(supervisor, 0.0, 0.1, state=reading((4.0, 2.0), faults=(broken,)))
+    assert decision.command[0] == pytest.approx(4.0 - 0.1 * RELEASE)
+
+
+def test_a_sender_that_ends_lets_go_until_somebody_commands_again():
+    supervisor = started()
+    _, now = run(supervisor, 0.0, 1.0, np.array([4.0, 1.0]))
+    supervisor.let_go('the controller stopped')
+    decision, now = run(supervisor, now, STOP + CYCLE)
+    assert decision.reasons == ('the controller stopped',)
+    assert decision.command == pytest.approx([LOW, LOW])
+    assert decision.state == 'released'
+    decision, now = run(supervisor, now, CYCLE, np.array([4.0, 1.0]))
+    assert decision.state == 'following'
+    assert decision.command[0] == pytest.approx(LOW + RATE * CYCLE)
+    decision, _ = run(supervisor, now, 0.2)
+    assert decision.reasons == ('no command for 0.1 s',)
 
 
 def test_release_to_limp_switches_torque_off_at_the_end_only():

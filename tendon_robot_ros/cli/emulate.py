@@ -139,6 +139,7 @@ def _servos(args: argparse.Namespace, robot: Robot) -> Emulated:
         'model': args.model,
         'spool_radius': radius,
         'pull_limits': [-0.05, 0.05],
+        'watchdog': 0.2,  # [s]; what is emulated is late with the computer that it runs on
         'motors': {name: {'id': i} for name, i in zip(robot.inputs, many, strict=True)},
     }
     words = f'{len(servos)} x {args.model}, ids 1 to {len(servos)}, spools of {1e3 * radius:g} mm'

@@ -16,7 +16,7 @@ from ..common.yaml_reading import ConfigFields, parse_yaml
 from ..robot import Robot
 from .interface import Array, Driver
 from .ports import PortLostError
-from .safety import approach, bounded
+from .safety import STOP_TIME_MIN_S, approach, bounded
 
 WRITE_STEP_MAX_S = 0.1  # [s]; after a pause the command does not catch up
 RETRY_PERIOD_S = 0.2  # [s] between two attempts to get a port or a motor back
@@ -26,6 +26,8 @@ STANDARD_GRAVITY = 9.80665  # [m/s²] of the weights that calibrate
 class HardwareDriver(Driver):
     """
     A driver of real motors: it is open or not, and its command moves within limits and rates.
+
+    Tensions rise at the rates; they may fall faster, because a stop lets go of them.
 
     Parameters
     ----------
@@ -68,8 +70,12 @@ class HardwareDriver(Driver):
 
     def _towards(self, wanted: Array, limits: Array, passed: float) -> Array:
         """Return the next goal (m,): towards what is wanted, within limits and rates."""
-        step = self.rates * min(passed, WRITE_STEP_MAX_S)
-        return approach(self._goal, bounded(wanted, limits), step)
+        goal = bounded(wanted, limits)
+        rates = self.rates
+        if self.mode == 'tension':
+            falling = np.maximum(rates, limits[:, 1] / STOP_TIME_MIN_S)
+            rates = np.where(goal < self._goal, falling, rates)
+        return approach(self._goal, goal, rates * min(passed, WRITE_STEP_MAX_S))
 
     def _may_retry(self, now: float) -> bool:
         """Whether it is time to look again for what was lost; the next time is later."""

@@ -11,6 +11,7 @@ from ..common.errors import DriverError
 from .interface import MODES
 
 Array = NDArray[np.float64]
+STOP_TIME_MIN_S = 0.05  # [s] in which a stop may let go at the soonest
 
 
 def approach(current: Array, goal: Array, step: Array) -> Array:
@@ -67,6 +68,11 @@ class StopLatch:
         """One sentence per cause."""
         return list(self._latched.values())
 
+    @property
+    def keys(self) -> set[str]:
+        """What stopped."""
+        return set(self._latched)
+
     def stop(self, key: str, reason: str, lasting: bool = False) -> None:
         """Latch a stop; while its cause is lasting, `reset` is refused."""
         self._latched[key] = reason
@@ -119,7 +125,9 @@ class SafetyRules:
     rest : ndarray, shape (m,)
         Where a release goes: pretension, or the wire pulls of the straight arm.
     release_rate : float
-        Largest change per second while releasing.
+        Largest change per second while releasing, unless a stop was asked for.
+    stop_time : float
+        After a stop was asked for, all is at rest so much later [s]; 0: at the release rate.
     command_timeout : float
         Silence after which the arm is released [s].
     release_to : str
@@ -138,6 +146,7 @@ class SafetyRules:
     release_rate: float
     command_timeout: float = 0.1
     release_to: str = 'pretension'
+    stop_time: float = 0.0
     tension_limits: tuple[float, float] = (0.0, np.inf)
 
     def __post_init__(self) -> None:
@@ -160,6 +169,8 @@ class SafetyRules:
         positive = [*self.rates, self.release_rate, self.command_timeout]
         if not (np.all(np.isfinite(positive)) and min(positive) > 0.0):
             raise DriverError('safety rules: rates and command_timeout must be > 0 and finite')
+        if not 0.0 <= self.stop_time < np.inf:
+            raise DriverError(f'safety rules: stop_time must be >= 0, got {self.stop_time}')
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from .safety import Decision, SafetyRules, StopLatch, approach, bounded
 Array = NDArray[np.float64]
 OFF, FOLLOWING, RELEASING, RELEASED, LIMP = 'off', 'following', 'releasing', 'released', 'limp'
 CYCLE_MAX_S = 0.05  # [s]; after a stall the command does not catch up in one step
+HARDWARE = 'hardware'  # key of a stop that nobody asked for
 
 
 @dataclass
@@ -35,6 +36,8 @@ class Supervisor:
     _clipped: tuple[str, ...] = ()
     _tripped: set[str] = field(default_factory=set)  # inputs with a latched hardware error
     _faulty: bool = False
+    _let_go: str = ''  # why the sender of the commands wants no more of them
+    _stop_rate: float = 0.0  # of the release since a stop was asked for, 0 before that
 
     def __post_init__(self) -> None:
         """Start at rest, off."""
@@ -59,7 +62,7 @@ class Supervisor:
             raise DriverError(f'cannot start: no wire pull measured for {", ".join(missing)}')
         self._output = self._measured(reading, np.zeros(len(self.rules.inputs)))
         self._asked, self._asked_at, self._now = None, now, now
-        self._clipped = ()
+        self._clipped, self._let_go, self._stop_rate = (), '', 0.0
         self.state = FOLLOWING
 
     def reset(self) -> None:
@@ -75,6 +78,10 @@ class Supervisor:
         self.latch.reset()
         self._tripped.clear()
         self._asked = None
+
+    def let_go(self, reason: str) -> None:
+        """Release as after a stop, until the next command."""
+        self._let_go = reason
 
     def step(self, now: float, command: Array | None, reading: Reading) -> Decision:
         """
@@ -97,11 +104,12 @@ class Supervisor:
         reasons = self._watch(reading) + self.latch.reasons
         if self.state == OFF:
             return Decision(self._output.copy(), self.rules.inputs, OFF, tuple(reasons))
-        silence = self._now - self._asked_at
-        if silence > self.rules.command_timeout:
+        if self._let_go:
+            reasons.append(self._let_go)
+        elif self._now - self._asked_at > self.rules.command_timeout:
             reasons.append(f'no command for {self.rules.command_timeout:g} s')
         if not reasons:
-            self.state = FOLLOWING
+            self.state, self._stop_rate = FOLLOWING, 0.0
             goal = self._output if self._asked is None else self._asked
             self._move(goal, self.rules.rates * passed, reading)
         else:
@@ -120,7 +128,7 @@ class Supervisor:
         if command is None or not np.all(np.isfinite(command)):
             return
         self._asked = bounded(command, self.rules.limits)
-        self._asked_at = self._now
+        self._asked_at, self._let_go = self._now, ''
         outside = np.abs(command - self._asked) > 1e-9
         self._clipped = tuple(
             name for name, bad in zip(self.rules.inputs, outside, strict=True) if bad
@@ -129,11 +137,11 @@ class Supervisor:
     def _watch(self, reading: Reading) -> list[str]:
         """Latch hardware errors; after a lost connection begin again at the measured state."""
         reasons = [fault.message for fault in reading.faults]
-        self.latch.cause_gone('hardware')
+        self.latch.cause_gone(HARDWARE)
         for fault in reading.faults:
             if fault.hardware:
                 self._tripped.update(fault.inputs or self.rules.inputs)
-                self.latch.stop('hardware', fault.message, lasting=True)
+                self.latch.stop(HARDWARE, fault.message, lasting=True)
         if self._faulty and not reading.faults and self.state not in (OFF, LIMP):
             self._output = self._measured(reading, self._output)
         self._faulty = bool(reading.faults)
@@ -143,13 +151,24 @@ class Supervisor:
         if self.state == LIMP:
             return
         before = self._output
-        step = np.full(len(self.rules.inputs), self.rules.release_rate * passed)
+        rate = self.rules.release_rate
+        if self._let_go or self.latch.keys - {HARDWARE}:
+            rate = self._stopping(rate)
+        step = np.full(len(self.rules.inputs), rate * passed)
         self._move(self.rules.rest, step, reading)
         arrived = np.allclose(self._output, self.rules.rest, atol=1e-12)
         held = passed > 0.0 and np.array_equal(before, self._output)
         self.state = RELEASING
         if arrived or held:
             self.state = LIMP if self.rules.release_to == 'limp' else RELEASED
+
+    def _stopping(self, rate: float) -> float:
+        """Return the rate that lets go in `stop_time`, from where the stop found the arm."""
+        if self._stop_rate == 0.0:
+            far = float(np.abs(self._output - self.rules.rest).max())
+            time = self.rules.stop_time
+            self._stop_rate = max(rate, far / time if time > 0.0 else 0.0)
+        return self._stop_rate
 
     def _move(self, goal: Array, step: Array, reading: Reading) -> None:
         """

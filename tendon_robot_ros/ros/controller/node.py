@@ -24,9 +24,10 @@ from ...control import ControllerCore, Refusal
 from ...control.solver import Worker
 from ...control.status import controller_status
 from ...model.model import Model
-from ..shared.inbox import STOP_REASON, Inbox, Received, StopTopic
+from ..shared.inbox import STOP_REASON, Inbox, StopTopic, hear_anybody
 from ..shared.lifecycle import LEVELS, ManagedNode, Status
 from ..shared.messages import COMMAND, JOINTS, LATCHED, LISTEN, joint_state
+from ..shared.origin import Received
 from ..shared.parameters import Parameters
 from ..shared.runtime import run
 from ..shared.senders import OtherPublishers, Senders, signature
@@ -37,6 +38,7 @@ from .model import ModelLoading, Prediction
 HELP = 'move the tip to targets: poses, points or twists in, tendon commands out'
 
 STATUS_LOOK_PERIOD_S = 0.02  # [s]
+SAID_IN_S = 0.02  # [s] a word is lost when its publisher leaves before it is heard
 STARTING_WORDS = {
     'loading': 'reading the model',
     'compiling': 'compiling the model, once; a minute',
@@ -100,18 +102,18 @@ class ControllerNode(ManagedNode):
 
     def activate(self) -> None:
         """Begin to hear targets: who waits for a subscriber sends none in vain."""
-        subscribe = self.create_subscription
         self._targets = [
-            subscribe(PoseStamped, '~/target_pose', self._pose, COMMAND),
-            subscribe(PointStamped, '~/target_point', self._point, COMMAND),
-            subscribe(TwistStamped, '~/delta_twist', self._twist, LISTEN),
-            subscribe(JointTrajectory, '~/tendon_trajectory', self._trajectory, COMMAND),
+            *hear_anybody(self, PoseStamped, '~/target_pose', self._pose),
+            *hear_anybody(self, PointStamped, '~/target_point', self._point),
+            self.create_subscription(TwistStamped, '~/delta_twist', self._twist, LISTEN),
+            *hear_anybody(self, JointTrajectory, '~/tendon_trajectory', self._trajectory),
         ]
 
     def deactivate(self) -> None:
-        """Go silent; the driver then releases the arm."""
+        """Have the arm let go, and go silent."""
         while self._targets:
             self.destroy_subscription(self._targets.pop())
+        self._let_go()
 
     def cleanup(self) -> None:
         """Forget the model; the next `configure` loads it anew."""
@@ -123,9 +125,10 @@ class ControllerNode(ManagedNode):
         self._loading.forget()
 
     def end(self, spin: Callable[[float], None]) -> None:
-        """End; the driver then hears no commands and releases the arm."""
+        """End; the driver is told to release the arm, and hears no commands."""
         self._loading.cancel()
         super().end(spin)
+        time.sleep(SAID_IN_S)
 
     def destroy_node(self) -> None:
         """Hear no more."""
@@ -213,12 +216,18 @@ class ControllerNode(ManagedNode):
             pulls = output.pulls
             tensions = output.tensions if pulls is None else None
             stamp = self.get_clock().now().to_msg()
-            command = joint_state(stamp, core.model.inputs, pulls, tensions)
-            command.header.frame_id = self._signature
-            self._commands.publish(command)
+            self._publish(joint_state(stamp, core.model.inputs, pulls, tensions))
         if now - self._told >= STATUS_LOOK_PERIOD_S:
             self._told = now
             self._tell(core, now)
+
+    def _publish(self, command: JointState) -> None:
+        command.header.frame_id = self._signature
+        self._commands.publish(command)
+
+    def _let_go(self) -> None:
+        """Have the driver release at once: a command without tendons. Silence does it later."""
+        self._publish(joint_state(self.get_clock().now().to_msg(), ()))
 
     def _idle(self, now: float) -> None:
         """Publish that it waits for a transition: the last status would go on being heard."""
@@ -288,6 +297,7 @@ class ControllerNode(ManagedNode):
     def _stop_said(self, reason: str) -> None:
         if self.core is not None:
             self.core.stop('stop topic', reason, lasting=True)
+            self._let_go()
 
     def _stop_gone(self) -> None:
         if self.core is not None:
@@ -298,6 +308,7 @@ class ControllerNode(ManagedNode):
         response.message = 'stopped; the driver releases the arm; call reset to go on'
         if self.core is not None:
             self.core.stop('stop', 'stop was called')
+            self._let_go()
         return response
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -70,6 +70,11 @@ class MotorLoop:
         """Give the newest command, shape (m,); only the newest counts."""
         self._command = command
 
+    def let_go(self, reason: str) -> None:
+        """Release at once; a command that was given before counts no more."""
+        self._command = None
+        self.supervisor.let_go(reason)
+
     def call(self, function: Callable[[], T], timeout: float = 5.0) -> T:
         """Run a function in the thread; raise what it raises."""
         if not self._thread.is_alive():

@@ -16,15 +16,17 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from ...common.errors import TendonRobotError
+from ...common.processes import go_realtime
 from ...control.checks import Refusal, by_name, check_stamp, finite
 from ...drivers.mock import MockDriver
 from ...drivers.supervisor import FOLLOWING, LIMP, OFF, RELEASED, Supervisor
 from ..shared.files import read_robot
-from ..shared.inbox import STOP_REASON, Inbox, Received, Service, StopTopic
+from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic
 from ..shared.lifecycle import ERROR, OK, WARN, ManagedNode, Status
 from ..shared.messages import JOINTS, STATE, joint_state, seconds
+from ..shared.origin import Received
 from ..shared.parameters import Parameters
-from ..shared.runtime import asked_to_end, run
+from ..shared.runtime import asked_to_end, goes_first, run, when_asked_to_end
 from ..shared.senders import OtherPublishers, Senders, signature
 from . import parameters
 from .mock_arm import MockTracker
@@ -38,6 +40,8 @@ STATE_WORDS = {
     OFF: 'torque off',
     'releasing': 'releasing',
 }
+NO_MORE = 'the sender of the commands lets go'
+INACTIVE, INACTIVE_REASON = 'inactive', 'the node is not active'
 
 
 class DriverNode(ManagedNode):
@@ -62,6 +66,7 @@ class DriverNode(ManagedNode):
         self.create_service(Trigger, '~/reset', self._reset)
         self.create_service(Trigger, '~/reboot', self._reboot)
         self.create_timer(0.05, self._tell)
+        when_asked_to_end(self._let_go)
 
     def configure(self) -> None:
         """Read the robot, open the port, begin to read."""
@@ -81,21 +86,28 @@ class DriverNode(ManagedNode):
         if self._stop_topic.says:
             self._stop_said(STOP_REASON)
         self.bus.start()
+        if goes_first():
+            go_realtime()
 
     def activate(self) -> None:
         """Torque on, from the measured state."""
         assert self.bus is not None
         bus = self.bus
         self.status.say(WARN, 'starting', 'switches torque on; looks for slack first if told')
-        bus.call(lambda: bus.supervisor.latch.forget('inactive'))
+        bus.call(lambda: bus.supervisor.latch.forget(INACTIVE))
         bus.activate()
+
+    def _let_go(self) -> None:
+        """Begin to release: the node is asked to end, `deactivate` comes when it can."""
+        if self.bus is not None:
+            self.bus.supervisor.latch.stop(INACTIVE, INACTIVE_REASON)
 
     def deactivate(self) -> None:
         """Ramp to pretension, then torque off if so told."""
         assert self.bus is not None
         if self.bus.crashed is not None:  # the thread has already done what it could
             return
-        if not self.bus.release('inactive', 'the node is not active', self._release_time()):
+        if not self.bus.release(INACTIVE, INACTIVE_REASON, self._release_time()):
             self.get_logger().error('the release did not end in time; torque off')
             self.bus.call(self.bus.driver.disable)
 
@@ -140,6 +152,10 @@ class DriverNode(ManagedNode):
                 self.parameters['stamp_tolerance'],
                 'tendon_command',
             )
+            if not message.name:
+                if self._senders.counts(time.monotonic(), message.header.frame_id, heard):
+                    self.bus.let_go(NO_MORE)
+                return
             tension = self.bus.driver.mode == 'tension'
             quantity, values = (
                 ('effort', message.effort) if tension else ('position', message.position)
@@ -219,6 +235,8 @@ class DriverNode(ManagedNode):
         self._stop_topic.poll()
         for heard in self._commands.take():
             self._command(heard)
+        if self._senders.died() and self.bus is not None:
+            self.bus.let_go('the sender of the commands has died')
 
     def _cancelled(self) -> bool:
         """Whether to end a search for slack; asked in the bus thread."""

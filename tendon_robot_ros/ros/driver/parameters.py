@@ -15,7 +15,7 @@ from std_msgs.msg import Float64MultiArray
 from ...common.errors import InputError
 from ...drivers import Driver, make_driver
 from ...drivers.interface import BACKENDS
-from ...drivers.safety import SafetyRules
+from ...drivers.safety import STOP_TIME_MIN_S, SafetyRules
 from ...robot import Robot
 from ..shared.files import read_mapping
 from ..shared.lifecycle import AUTOSTART
@@ -51,6 +51,14 @@ SPECS = (
     Spec('rate_limit', 20.0, 'largest change of a commanded tension', 'N/s', 0.01, 1000.0),
     Spec(
         'release_rate', 10.0, 'largest change of a tension during a release', 'N/s', 0.01, 1000.0
+    ),
+    Spec(
+        'stop_time',
+        0.06,
+        'tension mode: after a stop all tensions are at pretension so much later',
+        's',
+        STOP_TIME_MIN_S,
+        10.0,
     ),
     Spec(
         'release_to',
@@ -174,6 +182,7 @@ def rules(robot: Robot, driver: Driver, parameters: Parameters) -> SafetyRules:
         release_rate=release,
         command_timeout=parameters['command_timeout'],
         release_to=parameters['release_to'],
+        stop_time=parameters['stop_time'] if driver.mode == 'tension' else 0.0,
         tension_limits=robot.tension_limits,
     )
 

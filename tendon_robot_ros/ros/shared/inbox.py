@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from rclpy.guard_condition import GuardCondition
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_services_default
+from rclpy.subscription import Subscription
 from rclpy.type_support import check_is_valid_msg_type, check_is_valid_srv_type
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, String
 
-from .messages import COMMAND, LATCHED_BY_MANY, LISTEN
-
-
-@dataclass(frozen=True)
-class Received[M]:
-    """A message, and what the middleware says of it."""
-
-    message: M
-    sent: int  # [ns] clock of the publisher
-    number: int  # counts the messages of its publisher
+from .messages import COMMAND, COMMAND_ALL, LATCHED_BY_MANY, LISTEN, LISTEN_ALL
+from .origin import UNKNOWN, Received, Taker
 
 
 class Inbox[M]:
@@ -42,23 +36,19 @@ class Inbox[M]:
 
     def __init__(self, node: Node, kind: type[M], topic: str, qos: QoSProfile) -> None:
         """Subscribe."""
-        self._kind = kind
         check_is_valid_msg_type(kind)
         with node.handle:
             self.handle = _rclpy.Subscription(node.handle, kind, topic, qos.get_c_qos_profile())
+        self._take = Taker(self.handle, kind)
 
     def take(self) -> list[Received[M]]:
         """Give the messages that came since the last time, oldest first."""
-        heard = []
         with self.handle:
-            while (taken := self.handle.take_message(self._kind, False)) is not None:
-                message, info = taken
-                number = info['publication_sequence_number']
-                heard.append(Received(message, info['source_timestamp'], number))
-        return heard
+            return list(iter(self._take, None))
 
     def close(self) -> None:
         """Unsubscribe."""
+        self._take.close()
         self.handle.destroy_when_not_in_use()
 
 
@@ -121,10 +111,66 @@ class Waiting:
 
 
 # -----------------------------------------------------------------------------
+# Messages of any publisher by the executor of a node.
+
+PAIR_S = 1.0  # [s] in which the same message comes by both ways
+
+
+def hear_anybody[M](
+    node: Node, kind: type[M], topic: str, hear: Callable[[M], None]
+) -> list[Subscription]:
+    """
+    Subscribe to publishers of any quality of service; return the subscriptions.
+
+    A best-effort subscription hears everybody, a reliable one loses nothing of who is reliable;
+    what comes by both is heard once.
+    """
+    waiting: tuple[deque[tuple[float, M]], deque[tuple[float, M]]] = deque(), deque()
+
+    def come(message: M, way: int) -> None:
+        now, own, other = time.monotonic(), waiting[way], waiting[1 - way]
+        for queue in waiting:
+            while queue and now - queue[0][0] > PAIR_S:
+                queue.popleft()
+        same = next((pair for pair in other if pair[1] == message), None)
+        if same is not None:
+            other.remove(same)
+            return
+        own.append((now, message))
+        hear(message)
+
+    return [
+        node.create_subscription(kind, topic, partial(come, way=way), qos)
+        for way, qos in enumerate((COMMAND, LISTEN))
+    ]
+
+
+# -----------------------------------------------------------------------------
 # The topic `stop`: whoever says true stops the arm; who may say that the cause is gone.
 
-LATCHED_WAIT_S = 0.3  # [s] latched words of others take a few milliseconds to come again
+LOOK_PERIOD_S = 0.2  # [s] after which it is looked again whether who said true is still there
+PASSED_ON = '_stop_heard'  # hidden, as ROS has it
+WORD = re.compile(
+    r'(?P<publisher>([0-9a-f]{2}){0,32}) (?P<number>\d{1,20}) (?P<sent>-?\d{1,20}) '
+    r'(?P<says>true|false)'
+)
 STOP_REASON = 'topic stop says true (publish false on it to end that)'
+
+
+def _passed(word: Received[Bool]) -> String:
+    """Write down a word and whose it is."""
+    says = 'true' if word.message.data else 'false'
+    return String(data=f'{word.publisher.hex()} {word.number} {word.sent} {says}')
+
+
+def _received(message: String) -> Received[Bool] | None:
+    """Read what was written down; None where it is something else."""
+    found = WORD.fullmatch(message.data)
+    if found is None:
+        return None
+    number, sent = int(found['number']), int(found['sent'])
+    who = bytes.fromhex(found['publisher'])
+    return Received(Bool(data=found['says'] == 'true'), sent, number, who)
 
 
 class StopTopic:
@@ -132,12 +178,14 @@ class StopTopic:
     Hears std_msgs/Bool of any publisher, whatever its quality of service.
 
     A best-effort subscription hears everybody; a reliable one loses nothing of those who are
-    reliable, and a latched one hears what was said before. The same word heard twice does no harm.
+    reliable, and a latched one hears what was said before. A word heard twice counts once.
 
     A true stops at once. A false only tells that the cause is gone: the arm goes on after a
-    `reset`. While there are several publishers, one of them saying false does not speak for the
-    others: the latched words of all are asked for again, and the cause is gone when none of them
-    says true.
+    `reset`. It does not speak for another publisher: after a false, the cause is gone when
+    nobody who is still there has said true last.
+
+    A publisher that speaks and leaves may be gone before all have found it (`ros2 topic pub
+    --once` waits for one of them): who has heard it passes it on, on a topic that all keep open.
 
     Parameters
     ----------
@@ -161,10 +209,12 @@ class StopTopic:
         """Subscribe, and wait for words in a thread that does nothing else."""
         self._node, self._stop, self._gone, self._services = node, stop, gone, services
         self.says = False
-        self._asked = float('nan')  # [s] when the latched words were asked for again
-        self._words: list[Received[Bool]] = []  # the latched ones that came since
-        self._heard: deque[tuple[bool, Received[Bool]]] = deque()
-        self._again = self._closed = False
+        self._denied = False  # somebody has said false since the last true
+        self._looked = float('-inf')  # [s]
+        self._last: dict[bytes, Received[Bool]] = {}  # of every publisher
+        self._heard: deque[Received[Bool]] = deque()
+        self._passing = node.create_publisher(String, PASSED_ON, COMMAND_ALL)
+        self._closed = False
         self._waiting = Waiting(node)
         self._thread = threading.Thread(target=self._listen, name='stop', daemon=True)
         self._thread.start()
@@ -172,13 +222,9 @@ class StopTopic:
     def poll(self) -> None:
         """Act on what was said since the last time, in the thread of the caller."""
         while self._heard:
-            latched, word = self._heard.popleft()
-            if latched and self._asking:
-                self._words.append(word)
-            else:
-                self._take(word.message.data)
-        if self._asking and time.monotonic() - self._asked > LATCHED_WAIT_S:
-            self._conclude()
+            self._take(self._heard.popleft())
+        if self.says and self._denied and time.monotonic() - self._looked > LOOK_PERIOD_S:
+            self._look()
 
     def close(self) -> None:
         """Hear no more."""
@@ -193,64 +239,43 @@ class StopTopic:
 
         A word that waits is lost when its publisher leaves: Fast DDS takes it back.
         """
-        volatile = [Inbox(self._node, Bool, 'stop', qos) for qos in (LISTEN, COMMAND)]
-        latched = Inbox(self._node, Bool, 'stop', LATCHED_BY_MANY)
+        kinds = LISTEN_ALL, COMMAND_ALL, LATCHED_BY_MANY
+        inboxes = [Inbox(self._node, Bool, 'stop', qos) for qos in kinds]
+        passed, told = Inbox(self._node, String, PASSED_ON, COMMAND_ALL), String()
         while not self._closed:
-            for inbox in (*volatile, latched):
-                self._heard += [(inbox is latched, word) for word in inbox.take()]
-            if self._again:
-                latched.close()
-                latched = Inbox(self._node, Bool, 'stop', LATCHED_BY_MANY)
-                self._again = False
+            for inbox in inboxes:
+                for word in inbox.take():
+                    self._heard.append(word)
+                    before, told = told, _passed(word)
+                    if told != before:
+                        self._passing.publish(told)
+            self._heard += filter(None, (_received(told.message) for told in passed.take()))
             for service in self._services:
                 service.serve()
-            self._waiting.wait([*volatile, latched], self._services)
-        for inbox in (*volatile, latched):
+            self._waiting.wait([*inboxes, passed], self._services)
+        for inbox in (*inboxes, passed):
             inbox.close()
         for service in self._services:
             service.close()
 
-    @property
-    def _asking(self) -> bool:
-        return self._asked == self._asked
+    def _take(self, word: Received[Bool]) -> None:
+        last = self._last.get(word.publisher)
+        if last is not None and word.repeats(last):
+            return  # it came by another way before
+        self._last[word.publisher] = word
+        if word.message.data:
+            self.says, self._denied = True, False
+            self._stop(STOP_REASON)
+        elif self.says:
+            self._denied = True
+            self._look()
 
-    @property
-    def _publishers(self) -> int:
-        return int(self._node.count_publishers('stop'))
-
-    def _take(self, says: bool) -> None:
-        if says:
-            self._say_stop()
-        elif self.says and not self._asking:
-            if self._publishers > 1:
-                self._ask()
-            else:
-                self._say_gone()
-
-    def _ask(self) -> None:
-        """Have the publishers that are still there repeat their last latched word."""
-        self._asked, self._words = time.monotonic(), []
-        self._again = True
-        self._waiting.wake()
-
-    def _conclude(self) -> None:
-        self._asked = float('nan')
-        if any(word.message.data for word in self._last_words()):
-            self._say_stop()
-        else:
-            self._say_gone()
-
-    def _last_words(self) -> list[Received[Bool]]:
-        """Leave out what its publisher took back, where one kept more than its last word."""
-        if len(self._words) <= self._publishers:
-            return self._words
-        numbers = {(word.number, word.message.data) for word in self._words}
-        return [word for word in self._words if (word.number + 1, False) not in numbers]
-
-    def _say_stop(self) -> None:
-        self.says, self._asked = True, float('nan')
-        self._stop(STOP_REASON)
-
-    def _say_gone(self) -> None:
-        self.says = False
-        self._gone()
+    def _look(self) -> None:
+        """Look whether anybody is there who has not taken back a true."""
+        self._looked = time.monotonic()
+        known = self._node.get_publishers_info_by_topic('stop')
+        there = {bytes(one.endpoint_gid) for one in known}
+        self._last = {who: word for who, word in self._last.items() if who in there | {UNKNOWN}}
+        if not any(word.message.data for word in self._last.values()):
+            self.says = False
+            self._gone()

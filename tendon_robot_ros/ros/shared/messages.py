@@ -124,5 +124,7 @@ JOINTS = _keep(10, reliable=False)
 LISTEN = _keep(1, reliable=False)
 # statuses: who comes later still gets the last one
 LATCHED = _keep(1, latched=True)
+# every word counts, of whoever comes and goes
+COMMAND_ALL, LISTEN_ALL = _keep(50), _keep(50, reliable=False)
 # what several publishers keep for who comes later: the last words of all of them
 LATCHED_BY_MANY = _keep(50, latched=True)

@@ -6,8 +6,10 @@ import contextlib
 import gc
 import os
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,28 +30,83 @@ SIGNAL_ECHO_S = 1.0
 
 
 class Ending:
-    """Tells that a signal asked the process to end; one a while later ends it at once."""
+    """
+    Tells that a signal asked the process to end; one a while later ends it at once.
+
+    A thread hears of the signal from the C part of Python. What Python itself calls waits until
+    the main thread comes back to it, a tenth of a second in an executor and longer in a model.
+    """
 
     current: Ending | None = None
 
-    def __init__(self) -> None:
-        """Nothing was asked yet."""
-        self.signal = 0
+    def __init__(self, first: bool = False) -> None:
+        """Nothing was asked yet; `first`: the process goes before others."""
+        self.signal, self.first = 0, first
         self._asked = 0.0
+        self._actions: list[Callable[[], object]] = []
         Ending.current = self
 
-    def __call__(self, number: int, frame: object) -> None:
+    def then(self, action: Callable[[], object]) -> None:
+        """Do something in the thread that hears the signal, as soon as it comes."""
+        self._actions.append(action)
+        if self.signal:
+            action()
+
+    def asked(self, number: int) -> None:
         """Take a signal."""
         now = time.monotonic()
-        if not self.signal:
-            self.signal, self._asked = number, now
-        elif now - self._asked > SIGNAL_ECHO_S:
-            os._exit(128 + number)
+        if self.signal:
+            if now - self._asked > SIGNAL_ECHO_S:
+                os._exit(128 + number)
+            return
+        self.signal, self._asked = number, now
+        for action in self._actions:
+            try:
+                action()
+            except Exception:  # the end must go on
+                traceback.print_exc()
+
+    @contextlib.contextmanager
+    def listening(self) -> Iterator[None]:
+        """Hear the signals."""
+
+        def listen() -> None:
+            while data := here.recv(16):
+                for number in data:
+                    if number in SIGNALS:
+                        self.asked(number)
+
+        here, there = socket.socketpair()
+        there.setblocking(False)
+        thread = threading.Thread(target=listen, name='signals', daemon=True)
+        thread.start()
+        told = signal.set_wakeup_fd(there.fileno(), warn_on_full_buffer=False)
+        before = {number: signal.signal(number, lambda *_: None) for number in SIGNALS}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+            signal.set_wakeup_fd(told)
+            there.close()
+            thread.join()
+            here.close()
 
 
 def asked_to_end() -> bool:
     """Whether a signal came; for what takes long and can be cancelled."""
     return Ending.current is not None and bool(Ending.current.signal)
+
+
+def goes_first() -> bool:
+    """Whether this process was started to move motors."""
+    return Ending.current is not None and Ending.current.first
+
+
+def when_asked_to_end(action: Callable[[], object]) -> None:
+    """Have something done as soon as a signal comes, by another thread."""
+    if Ending.current is not None:
+        Ending.current.then(action)
 
 
 class Runnable(Protocol):
@@ -70,7 +127,7 @@ class Runnable(Protocol):
 
 
 @contextlib.contextmanager
-def ros(arguments: Sequence[str]) -> Iterator[Ending]:
+def ros(arguments: Sequence[str], first: bool = False) -> Iterator[Ending]:
     """
     Hold ROS open; signals set a flag instead of closing it under the safe end.
 
@@ -80,18 +137,16 @@ def ros(arguments: Sequence[str]) -> Iterator[Ending]:
         Its `signal` is the number of the signal that came, or 0.
 
     """
-    ending = Ending()
+    ending = Ending(first)
     end_with_parent()
     try:
         rclpy.init(args=['node', *arguments], signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # RCLError, UnknownROSArgsError: what a person typed
         raise InputError(f'ROS arguments: {str(error).split(", at /")[0]}') from None
-    before = {number: signal.signal(number, ending) for number in SIGNALS}
     try:
-        yield ending
+        with ending.listening():
+            yield ending
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
         rclpy.utilities.try_shutdown()
 
 
@@ -130,13 +185,14 @@ def run(make: Callable[[], Runnable], arguments: Sequence[str], first: bool = Fa
     """
     if first:
         go_first()
-    with ros(arguments) as ending:
+    with ros(arguments, first) as ending:
         executor = make_executor()
         runnable = None
         code = 0
         try:
             runnable = make()
             executor.add_node(runnable.node)
+            ending.then(lambda: executor.create_task(lambda: None))  # wakes it
             runnable.start()
             gc.freeze()  # what is imported stays: a collection need not look at it
             while not ending.signal and runnable.running():

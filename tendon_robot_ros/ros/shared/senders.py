@@ -2,23 +2,67 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import os
+import re
+import select
+from functools import cache
+from pathlib import Path
 
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from .inbox import Received
+from .origin import Received
 
 GONE_AFTER_S = 1.0  # [s] of silence; a shorter one may be a busy machine
 UNKNOWN = '_NODE_NAME_UNKNOWN_'  # of rmw, while discovery is under way
 UNSIGNED = 'one that does not sign'
 SIGNATURE_LENGTH_MAX, NAMED_MAX = 200, 8  # anybody may send anything
 LOOK_PERIOD_S = 0.25  # [s]
+PROCESS = re.compile(r'\(process (?P<process>\d{1,9}) @ (?P<machine>\w+)\)$')
 
 
 def signature(node: Node) -> str:
-    """Return what a node signs its messages with, in their frame_id: name and process."""
-    return f'{node.get_fully_qualified_name()} (process {os.getpid()})'
+    """Return what a node signs its messages with, in their frame_id: name, process, machine."""
+    return f'{node.get_fully_qualified_name()} (process {os.getpid()} @ {_machine()})'
+
+
+@cache
+def _machine() -> str:
+    """Return what two processes have in common that know each other by their numbers."""
+    try:
+        boot = Path('/proc/sys/kernel/random/boot_id').read_text()
+        return hashlib.sha256((boot + os.readlink('/proc/self/ns/pid')).encode()).hexdigest()[:8]
+    except OSError:
+        return 'unknown'
+
+
+class SenderProcess:
+    """
+    The process behind a signature, if it runs on this machine: its death is seen at once.
+
+    Silence alone would tell only after its time-out.
+    """
+
+    def __init__(self, name: str) -> None:
+        """Look for it."""
+        self._file: int | None = None
+        found = PROCESS.search(name)
+        if found is not None and found['machine'] == _machine() != 'unknown':
+            with contextlib.suppress(OSError):
+                self._file = os.pidfd_open(int(found['process']))
+
+    @property
+    def died(self) -> bool:
+        """Whether it has ended since."""
+        return self._file is not None and bool(select.select([self._file], [], [], 0.0)[0])
+
+    def close(self) -> None:
+        """Look no more."""
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
 
 
 class Senders:
@@ -35,6 +79,7 @@ class Senders:
         self._number = 0
         self._heard_at = float('-inf')
         self._others: dict[str, float] = {}  # signature -> when it was heard [s]
+        self._process = SenderProcess('')
 
     def counts(self, now: float, name: str, heard: Received[object]) -> bool:
         """Whether a message is of the one to follow; the first to come is followed."""
@@ -45,10 +90,20 @@ class Senders:
             if name in self._others or len(self._others) < NAMED_MAX:
                 self._others[name] = now
             return False
-        if name != self._first:
+        if name != self._first or not known:
             self._others = {}
+            self._process.close()
+            self._process = SenderProcess(name)
         self._first, self._number, self._heard_at = name, number, now
         return True
+
+    def died(self) -> bool:
+        """Whether the process of the one who is followed has just ended; said once."""
+        died = self._process.died
+        if died:
+            self._heard_at = float('-inf')  # the next to come is followed
+            self._process.close()
+        return died
 
     def first(self, now: float) -> str:
         """Return who is followed, '' while there is nobody."""
