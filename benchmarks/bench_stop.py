@@ -244,7 +244,7 @@ def main():
     parser.add_argument('--stop-time', type=float, default=0.06, help='[s]')
     parser.add_argument('--arm', default='plant', choices=('plant', 'springs'))
     parser.add_argument('--command-timeout', type=float, default=0.1, help='[s]')
-    parser.add_argument('--watchdog', type=float, default=0.08, help='[s] of the motors')
+    parser.add_argument('--watchdog', type=float, default=0.2, help='[s] of the motors')
     parser.add_argument('--kinds', nargs='+', default=list(KINDS), choices=list(KINDS))
     parser.add_argument('--logs', type=Path, default=Path(tempfile.gettempdir(), 'bench_stop'))
     parser.add_argument('--json', type=Path)

@@ -242,7 +242,7 @@ def read_config(
         source=source,
         port=top.port(),
         baud=_baud(top),
-        watchdog=top.value('watchdog', 0.08, 0.0, 2.54, 's'),
+        watchdog=top.value('watchdog', 0.2, 0.0, 2.54, 's'),
         answer_time=top.value('answer_time', 0.012, 0.001, 0.1, 's'),
         operation=top.choice('pull_operation', OPERATIONS, OPERATIONS[0]),
         zero=zero,
