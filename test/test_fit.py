@@ -16,7 +16,6 @@ from tendon_robot_ros.diagnosis.report_rows import values_of
 from tendon_robot_ros.diagnosis.session import Session
 
 ROBOT = simulated.robot()
-EXACT = replace(ROBOT, exact=True)
 HIDDEN = [
     ('hinge_friction', {'lever': 2e-4}),
     ('backbone_stiffness', {'relative_change': -0.12}),
@@ -57,7 +56,7 @@ def test_a_large_effect_is_found_from_far_away():
 
 def test_two_effects_are_fitted_together():
     truth = {'hinge_friction': {'lever': 2e-4}, 'pre_curvature': {'angle_x': 0.01, 'angle_y': 0.0}}
-    _, fit = settled(measured(EXACT, truth), ['hinge_friction', 'pre_curvature'])
+    _, fit = settled(measured(ROBOT, truth), ['hinge_friction', 'pre_curvature'])
     assert fit.values[0] == pytest.approx(2e-4, rel=0.1)
     assert fit.values[1] == pytest.approx(0.01, rel=0.1)
 
@@ -132,14 +131,14 @@ def test_a_declared_tolerance_takes_part_with_its_prior():
 
 
 def test_leaving_a_posture_out_is_what_refitting_without_it_gives():
-    dataset = measured(EXACT, {'backbone_stiffness': {'relative_change': 0.05}}, count=6)
+    dataset = measured(ROBOT, {'backbone_stiffness': {'relative_change': 0.05}}, count=6)
     session, fit = settled(dataset, ['backbone_stiffness'])
     total, probability = fit.held_out(session.whitener.owners)
     by_hand = 0.0
     for p in range(6):
         others = [name for name in dataset.postures if name != str(p)]
         part = dataset.select(others)
-        predictor = Predictor(part, EXACT, CATALOGUE)
+        predictor = Predictor(part, ROBOT, CATALOGUE)
         whitener = Whitener(part, session.noise, input_slopes(predictor, fit.point))
         refit = Fitter(predictor, whitener).fit(fit.frees, fit.point)
         white = session.whitener.white(dataset.mean - session.predictor.markers(refit.point))

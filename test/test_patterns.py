@@ -10,7 +10,7 @@ from simulated import CATALOGUE, NOISE, measured
 from tendon_robot_ros.diagnosis.rivals import Rivals
 from tendon_robot_ros.diagnosis.session import Session
 
-ROBOT = replace(simulated.robot(), exact=True)  # scatter takes its share of every pattern
+ROBOT = simulated.robot()
 
 
 def damaged(factors):

@@ -19,7 +19,7 @@ from tendon_robot_ros.diagnosis.trust import (
 )
 from tendon_robot_ros.report import diagnosis_text as trust_text
 
-ROBOT = replace(simulated.robot(), exact=True)
+ROBOT = simulated.robot()
 
 
 @pytest.fixture(scope='module')

@@ -13,9 +13,7 @@ fit.py                a settled fit and what it tells
 fitter.py             the search that finds it: bounded Gauss-Newton
 interval.py           95 % intervals of fitted parameters
 cells.py              cells whose stiffness scatters
-as_built.py           imperfections of an arm, and what no model reaches
-split.py              the model of an arm whose cells are each a little off
-slopes.py             how imperfections move the markers
+as_built.py           imperfections of an arm, and how they move the markers
 marginal.py           the likelihood in which they are random
 arm_report.py         how much an arm scatters, and what is out of line
 local_tests.py        where the best model is still wrong: cell, posture, tendon, direction

@@ -17,7 +17,7 @@ from ..data import DataSet
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from .candidates import Candidate, is_tested, why_untested
-from .decide import LEFT_OUT_SHARE_MAX, P_SINGLE_MIN
+from .decide import P_SINGLE_MIN
 from .fit import Fit
 from .interval import intervals
 from .outliers import find_outliers
@@ -231,32 +231,18 @@ def add_effects(
     probability = fit.probability(session.freedom)
     scale = 1.0 if probability > P_SINGLE_MIN else max(1.0, fit.chi2 / max(fit.freedom, 1))
     values = _values(session, fit, scale)
-    changed, after = _written(session, fit)
+    changed = with_members(
+        changed_robot(described, session.catalogue, fit, dataset), fit, dataset.input
+    )
     fitted = errors_on(dataset, described, changed, session.catalogue, 'fitted')
     on_check = (
-        replace(fitted, kind='left out', after=after)
+        left_out(session.fitters[0], fit, fitted, session.moves)
         if check is None
         else errors_on(check, described, changed, session.catalogue, 'check')
     )
     more = more_at_work(fitted, probability) if partial or probability <= P_SINGLE_MIN else ''
     made = Addition(changed, values, fitted, on_check, probability, fit.prior_z, more)
     return replace(made, robot=with_origin(made, described))
-
-
-def _written(session: Session, fit: Fit) -> tuple[Robot, float]:
-    """
-    Return the description to write, and its error [m] on postures left out.
-
-    Imperfections go along where that lowers this error: of an exact arm they are only noise.
-    """
-    plain = changed_robot(session.robot, session.catalogue, fit, session.dataset)
-    without = left_out(session.fitters[0], fit, members=False)
-    if fit.built is None:
-        return plain, without
-    with_them = left_out(session.fitters[0], fit)
-    if with_them > LEFT_OUT_SHARE_MAX * without:
-        return plain, without
-    return with_members(plain, fit, session.dataset.input), with_them
 
 
 def add_effect(dataset: DataSet, name: str, **options: Any) -> Addition:

@@ -18,13 +18,11 @@ P_SINGLE_MIN = 0.001  # p-value above which one effect is adequate
 P_SEVERAL_MIN = 0.01  # and several together
 APART_FROM_SCORE = 9.21  # chi² + 2 k within which candidates cannot be told apart
 SAME_WITHIN_CHI2 = 0.5  # chi² below which two predictions are the same
-NEAR_SCORE = 60.0  # chi² + 2 k beyond the best from which a candidate is out of the race
 TIE_WITHIN_SCORE = 0.5  # chi² + 2 k below which the order of the catalogue decides
 EFFECTS_MAX = 3  # effects in a combination
 PAIRED_MAX = 7  # best single effects whose pairs are tried
 FIRST_STEP_GAIN_MIN = 5.0  # in deviance at a first step that makes a further effect worth a fit
 STRAY_SD_MAX = 3.0  # declared sd that a quantity may move
-LEFT_OUT_SHARE_MAX = 0.95  # of the left-out error, from which imperfections are written as well
 CORRELATED_FROM = 0.98  # between two parameters: their values are not told apart
 
 # -----------------------------------------------------------------------------

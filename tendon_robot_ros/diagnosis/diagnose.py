@@ -108,9 +108,12 @@ def decide(evidence: Evidence) -> Diagnosis:
         return _named(evidence, group) if more is None else _several(evidence, more)
     combined = several(session, evidence.singles) if evidence.singles else None
     if combined is not None:  # the weights have moved
-        evidence.base = session.base_fit((evidence.base,))
+        evidence.base = session.base_fit()
         evidence.__dict__.pop('patterns', None)
-        evidence.singles = session.refit(evidence.singles, evidence.base)
+        evidence.singles = session.fit_all(
+            [r.candidate for r in evidence.singles],
+            {r.candidate.label: r.fit for r in evidence.singles},
+        )
         evidence.best = session.best(evidence.singles)
     candidates = [r for r in (combined, evidence.best) if r is not None]
     best_overall = min(candidates, key=lambda r: r.score) if candidates else None
@@ -127,8 +130,7 @@ def _nameless(evidence: Evidence, best: Ranked) -> Pattern | None:
     session, base = evidence.session, evidence.base
     if base.built is None or session.stands_out(base, best, len(evidence.singles)):
         return None
-    pattern = outside_by_itself(evidence)
-    return pattern if pattern is not None and pattern.score < best.score else None
+    return outside_by_itself(evidence)
 
 
 def _named(evidence: Evidence, group: Sequence[Ranked]) -> Diagnosis:

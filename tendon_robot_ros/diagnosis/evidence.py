@@ -53,8 +53,9 @@ def gather(session: Session) -> Evidence:
             break
         best = session.best(singles)
         session.weigh(best.fit.point, best.fit.members)
-        base = session.base_fit((base, best.fit))
-        singles = session.refit(singles, base)
+        base = session.base_fit()
+        starts = {r.candidate.label: r.fit for r in singles}
+        singles = session.fit_all([r.candidate for r in singles], starts)
     evidence = Evidence(session, base, singles, not_tested)
     evidence.best = session.best(singles) if singles else None
     return evidence

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from ..comparison.predict import FreeParameter
 from ..comparison.statistics import chi2_sf, f_sf
-from .as_built import Kind, Members
-from .marginal import RandomEffects, Sizes
+from .as_built import REMAINDER, Kind
+from .marginal import RandomEffects
 
 Floats = npt.NDArray[np.float64]
 
@@ -32,15 +32,18 @@ class Scatter:
     """The imperfections of an arm as it is built, at a fit."""
 
     random: RandomEffects
-    around: Members  # where they are taken as linear
     sizes: Floats  # (K,) estimated sd of each kind
     penalty: float  # log |V| and priors of the sizes: what chi² lacks to be a deviance
-    estimate: Callable[..., Sizes]  # of the sizes again; takes `remainder` and `floored`
+    without_remainder: Callable[[], float]  # deviance if there is no remainder
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
         """The kinds, the remainder last."""
         return self.random.kinds
+
+    def members(self, units: Floats) -> Floats:
+        """Return every member (b,) [unit of its kind] from mixtures (r,) in units of their sd."""
+        return np.concatenate(self.random.members(units, self.sizes))
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,9 @@ class Fit:
         """Most likely imperfections by kind [unit], without the remainder."""
         if self.built is None:
             return None
-        return self.built.random.named(self.values[len(self.all_frees) :], self.built.sizes)
+        own = self.built.random.members(self.values[len(self.all_frees) :], self.built.sizes)
+        named = zip(self.built.kinds, own, strict=True)
+        return {kind.name: sizes for kind, sizes in named if kind.name != REMAINDER}
 
     @property
     def deviance(self) -> float:
@@ -91,7 +96,7 @@ class Fit:
         """Gain in deviance by a remainder that neither the model nor imperfections explain."""
         if self.built is None:
             return 0.0
-        return max(self.built.estimate(remainder=False).deviance - self.deviance, 0.0)
+        return max(self.built.without_remainder() - self.deviance, 0.0)
 
     @cached_property
     def rank(self) -> int:

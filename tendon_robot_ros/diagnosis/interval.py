@@ -58,7 +58,8 @@ def intervals(
 
     """
     wide = QUANTILE * math.sqrt(scale)
-    fitter.resume(fit)
+    if fit.built is not None:
+        fitter.take(fit.built.sizes)
     ends = {}
     for i, free in enumerate(fit.frees):
         spread = float(np.sqrt(max(fit.covariance[i, i], 0.0)))
@@ -108,7 +109,7 @@ def _ridge_rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
     markers = fitter.predictor.markers(point)
     if markers is None:
         return float('nan')
-    white = fitter.lift(fitter.residual(markers))
+    white = fitter.lift(fitter.whitener.white(fitter.measured - markers))
     prior = [
         (value - n.centre) / n.spread
         for value, n in zip(moved[len(fit.frees) :], fit.nuisances, strict=True)
@@ -125,9 +126,8 @@ def _profile_rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
         fitter.whitener,
         fit.nuisances,
         fitter.columns,
-        fitter.built,
+        fitter.random,
     )
-    pinned.resume(fit)
     sizes = None if fit.built is None else fit.built.sizes
     try:
         refit = pinned.fit(others, fit.point, turns=8, sizes=sizes)

@@ -22,11 +22,9 @@ import numpy.typing as npt
 
 from ..comparison.predict import CELLS
 from ..comparison.statistics import false_discovery_control, normal_ppf, t_sf
-from .as_built import ACROSS, GAIN, HOLE, KINK, ZERO
+from .as_built import ACROSS, GAIN, HOLE, KINK, ZERO, imperfections
 from .decide import FALSE_DISCOVERY_RATE, LOCAL_FAULTS_MAX, LOCAL_SHARE_MIN
 from .fit import Fit
-from .slopes import imperfections
-from .split import SplitPredictor
 
 if TYPE_CHECKING:
     from .session import Session
@@ -219,12 +217,13 @@ def _basis(jacobian: Floats) -> Floats:
 
 def _places(session: Session, fit: Fit) -> tuple[list[Place], Floats]:
     """List what may be wrong, and what a unit of it does to the whitened markers (N, M)."""
-    found = session.imperfections
-    if found is None:
-        found = imperfections(SplitPredictor(session.predictor), fit.point, {})
-    if found is None:
-        return [], np.zeros((session.whitener.size, 0))
-    kinds, moves = found.kinds, found.moves
+    if fit.built is not None and session.moves is not None:
+        kinds, moves = fit.built.kinds, session.moves
+    else:
+        found = imperfections(session.predictor, fit.point)
+        if found is None:
+            return [], np.zeros((session.whitener.size, 0))
+        kinds, moves = found.kinds, found.moves
     names = [(kind, member) for kind in kinds for member in kind.members]
     white = session.whitener.white(moves).T
     places, columns = [], []

@@ -44,10 +44,8 @@ def explained_share(evidence: Evidence, fit: Fit) -> float:
 
 def _chi2_with(fitter: Fitter, fit: Fit, sizes: np.ndarray) -> float:
     """Chi² of a fit's parameters with imperfections of given sizes."""
-    fitter.resume(fit)
     fitter.take(sizes)
-    markers = fitter.predictor.markers(fit.point)
-    white = fitter.lift(fitter.residual(fit.markers if markers is None else markers))
+    white = fitter.lift(fitter.whitener.white(fitter.measured - fit.markers))
     return float(white @ white) + sum(z * z for z in fit.prior_z.values())
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +15,7 @@ from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
 from ..robot.size import natural_sizes
-from .as_built import Imperfections, Members
+from .as_built import Members, imperfections
 from .candidates import Candidate, Ranked, candidates_of, gain_p_value, is_tested, nuisances_of
 from .cells import cell_slopes
 from .decide import (
@@ -22,7 +23,6 @@ from .decide import (
     APART_FROM_SCORE,
     EFFECTS_MAX,
     FIRST_STEP_GAIN_MIN,
-    NEAR_SCORE,
     P_SEVERAL_MIN,
     P_SINGLE_MIN,
     PAIRED_MAX,
@@ -30,11 +30,9 @@ from .decide import (
     TIE_WITHIN_SCORE,
 )
 from .fit import Fit
-from .fitter import AsBuilt, Fitter
+from .fitter import Fitter
 from .marginal import RandomEffects
 from .outliers import Outliers
-from .slopes import imperfections
-from .split import SplitPredictor
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -63,7 +61,7 @@ class Session:
         self.use_accuracy = False
         self.noise: Noise | None = None
         self.random: RandomEffects | None = None  # None: the description is exact
-        self.imperfections: Imperfections | None = None
+        self.moves: Floats | None = None  # (q, P, J, 3) [m] by a unit of each imperfection
 
     def _measured_by(self, dataset: DataSet) -> None:
         """Take measurements."""
@@ -72,7 +70,6 @@ class Session:
             Predictor(dataset, self.robot, self.catalogue) for _ in range(self.workers)
         ]
         self.predictor = self.predictors[0]
-        self.splits = [] if self.robot.exact else [SplitPredictor(p) for p in self.predictors]
 
     def leave_out(self, outliers: Outliers) -> None:
         """Go on without measurements that the other trials contradict."""
@@ -97,23 +94,28 @@ class Session:
         changes = cell_slopes(self.predictor, self.nuisances, point)
         self._columns = {free: -self.whitener.white(change) for free, change in changes.items()}
         floors = None if self.random is None else self.random.floors
-        self.imperfections = self.random = None
-        if self.splits:
-            self.imperfections = imperfections(self.splits[0], point, at or {})
-        if self.imperfections is not None:
-            columns = self.whitener.white(self.imperfections.moves).T
-            owners, kinds = self.imperfections.owners, self.imperfections.kinds
-            self.random = RandomEffects(columns, owners, kinds)
-            self.random.floors = self.random.floors if floors is None else floors
-        self.fitters = [self.fitter(worker) for worker in range(self.workers)]
+        self.random = None if self.robot.exact else self._random(point, at)
+        if self.random is not None and floors is not None:
+            self.random.floors = floors
+        self.fitters = [self.fitter(predictor) for predictor in self.predictors]
         return True
 
-    def fitter(self, worker: int = 0) -> Fitter:
-        """Return a fitter of a worker with the weights of now."""
-        if self.random is None or self.imperfections is None:
-            return Fitter(self.predictors[worker], self.whitener, self.nuisances, self._columns)
-        built = AsBuilt(self.splits[worker], self.random, self.imperfections)
-        return Fitter(self.splits[worker], self.whitener, self.nuisances, self._columns, built)
+    def _random(self, point: Point, at: Members | None) -> RandomEffects | None:
+        """Imperfections of the arm as it is built, at a point."""
+        imperfect = imperfections(self.predictor, point, at)
+        self._bend = 0.0 if imperfect is None else imperfect.bend
+        self.moves = None if imperfect is None else imperfect.moves
+        if imperfect is None:
+            return None
+        white = self.whitener.white(imperfect.moves).T
+        return RandomEffects(white, imperfect.owners, imperfect.kinds)
+
+    def fitter(self, predictor: Predictor) -> Fitter:
+        """Return a fitter with the weights of now."""
+        made = Fitter(predictor, self.whitener, self.nuisances, self._columns, self.random)
+        if self.random is not None:
+            made.bend, made.measured = self._bend, made.measured - self._bend
+        return made
 
     @property
     def freedom(self) -> float:
@@ -145,7 +147,11 @@ class Session:
                 candidate = candidates[i]
                 start = None if starts is None else starts.get(candidate.label)
                 try:
-                    fit = self.fitters[worker].fit(candidate.frees, start)
+                    fit = self.fitters[worker].fit(
+                        candidate.frees,
+                        None if start is None else start.point,
+                        begin=None if start is None or start.built is None else start.built.sizes,
+                    )
                 except (ArithmeticError, np.linalg.LinAlgError):
                     continue
                 finally:
@@ -165,37 +171,15 @@ class Session:
         """Tell whether several effects are adequate, for left-out postures as well."""
         return ranked.probability > P_SEVERAL_MIN and ranked.trust > P_SINGLE_MIN
 
-    def base_fit(self, starts: Sequence[Fit] = ()) -> Fit:
-        """
-        Fit the declared tolerances and the imperfections alone.
-
-        Friction is kinked: what is found depends on where imperfections start. `starts` are fits
-        from which they are tried as well.
-        """
+    def base_fit(self) -> Fit:
+        """Fit the declared tolerances and the imperfections alone."""
         if self.random is None:
             return self.fitters[0].fit(())
         self.random.floors = np.zeros(len(self.random.kinds))
-        fits = [self.fitters[0].fit((), start) for start in (None, *starts)]
-        base = min(fits, key=lambda fit: fit.deviance)
+        base = self.fitters[0].fit(())
         assert base.built is not None
         self.random.keep(base.built.sizes)
         return base
-
-    def refit(self, ranked: Sequence[Ranked], base: Fit) -> list[Ranked]:
-        """
-        Fit candidates again; from the base where that, which they contain, does better.
-
-        Of an arm as built those that are far from the best stay as they are.
-        """
-        top = min(r.score for r in ranked) + (np.inf if self.random is None else NEAR_SCORE)
-        near = [r for r in ranked if r.score <= top]
-        found = self.fit_all([r.candidate for r in near], {r.candidate.label: r.fit for r in near})
-        worse = [r.candidate for r in found if r.fit.deviance > base.deviance + TIE_WITHIN_SCORE]
-        again = self.fit_all(worse, {c.label: base for c in worse})
-        better = {r.candidate.label: r for r in again}
-        both = [(r, better.get(r.candidate.label, r)) for r in found]
-        far = [r for r in ranked if r.score > top]
-        return [min(pair, key=lambda r: r.fit.deviance) for pair in both] + far
 
     def split_tested(self, point: Point) -> tuple[list[Candidate], list[Candidate]]:
         """Split the candidates into those that these postures show at a point, and the rest."""
@@ -223,12 +207,7 @@ class Session:
         if random is None or built is None:
             return True
         n, columns = len(random.columns), [current.fit.jacobian[:, : len(current.fit.all_frees)]]
-        fitter = self.fitters[0]
-        fitter.resume(current.fit)
-        here = fitter.predictor.markers(point)
-        if here is None:
-            return False
-        raw = fitter.residual(here)
+        raw = self.whitener.white(self.fitters[0].measured - current.fit.markers)
         for free in larger.frees:
             if free in point:
                 continue
@@ -236,10 +215,10 @@ class Session:
             step = 0.05 * free.parameter.typical
             if value + step > free.parameter.high:
                 step = -step
-            moved = fitter.predictor.markers({**point, free: value + step})
+            moved = self.predictor.markers({**point, free: value + step})
             if moved is None or self.catalogue[free.effect].always_on:
                 return True
-            columns.append(self.whitener.white(here - moved)[:, None] / step)
+            columns.append(self.whitener.white(current.fit.markers - moved)[:, None] / step)
         slopes = np.column_stack([column[:n] for column in columns])
         estimated = random.estimate(raw, slopes, built.sizes)
         return current.fit.deviance - estimated.deviance > FIRST_STEP_GAIN_MIN
@@ -277,7 +256,7 @@ def contains(session: Session, large: Ranked, small: Ranked) -> bool:
         return True
     if large.fit.rank <= small.fit.rank:
         return False
-    fitter = session.fitter()
+    fitter = session.fitter(session.predictor)
     fitter.measured = small.fit.markers  # without imperfections, as these predict it
     sizes = None if small.fit.built is None else small.fit.built.sizes
     mimic = fitter.fit(large.candidate.frees, large.fit.point, sizes=sizes)
@@ -318,7 +297,7 @@ def joined(session: Session, best: Ranked) -> Ranked | None:
     while len(current.candidate.names) < EFFECTS_MAX:
         better = [
             r
-            for r in _hinted(session, current)
+            for r in _hinted(session, current) + _hinted_around_none(session, current)
             if session.stands_out(current.fit, r, len(session.candidates))
             and r.score < current.score - APART_FROM_SCORE
         ]
@@ -333,6 +312,19 @@ def _hinted(session: Session, current: Ranked) -> list[Ranked]:
     order = [c for c in _extensions(session, current) if session.hints(current, c)]
     starts = {c.label: current.fit for c in order}
     return session.fit_all(order, starts, f'{len(current.candidate.names) + 1} effects')
+
+
+def _hinted_around_none(session: Session, current: Ranked) -> list[Ranked]:
+    """
+    Fit the same with slopes around no imperfections; the session stays as it is.
+
+    What imperfections do beyond their slopes stays when an effect takes over from them: it would
+    find the best fit around them good enough already.
+    """
+    around_none = copy(session)
+    around_none.weigh(current.fit.point)
+    again = around_none.fit_all([current.candidate], {current.candidate.label: current.fit})
+    return [extended for ranked in again for extended in _hinted(around_none, ranked)]
 
 
 def reweighed(session: Session, ranked: Ranked) -> Ranked:

@@ -91,7 +91,7 @@ def _change(session: Session, base: Fit, free: FreeParameter, value: float) -> f
     if not session.nuisances and base.built is None:
         change = session.whitener.white(markers - base.markers)
         return float(np.linalg.norm(change))
-    fitter = session.fitter()
+    fitter = session.fitter(session.predictor)
     fitter.measured = markers
     try:
         sizes = None if base.built is None else base.built.sizes

@@ -17,12 +17,12 @@ Floats = npt.NDArray[np.float64]
 WRITABLE_KINDS = (CELLS, GAIN, HOLE, ZERO, POSITION, ROTATION)  # kinds that a description can hold
 
 
-def written_members(fit: Fit, units: Floats) -> dict[str, Floats]:
-    """Return the imperfections that a description can hold, from mixtures in units of their sd."""
-    if fit.built is None:
-        return {}
-    named = fit.built.random.named(units, fit.built.sizes)
-    return {kind: values for kind, values in named.items() if kind in WRITABLE_KINDS}
+def written_share(fit: Fit) -> Floats:
+    """Return 1 for every imperfection (b,) that a description can hold, else 0."""
+    assert fit.built is not None
+    return np.concatenate(
+        [np.full(len(k), float(k.name in WRITABLE_KINDS)) for k in fit.built.kinds]
+    )
 
 
 def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
