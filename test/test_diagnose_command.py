@@ -46,12 +46,13 @@ def test_a_missing_effect_is_named_added_and_shown(capsys, folder):
         'What is left (0.50 mm) equals your repeatability (0.45 mm).',
         'the arm as built scatters by (1 sd, 95 %): stiffness of the cells 0 % (0 % to 0.45 %), '
         'kinks across the plane 0° (0° to 0.015°), position of the tracker 0 mm '
-        '(0 mm to 0.074 mm), rotation of the tracker 0° (0° to 0.045°)',
+        '(0 mm to 0.077 mm), rotation of the tracker 0° (0° to 0.045°)',
         'these measurements do not tell: kinks at rest, gains of the inputs',
         'cannot be told apart from: nothing (next best, transmission_loss, is 10^4 times less '
         'likely; section_stiffness does the same with more parameters)',
         'not tested by these postures: friction_memory (every posture loaded from straight); '
-        'gravity (set to zero); tendon_elongation (wire pulls not commanded)',
+        'torsion (these postures hardly show it); gravity (set to zero); '
+        'tendon_elongation, wire_spring, pull_zero, spool_gain (wire pulls not commanded)',
         'error on postures never used: 1.06 mm -> 0.227 mm  (floor 0.372 mm)',
         'written: better.yaml    send it to the robot: controller parameter model := better.yaml',
     ]
@@ -133,7 +134,7 @@ def test_partial_adds_it_and_says_that_more_is_at_work(capsys, folder):
     origin = yaml.safe_load((folder / 'better.yaml').read_text())['fitted']['tip_load']
     assert lines[-2] == f'note: {origin["more_at_work"]}'
     assert any(
-        line.startswith('error on postures left out in turn: 1.49 mm -> 0.63') for line in lines
+        line.startswith('error on postures left out in turn: 1.49 mm -> 0.629') for line in lines
     )
 
 
@@ -169,7 +170,7 @@ def test_add_prints_values_and_the_staircase(capsys, folder):
         'hinge_friction: lever = 0.158 ± 0.007 mm',
         'error (rms)                           before     after  noise floor   gone',
         'fitted: 12 postures of hinges/fit    2.66 mm  0.241 mm     0.245 mm  100 %',
-        'left out: 12 postures of hinges/fit  2.66 mm  0.257 mm     0.245 mm   99 %',
+        'left out: 12 postures of hinges/fit  2.66 mm  0.275 mm     0.245 mm   99 %',
         'written: better.yaml    send it to the robot: controller parameter model := better.yaml',
     ]
     lines = said(capsys, 'remove', 'hinge_friction', '--robot', 'better.yaml', '--output',
@@ -225,9 +226,14 @@ def test_overwrite_replaces_a_description(capsys, folder):
 
 
 def test_remove_brings_back_what_add_replaced(capsys, folder):
-    for data, out in (('hinges/fit', 'one.yaml'), ('hinges/check', 'two.yaml')):
-        robot = [] if out == 'one.yaml' else ['--robot', 'one.yaml']
-        main(['add', 'hinge_friction', '--data', data, '--output', out, *robot])
+    main(['add', 'hinge_friction', '--data', 'hinges/fit', '--output', 'one.yaml'])
+    content = yaml.safe_load((folder / 'one.yaml').read_text())
+    content['effects']['hinge_friction']['lever'] *= 0.5  # a fit again that helps
+    (folder / 'one.yaml').write_text(yaml.safe_dump(content, sort_keys=False))
+    main(
+        ['add', 'hinge_friction', '--data', 'hinges/check', '--output', 'two.yaml']
+        + ['--robot', 'one.yaml']
+    )
     capsys.readouterr()
     (first, second) = said(capsys, 'remove', 'hinge_friction', '--robot', 'two.yaml', '--output',
                            'three.yaml')  # fmt: skip

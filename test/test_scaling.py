@@ -87,12 +87,18 @@ def test_a_limit_below_what_bends_the_arm_is_the_tension_that_counts():
     assert natural_sizes(robot)['tension'] == pytest.approx(0.027 / 6 / 0.0055)
 
 
+def loaded(robot):
+    """Hang a force that matters across the bend: nothing else twists an arm."""
+    sized = CATALOGUE['tip_load'].sized(natural_sizes(robot))
+    return robot.with_effect('tip_load', {p.name: p.typical for p in sized.parameters})
+
+
 def shown(robot, effect, force):
     """Return what an effect of a size that matters shows, in lengths of the robot."""
     base = replace(robot, gravity=(2.0, 0.0, 9.0)) if effect.needs == 'gravity' else robot
     sized = effect.sized(natural_sizes(base))
     base = base.with_effect(effect.name, {p.name: p.typical for p in sized.parameters})
-    model = Model(base)
+    model = Model(loaded(base) if effect.name == 'torsion' else base)
     if effect.needs == 'pulls':
         plain = Model(robot).shapes(force * TENSIONS).pulls
         positions = pull_shapes(model, np.where(TENSIONS > 0.15, plain, np.nan)).positions
@@ -109,7 +115,8 @@ def test_a_size_that_matters_follows_the_robot(effect):
     robot = two_sections(5, dict(FRICTION))
     expected = shown(robot, effect, 1.0)
     base = robot.without_effect(effect.name) if effect.name in robot.effects else robot
-    model = Model(replace(base, gravity=None))
+    base = replace(base, gravity=None)
+    model = Model(loaded(base) if effect.name == 'torsion' else base)
     change = np.abs(expected - model.shapes(TENSIONS).positions / robot.length).max()
     if effect.name not in ('tendon_travel', 'friction_memory'):
         assert 1e-4 < change < 0.5

@@ -114,6 +114,8 @@ def cache_folder() -> Path:
 def kernel_key(catalogue: Catalogue) -> str:
     """Key over the sources of the kernel, its stages and every effect, Python and numba."""
     digest = hashlib.sha256(f'{catalogue.digest} {stages_source(catalogue)}'.encode())
+    # machine code in the cache names the modules of the laws; the same file may be in two places
+    digest.update(' '.join(effect.law.__module__ for effect in catalogue).encode())
     for path in sorted(KERNEL.glob('*.py')):
         digest.update(path.read_bytes())
     digest.update(Path(__file__).read_bytes())
