@@ -48,7 +48,9 @@ CALM = Laboratory(lost=0.0, slips=0, frame_noise=0.0, cell_noise=0.0, hold=1.6, 
 NOISY = Laboratory(rate=25.0, hold=1.6)
 
 
-def recorded(lab, hidden=None, noise=None, trials=1, count=4, robot=ARM, work=EXACT):
+def recorded(
+    lab, hidden=None, noise=None, trials=1, count=4, robot=ARM, work=EXACT, places=PLACES
+):
     """Return a recording as a frame of pandas."""
     plant = make_plant(robot, hidden or {}, seed=3, work=work)
     names, values = raw_table(
@@ -57,7 +59,7 @@ def recorded(lab, hidden=None, noise=None, trials=1, count=4, robot=ARM, work=EX
         lab=lab,
         noise=noise or QUIET,
         trials=trials,
-        markers=PLACES,
+        markers=places,
     )
     return pandas.DataFrame(values, columns=names)
 
@@ -289,6 +291,19 @@ def test_a_mirrored_tracker_is_said(calm):
         mirrored[name] = -calm[name]
     look = ' '.join(import_table(mirrored, ARM).look)
     assert 'an axis has the wrong sign, or two inputs are swapped' in look
+
+
+def test_markers_beside_the_backbone_are_noticed_and_can_be_said():
+    beside = tuple(replace(place, offset=(0.006, -0.003, 0.0)) for place in PLACES)
+    frame = recorded(CALM, count=6, places=beside)
+    imported = import_table(frame, ARM, {'up': 'y'})
+    (line,) = [text for text in imported.look if 'beside the backbone' in text]
+    x, y = map(float, line.rpartition('--offset ')[2].split(','))
+    assert (x, y) == pytest.approx((6.0, -3.0), abs=0.8)
+    again = import_table(frame, ARM, {'up': 'y', 'offset': [0.006, -0.003, 0.0]})
+    assert again.frame.residual < 3e-4
+    assert not again.look
+    assert again.dataset.markers[0].offset == (0.006, -0.003, 0.0)
 
 
 def test_gravity_is_told_by_the_up_of_the_tracker(calm):

@@ -65,6 +65,8 @@ def _add_arm(group: argparse._ArgumentGroup) -> None:
         'the tip, the others as far below as the arm between them is long)'
     )
     add('--markers', metavar='MM,MM,...', help=what)
+    what = 'where markers sit beside the backbone [mm] in the frame there (default: on it)'
+    add('--offset', metavar='X,Y', help=what)
     what = (
         'model: onto the postures of the model; level: the same, verticals together (default '
         "where --up and the robot's gravity are known); straight: the straight posture onto +z; "
@@ -162,6 +164,11 @@ def _with_arm(recipe: Recipe, args: argparse.Namespace) -> Recipe:
             raise InputError('--markers: expected distances that grow, from base to tip [mm]')
         open_ones = tuple(replace(m, arc_length=None) for m in recipe.markers or ())
         recipe = replace(recipe, places=places, markers=open_ones or None)
+    if args.offset:
+        aside = numbers('--offset', args.offset, ',')
+        if len(aside) != 2:
+            raise InputError(f'--offset: expected X,Y in mm, got {args.offset!r}')
+        recipe = replace(recipe, offset=(1e-3 * aside[0], 1e-3 * aside[1], 0.0))
     if args.frame:
         recipe = replace(recipe, frame=FrameChoice(args.frame))
     return replace(recipe, up=args.up or recipe.up)

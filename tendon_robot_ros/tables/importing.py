@@ -24,12 +24,20 @@ from .columns import marker_label
 from .imported import ImportedTable
 from .marker_order import AS_GIVEN, MarkerOrder, order_markers
 from .measuring import StillMeasurements, measure
-from .raw_table import RawTable, from_frame
+from .raw_table import FloatArray, RawTable, from_frame
 from .reading import read_table
 from .recipe import FrameChoice, MarkerColumns, Recipe, load_recipe, read_recipe
-from .registration import G, TrackerFrame, find_frame, gravity_of, rotation_vector
+from .registration import (
+    G,
+    TrackerFrame,
+    find_frame,
+    gravity_of,
+    rotation_vector,
+    side_offset,
+)
 from .traces import make_traces
 
+OFFSET_STEP_M = 1e-3  # [m] of a derivative
 APART_RAD = 0.3  # [rad] between gravity as the robot says it and as the tracker does
 
 
@@ -86,7 +94,7 @@ def import_table(
         predicted=predicted,
         dropped=(*_columns_dropped(taken), *measured.dropped, *_trials_dropped(left_out)),
         assumed=(*taken.assumed, *measured.assumed, *_markers_assumed(order, taken)),
-        look=(*look, *_frame_look(frame)),
+        look=(*look, *_frame_look(frame), *_offset_look(final, predicted, catalogue)),
     )
 
 
@@ -172,7 +180,12 @@ def _in_tracker_frame(
     """Put the segments together; positions stay in the tracker's frame."""
     known = taken.recipe.markers or ()
     markers = tuple(
-        replace(known[j], name=known[j].name or str(i + 1), arc_length=arc_length)
+        replace(
+            known[j],
+            name=known[j].name or str(i + 1),
+            arc_length=arc_length,
+            offset=taken.recipe.offset or known[j].offset,
+        )
         for i, (j, arc_length) in enumerate(zip(order.members, order.arc_lengths, strict=True))
     )
     placed = tuple(Marker(m.name or '', m.arc_length or 0.0, m.offset) for m in markers)
@@ -294,3 +307,25 @@ def _frame_look(frame: TrackerFrame) -> list[str]:
             '(up, gravity, frame) not right?'
         )
     return said
+
+
+def _offset_look(dataset: DataSet, predicted: FloatArray, catalogue: Catalogue) -> list[str]:
+    """Say where markers seem to sit beside the backbone, though nobody said so."""
+    if np.any(dataset.offsets):
+        return []
+    moved = []
+    for step in ((OFFSET_STEP_M, 0.0, 0.0), (0.0, OFFSET_STEP_M, 0.0)):
+        markers = tuple(replace(marker, offset=step) for marker in dataset.markers)
+        aside = replace(dataset, markers=markers)
+        places = Predictor(aside, dataset.robot, catalogue).markers({})
+        if places is None:
+            return []
+        moved.append((places - predicted) / OFFSET_STEP_M)
+    offset = side_offset(dataset, predicted, (moved[0], moved[1]))
+    if offset is None:
+        return []
+    x, y = 1e3 * offset[0], 1e3 * offset[1]
+    return [
+        f'markers seem to sit beside the backbone, {x:.1f} mm towards x and {y:.1f} mm towards y: '
+        f'if they do, say --offset {x:.1f},{y:.1f}'
+    ]

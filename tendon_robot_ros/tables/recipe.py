@@ -17,8 +17,9 @@ from ..data.markers import Vector
 from .columns import ColumnUse
 from .units import UNITS, find_unit
 
-KEYS = ('sources', 'robot', 'time', 'inputs', 'zero', 'spool', 'positions', 'markers', 'places',
-        'up', 'delay', 'still', 'same', 'rest', 'path', 'frame', 'leave_out')  # fmt: skip
+KEYS = ('sources', 'robot', 'time', 'inputs', 'zero', 'spool', 'positions', 'markers', 'offset',
+        'places', 'up', 'delay', 'still', 'same', 'rest', 'path', 'frame',
+        'leave_out')  # fmt: skip
 UPS = ('x', 'y', 'z', '-x', '-y', '-z')
 METHODS = ('model', 'level', 'straight', 'base')
 HEAD = """\
@@ -70,6 +71,7 @@ class Recipe:
     spool: WireSpool = WireSpool()
     positions: str | None = None  # unit of the markers
     markers: tuple[MarkerColumns, ...] | None = None
+    offset: Vector | None = None  # [m] of all markers, where columns are guessed
     places: tuple[float, ...] = ()  # [m] arc lengths from base to tip, where columns are guessed
     up: str | None = None  # axis of the tracker
     delay: float = 0.0  # [s] that the tracker's clock is behind
@@ -157,6 +159,7 @@ def read_recipe(content: Any, source: str = 'recipe', folder: Path | None = None
         spool=_spool(top),
         positions=top.unit('positions', 'length'),
         markers=tuple(map(_marker, top.items('markers'))) if top.has('markers') else None,
+        offset=_vector(top, 'offset'),
         places=_places(top),
         up=top.choice('up', UPS) if top.has('up') else None,
         delay=top.some('delay', -1e5, 1e5, 's') or 0.0,
@@ -215,6 +218,13 @@ def _marker(item: RecipeFields) -> MarkerColumns:
     return MarkerColumns(
         (x, y, z), item.text('name'), arc_length, (offset[0], offset[1], offset[2])
     )
+
+
+def _vector(top: RecipeFields, key: str) -> Vector | None:
+    if not top.has(key):
+        return None
+    x, y, z = top.vector(key, 3)
+    return x, y, z
 
 
 def _places(top: RecipeFields) -> tuple[float, ...]:

@@ -25,6 +25,8 @@ NOISE_M = 5e-4  # [m] of a tracker, about
 NEXT_TO_BASE = 2  # markers
 STRAIGHT_WITHIN = 0.02  # lengths of the arm that a straight posture's tip is off the axis
 LEVEL_WITHIN_RAD = 0.035  # [rad] that a mount and a tracker are level, 1 sd
+OFFSET_MIN_M = 1.5e-3  # [m] of markers beside the backbone that is said
+OFFSET_GAIN = 0.93  # of the weighted error that is left where markers sit there
 MIRRORED = 0.3  # of the residual that is left where the frame is taken as left-handed
 MIRRORED_MIN_M = 1e-3  # [m] residual from which that is asked
 UP = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
@@ -174,10 +176,51 @@ def _weighted(
         else:
             turn, shift = _level(a, b, w, up_axis(up), above)
         left = np.where(seen, ((measured @ turn.T + shift - markers) ** 2).sum(axis=2), 0.0)
-        cube = seen * arc_lengths**3
-        growth = float((left * cube).sum() / (cube**2).sum())
-        weights = np.broadcast_to(1.0 / (NOISE_M**2 + growth * arc_lengths**3), seen.shape)
+        weights = np.broadcast_to(_weights(left, seen, arc_lengths), seen.shape)
     return turn, shift
+
+
+def _weights(squares: FloatArray, seen: BoolArray, arc_lengths: FloatArray) -> FloatArray:
+    """Return a weight (J,) [1/m²] for each marker, from squared distances (P, J) [m²]."""
+    cube = seen * arc_lengths**3
+    growth = float((squares * cube).sum() / (cube**2).sum())
+    return np.asarray(1.0 / (NOISE_M**2 + growth * arc_lengths**3))
+
+
+def side_offset(
+    dataset: DataSet, predicted: FloatArray, sideways: tuple[FloatArray, FloatArray]
+) -> Vector | None:
+    """
+    Return the offset [m] at which all markers seem to sit beside the backbone, None for none.
+
+    Fitted together with a shift and a small turn of the frame. A load that the model lacks
+    hides it: then nothing is said.
+
+    Parameters
+    ----------
+    dataset : DataSet
+        In the base frame.
+    predicted : (P, J, 3) [m]
+        The same markers by the model.
+    sideways : two of (P, J, 3)
+        By what they move for each metre that they sit towards x and y.
+
+    """
+    off = dataset.mean - predicted
+    seen = np.isfinite(off).all(axis=2)
+    squares = np.where(seen, (off**2).sum(axis=2), 0.0)
+    weight = np.sqrt(_weights(squares, seen, dataset.arc_lengths))
+    scale = np.broadcast_to(weight[None, :, None], off.shape)[seen].ravel()
+    frame = [np.broadcast_to(axis, off.shape) for axis in np.eye(3)]
+    frame += [np.cross(axis, predicted) for axis in np.eye(3)]
+    columns = np.array([column[seen].ravel() * scale for column in (*sideways, *frame)]).T
+    values = off[seen].ravel() * scale
+    found, without = (np.linalg.lstsq(a, values)[0] for a in (columns, columns[:, 2:]))
+    left, before = values - columns @ found, values - columns[:, 2:] @ without
+    x, y = found[:2].tolist()
+    if np.hypot(x, y) < OFFSET_MIN_M or left @ left > OFFSET_GAIN**2 * (before @ before):
+        return None
+    return round(x, 4), round(y, 4), 0.0
 
 
 def _left(measured: FloatArray, markers: FloatArray) -> float:
