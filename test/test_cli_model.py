@@ -56,17 +56,35 @@ def test_a_group_is_pulled_by_its_name_and_every_tendon_is_listed(capsys):
 
 
 def test_shape_takes_wire_pulls(capsys):
-    found = answer(capsys, 'shape', KATO, '--pulls', 'dist_right=0.006,prox_left=0.001')
+    found = answer(capsys, 'shape', KATO, '--pulls', 'dist_right=6,prox_left=0.001m')
     assert found['pulls']['dist_right'] == pytest.approx(0.006, abs=1e-9)
     assert found['pulls']['prox_left'] == pytest.approx(0.001, abs=1e-9)
     assert found['tensions']['dist_left'][0] == 0.0
+
+
+def test_tensions_beyond_the_limits_are_shown_when_asked_for(capsys):
+    found = answer(capsys, 'shape', KATO, '--tensions', 'dist_right=7', '--beyond-limits')
+    assert found['tensions']['dist_right'][0] == 7.0
+
+
+def test_lengths_are_millimetres_unless_they_say_otherwise(capsys):
+    mm = answer(capsys, 'reach', KATO, '--position', '60,0,150')
+    for other in (('60mm,0,0.15m',), ('6,0,15', '--unit', 'cm'), ('0.06,0,0.15', '--unit', 'm')):
+        again = answer(capsys, 'reach', KATO, '--position', *other)
+        assert again['tip']['position'] == pytest.approx(mm['tip']['position'], abs=1e-9)
+    assert mm['tip']['position'] == pytest.approx([0.06, 0.0, 0.15], abs=1e-4)
 
 
 def test_what_reach_finds_gives_that_tip(capsys):
     target = Model(load_robot(KATO)).shape([0.1, 0.9, 0.7, 0.1])
     found = answer(
         capsys,
-        *('reach', KATO, '--position', ','.join(map(repr, target.tip_position.tolist()))),
+        *(
+            'reach',
+            KATO,
+            '--position',
+            ','.join(f'{1e3 * x!r}' for x in target.tip_position.tolist()),
+        ),
         *('--direction', ','.join(map(repr, target.tip_direction.tolist()))),
     )
     assert list(found) == ['tensions', 'pulls', 'tip', 'error', 'status']
@@ -79,7 +97,7 @@ def test_what_reach_finds_gives_that_tip(capsys):
 
 
 def test_reach_says_when_a_target_is_out_of_reach(capsys):
-    found = answer(capsys, 'reach', KATO, '--position', '0,0,1')
+    found = answer(capsys, 'reach', KATO, '--position', '0,0,1000')
     assert found['status'] == 'nearest'
     assert found['error']['position'] == pytest.approx(1.0 - 0.208, abs=1e-3)
 
@@ -113,9 +131,16 @@ MISTAKES = [
     (['--tensions', 'dist_right=nan'], 'tensions: expected 4 finite numbers, got '),
     (['--tensions', 'dist_right=-1'], 'tensions: expected none below 0 N, got '),
     ([], 'one of the arguments --tensions --pulls is required; see '),
-    (['--pulls', 'dist_right=inf'], 'pulls: expected 4 lengths [m] (blank: slack), got '),
     (
-        ['--pulls', 'dist_right=0.005,dist_left=0.002'],
+        ['--pulls', 'dist_right=inf'],
+        "--pulls: expected a number with a unit such as mm, got 'inf'",
+    ),
+    (['--pulls', 'dist_right=0.006'], 'if m is meant, say --unit m'),
+    (['--pulls', 'dist_right=6', '--unit', 'm'], 'if mm is meant, say --unit mm'),
+    (['--pulls', 'dist_right'], '--pulls: expected NAME=LENGTH,NAME=LENGTH in mm, got '),
+    (['--tensions', 'dist_right=7'], '--tensions: dist_right is 7 N, above the limit of 5 N in '),
+    (
+        ['--pulls', 'dist_right=5,dist_left=2'],
         'pulls: no tensions give dist_left 2 mm, dist_right 5 mm together (off by ',
     ),
     (
@@ -136,8 +161,19 @@ def test_a_mistake_in_a_command_is_one_line(arguments, message, capsys):
     ('arguments', 'message'),
     [
         ([], 'target: expected --position, --direction, or both, got neither'),
-        (['--position', '1,2'], "--position: expected three numbers x,y,z, got '1,2'"),
-        (['--position', 'nan,0,0'], 'position: expected 3 finite numbers, got '),
+        (['--position', '1,2'], "--position: expected three lengths x,y,z, got '1,2'"),
+        (
+            ['--position', '0.06,0,0.15'],
+            '--position: 0.06,0,0.15 mm is 0.1616 mm from the base of an ',
+        ),
+        (
+            ['--position', '60,0,150', '--unit', 'm'],
+            '--position: 60,0,150 m is 1.616e+05 mm from the',
+        ),
+        (
+            ['--position', 'nan,0,0'],
+            "--position: expected a number with a unit such as mm, got 'nan'",
+        ),
         (['--direction', '0,0,0'], 'direction: expected a vector of some length, got '),
     ],
 )

@@ -225,8 +225,8 @@ def test_the_commands_go_there_and_back(tmp_path, capsys, monkeypatch):
         (['--output', 'o', '--picture', 'a.doc'], '--picture a.doc: end the name with .png, .svg, '
          '.pdf'),
         (['--output', 'o', '--marker', 'tip'], '--marker tip: write NAME=TOPIC, each name once'),
-        (['--output', 'o', '--speed', '0'], '--speed [m/s], --duration [s] and --change [N] or '
-         '[m] are above 0'),
+        (['--output', 'o', '--speed', '0'], '--speed [mm/s], --duration [s] and --change are '
+         'above 0'),
         (['--output', 'o', '--duration', '1e-9'], 'a.mcap: 9 s are too long to look for 1e-09 s '
          'of stillness; ask for a longer duration or import a part of the recording'),
         (['--output', 'o', '--description', 'no.yaml'], 'no.yaml: cannot be read (No such file or '

@@ -101,7 +101,7 @@ def scales(tmp_path, robot_file, monkeypatch):
             return main(
                 ['calibrate', 'dynamixel', str(config), '--robot', robot_file, '--tendon', tendon]
                 + ['--weights', *map(str, masses), '--out', str(tmp_path / 'lines.yaml')]
-                + ['--travel', '0.006', '--speed', '0.02']
+                + ['--travel', '6', '--speed', '20']
             )
 
         yield calibrate, line, config

@@ -137,7 +137,7 @@ def test_the_command_writes_what_compare_and_diagnose_read(tmp_path, capsys):
     out, check = tmp_path / 'fit', tmp_path / 'check'
     arguments = ['simulate', str(KATO), '--output', str(out), '--check', str(check)]
     arguments += ['--hidden', 'hinge_friction:lever=0.0004', 'soft_cell', '--trials', '2']
-    assert main([*arguments, '--markers', '5', '--noise', 'position=1e-4']) == 0
+    assert main([*arguments, '--markers', '5', '--noise', 'position=0.1']) == 0
     printed = capsys.readouterr().out
     assert f'written: {out}: 12 postures x 2 trials x 5 markers' in printed
     assert f'written: {check}: 6 postures x 2 trials x 5 markers' in printed
@@ -153,7 +153,7 @@ def test_the_command_writes_what_compare_and_diagnose_read(tmp_path, capsys):
 
 def test_arms_are_built_with_imperfections_unless_told_otherwise(tmp_path, capsys):
     arguments = ['simulate', str(KATO), '--count', '3', '--trials', '1', '--noise']
-    arguments += ['position=1e-9,setting=0,trial=0', '--output']
+    arguments += ['position=0.001,setting=0,trial=0', '--output']
     moved = {}
     for name, options in {'built': [], 'exact': ['--exact'], 'bad': ['--level', '2']}.items():
         assert main([*arguments, str(tmp_path / name), *options]) == 0
@@ -199,8 +199,12 @@ def test_own_postures_and_gravity(tmp_path, capsys):
         ),
         (['--hidden', 'tip_load:force_x=a'], "tip_load: force_x: expected numbers, got 'a'"),
         (['--noise', 'tracker=1'], "--noise: expected position, setting, trial, got 'tracker'"),
-        (['--noise', 'position=1'], 'noise: position: expected a number from 0 to 0.1, got 1.0'),
-        (['--markers', '0.5'], 'markers: expected arc lengths from 0 to 0.208 m (the tip)'),
+        (
+            ['--noise', 'position=1000'],
+            'noise: position: expected a number from 0 to 0.1, got',
+        ),
+        (['--noise', 'position=2e-4'], '--noise: position=0.0002 mm is no noise of a tracker; '),
+        (['--markers', '30,500'], 'markers: expected arc lengths from 0 to 0.208 m (the tip)'),
     ],
 )
 def test_a_mistake_is_one_line_and_writes_nothing(arguments, message, tmp_path, capsys):

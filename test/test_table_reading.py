@@ -8,12 +8,12 @@ pytest.importorskip('pandas')
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DataSetError, InputError
+from tendon_robot_ros.common.units import find_unit, read_quantity, split_name
 from tendon_robot_ros.tables import reading
 from tendon_robot_ros.tables.columns import guess_inputs, guess_markers, guess_time, names_of
 from tendon_robot_ros.tables.formats import read_c3d
 from tendon_robot_ros.tables.raw_table import RawTable
 from tendon_robot_ros.tables.reading import read_table
-from tendon_robot_ros.tables.units import find_unit, read_quantity, split_name
 
 PLAIN = 'time,T1 [N],m_x\n0,1,2\n0.5,1.5,\n'
 MOTIVE = """\

@@ -46,8 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--robot', required=True, help='robot description (YAML)')
     parser.add_argument('--tendon', required=True, help='the input whose motor is calibrated')
     parser.add_argument('--weights', required=True, nargs='+', type=float, metavar='KG')
-    parser.add_argument('--travel', type=float, default=0.02, metavar='M')
-    parser.add_argument('--speed', type=float, default=0.005, metavar='M/S')
+    parser.add_argument('--travel', type=float, default=20.0, metavar='MM')
+    parser.add_argument('--speed', type=float, default=5.0, metavar='MM/S')
     parser.add_argument(
         '--out',
         metavar='FILE',
@@ -78,8 +78,8 @@ def _calibrate_cell(args: argparse.Namespace) -> int:
 def _calibrate_motor(args: argparse.Namespace) -> int:
     from ..drivers.dynamixel import calibration
 
-    if not (0.001 <= args.travel <= 1.0 and 1e-4 <= args.speed <= 0.2):
-        raise InputError('--travel, --speed: expected 0.001 to 1 m and 0.0001 to 0.2 m/s')
+    if not (1.0 <= args.travel <= 1000.0 and 0.1 <= args.speed <= 200.0):
+        raise InputError('--travel, --speed: expected 1 to 1000 mm and 0.1 to 200 mm/s')
     bus, motor, cap = _prepare(args, STANDARD_GRAVITY)
     try:
         points = [_weigh(args, bus, motor, mass, calibration) for mass in args.weights]
@@ -130,7 +130,7 @@ def _weigh(
     if not args.yes:
         input('press Enter when ready ')
     point: CurrentPoint = calibration.measure(
-        bus, motor, mass * STANDARD_GRAVITY, args.travel, args.speed
+        bus, motor, mass * STANDARD_GRAVITY, 1e-3 * args.travel, 1e-3 * args.speed
     )
     print(
         f'  {point.tension:.3f} N: winding {point.wind:.4f} A, paying out {point.pay_out:.4f} A',

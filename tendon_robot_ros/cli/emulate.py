@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--spool-radius',
         type=float,
-        metavar='M',
+        metavar='MM',
         help='default: the smallest that is not too coarse for the robot',
     )
     parser.add_argument(
@@ -73,9 +73,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--slack',
         type=float,
-        default=0.002,
-        metavar='M',
-        help='loose wire at the start (default 0.002)',
+        default=2.0,
+        metavar='MM',
+        help='loose wire at the start (default 2)',
     )
     parser.add_argument('--port', metavar='PATH', help='where the port appears (default: made up)')
     parser.add_argument(
@@ -130,7 +130,8 @@ def _listen(obey: Callable[[str], str], ending: threading.Event, to_the_end: boo
 
 def _servos(args: argparse.Namespace, robot: Robot) -> Emulated:
     many = range(1, len(robot.inputs) + 1)
-    radius = args.spool_radius or smallest_spool(MODELS[args.model], robot.tension_limits[1])
+    typed = None if args.spool_radius is None else 1e-3 * args.spool_radius
+    radius = typed or smallest_spool(MODELS[args.model], robot.tension_limits[1])
     servos = [Servo(MODELS[args.model], i, args.baudrate) for i in many]
     line = EmulatedBus(Rig(servos, [Wire(i, radius) for i in many], _arm(args, robot)), args.port)
     config: dict[str, Any] = {
@@ -157,7 +158,7 @@ def _board(args: argparse.Namespace, robot: Robot) -> Emulated:
 def _arm(args: argparse.Namespace, robot: Robot) -> Arm:
     m = len(robot.inputs)
     if args.arm == 'springs':
-        return SpringArm(np.full(m, SPRING_STIFFNESS), np.full(m, args.slack))
+        return SpringArm(np.full(m, SPRING_STIFFNESS), np.full(m, 1e-3 * args.slack))
     if args.arm == 'weights':
         return HangingWeights(np.zeros(m))
     from ..simulation.plant import make_plant
@@ -172,4 +173,4 @@ def _arm(args: argparse.Namespace, robot: Robot) -> Arm:
 
     highest = 2.0 * robot.tension_limits[1]
     stretch = 1e-3 if args.kind == 'dynamixel' else 1e-2  # [m] a spring in every wire
-    return ElasticArm(pulls, m, highest, args.slack, shown=shown, stretch=stretch)
+    return ElasticArm(pulls, m, highest, 1e-3 * args.slack, shown=shown, stretch=stretch)

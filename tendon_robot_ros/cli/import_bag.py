@@ -21,6 +21,7 @@ from ..data.folder.description import read_text
 from ..data.recording.importing import PICTURES, draw_segments, import_bag, summary
 from ..data.recording.reader import Topics
 from ..data.recording.still_segments import Rule
+from .options import input_size
 
 NAME = 'import-bag'
 HELP = 'make a data set from a ROS 2 recording'
@@ -47,8 +48,9 @@ def _add_rule(parser: argparse.ArgumentParser, rule: Rule) -> None:
     parser.add_argument(
         '--speed',
         type=float,
-        default=rule.speed,
-        help=f'slower is still [m/s] (default: {rule.speed:g})',
+        default=1e3 * rule.speed,
+        metavar='MM/S',
+        help=f'slower is still (default: {1e3 * rule.speed:g})',
     )
     parser.add_argument(
         '--duration',
@@ -58,14 +60,14 @@ def _add_rule(parser: argparse.ArgumentParser, rule: Rule) -> None:
     )
     parser.add_argument(
         '--change',
-        type=float,
-        help='inputs that differ by more belong to different postures [N] or [m] (default: 1 %% '
-        'of the tension limit, 0.2 %% of the length)',
+        metavar='X',
+        help='inputs that differ by more belong to different postures, as 0.05N or 0.2mm '
+        '(default: 1 %% of the tension limit, 0.2 %% of the length)',
     )
     parser.add_argument(
         '--rest',
-        type=float,
-        help='leave segments out whose inputs are all below this [N] or [m]',
+        metavar='X',
+        help='leave segments out whose inputs are all below this, as 0.15N or 0.5mm',
     )
 
 
@@ -93,9 +95,10 @@ def _add_topics(parser: argparse.ArgumentParser, topics: Topics) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Import the recording."""
-    limits = args.speed, args.duration, 1.0 if args.change is None else args.change
+    change, rest = input_size('--change', args.change), input_size('--rest', args.rest)
+    limits = args.speed, args.duration, 1.0 if change is None else change
     if not all(0 < value < 1e4 for value in limits):
-        raise InputError('--speed [m/s], --duration [s] and --change [N] or [m] are above 0')
+        raise InputError('--speed [mm/s], --duration [s] and --change are above 0')
     if args.picture and Path(args.picture).suffix not in PICTURES:
         raise InputError(f'--picture {args.picture}: end the name with {", ".join(PICTURES)}')
     description = None
@@ -104,10 +107,10 @@ def run(args: argparse.Namespace) -> int:
     imported = import_bag(
         args.bag,
         args.robot,
-        Rule(args.speed, args.duration, args.change),
+        Rule(1e-3 * args.speed, args.duration, change),
         Topics(args.states_topic, args.shape_topic, _markers(args.marker)),
         description,
-        args.rest,
+        rest,
     )
     for line in imported.left_out:
         print('left out:', line, file=sys.stderr)

@@ -19,12 +19,12 @@ from itertools import pairwise
 from typing import Any
 
 from ..common.errors import InputError
+from ..common.units import read_unit
 from ..robot import load_robot
 from ..tables import import_table
 from ..tables.columns import ColumnUse
 from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe, load_recipe
-from ..tables.units import read_quantity, read_unit
-from .options import add_effect_files, numbers
+from .options import add_effect_files, input_size, numbers
 
 HELP = 'make a data set of a table of tensions and markers over time'
 INPUT_KINDS = ('force', 'length', 'angle', 'counts', 'current')
@@ -179,8 +179,8 @@ def _with_measurements(recipe: Recipe, args: argparse.Namespace) -> Recipe:
     for key, value in (
         ('speed', None if args.speed is None else 1e-3 * args.speed),
         ('duration', args.duration),
-        ('same', _quantity('--same', args.same)),
-        ('rest', _quantity('--rest', args.rest)),
+        ('same', input_size('--same', args.same)),
+        ('rest', input_size('--rest', args.rest)),
     ):
         if value is not None:
             _check(f'--{key}', value, 0.0 if key != 'rest' else -1.0)
@@ -188,11 +188,6 @@ def _with_measurements(recipe: Recipe, args: argparse.Namespace) -> Recipe:
     given |= {} if args.delay is None else {'delay': args.delay}
     given |= {} if args.path is None else {'path': args.path}
     return replace(recipe, **given)
-
-
-def _quantity(option: str, text: str | None) -> float | None:
-    """Read 0.2N or 0.5mm into newtons or metres; a bare number is newtons."""
-    return None if text is None else read_quantity(option, text, 'N', 'force', 'length')
 
 
 def _check(option: str, value: float, low: float) -> None:

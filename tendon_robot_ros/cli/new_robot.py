@@ -105,7 +105,7 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
     content: dict[str, Any] = {
         'name': name,
         'sections': [{'name': s, **section, 'bends_as': bends} for s in names],
-        'tendons': [t for i, s in enumerate(names) for t in _tendons(s, i, many, radius)],
+        'tendons': [t for i, s in enumerate(names) for t in _tendons(s, i, many, radius, count)],
         'tension_limits': [low, high],
         'effects': {'tendon_friction': {'friction_coefficient': friction}} if friction else {},
     }
@@ -218,19 +218,22 @@ def _section_names(count: int) -> list[str]:
     return [f'section_{i + 1}' for i in range(count)]
 
 
-def _tendons(section: str, index: int, many: int, radius: float) -> list[dict[str, Any]]:
+def _tendons(
+    section: str, index: int, many: int, radius: float, sections: int
+) -> list[dict[str, Any]]:
     """Spread the tendons of a section evenly; each section's stand between those of the last."""
+    prefix = 'tendon' if sections == 1 else section
     if many <= 2:
         sides = {'right': radius, 'left': -radius}
         return [
-            {'name': f'{section}_{side}', 'offset': [x, 0.0], 'section': section}
+            {'name': f'{prefix}_{side}', 'offset': [x, 0.0], 'section': section}
             for side, x in list(sides.items())[:many]
         ]
     turn = math.pi / many * (index % 2)
     angles = [turn + 2.0 * math.pi * j / many for j in range(many)]
     return [
         {
-            'name': f'{section}_{j + 1}',
+            'name': f'{prefix}_{j + 1}',
             'offset': [round(radius * math.cos(a), 9), round(radius * math.sin(a), 9)],
             'section': section,
         }

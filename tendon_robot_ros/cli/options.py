@@ -15,10 +15,15 @@ from tqdm import tqdm
 
 from ..common.errors import InputError
 from ..common.files import new_file
+from ..common.units import read_quantity
 from ..robot import load_robot
 
 if TYPE_CHECKING:
     from ..model.model import Model
+
+LENGTH_UNITS = ('mm', 'm', 'cm', 'inch')
+# lengths of the arm: a target farther off, or nearer to the base, is in another unit
+FAR_LENGTHS, NEAR_LENGTHS = 10.0, 0.01
 
 
 def add_robot(parser: argparse.ArgumentParser) -> None:
@@ -97,6 +102,82 @@ def named_numbers(option: str, text: str, unit: str) -> dict[str, float]:
         if name.strip() in values:
             raise InputError(f'{option}: {name.strip()!r} stands twice')
         values[name.strip()] = value
+    return values
+
+
+def add_unit(parser: argparse.ArgumentParser) -> None:
+    """Declare the unit of the lengths that a person types."""
+    parser.add_argument(
+        '--unit',
+        choices=LENGTH_UNITS,
+        default='mm',
+        help='of the lengths that you type (default: mm); a number may have its own: 0.03m',
+    )
+
+
+def length(option: str, text: str, unit: str) -> float:
+    """Read a length in a unit, or with its own, in metres."""
+    return read_quantity(option, text, unit, 'length')
+
+
+def input_size(option: str, text: str | None) -> float | None:
+    """Read 0.2N or 0.5mm in newtons or metres; a bare number is newtons."""
+    return None if text is None else read_quantity(option, text, 'N', 'force', 'length')
+
+
+def named_lengths(option: str, text: str, unit: str) -> dict[str, float]:
+    """
+    Read 'left=6,right=-2mm' in metres.
+
+    Raises
+    ------
+    InputError
+        It reads otherwise, or names something twice.
+
+    """
+    pairs = [part.rpartition('=') for part in text.split(',')]
+    if not all(name.strip() and equals for name, equals, _ in pairs):
+        raise InputError(f'{option}: expected NAME=LENGTH,NAME=LENGTH in {unit}, got {text!r}')
+    values = {name.strip(): length(option, number, unit) for name, _, number in pairs}
+    if len(values) < len(pairs):
+        raise InputError(f'{option}: a name stands twice in {text!r}')
+    return values
+
+
+def position(option: str, text: str | None, unit: str, reach: float) -> list[float] | None:
+    """
+    Read the position x,y,z of a tip, in metres.
+
+    Parameters
+    ----------
+    option : str
+        For messages.
+    text : str or None
+        Three lengths.
+    unit : str
+        Of numbers without one.
+    reach : float
+        Length of the arm [m].
+
+    Raises
+    ------
+    InputError
+        It is not three lengths, or none that this arm can be asked for: another unit is meant.
+
+    """
+    if text is None:
+        return None
+    parts = text.split(',')
+    if len(parts) != 3:
+        raise InputError(f'{option}: expected three lengths x,y,z, got {text!r}')
+    values = [length(option, part, unit) for part in parts]
+    away = math.hypot(*values)
+    if away > FAR_LENGTHS * reach or 0.0 < away < NEAR_LENGTHS * reach:
+        other = next((u for u in ('mm', 'm') if u != unit), 'mm')
+        raise InputError(
+            f'{option}: {text} {unit} is {1e3 * away:.4g} mm from the base of an arm of '
+            f'{1e3 * reach:.4g} mm; if {other} is meant, say --unit {other}'
+        )
     return values
 
 

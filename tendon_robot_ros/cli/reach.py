@@ -9,7 +9,7 @@ JSON: tensions {name: N} and pulls {name: m} of what can be commanded (tendons, 
 them); tip {position, direction}; error {position in m, direction in rad}; status.
 
 example: python -m tendon_robot_ros reach config/robots/kato_10_1.yaml \
-    --position 0.06,0,0.15 --direction 1,0,0
+    --position 60,0,150 --direction 1,0,0
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 
 from ..common.errors import InputError
 from ..common.words import columns
-from .options import add_json, add_robot, emit, load_model, vector
+from .options import add_json, add_robot, add_unit, emit, load_model, position, vector
 from .shape import tip_content, tip_line
 
 if TYPE_CHECKING:
@@ -35,19 +35,20 @@ HELP = 'find tensions for a target of the tip'
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_robot(parser)
-    parser.add_argument('--position', metavar='X,Y,Z', help='of the tip [m], base frame')
+    parser.add_argument('--position', metavar='X,Y,Z', help='of the tip, base frame')
+    add_unit(parser)
     parser.add_argument('--direction', metavar='X,Y,Z', help='of the tip; its length is ignored')
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Search and print."""
-    position = vector('--position', args.position)
     direction = vector('--direction', args.direction)
-    if position is None and direction is None:
+    if args.position is None and direction is None:
         raise InputError('target: expected --position, --direction, or both, got neither')
     model = load_model(args)
-    reach = model.reach(position, direction)
+    target = position('--position', args.position, args.unit, model.robot.length)
+    reach = model.reach(target, direction)
     emit(args, reach_content(model, reach), _table(model, reach))
     return 0
 

@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..common.errors import InputError
 from ..common.words import columns
-from .options import add_json, add_robot, emit, load_model, named_numbers
+from .options import add_json, add_robot, add_unit, emit, load_model, named_lengths, named_numbers
 
 if TYPE_CHECKING:
     from ..model.model import Model
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 NAME = 'shape'
 HELP = 'predict the shape under tensions or wire pulls'
+PULL_MIN_M = 5e-5  # [m] a pull that nobody asks for: metres are meant
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_robot(parser)
     inputs = parser.add_mutually_exclusive_group(required=True)
     inputs.add_argument('--tensions', metavar='NAME=N,...', help='tensions [N]')
-    inputs.add_argument('--pulls', metavar='NAME=M,...', help='wire pulls [m]')
+    inputs.add_argument('--pulls', metavar='NAME=MM,...', help='wire pulls')
+    add_unit(parser)
+    what = 'show tensions above the limits of the robot as well'
+    parser.add_argument('--beyond-limits', action='store_true', help=what)
     add_json(parser)
 
 
@@ -44,13 +49,38 @@ def run(args: argparse.Namespace) -> int:
     if args.tensions is not None:
         tensions = named_numbers('--tensions', args.tensions, 'N')
         model = load_model(args)
+        if not args.beyond_limits:
+            _refuse_beyond(model, tensions)
         shape = model.shape(tensions)
     else:
-        pulls = named_numbers('--pulls', args.pulls, 'm')
+        pulls = named_lengths('--pulls', args.pulls, args.unit)
         model = load_model(args)
+        _refuse_other_unit(model, pulls, args.unit)
         shape = model.pull_shape(pulls)
     emit(args, shape_content(model, shape), _table(model, shape))
     return 0
+
+
+def _refuse_beyond(model: Model, tensions: dict[str, float]) -> None:
+    """Raise InputError where no motor of this robot may pull so much."""
+    high = dict(zip(model.inputs, model.limits[:, 1].tolist(), strict=True))
+    for name, tension in tensions.items():
+        if name in high and tension > high[name]:
+            raise InputError(
+                f'--tensions: {name} is {tension:g} N, above the limit of {high[name]:g} N in the '
+                'description; say --beyond-limits to see it all the same'
+            )
+
+
+def _refuse_other_unit(model: Model, pulls: dict[str, float], unit: str) -> None:
+    """Raise InputError where pulls are longer than the arm, or no pulls at all."""
+    largest = max(map(abs, pulls.values()))
+    if largest > model.robot.length or 0.0 < largest < PULL_MIN_M:
+        other = 'm' if unit == 'mm' else 'mm'
+        raise InputError(
+            f'--pulls: wires are pulled by up to {1e3 * largest:.4g} mm on an arm of '
+            f'{1e3 * model.robot.length:.4g} mm; if {other} is meant, say --unit {other}'
+        )
 
 
 def shape_content(model: Model, shape: Shape) -> dict[str, Any]:

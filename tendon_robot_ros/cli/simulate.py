@@ -10,7 +10,7 @@ built, which are printed: cells that scatter and are kinked, inputs, holes and a
 a little off. --level 2 builds it twice as badly.
 
 example: python -m tendon_robot_ros simulate robot.yaml --output rehearsal
-    --hidden hinge_friction soft_cell:cell=7,factor=0.5 --noise position=1e-4
+    --hidden hinge_friction soft_cell:cell=7,factor=0.5 --noise position=0.1
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ from ..workspace.postures import default_postures
 from .data_options import refuse_existing
 from .options import add_effect_files, named_numbers, numbers, vector
 
+NOISE_SCALES = {'position': 1e3}  # typed in mm
+POSITION_NOISE_MIN_MM = 0.001
 HELP = 'write measurements of a robot with hidden effects, to rehearse with'
 
 
@@ -67,15 +69,18 @@ def _add_measuring(parser: argparse.ArgumentParser) -> None:
     add('--count', type=int, metavar='N', help=count)
     add('--trials', type=int, default=5, metavar='N', help='trials of a posture (default: 5)')
     noise = (
-        '1 sd of position [m], setting (relative, shared by the trials of a posture), trial '
+        '1 sd of position [mm], setting (relative, shared by the trials of a posture), trial '
         '(relative); default: '
-        + ','.join(f'{f.name}={getattr(usual, f.name):g}' for f in fields(usual))
+        + ','.join(
+            f'{f.name}={getattr(usual, f.name) * NOISE_SCALES.get(f.name, 1.0):g}'
+            for f in fields(usual)
+        )
     )
     add('--noise', default='', metavar='NAME=VALUE,...', help=noise)
     add('--undeclared', action='store_true', help='do not write the noise into dataset.yaml')
     add('--input', choices=INPUTS, default='tension', help='what the motors set')
     add('--path', choices=PATHS, default='from_straight', help='how postures are reached')
-    markers = 'so many, evenly spaced, or at these arc lengths [m] (default: one per cell)'
+    markers = 'so many, evenly spaced, or at these arc lengths [mm] (default: one per cell)'
     add('--markers', metavar='N|S,S,...', help=markers)
 
 
@@ -184,11 +189,15 @@ def _effect(text: str) -> tuple[str, dict[str, float | tuple[float, ...]]]:
 
 def _noise(text: str) -> SimulatedNoise:
     known = [field.name for field in fields(SimulatedNoise)]
-    values = named_numbers('--noise', text, 'm, or relative') if text else {}
+    values = named_numbers('--noise', text, 'mm, or relative') if text else {}
     for key in values:
         if key not in known:
             raise InputError(f'--noise: expected {", ".join(known)}, got {key!r}')
-    return SimulatedNoise(**values)
+    if 0.0 < values.get('position', 1.0) < POSITION_NOISE_MIN_MM:
+        raise InputError(
+            f'--noise: position={values["position"]:g} mm is no noise of a tracker; write mm'
+        )
+    return SimulatedNoise(**{k: v / NOISE_SCALES.get(k, 1.0) for k, v in values.items()})
 
 
 def _markers(text: str | None, robot: Robot) -> tuple[Marker, ...] | None:
@@ -197,5 +206,5 @@ def _markers(text: str | None, robot: Robot) -> tuple[Marker, ...] | None:
     if text.isdigit() and int(text) > 0:
         places = tuple(robot.length * (np.arange(int(text)) + 1.0) / int(text))
     else:
-        places = numbers('--markers', text, ',')
+        places = tuple(1e-3 * place for place in numbers('--markers', text, ','))
     return tuple(Marker(str(i + 1), float(place)) for i, place in enumerate(places))

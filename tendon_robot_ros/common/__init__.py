@@ -7,6 +7,7 @@ yaml_reading.py   checked reading of YAML; every refusal names file, key, expect
 threads.py        linear algebra in one thread
 processes.py      children that end with who started them; who goes before other work
 rotations.py      rotation matrices, rotation vectors and quaternions
+units.py          units as people write them, to SI
 words.py          numbers as people read them: millimetres, degrees, names in a list
 frames.py         tables of pandas, for those who have it
 colours.py        the colours of measured, predicted and the rest, for pages and pictures

@@ -6,7 +6,6 @@ imported.py       what it gives: a data set, how it came about, `save`, `plot` a
 reading.py        a file to named columns; refuses what is no table
 formats.py        OptiTrack's CSV export and .c3d
 raw_table.py      named columns of numbers, as they were found; a DataFrame as well
-units.py          units as people write them, to SI
 columns.py        what a column is, by its name
 recipe.py         import.yaml: every choice written out
 choices.py        the columns and units that a recipe leaves open

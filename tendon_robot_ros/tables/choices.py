@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..common.errors import DataSetError, InputError
+from ..common.units import UNITS, find_unit
 from ..data.dataset import listing
 from ..robot import Robot
 from .columns import (
@@ -20,7 +21,6 @@ from .columns import (
 )
 from .raw_table import RawTable
 from .recipe import MarkerColumns, Recipe
-from .units import UNITS, find_unit
 
 STEP_MAX_S = 2.0  # a median step above is no second: nobody records an arm so slowly
 LENGTH_UNITS = ('m', 'mm', 'cm', 'inch')  # that a table without units may be in

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ..common.errors import DataSetError
+from ..common.units import Unit, find_unit, split_name
 from ..data.dataset import listing
 from .raw_table import RawTable
-from .units import Unit, find_unit, split_name
 
 WORDS = re.compile(r'[^\W\d_]+|\d+')
 AXES = ('x', 'y', 'z')

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import DataSetError, MissingExtraError
+from ..common.units import find_unit
 from .raw_table import FloatArray, RawTable
-from .units import find_unit
 
 BEGINS = 'Format Version'  # the first cell that Motive writes
 UNUSED = 'unused'  # columns that are named so get no role

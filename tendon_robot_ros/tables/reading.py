@@ -9,9 +9,9 @@ from pathlib import Path
 
 from ..common.errors import DataSetError, MissingExtraError, short
 from ..common.frames import pandas
+from ..common.units import find_unit
 from .formats import is_optitrack, optitrack_header, read_c3d
 from .raw_table import MISSING, RawTable, is_number, table_of
-from .units import find_unit
 
 BYTES_MAX = 1_000_000_000  # of a file: its numbers and their parse must fit into the memory
 HEAD = 1 << 16  # bytes that tell what kind of file it is

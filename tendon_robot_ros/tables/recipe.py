@@ -11,11 +11,11 @@ from typing import Any
 import yaml
 
 from ..common.errors import DataSetError, short
+from ..common.units import UNITS, find_unit
 from ..common.yaml_reading import Reader, parse_yaml
 from ..data.dataset import PATHS
 from ..data.markers import Vector
 from .columns import ColumnUse
-from .units import UNITS, find_unit
 
 KEYS = ('sources', 'robot', 'time', 'inputs', 'zero', 'spool', 'positions', 'markers', 'offset',
         'places', 'up', 'delay', 'still', 'same', 'rest', 'path', 'frame',

@@ -10,12 +10,12 @@ import numpy.typing as npt
 
 from ..common.errors import DataSetError, InputError
 from ..common.frames import pandas
+from ..common.units import UNITS, find_unit
 from ..data.dataset import listing
 from ..data.recording.reader import Recording, Track
 from .choices import Taken, time_column
 from .raw_table import FloatArray, RawTable
 from .recipe import Recipe, WireSpool
-from .units import UNITS, find_unit
 
 IntArray = npt.NDArray[np.int64]
 JUMP_MAX_S = 0.3  # [s] a marker is taken for another one for a few frames

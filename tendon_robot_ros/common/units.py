@@ -6,7 +6,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from ..common.errors import InputError
+from .errors import InputError
 
 GRAM_FORCE = 9.80665e-3  # [N], standard gravity
 POUND_FORCE = 4.4482216  # [N]
