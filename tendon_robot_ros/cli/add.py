@@ -30,9 +30,8 @@ from .data_options import (
     refuse_existing,
     write_description,
 )
-from .options import add_effect_files, add_json, emit
+from .options import REFUSED_EXIT_CODE, add_effect_files, add_json, emit
 
-REFUSED_EXIT_CODE = 2
 HELP = 'add a physical effect to a robot description, fitted on measurements'
 
 

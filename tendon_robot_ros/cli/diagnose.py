@@ -39,10 +39,9 @@ from .data_options import (
     refuse_existing,
     write_description,
 )
-from .options import add_effect_files, add_json, emit, progress
+from .options import REFUSED_EXIT_CODE, add_effect_files, add_json, emit, progress
 
 HELP = 'name the physical effect that a model lacks'
-REFUSED_EXIT_CODE = 2
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -16,9 +16,10 @@ import sys
 from pathlib import Path
 
 from ..common.errors import InputError
+from ..common.files import refuse_ending
 from ..data import save_dataset
 from ..data.folder.description import read_text
-from ..data.recording.importing import PICTURES, draw_segments, import_bag, summary
+from ..data.recording.importing import draw_segments, import_bag, summary
 from ..data.recording.reader import Topics
 from ..data.recording.still_segments import Rule
 from .options import input_size
@@ -99,8 +100,8 @@ def run(args: argparse.Namespace) -> int:
     limits = args.speed, args.duration, 1.0 if change is None else change
     if not all(0 < value < 1e4 for value in limits):
         raise InputError('--speed [mm/s], --duration [s] and --change are above 0')
-    if args.picture and Path(args.picture).suffix not in PICTURES:
-        raise InputError(f'--picture {args.picture}: end the name with {", ".join(PICTURES)}')
+    if args.picture:
+        refuse_ending('--picture', args.picture)
     description = None
     if args.description:
         description = read_text(Path(args.description))

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from ..common.errors import InputError, MissingExtraError, TendonRobotError
+from ..common.words import PROGRAM
 
 # The one list of commands: `python -m`, `ros2 run` and setup.py all read it.
 COMMANDS: dict[str, str] = {
@@ -58,7 +59,6 @@ COMMANDS: dict[str, str] = {
     'calibrate': 'tendon_robot_ros.cli.calibrate',
 }
 
-PROGRAM = 'python -m tendon_robot_ros'
 PACKAGE = Path(__file__).parents[1]
 NODE_OPTIONS = '[--ros-args [-p PARAMETER:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 LENGTH_UNITS = ('mm', 'm', 'cm', 'inch')
 # lengths of the arm: a target farther off, or nearer to the base, is in another unit
 FAR_LENGTHS, NEAR_LENGTHS = 10.0, 0.01
+REFUSED_EXIT_CODE = 2  # nothing was written because that would not help
 
 
 def add_robot(parser: argparse.ArgumentParser) -> None:

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from ..common.errors import InputError
+from ..common.files import refuse_ending
 from ..data.recording.reader import Moves, Places, read_moves
 from ..paths.run import PathRun
-from ..report.path_run import PICTURES, draw_run
+from ..report.path_run import draw_run
 
 HELP = 'draw a recording: tip, targets, commands'
 
@@ -29,8 +30,7 @@ def run(args: argparse.Namespace) -> int:
     """Read and draw."""
     bag = Path(args.bag)
     output = Path(args.output or f'{bag.parent / bag.stem}.png')
-    if output.suffix not in PICTURES:
-        raise InputError(f'--output {output}: end the name with {", ".join(PICTURES)}')
+    refuse_ending('--output', output)
     moves = read_moves(bag)
     if not len(moves.tips):
         raise InputError(f'{bag}: no measured_tip and no predicted_tip in it: nothing to draw')

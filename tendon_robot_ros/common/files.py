@@ -9,7 +9,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from .errors import DataSetError
+from .errors import DataSetError, InputError
+
+PICTURE_ENDINGS = ('.png', '.svg', '.pdf')
 
 
 @contextmanager
@@ -105,3 +107,9 @@ def _check(folder: Path, replaceable: tuple[str, ...]) -> None:
             raise DataSetError(
                 str(folder), f'is not empty, it holds {name}', 'name a new folder or empty it'
             )
+
+
+def refuse_ending(option: str, path: str | Path) -> None:
+    """Raise InputError where the ending of a picture's name is of no format."""
+    if Path(path).suffix not in PICTURE_ENDINGS:
+        raise InputError(f'{option} {path}: end the name with {", ".join(PICTURE_ENDINGS)}')

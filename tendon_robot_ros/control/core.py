@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import DriverError, InputError, TendonRobotError
-from ..drivers.safety import StopLatch, approach, bounded
+from ..drivers.safety import CYCLE_MAX_S, StopLatch, approach, bounded
 from .checks import Refusal, check_inputs
 from .jog import Jog, Twist, follow_twist, start_jog
 from .seeking import TargetSearch, seek, solution_of
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from ..model.shape import Reach, Shape
 
 Array = NDArray[np.float64]
-CYCLE_MAX_S = 0.05  # [s]; after a stall the command does not catch up in one step
 HELD_SILENT_S = 1.0  # [s] for which the last command is held after the driver fell silent
 
 

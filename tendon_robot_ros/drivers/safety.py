@@ -12,6 +12,7 @@ from .interface import MODES
 
 Array = NDArray[np.float64]
 STOP_TIME_MIN_S = 0.05  # [s] in which a stop may let go at the soonest
+CYCLE_MAX_S = 0.05  # [s]; after a stall the command does not catch up in one step
 
 
 def approach(current: Array, goal: Array, step: Array) -> Array:

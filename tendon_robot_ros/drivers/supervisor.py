@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from ..common.errors import DriverError
 from .interface import Reading
-from .safety import Decision, SafetyRules, StopLatch, approach, bounded
+from .safety import CYCLE_MAX_S, Decision, SafetyRules, StopLatch, approach, bounded
 
 Array = NDArray[np.float64]
 OFF, FOLLOWING, RELEASING, RELEASED, LIMP = 'off', 'following', 'releasing', 'released', 'limp'
-CYCLE_MAX_S = 0.05  # [s]; after a stall the command does not catch up in one step
 HARDWARE = 'hardware'  # key of a stop that nobody asked for
 
 

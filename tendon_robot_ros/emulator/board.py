@@ -16,10 +16,9 @@ from ..drivers.hardware import STANDARD_GRAVITY
 from ..drivers.serial_board.messages import CELL_COUNTS_MAX, CHANNEL_FAULTS
 from .firmware import Firmware
 from .port import COMMON_HELP, Action, Plug
-from .rig import Arm
+from .rig import TIME_STEP_MAX_S, Arm
 
 STEP_S = 1e-3  # [s] of firmware and physics
-TIME_STEP_MAX_S = 0.1  # [s]; after a longer pause of this process the emulated world skips time
 SPEED_MAX = 0.1  # [m/s] of the wire at full duty
 MOTOR_LAG_S = 0.005  # [s] of the motor
 SPEED_DROOP = 0.002  # [m/s per N]

@@ -80,7 +80,6 @@ def _mm(metres: float) -> str:
 
 FLAT_WITHIN_SHARE = 0.03  # of the largest extent
 ROWS_DRAWN_MAX = 60  # more marks would hide the path
-PICTURES = ('.png', '.svg', '.pdf')
 
 
 def draw_run(run: PathRun, path: str | Path, title: str) -> Path:
@@ -92,7 +91,7 @@ def draw_run(run: PathRun, path: str | Path, title: str) -> Path:
     run : PathRun
         What was followed.
     path : str or Path
-        Where the picture goes; the ending says the format, one of `PICTURES`.
+        Where the picture goes; the ending says the format: .png, .svg or .pdf.
     title : str
         Stands above.
 

@@ -255,7 +255,6 @@ def _never_still(bag: str, moved: ArmMotion, rule: Rule) -> DataSetError:
 # -----------------------------------------------------------------------------
 # A picture of what an import took from a recording.
 
-PICTURES = ('.png', '.svg', '.pdf')
 NAMES_DRAWN_MAX = 80  # more do not fit beside each other
 PICTURE_WIDTH_MAX_IN = 40.0  # [inches]
 
@@ -269,7 +268,7 @@ def draw_segments(imported: Imported, path: str | Path) -> Path:
     imported : Imported
         What `import_bag` returned.
     path : str or Path
-        Where the picture goes; the ending says the format, one of `PICTURES`.
+        Where the picture goes; the ending says the format: .png, .svg or .pdf.
 
     Raises
     ------

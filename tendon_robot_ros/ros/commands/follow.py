@@ -22,13 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.errors import InputError
+from ...common.files import refuse_ending
 from ...control.trajectory import Playing
 from ...data.folder.path_file import TendonRows, TipRows, read_path
 from ...data.recording.reader import is_bag, read_moves
 from ...paths.path import TipPath, set_points, tip_path
 from ...paths.plan import Pace, Plan, plan, retreat, stretched, thinned
 from ...paths.run import PathRun
-from ...report.path_run import PICTURES, draw_run, lines
+from ...report.path_run import draw_run, lines
 from ..controller.incoming import POINTS_MAX
 from ..shared.robot_client import Pilot, add_controller
 from ..shared.runtime import ros
@@ -67,8 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     """Follow and report; Ctrl-C leaves the arm at the target of the moment."""
     pace = _pace(args)
-    if Path(args.picture).suffix not in PICTURES:
-        raise InputError(f'--picture {args.picture}: end the name with {", ".join(PICTURES)}')
+    refuse_ending('--picture', args.picture)
     with ros(ros_arguments) as ending:
         pilot = Pilot('follow', args.controller, ending)
         try:
