@@ -2,7 +2,8 @@
 A model against measurements: how far off, where, and how much of that is noise.
 
 compare.py      `compare`: models and a data set to a comparison
-result.py       what a comparison holds; to JSON and back
+result.py       what a comparison holds, and pictures of it
+saved.py        a comparison to JSON and back
 predict.py      what a model with freed parameters predicts for the postures of a data set
 noise.py        repeatability of the trials, input noise through the model, the noise floor
 statistics.py   means with intervals, the paired t-test, tails of distributions

@@ -113,15 +113,21 @@ def cache_folder() -> Path:
 
 def kernel_key(catalogue: Catalogue) -> str:
     """Key over the sources of the kernel, its stages and every effect, Python and numba."""
-    digest = hashlib.sha256(f'{catalogue.digest} {stages_source(catalogue)}'.encode())
+    stages = f'{catalogue.digest} {stages_source(catalogue)}'
     # machine code in the cache names the modules of the laws; the same file may be in two places
-    digest.update(' '.join(effect.law.__module__ for effect in catalogue).encode())
+    modules = ' '.join(effect.law.__module__ for effect in catalogue)
+    return hashlib.sha256(f'{stages} {modules} {_kernel_digest()}'.encode()).hexdigest()[:20]
+
+
+@cache
+def _kernel_digest() -> str:
+    """Key over what does not change while a process runs: the kernel, Python and numba."""
+    digest = hashlib.sha256(Path(__file__).read_bytes())
     for path in sorted(KERNEL.glob('*.py')):
         digest.update(path.read_bytes())
-    digest.update(Path(__file__).read_bytes())
     version = importlib.import_module('numba').__version__
     digest.update(f'{sys.version} {version}'.encode())
-    return digest.hexdigest()[:20]
+    return digest.hexdigest()
 
 
 def compose(catalogue: Catalogue) -> Callable[[str], ModuleType]:

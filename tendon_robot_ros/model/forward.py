@@ -57,7 +57,7 @@ class ForwardModel:
     @property
     def implicit_effects(self) -> tuple[str, ...]:
         """Effects that act and need the shape."""
-        friction = any(e.stage == 'eyelet' and self.acts(e.name) for e in self.catalogue)
+        friction = self.acts_at('eyelet')
         return tuple(
             e.name
             for e in self.catalogue
@@ -68,16 +68,29 @@ class ForwardModel:
         """Tell whether an effect is listed with a parameter off its neutral value."""
         return bool(self.arrays.on[self.arrays.layout.index[effect]])
 
+    def acts_at(self, stage: str) -> bool:
+        """Tell whether an effect of a stage acts."""
+        return bool(self.arrays.on[self._members[stage]].any())
+
+    @cached_property
+    def _members(self) -> dict[str, npt.NDArray[np.int64]]:
+        """Where the effects of every stage stand among the switches."""
+        index = self.arrays.layout.index
+        return {
+            stage: np.array([index[e.name] for e in self.catalogue if e.stage == stage], int)
+            for stage in STAGES
+        }
+
     @property
     def remembers(self) -> bool:
         """Whether friction remembers the loading history."""
-        return any(e.stage == 'memory' and self.acts(e.name) for e in self.catalogue)
+        return self.acts_at('memory')
 
     @property
     def sticks(self) -> bool:
         """Whether tendons stick where the travel beyond an eyelet says so, without memory."""
-        acting = {e.stage for e in self.catalogue if self.acts(e.name)}
-        return {'eyelet', 'friction_travel'} <= acting and 'memory' not in acting
+        slides = self.acts_at('eyelet') and self.acts_at('friction_travel')
+        return slides and not self.acts_at('memory')
 
     def tensions(self, tensions: TensionsLike) -> Floats:
         """
@@ -236,7 +249,7 @@ class ForwardModel:
     def measured(self, points: Floats) -> Floats:
         """Move points (..., 3) [m] from the robot's base frame to the tracker's."""
         moved = np.array(points, dtype=float, order='C')
-        if any(e.stage == 'measurement' and self.acts(e.name) for e in self.catalogue):
+        if self.acts_at('measurement'):
             self.arrays.part('shape').measured(self.arrays.address, moved.reshape(-1, 3))
         return moved
 
