@@ -11,10 +11,7 @@ import math
 
 import numpy as np
 
-from .layout import compiled, floats, words
-from .loads import loaded
-from .stages import eyelet_acts
-from .tangent import (
+from .layout import (
     BEFORE,
     BY_TENSION,
     BY_TORQUE,
@@ -30,42 +27,15 @@ from .tangent import (
     TORQUE_BY_OWN,
     TORQUE_BY_TURN,
     TRAVELS,
+    compiled,
+    floats,
     tangent_of,
+    words,
 )
+from .linear import solve_rows
+from .loads import loaded
+from .stages import eyelet_acts
 from .twisting import coordinates
-
-
-@compiled
-def solve_rows(a, b, size):
-    """Solve a x = b in place, a (size, size), b (size, ...), by LU; False where singular."""
-    width = b.shape[1]
-    for c in range(size):
-        pivot = c
-        for r in range(c + 1, size):
-            if abs(a[r, c]) > abs(a[pivot, c]):
-                pivot = r
-        if not 1e-30 < abs(a[pivot, c]) < 1e30:
-            return False
-        if pivot != c:
-            for j in range(size):
-                a[c, j], a[pivot, j] = a[pivot, j], a[c, j]
-            for j in range(width):
-                b[c, j], b[pivot, j] = b[pivot, j], b[c, j]
-        for r in range(c + 1, size):
-            share = a[r, c] / a[c, c]
-            if share != 0.0:
-                for j in range(c + 1, size):
-                    a[r, j] -= share * a[c, j]
-                for j in range(width):
-                    b[r, j] -= share * b[c, j]
-    for r in range(size - 1, -1, -1):
-        for c in range(r + 1, size):
-            for j in range(width):
-                b[r, j] -= a[r, c] * b[c, j]
-        scale = 1.0 / a[r, r]
-        for j in range(width):
-            b[r, j] *= scale
-    return True
 
 
 @compiled

@@ -280,3 +280,27 @@ def section_of(chain, i):
 def cell(chain, i, column):
     """One column of cell i."""
     return floats(chain.cells)[COLUMNS * i + column]
+
+
+# Derivatives of a cell (`tangent`): SIZE floats, matrices of three by three. The residual [rad] by
+# the own bend and twist, by the turn of the first frame (rotation vector, base frame) and by the
+# torque [N·m] at the end; the turn of the last frame by the own bend and twist; the torque at the
+# start by the turn of the first frame and by the own bend and twist. Then TENDON floats a tendon.
+OWN, BY_TURN, BY_TORQUE, TURNS, TORQUE_BY_TURN, TORQUE_BY_OWN, SIZE = 0, 9, 18, 27, 36, 45, 54
+# Residual by tension; tension behind the eyelet at the cell's start by that before it, by bends
+# and twist before and in the cell, by the travel beyond; travel by the own bend and twist; torque
+# by tension; tension behind the eyelet by what its travel lags.
+BY_TENSION, PASSED, BEFORE, HERE, SLIDES = 0, 3, 4, 7, 10
+TRAVELS, PULLS, LAGS, TENDON = 11, 14, 17, 18
+
+
+@compiled
+def tangent_size(n, k):
+    """Floats that the derivatives of a chain take."""
+    return n * (SIZE + TENDON * k)
+
+
+@compiled
+def tangent_of(chain, tangent, i):
+    """Address of the derivatives of cell i."""
+    return tangent + 8 * i * (SIZE + TENDON * chain.k)

@@ -12,7 +12,7 @@ import numpy as np
 from .bending import bend_cell, twist_of
 from .geometry import shaped_travel
 from .layout import address, compiled, floats, residual_at
-from .newton import largest
+from .linear import largest
 from .residual import moment_arms_of, tendon_moment
 from .stages import offset_scale, torsion_acts
 from .sweep import active_stages, base_tensions, pass_eyelet, tendons_about

@@ -5,50 +5,10 @@ import math
 import numpy as np
 
 from .layout import NEWTON, address, compiled, entry, floats, residual_at, respond_at
+from .linear import dot, largest
 from .twisting import unknowns
 
 BEND_TOLERANCE = 1e-10  # [rad] largest change of a bend at which a shape counts as settled
-
-
-@compiled
-def largest(values):
-    """Largest absolute entry; NaN counts as infinite."""
-    top = 0.0
-    for value in values:
-        if not abs(value) <= 1e6:
-            return math.inf
-        top = max(top, abs(value))
-    return top
-
-
-@compiled
-def solve_small(a, b, size):
-    """Solve a x = b in place for a small positive definite a (size, size) by Cholesky."""
-    for j in range(size):
-        for i in range(j):
-            a[j, j] -= a[j, i] * a[j, i]
-        a[j, j] = math.sqrt(max(a[j, j], 1e-300))
-        for r in range(j + 1, size):
-            for i in range(j):
-                a[r, j] -= a[r, i] * a[j, i]
-            a[r, j] /= a[j, j]
-    for j in range(size):
-        for i in range(j):
-            b[j] -= a[j, i] * b[i]
-        b[j] /= a[j, j]
-    for j in range(size - 1, -1, -1):
-        for i in range(j + 1, size):
-            b[j] -= a[i, j] * b[i]
-        b[j] /= a[j, j]
-
-
-@compiled
-def dot(a, b):
-    """Inner product."""
-    total = 0.0
-    for j in range(a.shape[0]):
-        total += a[j] * b[j]
-    return total
 
 
 @compiled

@@ -6,7 +6,7 @@ import numpy as np
 
 from .derivatives import output_slopes
 from .layout import address, chain_at, compiled, entry, floats, workspace
-from .newton import solve_small
+from .linear import solve_small
 from .shape import accept, balance, mean_pulls, predict, wire_pulls
 from .twisting import unknowns
 

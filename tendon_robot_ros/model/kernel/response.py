@@ -17,8 +17,22 @@ from .elimination import (
     pass_tensions,
     solve_cell,
 )
-from .layout import RESPOND, address, compiled, entry, floats, keep, words
-from .tangent import SIZE, SLIDES, TENDON, TURNS, differentiate, tangent_of, tangent_size
+from .layout import (
+    RESPOND,
+    SIZE,
+    SLIDES,
+    TENDON,
+    TURNS,
+    address,
+    compiled,
+    entry,
+    floats,
+    keep,
+    tangent_of,
+    tangent_size,
+    words,
+)
+from .tangent import differentiate
 
 
 @compiled

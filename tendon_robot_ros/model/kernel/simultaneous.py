@@ -14,17 +14,8 @@ import numpy as np
 
 from .derivatives import place_as
 from .inverse import gauss_newton_step
-from .layout import (
-    SLIP_LENGTH,
-    address,
-    chain_at,
-    compiled,
-    entry,
-    floats,
-    respond_at,
-    workspace,
-)
-from .newton import largest
+from .layout import SLIP_LENGTH, address, chain_at, compiled, entry, floats, respond_at, workspace
+from .linear import largest
 from .residual import imbalance, place_forces, place_travel
 from .stick import exchange, own_travel, take_over
 from .twisting import unknowns

@@ -5,9 +5,10 @@ import math
 import numpy as np
 
 from .layout import SETTLE, SLIP_LENGTH, address, compiled, entry, floats, newton_at, step_at
+from .linear import dot, largest, solve_small
 from .loads import loaded
 from .march import march
-from .newton import BEND_TOLERANCE, dot, largest, solve_small
+from .newton import BEND_TOLERANCE
 from .stability import SAFE_LOAD_SHARE, descend, load_ratio
 from .stages import eyelet_acts, friction_travel_acts, memory_acts
 from .stick import solve_sliding

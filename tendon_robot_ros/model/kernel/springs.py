@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from .elimination import solve_rows
 from .layout import chain_at, compiled, entry, workspace
+from .linear import solve_rows
 from .pulls import pull_residuals, pull_slopes
 from .shape import accept, predict
 from .twisting import unknowns

@@ -6,8 +6,9 @@ import numpy as np
 
 from .bending import cell_stiffness
 from .layout import LENGTH, address, cell, compiled, newton_at, respond_at, section_of, step_at
+from .linear import dot, largest
 from .loads import force_at_tip, weight
-from .newton import BEND_TOLERANCE, dot, largest, residual
+from .newton import BEND_TOLERANCE, residual
 
 SAFE_LOAD_SHARE = 0.7  # [1] share of Euler's load below which no shape of the arm is unstable
 

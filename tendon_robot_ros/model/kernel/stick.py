@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from .layout import SLIP_LENGTH, address, compiled, floats, newton_at, respond_at, words
-from .newton import largest
+from .linear import largest
 from .residual import imbalance, moment_arms_of, place_forces, place_travel
 from .stages import torsion_acts
 

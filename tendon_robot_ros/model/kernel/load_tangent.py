@@ -1,0 +1,190 @@
+"""
+Derivatives of what the loads say about a cell: of their moment, and of what it passes on.
+
+Taken by central differences of the cell's own functions, in `loads`; see `tangent`.
+"""
+
+from .layout import (
+    BY_TORQUE,
+    BY_TURN,
+    HINGE,
+    TORQUE_BY_OWN,
+    TORQUE_BY_TURN,
+    TURNS,
+    cell,
+    compiled,
+    floats,
+    inlined,
+    section_of,
+)
+from .loads import NO_LOAD, cell_moment, cross, local, plus, scaled, turn_moment, turned, weight
+from .stages import length
+from .turning import arc_factor, end_of, half_turn
+from .twisting import axial_moment, bending_frame
+
+BEND_STEP = 1e-5  # [rad] of central differences
+TENSION_STEP = 1e-4  # [1], and of 10 mN
+
+
+@inlined
+def bend_cell_of(chain, work, i, x, y, force, torque, own, general):
+    """
+    Moment (x, y, about) [N·m] on a cell bent by (x, y), where its end and its weight lie [m].
+
+    Parameters
+    ----------
+    x, y : float
+        Bend [rad].
+    force, torque, own : tuple of float
+        Of all beyond at the cell's end, and its weight, in the frame that bends: (3,) [N], [N·m],
+        [N].
+    general : bool
+        Whether cells twist or weight lies beside the axis; a constant.
+
+    """
+    s, c = half_turn(x * x + y * y)
+    reach = floats(work.lengths)[i]
+    mx, my, middle = cell_moment(chain, i, x, y, s, c, force, torque, own, reach, general)
+    across, along = end_of(x * x + y * y, s, c, reach, cell(chain, i, HINGE))
+    end, about = (across * x, across * y, along), 0.0
+    if general:
+        start = plus(torque, plus(cross(end, force), cross(middle, own)))
+        about = axial_moment(x, y, 2.0 * s * c, 2.0 * s * s, torque, start)
+    return (mx, my, about), end, middle
+
+
+@compiled
+def bent_cell(chain, work, i, x, y, force, torque, own):
+    """Return `bend_cell_of` where loads do no more than bend."""
+    return bend_cell_of(chain, work, i, x, y, force, torque, own, False)
+
+
+@compiled
+def general_cell(chain, work, i, x, y, force, torque, own):
+    """Return `bend_cell_of` where cells twist or weight lies beside the axis."""
+    return bend_cell_of(chain, work, i, x, y, force, torque, own, True)
+
+
+@inlined
+def loaded_cell(chain, work, i, x, y, force, torque, own, general):
+    """Return `bend_cell_of`, by code compiled once for each kind of loads."""
+    if general:
+        return general_cell(chain, work, i, x, y, force, torque, own)
+    return bent_cell(chain, work, i, x, y, force, torque, own)
+
+
+@compiled
+def difference(h, a, b):
+    """Return (a - b) / (2 h) of two triples."""
+    return scaled(0.5 / h, (a[0] - b[0], a[1] - b[1], a[2] - b[2]))
+
+
+@inlined
+def load_slopes(chain, bend, work, i, row, general):
+    """
+    Fill what the loads say about cell i; differentiate their moment by x, y and the twist.
+
+    In `row`, BY_TURN and BY_TORQUE take the moment's derivatives, before they meet the
+    compliance.
+    """
+    x, y, h = floats(bend)[2 * i], floats(bend)[2 * i + 1], BEND_STEP
+    f, wrench = bending_frame(chain, bend, work, i, general), floats(work.wrench + 48 * i)
+    force, torque = (wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])
+    own = scaled(floats(work.slip)[1], weight(chain, i))
+    loads = (local(f, force), local(f, torque), local(f, own))
+    by_x = by_y = by_twist = NO_LOAD
+    for a in range(2):
+        dx, dy = (h, 0.0) if a == 0 else (0.0, h)
+        m, up, mid = loaded_cell(chain, work, i, x + dx, y + dy, *loads, general)
+        n, low, lowmid = loaded_cell(chain, work, i, x - dx, y - dy, *loads, general)
+        by_x, by_y = by_y, difference(h, m, n)
+        by_own = plus(
+            cross(turned(f, difference(h, up, low)), force),
+            cross(turned(f, difference(h, mid, lowmid)), own),
+        )
+        for r in range(3):
+            row[TORQUE_BY_OWN + 3 * r + a] = by_own[r]
+    turn_slopes(chain, f, work, i, x, y, force, torque, own, row, general)
+    if general:
+        by_twist = twist_slopes(f, row)
+    return by_x, by_y, by_twist
+
+
+@inlined
+def turn_slopes(chain, f, work, i, x, y, force, torque, own, row, general):
+    """
+    Fill what a turn of the frame of cell i does, and how its own bend turns the next one.
+
+    Parameters
+    ----------
+    x, y : float
+        Bend [rad].
+    force, torque, own : tuple of float
+        Of all beyond at the cell's end, and its weight, base frame: (3,) [N], [N·m], [N].
+    row : pointer
+        Derivatives of the cell.
+
+    """
+    s, c = half_turn(x * x + y * y)
+    sinc, versine = 2.0 * s * c, 2.0 * s * s
+    leaning = versine - arc_factor(x * x + y * y, s, c)
+    wrench = (local(f, force), local(f, torque), local(f, own))
+    _, end, middle = loaded_cell(chain, work, i, x, y, *wrench, general)
+    end, middle = turned(f, end), turned(f, middle)
+    for r in range(3):
+        unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
+        wrench = (cross(force, unit), cross(torque, unit), cross(own, unit))
+        wrench = (local(f, wrench[0]), local(f, wrench[1]), local(f, wrench[2]))
+        m, _, _ = loaded_cell(chain, work, i, x, y, *wrench, general)
+        unit_here = local(f, unit)
+        tx, ty = turn_moment(x, y, unit_here, sinc, versine, leaning)
+        row[BY_TURN + r], row[BY_TURN + 3 + r] = m[0], m[1]
+        row[BY_TORQUE + r], row[BY_TORQUE + 3 + r] = tx, ty
+        row[TURNS + 3 * r], row[TURNS + 3 * r + 1] = tx, ty
+        if general:
+            about = axial_moment(x, y, sinc, versine, unit_here, unit_here)
+            row[BY_TURN + 6 + r] = m[2]
+            row[BY_TORQUE + 6 + r] = row[TURNS + 3 * r + 2] = about
+        by_turn = plus(cross(cross(unit, end), force), cross(cross(unit, middle), own))
+        for a in range(3):
+            row[TORQUE_BY_TURN + 3 * a + r] = by_turn[a]
+
+
+@compiled
+def twist_slopes(f, row):
+    """
+    Fill what the twist of a cell does to the torque at its start; return what to its moment.
+
+    Half a twist turns the frame that bends about its z.
+    """
+    by_twist = (row[BY_TURN], row[BY_TURN + 3], row[BY_TURN + 6])
+    by_twist = scaled(0.5 * f[2], by_twist)
+    for r in range(1, 3):
+        column = (row[BY_TURN + r], row[BY_TURN + 3 + r], row[BY_TURN + 6 + r])
+        by_twist = plus(by_twist, scaled(0.5 * f[3 * r + 2], column))
+    for a in range(3):
+        turn = TORQUE_BY_TURN + 3 * a
+        row[TORQUE_BY_OWN + 3 * a + 2] = 0.5 * (
+            row[turn] * f[2] + row[turn + 1] * f[5] + row[turn + 2] * f[8]
+        )
+    return by_twist
+
+
+@compiled
+def compression_slopes(chain, bend, work, i, total):
+    """Differentiate the loads' moment (x, y, about) and the torque at the start by tension."""
+    h, section = TENSION_STEP * (total + 0.01), section_of(chain, i)
+    rate = length(1.0, total + h, chain, section) - length(1.0, total - h, chain, section)
+    rate /= 2.0 * h * length(1.0, total, chain, section)
+    x, y = floats(bend)[2 * i], floats(bend)[2 * i + 1]
+    f, wrench = bending_frame(chain, bend, work, i, True), floats(work.wrench + 48 * i)
+    force = (wrench[0], wrench[1], wrench[2])
+    own = scaled(floats(work.slip)[1], weight(chain, i))
+    loads, lengths = (local(f, force), NO_LOAD, local(f, own)), floats(work.lengths)
+    m, end, middle = general_cell(chain, work, i, x, y, *loads)
+    reach, lengths[i] = lengths[i], 0.0  # a weight beside the axis stays where it is
+    rest, _, beside = general_cell(chain, work, i, x, y, *loads)
+    lengths[i] = reach
+    m, middle = plus(m, scaled(-1.0, rest)), plus(middle, scaled(-1.0, beside))
+    pull = plus(cross(turned(f, end), force), cross(turned(f, middle), own))
+    return scaled(rate, m), scaled(rate, pull)
