@@ -16,9 +16,9 @@ from .raw_table import FloatArray
 
 AS_GIVEN = 'places as given'
 SAME_PLACE_M = 1e-3  # [m] markers that are never farther apart are one that was exported twice
-OFF_ARM = 0.5  # cells that a marker may seem to be below the base and still be on the arm
-SNAP = 0.3  # of a cell's length: that near to the ends of cells, markers are at them
-EVEN = 0.06  # of the spacing: that near to even spacing, markers are evenly spaced
+BELOW_BASE_CELLS = 0.5  # cells that a marker may seem to be below the base and still be on the arm
+END_WITHIN_SHARE = 0.3  # of a cell's length: that near to the ends of cells, markers are at them
+EVEN_WITHIN_SHARE = 0.06  # of the spacing: that near to even spacing, markers are evenly spaced
 ROUND_M = 1e-4  # [m] arc lengths that were measured
 
 
@@ -80,7 +80,7 @@ def order_markers(
         kept = tuple(j for j in members if j not in off)
         _check_spacing(name, apart[kept[0], kept[-1]], known, cell)
         return MarkerOrder(kept, tuple(known), AS_GIVEN, tuple(off), twice)
-    on_arm = below_tip > -OFF_ARM * cell
+    on_arm = below_tip > -BELOW_BASE_CELLS * cell
     kept = tuple(j for j, one in zip(members, on_arm, strict=True) if one)
     if len(kept) < 2:
         far = 1e3 * float(apart[base, members[-1]])
@@ -174,14 +174,14 @@ def _snapped(measured: FloatArray, robot: Robot) -> tuple[tuple[float, ...], str
     ends = np.array([marker.arc_length for marker in default_markers(robot)])
     lengths = np.diff(ends, prepend=0.0)
     nearest = np.abs(measured[:, None] - ends).argmin(axis=1)
-    near = np.abs(measured - ends[nearest]) < SNAP * lengths[nearest]
+    near = np.abs(measured - ends[nearest]) < END_WITHIN_SHARE * lengths[nearest]
     if near.all() and len(set(nearest.tolist())) == len(measured):
         where = 'the ends of its cells'
         if len(measured) < len(ends):
             where = f'the ends of cells {listed(str(i + 1) for i in nearest)}'
         return tuple(ends[nearest].tolist()), f'the last marker is at the tip, all at {where}'
     even = robot.length * (np.arange(len(measured)) + 1.0) / len(measured)
-    if np.abs(measured - even).max() < EVEN * even[0]:
+    if np.abs(measured - even).max() < EVEN_WITHIN_SHARE * even[0]:
         return tuple(even.round(9).tolist()), 'the last marker is at the tip, all evenly spaced'
     places = np.clip(np.round(measured / ROUND_M) * ROUND_M, 0.0, robot.length).round(9)
     return (

@@ -29,16 +29,16 @@ from .raw_table import FloatArray
 from .recipe import MarkerColumns, Recipe
 from .traces import Traces
 
-SPEEDS = (0.002, 0.02)  # [m/s] slower is still, whatever the tracker's noise makes of it
-CHANGES = (0.01, 0.1)  # of the largest input: a smaller change within a window is none
+SPEED_LIMITS_M_S = (0.002, 0.02)  # [m/s] slower is still, whatever the tracker's noise makes of it
+CHANGE_SHARES = (0.01, 0.1)  # of the largest input: a smaller change within a window is none
 NOISE_MARGIN = 3.0  # times what noise makes of an arm that stands
 QUIET_SHARE = 0.15  # of the time that an arm stands at least
-JUMP = 8.0  # robust standard deviations from the median of a still segment: a frame jumps
+JUMP_FROM_SD = 8.0  # robust standard deviations from the median of a still segment: a frame jumps
 SEEN_SHARE = 0.5  # of the frames of a still segment in which a marker has to be seen
 JUMP_MIN_M = 5e-4  # [m] a tracker's ordinary noise is no jump
 # shares of the largest input: differences below are nothing; a usual one; from which it is another
 SAME = (0.002, 0.01, 0.08)
-GAP = 2.5  # times, between the scatter of trials and the steps of postures
+GAP_RATIO = 2.5  # times, between the scatter of trials and the steps of postures
 REST_SHARE = 0.3  # of the segments that are at rest where an arm rests between trials
 
 
@@ -78,7 +78,9 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
 
     """
     recipe, kind = taken.recipe, taken.kind
-    rule = Rule(recipe.speed or SPEEDS[0], recipe.duration, recipe.change).fill(robot, kind)
+    rule = Rule(recipe.speed or SPEED_LIMITS_M_S[0], recipe.duration, recipe.change).fill(
+        robot, kind
+    )
     motions: list[ArmMotion | None] = [None] * len(traces)
     dropped, assumed = _zeros(traces), list[str]()
     if recipe.time is not None:
@@ -121,11 +123,11 @@ def _still_rule(
     changes = np.concatenate([m.change[np.isfinite(m.change)] for m in motions])
     if recipe.speed is None and len(speeds):
         quiet = NOISE_MARGIN * float(np.quantile(speeds, QUIET_SHARE))
-        rule = replace(rule, speed=float(np.clip(round(quiet, 5), *SPEEDS)))
+        rule = replace(rule, speed=float(np.clip(round(quiet, 5), *SPEED_LIMITS_M_S)))
     if recipe.change is None and len(changes):
         size = max(float(np.nanquantile(np.abs(one.inputs), 0.995)) for one in traces)
         quiet = NOISE_MARGIN * float(np.quantile(changes, QUIET_SHARE))
-        low, high = (share * max(size, 1e-9) for share in CHANGES)
+        low, high = (share * max(size, 1e-9) for share in CHANGE_SHARES)
         rule = replace(rule, change=float(f'{np.clip(quiet, low, high):.3g}'))
     return rule
 
@@ -169,7 +171,7 @@ def _without_jumps(
             if len(seen) < 5:
                 continue
             away = np.linalg.norm(frames[seen, j] - np.median(frames[seen, j], axis=0), axis=1)
-            far = away > max(JUMP * float(np.median(away)) / 1.54, JUMP_MIN_M)
+            far = away > max(JUMP_FROM_SD * float(np.median(away)) / 1.54, JUMP_MIN_M)
             frames[seen[far], j] = np.nan  # a view: positions change
             jumps[j] += far.sum()
     return replace(recording, tracks=(replace(track, positions=positions),)), jumps
@@ -225,7 +227,7 @@ def _guess_same(segments: Sequence[Segment]) -> float:
     steps = np.maximum(steps, SAME[0] * size)
     ratios = steps[1:] / steps[:-1]
     best = int(ratios.argmax())
-    if ratios[best] < GAP:
+    if ratios[best] < GAP_RATIO:
         return usual
     return float(f'{np.sqrt(steps[best] * steps[best + 1]):.3g}')
 

@@ -27,7 +27,7 @@ STRAIGHT_WITHIN = 0.02  # lengths of the arm that a straight posture's tip is of
 LEVEL_WITHIN_RAD = 0.035  # [rad] that a mount and a tracker are level, 1 sd
 OFFSET_MIN_M = 1.5e-3  # [m] of markers beside the backbone that is said
 OFFSET_GAIN = 0.93  # of the weighted error that is left where markers sit there
-MIRRORED = 0.3  # of the residual that is left where the frame is taken as left-handed
+MIRRORED_SHARE_MAX = 0.3  # of the residual that is left where the frame is taken as left-handed
 MIRRORED_MIN_M = 1e-3  # [m] residual from which that is asked
 UP = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
 Z = np.array([0.0, 0.0, 1.0])
@@ -70,7 +70,7 @@ class TrackerFrame:
     @property
     def is_mirrored(self) -> bool:
         """Whether the postures ask for a left-handed frame (or for two inputs swapped)."""
-        return self.mirrored < MIRRORED * self.free and self.free > MIRRORED_MIN_M
+        return self.mirrored < MIRRORED_SHARE_MAX * self.free and self.free > MIRRORED_MIN_M
 
     def tolerances(self, length: float) -> dict[str, float]:
         """

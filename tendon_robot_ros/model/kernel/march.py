@@ -19,7 +19,7 @@ from .sweep import active_stages, base_tensions, pass_eyelet, tendons_about
 from .turning import half_turn
 from .twisting import follows_shape, twist_in
 
-BEND_STEP = 1e-7  # [rad] of the differences
+RESIDUAL_STEP = 1e-7  # [rad] of the differences
 RESIDUAL_SOLVED = 1e-13  # [rad] residual of a cell that is solved
 STEPS_MAX = 30
 
@@ -40,7 +40,9 @@ def solve_twist(chain, work, state, i, x, y):
     for _ in range(STEPS_MAX):
         if abs(f) < RESIDUAL_SOLVED:
             break
-        slope = (twist_residual(chain, work, i, x, y, twists[i] + BEND_STEP) - f) / BEND_STEP
+        slope = (
+            twist_residual(chain, work, i, x, y, twists[i] + RESIDUAL_STEP) - f
+        ) / RESIDUAL_STEP
         twists[i] -= f / slope
         f = twist_residual(chain, work, i, x, y, twists[i])
 
@@ -91,10 +93,10 @@ def solve_cell_alone(chain, work, past, state, i, last_x, last_y, x, y):
     for _ in range(STEPS_MAX):
         if abs(fx) + abs(fy) < RESIDUAL_SOLVED:
             break
-        ax, ay = cell_residual(chain, work, past, state, i, last_x, last_y, x + BEND_STEP, y)
-        bx, by = cell_residual(chain, work, past, state, i, last_x, last_y, x, y + BEND_STEP)
-        a, c = (ax - fx) / BEND_STEP, (ay - fy) / BEND_STEP
-        b, d = (bx - fx) / BEND_STEP, (by - fy) / BEND_STEP
+        ax, ay = cell_residual(chain, work, past, state, i, last_x, last_y, x + RESIDUAL_STEP, y)
+        bx, by = cell_residual(chain, work, past, state, i, last_x, last_y, x, y + RESIDUAL_STEP)
+        a, c = (ax - fx) / RESIDUAL_STEP, (ay - fy) / RESIDUAL_STEP
+        b, d = (bx - fx) / RESIDUAL_STEP, (by - fy) / RESIDUAL_STEP
         over = 1.0 / (a * d - b * c)
         dx, dy = over * (d * fx - b * fy), over * (a * fy - c * fx)
         share, best = 1.0, abs(fx) + abs(fy)

@@ -22,10 +22,10 @@ from .twisting import unknowns
 
 TENSION_STEP = 1e-6  # [N] of differences
 BEND_STEP = 1e-6  # [rad] of differences
-GOOD = 0.3  # [rad] step after which the slip length shrinks
-LONGEST = 0.2  # [rad] step of a bend
-SETTLED = 1e-4  # [rad] step with which the search ends
-UNDAMPED, DAMPING = 15, 1e-2  # turns without damping; later tensions may go in circles
+STEP_SHRINKING_RAD = 0.3  # [rad] step after which the slip length shrinks
+STEP_MAX_RAD = 0.2  # [rad] step of a bend
+STEP_SETTLED_RAD = 1e-4  # [rad] step with which the search ends
+UNDAMPED_STEPS, DAMPING = 15, 1e-2  # turns without damping; later tensions may go in circles
 
 
 @compiled
@@ -91,7 +91,7 @@ def move_both(chain, inputs, there, ways, trial, move):
     longest = largest(move)
     if not longest < math.inf:
         return longest
-    share = min(1.0, LONGEST / max(longest, 1e-300))
+    share = min(1.0, STEP_MAX_RAD / max(longest, 1e-300))
     for q in range(unknowns(chain)):
         move[q] *= share
         bend[q] += move[q]
@@ -125,12 +125,12 @@ def seek(robot, inputs, bends, target, low, high, preference, wide, shrink, most
         tip_slopes(chain, tensions, there, target, ways, f, slopes)
         for r in range(6):
             f[r] += slopes[r, m]  # where the bends go that balance the tensions as they are
-        damping = 0.0 if turn < UNDAMPED else DAMPING
+        damping = 0.0 if turn < UNDAMPED_STEPS else DAMPING
         gauss_newton_step(slopes, f, inputs, low, high, preference, damping, trial, free)
         longest = move_both(chain, inputs, there, ways, trial, move)
-        if not longest < math.inf or (longest < SETTLED and width == SLIP_LENGTH):
+        if not longest < math.inf or (longest < STEP_SETTLED_RAD and width == SLIP_LENGTH):
             break
-        new_width = max(shrink * width, SLIP_LENGTH) if longest < GOOD else width
+        new_width = max(shrink * width, SLIP_LENGTH) if longest < STEP_SHRINKING_RAD else width
         take_over(chain, work, move, own, width, new_width)
         width = new_width
         place_travel(chain, there.bend, work)
