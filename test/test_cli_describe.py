@@ -15,7 +15,7 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot, parse_robot
 from tendon_robot_ros.robot.estimates import handling, sag
-from tendon_robot_ros.robot.urdf import joint_angles, joint_names, urdf
+from tendon_robot_ros.robot.urdf import joint_angles, joint_names, transforms, urdf
 
 ROBOTS = ROOT / 'config' / 'robots'
 KATO = str(ROBOTS / 'kato_10_1.yaml')
@@ -69,6 +69,36 @@ def test_the_urdf_takes_the_shape_of_the_model():
     tips = frames[:, :3, 3] + 0.003 * frames[:, :3, 2]  # from the hinge to the end of the cell
     assert np.allclose(tips, shape.positions, rtol=0, atol=1e-9)
     assert np.allclose(frames[:, :3, 2], shape.frames[:, :, 2], rtol=0, atol=1e-12)
+
+
+def test_where_cells_twist_a_third_joint_gives_them_their_frames():
+    robot = load_robot(SPATIAL)
+    load = {'force_x': 0.1, 'force_y': 0.2, 'force_z': 0.0}
+    robot = robot.with_effect('torsion', {'compliance': 1.3}).with_effect('tip_load', load)
+    shape, tree = Model(robot).shape([0.1, 1.5, 0.1, 0.1, 0.1, 1.2]), urdf(robot)
+    angles = joint_angles(robot, shape.frames)
+    joints = list(ElementTree.fromstring(tree).iter('joint'))
+    assert [j.get('name') for j in joints] == list(joint_names(robot))
+    assert len(joints) == len(angles) == 3 * 30 and np.abs(shape.twist).max() > 1e-3
+    place, turned, ends = np.zeros(3), np.eye(3), []
+    for _, child, rotation, up in transforms(robot, angles, ''):
+        place, turned = place + turned @ [0.0, 0.0, up], turned @ rotation
+        if child.startswith('cell') and '_' not in child[5:]:
+            ends.append((place + 0.003 * turned[:, 2], turned))
+    assert np.allclose([at for at, _ in ends], shape.positions, rtol=0, atol=1e-9)
+    assert np.allclose([turn for _, turn in ends], shape.frames, rtol=0, atol=1e-9)
+
+
+def test_describe_shows_tendons_that_wind_and_weight_beside_the_axis(capsys, tmp_path):
+    content = yaml.safe_load((ROBOTS / 'kato_10_1_single.yaml').read_text())
+    content['sections'][0]['mass_offset'] = [0.001, -0.002]
+    content['tendons'][0]['offset'] = {'base': [0.0055, 0.0], 'helix': 8.726646}
+    content['tendons'][1]['offset'] = {'base': [-0.0055, 0.0], 'end': [-0.004, 0.0]}
+    (tmp_path / 'wound.yaml').write_text(yaml.safe_dump(content))
+    assert main(['describe', str(tmp_path / 'wound.yaml')]) == 0
+    printed = capsys.readouterr().out
+    assert '5.5, 0, winds 0.5°/mm' in printed and '-5.5, 0 to -4, 0' in printed
+    assert 'weight at x, y [mm]' in printed and '1, -2' in printed
 
 
 def new_robot(monkeypatch, tmp_path, answers, *arguments):

@@ -10,6 +10,7 @@ from tendon_robot_ros.common.errors import EffectError, InputError
 from tendon_robot_ros.drivers.mock import MockDriver
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.robot.routes import tendon_offsets
 from tendon_robot_ros.simulation.hidden import CAUSES
 from tendon_robot_ros.simulation.plant import make_plant
 
@@ -45,6 +46,32 @@ def test_finer_cells_change_nothing_that_the_cells_do_not_decide():
     np.testing.assert_allclose(fine.bend, coarse.bend, atol=1e-12)
     np.testing.assert_allclose(fine.pulls, coarse.pulls, atol=1e-14)
     np.testing.assert_allclose(fine.cell_length.sum(), plain.length)
+
+
+def test_finer_cells_twist_as_the_whole_ones_do():
+    """Tendons that wind, by their rate or cell by cell, and weight beside the axis."""
+    base = robot('spatial_6', gravity=(0.0, 4.0, 9.0))
+    sections = tuple(
+        replace(s, bends_as='arc', mass_offset=((0.0, 0.002),) * s.cells) for s in base.sections
+    )
+    effects = {'torsion': {'compliance': (1.3, 0.8)}, 'gravity': {'linear_density': 0.1}}
+    wound = tuple(replace(t, helix=8.0) for t in base.tendons)
+    whole = replace(base, sections=sections, tendons=wound, effects=effects)
+    by_cell = tuple(
+        replace(t, helix=0.0, offsets=tuple(map(tuple, at[:cells].tolist())))
+        for t, at, cells in zip(
+            wound, tendon_offsets(whole).swapaxes(0, 1), whole.tendon_cells, strict=True
+        )
+    )
+    tensions = [[0.8, 0.1, 0.1, 0.3, 0.9, 0.1]]
+    for plain in (whole, replace(whole, tendons=by_cell)):
+        fine = make_plant(plain, scatter=0.0, refine=3)
+        assert fine.parts == 3
+        near, own = fine.shapes(tensions), Model(plain).shapes(tensions)
+        assert np.abs(own.twist).max() > 3e-3
+        assert largest(near.positions, own.positions) < 1e-4
+        assert largest(near.positions, Model(base).shapes(tensions).positions) > 3e-3
+        np.testing.assert_allclose(near.twist, own.twist, atol=1e-3)
 
 
 @pytest.mark.parametrize('effect', ['tendon_stiffness', 'nonlinear_stiffness', 'pre_curvature'])
