@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .data import DataSet, Marker, join, load_dataset, save_dataset
     from .diagnosis.add import add_effect
     from .diagnosis.diagnose import diagnose
+    from .diagnosis.improve import improve
     from .model.model import Model
     from .robot import Robot, dump_robot, load_robot
     from .simulation.measurements import simulate
@@ -45,6 +46,7 @@ PUBLIC = {
     'diagnose': '.diagnosis.diagnose',
     'dump_robot': '.robot',
     'import_table': '.tables',
+    'improve': '.diagnosis.improve',
     'join': '.data',
     'load_dataset': '.data',
     'load_robot': '.robot',
@@ -65,6 +67,7 @@ __all__ = [
     'diagnose',
     'dump_robot',
     'import_table',
+    'improve',
     'join',
     'load_dataset',
     'load_robot',

@@ -11,7 +11,7 @@ from simulated import CATALOGUE, measure, measured, postures
 from tendon_robot_ros.comparison.statistics import false_discovery_control
 from tendon_robot_ros.diagnosis.decide import FALSE_DISCOVERY_RATE
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.local_tests import Place, faults_among, local_faults
+from tendon_robot_ros.diagnosis.local_tests import Place, faults_among, faults_of
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.report.comparison_page import add_shapes
 from tendon_robot_ros.report.diagnosis_page import pictures_of
@@ -34,6 +34,11 @@ def base_of(dataset, robot=ROBOT):
     session = Session(dataset, robot, CATALOGUE, 1)
     assert session.weigh({})
     return session, session.base_fit()
+
+
+def faults(dataset, robot=ROBOT):
+    """Return the local faults of the fit without any effect."""
+    return faults_of(*base_of(dataset, robot))
 
 
 def test_the_false_discovery_rate_is_that_of_scipy():
@@ -115,15 +120,15 @@ def test_sizes_come_with_intervals_that_hold(design):
 
 @pytest.mark.parametrize('seed', range(3))
 def test_an_arm_without_a_fault_has_none(seed):
-    assert local_faults(*base_of(measured(ROBOT, seed=seed))) == []
+    assert faults(measured(ROBOT, seed=seed)) == []
 
 
 def test_a_soft_cell_is_found_in_its_place():
     dataset = replace(measured(softened(9, 0.65)), robot=ROBOT)
-    (fault,) = local_faults(*base_of(dataset))
-    assert fault.place == Place('cell_stiffness', 'cell 9', '1')
-    assert fault.low < 1.0 - 1.0 / 0.65 < fault.high  # of its bend, and so of its compliance
-    assert fault.rate < FALSE_DISCOVERY_RATE
+    (fault,) = faults(dataset)
+    assert (fault['kind'], fault['place'], fault['posture']) == ('cell_stiffness', 'cell 9', None)
+    assert fault['low'] < 1.0 - 1.0 / 0.65 < fault['high']  # of its bend: of its compliance
+    assert fault['rate'] < FALSE_DISCOVERY_RATE
 
 
 @pytest.fixture(scope='module')
@@ -139,15 +144,14 @@ def slipped():
 
 
 def test_an_input_that_was_off_in_one_posture_is_found(slipped):
-    (fault,) = local_faults(*base_of(slipped))
-    assert fault.place == Place('channel_gain', 'left', '1', 5)
-    assert fault.low < 0.06 < fault.high
+    (fault,) = faults(slipped)
+    assert (fault['kind'], fault['place'], fault['posture']) == ('channel_gain', 'left', '5')
+    assert fault['low'] < 0.06 < fault['high']
 
 
 def test_an_exact_description_is_tested_as_well(slipped):
     robot = replace(ROBOT, exact=True)
-    first = local_faults(*base_of(replace(slipped, robot=robot), robot))[0]
-    assert first.place.posture == 5
+    assert faults(replace(slipped, robot=robot), robot)[0]['posture'] == '5'
 
 
 def test_the_diagnosis_says_and_draws_where_the_model_is_wrong():

@@ -51,6 +51,7 @@ COMMANDS: dict[str, str] = {
     'diagnose': 'tendon_robot_ros.cli.diagnose',
     'add': 'tendon_robot_ros.cli.add',
     'remove': 'tendon_robot_ros.cli.remove',
+    'improve': 'tendon_robot_ros.cli.improve',
     'simulate': 'tendon_robot_ros.cli.simulate',
     'export-bag': 'tendon_robot_ros.cli.export_bag',
     'import-bag': 'tendon_robot_ros.cli.import_bag',

@@ -227,9 +227,14 @@ def numbers(what: str, text: str, separator: str) -> tuple[float, ...]:
 
 
 @contextmanager
-def progress() -> Iterator[Callable[[str, int, int], None]]:
-    """Give a function that shows (what, done, total); silent where stderr is no terminal."""
-    with tqdm(disable=None, leave=False, bar_format='{desc} {n_fmt}/{total_fmt} |{bar}|') as bar:
+def progress(remaining: bool = False) -> Iterator[Callable[[str, int, int], None]]:
+    """
+    Give a function that shows (what, done, total); silent where stderr is no terminal.
+
+    `remaining` shows the time left as well: where all of the work is counted as one.
+    """
+    form = '{desc} {n_fmt}/{total_fmt} |{bar}|' + (' {remaining} left' if remaining else '')
+    with tqdm(disable=None, leave=False, bar_format=form) as bar:
 
         def show(what: str, done: int, total: int) -> None:
             bar.set_description_str(what, refresh=False)

@@ -152,11 +152,17 @@ class Whitener:
     Covariance of the marker means, a block per posture, and its inverse root.
 
     (position noise + trial noise) / trials + setting noise, which the trials of a posture share.
-    `extra` (P, q, 3 J) adds further common error, one sd each [m].
+    Errors of a model may come on top, no smaller for more trials: `accuracy` [m] of a posture,
+    growing along the arm, and `rough` [m, 1 sd per coordinate] of every marker of it.
     """
 
     def __init__(
-        self, dataset: DataSet, noise: Noise, slopes: Floats, accuracy: float = 0.0
+        self,
+        dataset: DataSet,
+        noise: Noise,
+        slopes: Floats,
+        accuracy: float = 0.0,
+        rough: float = 0.0,
     ) -> None:
         """Factor the blocks."""
         self.rows = [np.flatnonzero(np.repeat(counts > 0, 3)) for counts in dataset.counts]
@@ -169,6 +175,7 @@ class Whitener:
             self.variance.append(np.diag(block).copy())
             if accuracy:
                 block += common_error(dataset, rows, accuracy)
+            block += rough**2 * np.eye(len(rows))
             self.factors.append(
                 np.linalg.inv(np.linalg.cholesky(block)) if len(rows) else np.zeros((0, 0))
             )
@@ -190,6 +197,11 @@ class Whitener:
     def owners(self) -> npt.NDArray[np.int64]:
         """Posture (N,) that each whitened value belongs to."""
         return np.repeat(np.arange(len(self.rows)), [len(rows) for rows in self.rows])
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of the covariance."""
+        return -2.0 * sum(float(np.log(np.diag(factor)).sum()) for factor in self.factors)
 
     def floor(self) -> float:
         """Return the expected rms [m] of the distance for a perfect model, setting noise too."""

@@ -116,10 +116,12 @@ class Search:
         count = len(frees)
         self.scale = np.array([f.parameter.typical for f in frees] + [n.spread for n in nuisances])
         self.low = np.array(
-            [f.parameter.low for f in frees] + [n.centre - 30.0 * n.spread for n in nuisances]
+            [f.parameter.low for f in frees]
+            + [max(n.free.parameter.low, n.centre - 30.0 * n.spread) for n in nuisances]
         )
         self.high = np.array(
-            [f.parameter.high for f in frees] + [n.centre + 30.0 * n.spread for n in nuisances]
+            [f.parameter.high for f in frees]
+            + [min(n.free.parameter.high, n.centre + 30.0 * n.spread) for n in nuisances]
         )
         self.centre = np.array([n.centre for n in nuisances])
         self.spread = np.array([n.spread for n in nuisances])

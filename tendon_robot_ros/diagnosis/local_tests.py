@@ -20,9 +20,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from ..comparison.noise import Whitener
 from ..comparison.predict import CELLS
 from ..comparison.statistics import false_discovery_control, normal_ppf, t_sf
-from .as_built import ACROSS, GAIN, HOLE, KINK, ZERO, imperfections
+from ..robot import Robot
+from .as_built import ACROSS, GAIN, HOLE, KINK, ZERO, Kind, imperfections
 from .decide import FALSE_DISCOVERY_RATE, LOCAL_FAULTS_MAX, LOCAL_SHARE_MIN
 from .fit import Fit
 
@@ -60,18 +62,18 @@ class LocalFault:
     rate: float  # false discovery rate at which it would just be named
     alike: tuple[str, ...]  # places beside it that would do as well, itself included
 
-    def to_json(self, session: Session) -> dict[str, Any]:
+    def to_json(self, robot: Robot, postures: Sequence[str]) -> dict[str, Any]:
         """Return plain data for JSON; `along` [m] is where the cell lies on the straight arm."""
         p, words = self.place.posture, self.place.name.split()
         along = None
         if words[0] == 'cell' and self.place.kind in IN_CELLS:
-            lengths = [s.cell_length for s in session.robot.sections for _ in range(s.cells)]
+            lengths = [s.cell_length for s in robot.sections for _ in range(s.cells)]
             ends = np.cumsum([0.0, *lengths])
             along = ends[int(words[1]) - 1 : int(words[1]) + 1].tolist()
         return {
             'kind': self.place.kind,
             'place': self.place.name,
-            'posture': None if p is None else session.dataset.postures[p],
+            'posture': None if p is None else postures[p],
             'along': along,
             'size': self.size,
             'low': self.low,
@@ -83,21 +85,41 @@ class LocalFault:
         }
 
 
-def local_faults(session: Session, fit: Fit) -> list[LocalFault]:
+def local_faults(
+    kinds: Sequence[Kind], moves: Floats, whitener: Whitener, fit: Fit, freedom: float = np.inf
+) -> list[LocalFault]:
     """
     Return where a fit is still wrong, the strongest first; empty where it is nowhere.
 
     Parameters
     ----------
-    session : Session
-        Weighed at that fit.
+    kinds : sequence of Kind
+    moves : (q, P, J, 3) [m per unit]
+        What each of their members does to the markers.
+    whitener : Whitener
+        Of the fit.
     fit : Fit
+    freedom : float
+        Degrees of freedom behind the noise.
 
     """
-    places, columns = _places(session, fit)
+    places, columns = _places(kinds, moves, whitener)
     padded = np.zeros((len(fit.residual), len(places)))
     padded[: len(columns)] = columns
-    return faults_among(places, padded, fit.residual, fit.jacobian, session.freedom)
+    return faults_among(places, padded, fit.residual, fit.jacobian, freedom)
+
+
+def faults_of(session: Session, fit: Fit) -> list[dict[str, Any]]:
+    """Return the local faults of a fit in a session that was weighed there, as plain data."""
+    if fit.built is not None and session.moves is not None:
+        kinds, moves = fit.built.kinds, session.moves
+    else:
+        found = imperfections(session.predictor, fit.point)
+        if found is None:
+            return []
+        kinds, moves = found.kinds, found.moves
+    faults = local_faults(kinds, moves, session.whitener, fit, session.freedom)
+    return [fault.to_json(session.robot, session.dataset.postures) for fault in faults]
 
 
 def faults_among(
@@ -215,26 +237,20 @@ def _basis(jacobian: Floats) -> Floats:
     return np.asarray(used @ (vectors[:, kept] / np.sqrt(values[kept])))
 
 
-def _places(session: Session, fit: Fit) -> tuple[list[Place], Floats]:
+def _places(
+    kinds: Sequence[Kind], moves: Floats, whitener: Whitener
+) -> tuple[list[Place], Floats]:
     """List what may be wrong, and what a unit of it does to the whitened markers (N, M)."""
-    if fit.built is not None and session.moves is not None:
-        kinds, moves = fit.built.kinds, session.moves
-    else:
-        found = imperfections(session.predictor, fit.point)
-        if found is None:
-            return [], np.zeros((session.whitener.size, 0))
-        kinds, moves = found.kinds, found.moves
-    names = [(kind, member) for kind in kinds for member in kind.members]
-    white = session.whitener.white(moves).T
+    named = [(kind, member) for kind in kinds for member in kind.members]
     places, columns = [], []
-    for (kind, member), column in zip(names, white.T, strict=True):
+    for (kind, member), column in zip(named, whitener.white(moves), strict=True):
         if kind.name not in IN_CELLS + IN_INPUTS:
             continue
         place = Place(kind.name, member, kind.unit)
-        for one, rows in _once_and_everywhere(place, session.whitener.owners):
+        for one, rows in _once_and_everywhere(place, whitener.owners):
             places.append(one)
             columns.append(np.where(rows, column, 0.0))
-    return places, np.array(columns).reshape(len(places), -1).T
+    return places, np.array(columns).reshape(len(places), whitener.size).T
 
 
 def _once_and_everywhere(

@@ -14,7 +14,7 @@ from .candidates import Ranked, why_untested
 from .decide import ALARM_LEVEL, APART_FROM_SCORE, CORRELATED_FROM, P_SINGLE_MIN, Verdict
 from .fit import Fit
 from .fitter import Fitter
-from .local_tests import local_faults
+from .local_tests import faults_of
 from .result import CandidateRow, EffectFinding, Value
 from .session import Session
 
@@ -160,7 +160,7 @@ def details_of(
         'exact': session.robot.exact,
         'outliers': outliers_of(session),
         'as_built': arm_report(session, fit),
-        'local_faults': [fault.to_json(session) for fault in local_faults(session, fit)],
+        'local_faults': faults_of(session, fit),
         'tolerances': dict(session.robot.tolerances),
         'moved': base.prior_z,
         'base': {

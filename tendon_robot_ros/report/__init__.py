@@ -9,6 +9,8 @@ arm_text.py           an arm as it is built, and left-out readings, in words
 local_text.py         where the best model is still wrong, in words and as marks on pictures
 diagnosis_page.py     the page of a diagnosis, with pictures
 addition_text.py      what was added, in words
+improvement_text.py   how an error fell step by step, in words
+improvement_page.py   the page of that, with the curve
 error_plots.py        errors per cell, posture and angle; heat maps and moments
 shape_plots.py        shapes, measured and predicted
 path_run.py           what was reached against what was asked

@@ -1,0 +1,79 @@
+"""
+Improve a robot description effect by effect, while the error on postures left out keeps falling.
+
+On a real arm several effects are at work and none explains all. At every step the effect joins
+(or the stiffness along the arm changes) that lowers the error on left-out postures most; all
+parameters are fitted together again, and effects that are no longer needed leave. The whole search
+is then made again without each posture, or group of postures, and predicts it: that error is
+printed for every step, and the last step that lowers it by more than its scatter is the last one
+that NEW takes. Nothing is written, and the exit code is 2, where no step does. `remove` undoes an
+effect.
+
+example: python -m tendon_robot_ros improve data/tentacle --output better.yaml --report better.html
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from ..common.errors import InputError
+from ..diagnosis.improve import improve
+from ..effects import load_catalogue
+from ..model.compile import is_compiled
+from ..report.improvement_text import NOT_WRITTEN, lines
+from .data_options import (
+    add_data,
+    add_overwrite,
+    load_check,
+    load_measurements,
+    next_step,
+    refuse_existing,
+    write_description,
+)
+from .options import add_effect_files, add_json, emit, progress
+
+REFUSED_EXIT_CODE = 2
+HELP = 'add effects one by one while the error on left-out postures falls'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add_data(parser, 'data')
+    add('--robot', metavar='ROBOT', help='description to improve (default: the one of DATA)')
+    add('--output', required=True, metavar='NEW', help='the improved description')
+    add('--check', metavar='DATA2', help='other postures, whose error is shown at every step')
+    add('--report', metavar='HTML', help='write a page that opens offline')
+    add('--workers', type=int, default=2, metavar='N', help='at a time (default: 2)')
+    add_json(parser)
+    add_overwrite(parser)
+    add_effect_files(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Search, write, print."""
+    if args.workers < 1:
+        raise InputError(f'--workers: expected at least 1, got {args.workers}')
+    refuse_existing('--output', args.output, args.overwrite)
+    dataset = load_measurements(args.data, args.robot)
+    check = load_check(args.check, dataset)
+    catalogue = load_catalogue(args.effect_file)
+    if not is_compiled(catalogue):
+        print('compiling the model (once)', file=sys.stderr)
+    with progress(remaining=True) as show:
+        found = improve(dataset, None, catalogue, check, args.workers, show)
+    report_lines = lines(found)
+    if found.taken:
+        write_description(found.robot, args.output)
+        report_lines.append(next_step(args.output))
+    else:
+        report_lines.append(NOT_WRITTEN)
+    if args.report:
+        from ..report.improvement_page import write_improvement
+
+        page = write_improvement(found, dataset, catalogue, args.report)
+        report_lines.append(f'report: {page}')
+    content = {**found.to_json(), 'written': args.output if found.taken else None}
+    emit(args, content, '\n'.join(report_lines))
+    return 0 if found.taken else REFUSED_EXIT_CODE

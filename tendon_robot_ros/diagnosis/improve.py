@@ -1,0 +1,254 @@
+"""
+Improve a description effect by effect, while the error on postures left out keeps falling.
+
+On a real arm nothing is adequate and several effects are at work. `stepwise` lets them join one
+after the other by the error on left-out postures; but an error that has chosen the effects is too
+good. So the whole search is made again without each posture (or group of postures), and predicts
+it: nested cross-validation. The error of these predictions after every step is what is reported;
+the last step that lowers it by more than its scatter between postures is the last one taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import InputError
+from ..data import DataSet
+from ..effects import Catalogue, load_catalogue
+from ..robot import Robot
+from .add import Addition, more_at_work, with_origin
+from .as_built import imperfections
+from .decide import P_SINGLE_MIN
+from .improvement import Improvement, ImprovementStep, total
+from .local_tests import local_faults
+from .report_rows import values_of
+from .staircase import Errors, predict
+from .stepwise import POSTURES_MIN, STEPS_MAX, State, Stepwise, profile_factors
+
+Floats = npt.NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+GROUPS_MAX = 16  # groups of postures that the search is made without
+
+
+def improve(
+    dataset: DataSet,
+    robot: Robot | None = None,
+    catalogue: Catalogue | None = None,
+    check: DataSet | None = None,
+    workers: int = 2,
+    progress: Progress | None = None,
+) -> Improvement:
+    """
+    Add effects one after the other while the error on left-out postures falls.
+
+    Parameters
+    ----------
+    dataset : DataSet
+    robot : Robot, optional
+        Default: the data set's.
+    catalogue : Catalogue, optional
+    check : DataSet, optional
+        Other postures, whose error is shown at every step; they have no part in anything.
+    workers : int
+        Threads.
+    progress : callable, optional
+        Called with (what, done, total).
+
+    Raises
+    ------
+    InputError
+        Fewer than four postures, nothing tells the noise, or a mistake of the set-up explains the
+        error: that is to be mended first.
+    NoEquilibriumError
+
+    """
+    show = progress or (lambda what, done, total: None)
+    search = Stepwise(dataset, robot or dataset.robot, catalogue or load_catalogue())
+    held = _held(search.dataset)
+    most = STEPS_MAX * (1 + len(held))
+    states = search.path(show=lambda k: show('searching', k, most))
+    paths = _paths(search, held, len(states), workers, show)
+    return _result(search, states, *_predicted(search, paths, len(states)), check)
+
+
+def _held(dataset: DataSet) -> list[npt.NDArray[np.int64]]:
+    """Return groups of postures to leave out; those of the same inputs go together."""
+    seen = np.flatnonzero(dataset.trials > 0)
+    groups = np.unique(dataset.groups[seen])
+    if len(groups) < POSTURES_MIN:
+        raise InputError(
+            f'{dataset.name}: {len(groups)} different inputs, expected {POSTURES_MIN} or more'
+        )
+    folds = min(GROUPS_MAX, len(groups))
+    return [seen[np.isin(dataset.groups[seen], groups[fold::folds])] for fold in range(folds)]
+
+
+def _paths(
+    search: Stepwise,
+    held: Sequence[npt.NDArray[np.int64]],
+    steps: int,
+    workers: int,
+    show: Progress,
+) -> list[tuple[npt.NDArray[np.int64], list[State]]]:
+    """Return the way of a search that does not know them, for every group of postures."""
+    done = steps
+
+    def work(worker: int) -> list[tuple[npt.NDArray[np.int64], list[State]]]:
+        nonlocal done
+        own, found = search.again(), []
+        for group in held[worker::workers]:
+            found.append((group, own.path(group)))
+            done += steps
+            show('searching without some postures', done, steps * (1 + len(held)))
+        return found
+
+    with ThreadPoolExecutor(workers) as pool:
+        return [one for found in pool.map(work, range(workers)) for one in found]
+
+
+def _predicted(
+    search: Stepwise, paths: Sequence[tuple[npt.NDArray[np.int64], list[State]]], count: int
+) -> tuple[Floats, Floats]:
+    """
+    Return squared errors [m²] of predictions by searches that did not know the posture.
+
+    Returns
+    -------
+    errors : (K, P, J)
+        After 0, 1, ... steps.
+    chosen : (P, J)
+        After as many steps as the search itself would take, without the posture.
+
+    """
+    errors = np.full((count, *search.measured.shape[:2]), np.nan)
+    chosen = np.full(errors.shape[1:], np.nan)
+    for group, path in paths:
+        own = [((search.measured - state.fit.markers) ** 2).sum(axis=2)[group] for state in path]
+        for k in range(count):
+            errors[k, group] = own[min(k, len(path) - 1)]
+        inner = np.array([state.left_out[:, None] for state in path])
+        chosen[group] = own[falls(inner)[0]]
+    return errors, chosen
+
+
+def falls(errors: Floats) -> tuple[int, list[tuple[float, float]]]:
+    """
+    Choose how many steps to take.
+
+    Parameters
+    ----------
+    errors : (K, P, J) [m²]
+        Squared errors of the predictions of left-out postures after 0, 1, ... steps.
+
+    Returns
+    -------
+    taken : int
+        The last step that lowers the error of what was taken before by more than its scatter.
+    falls : list of (fall, scatter) [m]
+        Of the rms over postures, step by step, against what was taken before.
+
+    """
+    seen = np.isfinite(errors[0]).any(axis=1)
+    squares = np.nanmean(errors[:, seen], axis=2)  # (K, P')
+    taken, rows = 0, [(0.0, 0.0)]
+    for k in range(1, len(squares)):
+        change = squares[taken] - squares[k]
+        width = float(np.sqrt(squares[taken].mean()) + np.sqrt(squares[k].mean()))
+        scatter = float(change.std(ddof=1)) / np.sqrt(len(change)) / width
+        rows.append((float(change.mean()) / width, scatter))
+        if rows[-1][0] > scatter:
+            taken = k
+    return taken, rows
+
+
+def _result(
+    search: Stepwise,
+    states: Sequence[State],
+    errors: Floats,
+    chosen: Floats,
+    check: DataSet | None,
+) -> Improvement:
+    """Choose the steps that are taken, and write the description."""
+    taken, rows = falls(errors)
+    robots = [search.written(state) for state in states]
+    steps = tuple(
+        ImprovementStep(
+            state.joined,
+            state.left,
+            _errors(search.dataset, robot, search.catalogue),
+            np.sqrt(np.nanmean(errors[k], axis=0)),
+            None if check is None else _errors(check, robot, search.catalogue),
+            *rows[k],
+        )
+        for k, (state, robot) in enumerate(zip(states, robots, strict=True))
+    )
+    final, tips = states[taken], np.sqrt(errors[taken, :, -1])
+    made = _addition(search, steps[: taken + 1], final, robots[taken], check)
+    postures = search.dataset.postures
+    change = profile_factors(final.profile.tolist(), search.robot) - 1.0
+    return Improvement(
+        robot=with_origin(made, search.robot),
+        steps=steps,
+        taken=taken,
+        chosen=np.sqrt(np.nanmean(chosen, axis=0)),
+        values=made.values,
+        profile=tuple(change[[0, len(change) // 2, -1]].tolist()) if len(final.profile) else (),
+        markers=tuple(marker.name for marker in search.dataset.markers),
+        data=search.dataset.name,
+        check='' if check is None else check.name,
+        noise_floor=search.plain.floor(),
+        probability=made.probability,
+        more_at_work=made.more_at_work,
+        tips={postures[p]: float(tips[p]) for p in np.flatnonzero(np.isfinite(tips))},
+        local_faults=_faults(search, final, robots[taken]),
+    )
+
+
+def _errors(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> Floats:
+    """Return the rms error (J,) [m] of a description, just as it stands."""
+    left = dataset.mean - predict(dataset, robot, catalogue)[1]
+    return np.asarray(np.sqrt(np.nanmean((left**2).sum(axis=2), axis=0)))
+
+
+def _addition(
+    search: Stepwise,
+    steps: Sequence[ImprovementStep],
+    final: State,
+    robot: Robot,
+    check: DataSet | None,
+) -> Addition:
+    """Return what was added, with its errors, as descriptions hold it."""
+    kind = 'left out' if check is None else 'check'
+    floor, count = search.plain.floor(), int((search.dataset.trials > 0).sum())
+    first, last = steps[0], steps[-1]
+    fitted = Errors(
+        'fitted', search.dataset.name, count, total(first.fitted), total(last.fitted), floor
+    )
+    judged = Errors(
+        kind,
+        search.dataset.name if check is None else check.name,
+        count if check is None else int((check.trials > 0).sum()),
+        total(first.errors[kind]),
+        total(last.errors[kind]),
+        floor if check is None else None,
+    )
+    chance = search.chance(final)
+    more = more_at_work(fitted, chance) if chance <= P_SINGLE_MIN else ''
+    return Addition(robot, values_of(final.effects), fitted, judged, chance, {}, more)
+
+
+def _faults(search: Stepwise, final: State, robot: Robot) -> tuple[dict[str, Any], ...]:
+    """Return where the improved description is wrong by more than what remains everywhere."""
+    predictor, _ = predict(search.dataset, robot, search.catalogue)
+    found = imperfections(predictor, {})
+    if found is None:
+        return ()
+    faults = local_faults(
+        found.kinds, found.moves, final.whitener, final.fit, search.noise.freedom
+    )
+    return tuple(fault.to_json(robot, search.dataset.postures) for fault in faults)

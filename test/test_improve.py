@@ -1,0 +1,200 @@
+"""Improving: what joins, when it stops, and that its left-out error is no postures' own."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+from simulated import CATALOGUE, measured
+from source_tree import ROOT
+
+from tendon_robot_ros import improve, load_robot
+from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.comparison.noise import Noise, Whitener
+from tendon_robot_ros.comparison.predict import Predictor
+from tendon_robot_ros.data import save_dataset
+from tendon_robot_ros.diagnosis.improve import falls
+from tendon_robot_ros.diagnosis.improvement import total
+from tendon_robot_ros.diagnosis.stepwise import Stepwise, left_out_errors, profile_factors
+from tendon_robot_ros.report.improvement_text import lines
+
+ROBOT = simulated.robot()
+HIDDEN = {
+    'hinge_friction': {'lever': 2e-4},
+    'tip_load': {'force_x': 0.02, 'force_y': 0.0, 'force_z': 0.0},
+}
+
+
+def errors_of(robot, dataset):
+    """Return the distances (P, J) [m] of a description from measurements."""
+    shown = Predictor(dataset, robot, CATALOGUE).markers({})
+    return np.linalg.norm(dataset.mean - shown, axis=2)
+
+
+def rms_of(robot, dataset):
+    """Return rms distances (J,) [m]."""
+    return np.sqrt((errors_of(robot, dataset) ** 2).mean(axis=0))
+
+
+@pytest.fixture(scope='module')
+def arm():
+    """Return measurements of an arm that hides two effects, other ones, and what was found."""
+    dataset = measured(ROBOT, HIDDEN, seed=1)
+    check = measured(ROBOT, HIDDEN, count=6, which=1, seed=2)
+    return dataset, check, improve(dataset, check=check, workers=1)
+
+
+def test_both_hidden_effects_are_found_and_then_it_stops(arm):
+    _, _, found = arm
+    assert found.taken == 2 and len(found.steps) == 3
+    assert found.values.keys() == HIDDEN.keys()
+    for name, values in found.values.items():
+        for key, value in values.items():
+            half = value.high - value.low
+            assert value.low - half <= HIDDEN[name][key] <= value.high + half, (name, key)
+    said = '\n'.join(lines(found))
+    assert 'It stops there: what remains is noise (p = ' in said
+    assert repr(found).startswith('<Improvement by tip_load, hinge_friction: left out 15')
+
+
+def test_the_errors_of_every_step_are_those_of_descriptions(arm):
+    dataset, check, found = arm
+    last = found.steps[found.taken]
+    np.testing.assert_allclose(last.fitted, rms_of(found.robot, dataset), rtol=1e-9)
+    np.testing.assert_allclose(last.check, rms_of(found.robot, check), rtol=1e-9)
+    np.testing.assert_allclose(found.steps[0].left_out, rms_of(ROBOT, dataset), rtol=1e-9)
+    assert total(last.fitted) < total(last.left_out) < 3.0 * found.noise_floor
+    assert total(last.check) < 3.0 * found.noise_floor
+    falling = found.falling
+    assert falling['left out'] == sorted(falling['left out'], reverse=True)
+
+
+def test_a_posture_left_out_has_no_part_in_its_prediction(arm):
+    dataset, _, found = arm
+    p = int(np.argmax(list(found.tips.values())))
+    others = [q for q in range(len(dataset.postures)) if q != p]
+    without = replace(
+        dataset,
+        postures=tuple(dataset.postures[q] for q in others),
+        inputs=dataset.inputs[others],
+        positions=dataset.positions[others],
+    )
+    search = Stepwise(without, ROBOT, CATALOGUE)
+    robot = search.written(search.path()[-1])
+    assert errors_of(robot, dataset)[p, -1] == pytest.approx(
+        found.tips[dataset.postures[p]], rel=0.05
+    )
+
+
+def test_nothing_joins_where_nothing_is_missing(tmp_path, capsys):
+    dataset = measured(ROBOT, count=6)
+    found = improve(dataset, workers=1)
+    assert found.taken == 0 and len(found.steps) == 1
+    assert found.robot.effects == ROBOT.effects
+    save_dataset(dataset, tmp_path / 'data')
+    new = tmp_path / 'new.yaml'
+    assert main(['improve', str(tmp_path / 'data'), '--output', str(new)]) == 2
+    assert 'Nothing was written: there is no step' in capsys.readouterr().out
+    assert not new.exists()
+
+
+def test_a_stiffness_that_changes_along_the_arm_is_found_and_written():
+    coefficients = [0.3, -0.2]
+    factors = profile_factors(coefficients, ROBOT)
+    section = ROBOT.sections[0]
+    stiff = tuple(np.array(section.bending_stiffness) * factors)
+    true = replace(ROBOT, sections=(replace(section, bending_stiffness=stiff),))
+    dataset = replace(measured(true, seed=3), robot=ROBOT)
+    found = improve(dataset, workers=1)
+    assert [step.joined for step in found.steps[1 : found.taken + 1]] == ['bending_stiffness']
+    change = np.array(found.robot.sections[0].bending_stiffness) / stiff
+    assert np.abs(np.log(change[1:-1])).max() < 0.1
+    assert '% at the middle' in '\n'.join(lines(found))
+
+
+def test_the_command_writes_what_it_says(arm, tmp_path, capsys, monkeypatch):
+    dataset, check, found = arm
+    monkeypatch.setattr('tendon_robot_ros.cli.improve.improve', lambda *args: found)
+    for name, one in (('data', dataset), ('check', check)):
+        save_dataset(one, tmp_path / name)
+    new, page, out = (tmp_path / name for name in ('new.yaml', 'page.html', 'out.json'))
+    call = ['improve', tmp_path / 'data', '--output', new, '--check', tmp_path / 'check']
+    call += ['--report', page, '--json', out, '--workers', '1']
+    assert main([str(part) for part in call]) == 0
+    printed = capsys.readouterr().out
+    assert f'written: {new}' in printed and '+ hinge_friction' in printed
+    content = json.loads(out.read_text())
+    assert content['taken'] == 2 and content['steps'][2]['joined'] == 'hinge_friction'
+    robot = load_robot(new)
+    np.testing.assert_allclose(content['steps'][2]['check'], rms_of(robot, check), rtol=1e-9)
+    assert robot.fitted['hinge_friction']['error']['check']['after'] == pytest.approx(
+        total(found.steps[2].check), rel=0.01
+    )
+    html = page.read_text(encoding='utf-8')
+    assert 'hollow: not taken' in html and '+ tip_load' in html and 'What remains' in html
+
+
+def test_the_curve_is_drawn(arm):
+    from matplotlib import pyplot as plt
+
+    _, _, found = arm
+    axes = found.plot()
+    shown = {line.get_label(): line.get_ydata() for line in axes.lines}
+    np.testing.assert_allclose(shown['left out'], 1e3 * np.array(found.falling['left out']))
+    plt.close('all')
+
+
+def test_left_out_errors_are_those_of_a_linear_fit_without_the_group():
+    rng = np.random.default_rng(0)
+    dataset = simulated.postures(ROBOT, rng.uniform(0.1, 1.0, (5, len(ROBOT.inputs))), trials=1)
+    dataset = replace(dataset, positions=np.zeros(dataset.positions.shape))
+    P, J = dataset.positions.shape[0], len(dataset.markers)
+    slopes = np.zeros((P, len(ROBOT.inputs), J, 3))
+    noise = Noise(1e-3, 0.0, 0.0, np.inf, 'declared')
+    whitener = Whitener(dataset, noise, slopes, 2e-3, 1e-3)
+    moves = rng.normal(size=(3, P, J, 3))
+    off = rng.normal(size=(P, J, 3))
+    jacobian, white = -whitener.white(moves).T, whitener.white(off)
+    step = np.linalg.lstsq(jacobian, white, rcond=None)[0]
+    groups = np.array([0, 1, 1, 2, 3])
+    errors = left_out_errors(white - jacobian @ step, jacobian, whitener, groups)
+    for p in range(P):
+        used = groups[whitener.owners] != groups[p]
+        own = np.linalg.lstsq(jacobian[used], white[used], rcond=None)[0]
+        left = off[p] + np.tensordot(own, moves, 1)[p]
+        assert errors[p] == pytest.approx((left**2).sum(axis=1).mean(), rel=1e-6)
+
+
+def test_a_fall_within_its_scatter_is_not_taken():
+    before = np.full((6, 1), 4e-6)
+    uneven = before + np.array([[1e-6], [-3e-6], [3e-6], [-3e-6], [2e-6], [-1e-6]])
+    better = 0.5 * before
+    taken, rows = falls(np.array([before, uneven, better]))
+    assert taken == 2
+    assert rows[1][0] < rows[1][1]
+    assert rows[2] == pytest.approx((2e-3 - np.sqrt(2e-6), 0.0))
+    assert falls(np.array([before, uneven]))[0] == 0
+
+
+@pytest.mark.parametrize(
+    ('change', 'message'),
+    [
+        ({'--workers': '0'}, '--workers: expected at least 1, got 0'),
+        ({'--output': 'nowhere/new.yaml'}, 'nowhere/new.yaml: its folder does not exist'),
+        ({'data': 'nothing'}, 'nothing'),
+    ],
+)
+def test_bad_input_is_one_line(change, message, tmp_path, capsys):
+    given = {'--output': str(tmp_path / 'new.yaml')} | change
+    data = given.pop('data', str(ROOT / 'data' / 'tentacle'))
+    options = [part for pair in given.items() for part in pair]
+    assert main(['improve', data, *options]) == 1
+    error = capsys.readouterr().err
+    assert message in error and error.count('\n') == 1
+
+
+def test_too_few_postures_are_refused(tmp_path, capsys):
+    save_dataset(measured(ROBOT, count=3), tmp_path / 'data')
+    assert main(['improve', str(tmp_path / 'data'), '--output', str(tmp_path / 'n.yaml')]) == 1
+    assert 'expected 4 or more measured postures' in capsys.readouterr().err
