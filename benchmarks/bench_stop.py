@@ -1,22 +1,26 @@
 """
 How soon a stop acts on the motors, whatever it is that stops: worst of many trials.
 
-    python benchmarks/bench_stop.py [--trials 200] [--busy 0] [--stop-time 0.06] [--json FILE]
+    python benchmarks/bench_stop.py [--trials 200] [--busy 0] [--resume FILE] [--json FILE]
 
 Real controller and driver, each a process, on emulated servos in another one; a target bends the
 arm, then something stops it. The emulator tells when which motor got which current and what the
 wires carried.
 
+- `sent_ms`: until the cause has been sent: part of all that follows;
 - `begun_ms`: from the cause until the first motor gets less current;
 - `rest_ms`: until the current of every motor is that of pretension;
 - `ended_ms`: until the process is gone that was asked to end;
 - `late`: trials with a motor above pretension after 100 ms;
 - `rise`: by how much a wire was tighter after the cause than at it [N].
 
-Motors whose port is gone get no command: they wait for their watchdog, then have no current.
+Motors whose port is gone get no command: they wait for their watchdog, then have no current. It is
+short where the driver runs in real time: not under `nice`. A run that was broken off goes on with
+the `--resume FILE` that it was given.
 """
 
 import argparse
+import json
 import os
 import signal
 import tempfile
@@ -24,7 +28,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from chain import TARGETS, Chain, Load
+from chain import TARGETS, Chain, Load, at_once
 from emulated_bus import driver_for
 from machine import machine, tell
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -33,11 +37,13 @@ from std_msgs.msg import Bool
 SOON = 0.1  # [s]
 LEAST = 0.8  # [N] before a stop
 BEFORE = 0.1  # [s] of the trace before the cause
-AFTER = 0.8  # [s] of the trace after the cause
+AFTER = 0.45  # [s] of the trace after the cause
+ENDED = 2.0  # [s] that a process may take to end
 TRIES = 3
-SETTLE = 0.2  # [s]
+SETTLE = 0.3  # [s]
 FALLEN = 0.97  # of the current before: the release has begun
 NEAR = 0.03  # [N], four counts of current: at pretension
+FIGURES = 'from', 'sent_ms', 'begun_ms', 'rest_ms', 'rise', 'ended_ms'
 
 
 class Stops:
@@ -166,7 +172,6 @@ def judge(trace, cause, scale):
         'begun_ms': 1e3 * float(times[fallen][0]) if fallen.any() else np.inf,
         'rest_ms': np.inf if high[-1] else 1e3 * float(times[high][-1]),
         'rise': float((wires[later].max(axis=0) - wires[~later][-1]).max()),
-        'ended_ms': np.nan,
     }
 
 
@@ -176,9 +181,9 @@ def trial(chain, stops, kind, scale, number):
     held = chain.up(TARGETS[number % len(TARGETS)], LEAST)
     chain.user.spin(SETTLE)
     cause = stop(stops)
-    ended = np.nan
+    sent, ended = time.monotonic() - cause, np.nan
     if kind in ENDS:
-        chain.user.until(lambda: not chain.nodes[ENDS[kind]].runs, AFTER)
+        chain.user.until(lambda: not chain.nodes[ENDS[kind]].runs, ENDED)
         ended = 1e3 * (time.monotonic() - cause)
     chain.user.spin(max(0.0, cause + AFTER - time.monotonic()))
     trace = chain.servos.ask(f'trace {time.monotonic() - cause + BEFORE}')
@@ -186,45 +191,73 @@ def trial(chain, stops, kind, scale, number):
     if not held:
         return None
     found = judge(trace, cause, scale)
-    return found and {**found, 'ended_ms': ended}
+    return found and {**found, 'sent_ms': 1e3 * sent, 'ended_ms': ended}
 
 
-def measure(args):
-    """Make all trials; kinds take turns, so that each meets the same machine."""
-    found = {kind: [] for kind in args.kinds}
+def measure(args, rows):
+    """Make all trials that are not there yet; kinds take turns: each meets the same machine."""
     skipped = dict.fromkeys(args.kinds, 0)
     load = Load(args.busy)
+    servos = {} if args.watchdog is None else {'watchdog': args.watchdog}
     chain = Chain(
-        args.logs, arm=args.arm, servos={'watchdog': args.watchdog},
-        stop_time=args.stop_time, command_timeout=args.command_timeout,
+        args.logs, arm=args.arm, servos=servos, stop_time=args.stop_time,
+        command_timeout=args.command_timeout,
     )  # fmt: skip
+    at_once(os.getpid())
     try:
         stops, scale = Stops(chain), Scale(chain.servos)
         end = time.monotonic() + 60.0 * args.minutes
         for number in range(args.trials):
             for kind in args.kinds:
-                if time.monotonic() > end:
-                    break
-                for _ in range(TRIES):
-                    got = trial(chain, stops, kind, scale, number)
-                    if got is not None:
-                        break
+                if rows.has(kind, number) or time.monotonic() > end:
+                    continue
+                got = several(chain, stops, kind, scale, number)
                 if got is None:
                     skipped[kind] += 1
                 else:
-                    found[kind].append(got)
-        return found, skipped, chain.died
+                    rows.add({'kind': kind, 'number': number, **got})
+        return skipped, chain.died
     finally:
         load.end()
         chain.close()
 
 
+def several(chain, stops, kind, scale, number):
+    """Try until the arm was held when it was stopped."""
+    for _ in range(TRIES):
+        got = trial(chain, stops, kind, scale, number)
+        if got is not None:
+            return got
+    return None
+
+
+class Rows:
+    """Trials, each a line of JSON in a file; those of an earlier run count."""
+
+    def __init__(self, file):
+        self.file = file
+        file.parent.mkdir(parents=True, exist_ok=True)
+        lines = file.read_text().splitlines() if file.exists() else []
+        self.rows = [json.loads(line) for line in lines]
+
+    def has(self, kind, number):
+        return any(row['kind'] == kind and row['number'] == number for row in self.rows)
+
+    def add(self, row):
+        self.rows.append(row)
+        with self.file.open('a') as file:
+            file.write(json.dumps(row) + '\n')
+
+    def of(self, kind):
+        return [row for row in self.rows if row['kind'] == kind]
+
+
 def summary(rows):
     if not rows:
-        return {'trials': 0}
-    columns = {key: np.array([row[key] for row in rows]) for key in rows[0]}
+        return {'trials': 0, 'late': 0}
+    columns = {key: np.array([row[key] for row in rows]) for key in FIGURES}
     figures = {'trials': len(rows), 'highest': round(float(columns['from'].max()), 2)}
-    for key in ('begun_ms', 'rest_ms', 'ended_ms'):
+    for key in ('sent_ms', 'begun_ms', 'rest_ms', 'ended_ms'):
         values = columns[key][~np.isnan(columns[key])]
         if len(values):
             p50, p99, worst = np.percentile(values, [50, 99, 100], method='higher')
@@ -236,7 +269,17 @@ def summary(rows):
     return figures
 
 
-def main():
+def table(found):
+    """Return the figures as a short table: at pretension after so many milliseconds."""
+    lines = [f'{"what stops":27s} trials   half    p99  worst  late']
+    for kind, figures in found.items():
+        if figures['trials']:
+            rest = '{p50:7.1f}{p99:7.1f}{worst:7.1f}'.format(**figures['rest_ms'])
+            lines.append(f'{kind:27s}{figures["trials"]:7d}{rest}{figures["late"]:6d}')
+    return '\n'.join(lines)
+
+
+def read_arguments():
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('--trials', type=int, default=200)
     parser.add_argument('--minutes', type=float, default=1e6, help='stop after so long')
@@ -244,13 +287,21 @@ def main():
     parser.add_argument('--stop-time', type=float, default=0.06, help='[s]')
     parser.add_argument('--arm', default='plant', choices=('plant', 'springs'))
     parser.add_argument('--command-timeout', type=float, default=0.1, help='[s]')
-    parser.add_argument('--watchdog', type=float, default=0.2, help='[s] of the motors')
+    parser.add_argument('--watchdog', type=float, help="[s] of the motors; default: the driver's")
     parser.add_argument('--kinds', nargs='+', default=list(KINDS), choices=list(KINDS))
     parser.add_argument('--logs', type=Path, default=Path(tempfile.gettempdir(), 'bench_stop'))
+    parser.add_argument('--resume', type=Path, help='file of trials: read first, then added to')
     parser.add_argument('--json', type=Path)
     args = parser.parse_args()
-    begun = os.getloadavg()
-    found, skipped, died = measure(args)
+    args.rows = args.resume or args.logs / f'trials_{os.getpid()}.jsonl'
+    return args
+
+
+def main():
+    args = read_arguments()
+    begun, rows = os.getloadavg(), Rows(args.rows)
+    skipped, died = measure(args, rows)
+    found = {kind: summary(rows.of(kind)) for kind in args.kinds}
     result = {
         **machine(),
         'load_average': [round(begun[0], 1), round(os.getloadavg()[1], 1)],
@@ -258,16 +309,13 @@ def main():
         'stop_time': args.stop_time,
         'arm': args.arm,
         'command_timeout': args.command_timeout,
-        'watchdog': args.watchdog,
+        'watchdog': args.watchdog or 'default',
         'died': died,
-        **{kind: {**summary(rows), 'not held': skipped[kind]} for kind, rows in found.items()},
+        **{kind: {**figures, 'not held': skipped[kind]} for kind, figures in found.items()},
     }
     tell(result, args.json)
-    return (
-        1
-        if died or any(row.get('late') for row in result.values() if isinstance(row, dict))
-        else 0
-    )
+    print(table(found))
+    return 1 if died or any(figures['late'] for figures in found.values()) else 0
 
 
 if __name__ == '__main__':

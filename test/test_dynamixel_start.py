@@ -12,6 +12,7 @@ from tendon_robot_ros.emulator.rig import SpringArm
 
 pytest.importorskip('dynamixel_sdk')
 
+from tendon_robot_ros.drivers.dynamixel import torque
 from tendon_robot_ros.drivers.dynamixel.bus import Bus
 
 
@@ -134,6 +135,32 @@ def test_torque_comes_on_without_a_jump(mode):
         np.testing.assert_allclose(driver.read().pulls, before, atol=2e-4)
         assert [servo.torque for servo in line.rig.servos.values()] == [True] * 4
         assert {servo.get('bus_watchdog') for servo in line.rig.servos.values()} == {10}
+
+
+@pytest.mark.parametrize(
+    ('realtime', 'given', 'counts', 'words'),
+    [
+        (True, {}, 4, '0.08 s (default in real time)'),
+        (False, {}, 10, '0.2 s (default without real time; docs/safety.md tells how to get it)'),
+        (True, {'watchdog': 0.3}, 15, '0.3 s (as configured)'),
+        (False, {'watchdog': 0.05}, 3, '0.05 s (as configured)'),
+        (True, {'watchdog': 0.0}, 0, 'off (as configured)'),
+    ],
+)
+def test_the_watchdog_is_short_in_real_time_and_what_is_configured_always_counts(
+    realtime, given, counts, words, monkeypatch
+):
+    monkeypatch.setattr(torque, 'in_realtime', lambda: realtime)
+    with emulated.line(slack=0.0) as line:
+        config = emulated.config(line.port)
+        del config['watchdog']
+        made = make_driver('dynamixel', emulated.robot(), {**config, **given})
+        with made as driver:
+            assert driver.silence() == 'set when torque comes on'
+            driver.enable()
+            servos = line.rig.servos.values()
+            assert {servo.get('bus_watchdog') for servo in servos} == {counts}
+            assert driver.silence() == driver.describe()['bus watchdog'] == words
 
 
 def test_slack_is_wound_up_and_the_pull_is_zero_where_the_wires_begin_to_pull():

@@ -63,6 +63,13 @@ def go_realtime() -> None:
             os.sched_setscheduler(int(thread), policy, os.sched_param(REALTIME_PRIORITY))
 
 
+def in_realtime() -> bool:
+    """Whether this thread is scheduled in real time: nothing but devices makes it late."""
+    if not sys.platform.startswith('linux'):
+        return False
+    return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK in (os.SCHED_RR, os.SCHED_FIFO)
+
+
 def go_with_others() -> None:
     """Take back what was inherited from a process that goes first."""
     if os.getpriority(os.PRIO_PROCESS, 0) < 0:

@@ -164,6 +164,10 @@ class Driver(abc.ABC):
         """Return facts for diagnostics: names and values as text, with units."""
         return {}
 
+    def silence(self) -> str:
+        """Return after how long without a word the motors stop, and why; empty where unknown."""
+        return ''
+
     def checked(self, command: Array) -> Array:
         """Return the command as an array; refuse a wrong shape or a value that is not finite."""
         values = np.asarray(command, dtype=float)

@@ -200,7 +200,7 @@ class DynamixelConfig:
     source: str
     port: str
     baud: int
-    watchdog: float  # [s], 0 = off
+    watchdog: float | None  # [s], 0 = off, None = by the scheduling of who drives
     answer_time: float  # [s]
     operation: str  # in pull mode: 'current_based' or 'extended'
     zero: str  # 'find' slack at enabling, or 'here': pull 0 is where it is enabled
@@ -242,7 +242,7 @@ def read_config(
         source=source,
         port=top.port(),
         baud=_baud(top),
-        watchdog=top.value('watchdog', 0.2, 0.0, 2.54, 's'),
+        watchdog=top.value('watchdog', 0.0, 0.0, 2.54, 's') if top.has('watchdog') else None,
         answer_time=top.value('answer_time', 0.012, 0.001, 0.1, 's'),
         operation=top.choice('pull_operation', OPERATIONS, OPERATIONS[0]),
         zero=zero,

@@ -26,6 +26,7 @@ from .torque import (
     torque_off,
     torque_on,
     watchdog_counts,
+    watchdog_time,
 )
 
 
@@ -38,7 +39,6 @@ def driver_facts(
         'latency_timer': 'none' if latency is None else f'{latency} ms',
         'group read': 'fast sync read' if bus.fast else 'sync read',
         'tension uncertainty': f'{_doubt(config):.3g} N',
-        'bus watchdog': f'{config.watchdog:g} s' if config.watchdog else 'off',
     }
     out |= {what: str(count) for what, count in bus.failures.items()}
     for motor in motors:
@@ -112,8 +112,8 @@ class DynamixelDriver(PortDriver):
         super().__init__(robot, mode, config, self.bus, *limits(config, robot, mode))
         self.motors = make_motors(config, mode)
         self._operating = operating_mode(config, mode)
-        self._watchdog = watchdog_counts(config)
-        self._watch = Watch(self.bus, self._operating, self._watchdog)
+        self._watch = Watch(self.bus, self._operating)
+        self._silence = 'set when torque comes on'
         self._latency: int | None = None
         self._lost: list[Motor] = []
         self._turn = 0
@@ -139,7 +139,10 @@ class DynamixelDriver(PortDriver):
         find_slack(self.bus, self.config, list(self.motors.values()), self.cancelled)
 
     def _torque_on(self) -> None:
-        torque_on(self.bus, list(self.motors.values()), self._operating, self._watchdog)
+        seconds, why = watchdog_time(self.config)
+        self._watch.watchdog = watchdog_counts(seconds)
+        self._silence = f'{seconds:g} s ({why})' if seconds else f'off ({why})'
+        torque_on(self.bus, list(self.motors.values()), self._operating, self._watch.watchdog)
         self._zero_here()
 
     def disable(self, inputs: Sequence[str] = ()) -> None:
@@ -177,7 +180,12 @@ class DynamixelDriver(PortDriver):
 
     def describe(self) -> dict[str, str]:
         """Return facts about bus and servos."""
-        return driver_facts(self.bus, self.config, self.motors.values(), self._latency)
+        facts = driver_facts(self.bus, self.config, self.motors.values(), self._latency)
+        return {**facts, 'bus watchdog': self._silence}
+
+    def silence(self) -> str:
+        """Return what address 98 was set to."""
+        return self._silence
 
     def write(self, command: Array) -> None:
         """Command tensions [N] or pulls [m], shape (m,), kept within limits and rates."""
@@ -226,7 +234,7 @@ class DynamixelDriver(PortDriver):
         self._turn += 1
         start = self._turn % len(self._lost)
         for motor in self._lost[start:] + self._lost[:start]:
-            if not come_back(self.bus, motor, self._operating, self._watchdog):
+            if not come_back(self.bus, motor, self._operating, self._watch.watchdog):
                 return
             self._start_from_measured([motor])
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from ...common.errors import DriverError
+from ...common.processes import in_realtime
 from .bus import Bus
 from .config import DynamixelConfig
 from .motor import HEALTH, STATE, Motor
@@ -22,11 +23,27 @@ from .tables import (
 )
 
 WRITE_ATTEMPTS = 3
+WATCHDOG_S = 0.2  # [s] that a busy computer may be late
+WATCHDOG_REALTIME_S = 0.08  # [s]
 
 
-def watchdog_counts(config: DynamixelConfig) -> int:
+def watchdog_time(config: DynamixelConfig) -> tuple[float, str]:
+    """
+    Return after which silence [s] the motors stop by themselves, and why after that.
+
+    Without a time of its own in the configuration it is short only where the calling thread,
+    which is to talk to the motors, is in real time: a trip has no ramp.
+    """
+    if config.watchdog is not None:
+        return config.watchdog, 'as configured'
+    if in_realtime():
+        return WATCHDOG_REALTIME_S, 'default in real time'
+    return WATCHDOG_S, 'default without real time; docs/safety.md tells how to get it'
+
+
+def watchdog_counts(seconds: float) -> int:
     """Return the value of address 98: at least one unit when it is on at all."""
-    return min(127, math.ceil(config.watchdog / WATCHDOG_UNIT_S - 1e-9))
+    return min(127, math.ceil(seconds / WATCHDOG_UNIT_S - 1e-9))
 
 
 def operating_mode(config: DynamixelConfig, mode: str) -> int:
@@ -192,7 +209,7 @@ class Watch:
 
     bus: Bus
     mode: int  # operating mode, address 11
-    watchdog: int  # address 98
+    watchdog: int = 0  # address 98
     due: dict[str, float] = field(default_factory=dict)
     tripped: list[Motor] = field(default_factory=list)  # whose watchdog this poll found tripped
     _shown: float = -math.inf

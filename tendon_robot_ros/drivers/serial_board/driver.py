@@ -124,6 +124,10 @@ class SerialDriver(PortDriver):
         """Return facts about board and link."""
         return board_facts(self.config, self.link, self.identity, self.telemetry)
 
+    def silence(self) -> str:
+        """Return what the board was told."""
+        return f'{self.config.timeout:g} s (command_timeout of the board)'
+
     def write(self, command: Array) -> None:
         """Command tensions [N] or pulls [m], shape (m,), kept within limits and rates."""
         self._require_open('write')

@@ -96,6 +96,8 @@ class DriverNode(ManagedNode):
         self.status.say(WARN, 'starting', 'switches torque on; looks for slack first if told')
         bus.call(lambda: bus.supervisor.latch.forget(INACTIVE))
         bus.activate()
+        if silence := bus.driver.silence():
+            self.get_logger().info(f'motors left in silence stop after {silence}')
 
     def _let_go(self) -> None:
         """Begin to release: the node is asked to end, `deactivate` comes when it can."""
