@@ -42,6 +42,7 @@ ENDED = 2.0  # [s] that a process may take to end
 TRIES = 3
 SETTLE = 0.3  # [s]
 FALLEN = 0.97  # of the current before: the release has begun
+SEEN = 0.02  # [s] at least so often
 NEAR = 0.03  # [N], four counts of current: at pretension
 FIGURES = 'from', 'sent_ms', 'begun_ms', 'rest_ms', 'rise', 'ended_ms'
 
@@ -155,7 +156,7 @@ class Scale:
 
 
 def judge(trace, cause, scale):
-    """Return the figures of one trial, None where the arm was not held when it was stopped."""
+    """Return the figures of one trial; None: not held when it was stopped, or not well seen."""
     times = np.array([moment[0] for moment in trace]) - cause
     tensions = scale(np.array([moment[1] for moment in trace]))
     wires = np.array([moment[2] for moment in trace])
@@ -165,12 +166,14 @@ def judge(trace, cause, scale):
     start = before[-1]
     pulling = start > scale.rest + 5.0 * NEAR
     later = times > 0.0
+    if not later.any() or np.diff(times[times > -SEEN]).max() > SEEN or times[-1] < SOON:
+        return None
     fallen = later & np.any(tensions[:, pulling] < FALLEN * start[pulling], axis=1)
     high = later & np.any(tensions > scale.rest + NEAR, axis=1)
     return {
         'from': float(start.max()),
         'begun_ms': 1e3 * float(times[fallen][0]) if fallen.any() else np.inf,
-        'rest_ms': np.inf if high[-1] else 1e3 * float(times[high][-1]),
+        'rest_ms': np.inf if high[-1] else 1e3 * float(times[high].max(initial=0.0)),
         'rise': float((wires[later].max(axis=0) - wires[~later][-1]).max()),
     }
 
@@ -223,7 +226,7 @@ def measure(args, rows):
 
 
 def several(chain, stops, kind, scale, number):
-    """Try until the arm was held when it was stopped."""
+    """Try until the arm was held when it was stopped, and seen."""
     for _ in range(TRIES):
         got = trial(chain, stops, kind, scale, number)
         if got is not None:

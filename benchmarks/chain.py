@@ -185,7 +185,11 @@ class Chain:
     """Emulated servos, driver and controller, and a user."""
 
     def __init__(self, logs, mode='tension', arm='plant', servos=None, **parameters):
-        """Start all; `servos` changes their configuration, `parameters` the driver's."""
+        """
+        Start all; `servos` changes their configuration, `parameters` the driver's.
+
+        A value of `servos` may be a function of the configuration.
+        """
         self.mode, self.logs, self.robot = mode, Path(logs), ROBOT
         self.logs.mkdir(parents=True, exist_ok=True)
         self.space = f'/chain_{os.getpid()}'
@@ -194,7 +198,9 @@ class Chain:
         at_once(self.servos.process.pid)
         plain = {**self.servos.content(), 'answer_time': ANSWER}
         del plain['watchdog']  # the emulator runs at once: the driver's default holds
-        self.config = {**plain, **(servos or {})}
+        for key, value in (servos or {}).items():
+            plain[key] = value(plain) if callable(value) else value
+        self.config = plain
         common = {'command_mode': mode}
         robot = str(self.robot)
         motors = {'backend': 'dynamixel', 'config': yaml.safe_dump(self.config)}

@@ -1,18 +1,18 @@
 """
 Break the whole chain for half an hour: controller and driver on emulated servos, a user beside.
 
-    python benchmarks/soak_chain.py [--minutes 30] [--seed 1] [--mode pull] [--busy 2]
+    python benchmarks/soak_chain.py [--minutes 30] [--mode pull] [--busy 2] [--json FILE]
 
 Targets come five times a second, a fault every ten seconds on average: of the bus and the motors
 (those of soak_dynamixel.py), stops of every kind, killed, ended and frozen processes, a second
 controller, commands and targets that are wrong, models that are broken. Targets: no goal beyond
-the limits, no tension beyond its limit, no process that died, no wire wound beyond the bound.
-The wires pull springs: on the mock arm the emulated motors, which have no inertia, overshoot by
-newtons in milliseconds, faults or not.
+the limits, no tension beyond its limit, no process that died, no wire wound beyond the bound. The
+wires move the mock arm, or with `--arm springs` a spring each; in pull mode the current of the
+motors limits the tension (docs/dynamixel.md). Prints what was passed each minute,
+at the end all figures as JSON and a short table. Not under `nice`: see bench_stop.py.
 """
 
 import argparse
-import json
 import math
 import os
 import signal
@@ -22,8 +22,8 @@ from pathlib import Path
 
 import numpy as np
 from chain import Chain, Load
-from emulated_bus import driver_for
-from machine import machine
+from emulated_bus import ROBOT, driver_for
+from machine import machine, tell
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from sensor_msgs.msg import JointState
@@ -32,6 +32,7 @@ from soak_dynamixel import Breaker, too_strong
 from std_msgs.msg import Bool
 
 from tendon_robot_ros.drivers.dynamixel.homing import BACK_OFF_M
+from tendon_robot_ros.drivers.dynamixel.tables import MODELS, from_data_sheet
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
 
@@ -133,11 +134,18 @@ OF_THE_CHAIN = {
 ALL = {**{k: v for k, v in OF_THE_BUS.items() if k not in NOT_HERE}, **OF_THE_CHAIN}
 
 
+def weak_enough(config):
+    """Return the current [A] at which no motor holds a wire that pulls more than its limit."""
+    line = from_data_sheet(MODELS[config['model']], config['spool_radius']).pay_out
+    return line.current(load_robot(ROBOT).tension_limits[1])
+
+
 def follow(chain, breaker, args):
     """Send targets and break things until the time is up; return how often it followed."""
     begin = time.monotonic()
     due = begin + breaker.random.expovariate(1.0 / BETWEEN)
     following = ticks = 0
+    told = begin
     while (now := time.monotonic()) < begin + 60.0 * args.minutes:
         angle = 2.0 * math.pi * (now - begin) / ROUND
         chain.user.aim(0.05 * math.sin(angle), 0.18)
@@ -151,6 +159,10 @@ def follow(chain, breaker, args):
             chain.look()
             chain.mend()
         ticks += 1
+        if now - told > 60.0:
+            told = now
+            passed, faults = round((now - begin) / 60.0), sum(breaker.done.values())
+            print(f'{passed} min, {faults} faults', judge(chain, args), chain.died, flush=True)
         following += chain.user.code('driver') == 'following'
     return following / max(1, ticks)
 
@@ -176,7 +188,8 @@ def judge(chain, args):
 
 def run(args):
     load = Load(args.busy)
-    chain = Chain(args.logs, args.mode, arm='springs', servos={**BOUNDS})
+    pulled = {'current_limit': weak_enough} if args.mode == 'pull' else {}
+    chain = Chain(args.logs, args.mode, arm=args.arm, servos={**BOUNDS, **pulled})
     try:
         breaker = ChainBreaker(chain, args.seed)
         chain.user.until(lambda: chain.user.code('driver') == 'following', 60.0)
@@ -195,23 +208,29 @@ def run(args):
         chain.close()
 
 
+def table(found):
+    rows = ('following', 'faults', 'highest tension [N]', 'most wire wound [m]')
+    lines = [f'{key:22s}{found[key]:10g}' for key in rows]
+    lines += [f'{key:22s}{len(found[key]):10d}' for key in ('died', 'beyond limits')]
+    return '\n'.join(lines)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('--minutes', type=float, default=30.0)
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--mode', choices=('tension', 'pull'), default='tension')
     parser.add_argument('--busy', type=int, default=2, help='busy processes beside it')
+    parser.add_argument('--arm', default='plant', choices=('plant', 'springs'))
     parser.add_argument('--logs', type=Path, default=Path(tempfile.gettempdir(), 'soak_chain'))
     parser.add_argument('--json', type=Path)
     args = parser.parse_args()
     begun = os.getloadavg()
     found = run(args)
-    given = {'minutes': args.minutes, 'seed': args.seed, 'mode': args.mode, 'busy': args.busy}
+    given = {key: getattr(args, key) for key in ('minutes', 'seed', 'mode', 'busy', 'arm')}
     load = [round(begun[0], 1), round(os.getloadavg()[1], 1)]
-    text = json.dumps({**machine(), 'load_average': load, **given, **found}, indent=1)
-    print(text)
-    if args.json:
-        args.json.write_text(text)
+    tell({**machine(), 'load_average': load, **given, **found}, args.json)
+    print(table(found))
     return 1 if found['died'] or found['beyond limits'] else 0
 
 

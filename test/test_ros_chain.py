@@ -1,6 +1,7 @@
 """Controller and mock driver as two processes, driven from a third over topics."""
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -57,13 +58,17 @@ def test_a_pose_brings_position_and_direction(station):
 
 def test_a_twist_moves_the_tip_as_long_as_it_is_sent(station):
     station.go_to_point(0.06, 0.17)
-    before = station.tip()
+    before, began = station.tip(), time.monotonic()
     for _ in range(25):
         station.twist(0.02)
         station.spin(0.02)
-    station.spin(0.4)
+    sent = time.monotonic() - began  # longer on a busy machine
+    station.until_code(station.controller, 'holding')
+    station.catch_up(0.3)
     moved = station.tip() - before
-    assert 0.006 < moved[0] < 0.02
+    assert 0.006 < moved[0] < 0.02 * (sent + 0.5)
+    station.catch_up(0.2)
+    assert station.tip() - before == pytest.approx(moved, abs=1e-4)
     assert station.code() == 'holding'
 
 

@@ -22,6 +22,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from tendon_robot_ros.common.processes import FIRST_NICENESS
+from tendon_robot_ros.drivers.safety import StopLatch
 from tendon_robot_ros.ros.controller import model as model_loading
 from tendon_robot_ros.ros.controller.node import ControllerNode
 from tendon_robot_ros.ros.driver.node import DriverNode
@@ -149,6 +150,30 @@ def test_the_controller_says_at_once_what_it_does_before_it_is_ready(context, mo
         controller.destroy_node()
 
 
+def test_the_controllers_stop_is_heard_while_no_callback_is_served(context, monkeypatch):
+    monkeypatch.setattr(model_loading, 'Loader', SlowLoader)
+    context('--ros-args', '-r', '__ns:=/busy', '-p', 'model:=kato_10_1')
+    controller, person = ControllerNode(), Node('person', namespace='/busy')
+    client, executor = person.create_client(Trigger, 'controller/stop'), SingleThreadedExecutor()
+    commands = []
+    person.create_subscription(JointState, 'tendon_command', commands.append, COMMAND)
+    executor.add_node(person)
+    try:
+        assert client.wait_for_service(10.0)
+        assert not call(executor, client).success  # no model yet
+        controller.core = SimpleNamespace(latch=StopLatch())
+        until(controller._commands.get_subscription_count, 'a listener')
+        assert call(executor, client).success
+        assert controller.core.latch.reasons == ['stop was called']
+        until(lambda: executor.spin_once(timeout_sec=0.1) or commands, 'a command')
+        assert not commands[0].name  # the driver lets go
+    finally:
+        controller.core = None
+        controller.end(lambda seconds: None)
+        controller.destroy_node()
+        person.destroy_node()
+
+
 def test_the_executor_serves_what_is_added_while_it_runs(context):
     context()
     executor, first, heard, ticks = make_executor(), Node('first'), [], []
@@ -241,11 +266,16 @@ import os, threading
 from tendon_robot_ros.common.processes import go_realtime, in_realtime
 late = threading.Event()
 threading.Thread(target=late.wait).start()
+computes = threading.Thread(target=late.wait, name='computes')
+computes.start()
 before = in_realtime()
-go_realtime()
-own = {os.sched_getscheduler(int(thread)) for thread in os.listdir('/proc/self/task')}
+go_realtime(4, but=['computes'])
+own = {int(thread): os.sched_getscheduler(int(thread)) for thread in os.listdir('/proc/self/task')}
+left = own.pop(computes.native_id) == os.SCHED_OTHER
 child = os.popen('chrt -p $$').read()
-print(before, in_realtime(), own == {os.SCHED_RR | os.SCHED_RESET_ON_FORK}, 'SCHED_OTHER' in child)
+all_others = set(own.values()) == {os.SCHED_RR | os.SCHED_RESET_ON_FORK}
+first = os.sched_getparam(0).sched_priority == 4
+print(before, in_realtime(), all_others, first, left, 'SCHED_OTHER' in child)
 late.set()
 """
 
@@ -258,5 +288,5 @@ def test_the_threads_of_the_driver_are_in_real_time_where_they_may_and_nothing_e
     if os.getpriority(os.PRIO_PROCESS, 0) != 0:
         pytest.skip('the tests themselves were started with another priority')
     allowed = processes.run(['chrt', '-r', '5', 'true']).returncode == 0
-    assert realtime() == f'False {allowed} {allowed} True\n'
-    assert realtime(nice=5) == 'False False False True\n'
+    assert realtime() == f'False {allowed} {allowed} {allowed} True True\n'
+    assert realtime(nice=5) == 'False False False False True True\n'

@@ -7,6 +7,8 @@ import ctypes
 import os
 import signal
 import sys
+import threading
+from collections.abc import Sequence
 
 PARENT = 'TENDON_ROBOT_ROS_PARENT'
 PR_SET_PDEATHSIG = 1
@@ -31,7 +33,8 @@ def end_with_parent() -> None:
 # What controls motors goes before other work of the machine, where that is allowed (Linux).
 
 FIRST_NICENESS = -15  # nice value; the kernel's own threads stay before it
-REALTIME_PRIORITY = 5  # of SCHED_RR; what the kernel does for devices is at 50
+# of SCHED_RR, first what moves motors; what the kernel does for devices is at 50
+REALTIME_PRIORITY, REALTIME_PRIORITY_SECOND = 5, 4
 
 
 def go_first() -> None:
@@ -46,21 +49,22 @@ def go_first() -> None:
             os.setpriority(os.PRIO_PROCESS, 0, FIRST_NICENESS)
 
 
-def go_realtime() -> None:
+def go_realtime(priority: int = REALTIME_PRIORITY, but: Sequence[str] = ()) -> None:
     """
     Have the threads that this process has now scheduled in real time, where that is allowed.
 
     Nice values weigh within a session only (autogroups), and a busy machine is late by tens of
-    milliseconds all the same. What is started later is as before. Needs root, CAP_SYS_NICE or a
-    line `rtprio 5` in /etc/security/limits.conf. Who was started with a nice value of its own
-    keeps it.
+    milliseconds all the same. What is started later is as before, and threads of Python whose
+    name is in `but`: those that compute for long. Needs root, CAP_SYS_NICE or a line `rtprio 5`
+    in /etc/security/limits.conf. Who was started with a nice value of its own keeps it.
     """
     if os.getpriority(os.PRIO_PROCESS, 0) > 0 or not sys.platform.startswith('linux'):
         return
-    for thread in os.listdir('/proc/self/task'):
+    left = {thread.native_id for thread in threading.enumerate() if thread.name in but}
+    for thread in {int(name) for name in os.listdir('/proc/self/task')} - left:
         with contextlib.suppress(OSError):
             policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
-            os.sched_setscheduler(int(thread), policy, os.sched_param(REALTIME_PRIORITY))
+            os.sched_setscheduler(thread, policy, os.sched_param(priority))
 
 
 def in_realtime() -> bool:

@@ -187,6 +187,8 @@ class ControllerCore:
             self._lose()
         if not self._silent and (self._lost or self.driver_stopped or self.command is None):
             self._resync()
+        if self.latch:
+            self._drop()  # another thread may have stopped it
         if self.latch or self.command is None or self.gone(now):
             return None
         if self._silent:

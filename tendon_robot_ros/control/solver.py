@@ -18,6 +18,7 @@ Work = Callable[[GiveUp], Any]  # reads no state that the commanding thread chan
 Done = Callable[[Any, TendonRobotError | None], None]
 # [s] for which the solver's Python may hold up the commands (default 5 ms)
 SWITCH_INTERVAL_S = 0.001
+SOLVER = 'solver'  # name of the thread
 END_TIMEOUT_S = 0.2  # [s] to wait for what is being evaluated
 
 
@@ -110,7 +111,7 @@ class Worker:
         self._open: Counter[str] = Counter()
         self._ended = False
         sys.setswitchinterval(SWITCH_INTERVAL_S)
-        self._thread = threading.Thread(target=self._work, name='solver', daemon=True)
+        self._thread = threading.Thread(target=self._work, name=SOLVER, daemon=True)
         self._thread.start()
 
     def post(

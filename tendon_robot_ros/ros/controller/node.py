@@ -9,6 +9,7 @@ Services: ~/stop, ~/reset. Parameters and units: docs/ros_interface.md.
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Sequence
 
@@ -20,16 +21,17 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from ...common.errors import TendonRobotError
+from ...common.processes import REALTIME_PRIORITY_SECOND, go_realtime
 from ...control import ControllerCore, Refusal
-from ...control.solver import Worker
+from ...control.solver import SOLVER, Worker
 from ...control.status import controller_status
 from ...model.model import Model
-from ..shared.inbox import STOP_REASON, Inbox, StopTopic, hear_anybody
+from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic, hear_anybody
 from ..shared.lifecycle import LEVELS, ManagedNode, Status
 from ..shared.messages import COMMAND, JOINTS, LATCHED, LISTEN, joint_state
 from ..shared.origin import Received
 from ..shared.parameters import Parameters
-from ..shared.runtime import run
+from ..shared.runtime import goes_first, run
 from ..shared.senders import OtherPublishers, Senders, signature
 from . import parameters
 from .incoming import Incoming
@@ -47,7 +49,7 @@ STARTING_WORDS = {
 
 
 class ControllerNode(ManagedNode):
-    """ROS around the controller core; one thread."""
+    """ROS around the controller core: one thread, and one that hears stops."""
 
     def __init__(self) -> None:
         """Declare parameters and begin to load the model; nothing is commanded yet."""
@@ -63,16 +65,17 @@ class ControllerNode(ManagedNode):
         self._solver: Worker | None = None
         self._targets: list[Subscription] = []
         self._signature, self._drivers = signature(self), Senders()
+        self._speaking = threading.Lock()
         self._commands = self.create_publisher(JointState, 'tendon_command', COMMAND)
         self._controllers = OtherPublishers(self, self._commands)
         self._measured = Inbox(self, JointState, 'tendon_states', JOINTS)
         self.create_subscription(PoseStamped, 'measured_tip', self._tip, LISTEN)
-        self._stop_topic = StopTopic(self, self._stop_said, self._stop_gone)
+        stop = Service(self, Trigger, '~/stop', self._stop)
+        self._stop_topic = StopTopic(self, self._stop_said, self._stop_gone, [stop])
         if self.parameters['driver_status']:
             self.create_subscription(
                 DiagnosticStatus, self.parameters['driver_status'], self._driver, LATCHED
             )
-        self.create_service(Trigger, '~/stop', self._stop)
         self.create_service(Trigger, '~/reset', self._reset)
         self.create_timer(1.0 / self.parameters['rate'], self._cycle)
         self.create_timer(1.0 / self.parameters['shape_rate'], self._predict)
@@ -99,6 +102,8 @@ class ControllerNode(ManagedNode):
             self._stop_said(STOP_REASON)
         self._incoming = Incoming(self, self.parameters, model)
         self._prediction = Prediction(self, self._incoming.base, model)
+        if goes_first():
+            go_realtime(REALTIME_PRIORITY_SECOND, but=[SOLVER])
 
     def activate(self) -> None:
         """Begin to hear targets: who waits for a subscriber sends none in vain."""
@@ -216,7 +221,10 @@ class ControllerNode(ManagedNode):
             pulls = output.pulls
             tensions = output.tensions if pulls is None else None
             stamp = self.get_clock().now().to_msg()
-            self._publish(joint_state(stamp, core.model.inputs, pulls, tensions))
+            command = joint_state(stamp, core.model.inputs, pulls, tensions)
+            with self._speaking:
+                if not core.latch:  # a stop that came meanwhile has the last word
+                    self._publish(command)
         if now - self._told >= STATUS_LOOK_PERIOD_S:
             self._told = now
             self._tell(core, now)
@@ -227,7 +235,8 @@ class ControllerNode(ManagedNode):
 
     def _let_go(self) -> None:
         """Have the driver release at once: a command without tendons. Silence does it later."""
-        self._publish(joint_state(self.get_clock().now().to_msg(), ()))
+        with self._speaking:
+            self._publish(joint_state(self.get_clock().now().to_msg(), ()))
 
     def _idle(self, now: float) -> None:
         """Publish that it waits for a transition: the last status would go on being heard."""
@@ -304,10 +313,12 @@ class ControllerNode(ManagedNode):
             self.core.latch.cause_gone('stop topic')
 
     def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = self.core is not None
+        """Stop at once, in the thread that hears stops; the core drops its target next."""
+        core = self.core
+        response.success = core is not None
         response.message = 'stopped; the driver releases the arm; call reset to go on'
-        if self.core is not None:
-            self.core.stop('stop', 'stop was called')
+        if core is not None:
+            core.latch.stop('stop', 'stop was called')
             self._let_go()
         return response
 
