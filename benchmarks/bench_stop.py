@@ -194,7 +194,11 @@ def trial(chain, stops, kind, scale, number):
     if not held:
         return None
     found = judge(trace, cause, scale)
-    return found and {**found, 'sent_ms': 1e3 * sent, 'ended_ms': ended}
+    if found is None:
+        return None
+    if found['rest_ms'] > 1e3 * SOON:  # to find out why: [ms] and currents [A]
+        found['trace'] = [[round(1e3 * (at - cause), 1), amperes] for at, amperes, _ in trace]
+    return {**found, 'sent_ms': 1e3 * sent, 'ended_ms': ended}
 
 
 def measure(args, rows):
@@ -206,7 +210,7 @@ def measure(args, rows):
         args.logs, arm=args.arm, servos=servos, stop_time=args.stop_time,
         command_timeout=args.command_timeout,
     )  # fmt: skip
-    at_once(os.getpid())
+    at_once(os.getpid(), 2)
     try:
         stops, scale = Stops(chain), Scale(chain.servos)
         end = time.monotonic() + 60.0 * args.minutes

@@ -87,7 +87,7 @@ class Forked:
         return self.code is None
 
 
-def at_once(process):
+def at_once(process, priority=1):
     """
     Let a process run whatever the load, with its threads of now.
 
@@ -95,7 +95,7 @@ def at_once(process):
     """
     with contextlib.suppress(PermissionError):
         for thread in os.listdir(f'/proc/{process}/task'):
-            os.sched_setscheduler(int(thread), os.SCHED_RR, os.sched_param(1))
+            os.sched_setscheduler(int(thread), os.SCHED_RR, os.sched_param(priority))
 
 
 class Load:

@@ -2,6 +2,8 @@
 
 import re
 import signal
+import sys
+import time
 from itertools import count
 from types import SimpleNamespace
 
@@ -50,6 +52,27 @@ def test_senders_without_a_signature_are_told_apart_by_their_numbers():
 def test_a_middleware_that_does_not_number_messages_is_no_hindrance():
     senders = Senders()
     assert all(senders.counts(0.01 * i, '', numbered(None)) for i in range(5))
+
+
+WITHOUT_MAIN = """
+import ctypes, threading
+from threading import Event
+threading.Thread(target=Event().wait).start()
+print('on', flush=True)
+ctypes.CDLL(None).pthread_exit(None)
+"""
+
+
+def test_a_process_counts_as_dead_when_its_main_thread_is():
+    senders = Senders()
+    with processes.Process([sys.executable, '-c', WITHOUT_MAIN]) as process:
+        own = re.sub(r'process \d+', f'process {process.pid}', machine_signature())
+        assert senders.counts(0.0, own, numbered(1))
+        end = time.monotonic() + 30.0
+        while not senders.died():
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        assert process.poll() is None  # another thread goes on
 
 
 def test_the_death_of_who_is_followed_is_seen_and_the_next_is_followed_at_once():
