@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.drivers.dynamixel.tables import MODELS
+from tendon_robot_ros.drivers.dynamixel.control_table import MODELS
 from tendon_robot_ros.emulator.bus import EmulatedBus
 from tendon_robot_ros.emulator.rig import Rig, SpringArm, Wire
 from tendon_robot_ros.emulator.servo import Servo

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.config import limits, read_config
-from tendon_robot_ros.drivers.dynamixel.motor import make_motors
-from tendon_robot_ros.drivers.dynamixel.tables import (
+from tendon_robot_ros.drivers.dynamixel.control_table import (
     MODELS,
     REGISTERS,
     Calibration,
@@ -24,6 +23,7 @@ from tendon_robot_ros.drivers.dynamixel.tables import (
     from_data_sheet,
     resolution,
 )
+from tendon_robot_ros.drivers.dynamixel.motor import make_motors
 
 pytest.importorskip('dynamixel_sdk')
 from tendon_robot_ros.drivers.dynamixel.bus import UDEV_RULE, check_latency, without_header

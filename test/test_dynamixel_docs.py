@@ -11,7 +11,7 @@ from tendon_robot_ros.common.yaml_reading import parse_yaml
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.bus import UDEV_FILE, UDEV_RULE
 from tendon_robot_ros.drivers.dynamixel.config import KEYS
-from tendon_robot_ros.drivers.dynamixel.tables import (
+from tendon_robot_ros.drivers.dynamixel.control_table import (
     MODELS,
     from_data_sheet,
     resolution,

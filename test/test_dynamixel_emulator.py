@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from control_rig import ROBOTS
 
-from tendon_robot_ros.drivers.dynamixel.tables import MODELS, REGISTERS
+from tendon_robot_ros.drivers.dynamixel.control_table import MODELS, REGISTERS
 from tendon_robot_ros.emulator import servo as servos
 from tendon_robot_ros.emulator.rig import ElasticArm, HangingWeights, Rig, SpringArm, Wire
 from tendon_robot_ros.emulator.servo import Load, Servo

@@ -21,10 +21,10 @@ from tendon_robot_ros.control.checks import direction
 from tendon_robot_ros.control.loading import Loader
 from tendon_robot_ros.ros.driver import parameters as driver_setup
 from tendon_robot_ros.ros.shared.files import read_mapping, read_robot
-from tendon_robot_ros.ros.shared.frames import Frames, matrix
 from tendon_robot_ros.ros.shared.messages import quaternion
 from tendon_robot_ros.ros.shared.parameters import Spec
 from tendon_robot_ros.ros.shared.runtime import _yaml
+from tendon_robot_ros.ros.shared.tf_frames import Frames, matrix
 
 parts = st.floats(-1.0, 1.0)
 

@@ -24,8 +24,8 @@ import numpy as np
 import yaml
 
 from ..common.errors import InputError, MissingExtraError
+from ..common.units import STANDARD_GRAVITY
 from ..common.yaml_reading import parse_yaml
-from ..drivers.hardware import STANDARD_GRAVITY
 from ..robot import load_robot
 
 if TYPE_CHECKING:

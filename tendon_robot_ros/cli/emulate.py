@@ -25,7 +25,7 @@ import yaml
 from numpy.typing import NDArray
 
 from ..common.errors import InputError
-from ..drivers.dynamixel.tables import BAUD_RATES, MODELS, smallest_spool
+from ..drivers.dynamixel.control_table import BAUD_RATES, MODELS, smallest_spool
 from ..emulator import board, bus
 from ..emulator.board import BoardRig, EmulatedBoard
 from ..emulator.bus import EmulatedBus

@@ -25,10 +25,10 @@ import yaml
 
 from ..common.errors import InputError, RobotDescriptionError
 from ..common.files import new_file
+from ..common.units import STANDARD_GRAVITY
 from ..robot import Robot, dump_robot, parse_robot
 from ..robot.estimates import (
     SAG_SHARE_MAX,
-    G,
     rod_stiffness,
     stiffness_from_bend,
     stiffness_from_sag,
@@ -188,7 +188,9 @@ def _ask_stiffness(questions: Questions) -> _Stiffness:
     if source == 'sag':
         grams = questions.number('Hold the arm level, weight at its tip [g]', 10.0, 1e-3, 1e6)
         drop = 1e-3 * questions.number('Its tip then sags by [mm]', 5.0, 1e-3, 1e4)
-        return _Stiffness(lambda size: _from_sag(1e-3 * G * grams, drop, size), 10.0)
+        return _Stiffness(
+            lambda size: _from_sag(1e-3 * STANDARD_GRAVITY * grams, drop, size), 10.0
+        )
     if source == 'bend':
         tension = questions.number('One tendon alone, tension [N]', 1.0, 1e-6, 1e5)
         angle = math.radians(questions.number('Its section then bends by [°]', 45.0, 1e-3, 1e4))

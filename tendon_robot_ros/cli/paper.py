@@ -36,8 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run everything, print the table, write the page."""
+    from ..paper.experiments import reproduce
     from ..paper.robots import Robots
-    from ..paper.whole import reproduce
     from ..report.paper_page import paper_page
 
     folder = Path(args.output)

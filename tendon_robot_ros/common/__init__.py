@@ -9,6 +9,6 @@ processes.py      children that end with who started them; who goes before other
 rotations.py      rotation matrices, rotation vectors and quaternions
 units.py          units as people write them, to SI
 words.py          numbers as people read them: millimetres, degrees, names in a list
-frames.py         tables of pandas, for those who have it
+dataframes.py     tables of pandas, for those who have it
 colours.py        the colours of measured, predicted and the rest, for pages and pictures
 """

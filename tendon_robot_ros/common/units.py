@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from .errors import InputError
 
-GRAM_FORCE = 9.80665e-3  # [N], standard gravity
+STANDARD_GRAVITY = 9.80665  # [m/s²]
+GRAM_FORCE = 1e-3 * STANDARD_GRAVITY  # [N]
 POUND_FORCE = 4.4482216  # [N]
 
 # kind of quantity -> unit as written -> factor to SI (angles to radians; counts need a scale)

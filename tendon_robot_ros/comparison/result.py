@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from ..common.dataframes import make_frame
 from ..common.errors import InputError
-from ..common.frames import make_frame
 from .statistics import Estimate, PairedT, estimate, half_width, paired_t
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ What the controller does, without ROS: what comes in is checked, targets become 
 core.py         `ControllerCore`: the cycle; one object, no clock, no threads
 state.py        what it is told (settings, target), hears, and gives
 solver.py       where the model is evaluated: beside the commands
-seeking.py      a pose becomes tensions: a search for a limited time (by model/inverse.py)
-way.py          the way of an arm that is driven by wire lengths
+seeking.py      posts the search for a pose's tensions (made by model/inverse.py)
+pull_path.py    the way of an arm that is driven by wire lengths
 checks.py       refusals of what comes in, each with a code and a sentence
 jog.py          moving the tip with a velocity
 trajectory.py   trajectories of tensions or wire pulls

@@ -13,12 +13,12 @@ from ..common.errors import DriverError, InputError, TendonRobotError
 from ..drivers.safety import CYCLE_MAX_S, StopLatch, approach, bounded
 from .checks import Refusal, check_inputs
 from .jog import Jog, Twist, follow_twist, start_jog
+from .pull_path import Way
 from .seeking import TargetSearch, seek, solution_of
 from .solver import GiveUp, InPlace, Solver
 from .state import MeasuredState, Output, Settings, ShapeTracker, Target
 from .tip_loop import TipLoop
 from .trajectory import Playing, play_pulls
-from .way import Way
 
 if TYPE_CHECKING:
     from ..model.model import Model

@@ -15,7 +15,7 @@ from .solver import GiveUp
 from .state import Controller, MeasuredState
 
 if TYPE_CHECKING:
-    from .way import Way
+    from .pull_path import Way
 
 Array = NDArray[np.float64]
 LIMIT_ROUNDING = 1e-9  # [N] or [m] by which a value may be outside for rounding

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.dataframes import make_frame
 from ..common.errors import DataSetError, InputError
-from ..common.frames import make_frame
 from ..robot import Robot
-from .frames import FrameArrays, frame_columns, read_frame
+from .dataframes import FrameArrays, frame_columns, read_frame
 from .markers import Marker, Vector, place_markers
-from .units import check_units
+from .unit_checks import check_units
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..common.errors import DataSetError
 from ..robot import Robot
-from .frames import FrameArrays
+from .dataframes import FrameArrays
 
 Vector = tuple[float, float, float]
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from ..common.dataframes import make_frame
 from ..common.errors import InputError, NoEquilibriumError
-from ..common.frames import make_frame
 from ..common.threads import one_thread
 from ..comparison.predict import FreeParameter, Point
 from ..data import DataSet

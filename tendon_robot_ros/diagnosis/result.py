@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.colours import ERROR, GOOD, PREDICTED
-from ..common.frames import make_frame
+from ..common.dataframes import make_frame
 from .decide import Verdict
 
 if TYPE_CHECKING:

@@ -20,7 +20,6 @@ from .safety import STOP_TIME_MIN_S, approach, bounded
 
 WRITE_STEP_MAX_S = 0.1  # [s]; after a pause the command does not catch up
 RETRY_PERIOD_S = 0.2  # [s] between two attempts to get a port or a motor back
-STANDARD_GRAVITY = 9.80665  # [m/s²] of the weights that calibrate
 
 
 class HardwareDriver(Driver):

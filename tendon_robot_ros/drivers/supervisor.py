@@ -1,5 +1,5 @@
 """
-What may reach the motors: limits, rates, the release ramp, the stop latch. No clock, no threads.
+What may reach the motors: keeps the rules of safety.py, ramps to pretension. No clock, no threads.
 
 The driver node asks it once per cycle. However wrong the commands are, what comes out stays within
 the limits, changes no faster than the rates, and goes to pretension when commands stay away.

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from ..drivers.dynamixel.tables import BAUD_RATES, HARDWARE_ERRORS, WATCHDOG_TRIPPED
+from ..drivers.dynamixel.control_table import BAUD_RATES, HARDWARE_ERRORS, WATCHDOG_TRIPPED
 from .port import COMMON_HELP, Action, Plug
 from .protocol import InstructionReceiver, Responder
 from .rig import HangingWeights, Rig

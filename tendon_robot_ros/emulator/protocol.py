@@ -13,7 +13,7 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
-from ..drivers.dynamixel.tables import BAUD_RATES, REGISTERS
+from ..drivers.dynamixel.control_table import BAUD_RATES, REGISTERS
 from .rig import Rig
 from .servo import INSTRUCTION_ERROR, Servo
 

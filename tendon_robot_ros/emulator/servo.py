@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ..drivers.dynamixel import tables
-from ..drivers.dynamixel.tables import (
+from ..drivers.dynamixel import control_table
+from ..drivers.dynamixel.control_table import (
     CURRENT_MODE,
     CURRENT_POSITION_MODE,
     REGISTERS,
@@ -200,7 +200,11 @@ class Servo:
     """A servo of one model with an id."""
 
     def __init__(
-        self, model: tables.ServoModel, identity: int, baud: int = 1_000_000, firmware: int = 48
+        self,
+        model: control_table.ServoModel,
+        identity: int,
+        baud: int = 1_000_000,
+        firmware: int = 48,
     ) -> None:
         """Switch the power on."""
         self.model, self.identity, self.firmware = model, identity, firmware
@@ -212,7 +216,7 @@ class Servo:
             'model_number': model.number,
             'firmware_version': firmware,
             'id': identity,
-            'baud_rate': next(k for k, v in tables.BAUD_RATES.items() if v == baud),
+            'baud_rate': next(k for k, v in control_table.BAUD_RATES.items() if v == baud),
             'return_delay_time': 250,
             'operating_mode': 3,
             'shutdown': model.shutdown,
@@ -229,7 +233,7 @@ class Servo:
         """Start the firmware: RAM goes to its defaults, turns are forgotten."""
         self._bytes[EEPROM_END:] = bytes(TABLE_END - EEPROM_END)
         self.put('status_return_level', 2)
-        self.motion.angle = self.motion.ticks % tables.TICKS_PER_TURN * TICK
+        self.motion.angle = self.motion.ticks % control_table.TICKS_PER_TURN * TICK
         self.motion.speed = self.motion.current = 0.0
         self.silence = 0.0  # [s] since the last instruction packet
         self._goals_to_defaults()
@@ -239,13 +243,13 @@ class Servo:
         """Read a register by name."""
         register = REGISTERS[name]
         start = register.address
-        return tables.decode(register, bytes(self._bytes[start : start + register.size]))
+        return control_table.decode(register, bytes(self._bytes[start : start + register.size]))
 
     def put(self, name: str, value: int) -> None:
         """Set a register by name, without any check: what the firmware itself does."""
         register = REGISTERS[name]
         start = register.address
-        self._bytes[start : start + register.size] = tables.encode(register, value)
+        self._bytes[start : start + register.size] = control_table.encode(register, value)
 
     @property
     def torque(self) -> bool:
@@ -279,7 +283,7 @@ class Servo:
             part = data[position : position + register.size]
             if len(part) < register.size:
                 return DATA_LENGTH | self.alert
-            error = self._write_one(name, register, tables.decode(register, part))
+            error = self._write_one(name, register, control_table.decode(register, part))
             if error:
                 return error | self.alert
             position += register.size
@@ -328,13 +332,13 @@ class Servo:
     def protect(self, passed: float) -> None:
         """Let time [s] pass for the watchdog, the temperature and the voltage."""
         self.silence += passed
-        watchdog = self.get('bus_watchdog') * tables.WATCHDOG_UNIT_S
+        watchdog = self.get('bus_watchdog') * control_table.WATCHDOG_UNIT_S
         if self.torque and not self.tripped and 0 < watchdog < self.silence:
             self._stop()
         if self.temperature > self.get('temperature_limit'):
             self.fail(0x04)
         low, high = self.get('min_voltage_limit'), self.get('max_voltage_limit')
-        if not low <= self.voltage / tables.VOLT_PER_COUNT <= high:
+        if not low <= self.voltage / control_table.VOLT_PER_COUNT <= high:
             self.fail(0x01)
 
     def _stop(self) -> None:
@@ -366,8 +370,9 @@ class Servo:
         self.put('present_position', motion.ticks + self.get('homing_offset'))
         self.put('present_current', round(motion.current / self.model.current_unit))
         self.put(
-            'present_velocity', round(motion.speed / (2 * math.pi) * 60 / tables.RPM_PER_COUNT)
+            'present_velocity',
+            round(motion.speed / (2 * math.pi) * 60 / control_table.RPM_PER_COUNT),
         )
         self.put('present_temperature', round(self.temperature))
-        self.put('present_input_voltage', round(self.voltage / tables.VOLT_PER_COUNT))
+        self.put('present_input_voltage', round(self.voltage / control_table.VOLT_PER_COUNT))
         self.put('moving', int(abs(motion.speed) > 0.01))

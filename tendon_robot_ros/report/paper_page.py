@@ -15,9 +15,9 @@ from ..comparison.statistics import half_width
 from ..data import DataSet
 from ..diagnosis.result import Diagnosis
 from ..paper.displacement import DisplacementExperiment, Heights
+from ..paper.experiments import Paper, Row
 from ..paper.motion import VIEW_ANGLES_RAD, MotionExperiment, Stiffening
 from ..paper.tension import TensionExperiment
-from ..paper.whole import Paper, Row
 from . import comparison_text as say
 from .error_plots import angles, tip_boxes
 from .numbers import mm_list, plain, quantities

@@ -7,11 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.units import STANDARD_GRAVITY
 from .description import Robot
 from .routes import tendon_offsets
 
 Floats = NDArray[np.float64]
-G = 9.81  # [m/s²]
 BEND_MIN_RAD = 0.35  # [rad] that the highest tension bends a section by, at least
 RIGHT_ANGLE_RAD = 0.5 * math.pi
 TENSION_SHARE_MIN = (
@@ -94,7 +94,7 @@ def handling(robot: Robot) -> list[str]:
     lines = [f'1 N on {" or ".join(names)} {text}' for text, names in groups.items()]
     lines[0] += ' (without friction)'
     if (kilograms := mass(robot)) > 0.0:
-        drop = sag(robot, weight=G * kilograms)
+        drop = sag(robot, weight=STANDARD_GRAVITY * kilograms)
         lines.append(f'weighs {1e3 * kilograms:.3g} g; level, it {_sags(drop, robot.length)}')
     return lines + doubts(robot, rates)
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 
+from ..common.units import STANDARD_GRAVITY
 from .description import Robot
-
-STANDARD_GRAVITY = 9.81  # [m/s²]
 
 
 def natural_sizes(robot: Robot) -> dict[str, float]:

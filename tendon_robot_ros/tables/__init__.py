@@ -13,6 +13,7 @@ traces.py         columns to inputs and markers over time, in SI units
 measuring.py      where the arm stood still: cleaned, named by posture and trial
 marker_order.py   which marker is where on the arm
 registration.py   how the tracker's frame lies in the base's, with the model's help
+                  (of a live tracker: ros/monitor/measured.py)
 account.py        the table of what was taken and why
 picture.py        raw traces, what was cut out, markers on the arm
 """

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import DataSetError
+from ..common.units import STANDARD_GRAVITY
 from ..common.words import listed, mm
 from ..comparison.predict import Predictor
 from ..data import DataSet, Marker
@@ -28,7 +29,6 @@ from .raw_table import FloatArray, RawTable, from_frame
 from .reading import read_table
 from .recipe import FrameChoice, MarkerColumns, Recipe, load_recipe, read_recipe
 from .registration import (
-    G,
     TrackerFrame,
     find_frame,
     gravity_of,
@@ -256,7 +256,7 @@ def _gravity(
     seen = gravity_of(frame, recipe.up)
     if known is None or not np.linalg.norm(known):
         return (seen if known is None else None), ()
-    cosine = float(np.dot(known, seen) / (G * np.linalg.norm(known)))
+    cosine = float(np.dot(known, seen) / (STANDARD_GRAVITY * np.linalg.norm(known)))
     apart = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
     if apart < APART_RAD:
         return None, ()

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ..common.dataframes import pandas
 from ..common.errors import DataSetError, MissingExtraError, short
-from ..common.frames import pandas
 from ..common.units import find_unit
 from .formats import is_optitrack, optitrack_header, read_c3d
 from .raw_table import MISSING, RawTable, is_number, table_of

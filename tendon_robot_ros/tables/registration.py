@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ..common.errors import InputError
 from ..common.rotations import rigid_fit, towards, turn_angle
+from ..common.units import STANDARD_GRAVITY
 from ..comparison.noise import rms
 from ..comparison.predict import Predictor
 from ..data import DataSet
@@ -19,7 +20,6 @@ from .raw_table import FloatArray
 from .recipe import FrameChoice
 
 DIGITS = 9  # nanometres
-G = 9.80665  # [m/s²]
 ROUNDS = 6  # of weights and fit
 NOISE_M = 5e-4  # [m] of a tracker, about
 NEXT_TO_BASE = 2  # markers
@@ -291,7 +291,7 @@ def _straight(
 
 def gravity_of(frame: TrackerFrame, up: str) -> Vector:
     """Return gravity [m/s²] in the base frame where the tracker's axis `up` points up."""
-    x, y, z = (-G * (frame.rotation @ up_axis(up))).round(6).tolist()
+    x, y, z = (-STANDARD_GRAVITY * (frame.rotation @ up_axis(up))).round(6).tolist()
     return x, y, z
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from ..common.dataframes import pandas
 from ..common.errors import DataSetError, InputError
-from ..common.frames import pandas
 from ..common.units import UNITS, find_unit
 from ..data.dataset import listing
 from ..data.recording.reader import Recording, Track

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...common.errors import DataSetError
 from ...robot import Robot
 from ..dataset import FloatArray, listing
-from ..units import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
+from ..unit_checks import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
 from .csv_file import CsvFile, IntArray, Table
 
 

@@ -18,7 +18,7 @@ from ..dataset import (
 )
 from ..folder.description import Description, describe, read_fields
 from ..markers import Marker, default_markers
-from ..units import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
+from ..unit_checks import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
 from .reader import Recording, Topics, read_bag
 from .still_segments import ArmMotion, Rule, Segment, assemble, find_segments, motion
 from .writer import DESCRIPTION, ROBOT

@@ -1,13 +1,13 @@
 """
 Dynamixel servos (X series, Protocol 2.0) through the unmodified dynamixel-sdk (docs/dynamixel.md).
 
-driver.py        the driver: fails safe, comes back from where the arm is; what it reports
-config.py        the configuration: motors, wires, spools, limits
-tables.py        control tables as data; the words of an error bit; counts to tension and pull
-bus.py           every conversation with the servos, and the port under it
-motor.py         one servo as the driver knows it
-torque.py        torque on and off, coming back, and what is polled beside the state
-handshake.py     who is on the bus, and whether it is what the configuration says
-homing.py        where the wires begin to pull
-calibration.py   current against tension, from known weights
+driver.py         the driver: fails safe, comes back from where the arm is; what it reports
+config.py         the configuration: motors, wires, spools, limits
+control_table.py  control tables as data; the words of an error bit; counts to tension and pull
+bus.py            every conversation with the servos, and the port under it
+motor.py          one servo as the driver knows it
+torque.py         torque on and off, coming back, and what is polled beside the state
+handshake.py      who is on the bus, and whether it is what the configuration says
+homing.py         where the wires begin to pull
+calibration.py    current against tension, from known weights
 """

@@ -29,7 +29,7 @@ from dynamixel_sdk import (
 
 from ...common.errors import DriverError
 from ..ports import PORT_ERRORS, PortLostError, take_alone, why_not
-from .tables import REGISTERS, decode, encode
+from .control_table import REGISTERS, decode, encode
 
 UDEV_FILE = '/etc/udev/rules.d/99-usb-serial-latency.rules'
 UDEV_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'

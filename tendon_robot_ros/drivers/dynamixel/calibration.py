@@ -21,8 +21,8 @@ from ...common.errors import DriverError, InputError
 from ..ports import PortLostError
 from .bus import Bus
 from .config import WireConfig
+from .control_table import CURRENT_POSITION_MODE, Calibration, CurrentLine
 from .motor import Motor
-from .tables import CURRENT_POSITION_MODE, Calibration, CurrentLine
 from .torque import read_state, torque_off, torque_on
 
 SAMPLE_PERIOD_S = 0.01  # [s]

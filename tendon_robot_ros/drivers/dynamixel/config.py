@@ -21,7 +21,7 @@ from ..hardware import (
     read_spool_radius,
 )
 from ..interface import Array
-from .tables import (
+from .control_table import (
     BAUD_RATES,
     MODELS,
     Calibration,

@@ -6,8 +6,8 @@ from ...common.errors import DriverError
 from ..ports import PortLostError
 from .bus import Bus
 from .config import DynamixelConfig
+from .control_table import MODEL_NAMES, VOLT_PER_COUNT
 from .motor import Motor
-from .tables import MODEL_NAMES, VOLT_PER_COUNT
 
 REVERSE, TORQUE_BY_GOAL = 0x01, 0x08  # bits of the drive mode, address 10
 PING_ATTEMPTS = 3

@@ -17,8 +17,8 @@ from ...common.errors import DriverError, MovedError
 from ..ports import PortLostError, travelled
 from .bus import Bus
 from .config import DynamixelConfig
+from .control_table import CURRENT_POSITION_MODE, RPM_PER_COUNT, TICKS_PER_TURN
 from .motor import Motor
-from .tables import CURRENT_POSITION_MODE, RPM_PER_COUNT, TICKS_PER_TURN
 from .torque import read_state, torque_off, torque_on
 
 CYCLE_S = 0.01  # [s]

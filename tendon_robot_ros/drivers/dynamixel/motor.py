@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from ..interface import Fault
 from .config import DynamixelConfig, WireConfig
-from .tables import (
+from .control_table import (
     HARDWARE_ERRORS,
     POSITION_MAX_TICKS,
     REGISTERS,

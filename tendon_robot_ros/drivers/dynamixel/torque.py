@@ -11,8 +11,7 @@ from ...common.errors import DriverError
 from ...common.processes import in_realtime
 from .bus import Bus
 from .config import DynamixelConfig
-from .motor import HEALTH, STATE, Motor
-from .tables import (
+from .control_table import (
     CURRENT_MODE,
     CURRENT_POSITION_MODE,
     EXTENDED_MODE,
@@ -21,6 +20,7 @@ from .tables import (
     WATCHDOG_TRIPPED,
     WATCHDOG_UNIT_S,
 )
+from .motor import HEALTH, STATE, Motor
 
 WRITE_ATTEMPTS = 3
 WATCHDOG_S = 0.2  # [s] that a busy computer may be late

@@ -2,7 +2,7 @@
 What the nodes share.
 
 messages.py            ROS messages to arrays and back; quality of service of every topic
-frames.py              frames of incoming messages, through TF where it is there
+tf_frames.py           frames of incoming messages, through TF where it is there
 parameters.py          declared parameters with range and unit; those of another node
 lifecycle.py           nodes that start by themselves; their status
 inbox.py               subscriptions of any kind; what a thread of its own hears; the topic `stop`

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..common.errors import DataSetError
 from ..robot import Robot
-from .frames import Floats, FrameArrays
+from .dataframes import Floats, FrameArrays
 
 TENSION_MAX_LIMITS = 3.0  # tension limits; a larger tension is in another unit
 DISTANCE_MAX_LENGTHS = 3.0  # robot lengths; a marker farther off is in another unit or frame

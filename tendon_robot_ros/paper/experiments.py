@@ -11,9 +11,9 @@ import numpy as np
 from . import slip
 from .displacement import HEIGHT_NAMES, DisplacementExperiment, displacement_experiment
 from .motion import MotionExperiment, motion
+from .prototype import SmallExperiment, small_experiment
 from .robots import Robots
 from .slip import SlipFriction
-from .small import SmallExperiment, small_experiment
 from .tension import PUBLISHED_ERRORS_M, TensionExperiment, tension_experiment
 
 MET_WITHIN = 0.15  # relative difference that counts as met
