@@ -31,8 +31,8 @@ from soak_dynamixel import KINDS as OF_THE_BUS
 from soak_dynamixel import Breaker, too_strong
 from std_msgs.msg import Bool
 
+from tendon_robot_ros.drivers.dynamixel.control_table import MODELS, from_data_sheet
 from tendon_robot_ros.drivers.dynamixel.homing import BACK_OFF_M
-from tendon_robot_ros.drivers.dynamixel.tables import MODELS, from_data_sheet
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
 
