@@ -78,7 +78,7 @@ def spatial(cells=4, effects=None, bends_as='hinge', taper=1.0):
     for s, name in enumerate(('near', 'far')):
         for j in range(3):
             angle = np.pi / 3 * (2 * j + s)
-            base = (0.006 * np.cos(angle), 0.006 * np.sin(angle))
+            base = (float(0.006 * np.cos(angle)), float(0.006 * np.sin(angle)))
             tendons.append(Tendon(f'{name}_{j}', base, (taper * base[0], taper * base[1]), name))
     return Robot(
         name='spatial',

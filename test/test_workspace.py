@@ -5,12 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import planar, spatial, two_sections
+from numpy.testing import assert_allclose
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import dump_robot
+from tendon_robot_ros.workspace.cubes import LOOKS, Cubes
 from tendon_robot_ros.workspace.grid import find_workspace, pairs_of
+from tendon_robot_ros.workspace.volume import find_volume, folds
 
 FRICTION = {'tendon_friction': {'friction_coefficient': 0.3}}
 
@@ -112,3 +115,130 @@ def test_the_command_writes_table_arrays_and_page(tmp_path, capsys):
     assert '60° view' in (out / 'workspace.html').read_text(encoding='utf-8')
     assert main([*call, '--output', str(out)]) == 1
     assert 'use --overwrite' in capsys.readouterr().err
+
+
+# -----------------------------------------------------------------------------
+# All tendons at once.
+
+
+def single(effects=None, cells=8):
+    """Return one section with three tendons all around."""
+    robot = spatial(cells=cells, effects=effects)
+    return replace(
+        robot,
+        sections=robot.sections[:1],
+        tendons=tuple(t for t in robot.tendons if t.section == 'near'),
+    )
+
+
+def test_without_friction_the_tips_of_one_section_lie_on_the_arcs_of_all_bends():
+    robot = single()
+    volume = find_volume(Model(robot), 4000, seed=1)
+    reached, cells, length = volume.reached, robot.cells, robot.sections[0].cell_length
+    assert volume.frictionless is None
+    assert len(reached) > 200
+    offsets = np.array([tendon.base for tendon in robot.tendons])
+    bend = np.linalg.norm(reached.tensions @ offsets, axis=1) / 0.05  # moment over stiffness
+    # hinges in the middle of the cells: half a cell straight at either end
+    weights = np.r_[0.5, np.ones(cells - 1), 0.5]
+    angles = bend[:, None] * np.arange(cells + 1)
+    assert_allclose(reached.tips[:, 2], length * np.cos(angles) @ weights, atol=1e-9)
+    across = length * np.abs(np.sin(angles) @ weights)
+    assert_allclose(np.hypot(*reached.tips[:, :2].T), across, atol=1e-9)
+    assert volume.largest == pytest.approx(np.pi, abs=0.1)
+
+
+def test_tips_on_a_curve_have_a_hull_and_no_area():
+    reached = find_volume(Model(planar()), 5000).reached
+    assert reached.is_flat
+    assert reached.size < 0.1 * reached.hull[2]
+
+
+def test_cubes_hold_the_volume_of_a_ball():
+    radius, edge = 0.03, 0.003
+    low = np.stack(np.meshgrid(*[np.arange(-12, 12) * edge] * 3), axis=-1).reshape(-1, 3)
+    nearest = np.clip(0.0, low + 1e-9, low + edge - 1e-9)  # of every cube to the base
+    inside = nearest[np.linalg.norm(nearest, axis=1) < radius]
+    cubes = Cubes(planar(), edge)
+    cubes.add(np.ones((len(inside), 2)), inside, inside)
+    reached, volume = cubes.reached(), 4 / 3 * np.pi * radius**3
+    assert reached.size == pytest.approx(volume, rel=0.02)
+    assert len(reached) * edge**3 > 1.2 * volume  # cubes alone hold more
+    assert 0.9 * volume < reached.hull[2] < volume  # of points inside
+
+
+def test_a_cube_keeps_the_posture_of_least_tension_and_all_directions():
+    random = np.random.default_rng(0)
+    tips, tensions = random.uniform(-0.02, 0.02, size=(5000, 3)), random.random((5000, 2))
+    ways = tips / np.linalg.norm(tips, axis=1, keepdims=True)
+    cubes = Cubes(planar(), 0.01)
+    for rows in np.array_split(np.arange(5000), 7):
+        cubes.add(tensions[rows], tips[rows], ways[rows])
+    reached = cubes.reached()
+    assert (len(reached), reached.postures) == (4**3, 5000)
+    for row, cell in enumerate(reached.cells):
+        inside = (np.floor(tips / 0.01) == cell).all(axis=1)
+        least = np.flatnonzero(inside)[np.argmin(tensions[inside].max(axis=1))]
+        assert_allclose(reached.tensions[row], tensions[least])
+        assert_allclose(reached.tips[row], tips[least])
+    around_the_base = np.flatnonzero((reached.cells == [0, 0, 0]).all(axis=1))
+    assert reached.looks[around_the_base] == LOOKS // 8  # an octant of all directions
+
+
+def test_an_arm_that_closes_a_ring_runs_into_itself():
+    length, n = 0.006, 40
+    bends = np.array([0.0, np.pi, 1.98 * np.pi, 2.2 * np.pi]) / n
+    angles = bends[:, None] * np.arange(1, n + 1)
+    steps = length * np.stack([np.sin(angles), 0.0 * angles, np.cos(angles)], axis=2)
+    folded = folds(np.cumsum(steps, axis=1), np.full(n, 0.006), np.full(n, length))
+    assert folded.tolist() == [False, False, True, True]
+
+
+def test_friction_takes_places_and_adds_others():
+    volume = find_volume(Model(single(effects=FRICTION, cells=12)), 6000, views=[1.0])
+    assert volume.frictionless is not None
+    assert volume.given > 0.0
+    # bent near the base and straight farther out, it reaches farther to the side
+    assert volume.reached.highs[0] > 1.1 * volume.frictionless.highs[0]
+    (view,) = volume.views.values()
+    looking = np.arccos(view.directions[:, 2])
+    assert_allclose(looking, 1.0, atol=np.radians(2.5))
+    heights = view.tips[:, 2]
+    assert np.ptp(heights) < 0.25 * volume.robot.length  # a ring
+
+
+@pytest.mark.parametrize(
+    ('options', 'message'),
+    [
+        ({'postures': 0}, 'expected 1 to 100,000,000 postures, got 0'),
+        ({'limits': (5.0, 1.0)}, 'a pretension from 0 to below the limit, got 5 N and 1 N'),
+        ({'edge': 1e-6}, 'expected cubes of 0.42 mm to the length of the arm, got 0.001 mm'),
+        ({'views': [-1.0]}, 'expected view angles of 0° or more'),
+    ],
+)
+def test_volumes_that_make_no_sense_are_refused(options, message):
+    with pytest.raises(InputError, match=message):
+        find_volume(Model(planar()), **options)
+
+
+def test_the_command_shows_all_tendons_of_an_arm_in_space(tmp_path, capsys):
+    pytest.importorskip('plotly')
+    robot = tmp_path / 'robot.yaml'
+    robot.write_text(dump_robot(spatial(effects=FRICTION)))
+    out = tmp_path / 'out'
+    call = ['workspace', str(robot), '--view', '60', '--view', '200', '--postures', '3000']
+    assert main([*call, '--cubes', '5', '--output', str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert '3,000 postures over 6 tendons from 0 to 5 N' in printed
+    assert 'in cubes of 5.0 mm; their convex hull has ' in printed
+    assert 'friction takes ' in printed
+    assert 'no posture at 200°: the largest tip angle is ' in printed
+    rows = (out / 'postures.csv').read_text().splitlines()
+    with np.load(out / 'workspace.npz') as arrays:
+        assert len(rows) - 1 == len(arrays['tensions']) == len(arrays['looks'])
+        tips = Model(spatial(effects=FRICTION)).shapes(arrays['tensions'][:50]).tip_position
+        assert_allclose(tips, arrays['tips'][:50], atol=1e-9)
+    page = (out / 'workspace.html').read_text(encoding='utf-8')
+    assert 'Section along the x-z plane' in page
+    assert main([*call, '--step', '1', '--output', str(tmp_path / 'b')]) == 1
+    assert '--step: --view of an arm in a plane sweeps pairs' in capsys.readouterr().err

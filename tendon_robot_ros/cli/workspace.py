@@ -1,32 +1,42 @@
 """
-Sweep the tensions and show where the tip can be at a view angle.
+Show where the tip can be, over all tendons at once; or over pairs of them, at a view angle.
 
-All tensions of every pair of inputs in steps, the other inputs at the pretension: opposite sides
-and the same side where the robot has them (Kato et al. 2015, section IV.B). Kept are the postures
-whose tip looks at a view angle (the tip's direction against the base's), within --tolerance.
+Without --view, and for arms that bend in space, all tendons pull: random postures, then more from
+those at the edge. Tips are collected in cubes: how much space they fill, their hull, where the tip
+looks, what friction takes and adds. --view collects the tips at an angle between the tip's
+direction and the base's as well.
 
-OUTPUT holds postures.csv (one row per kept posture: tensions [N], tip [m], tip angle [rad]),
-workspace.npz (the same with all cells: positions [m], bends [rad]) and workspace.html.
+For arms in a plane --view sweeps the tensions of every pair of inputs in steps, the other inputs
+at the pretension (Kato et al. 2015, section IV.B). Kept are the postures whose tip looks at a view
+angle, within --tolerance.
 
-example: python -m tendon_robot_ros workspace config/robots/kato_1_1.yaml --view 180 --view 45
-    --step 0.1 --pretension 0.1 --output range_of_motion
+OUTPUT holds postures.csv (a row per cube, or per kept posture: tensions [N], tip [m]),
+workspace.npz (all arrays) and workspace.html.
+
+example: python -m tendon_robot_ros workspace config/robots/spatial_6.yaml --output range_of_motion
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
 from ..common.files import new_folder
 from ..common.words import columns
-from ..report.workspace_page import FAMILY_COLUMNS, missing, rows
-from ..workspace.grid import WORKSPACE_FILES, Workspace, find_workspace, save_workspace
-from .options import add_json, add_robot, emit, load_model, progress
+from ..robot.routes import tendon_offsets
+from .options import add_json, add_robot, add_unit, emit, length, load_model, progress
 
-HELP = 'where the tip can be at a view angle, over all pairs of tensions'
-PAGE = 'workspace.html'
+if TYPE_CHECKING:
+    from ..model.model import Model
+    from ..workspace.grid import Workspace
+
+HELP = 'where the tip can be: over all tendons, or over pairs at a view angle'
+FILES = ('postures.csv', 'workspace.npz', 'workspace.html')
+Found = tuple[dict[str, Any], list[str], Callable[[Path], None]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,10 +47,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--view',
         action='append',
         type=float,
+        default=[],
         metavar='DEGREES',
-        help='view angle (may be given several times; default: 180)',
+        help='view angle (may be given several times)',
     )
-    add('--step', type=float, default=0.1, metavar='N', help='of the tensions (default: 0.1 N)')
+    add('--postures', type=int, metavar='N', help='of all tendons, to sample (default: 100000)')
+    add('--cubes', metavar='LENGTH', help='their edge (default: for ten postures in each)')
+    add('--step', type=float, metavar='N', help='of the tensions of pairs (default: 0.1 N)')
     add('--pretension', type=float, metavar='N', help="default: the robot's lower limit")
     add('--limit', type=float, metavar='N', help="highest tension (default: the robot's)")
     add(
@@ -52,36 +65,62 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add('--output', metavar='DIR', help='folder for the results: CSV, npz and a page')
     add('--overwrite', action='store_true', help='replace results in that folder')
+    add_unit(parser)
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Sweep, print, write."""
+    """Sample or sweep, print, write."""
     folder = Path(args.output) if args.output else None
     if folder and folder.exists() and any(folder.iterdir()) and not args.overwrite:
         raise InputError(f'{folder}: is not empty; use --overwrite or another --output')
+    model = load_model(args)
+    in_pairs = bool(args.view) and not tendon_offsets(model.robot)[..., 1].any()
+    unused = ('postures', 'cubes') if in_pairs else ('step',)
+    for name in unused:
+        if getattr(args, name) is not None:
+            raise InputError(
+                f'--{name}: --view of an arm in a plane sweeps pairs in steps (--step); all else '
+                'samples all tendons (--postures, --cubes)'
+            )
+    content, lines, write = _pairs(args, model) if in_pairs else _all_tendons(args, model)
+    if folder:
+        write(folder)
+        lines.append(f'written: {", ".join(str(folder / name) for name in FILES)}')
+    emit(args, content, '\n'.join(lines))
+    return 0
+
+
+def _pairs(args: argparse.Namespace, model: Model) -> Found:
+    """Sweep pairs of inputs at view angles."""
+    from ..workspace.grid import find_workspace, save_workspace
+
     with progress() as show:
         workspace = find_workspace(
-            load_model(args),
-            [math.radians(view) for view in args.view or [180.0]],
-            step=args.step,
+            model,
+            [math.radians(view) for view in args.view],
+            step=0.1 if args.step is None else args.step,
             pretension=args.pretension,
             tolerance=math.radians(args.tolerance),
             limit=args.limit,
             progress=show,
         )
-    lines = text(workspace)
-    if folder:
-        write(workspace, folder)
-        lines.append(
-            f'written: {", ".join(str(folder / name) for name in (*WORKSPACE_FILES, PAGE))}'
-        )
-    emit(args, workspace.to_json(), '\n'.join(lines))
-    return 0
+
+    def write(folder: Path) -> None:
+        from ..report.workspace_page import workspace_page
+
+        page = workspace_page(workspace)
+        with new_folder(folder, FILES) as draft:
+            save_workspace(workspace, draft)
+            page.write(draft / FILES[2])
+
+    return workspace.to_json(), text(workspace), write
 
 
 def text(workspace: Workspace) -> list[str]:
-    """Return the table and what to know."""
+    """Return the table of pairs and what to know."""
+    from ..report.workspace_page import FAMILY_COLUMNS, missing, rows
+
     size = (
         f'{workspace.postures:,} postures, {workspace.step:g} N apart up to {workspace.limit:g} N'
     )
@@ -93,11 +132,30 @@ def text(workspace: Workspace) -> list[str]:
     return lines
 
 
-def write(workspace: Workspace, folder: Path) -> None:
-    """Write the folder, whole or not at all."""
-    from ..report.workspace_page import workspace_page
+def _all_tendons(args: argparse.Namespace, model: Model) -> Found:
+    """Sample all tendons."""
+    from ..report.volume_page import summary, volume_page
+    from ..workspace.volume import find_volume, save_volume
 
-    page = workspace_page(workspace)
-    with new_folder(folder, (*WORKSPACE_FILES, PAGE)) as draft:
-        save_workspace(workspace, draft)
-        page.write(draft / PAGE)
+    low, high = model.robot.tension_limits
+    with progress() as show:
+        volume = find_volume(
+            model,
+            postures=100_000 if args.postures is None else args.postures,
+            views=[math.radians(view) for view in args.view],
+            tolerance=math.radians(args.tolerance),
+            limits=(
+                low if args.pretension is None else args.pretension,
+                high if args.limit is None else args.limit,
+            ),
+            edge=None if args.cubes is None else length('--cubes', args.cubes, args.unit),
+            progress=show,
+        )
+
+    def write(folder: Path) -> None:
+        page = volume_page(volume)
+        with new_folder(folder, FILES) as draft:
+            save_volume(volume, draft, FILES[:2])
+            page.write(draft / FILES[2])
+
+    return volume.to_json(), summary(volume), write

@@ -1,0 +1,216 @@
+"""The cubes of space that hold a tip, the posture of least tension in each, where it looks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..robot import Robot
+
+Floats = npt.NDArray[np.float64]
+Numbers = npt.NDArray[np.int64]
+HEIGHTS, TURNS = 6, 8  # equal areas of the sphere of directions: by height, and around the base
+LOOKS = HEIGHTS * TURNS
+
+
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """The cubes of space that hold a tip, with the posture of least tension in each."""
+
+    robot: Robot
+    edge: float  # [m] of a cube
+    cells: Numbers  # (c, 3) cube i spans i to i + 1 edges along x, y, z
+    tensions: Floats  # (c, m) [N] of the posture with the lowest highest tension
+    tips: Floats  # (c, 3) [m] of that posture
+    directions: Floats  # (c, 3) its approach direction
+    looks: Numbers  # (c,) into how many of the `LOOKS` equal parts of the sphere its tips look
+    lows: Floats  # (3,) [m] the least coordinate of all tips
+    highs: Floats  # (3,) [m] the greatest
+    postures: int  # that are in it
+
+    def __len__(self) -> int:
+        """Count the cubes."""
+        return len(self.cells)
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether all tips lie in the x-z plane."""
+        return bool(len(self)) and bool(np.abs([self.lows[1], self.highs[1]]).max() < 1e-9)
+
+    @property
+    def size(self) -> float:
+        """
+        Volume [m³] of the tips; of a flat arm the area [m²].
+
+        Counted are the corners of cubes with tips in all cubes around: of a convex body the mean
+        number of grid points inside, however the grid lies. A surface or a curve has none.
+        """
+        return float(
+            _inner_corners(self.cells, self.is_flat) * self.edge ** (2 + (not self.is_flat))
+        )
+
+    @cached_property
+    def hull(self) -> tuple[Floats, Numbers, float]:
+        """
+        Vertices (v, 3) [m] of the convex hull of the tips, its faces, and its size.
+
+        Faces (f, 3) are triangles between vertices, for a flat arm (f, 2) edges; the size is a
+        volume [m³] or an area [m²], 0 where the tips span none.
+        """
+        from scipy.spatial import ConvexHull, QhullError
+
+        points = self.tips[:, [0, 2]] if self.is_flat else self.tips
+        try:
+            found = ConvexHull(points)
+        except (QhullError, ValueError):  # too few, or all on a line or in a plane
+            return self.tips[:0], np.zeros((0, points.shape[1]), dtype=np.int64), 0.0
+        names = np.full(len(points), -1)
+        names[found.vertices] = np.arange(len(found.vertices))
+        return self.tips[found.vertices], names[found.simplices], float(found.volume)
+
+    @cached_property
+    def outside(self) -> npt.NDArray[np.bool_]:
+        """Which cubes (c,) have a free neighbour, (c,)."""
+        return np.asarray(neighbours(self.cells, self.is_flat) < (8 if self.is_flat else 26))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data, in m, m² or m³."""
+        return {
+            'postures': self.postures,
+            'cubes': len(self),
+            'edge': self.edge,
+            'is_flat': self.is_flat,
+            'size': self.size,
+            'hull': self.hull[2],
+            'low': self.lows.tolist(),
+            'high': self.highs.tolist(),
+            'looks_mean': float(self.looks.mean()) if len(self) else 0.0,
+        }
+
+
+class Cubes:
+    """Space around the base in cubes; memory is that of the cubes, however many postures come."""
+
+    def __init__(self, robot: Robot, edge: float) -> None:
+        self.robot, self.edge = robot, edge
+        self.lengths = np.concatenate([[s.cell_length] * s.cells for s in robot.sections])
+        self.half = int(np.ceil(1.05 * robot.length / edge))  # an arm may stretch a little
+        self.side = 2 * self.half
+        self.rows = np.full(self.side**3, -1, dtype=np.int32)  # which row holds a cube
+        self.used = self.postures = 0
+        self.where = np.zeros(0, dtype=np.int64)  # (rows,) which cube a row is
+        self.best = np.zeros((0, len(robot.inputs) + 6))  # (rows, m + 6) tensions, tip, direction
+        self.seen = np.zeros(0, dtype=np.int64)  # (rows,) a bit per part of all directions
+        self.lows, self.highs = np.full(3, np.inf), np.full(3, -np.inf)
+
+    def add(self, tensions: Floats, tips: Floats, directions: Floats) -> None:
+        """Keep the posture of least tension in every cube, and where all of them look."""
+        cells = np.floor(tips / self.edge + 1e-9).astype(np.int64) + self.half
+        inside = ((cells >= 0) & (cells < self.side)).all(axis=1)
+        cells, tips = cells[inside], tips[inside]
+        if not len(cells):
+            return
+        flat = np.ravel_multi_index(tuple(cells.T), (self.side,) * 3)
+        self._open(np.unique(flat[self.rows[flat] < 0]))
+        self.postures += len(cells)
+        self.lows = np.minimum(self.lows, tips.min(axis=0))
+        self.highs = np.maximum(self.highs, tips.max(axis=0))
+        rows = self.rows[flat]
+        np.bitwise_or.at(self.seen, rows, np.int64(1) << sphere_part(directions[inside], 1))
+        content = np.concatenate([tensions[inside], tips, directions[inside]], axis=1)
+        m = tensions.shape[1]
+        order = np.lexsort((tensions[inside].max(axis=1), rows))
+        first = order[np.unique(rows[order], return_index=True)[1]]  # the least of every row
+        old = self.best[rows[first], :m].max(axis=1)
+        better = first[~(old <= content[first, :m].max(axis=1))]
+        self.best[rows[better]] = content[better]
+
+    def _open(self, new: Numbers) -> None:
+        """Give cubes that were empty a row."""
+        end = self.used + len(new)
+        if end > len(self.where):
+            size = max(end, 2 * len(self.where), 1024)
+            self.where = np.resize(self.where, size)
+            self.seen = np.concatenate([self.seen, np.zeros(size - len(self.seen), np.int64)])
+            more = np.full((size - len(self.best), self.best.shape[1]), np.nan)
+            self.best = np.concatenate([self.best, more])
+        self.where[self.used : end] = new
+        self.rows[new] = np.arange(self.used, end)
+        self.used = end
+
+    def cells(self) -> Numbers:
+        """Return the cubes (c, 3), counted from the base."""
+        found = np.unravel_index(self.where[: self.used], (self.side,) * 3)
+        return np.stack(found, axis=1) - self.half
+
+    def edge_tensions(self) -> Floats:
+        """Return the tensions (c, m) [N] of cubes with few neighbours."""
+        around = neighbours(self.cells(), bool(np.abs([self.lows[1], self.highs[1]]).max() < 1e-9))
+        chosen = around <= np.median(around)
+        return self.best[: self.used][chosen, : len(self.robot.inputs)]
+
+    def reached(self) -> Reached:
+        """Return what is known."""
+        m, best = len(self.robot.inputs), self.best[: self.used]
+        empty = not self.used
+        return Reached(
+            robot=self.robot,
+            edge=self.edge,
+            cells=self.cells(),
+            tensions=best[:, :m],
+            tips=best[:, m : m + 3],
+            directions=best[:, m + 3 :],
+            looks=np.bitwise_count(self.seen[: self.used]).astype(np.int64),
+            lows=np.zeros(3) if empty else self.lows,
+            highs=np.zeros(3) if empty else self.highs,
+            postures=self.postures,
+        )
+
+
+def sphere_part(directions: Floats, finer: int) -> Numbers:
+    """Return in which of HEIGHTS x TURNS x finer² equal parts of the sphere directions lie."""
+    heights, turns = HEIGHTS * finer, TURNS * finer
+    up = np.clip(0.5 * (directions[:, 2] + 1.0) * heights, 0, heights - 1).astype(np.int64)
+    turn = np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * np.pi) + 0.5
+    return up * turns + np.clip(turn * turns, 0, turns - 1).astype(np.int64)
+
+
+def beyond(cells: Numbers, known: Numbers) -> npt.NDArray[np.bool_]:
+    """Tell which cubes (c, 3) are not among the known ones (k, 3), nor beside one of them."""
+    if not len(known):
+        return np.ones(len(cells), dtype=bool)
+    low = np.minimum(cells.min(axis=0), known.min(axis=0)) - 1
+    near = np.zeros(np.maximum(cells.max(axis=0), known.max(axis=0)) - low + 2, dtype=bool)
+    for step in np.ndindex(3, 3, 3):
+        near[tuple((known - low + step - 1).T)] = True
+    return ~near[tuple((cells - low).T)]
+
+
+def neighbours(cells: Numbers, is_flat: bool) -> Numbers:
+    """Count the neighbours (c,) of every cube, up to 26, or 8 in the x-z plane."""
+    full, shifted = _grid(cells)
+    count = np.full(len(cells), -1)  # it is none of its own
+    for step in np.ndindex(3, 1 if is_flat else 3, 3):
+        count += full[tuple((shifted + step - (1, 0 if is_flat else 1, 1)).T)]
+    return count
+
+
+def _inner_corners(cells: Numbers, is_flat: bool) -> int:
+    """Count the corners with a cube on all sides; in the x-z plane those with four squares."""
+    full, shifted = _grid(cells)
+    inner = np.ones(len(cells), dtype=bool)
+    for step in np.ndindex(2, 1 if is_flat else 2, 2):
+        inner &= full[tuple((shifted + step).T)]
+    return int(inner.sum())
+
+
+def _grid(cells: Numbers) -> tuple[npt.NDArray[np.bool_], Numbers]:
+    """Return which cubes of a box are taken, with a free layer around, and their places in it."""
+    shifted = cells - cells.min(axis=0, initial=np.iinfo(np.int64).max >> 1) + 1
+    full = np.zeros(shifted.max(axis=0, initial=1) + 2, dtype=bool)
+    full[tuple(shifted.T)] = True
+    return full, shifted

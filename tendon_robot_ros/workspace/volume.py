@@ -1,0 +1,309 @@
+"""All places that the tip reaches, over all tendons at once, and where it can look from there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import InputError
+from ..model.forward import TOLERANCE
+from ..model.model import Model
+from ..robot import Robot
+from ..robot.routes import tendon_offsets
+from .cubes import LOOKS, Cubes, Floats, Reached, beyond, sphere_part
+from .grid import POSTURES_AT_ONCE, POSTURES_MAX, Progress
+
+POSTURES_PER_CUBE = 10  # wanted: fewer, and cubes stay empty by chance
+CUBES_MAX = 100.0  # along the arm
+LOW_SHARE, HIGH_SHARE = 0.5, 0.1  # of the tensions are the lowest and the highest there are
+WALK_SHARE = 0.15  # of the range of tensions: a step from a posture at the edge (1 sd, at most)
+FRICTION = frozenset({'tendon_friction', 'hinge_friction', 'transmission_loss'})
+
+
+@dataclass(frozen=True, eq=False)
+class Volume:
+    """Where the tip of a robot can be, all its tendons pulling as they like."""
+
+    robot: Robot
+    limits: tuple[float, float]  # [N]
+    postures: int  # that were computed
+    unsolved: int  # of them without equilibrium
+    folded: int  # of them in which the arm would run into itself
+    reached: Reached
+    late: float  # share of the cubes that only the last tenth of the postures found
+    largest: float  # [rad] angle between the tip's direction and the base's
+    sphere: float  # share of all directions that the tip looks into
+    views: dict[float, Reached]  # [rad] -> the tips that look at this angle
+    frictionless: Reached | None  # the same without friction; None where the model has none
+
+    @property
+    def taken(self) -> float | None:
+        """Share of the places without friction that are not near one with it."""
+        other = self.frictionless
+        return None if other is None else float(beyond(other.cells, self.reached.cells).mean())
+
+    @property
+    def given(self) -> float | None:
+        """Share of the places with friction that are not near one without it."""
+        other = self.frictionless
+        return None if other is None else float(beyond(self.reached.cells, other.cells).mean())
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data, in m, N and rad."""
+        names = ('postures', 'unsolved', 'folded', 'late', 'largest', 'sphere', 'taken', 'given')
+        return {
+            **{name: getattr(self, name) for name in names},
+            'limits': list(self.limits),
+            'reached': self.reached.to_json(),
+            'frictionless': self.frictionless.to_json() if self.frictionless else None,
+            'views': [{'view': view, **part.to_json()} for view, part in self.views.items()],
+        }
+
+
+def find_volume(
+    model: Model,
+    postures: int = 100_000,
+    views: Sequence[float] = (),
+    tolerance: float = np.radians(2.5),
+    limits: tuple[float, float] | None = None,
+    edge: float | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Volume:
+    """
+    Sample postures over all tendons and collect the tips in cubes.
+
+    Half of the postures have random tensions; the others start from those whose tips lie at the
+    edge and walk on, so that the edge is found. Memory does not grow with their number. Postures
+    in which the arm would run into itself do not count.
+
+    Parameters
+    ----------
+    model : Model
+    postures : int
+        To compute; as many again without friction, if the model has any.
+    views : sequence of float
+        Angles [rad] between the tip's direction and the base's: their tips are collected, too.
+    tolerance : float
+        By which a view angle may be missed [rad].
+    limits : (float, float), optional
+        Lowest and highest tension [N]; by default the robot's.
+    edge : float, optional
+        Of the cubes [m]; by default so that ten postures come to each.
+    seed : int
+    progress : callable, optional
+        Called with what is done, how many, of how many.
+
+    Raises
+    ------
+    InputError
+        The numbers make no sense, or no posture is left.
+
+    """
+    robot = model.robot
+    low, high = limits or (float(model.limits[:, 0].min()), float(model.limits[:, 1].max()))
+    edge = edge or _edge(robot, postures)
+    _check(robot, postures, views, tolerance, (low, high), edge)
+    plain = _without_friction(model)
+    total = postures * (2 if plain else 1)
+
+    def walk(of: Model, begun: int) -> _Walk:
+        made = _Walk(of, edge, (low, high), views, tolerance, seed)
+        made.run(postures, lambda done: progress and progress('postures', begun + done, total))
+        return made
+
+    found, other = walk(model, 0), walk(plain, postures) if plain else None
+    reached = found.all.reached()
+    if not len(reached):
+        raise InputError(f'{robot.name}: no posture of {postures:,} is one that the arm can have')
+    return Volume(
+        robot=robot,
+        limits=(low, high),
+        postures=postures,
+        unsolved=found.unsolved,
+        folded=found.folded,
+        reached=reached,
+        late=found.late / len(reached),
+        largest=found.largest,
+        sphere=float(found.sphere.mean()),
+        views={view: cubes.reached() for view, cubes in found.views.items()},
+        frictionless=other.all.reached() if other else None,
+    )
+
+
+def _check(
+    robot: Robot,
+    postures: int,
+    views: Sequence[float],
+    tolerance: float,
+    limits: tuple[float, float],
+    edge: float,
+) -> None:
+    if not 0 < postures <= POSTURES_MAX:
+        raise InputError(f'workspace: expected 1 to {POSTURES_MAX:,} postures, got {postures:,}')
+    if not 0.0 <= limits[0] < limits[1]:
+        raise InputError(
+            'workspace: expected a pretension from 0 to below the limit, '
+            f'got {limits[0]:g} N and {limits[1]:g} N'
+        )
+    if (len(views) and min(views) < 0.0) or not tolerance > 0.0:
+        raise InputError('workspace: expected view angles of 0° or more and a tolerance above 0')
+    if not robot.length / CUBES_MAX <= edge <= robot.length:
+        raise InputError(
+            f'workspace: expected cubes of {1e3 * robot.length / CUBES_MAX:.2g} mm to the length '
+            f'of the arm, got {1e3 * edge:.3g} mm'
+        )
+
+
+def _edge(robot: Robot, postures: int) -> float:
+    """Return the edge of the cubes [m] that so many postures fill."""
+    cubes = postures / POSTURES_PER_CUBE
+    # tips fill about three squares, or four cubes, of the length of the arm
+    flat = not tendon_offsets(robot)[..., 1].any()
+    count = (cubes / 3.0) ** 0.5 if flat else (cubes / 4.0) ** (1.0 / 3.0)
+    return robot.length / float(np.clip(count, 8.0, CUBES_MAX))
+
+
+def _without_friction(model: Model) -> Model | None:
+    """Return the model without friction, None if it has none."""
+    catalogue = model.catalogue
+    lossy = {
+        name
+        for name in model.robot.effects
+        if name in FRICTION or (catalogue[name].acts_on or '') in FRICTION
+    }
+    if not lossy & FRICTION:
+        return None
+    kept = {name: v for name, v in model.robot.effects.items() if name not in lossy}
+    return Model(replace(model.robot, effects=kept), catalogue)
+
+
+class _Walk:
+    """Samples postures and counts what became of them."""
+
+    def __init__(
+        self,
+        model: Model,
+        edge: float,
+        limits: tuple[float, float],
+        views: Sequence[float],
+        tolerance: float,
+        seed: int,
+    ) -> None:
+        self.model, self.limits, self.tolerance = model, limits, tolerance
+        self.random = np.random.default_rng(seed)
+        self.all = Cubes(model.robot, edge)
+        self.views = {float(view): Cubes(model.robot, edge) for view in views}
+        self.thickness = np.linalg.norm(tendon_offsets(model.robot), axis=2).max(axis=1)  # (n,)
+        self.unsolved, self.folded, self.late, self.largest = 0, 0, 0, 0.0
+        self.sphere = np.zeros(36 * LOOKS, dtype=bool)  # finer than the looks
+
+    def run(self, postures: int, progress: Any) -> None:
+        """Sample so many postures, the second half from the edge of what is known."""
+        at_once = min(POSTURES_AT_ONCE, max(postures // 20, 64))
+        done = 0
+        while done < postures:
+            count = min(at_once, postures - done)
+            spread = done < postures // 2 or not self.all.used
+            known = self.all.used
+            self.add(self.spread(count) if spread else self.onward(count))
+            if done + count > 0.9 * postures:
+                self.late += self.all.used - known
+            done += count
+            progress(done)
+
+    def spread(self, count: int) -> Floats:
+        """Random tensions (count, m) [N]: many tendons hold the lowest, some pull the highest."""
+        low, high = self.limits
+        shape = (count, len(self.model.inputs))
+        share = self.random.random(shape)
+        kind = self.random.random(shape)
+        share[kind < LOW_SHARE] = 0.0
+        share[kind > 1.0 - HIGH_SHARE] = 1.0
+        return low + (high - low) * share
+
+    def onward(self, count: int) -> Floats:
+        """Tensions (count, m) [N] a step away from those of postures at the edge."""
+        low, high = self.limits
+        start = self.all.edge_tensions()
+        rows = start[self.random.integers(len(start), size=count)]
+        size = WALK_SHARE * (high - low) * self.random.random((count, 1))
+        step = size * self.random.normal(size=rows.shape)
+        step[self.random.random(rows.shape) < LOW_SHARE] = 0.0
+        return np.asarray(np.clip(rows + step, low, high))
+
+    def add(self, tensions: Floats) -> None:
+        """Solve postures and put those that the arm can have where they belong."""
+        batch, changes = self.model.solve(tensions)
+        solved = changes < TOLERANCE
+        free = ~folds(batch.positions, self.thickness, self.all.lengths)
+        self.unsolved += int((~solved).sum())
+        self.folded += int((solved & ~free).sum())
+        good = solved & free
+        tips, along = batch.tip_position[good], batch.tip_direction[good]
+        self.all.add(batch.inputs[good], tips, along)
+        angle = np.arccos(np.clip(along[:, 2], -1.0, 1.0))
+        self.largest = max(self.largest, float(angle.max(initial=0.0)))
+        self.sphere[sphere_part(along, 6)] = True
+        for view, cubes in self.views.items():
+            rows = np.abs(angle - view) <= self.tolerance
+            cubes.add(batch.inputs[good][rows], tips[rows], along[rows])
+
+
+def folds(positions: Floats, thickness: Floats, lengths: Floats) -> npt.NDArray[np.bool_]:
+    """
+    Tell which arms (b,) run into themselves.
+
+    Two places of the backbone are nearer than the tendons beside them need, although the arm
+    between them is long enough to turn round; or a cell bends until its holes meet.
+
+    Parameters
+    ----------
+    positions : (b, n, 3) [m]
+        Ends of the cells.
+    thickness : (n,) [m]
+        Farthest tendon from the backbone, in every cell.
+    lengths : (n,) [m]
+        Of the cells.
+
+    """
+    b, n = positions.shape[:2]
+    base = np.zeros((b, 1, 3))
+    middles = 0.5 * (positions + np.concatenate([base, positions[:, :-1]], axis=1))
+    along = np.cumsum(lengths) - 0.5 * lengths
+    hit = np.zeros(b, dtype=bool)
+    for i in range(n):
+        apart = thickness[i] + thickness[i + 1 :]
+        far = along[i + 1 :] - along[i] > 0.5 * np.pi * apart
+        if far.any():
+            gap = np.linalg.norm(middles[:, i + 1 :][:, far] - middles[:, i, None], axis=2)
+            hit |= (gap < apart[far]).any(axis=1)
+    return hit
+
+
+# -----------------------------------------------------------------------------
+# As a file: a row per cube.
+
+
+def save_volume(volume: Volume, folder: Path, names: tuple[str, str]) -> None:
+    """Write a table of the cubes (CSV) and all arrays (npz), in m, N and rad."""
+    reached = volume.reached
+    head = [*volume.robot.inputs, 'x', 'y', 'z', 'direction_x', 'direction_y', 'direction_z']
+    table = np.column_stack([reached.tensions, reached.tips, reached.directions, reached.looks])
+    np.savetxt(
+        folder / names[0], table, fmt='%.6g', delimiter=',', header=','.join([*head, 'looks']),
+        comments='',
+    )  # fmt: skip
+    arrays: dict[str, Any] = {'inputs': np.array(volume.robot.inputs), 'edge': reached.edge}
+    parts = {'': reached, 'frictionless_': volume.frictionless}
+    parts |= {f'view_{i}_': part for i, part in enumerate(volume.views.values())}
+    for start, part in parts.items():
+        if part is not None:
+            for name in ('cells', 'tensions', 'tips', 'directions', 'looks'):
+                arrays[start + name] = getattr(part, name)
+    np.savez_compressed(folder / names[1], **arrays, views=np.array(list(volume.views)))
