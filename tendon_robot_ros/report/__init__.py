@@ -16,6 +16,6 @@ shape_plots.py        shapes, measured and predicted
 path_run.py           what was reached against what was asked
 paper_page.py         the page of the paper's experiments
 workspace_page.py     the page of a workspace
-volume_page.py      the tips of all tendons as text and page: cloud, hull, sections, friction
+volume_page.py        the tips of all tendons as text and page: cloud, hull, sections, friction
 robot_picture.py      a picture of a robot
 """

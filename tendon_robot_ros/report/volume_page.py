@@ -171,45 +171,56 @@ def _cloud(volume: Volume) -> Figure:
     reached = volume.reached
     values, title = _values(volume)
     rows = _thinned(np.flatnonzero(reached.outside))
-    corners, faces, _ = reached.hull
-    data = [
-        {
-            'type': 'scatter3d',
-            'mode': 'markers',
-            'name': 'tips at the outside',
-            **_coordinates(reached.tips[rows]),
-            'text': [_pulled(reached, row) for row in rows],
-            'hoverinfo': 'x+y+z+text',
-            'marker': {
-                'size': 2.5,
-                'color': [float(f'{value:.3g}') for value in values[rows]],
-                'colorscale': SCALE,
-                'colorbar': {'title': {'text': title}, 'thickness': 12, 'len': 0.6},
-            },
-        },
-        {
-            'type': 'mesh3d',
-            'name': 'convex hull',
-            **_coordinates(corners),
-            **{axis: faces[:, i].tolist() for i, axis in enumerate('ijk')},
-            'color': PREDICTED,
-            'opacity': 0.12,
-            'hoverinfo': 'skip',
-            'showlegend': True,
-        },
-        {
-            'type': 'scatter3d',
-            'mode': 'lines',
-            'name': 'the straight arm',
-            **_coordinates(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, volume.robot.length]])),
-            'line': {'color': INK, 'width': 8},
-        },
-    ]
+    data = [_outside(reached, rows, values, title), _hull(reached), _straight(volume.robot.length)]
     caption = (
         f'{len(rows):,} of {len(reached):,} cubes, each with the posture of least tension. '
         'Drag to turn; a point tells the tensions.'
     )
     return Figure(data, _scene(), 'Where the tip can be', caption, height=560)
+
+
+def _outside(reached: Reached, rows: Numbers, values: Floats, title: str) -> dict[str, Any]:
+    """Tips of some cubes, with their tensions."""
+    return {
+        'type': 'scatter3d',
+        'mode': 'markers',
+        'name': 'tips at the outside',
+        **_coordinates(reached.tips[rows]),
+        'text': [_pulled(reached, row) for row in rows],
+        'hoverinfo': 'x+y+z+text',
+        'marker': {
+            'size': 2.5,
+            'color': [float(f'{value:.3g}') for value in values[rows]],
+            'colorscale': SCALE,
+            'colorbar': {'title': {'text': title}, 'thickness': 12, 'len': 0.6},
+        },
+    }
+
+
+def _hull(reached: Reached) -> dict[str, Any]:
+    """Draw the convex hull."""
+    corners, faces, _ = reached.hull
+    return {
+        'type': 'mesh3d',
+        'name': 'convex hull',
+        **_coordinates(corners),
+        **{axis: faces[:, i].tolist() for i, axis in enumerate('ijk')},
+        'color': PREDICTED,
+        'opacity': 0.12,
+        'hoverinfo': 'skip',
+        'showlegend': True,
+    }
+
+
+def _straight(length: float) -> dict[str, Any]:
+    """Draw the straight arm."""
+    return {
+        'type': 'scatter3d',
+        'mode': 'lines',
+        'name': 'the straight arm',
+        **_coordinates(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, length]])),
+        'line': {'color': INK, 'width': 8},
+    }
 
 
 def _thinned(rows: Numbers) -> Numbers:
@@ -233,25 +244,13 @@ def _sections(volume: Volume, values: Floats, title: str, axis: int) -> Figure:
     frame = (low[[across, up]], high[[across, up]], reached.edge)
     data: list[dict[str, Any]] = []
     for i, place in enumerate(places):
-        shown = i == middle
-        if other is not None:
-            here = other.cells[:, axis] == place
-            ones = np.ones(int(here.sum()))
-            grey = [[0.0, '#d3d7dc'], [1.0, '#d3d7dc']]
-            data.append(
-                _heat(frame, other.cells[here][:, [across, up]], ones, shown)
-                | {'colorscale': grey, 'showscale': False, 'hoverinfo': 'skip'}
-            )
-        here = reached.cells[:, axis] == place
-        data.append(
-            _heat(frame, reached.cells[here][:, [across, up]], values[here], shown)
-            | {
-                'colorscale': SCALE,
-                'zmin': 0.0,
-                'zmax': float(values.max()),
-                'colorbar': {'title': {'text': title}, 'thickness': 12},
-            }
-        )
+        for part, shown in ((other, None), (reached, values)):
+            if part is not None:
+                here = part.cells[:, axis] == place
+                colours = _colours(shown, title)
+                heights = np.ones(len(part)) if shown is None else shown
+                cut = _heat(frame, part.cells[here][:, [across, up]], heights[here], i == middle)
+                data.append(cut | colours)
     name, other_name = 'xyz'[up], 'xyz'[axis]
     layout: dict[str, Any] = {
         'xaxis': {'title': {'text': 'x [mm]'}, 'constrain': 'domain'},
@@ -263,6 +262,15 @@ def _sections(volume: Volume, values: Floats, title: str, axis: int) -> Figure:
     caption = 'Grey: reached without friction only.' if other is not None else ''
     plane = 'x-z' if axis == 1 else 'x-y'
     return Figure(data, layout, f'Section along the {plane} plane', caption, height=520)
+
+
+def _colours(values: Floats | None, title: str) -> dict[str, Any]:
+    """Return how values are coloured; grey where there are none."""
+    if values is None:
+        grey = [[0.0, '#d3d7dc'], [1.0, '#d3d7dc']]
+        return {'colorscale': grey, 'showscale': False, 'hoverinfo': 'skip'}
+    bar = {'title': {'text': title}, 'thickness': 12}
+    return {'colorscale': SCALE, 'zmin': 0.0, 'zmax': float(values.max()), 'colorbar': bar}
 
 
 def _heat(
