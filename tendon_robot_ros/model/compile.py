@@ -177,6 +177,17 @@ def _write(folder: Path, stages: str) -> None:
 Floats = npt.NDArray[np.float64]
 
 
+# Functions that only implicit models and derivatives by parameters call: by field of the kernel's
+# chain, the module and its name. A first shape of an explicit model need not wait for them.
+LINKED = {
+    'residual': ('residual', 'residual'),
+    'respond': ('response', 'respond'),
+    'newton': ('newton', 'newton'),
+    'settle': ('solve', 'solve_equilibrium'),
+}
+LINKING_STAGES = {name for name, stage in STAGES.items() if stage.implicit} | {'length', 'stretch'}
+
+
 class KernelArrays:
     """Flat arrays of a robot with its effects, and the composed kernel's modules."""
 
@@ -210,6 +221,9 @@ class KernelArrays:
         radius = np.float64(self.chain.radius).view(np.int64)
         self._words = np.array(self.chain._replace(radius=radius), dtype=np.int64)
         self.address = int(self._words.ctypes.data)  # of the chain's fields, for the kernel
+        acting = {e.stage for e in catalogue if self.on[self.layout.index[e.name]]}
+        if acting & LINKING_STAGES or self.helix.any():
+            self.link()
 
     def part(self, name: str) -> ModuleType:
         """Return a module of the composed kernel."""
@@ -225,7 +239,13 @@ class KernelArrays:
         """Set one parameter (of one section or tendon, or of all) and switch its effect on."""
         row = self.layout.rows[effect, parameter]
         self.values[row, slice(None) if column is None else column] = value
+        self.act(effect)
+
+    def act(self, effect: str) -> None:
+        """Switch an effect on; its parameters stay."""
         self.on[self.layout.index[effect]] = 1
+        if self.catalogue[effect].stage in LINKING_STAGES:
+            self.link()
 
     def get(self, effect: str, parameter: str, column: int | None = None) -> float:
         """Return one parameter (of one section or tendon)."""
@@ -287,14 +307,19 @@ class KernelArrays:
             wide=self.values.shape[1],
             radius=float(np.linalg.norm(self.offset, axis=2).max()),
             step=lay.address_of(self.part('sweep').step),
-            residual=lay.address_of(self.part('residual').residual),
-            respond=lay.address_of(self.part('response').respond),
-            newton=lay.address_of(self.part('newton').newton),
-            settle=lay.address_of(self.part('solve').solve_equilibrium),
+            **dict.fromkeys(LINKED, 0),
             helix=self.helix.ctypes.data if self.helix.any() else 0,
             beside=int(any(any(any(xy) for xy in s.mass_offset) for s in robot.sections)),
             **at,
         )
+
+    def link(self) -> None:
+        """Compile what explicit models do without, if that is not yet done."""
+        address_of = self.part('layout').address_of
+        for place, (part, name) in LINKED.items():
+            field = self.chain._fields.index(place)
+            if not self._words[field]:
+                self._words[field] = address_of(getattr(self.part(part), name))
 
     def scratch(self) -> Floats:
         """Return scratch memory for one thread."""

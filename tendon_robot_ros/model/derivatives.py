@@ -131,7 +131,7 @@ class _Move:
                 section = _section(self.column)
                 row = arrays.layout.rows[effect, name]
                 arrays.values[row, slice(None) if section is None else section] += side[0]
-                arrays.on[arrays.layout.index[effect]] = 1
+                arrays.act(effect)
             yield
         finally:
             arrays.values[:], arrays.on[:] = values, on
@@ -144,6 +144,7 @@ def _section(column: Column) -> int | None:
 def _ways(model: ForwardModel, shapes: ShapeBatch, there: Sequence[_Move]) -> Floats:
     """Return how the states follow every quantity, (b, q, 3n) [rad per unit]."""
     arrays, past = model.arrays, model.arrays.fresh_memory()
+    arrays.link()
     part, (b, entries) = arrays.part('derivatives'), shapes.state.shape
     with _twisting(model, there):
         count = entries if arrays.twists else entries // 3 * 2
@@ -173,7 +174,7 @@ def _twisting(model: ForwardModel, there: Sequence[_Move]) -> Iterator[None]:
             if not isinstance(move.column, str):
                 effect = model.catalogue[move.column[0]]
                 if effect.stage == 'torsion':
-                    model.arrays.on[model.arrays.layout.index[effect.name]] = 1
+                    model.arrays.act(effect.name)
         yield
     finally:
         model.arrays.on[:] = on

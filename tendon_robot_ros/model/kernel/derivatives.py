@@ -22,6 +22,7 @@ from .layout import (
     work_in,
     workspace,
 )
+from .linear import fill
 from .shape import mean_pulls, place, wire_pulls
 from .stages import length_acts, stretch_acts, winding_acts
 from .sweep import is_implicit
@@ -101,7 +102,7 @@ def output_slopes(chain, inputs, there, ways, slopes):
     n, m, bend, work, past = chain.n, chain.m, there.bend, there.work, there.past
     input_response(chain, inputs, bend, work, past, ways)
     frames, origins = floats(work.frames), floats(work.origins)
-    slopes[:] = 0.0
+    fill(slopes, 0.0)
     for j in range(m):
         was = floats(inputs)[j]
         down = min(was, TENSION_STEP)

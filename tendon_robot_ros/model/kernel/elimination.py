@@ -32,7 +32,7 @@ from .layout import (
     tangent_of,
     words,
 )
-from .linear import solve_rows
+from .linear import fill, solve_rows
 from .loads import loaded
 from .stages import eyelet_acts
 from .twisting import coordinates
@@ -137,7 +137,7 @@ def slide_together(chain, tangent, i, s, by_own, tensions, direct, active):
                 for a in range(own):
                     right[p, width + a] += share * direct[other, a]
     if not solve_rows(left, right, count):
-        right[:] = math.nan
+        fill(right, math.nan)
     for p in range(count):
         for j in range(width):
             tensions[i, active[p], j] = right[p, j]

@@ -26,6 +26,10 @@ inlined = jit(no_cpython_wrapper=True, forceinline=True)
 fused = jit(no_cpython_wrapper=True, forceinline=True, fastmath={'contract'})
 
 
+# Numba compiles a function anew for every literal that it is called with; these are none.
+YES, NONE = np.bool_(True), np.int64(-1)
+
+
 def entry(*signature):
     """Compile something that Python calls: cached, for one signature or as called."""
     return jit(*signature, cache=True)
@@ -76,6 +80,7 @@ Workspace = namedtuple('Workspace', 'work past now bend near before pulls means'
 for _kind in (Chain, Memory, Work, Workspace):
     _kind.__name__ += '_' + __name__.partition('.')[0].rpartition('_')[2]
 
+BEND_TOLERANCE = 1e-10  # [rad] largest change of a bend at which a shape counts as settled
 SLIP_LENGTH = 2e-6  # [m] travel over which the sign of friction is smoothed
 
 WORD = types.int64
@@ -156,6 +161,14 @@ def work_size(n, k):
 def address(array):
     """Address of an array; whoever asks keeps the array alive."""
     return np.int64(array.ctypes.data)
+
+
+@compiled
+def copy(source, target, count):
+    """Copy floats between addresses (numba's own slices bring the text of their errors along)."""
+    old, new = floats(source), floats(target)
+    for j in range(count):
+        new[j] = old[j]
 
 
 @compiled

@@ -1,8 +1,23 @@
-"""Small dense linear algebra: faster here than a call of a library."""
+"""Vectors, matrices and small linear equations."""
 
 import math
 
 from .layout import compiled
+
+
+@compiled
+def assign(target, source):
+    """Copy a vector into another of its length."""
+    for j in range(target.shape[0]):
+        target[j] = source[j]
+
+
+@compiled
+def fill(target, value):
+    """Set all entries of a matrix."""
+    for r in range(target.shape[0]):
+        for j in range(target.shape[1]):
+            target[r, j] = value
 
 
 @compiled

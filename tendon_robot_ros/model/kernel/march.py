@@ -11,7 +11,7 @@ import numpy as np
 
 from .bending import bend_cell, twist_of
 from .geometry import shaped_travel
-from .layout import address, compiled, floats, residual_at
+from .layout import YES, address, compiled, floats, residual_at
 from .linear import largest
 from .residual import moment_arms_of, tendon_moment
 from .stages import offset_scale, torsion_acts
@@ -67,7 +67,7 @@ def cell_residual(chain, work, past, state, i, last_x, last_y, x, y):
         shaped_travel(chain, i, x, y, half[2 * i], half[2 * i + 1], twist, scale, work)
     moment_arms, factor = moment_arms_of(chain, work)
     if i > 0:
-        flags = active_stages(chain, True)
+        flags = active_stages(chain, YES)
         pass_eyelet(chain, work, past, i - 1, last_x, last_y, x, y, moment_arms, scale, flags)
     if torsion_acts(chain):
         solve_twist(chain, work, state, i, x, y)

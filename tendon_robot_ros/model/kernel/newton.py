@@ -4,11 +4,18 @@ import math
 
 import numpy as np
 
-from .layout import NEWTON, address, compiled, entry, floats, residual_at, respond_at
+from .layout import (
+    BEND_TOLERANCE,
+    NEWTON,
+    address,
+    compiled,
+    entry,
+    floats,
+    residual_at,
+    respond_at,
+)
 from .linear import dot, largest
 from .twisting import unknowns
-
-BEND_TOLERANCE = 1e-10  # [rad] largest change of a bend at which a shape counts as settled
 
 
 @compiled

@@ -7,7 +7,7 @@ what it has just found, which settles faster, but ties every cell to all before 
 
 from .bending import bend_cell, twist_of
 from .geometry import scale_lengths, tendon_travel, travel_beyond
-from .layout import STEP, compiled, entry, floats, words
+from .layout import STEP, YES, compiled, entry, floats, words
 from .loads import load_moments, loaded
 from .stages import eyelet_acts, friction_travel_acts, offset_scale, torsion_acts
 from .sweep import active_stages, carry_tensions, tendons_about
@@ -51,9 +51,9 @@ def place_travel(chain, bend, work):
 @compiled
 def place_forces(chain, inputs, bend, work, past):
     """Fill work with tensions, frames and loads at a state; travel and moment arms are known."""
-    friction, _, wraps, slides, remembers = active_stages(chain, True)
+    friction, _, wraps, slides, remembers = active_stages(chain, YES)
     moment_arms, scale = moment_arms_of(chain, work)
-    flags = (friction, True, wraps, slides, remembers)  # travel is that of these bends
+    flags = (friction, YES, wraps, slides, remembers)  # travel is that of these bends
     carry_tensions(chain, inputs, bend, work, past, flags, moment_arms, scale)
     if loaded(chain):
         scale_lengths(chain, work)

@@ -18,6 +18,7 @@ from .elimination import (
     solve_cell,
 )
 from .layout import (
+    NONE,
     RESPOND,
     SIZE,
     SLIDES,
@@ -32,6 +33,7 @@ from .layout import (
     tangent_size,
     words,
 )
+from .linear import fill
 from .tangent import differentiate
 
 
@@ -84,7 +86,7 @@ def eliminate(chain, tangent, bends, tensions):
         if unstable < 0 and not positive:
             unstable, pivot = i, (a, b, c, d, twist[0], twist[1], twist[2])
         complete_tensions(chain, i, direct, bends, tensions)
-        out[:] = 0.0
+        fill(out, 0.0)
         answer(chain, tangent, i, s, by_own, tensions, bends, first, out)
         if turn - kt == 3:
             answer_twist(chain, tangent, i, by_own, bends, first, out)
@@ -208,9 +210,9 @@ def respond(chain, bend, rates, count, work, past, ways):
     for q in range(count):
         way = ways + 8 * size * chain.n * q
         start = (0.0, 0.0, 0.0)
-        substitute(chain, derivatives, bends, tensions, constant + q, -1, start, way)
+        substitute(chain, derivatives, bends, tensions, constant + q, NONE, start, way)
     if count == 0 and first >= 0:
         start = yielding_to(chain, pivot, ways)
-        substitute(chain, derivatives, bends, tensions, -1, first, start, ways)
+        substitute(chain, derivatives, bends, tensions, NONE, first, start, ways)
     keep(tangent)
     return first

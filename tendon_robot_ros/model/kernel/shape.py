@@ -6,11 +6,14 @@ import numpy as np
 
 from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import (
+    BEND_TOLERANCE,
     LENGTH,
+    YES,
     address,
     cell,
     chain_at,
     compiled,
+    copy,
     entry,
     floats,
     memory_in,
@@ -18,12 +21,13 @@ from .layout import (
     residual_at,
     section_of,
     settle_at,
+    step_at,
     with_results,
     words,
     work_in,
     work_size,
 )
-from .newton import BEND_TOLERANCE
+from .linear import assign
 from .stages import (
     friction_travel_acts,
     measurement,
@@ -34,19 +38,11 @@ from .stages import (
     winding,
     winding_acts,
 )
-from .sweep import slip_direction
+from .sweep import is_implicit, slip_direction
 from .turning import chain_frames
 from .twisting import unknowns
 
 GUESS_STEP_MAX = 0.3  # [rad] step of a bend over which a derivative is no guess
-
-
-@compiled
-def copy(source, target, count):
-    """Copy floats between addresses."""
-    old, new = floats(source), floats(target)
-    for j in range(count):
-        new[j] = old[j]
 
 
 @compiled
@@ -66,8 +62,20 @@ def remember(chain, inputs, bend, work, past, now):
             at = chain.k * i + k
             here = floats(work.travel)[at]
             sign[at], travel[at] = slip_direction(
-                chain, work, past, at, section_of(chain, i), here, slides, True
+                chain, work, past, at, section_of(chain, i), here, slides, YES
             )
+
+
+@compiled
+def settle(chain, inputs, work, past, bend):
+    """Find the equilibrium (`solve_equilibrium`); an explicit model needs one sweep for it."""
+    if is_implicit(chain):
+        return settle_at(chain.settle)(chain, inputs, work, past, bend)
+    step_at(chain.step)(chain, inputs, bend, work, past, bend)
+    for j in range(unknowns(chain)):
+        if not abs(floats(bend)[j]) < 1e6:
+            return math.inf
+    return 0.0
 
 
 @compiled
@@ -94,7 +102,7 @@ def ramp(chain, inputs, work, past, now, bend, parts):
         for j in range(chain.m):
             share = (part + 1.0) / parts
             there[j] = (1.0 - share) * start[j] + share * aim[j]
-        change = settle_at(chain.settle)(chain, now.inputs, work, now, bend)
+        change = settle(chain, now.inputs, work, now, bend)
         if not change < BEND_TOLERANCE:
             break
         remember(chain, now.inputs, bend, work, now, now)
@@ -122,10 +130,10 @@ def posture(chain, inputs, work, past, now, bend, before):
 
     """
     if not memory_acts(chain):
-        change = settle_at(chain.settle)(chain, inputs, work, past, bend)
+        change = settle(chain, inputs, work, past, bend)
         remember(chain, inputs, bend, work, past, now)
         return change
-    parts = 1
+    parts = np.int64(1)
     change = ramp(chain, inputs, work, past, now, bend, parts)
     while parts < 64:
         copy(bend, before, unknowns(chain))
@@ -207,8 +215,8 @@ def predict(chain, there, ways, inputs, trial):
 @compiled
 def accept(chain, there, trial, moved, inputs, f):
     """Go to where a trial was: its tensions, residuals and bends."""
-    inputs[:] = trial
-    f[:] = moved
+    assign(inputs, trial)
+    assign(f, moved)
     copy(there.near, there.bend, unknowns(chain))
 
 

@@ -4,15 +4,23 @@ import math
 
 import numpy as np
 
-from .layout import SETTLE, SLIP_LENGTH, address, compiled, entry, floats, newton_at, step_at
-from .linear import dot, largest, solve_small
+from .layout import (
+    BEND_TOLERANCE,
+    SETTLE,
+    SLIP_LENGTH,
+    address,
+    compiled,
+    entry,
+    floats,
+    newton_at,
+    step_at,
+)
+from .linear import assign, dot, largest, solve_small
 from .loads import loaded
 from .march import march
-from .newton import BEND_TOLERANCE
 from .stability import SAFE_LOAD_SHARE, descend, load_ratio
 from .stages import eyelet_acts, friction_travel_acts, memory_acts
 from .stick import solve_sliding
-from .sweep import is_implicit
 from .turning import half_turns
 from .twisting import unknowns
 
@@ -20,7 +28,8 @@ from .twisting import unknowns
 # continuation, at the start of a search, and from one good step to the next.
 SLIP_WIDTHS = (1000.0, 100.0, 30.0, 10.0, 3.0, 1.0)
 SLIP_WIDTH_START, SLIP_WIDTH_FACTORS = 1000.0, (0.3, 0.5)
-GUESSED_STEPS_MAX, WIDE_STEPS_MAX = 8, 30  # steps from a guess, and from a wide slip length
+# steps from a guess, and from a wide slip length; no literals (see `layout`)
+GUESSED_STEPS_MAX, WIDE_STEPS_MAX = np.int64(8), np.int64(30)
 CONTINUATION_STEPS_MAX = 16  # of the continuation, before there is said to be no equilibrium
 ANDERSON_DEPTH = 5  # guesses that the acceleration remembers
 
@@ -74,7 +83,7 @@ def repeat_sweeps(chain, inputs, x, work, past, most):
             f[j] = flat[j] - x[j]
         change = largest(f)
         if change < BEND_TOLERANCE:
-            x[:] = flat
+            assign(x, flat)
             return change
         slow = (turn == 4 and change > 3e-2 * first) or (turn == 9 and change > 1e-2 * first)
         if change > 1e4 * best or change == math.inf or slow:
@@ -89,8 +98,8 @@ def repeat_sweeps(chain, inputs, x, work, past, most):
                 changes[slot, j] = f[j] - old_f[j]
             for p in range(min(turn, ANDERSON_DEPTH)):
                 gram[slot, p] = gram[p, slot] = dot(changes[slot], changes[p])
-        old_x[:] = x
-        old_f[:] = f
+        assign(old_x, x)
+        assign(old_f, f)
         anderson_step(x, f, steps, changes, min(turn, ANDERSON_DEPTH), gram, factor, weights)
     return change
 
@@ -101,13 +110,14 @@ def sharpen(chain, inputs, x, work, past):
     slip = floats(work.slip)
     before = np.empty(x.shape[0])
     change = math.inf
-    x[:] = 0.0
+    for j in range(x.shape[0]):
+        x[j] = 0.0
     for width in SLIP_WIDTHS:
         slip[0] = width * SLIP_LENGTH
-        before[:] = x
+        assign(before, x)
         change = repeat_sweeps(chain, inputs, x, work, past, 25)
         if not change < BEND_TOLERANCE:
-            x[:] = before
+            assign(x, before)
             change = newton_at(chain.newton)(chain, inputs, address(x), work, past, 15)
         if not change < BEND_TOLERANCE:
             break
@@ -119,22 +129,23 @@ def sharpen(chain, inputs, x, work, past):
 def continuation(chain, inputs, x, work, past):
     """Newton along a path: loads and the sharpness of friction grow together from none."""
     slip = floats(work.slip)
-    x[:] = 0.0
+    for j in range(x.shape[0]):
+        x[j] = 0.0
     done, stride = 0.0, 0.25
-    last = x.copy()
+    last = np.zeros(x.shape[0])
     change = math.inf
     for _ in range(CONTINUATION_STEPS_MAX):
         aim = min(1.0, done + stride)
         slip[0] = SLIP_LENGTH * 10.0 ** (3.0 * (1.0 - aim))
         slip[1] = aim
-        x[:] = last
+        assign(x, last)
         change = newton_at(chain.newton)(chain, inputs, address(x), work, past, 10)
         if change < BEND_TOLERANCE:
             if aim == 1.0:
                 slip[0], slip[1] = SLIP_LENGTH, 1.0
                 return change
             done = aim
-            last[:] = x
+            assign(last, x)
             stride = min(0.5, 1.6 * stride)
         else:
             stride *= 0.4
@@ -253,14 +264,7 @@ def solve_equilibrium(chain, inputs, work, past, bend):
     Returns the last change [rad]: above `BEND_TOLERANCE` there is no equilibrium and the state
     means nothing. work.tensions are those of the equilibrium.
     """
-    size = unknowns(chain)
-    bends = floats(bend)
-    if not is_implicit(chain):
-        step_at(chain.step)(chain, inputs, bend, work, past, bend)
-        for j in range(size):
-            if not abs(bends[j]) < 1e6:
-                return math.inf
-        return 0.0
+    size, bends = unknowns(chain), floats(bend)
     x = np.empty(size)
     for j in range(size):
         x[j] = bends[j]

@@ -5,10 +5,20 @@ import math
 import numpy as np
 
 from .bending import cell_stiffness
-from .layout import LENGTH, address, cell, compiled, newton_at, respond_at, section_of, step_at
-from .linear import dot, largest
+from .layout import (
+    BEND_TOLERANCE,
+    LENGTH,
+    address,
+    cell,
+    compiled,
+    newton_at,
+    respond_at,
+    section_of,
+    step_at,
+)
+from .linear import assign, dot, largest
 from .loads import force_at_tip, weight
-from .newton import BEND_TOLERANCE, residual
+from .newton import residual
 
 SAFE_LOAD_SHARE = 0.7  # [1] share of Euler's load below which no shape of the arm is unstable
 
@@ -44,7 +54,7 @@ def descend(chain, inputs, x, work, past, ratio):
     size = x.shape[0]
     f, moved, down, there = np.empty(size), np.empty(size), np.empty(size), np.zeros(size)
     step_at(chain.step)(chain, inputs, address(there), work, past, address(moved))
-    down[:] = moved
+    assign(down, moved)
     residual(chain, inputs, address(x), work, past, f)
     if respond_at(chain.respond)(chain, address(x), 0, 0, work, past, address(down)) < 0:
         return False
@@ -58,6 +68,6 @@ def descend(chain, inputs, x, work, past, ratio):
         for j in range(size):
             there[j] -= f[j] / (1.0 + ratio)
     if newton_at(chain.newton)(chain, inputs, address(there), work, past, 20) < BEND_TOLERANCE:
-        x[:] = there
+        assign(x, there)
         return True
     return False

@@ -4,7 +4,7 @@ import math
 
 from .bending import bend_cell, bend_linear, is_linear, twist_of
 from .geometry import scale_lengths, tendon_travel, travel_beyond
-from .layout import STEP, compiled, entry, floats, fused, inlined, section_of, words
+from .layout import STEP, YES, compiled, entry, floats, fused, inlined, section_of, words
 from .loads import load_moments, loaded
 from .stages import (
     actuation,
@@ -286,7 +286,7 @@ def carry_tensions(chain, inputs, bend, work, past, flags, moment_arms, scale):
 @compiled
 def prepare(chain, inputs, guess, work, past):
     """Fill moment arms, travel, travel beyond and load moments that a guess of bends gives."""
-    scale, flags = offset_scale(1.0, chain, 0), active_stages(chain, True)
+    scale, flags = offset_scale(1.0, chain, 0), active_stages(chain, YES)
     friction, straight, _, slides, _ = flags
     slides = friction and slides
     if straight or loaded(chain):

@@ -25,6 +25,7 @@ from .layout import (
     SLIDES,
     TENDON,
     TRAVELS,
+    YES,
     compiled,
     floats,
     inlined,
@@ -333,7 +334,7 @@ def fill_twist(chain, work, i, tangent, by_own, press, loads):
 def differentiate(chain, bend, work, past, tangent):
     """Fill the derivatives of all cells at bends (n, 2) whose states `work` holds."""
     moment_arms, scale = moment_arms_of(chain, work)
-    flags = active_stages(chain, True)
+    flags = active_stages(chain, YES)
     for i in range(chain.n):
         cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent_of(chain, tangent, i))
     if flags[0]:
