@@ -28,8 +28,8 @@ def tip_jacobian(model: ForwardModel, tensions: Floats) -> Floats:
     if model.remembers:
         tips: Floats = derivatives(model, model.shapes(tensions[None]), model.inputs, _tip)[0]
         return tips
-    shape, m = model.shape(tensions), len(tensions)
-    slopes = np.empty((6 + m, m))
+    shape = model.shape(tensions)
+    slopes = np.empty((6, len(tensions)))
     model.arrays.part('derivatives').jacobian(
         model.arrays.address,
         shape.inputs.copy(),
@@ -38,7 +38,7 @@ def tip_jacobian(model: ForwardModel, tensions: Floats) -> Floats:
         model.scratch,
         slopes,
     )
-    return slopes[:6]
+    return slopes
 
 
 def derivatives(

@@ -94,10 +94,11 @@ def move_along(chain, inputs, bend, rows, j, step, trial):
 @compiled
 def output_slopes(chain, inputs, there, ways, slopes):
     """
-    Fill slopes (6 + m, m): tip position [m/N], tip direction [1/N], wire pulls [m/N] by inputs.
+    Fill slopes (6 or 6 + m, m): tip position [m/N], tip direction [1/N], wire pulls [m/N].
 
-    At the state kept in the workspace, which balances inputs (m,) at an address. `ways` (m,
-    unknowns) takes how it follows [rad/N].
+    By the inputs, at the state kept in the workspace, which balances inputs (m,) at an address;
+    the wire pulls only where there are rows for them. `ways` (m, unknowns) takes how the state
+    follows [rad/N].
     """
     n, m, bend, work, past = chain.n, chain.m, there.bend, there.work, there.past
     input_response(chain, inputs, bend, work, past, ways)
@@ -111,19 +112,20 @@ def output_slopes(chain, inputs, there, ways, slopes):
             move_along(chain, inputs, bend, ways, j, step, there.near)
             place_as(chain, inputs, there.near, work, past)
             floats(inputs)[j] = was
-            wire_pulls(chain, there.near, work, there.pulls)
-            mean_pulls(chain, there.pulls, there.means)
             scale = sign / (TENSION_STEP + down)
             for r in range(3):
                 slopes[r, j] += scale * origins[3 * n + r]
                 slopes[3 + r, j] += scale * frames[9 * n + 3 * r + 2]
-            for r in range(m):
-                slopes[6 + r, j] += scale * floats(there.means)[r]
+            if slopes.shape[0] > 6:
+                wire_pulls(chain, there.near, work, there.pulls)
+                mean_pulls(chain, there.pulls, there.means)
+                for r in range(m):
+                    slopes[6 + r, j] += scale * floats(there.means)[r]
 
 
 @entry()
 def jacobian(robot, inputs, bends, past, scratch, slopes):
-    """Fill `output_slopes` (6 + m, m) at the equilibrium bends[0] of inputs (m,) [N]."""
+    """Fill `output_slopes` (6, m) at the equilibrium bends[0] of inputs (m,) [N]."""
     chain = chain_at(robot)
     there = workspace(chain, bends, past, scratch)
     output_slopes(chain, address(inputs), there, np.empty((chain.m, unknowns(chain))), slopes)

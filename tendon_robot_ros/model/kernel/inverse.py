@@ -152,7 +152,7 @@ def gauss_newton_step(jacobian, f, inputs, low, high, preference, damping, trial
 
 @compiled
 def weighted_slopes(chain, inputs, there, target, ways, slopes):
-    """Fill slopes (6 + m, m): of the weighted tip error by the inputs [m/N] in its first rows."""
+    """Fill slopes (6, m) of the weighted tip error by the inputs [m/N]."""
     output_slopes(chain, address(inputs), there, ways, slopes)
     for r in range(6):
         for j in range(inputs.shape[0]):
@@ -193,7 +193,7 @@ def aim(robot, inputs, bends, target, low, high, preference, most, enough, far, 
     """
     chain = chain_at(robot)
     m, there = chain.m, workspace(chain, bends, past, scratch)
-    f, moved, jacobian = np.empty(6), np.empty(6), np.zeros((6 + m, m))
+    f, moved, jacobian = np.empty(6), np.empty(6), np.zeros((6, m))
     trial, free, ways = np.empty(m), np.empty(m, np.int64), np.empty((m, unknowns(chain)))
     tip_residual(chain, inputs, there, there.bend, target, f)
     cost, damping = cost_of(f, inputs, low, preference), 1e-9
