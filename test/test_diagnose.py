@@ -5,13 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import simulated
+from arms import planar
 from measurements import blind, truth
 from simulated import NOISE, measure, measured, postures
 
 from tendon_robot_ros.common.errors import NoEquilibriumError, TendonRobotError
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis import session as sessions
+from tendon_robot_ros.diagnosis.add import add_effects
 from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.report.diagnosis_text import lines
 
 ROBOT = simulated.robot()
 NAMING = ('missing_effect', 'ambiguous', 'wrong_parameter', 'several')
@@ -139,6 +142,24 @@ def test_progress_is_told():
     diagnose(measured(ROBOT, count=3), progress=lambda *said: seen.append(said))
     assert seen[-1][1] <= seen[-1][2]
     assert all(what and done >= 1 for what, done, _ in seen)
+
+
+def test_a_posture_without_an_equilibrium_is_left_out_and_named():
+    real = replace(planar(3), exact=True)
+    tensions = [[0.0, t] for t in (0.4, 0.8, 1.2, 1.6, 2.0, 2.4, 3.0)]
+    dataset = measure(postures(real, [*tensions, [0.5, 0.0], [1.0, 0.0], [1.5, 0.0]]))
+    gives_way = {'nonlinear_stiffness': {'cubic': -0.5}}  # at 2.67 N
+    dataset = replace(dataset, robot=replace(real, effects=gives_way))
+    found = diagnose(dataset)
+    assert found.details['unsettled'] == ['6']
+    assert any(line.endswith('has no equilibrium: posture 6') for line in lines(found))
+    assert (found.verdict, names(found)) == ('wrong_parameter', ['nonlinear_stiffness'])
+    cubic = found.effects[0].parameters['cubic']
+    assert cubic.low <= 0.0 <= cubic.high
+    assert add_effects(dataset, names(found)).helps
+    one_after_the_other = replace(dataset, path='sequence')
+    with pytest.raises(NoEquilibriumError, match='posture 6 of simulated'):
+        diagnose(one_after_the_other)
 
 
 def test_a_description_without_an_equilibrium_is_an_error():

@@ -198,6 +198,20 @@ class Predictor:
             self._first = settled
         return placed
 
+    def unsettled(self) -> tuple[str, ...]:
+        """Name the postures without an equilibrium as described, each loaded from straight."""
+        pulled = self.dataset.input == 'displacement'
+        alone = self._shapes_at_pulls if pulled else self._shapes_at_tensions
+        names = []
+        for part in self.parts:
+            self.set_parameters({}, part)
+            names += [
+                self.dataset.postures[row]
+                for row in part.rows.tolist()
+                if alone(self.inputs[row : row + 1], None) is None
+            ]
+        return tuple(names)
+
     @contextmanager
     def under_gravity(self, vector: Floats) -> Iterator[None]:
         """Let a gravity (3,) [m/s²] act on all postures while the block runs."""

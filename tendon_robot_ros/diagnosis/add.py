@@ -216,10 +216,7 @@ def add_effects(
     """
     described = robot or dataset.robot
     session = Session(dataset, described, catalogue or load_catalogue(), workers=1)
-    if session.predictor.markers({}) is None:
-        raise NoEquilibriumError(
-            f'a posture of {dataset.name}', session.predictor.model.implicit_effects, np.inf
-        )
+    session.leave_out_unsettled()
     if not session.weigh({}):
         raise InputError(
             f'{dataset.name}: one trial per posture and no position_noise in '

@@ -37,6 +37,7 @@ STILL_SHARE_MAX = 0.05  # of the way that a marker should go, below which it is 
 STILL_FROM_FLOORS = 10.0  # noise floors that it should go by at least to be called so
 FALSE_OUTLIER_PROBABILITY = 1e-3  # for the most extreme of all readings, or of all trials
 TRIALS_MIN = 3  # trials of a posture from which two can contradict one
+UNSETTLED_SHARE_MAX = 0.25  # of the postures, in which a description may have no equilibrium
 MARKERS_OFF_SHARE = 0.5  # share of the markers of a trial beyond which the trial itself is off
 
 # -----------------------------------------------------------------------------

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from ..common.threads import one_thread
 from ..comparison.noise import rms
 from ..data import DataSet
@@ -81,12 +79,7 @@ def _what_is_lacking(session: Session) -> str:
     measured = int((dataset.trials > 0).sum())
     if measured < 2:
         return f'{measured} measured posture(s): two or more are needed, six are better'
-    if session.predictor.markers({}) is None:
-        from ..common.errors import NoEquilibriumError
-
-        raise NoEquilibriumError(
-            'a posture of this data set', session.predictor.model.implicit_effects, np.inf
-        )
+    session.leave_out_unsettled()
     if not session.weigh({}):
         return (
             'one trial per posture and no position_noise in dataset.yaml: repeat the '

@@ -159,6 +159,7 @@ def details_of(
         },
         'exact': session.robot.exact,
         'outliers': outliers_of(session),
+        'unsettled': list(session.unsettled),
         'as_built': arm_report(session, fit),
         'local_faults': faults_of(session, fit),
         'tolerances': dict(session.robot.tolerances),

@@ -9,6 +9,8 @@ from copy import copy
 import numpy as np
 import numpy.typing as npt
 
+from ..common.errors import NoEquilibriumError
+from ..common.words import listed
 from ..comparison.noise import Noise, Whitener, estimate_noise, input_slopes
 from ..comparison.predict import Point, Predictor
 from ..data import DataSet
@@ -28,6 +30,7 @@ from .decide import (
     PAIRED_MAX,
     SAME_WITHIN_CHI2,
     TIE_WITHIN_SCORE,
+    UNSETTLED_SHARE_MAX,
 )
 from .fit import Fit
 from .fitter import Fitter
@@ -55,6 +58,7 @@ class Session:
         self.progress = progress or (lambda what, done, total: None)
         self._measured_by(dataset)
         self.outliers: Outliers | None = None
+        self.unsettled: tuple[str, ...] = ()  # postures that were left out for it
         self.nuisances = nuisances_of(robot, self.catalogue, self.predictor)
         self.candidates = candidates_of(robot, self.catalogue)
         self.accuracy = dataset.accuracy or 0.0
@@ -70,6 +74,27 @@ class Session:
             Predictor(dataset, self.robot, self.catalogue) for _ in range(self.workers)
         ]
         self.predictor = self.predictors[0]
+
+    def leave_out_unsettled(self) -> None:
+        """
+        Go on without the few postures in which the description has no equilibrium.
+
+        Raises
+        ------
+        NoEquilibriumError
+            They are many, or one of a sequence, in which the next one needs it.
+
+        """
+        if self.predictor.markers({}) is not None:
+            return
+        dataset, names = self.dataset, self.predictor.unsettled()
+        few = 0 < len(names) <= UNSETTLED_SHARE_MAX * len(dataset.postures)
+        if not few or dataset.path == 'sequence':
+            effects = self.predictor.model.implicit_effects
+            where = listed(f'posture {name}' for name in names) or 'a posture of the sequence'
+            raise NoEquilibriumError(f'{where} of {dataset.name}', effects, np.inf)
+        self.unsettled = names
+        self._measured_by(dataset.select(set(dataset.postures) - set(names)))
 
     def leave_out(self, outliers: Outliers) -> None:
         """Go on without measurements that the other trials contradict."""

@@ -61,11 +61,15 @@ def _scatter(kind: dict[str, Any]) -> str:
 
 
 def left_out(diagnosis: Diagnosis) -> list[str]:
-    """Name the readings and trials that the others contradict."""
+    """Name the readings and trials that the others contradict, and postures that do not settle."""
+    unsettled = diagnosis.details.get('unsettled') or []
     outliers = diagnosis.details.get('outliers') or []
     trials = [f'trial {o["trial"]} of posture {o["posture"]}' for o in outliers if not o['marker']]
     readings = [o for o in outliers if o['marker']]
     sentences = []
+    if unsettled:
+        named = [f'posture {name}' for name in unsettled]
+        sentences.append(f'left out, because the description has no equilibrium: {listed(named)}')
     if trials:
         sentences.append(f'left out, because the other trials contradict it: {listed(trials)}')
     if 0 < len(readings) <= READINGS_LISTED_MAX:

@@ -68,6 +68,9 @@ def pictures_of(
     if diagnosis.effects:
         after = changed or with_effects(diagnosis, robot)
         models.append((f'with {" and ".join(effect.name for effect in diagnosis.effects)}', after))
+    left_out = set(diagnosis.details.get('unsettled') or ())
+    if left_out:
+        dataset = dataset.select(set(dataset.postures) - left_out)
     try:
         comparison = compare(dataset, models, catalogue)
     except NoEquilibriumError:
