@@ -32,6 +32,7 @@ def residuals(model, inputs, states):
     """States (b, 3n) minus what their moments ask for, (b, unknowns) [rad]."""
     out = np.empty((len(states), unknowns(model)))
     past = model.arrays.fresh_memory()
+    model.arrays.link()
     model.arrays.part('derivatives').residuals(
         model.arrays.address, inputs, states, past, model.scratch, out
     )
@@ -41,6 +42,7 @@ def residuals(model, inputs, states):
 def solved(model, inputs, bends, rates):
     """How states (b, 3n) balance rates of the residual, (b, q, unknowns)."""
     ways, past = np.empty_like(rates), model.arrays.fresh_memory()
+    model.arrays.link()
     model.arrays.part('derivatives').responses(
         model.arrays.address, inputs, bends, past, model.scratch, rates, ways
     )

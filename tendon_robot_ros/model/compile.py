@@ -314,7 +314,12 @@ class KernelArrays:
         )
 
     def link(self) -> None:
-        """Compile what explicit models do without, if that is not yet done."""
+        """
+        Compile what explicit models do without, if that is not yet done.
+
+        Before anything that asks the kernel for residuals or their responses: without it they call
+        the address 0.
+        """
         address_of = self.part('layout').address_of
         for place, (part, name) in LINKED.items():
             field = self.chain._fields.index(place)
