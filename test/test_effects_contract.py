@@ -45,6 +45,18 @@ def seen(model, inputs):
     return np.concatenate([array.reshape(len(inputs), -1) for array in told], axis=1)
 
 
+@pytest.mark.parametrize('name', EFFECTS)
+def test_an_effect_alone_answers_all_that_is_asked_of_a_model(name):
+    """Explicit models are compiled without the solvers: what asks for these must link them."""
+    effects = {name: {'relative_change': (0.1,)} if name == 'section_stiffness' else VALUES[name]}
+    model = Model(replace(planar(3, effects), gravity=GRAVITY))
+    shape = model.shape([0.3, 0.5])
+    assert np.isfinite(model.jacobian([0.3, 0.5])).all()
+    assert model.reach(shape.tip_position, guess=shape, starts=1).position_error < 1e-6
+    assert np.isfinite(model.pull_shape(shape.pulls).positions).all()
+    assert np.isfinite(model.derivatives(shape.batch, model.inputs)).all()
+
+
 def test_the_catalogue_is_that_of_the_design_and_every_effect_stands_in_the_tests():
     assert tuple(EFFECTS) == BUILT_IN
     assert set(EFFECTS) == set(VALUES)

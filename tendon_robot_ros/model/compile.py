@@ -185,7 +185,8 @@ LINKED = {
     'newton': ('newton', 'newton'),
     'settle': ('solve', 'solve_equilibrium'),
 }
-LINKING_STAGES = {name for name, stage in STAGES.items() if stage.implicit} | {'length', 'stretch'}
+LINKING_STAGES = {'length', 'stretch', 'winding'}  # see the kernel's `place_as`
+LINKING_STAGES |= {name for name, stage in STAGES.items() if stage.implicit}
 
 
 class KernelArrays:
