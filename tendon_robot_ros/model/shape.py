@@ -96,7 +96,10 @@ def place_markers(shapes: ShapeBatch, arc_length: Floats, offset: Floats) -> Flo
     share = np.clip(into / shapes.cell_length[cells], 0.0, 1.0)
     at_end = np.abs(share - 1.0) * shapes.cell_length[cells] < 1e-9
     if at_end.all():
-        frames, points = shapes.frames[:, cells], shapes.positions[:, cells]
+        points = shapes.positions[:, cells]
+        if not offset.any():
+            return points
+        frames = shapes.frames[:, cells]
     else:
         frames, points = _inside(shapes, cells, share)
     placed: Floats = points + np.einsum('bjrc,jc->bjr', frames, offset)
