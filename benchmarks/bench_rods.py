@@ -1,8 +1,14 @@
-"""How far the model is from exact rods, and how long a posture takes."""
+"""
+How far the model is from exact rods, how fast it is, and whether `diagnose` sees their twist.
+
+The rods: `rods.csv` (another package's, twenty disks), `rods_20.csv` and `rods_40.csv`
+(`exact_rod.py`).
+"""
 
 from __future__ import annotations
 
 import argparse
+import collections
 import csv
 import json
 import math
@@ -12,14 +18,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from exact_rod import TIP_FORCE
 from machine import machine, tell
 
+from tendon_robot_ros.data import DataSet, default_markers
+from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import Robot, Section, Tendon
 
 RODS = Path(__file__).parent / 'rods'
 RADIUS, YOUNG, LENGTH, OFFSET = 0.7e-3, 54e9, 0.2, 0.01  # [m], [Pa], [m] per segment, [m]
 EI_OVER_GJ = 1.3  # [1] of a round rod, 1 + Poisson's ratio
+NOISE, TRIALS = 2e-4, 5  # [m] of a coordinate, and how often each posture is measured
 BENDING = YOUNG * math.pi * RADIUS**4 / 4.0  # [N·m²]
 
 
@@ -47,14 +57,18 @@ def rod(cells: int) -> Robot:
     )
 
 
-def compare(cells: int, torsion: float) -> dict[str, object]:
+def table(name: str) -> list[dict[str, float]]:
+    """Return the rows of a table of rods."""
+    with (RODS / name).open(newline='') as file:
+        return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+
+
+def compare(cells: int, torsion: float, name: str) -> dict[str, object]:
     """Distances [mm] of the tip from the exact rod, and CPU time of a cold posture [s]."""
     robot, apart, times = rod(cells), {'without': [], 'with': []}, []
     if torsion:
         robot = robot.with_effect('torsion', {'compliance': torsion})
-    with (RODS / 'rods.csv').open(newline='') as file:
-        rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
-    for row in rows:
+    for row in table(name):
         force = {f'force_{axis}': row[f'force_{axis}'] for axis in 'xyz'}
         loaded = any(force.values())
         effects = {**robot.effects, 'tip_load': force} if loaded else robot.effects
@@ -78,14 +92,61 @@ def compare(cells: int, torsion: float) -> dict[str, object]:
     }
 
 
+def measured(name: str, seed: int) -> DataSet:
+    """Return measurements of exact shapes, the weight at the tip described, torsion not."""
+    load = dict(zip(('force_x', 'force_y', 'force_z'), TIP_FORCE, strict=True))
+    robot = replace(rod(20), exact=True, gravity=(9.81, 0.0, 0.0)).with_effect('tip_load', load)
+    rows = table(f'shapes_{name}.csv')
+    inputs = np.array([[row[f't{j}'] for j in range(1, 7)] for row in rows[::20]])
+    exact = np.array([[row[axis] for axis in 'xyz'] for row in rows]).reshape(-1, 1, 20, 3)
+    noise = np.random.default_rng(seed).normal(0.0, NOISE, (len(inputs), TRIALS, 20, 3))
+    return DataSet(
+        name=name,
+        robot=robot,
+        markers=default_markers(robot),
+        postures=tuple(str(p) for p in range(len(inputs))),
+        inputs=inputs,
+        positions=exact + noise,
+        position_noise=NOISE,
+        gravity=robot.gravity,
+    )
+
+
+def named(name: str, seeds: int) -> dict[str, object]:
+    """Count what `diagnose` says of exact shapes, and how often the compliance is right."""
+    verdicts, torsion, inside, times = collections.Counter[str](), 0, 0, []
+    for seed in range(seeds):
+        dataset = measured(name, seed)
+        start = time.process_time()
+        found = diagnose(dataset, workers=1)
+        times.append(time.process_time() - start)
+        verdicts[f'{found.verdict}: {" + ".join(effect.name for effect in found.effects)}'] += 1
+        for effect in found.effects:
+            if effect.name == 'torsion':
+                torsion += 1
+                inside += all(v.low <= EI_OVER_GJ <= v.high for v in effect.parameters.values())
+    return {
+        'data sets': seeds,
+        'verdicts': dict(verdicts),
+        'torsion named': torsion,
+        'compliance in its interval': inside,
+        'process time of a diagnosis [s]': float(np.median(times)),
+    }
+
+
 def main() -> int:
-    """Compare with one cell per disk."""
+    """Compare with one cell per disk, and diagnose."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--json', type=Path)
+    parser.add_argument('--seeds', type=int, default=10, help='data sets to diagnose; default 10')
     options = parser.parse_args()
-    figures = {
-        'one cell per disk': compare(20, EI_OVER_GJ),
-        'one cell per disk, without torsion': compare(20, 0.0),
+    figures: dict[str, object] = {
+        '20 disks': compare(20, EI_OVER_GJ, 'rods.csv'),
+        '20 disks, without torsion': compare(20, 0.0, 'rods.csv'),
+        '20 disks, solved finely': compare(20, EI_OVER_GJ, 'rods_20.csv'),
+        '40 disks, solved finely': compare(40, EI_OVER_GJ, 'rods_40.csv'),
+        'diagnosis of a rod that twists': named('twisting', options.seeds),
+        'diagnosis of a rod that does not': named('stiff', options.seeds),
     }
     figures['published'] = json.loads((RODS / 'published.json').read_text())
     tell({'machine': machine(), 'rods': figures}, options.json)

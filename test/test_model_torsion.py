@@ -1,6 +1,5 @@
 """Cells that twist: closed forms, symmetries, conservation, and exact rods."""
 
-import csv
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 from arms import planar, section, spatial, turned, wound
 from reference import Reference
 from scipy.optimize import brentq
-from source_tree import ROOT
 
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import Robot, Tendon
@@ -162,37 +160,3 @@ def test_an_offset_per_cell_is_the_same_as_one_that_winds():
     one, other = (Model(r).shape([0.5, 2.0, 0.1]) for r in (robot, listed))
     assert np.allclose(one.positions, other.positions, rtol=0, atol=1e-12)
     assert np.allclose(one.twist, other.twist, rtol=0, atol=1e-12)
-
-
-def rods():
-    """Exact rods: rows of `benchmarks/rods/rods.csv`, the rod with one cell per disk."""
-    length, bending = 0.02, 54e9 * np.pi * 0.7e-3**4 / 4.0
-    sections = tuple(section(name, 10, length, bending / length) for name in ('near', 'far'))
-    tendons = []
-    for j in range(6):
-        angle = np.radians((90.0, -30.0, 210.0)[j % 3])
-        at = (float(0.01 * np.cos(angle)), float(0.01 * np.sin(angle)))
-        tendons.append(Tendon(f't{j + 1}', at, at, sections[j // 3].name))
-    effects = {'straight_tendon': {'fraction': 1.0}}
-    with (ROOT / 'benchmarks/rods/rods.csv').open(newline='') as file:
-        rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
-    return Robot('rod', sections, tuple(tendons), (0.0, 10.0), effects), rows
-
-
-@pytest.mark.parametrize(
-    ('loaded', 'count', 'median', 'most'), [(0, 14, 2.1e-5, 5e-4), (1, 26, 1e-4, 6e-4)]
-)
-def test_exact_rods_are_met_with_a_force_at_the_tip_too(loaded, count, median, most):
-    """A Cosserat rod between disks, round and of one material: EI / GJ = 1.3."""
-    robot, rows = rods()
-    apart = []
-    for row in rows:
-        force = {f'force_{axis}': row[f'force_{axis}'] for axis in 'xyz'}
-        if any(force.values()) == bool(loaded):
-            effects = robot.effects | TORSION | {'tip_load': force}
-            shape = Model(replace(robot, effects=effects)).shape(
-                [row[f't{j}'] for j in range(1, 7)]
-            )
-            tip = [row[f'tip_{axis}'] for axis in 'xyz']
-            apart.append(np.linalg.norm(shape.tip_position - tip))
-    assert len(apart) == count and np.median(apart) < median and max(apart) < most
