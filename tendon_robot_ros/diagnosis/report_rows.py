@@ -158,8 +158,7 @@ def details_of(
             'source': noise.source,
         },
         'exact': session.robot.exact,
-        'outliers': outliers_of(session),
-        'unsettled': list(session.unsettled),
+        **left_out(session),
         'as_built': arm_report(session, fit),
         'local_faults': faults_of(session, fit),
         'tolerances': dict(session.robot.tolerances),
@@ -179,16 +178,17 @@ def details_of(
     return details
 
 
-def outliers_of(session: Session) -> list[dict[str, Any]]:
-    """Name the readings and trials that were left out."""
+def left_out(session: Session) -> dict[str, Any]:
+    """Name the postures that do not settle, and the readings and trials that others contradict."""
     outliers, dataset = session.outliers, session.dataset
+    left = {'unsettled': list(session.unsettled), 'outliers': []}
     if outliers is None:
-        return []
+        return left
     named = [
         {'posture': dataset.postures[p], 'trial': dataset.trial_names[q], 'marker': None}
         for p, q in np.argwhere(outliers.trials)
     ]
-    return named + [
+    readings = [
         {
             'posture': dataset.postures[p],
             'trial': dataset.trial_names[q],
@@ -197,6 +197,7 @@ def outliers_of(session: Session) -> list[dict[str, Any]]:
         }
         for p, q, j in np.argwhere(outliers.readings)
     ]
+    return {**left, 'outliers': named + readings}
 
 
 def _alternatives(
