@@ -14,10 +14,17 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.comparison.noise import Noise, Whitener
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import save_dataset
+from tendon_robot_ros.diagnosis.described_arm import (
+    DescribedArm,
+    arm_with,
+    blocks_of_the_arm,
+    profile_factors,
+)
 from tendon_robot_ros.diagnosis.improve import falls
 from tendon_robot_ros.diagnosis.improvement import total
-from tendon_robot_ros.diagnosis.stepwise import Stepwise, left_out_errors, profile_factors
+from tendon_robot_ros.diagnosis.stepwise import Stepwise, left_out_errors
 from tendon_robot_ros.report.improvement_text import lines
+from tendon_robot_ros.robot import dump_robot, parse_robot
 
 ROBOT = simulated.robot()
 HIDDEN = {
@@ -111,6 +118,33 @@ def test_a_stiffness_that_changes_along_the_arm_is_found_and_written():
     change = np.array(found.robot.sections[0].bending_stiffness) / stiff
     assert np.abs(np.log(change[1:-1])).max() < 0.1
     assert '% at the middle' in '\n'.join(lines(found))
+
+
+def test_what_moved_of_the_arm_is_what_the_description_says():
+    robot = simulated.robot('spatial_3')
+    dataset = measured(robot, count=4)
+    arm = DescribedArm(dataset, robot, CATALOGUE)
+    frees = [free for block in blocks_of_the_arm(robot) for free in block.frees]
+    assert {free.effect for free in frees} == {'bending_stiffness', 'tendon_routes'}
+    moves = np.random.default_rng(0).normal(size=len(frees))
+    point = {f: float(3.0 * f.parameter.typical * x) for f, x in zip(frees, moves, strict=True)}
+    shown = Predictor(dataset, arm_with(robot, point), CATALOGUE).markers({})
+    np.testing.assert_allclose(arm.markers(point), shown, atol=1e-7)
+    before = Predictor(dataset, robot, CATALOGUE).markers({})
+    assert np.abs(shown - before).max() > 1e-3
+    np.testing.assert_allclose(arm.markers({}), before, atol=1e-7)
+    again = parse_robot(dump_robot(arm_with(robot, point)))
+    assert again.tendons == arm_with(robot, point).tendons
+
+
+def test_where_a_fit_has_no_equilibrium_the_search_goes_on(arm, monkeypatch):
+    def fails(*arguments):
+        raise ArithmeticError('no start of the fit has an equilibrium')
+
+    search = Stepwise(arm[0], ROBOT, CATALOGUE)
+    state = search.path()[0]
+    monkeypatch.setattr(Stepwise, 'state', fails)
+    assert search.step(state) is None
 
 
 def test_the_command_writes_what_it_says(arm, tmp_path, capsys, monkeypatch):

@@ -28,6 +28,7 @@ add.py                write effects into a description, and undo it
 written.py            what was found of an arm as built, in its description
 improve.py            effects join while the error on left-out postures falls
 stepwise.py           the search for the one that joins next
+described_arm.py      what may change of the arm itself: stiffness along it, routes of tendons
 improvement.py        `Improvement`: a better description, and how the error fell
 staircase.py          the error before, after, and left out
 trust.py              how far to trust a diagnosis on the user's own postures

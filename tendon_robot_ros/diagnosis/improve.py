@@ -24,11 +24,12 @@ from ..robot import Robot
 from .add import Addition, more_at_work, with_origin
 from .as_built import imperfections
 from .decide import P_SINGLE_MIN
+from .described_arm import route_changes, stiffness_change
 from .improvement import Improvement, ImprovementStep, total
 from .local_tests import local_faults
 from .report_rows import values_of
 from .staircase import Errors, predict
-from .stepwise import POSTURES_MIN, STEPS_MAX, State, Stepwise, profile_factors
+from .stepwise import POSTURES_MIN, STEPS_MAX, State, Stepwise
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -190,14 +191,14 @@ def _result(
     final, tips = states[taken], np.sqrt(errors[taken, :, -1])
     made = _addition(search, steps[: taken + 1], final, robots[taken], check)
     postures = search.dataset.postures
-    change = profile_factors(final.profile.tolist(), search.robot) - 1.0
     return Improvement(
         robot=with_origin(made, search.robot),
         steps=steps,
         taken=taken,
         chosen=np.sqrt(np.nanmean(chosen, axis=0)),
         values=made.values,
-        profile=tuple(change[[0, len(change) // 2, -1]].tolist()) if len(final.profile) else (),
+        profile=stiffness_change(search.robot, final.fit.point),
+        routes=route_changes(final.fit.point),
         markers=tuple(marker.name for marker in search.dataset.markers),
         data=search.dataset.name,
         check='' if check is None else check.name,

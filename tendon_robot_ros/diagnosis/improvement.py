@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from ..common.colours import GOOD, MEASURED, PREDICTED
 from ..robot import Robot
+from .described_arm import PROFILE
 from .result import Value
-from .stepwise import PROFILE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,6 +57,7 @@ class Improvement:
     chosen: Floats  # (J,) [m] left out, where the number of steps was chosen without them as well
     values: dict[str, dict[str, Value]]  # effect -> parameter -> value with its interval
     profile: tuple[float, ...]  # change of the stiffness at base, middle and tip [1], or nothing
+    routes: dict[str, tuple[float, float]]  # tendon -> turn at the base [rad], helix [rad/m]
     markers: tuple[str, ...]
     data: str
     check: str  # name of the check set; '' where there is none
@@ -129,6 +130,7 @@ class Improvement:
             'chosen': self.chosen.tolist(),
             'effects': values,
             'profile': list(self.profile),
+            'routes': {name: list(change) for name, change in self.routes.items()},
             'markers': list(self.markers),
             'data': self.data,
             'check': self.check,

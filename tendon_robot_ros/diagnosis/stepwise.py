@@ -17,19 +17,19 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numpy.polynomial import legendre
 
 from ..common.errors import InputError
 from ..comparison.noise import Noise, Whitener, estimate_noise, input_slopes, rms
-from ..comparison.predict import FreeParameter, Point, Predictor
+from ..comparison.predict import FreeParameter, Point
 from ..comparison.statistics import chi2_sf, f_sf, minimum
 from ..data import DataSet
-from ..effects import Catalogue, Parameter
+from ..effects import Catalogue
 from ..robot import Robot
 from ..robot.size import natural_sizes
 from .add import changed_robot
 from .candidates import Candidate, candidates_of
 from .decide import P_SINGLE_MIN
+from .described_arm import OF_THE_ARM, DescribedArm, arm_with, blocks_of_the_arm
 from .fit import Fit, Nuisance, covariance_of
 from .fitter import Fitter
 from .outliers import find_outliers
@@ -46,31 +46,6 @@ TURNS_TRIED, TURNS = 3, 25  # of fits that are tried, and of the one that is mad
 FALL_MIN = 0.005  # of the squared error on left-out postures, for a step to be made at all
 JOINING_STEP = 0.02  # typical sizes from which a fit begins, where laws have kinks
 TELLS_ITSELF = 1e-3  # share of a reading that the other postures tell, at least
-PROFILE = 'bending_stiffness'  # of the description: how it changes along the arm
-PROFILE_DEGREE = 4  # of the polynomial by which its logarithm changes
-
-
-class _DescribedArm(Predictor):
-    """A predictor of a description whose stiffness along the arm moves as well."""
-
-    def value(self, free: FreeParameter) -> float:
-        """Value that the description gives a parameter."""
-        return 0.0 if free.effect == PROFILE else super().value(free)
-
-    def markers(self, point: Point, *args: Any, **options: Any) -> Floats | None:
-        """Predict marker positions; see `Predictor.markers`."""
-        effects = {free: value for free, value in point.items() if free.effect != PROFILE}
-        own = [value for free, value in point.items() if free.effect == PROFILE]
-        if own:
-            options['stiffness'] = profile_factors(own, self.robot)
-        return super().markers(effects, *args, **options)
-
-
-def profile_factors(coefficients: Sequence[float], robot: Robot) -> Floats:
-    """Return a factor (n,) on the stiffness of every cell: exp of a Legendre polynomial."""
-    lengths = np.array([s.cell_length for s in robot.sections for _ in range(s.cells)])
-    places = (2.0 * np.cumsum(lengths) - lengths) / robot.length - 1.0
-    return np.asarray(np.exp(legendre.legval(places, [0.0, *coefficients])))
 
 
 @dataclass(frozen=True)
@@ -95,16 +70,10 @@ class State:
         return float(np.nanmean(self.left_out))
 
     @property
-    def profile(self) -> Floats:
-        """Coefficients of the change of the stiffness along the arm; empty where there is none."""
-        own = [f.effect == PROFILE for f in self.fit.frees]
-        return np.asarray(self.fit.values[np.array(own, dtype=bool)])
-
-    @property
     def effects(self) -> Fit:
         """The fit of the effects of the catalogue alone."""
-        own = np.array([f.effect != PROFILE for f in self.fit.frees], dtype=bool)
-        frees = tuple(f for f in self.fit.frees if f.effect != PROFILE)
+        own = np.array([f.effect not in OF_THE_ARM for f in self.fit.frees], dtype=bool)
+        frees = tuple(f for f in self.fit.frees if f.effect not in OF_THE_ARM)
         values, jacobian = self.fit.values[own], self.fit.jacobian[:, own]
         return replace(self.fit, frees=frees, values=values, jacobian=jacobian)
 
@@ -128,18 +97,13 @@ class Stepwise:
         self.robot, self.catalogue = robot, catalogue.sized(natural_sizes(robot))
         outliers = find_outliers(predict(dataset, robot, catalogue)[0], {})
         self.dataset = outliers.without(dataset) if outliers.any else dataset
-        self.predictor = _DescribedArm(self.dataset, robot, self.catalogue)
+        self.predictor = DescribedArm(self.dataset, robot, self.catalogue)
         self.measured = self.dataset.mean
         self.slopes = input_slopes(self.predictor, {})
         self.noise = _noise(self.dataset, self.slopes)
         self.plain = Whitener(self.dataset, self.noise, self.slopes)
         self._refuse_mistakes()
-        degrees = [f'along_{k}' for k in range(1, PROFILE_DEGREE + 1)]
-        profile = [FreeParameter(PROFILE, Parameter(d, '1', -3.0, 3.0, 0.0, 0.1)) for d in degrees]
-        self.blocks = [
-            *candidates_of(robot, self.catalogue),
-            Candidate((PROFILE,), tuple(profile), True),
-        ]
+        self.blocks = [*candidates_of(robot, self.catalogue), *blocks_of_the_arm(robot)]
 
     def _refuse_mistakes(self) -> None:
         markers = self.predictor.markers({})
@@ -150,7 +114,7 @@ class Stepwise:
     def again(self) -> Stepwise:
         """Return the same with a model of its own, for another thread."""
         other = copy(self)
-        other.predictor = _DescribedArm(self.dataset, self.robot, self.catalogue)
+        other.predictor = DescribedArm(self.dataset, self.robot, self.catalogue)
         return other
 
     def path(self, held: Held = (), show: Callable[[int], None] | None = None) -> list[State]:
@@ -166,21 +130,22 @@ class Stepwise:
             if better is None:
                 break
             whitener = self.weights(better.fit.markers, held)
-            again = self.state(better.blocks, better.fit.point, whitener, better.joined)
-            states.append(replace(again, left=better.left))
+            again = self.tried(better.blocks, better.fit.point, whitener, better.joined)
+            states.append(replace(again or better, left=better.left))
         return states
 
     def step(self, here: State) -> State | None:
         """Let the block join that lowers the error most, and idle ones leave; None: none does."""
         promising = sorted(self.joining(here), key=lambda pair: pair[0])[:TRIED_MAX]
-        tried = []
+        found = []
         for _, block in promising:
             blocks, start = (*here.blocks, block), self.beginning(here, block)
-            tried.append(self.state(blocks, start, here.whitener, block.label, TURNS_TRIED))
-        if not tried:
+            made = self.tried(blocks, start, here.whitener, block.label, TURNS_TRIED)
+            found += [] if made is None else [made]
+        if not found:
             return None
-        best = min(tried, key=lambda state: state.score)
-        best = self.state(best.blocks, best.fit.point, here.whitener, best.joined)
+        best = min(found, key=lambda state: state.score)
+        best = self.tried(best.blocks, best.fit.point, here.whitener, best.joined) or best
         if best.score > (1.0 - FALL_MIN) * here.score:
             return None
         return self.without_idle(best)
@@ -192,19 +157,19 @@ class Stepwise:
                 continue
             rest = tuple(one for one in state.blocks if one is not block)
             point = {f: value for f, value in state.fit.point.items() if f not in block.frees}
-            fewer = self.state(rest, point, state.whitener, state.joined)
-            if fewer.score <= state.score:
+            fewer = self.tried(rest, point, state.whitener, state.joined)
+            if fewer is not None and fewer.score <= state.score:
                 state = replace(fewer, left=(*state.left, block.label))
         return state
 
     def joining(self, here: State) -> Iterator[tuple[float, Candidate]]:
         """Yield the error that each block promises which may join."""
-        own = here.names - {PROFILE}
+        own = here.names - set(OF_THE_ARM)
         for block in self.blocks:
             name = block.label
             if name in here.names:
                 continue
-            if name != PROFILE:
+            if name not in OF_THE_ARM:
                 contained = any(name in self.catalogue[other].contains for other in own)
                 if contained or set(self.catalogue[name].contains) & own:
                     continue
@@ -280,6 +245,13 @@ class Stepwise:
         errors = left_out_errors(fit.residual, free, whitener, self.dataset.groups)
         return State(blocks, fit, whitener, errors, joined)
 
+    def tried(self, *arguments: Any) -> State | None:
+        """Fit blocks together; None where the arm has no equilibrium there. See `state`."""
+        try:
+            return self.state(*arguments)
+        except (ArithmeticError, np.linalg.LinAlgError):
+            return None
+
     def weights(self, markers: Floats | None, held: Held) -> Whitener:
         """Return weights that know what a prediction does not explain, of likely sizes."""
         assert markers is not None
@@ -312,23 +284,7 @@ class Stepwise:
     def written(self, state: State) -> Robot:
         """Return the description with what a state has fitted."""
         robot = changed_robot(self.robot, self.catalogue, state.effects, self.dataset)
-        if not len(state.profile):
-            return robot
-        factors = profile_factors(state.profile.tolist(), robot)
-        ends = np.cumsum([section.cells for section in robot.sections])
-        sections = [
-            replace(
-                section,
-                bending_stiffness=tuple(
-                    float(f'{k * factor:.6g}')
-                    for k, factor in zip(
-                        section.bending_stiffness, factors[end - section.cells : end], strict=True
-                    )
-                ),
-            )
-            for section, end in zip(robot.sections, ends, strict=True)
-        ]
-        return replace(robot, sections=tuple(sections))
+        return arm_with(robot, state.fit.point)
 
 
 def left_out_errors(

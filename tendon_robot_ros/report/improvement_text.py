@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..common.words import columns, digits, mm, probability
@@ -70,12 +72,24 @@ def sentences(found: Improvement) -> list[str]:
 
 
 def profile(found: Improvement) -> list[str]:
-    """Say how the stiffness along the arm has changed."""
+    """Say how the stiffness along the arm and the routes of the tendons have changed."""
+    said = []
+    if found.routes:
+        turns = ', '.join(
+            f'{name} by {degrees(turn)}, winding by {degrees(helix)}/m'
+            for name, (turn, helix) in found.routes.items()
+        )
+        said.append(f'tendon_routes, turned about the axis: {turns}')
     if not found.profile:
-        return []
+        return said
     places = zip(('base', 'middle', 'tip'), found.profile, strict=True)
     changes = ', '.join(f'{100.0 * change:+.0f} % at the {where}' for where, change in places)
-    return [f'bending_stiffness along the arm: {changes}']
+    return [*said, f'bending_stiffness along the arm: {changes}']
+
+
+def degrees(radians: float) -> str:
+    """Show an angle."""
+    return f'{math.degrees(radians):.1f}°'
 
 
 def remains(found: Improvement) -> list[str]:
