@@ -92,14 +92,14 @@ def compare(cells: int, torsion: float, name: str) -> dict[str, object]:
     }
 
 
-def measured(name: str, seed: int) -> DataSet:
+def measured(name: str, disks: int, seed: int) -> DataSet:
     """Return measurements of exact shapes, the weight at the tip described, torsion not."""
     load = dict(zip(('force_x', 'force_y', 'force_z'), TIP_FORCE, strict=True))
-    robot = replace(rod(20), exact=True, gravity=(9.81, 0.0, 0.0)).with_effect('tip_load', load)
-    rows = table(f'shapes_{name}.csv')
-    inputs = np.array([[row[f't{j}'] for j in range(1, 7)] for row in rows[::20]])
-    exact = np.array([[row[axis] for axis in 'xyz'] for row in rows]).reshape(-1, 1, 20, 3)
-    noise = np.random.default_rng(seed).normal(0.0, NOISE, (len(inputs), TRIALS, 20, 3))
+    robot = replace(rod(disks), exact=True, gravity=(9.81, 0.0, 0.0)).with_effect('tip_load', load)
+    rows = table(f'shapes_{name}_{disks}.csv')
+    inputs = np.array([[row[f't{j}'] for j in range(1, 7)] for row in rows[::disks]])
+    exact = np.array([[row[axis] for axis in 'xyz'] for row in rows]).reshape(-1, 1, disks, 3)
+    noise = np.random.default_rng(seed).normal(0.0, NOISE, (len(inputs), TRIALS, disks, 3))
     return DataSet(
         name=name,
         robot=robot,
@@ -112,11 +112,11 @@ def measured(name: str, seed: int) -> DataSet:
     )
 
 
-def named(name: str, seeds: int) -> dict[str, object]:
+def named(name: str, disks: int, seeds: int) -> dict[str, object]:
     """Count what `diagnose` says of exact shapes, and how often the compliance is right."""
     verdicts, torsion, inside, times = collections.Counter[str](), 0, 0, []
     for seed in range(seeds):
-        dataset = measured(name, seed)
+        dataset = measured(name, disks, seed)
         start = time.process_time()
         found = diagnose(dataset, workers=1)
         times.append(time.process_time() - start)
@@ -145,8 +145,11 @@ def main() -> int:
         '20 disks, without torsion': compare(20, 0.0, 'rods.csv'),
         '20 disks, solved finely': compare(20, EI_OVER_GJ, 'rods_20.csv'),
         '40 disks, solved finely': compare(40, EI_OVER_GJ, 'rods_40.csv'),
-        'diagnosis of a rod that twists': named('twisting', options.seeds),
-        'diagnosis of a rod that does not': named('stiff', options.seeds),
+        **{
+            f'diagnosis of a rod that {what}, {disks} disks': named(name, disks, options.seeds)
+            for name, what in (('twisting', 'twists'), ('stiff', 'does not'))
+            for disks in (20, 40)
+        },
     }
     figures['published'] = json.loads((RODS / 'published.json').read_text())
     tell({'machine': machine(), 'rods': figures}, options.json)

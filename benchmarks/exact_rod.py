@@ -191,7 +191,7 @@ def again(rows: list[dict[str, float]]) -> None:
         print(f'{disks} disks: {np.median(apart):.4f} mm from rods.csv, {apart.max():.4f} at most')
 
 
-def shapes() -> None:
+def shapes(disks: int) -> None:
     """Write the shapes of a rod that twists and of one that does not."""
     for name, twist in (('twisting', EI_OVER_GJ), ('stiff', 0.0)):
         random, rows = np.random.default_rng(5), []
@@ -199,12 +199,12 @@ def shapes() -> None:
             tensions = np.zeros(TENDONS)
             tensions[random.integers(3)] = random.uniform(0.2, 1.5)
             tensions[3 + random.integers(3)] = random.uniform(0.2, 1.2)
-            for disk, at in enumerate(limit(20, tensions, np.array(TIP_FORCE), twist)):
+            for disk, at in enumerate(limit(disks, tensions, np.array(TIP_FORCE), twist)):
                 row = {'posture': posture, 'disk': disk + 1}
                 row |= {f't{j + 1}': round(float(t), 6) for j, t in enumerate(tensions)}
                 row |= {axis: round(float(x), 7) for axis, x in zip('xyz', at, strict=True)}
                 rows.append(row)
-        write(f'shapes_{name}.csv', rows)
+        write(f'shapes_{name}_{disks}.csv', rows)
 
 
 def write(name: str, rows: list[dict[str, float]]) -> None:
@@ -220,7 +220,8 @@ def main() -> int:
     argparse.ArgumentParser(description=__doc__).parse_args()
     with (RODS / 'rods.csv').open(newline='') as file:
         again([{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)])
-    shapes()
+    for disks in (20, 40):
+        shapes(disks)
     return 0
 
 

@@ -30,7 +30,7 @@ def test_rods_are_met_with_and_without_a_force_at_the_tip(cells, table, without,
 
 
 def test_a_diagnosis_names_the_twist_of_a_rod_with_its_size():
-    found = diagnose(rods.measured('twisting', seed=0), workers=1)
+    found = diagnose(rods.measured('twisting', 40, seed=0), workers=1)
     assert found.verdict == 'missing_effect'
     assert [effect.name for effect in found.effects] == ['torsion']
     assert found.cannot_tell_apart == ()
@@ -39,5 +39,5 @@ def test_a_diagnosis_names_the_twist_of_a_rod_with_its_size():
 
 
 def test_a_diagnosis_of_a_rod_that_does_not_twist_names_no_twist():
-    found = diagnose(rods.measured('stiff', seed=0), workers=1)
+    found = diagnose(rods.measured('stiff', 40, seed=0), workers=1)
     assert found.verdict == 'adequate'
