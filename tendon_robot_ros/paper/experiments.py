@@ -157,7 +157,9 @@ def _small_rows(experiment: SmallExperiment) -> list[Row]:
     one, low, high = experiment.as_assumed, experiment.low, experiment.high
     return [
         Row('IV.E', 'tip at 90°, FKM', 'mm', 0.5, 1e3 * one.hinge, 0.0, 1e3 * high.hinge,
-            'one reading; from no hinge friction to the 10:1 prototype’s, scaled with the arm'),
+            'one reading. Without hinge friction the FKM is met exactly (0 mm); with the lever of '
+            'the 10:1 prototype, scaled with the arm, it is off as ours. The reading asks for '
+            f'about {50.0 / (1e3 * one.hinge):.0f} % of that lever; nothing else fixes it'),
         Row('IV.E', 'tip at 90°, PCCA', 'mm', 7.6, 1e3 * one.tension, 1e3 * low.pull,
             1e3 * high.tension,
             'distance of the models at equal tension; the range is over arm 1.0 to 1.6 mm, 15 to '

@@ -62,9 +62,10 @@ class Page:
         """Add a table; rows may be 'strong' or 'faint', columns in `left` hold words."""
         sides = ['left' if i in left else '' for i in range(len(header))]
         self.parts.append('<div class="scroll"><table>')
-        self.parts.append(_row('th', header, sides, ''))
+        self.parts.append(_row('th', header, sides, 'head'))
         for i, row in enumerate(rows):
-            self.parts.append(_row('td', row, sides, kinds[i] if i < len(kinds) else ''))
+            kind = kinds[i] if i < len(kinds) else ''
+            self.parts.append(_row('td', row, sides, kind, header))
         self.parts.append('</table></div>')
 
     def figures(self, figures: Sequence[Figure], across: str = '') -> None:
@@ -146,11 +147,19 @@ def _figure(figure: Figure) -> str:
         separators=(',', ':'),
     ).replace('<', '\\u003c')
     title = f'<h3>{escape(figure.title)}</h3>' if figure.title else ''
+    alt = ' '.join([figure.title or _axes(figure.layout), figure.caption]).strip()
     caption = f'<figcaption>{escape(figure.caption)}</figcaption>' if figure.caption else ''
     return (
-        f'<figure>{title}<div class="plot" style="height:{figure.height}px"></div>'
+        f'<figure>{title}<div class="plot" role="img" aria-label="{escape(alt)}" '
+        f'style="height:{figure.height}px"></div>'
         f'<script type="application/json">{content}</script>{caption}</figure>'
     )
+
+
+def _axes(layout: dict[str, Any]) -> str:
+    """Name the axes of a figure that has no title."""
+    titles = [layout.get(f'{axis}axis', {}).get('title', {}).get('text', '') for axis in 'yx']
+    return ' over '.join(title for title in titles if title) or 'figure'
 
 
 def _with_defaults(layout: dict[str, Any], height: int) -> dict[str, Any]:
@@ -175,10 +184,14 @@ def _with_defaults(layout: dict[str, Any], height: int) -> dict[str, Any]:
     return made
 
 
-def _row(tag: str, cells: Sequence[str], sides: Sequence[str], kind: str) -> str:
+def _row(
+    tag: str, cells: Sequence[str], sides: Sequence[str], kind: str, names: Sequence[str] = ()
+) -> str:
+    """Return a row; on a narrow screen every cell stands below its name."""
+    labels = [f' data-name="{escape(name)}"' for name in names] or [''] * len(cells)
     made = ''.join(
-        f'<{tag} class="{side}">{escape(cell)}</{tag}>'
-        for cell, side in zip(cells, sides, strict=True)
+        f'<{tag} class="{side}"{label}>{escape(cell)}</{tag}>'
+        for cell, side, label in zip(cells, sides, labels, strict=True)
     )
     return f'<tr class="{escape(kind)}">{made}</tr>'
 

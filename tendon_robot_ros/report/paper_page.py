@@ -190,9 +190,16 @@ def _row(row: Row) -> list[str]:
     number = digits(row.ours, 3)
     return [
         row.section, row.what, f'{row.published:g}{unit}', f'{number}{unit}',
-        f'{round(100.0 * row.difference):+d} %',
+        _difference(row),
         f'{digits(row.low, 3)} to {digits(row.high, 3)}', row.met.replace(' ', '\u00a0'), row.why,
     ]  # fmt: skip
+
+
+def _difference(row: Row) -> str:
+    """Show a difference in percent; where it is above all of the published, in its unit."""
+    if abs(row.difference) <= 1.0:
+        return f'{round(100.0 * row.difference):+d} %'
+    return f'{row.ours - row.published:+.2g} {row.unit}'
 
 
 def _motion(page: Page, experiment: MotionExperiment) -> None:

@@ -43,7 +43,8 @@ def missing(workspace: Workspace) -> list[str]:
     """Say which view angles no posture reaches."""
     return [
         f'no posture at {degree(view)} within ±{degree(workspace.tolerance)}: '
-        f'the largest tip angle is {degree(workspace.largest)}'
+        f'the largest tip angle is {degree(workspace.largest)}; ask for another angle, a larger '
+        '--tolerance, a smaller --step or a higher --limit'
         for view in workspace.views
         if not workspace.of(view)
     ]
