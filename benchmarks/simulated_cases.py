@@ -9,9 +9,10 @@ import numpy as np
 
 from tendon_robot_ros.comparison.noise import Whitener, estimate_noise, input_slopes
 from tendon_robot_ros.comparison.predict import Predictor
-from tendon_robot_ros.diagnosis.as_built import imperfections
 from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
+from tendon_robot_ros.diagnosis.slopes import imperfections
+from tendon_robot_ros.diagnosis.split import SplitPredictor
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.robot import Robot, load_robot
 from tendon_robot_ros.robot.size import natural_sizes
@@ -154,7 +155,7 @@ def is_visible(case: Case, dataset, robot: Robot, values) -> bool:
     white = whitener.white(after.markers({}) - before.markers({}))
     if case.exact:
         return float(white @ white) > 30.0
-    found = imperfections(before, {})
+    found = imperfections(SplitPredictor(before), {})
     random = RandomEffects(whitener.white(found.moves).T, found.owners, found.kinds)
     sizes = case.level * np.where(np.isfinite(random.plausible), random.plausible, 0.0)
     left = random.lift(random.root(sizes), white)

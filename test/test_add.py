@@ -10,13 +10,14 @@ from measurements import blind, truth
 from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.common.errors import EffectError, InputError
+from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.comparison.noise import rms
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import add_effects, restore
-from tendon_robot_ros.robot import dump_robot, parse_robot
+from tendon_robot_ros.robot import dump_robot, load_robot, parse_robot
 
-ROBOT = simulated.robot()
+ROBOT = replace(simulated.robot(), exact=True)  # as those are that are simulated
 HINGES = {'hinge_friction': {'lever': 2e-4}}
 NOWHERE = 'outside the catalogue'
 NAMED = {'none': NOWHERE, 'tether': NOWHERE, 'soft_cell': NOWHERE,
@@ -72,7 +73,8 @@ def test_the_file_says_where_its_values_come_from(hinged):
     origin = robot.fitted['hinge_friction']
     lever = origin['parameters']['lever']
     assert robot.effects['hinge_friction']['lever'] == pytest.approx(lever['value'], rel=1e-3)
-    assert lever['low'] < 2e-4 < lever['high']
+    assert lever['low'] < lever['value'] < lever['high']
+    assert lever['value'] == pytest.approx(2e-4, rel=0.2)
     assert lever['unit'] == 'm'
     assert origin['data'] == 'simulated'
     assert len(origin['date']) == 10
@@ -128,16 +130,33 @@ def test_a_value_per_section_goes_into_the_file_as_such():
     assert parse_robot(dump_robot(made.robot)).effects == made.robot.effects
 
 
-def test_tolerances_are_reported_and_stay_out_of_the_file():
+def test_tolerances_are_reported_and_widen_the_interval():
     robot = replace(ROBOT, tolerances={'bending_stiffness': 0.05})
     made = add_effects(measured(robot, HINGES), ['hinge_friction'])
     assert set(made.moved) == {'bending_stiffness'}
     assert abs(made.moved['bending_stiffness']) < 2.0
-    assert 'backbone_stiffness' not in made.robot.effects
     assert made.robot.fitted['hinge_friction']['tolerances_moved'].keys() == made.moved.keys()
     value = made.values['hinge_friction']['lever']
     exact = add_effects(measured(ROBOT, HINGES), ['hinge_friction']).values['hinge_friction']
     assert value.high - value.low > exact['lever'].high - exact['lever'].low
+
+
+def test_tolerances_that_moved_are_written_where_the_prediction_needs_them(tmp_path):
+    """The errors that are printed are those of the file, read again."""
+    robot = replace(ROBOT, tolerances={'bending_stiffness': 0.05})
+    hidden = HINGES | {'backbone_stiffness': {'relative_change': 0.08}}
+    dataset, check = (measured(robot, hidden, seed=seed, which=seed) for seed in (0, 1))
+    made = add_effects(dataset, ['hinge_friction'], check=check)
+    (tmp_path / 'new.yaml').write_text(dump_robot(made.robot), encoding='utf-8')
+    again = load_robot(tmp_path / 'new.yaml')
+    assert list(made.values) == ['hinge_friction']
+    moved = again.effects['backbone_stiffness']['relative_change']
+    assert moved == pytest.approx(0.08, abs=0.015)
+    for data, errors in ((dataset, made.fitted), (check, made.check)):
+        assert compare(data, [('new', again)]).models[-1].rms == pytest.approx(errors.after)
+        assert errors.after < 1.2 * errors.floor
+    left_out = add_effects(dataset, ['hinge_friction']).check
+    assert left_out.after == pytest.approx(made.check.after, rel=0.2)
 
 
 def test_gravity_goes_into_a_file_that_did_not_know_where_down_is():

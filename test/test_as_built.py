@@ -10,10 +10,11 @@ from simulated import CATALOGUE
 
 from tendon_robot_ros.comparison.predict import Predictor, free_parameters
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.diagnosis.as_built import SplitPredictor, imperfections
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
 from tendon_robot_ros.diagnosis.outliers import find_outliers
+from tendon_robot_ros.diagnosis.slopes import imperfections
+from tendon_robot_ros.diagnosis.split import SplitPredictor
 from tendon_robot_ros.report.diagnosis_text import lines
 
 CASES = Path(__file__).parent / 'data' / 'as_built'
@@ -54,15 +55,36 @@ def test_a_cell_of_its_own_moves_the_markers_as_the_whole_model_does():
     split = SplitPredictor(predictor)
     np.testing.assert_allclose(split.markers({}), predictor.markers({}), atol=1e-12)
     n = split.whole.cells
-    bent = split.built({}, {'cell_kink': np.tile([1e-3, 0.0], n)})
+    split.around = {'cell_kink': np.tile([1e-3, 0.0], n)}
     free = free_parameters(CATALOGUE['pre_curvature'], split.whole)[0]
-    np.testing.assert_allclose(bent, predictor.markers({free: 1e-3}), atol=1e-9)
+    np.testing.assert_allclose(split.markers({}), predictor.markers({free: 1e-3}), atol=1e-9)
+
+
+@pytest.mark.parametrize('name', ['messy_008', 'messy_s0'])
+@pytest.mark.parametrize('hidden', ['gravity', 'tendon_stiffness', 'axial_compression'])
+def test_slopes_of_imperfections_are_those_of_settled_shapes(name, hidden):
+    dataset = case(name).select(case(name).postures[:4])
+    split = SplitPredictor(Predictor(dataset, dataset.robot, CATALOGUE))
+    (free,) = free_parameters(CATALOGUE[hidden], split.whole)
+    found = imperfections(split, {free: free.parameter.typical})
+    first = {kind: list(np.flatnonzero(found.owners == k)) for k, kind in enumerate(found.kinds)}
+    for kind, columns in list(first.items())[:-1]:
+        for i in (0, len(kind) // 2):
+            sides = []
+            for side in (1e-5, -1e-5):
+                split.around = {kind.name: side * np.eye(len(kind))[i]}
+                sides.append(split.markers({free: free.parameter.typical}))
+            slope = (sides[0] - sides[1]) / 2e-5
+            np.testing.assert_allclose(
+                found.moves[columns[i]], slope, atol=1e-4 * np.abs(slope).max()
+            )
 
 
 def small():
     """Return random effects of two kinds, with a residual drawn from them."""
     random = np.random.default_rng(4)
-    found = imperfections(Predictor(case('messy_000'), case('messy_000').robot, CATALOGUE), {})
+    split = SplitPredictor(Predictor(case('messy_000'), case('messy_000').robot, CATALOGUE))
+    found = imperfections(split, {})
     columns = random.normal(size=(300, len(found.owners)))
     return RandomEffects(columns, found.owners, found.kinds), random
 

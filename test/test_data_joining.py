@@ -14,6 +14,8 @@ from tendon_robot_ros.comparison.compare import compare, equilibria
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import join, load_dataset, save_dataset
 from tendon_robot_ros.diagnosis.add import add_effects
+from tendon_robot_ros.diagnosis.slopes import imperfections
+from tendon_robot_ros.diagnosis.split import SplitPredictor
 from tendon_robot_ros.model.model import Model
 
 ROBOT = replace(planar(5), gravity=(0.0, 0.0, 0.0), exact=True)
@@ -70,6 +72,23 @@ def test_gravity_is_that_of_each_data_set():
     for data, found in ((lying, both[:5]), (standing, both[5:])):
         alone = Predictor(data, heavy, simulated.CATALOGUE).markers({})
         assert np.allclose(found, alone, rtol=0, atol=1e-12)
+
+
+def test_imperfections_move_each_data_set_as_they_move_it_alone():
+    heavy = replace(ROBOT, gravity=None, exact=False).with_effect(
+        'gravity', {'linear_density': 0.3}
+    )
+    free, weighed = loaded(heavy)
+    free = replace(free, gravity=(9.81, 0.0, 0.0))
+    weighed = replace(weighed, gravity=(0.0, 0.0, -9.81))
+    joined, *alone = (
+        imperfections(SplitPredictor(Predictor(data, heavy, simulated.CATALOGUE)), {})
+        for data in (join([free, weighed]), free, weighed)
+    )
+    own = joined.owners < len(joined.kinds) - 1  # the remainder is another one in every posture
+    for rows, single in ((slice(0, 5), alone[0]), (slice(5, 8), alone[1])):
+        moves = single.moves[single.owners < len(single.kinds) - 1]
+        np.testing.assert_allclose(joined.moves[own][:, rows], moves, rtol=1e-5, atol=1e-7)
 
 
 def test_a_known_load_gives_the_scale_of_forces():

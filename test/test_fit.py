@@ -16,6 +16,7 @@ from tendon_robot_ros.diagnosis.report_rows import values_of
 from tendon_robot_ros.diagnosis.session import Session
 
 ROBOT = simulated.robot()
+EXACT = replace(ROBOT, exact=True)
 HIDDEN = [
     ('hinge_friction', {'lever': 2e-4}),
     ('backbone_stiffness', {'relative_change': -0.12}),
@@ -56,9 +57,14 @@ def test_a_large_effect_is_found_from_far_away():
 
 def test_two_effects_are_fitted_together():
     truth = {'hinge_friction': {'lever': 2e-4}, 'pre_curvature': {'angle_x': 0.01, 'angle_y': 0.0}}
-    _, fit = settled(measured(ROBOT, truth), ['hinge_friction', 'pre_curvature'])
+    dataset = measured(EXACT, truth)
+    _, fit = settled(dataset, ['hinge_friction', 'pre_curvature'])
     assert fit.values[0] == pytest.approx(2e-4, rel=0.1)
     assert fit.values[1] == pytest.approx(0.01, rel=0.1)
+    _, loose = settled(dataset, ['hinge_friction', 'pre_curvature'], ROBOT)
+    spread = np.sqrt(np.diag(loose.covariance)[:2])
+    assert (np.abs(loose.values[:2] - [2e-4, 0.01]) < 3.0 * spread).all()
+    assert (spread > np.sqrt(np.diag(fit.covariance)[:2])).all(), 'imperfections may have done it'
 
 
 def test_values_stay_within_their_bounds():
@@ -130,15 +136,28 @@ def test_a_declared_tolerance_takes_part_with_its_prior():
     assert claimed.nuisances == ()
 
 
-def test_leaving_a_posture_out_is_what_refitting_without_it_gives():
+def test_leaving_a_posture_out_keeps_the_priors_of_imperfections():
     dataset = measured(ROBOT, {'backbone_stiffness': {'relative_change': 0.05}}, count=6)
+    session, fit = settled(dataset, ['backbone_stiffness'])
+    owners, by_hand = session.whitener.owners, 0.0
+    priors = np.ones(len(fit.jacobian) - len(owners), dtype=bool)
+    for p in range(6):
+        kept = np.append(owners != p, priors)
+        step = np.linalg.lstsq(fit.jacobian[kept], fit.residual[kept], rcond=None)[0]
+        left = (fit.residual - fit.jacobian @ step)[: len(owners)][owners == p]
+        by_hand += float(left @ left)
+    assert fit.held_out(owners)[0] == pytest.approx(by_hand, rel=1e-3)
+
+
+def test_leaving_a_posture_out_is_what_refitting_without_it_gives():
+    dataset = measured(EXACT, {'backbone_stiffness': {'relative_change': 0.05}}, count=6)
     session, fit = settled(dataset, ['backbone_stiffness'])
     total, probability = fit.held_out(session.whitener.owners)
     by_hand = 0.0
     for p in range(6):
         others = [name for name in dataset.postures if name != str(p)]
         part = dataset.select(others)
-        predictor = Predictor(part, ROBOT, CATALOGUE)
+        predictor = Predictor(part, EXACT, CATALOGUE)
         whitener = Whitener(part, session.noise, input_slopes(predictor, fit.point))
         refit = Fitter(predictor, whitener).fit(fit.frees, fit.point)
         white = session.whitener.white(dataset.mean - session.predictor.markers(refit.point))

@@ -41,7 +41,7 @@ def catalogue(tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def dataset(catalogue):
-    return simulated.measured(simulated.robot(), LOSS, count=8, catalogue=catalogue)
+    return simulated.measured(simulated.robot(exact=True), LOSS, count=8, catalogue=catalogue)
 
 
 @pytest.fixture(scope='module')

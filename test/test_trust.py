@@ -19,7 +19,7 @@ from tendon_robot_ros.diagnosis.trust import (
 )
 from tendon_robot_ros.report import diagnosis_text as trust_text
 
-ROBOT = simulated.robot()
+ROBOT = replace(simulated.robot(), exact=True)
 
 
 @pytest.fixture(scope='module')
@@ -72,11 +72,12 @@ def test_a_simulated_set_keeps_what_was_not_seen_and_has_the_noise():
     assert np.nanstd(left) == pytest.approx(NOISE.position, rel=0.05)
 
 
-def test_a_declared_tolerance_hides_its_twin():
+def test_tolerances_and_imperfections_hide_their_twins():
     exact = measured(ROBOT, count=5)
     loose = replace(exact, robot=replace(ROBOT, tolerances={'bending_stiffness': 0.05}))
+    built = replace(exact, robot=replace(ROBOT, exact=False))
     sizes = []
-    for dataset in (exact, loose):
+    for dataset in (exact, loose, built):
         session = Session(dataset, dataset.robot, CATALOGUE, workers=1)
         session.weigh({})
         tested, _ = session.split_tested({})
@@ -84,6 +85,9 @@ def test_a_declared_tolerance_hides_its_twin():
         sizes.append({one.free.effect: one.size for one in seen})
     assert sizes[1]['backbone_stiffness'] > 0.15 > 5.0 * sizes[0]['backbone_stiffness']
     assert sizes[1]['hinge_friction'] > 1.2 * sizes[0]['hinge_friction']
+    assert sizes[2]['backbone_stiffness'] > 5.0 * sizes[0]['backbone_stiffness'], (
+        'gains do the same'
+    )
 
 
 def test_power_and_rates_are_as_tables_say():

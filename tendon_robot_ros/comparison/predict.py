@@ -18,7 +18,9 @@ from ..model.shape import ShapeBatch
 from ..robot import Robot
 
 Floats = npt.NDArray[np.float64]
-CELLS = 'cell_stiffness'  # no effect: every cell's own deviation, where a tolerance declares it
+# No effects: every cell's own deviation where a tolerance declares it, one soft cell, a taper.
+CELLS, SOFT_CELL, TAPER = 'cell_stiffness', 'soft_cell', 'taper'
+STIFFNESS = (CELLS, SOFT_CELL, TAPER)
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,7 @@ class Predictor:
 
     def value(self, free: FreeParameter) -> float:
         """Value that the description gives a parameter (neutral where it is not listed)."""
-        if free.effect == CELLS:
+        if free.effect not in self.model.catalogue:
             return 0.0
         return float(
             self._values[
@@ -180,19 +182,11 @@ class Predictor:
         P, n = len(inputs), self.model.arrays.chain.n
         placed = np.empty((P, len(self.dataset.markers), 3))
         settled = SettledShapes(np.empty(inputs.shape), np.empty((P, 3 * n)))
-        for part in self.parts:
-            self.set_parameters(point, part, stiffness)
-            there = None if near is None else near.of(part.rows)
-            shapes = (
-                self._shapes_at_pulls(inputs[part.rows], there)
-                if self.dataset.input == 'displacement'
-                else self._shapes_at_tensions(inputs[part.rows], there)
-            )
+        for part, shapes in self.settle(point, inputs, stiffness, near):
             if shapes is None:
                 return None
             settled.tensions[part.rows], settled.state[part.rows] = shapes.inputs, shapes.state
-            seen = shapes.markers(self.dataset.arc_lengths, self.dataset.offsets)
-            placed[part.rows] = self.model.measured(seen)
+            placed[part.rows] = self.see(shapes)
         self.settled = settled
         if self._first is None:  # later ones would make results depend on the order
             self._first = settled
@@ -200,17 +194,39 @@ class Predictor:
 
     def unsettled(self) -> tuple[str, ...]:
         """Name the postures without an equilibrium as described, each loaded from straight."""
-        pulled = self.dataset.input == 'displacement'
-        alone = self._shapes_at_pulls if pulled else self._shapes_at_tensions
         names = []
         for part in self.parts:
             self.set_parameters({}, part)
             names += [
                 self.dataset.postures[row]
                 for row in part.rows.tolist()
-                if alone(self.inputs[row : row + 1], None) is None
+                if self._shapes(self.inputs[row : row + 1], None) is None
             ]
         return tuple(names)
+
+    def settle(
+        self,
+        point: Point,
+        inputs: Floats,
+        stiffness: Floats | None = None,
+        near: SettledShapes | None = None,
+    ) -> Iterator[tuple[Conditions, ShapeBatch | None]]:
+        """Yield each part of the postures and its shapes, the model as it is set there."""
+        for part in self.parts:
+            self.set_parameters(point, part, stiffness)
+            there = None if near is None else near.of(part.rows)
+            yield part, self._shapes(inputs[part.rows], there)
+
+    def _shapes(self, inputs: Floats, near: SettledShapes | None) -> ShapeBatch | None:
+        """Shapes (b) of the model as it is set, under inputs (b, m); None without equilibrium."""
+        if self.dataset.input == 'displacement':
+            return self._shapes_at_pulls(inputs, near)
+        return self._shapes_at_tensions(inputs, near)
+
+    def see(self, shapes: ShapeBatch) -> Floats:
+        """Return where the tracker sees the markers (b, J, 3) [m] of shapes."""
+        placed = shapes.markers(self.dataset.arc_lengths, self.dataset.offsets)
+        return self.model.measured(placed)
 
     @contextmanager
     def under_gravity(self, vector: Floats) -> Iterator[None]:
@@ -232,8 +248,8 @@ class Predictor:
         if stiffness is not None:
             arrays.cells[:, 1] *= stiffness
         for free, value in point.items():
-            if free.effect == CELLS:
-                arrays.cells[free.column, 1] *= 1.0 + value
+            if free.effect in STIFFNESS:
+                arrays.cells[:, 1] *= stiffness_factors(free, value, len(arrays.cells))
             else:
                 arrays.set(free.effect, free.parameter.name, free.column, value)
         for (effect, parameter), value in part.known.items():
@@ -264,6 +280,15 @@ class Predictor:
             return pull_shapes(self.model, pulls, tensions, bends, memory)
         except TendonRobotError:
             return None
+
+
+def stiffness_factors(free: FreeParameter, value: float, n: int) -> Floats:
+    """Return the factors (n,) by which a parameter that is no effect changes the cells."""
+    if free.effect == TAPER:
+        along = np.linspace(-1.0, 1.0, n) if free.parameter.name == 'slope' else np.ones(n)
+        return np.asarray(np.exp(value * along))
+    own = 1.0 + value if free.effect == CELLS else np.exp(-value)
+    return np.where(np.arange(n) == free.column, own, 1.0)
 
 
 def mean_inputs(dataset: DataSet) -> Floats:

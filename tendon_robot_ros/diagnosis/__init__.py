@@ -12,13 +12,17 @@ session.py            one diagnosis at work: noise, weights, and the fits that i
 fit.py                a settled fit and what it tells
 fitter.py             the search that finds it: bounded Gauss-Newton
 interval.py           95 % intervals of fitted parameters
+indistinct.py         which effects the measurements cannot tell apart
 cells.py              cells whose stiffness scatters
-as_built.py           imperfections of an arm, and how they move the markers
+as_built.py           imperfections of an arm, and what no model reaches
+split.py              the model of an arm whose cells are each a little off
+slopes.py             how imperfections move the markers
 marginal.py           the likelihood in which they are random
 arm_report.py         how much an arm scatters, and what is out of line
 local_tests.py        where the best model is still wrong: cell, posture, tendon, direction
 outliers.py           readings and trials that the others contradict
-setup_mistakes.py     swapped columns, turned axes, wrong units: before physics
+setup_mistakes.py     mistakes of the set-up, before physics: which of them explains a gross error
+setup_hypotheses.py   what they are: swapped columns, turned axes, wrong units
 rivals.py             patterns without physics: does the catalogue lack the cause
 result.py             `Diagnosis`: what the reports and other tools read
 report_rows.py        from fits to the rows and numbers of a result

@@ -17,15 +17,14 @@ from ..data import DataSet
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from .candidates import Candidate, is_tested, why_untested
-from .decide import P_SINGLE_MIN
+from .decide import LEFT_OUT_SHARE_MAX, P_SINGLE_MIN
 from .fit import Fit
-from .interval import intervals
 from .outliers import find_outliers
-from .report_rows import values_of
+from .report_rows import values_with_intervals
 from .result import EffectFinding, Value
 from .session import Session
 from .staircase import Errors, errors_on, left_out
-from .written import with_members
+from .written import with_members, with_tolerances, with_values
 
 
 @dataclass(frozen=True)
@@ -39,6 +38,7 @@ class Addition:
     probability: float  # of so much remaining error if nothing else is at work
     moved: dict[str, float] = field(default_factory=dict)  # tolerance -> declared sd it moved
     more_at_work: str = ''  # what the file says when the effects are not the whole story
+    beside: bool = False  # whether tolerances that moved and imperfections are written, too
 
     @property
     def helps(self) -> bool:
@@ -73,24 +73,17 @@ class Addition:
             'check': vars(self.check),
             'probability': self.probability,
             'moved': self.moved,
+            'beside': self.beside,
             'more_at_work': self.more_at_work,
         }
 
 
 def changed_robot(robot: Robot, catalogue: Catalogue, fit: Fit, dataset: DataSet) -> Robot:
     """Return the description with the fitted effects."""
-    fitted: dict[str, dict[str, list[float]]] = {}
-    for free, value in zip(fit.frees, fit.values, strict=False):
-        items = fitted.setdefault(free.effect, {})
-        items.setdefault(free.parameter.name, []).append(float(f'{value:.6g}'))
-    for name, items in fitted.items():
-        wide = {p.name for p in catalogue[name].parameters if p.per}
-        robot = robot.with_effect(
-            name,
-            {key: tuple(v) if key in wide and len(v) > 1 else v[0] for key, v in items.items()},
-        )
-        if catalogue[name].needs == 'gravity' and robot.gravity is None:
-            robot = replace(robot, gravity=dataset.gravity)
+    values = list(zip(fit.frees, fit.values.tolist(), strict=False))
+    robot = with_values(robot, catalogue, values)
+    if robot.gravity is None and any(catalogue[f.effect].needs == 'gravity' for f in fit.frees):
+        robot = replace(robot, gravity=dataset.gravity)
     return robot
 
 
@@ -227,19 +220,35 @@ def add_effects(
     fit = fit_effects(session, names, _point(session, names, start))
     probability = fit.probability(session.freedom)
     scale = 1.0 if probability > P_SINGLE_MIN else max(1.0, fit.chi2 / max(fit.freedom, 1))
-    values = _values(session, fit, scale)
-    changed = with_members(
-        changed_robot(described, session.catalogue, fit, dataset), fit, dataset.input
-    )
+    values = values_with_intervals(session.fitters[0], fit, scale)
+    changed, after, beside = _written(session, fit)
     fitted = errors_on(dataset, described, changed, session.catalogue, 'fitted')
     on_check = (
-        left_out(session.fitters[0], fit, fitted, session.moves)
+        replace(fitted, kind='left out', after=after)
         if check is None
         else errors_on(check, described, changed, session.catalogue, 'check')
     )
     more = more_at_work(fitted, probability) if partial or probability <= P_SINGLE_MIN else ''
-    made = Addition(changed, values, fitted, on_check, probability, fit.prior_z, more)
+    made = Addition(changed, values, fitted, on_check, probability, fit.prior_z, more, beside)
     return replace(made, robot=with_origin(made, described))
+
+
+def _written(session: Session, fit: Fit) -> tuple[Robot, float, bool]:
+    """
+    Return the description to write, its error [m] on postures left out, and what it holds.
+
+    What was fitted beside the effects goes along where that lowers this error: tolerances that
+    moved, and imperfections, which of an exact arm are only noise.
+    """
+    plain = changed_robot(session.robot, session.catalogue, fit, session.dataset)
+    alone = left_out(session.fitters[0], fit, beside=False)
+    if fit.built is None and not fit.nuisances:
+        return plain, alone, False
+    together = left_out(session.fitters[0], fit)
+    if together > LEFT_OUT_SHARE_MAX * alone:
+        return plain, alone, False
+    moved = with_tolerances(plain, session.catalogue, fit)
+    return with_members(moved, fit, session.dataset.input), together, True
 
 
 def add_effect(dataset: DataSet, name: str, **options: Any) -> Addition:
@@ -272,19 +281,18 @@ def fit_effects(session: Session, names: Sequence[str], start: Point | None = No
             _refuse_untested(session, candidate, fit)
         together = candidate if together is None else together.with_(candidate)
         if start is None:
-            fit = _fit(session, together, None if fit is None else fit.point)
+            fit = _fit(session, together, fit)
     if together is None:
         raise InputError('add: expected the name of an effect, got none')
-    point = start if fit is None else fit.point
+    if fit is None:
+        fit = _fit(session, together, start)
     for _ in range(2):
-        session.weigh(point or {}, None if fit is None else fit.members)
-        fit = _fit(session, together, point)
-        point = fit.point
-    assert fit is not None
+        session.weigh(fit.point, fit.members)
+        fit = _fit(session, together, fit)
     return fit
 
 
-def _fit(session: Session, candidate: Candidate, start: Point | None) -> Fit:
+def _fit(session: Session, candidate: Candidate, start: Fit | Point | None) -> Fit:
     try:
         return session.fitters[0].fit(candidate.frees, start)
     except (ArithmeticError, np.linalg.LinAlgError):
@@ -329,11 +337,3 @@ def _point(
         return None
     frees = [free for name in names for free in _candidate(session, name).frees]
     return {free: by_name[free.effect].parameters[free.key].value for free in frees}
-
-
-def _values(session: Session, fit: Fit, scale: float) -> dict[str, dict[str, Value]]:
-    """Values with intervals: Gaussian ones, and profiles where those do not hold."""
-    values = values_of(fit, scale)
-    for free, (low, high) in intervals(session.fitters[0], fit, scale).items():
-        values[free.effect][free.key] = replace(values[free.effect][free.key], low=low, high=high)
-    return values

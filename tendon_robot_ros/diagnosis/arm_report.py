@@ -25,13 +25,14 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
     built, random = fit.built, session.random
     if built is None or random is None:
         return None
-    lows, highs = random.intervals(built.sizes)
+    sizes = built.estimate(told=False).values
+    lows, highs = random.intervals(sizes)
     found, kinds = fit.members or {}, []
     for k, kind in enumerate(built.kinds):
         if kind.name == REMAINDER:
             continue
         values, spread = found[kind.name], _posterior(fit, k)
-        size = float(built.sizes[k])
+        size = float(sizes[k])
         quantile = chi2_isf(FALSE_OUT_OF_LINE_PROBABILITY / len(values), 1)
         limit = np.sqrt(quantile) * max(size, kind.plausible)
         members = zip(kind.members, values, spread, strict=True)
@@ -44,7 +45,7 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
                 'high': float(highs[k]),
                 'plausible': kind.plausible,
                 'members': {name: _member(value, sd) for name, value, sd in members},
-                'told': int((spread < TOLD_VARIANCE_SHARE * max(size, 1e-30)).sum()),
+                'told': int((spread < TOLD_VARIANCE_SHARE * float(built.sizes[k])).sum()),
                 'out_of_line': [
                     name
                     for name, value in zip(kind.members, values, strict=True)
@@ -52,7 +53,7 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
                 ],
             }
         )
-    last = float(built.sizes[-1])
+    last = float(sizes[-1])
     return {'kinds': kinds, 'remainder': last, 'floor': floor_as_built(session, fit)}
 
 
@@ -74,14 +75,23 @@ def _member(value: float, sd: float) -> dict[str, float]:
 
 def floor_as_built(session: Session, fit: Fit) -> float:
     """Return the expected rms [m] of a perfect model of an arm that scatters like this."""
+    return _floor(session, None if fit.built is None else fit.built.sizes)
+
+
+def usual_floor(session: Session) -> float:
+    """Return the expected rms [m] of a perfect model of an arm that is built as usual."""
+    return _floor(session, None if session.random is None else session.random.plausible)
+
+
+def _floor(session: Session, sizes: np.ndarray | None) -> float:
     noise = session.whitener.floor()
-    if fit.built is None or session.moves is None:
+    if sizes is None or session.imperfections is None:
         return noise
     seen = session.dataset.counts > 0
     spread = [
         np.full(len(kind), size if kind.name != REMAINDER else 0.0)
-        for kind, size in zip(fit.built.kinds, fit.built.sizes, strict=True)
+        for kind, size in zip(session.imperfections.kinds, sizes, strict=True)
     ]
-    lengths = np.linalg.norm(session.moves, axis=3)
+    lengths = np.linalg.norm(session.imperfections.moves, axis=3)
     moved = ((np.concatenate(spread)[:, None, None] * lengths) ** 2).sum(axis=0)
     return float(np.sqrt(noise**2 + moved[seen].mean()))

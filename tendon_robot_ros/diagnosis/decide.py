@@ -18,21 +18,28 @@ P_SINGLE_MIN = 0.001  # p-value above which one effect is adequate
 P_SEVERAL_MIN = 0.01  # and several together
 APART_FROM_SCORE = 9.21  # chi² + 2 k within which candidates cannot be told apart
 SAME_WITHIN_CHI2 = 0.5  # chi² below which two predictions are the same
+NEAR_SCORE = 60.0  # chi² + 2 k beyond the best from which a candidate is out of the race
 TIE_WITHIN_SCORE = 0.5  # chi² + 2 k below which the order of the catalogue decides
 EFFECTS_MAX = 3  # effects in a combination
 PAIRED_MAX = 7  # best single effects whose pairs are tried
 FIRST_STEP_GAIN_MIN = 5.0  # in deviance at a first step that makes a further effect worth a fit
 STRAY_SD_MAX = 3.0  # declared sd that a quantity may move
+LEFT_OUT_SHARE_MAX = 0.95  # of the left-out error, from which imperfections are written as well
 CORRELATED_FROM = 0.98  # between two parameters: their values are not told apart
 
 # -----------------------------------------------------------------------------
 # What is looked at before physics: mistakes of the set-up, readings that others contradict.
 
+POSTURES_MIN = 3  # measured postures from which anything is judged
+POSTURES_ENOUGH = 6  # below which it is said that they are few
+COVERED_SHARE_MIN = 0.9  # of the arm that markers reach, below which that is said
+NOISE_FACTOR_MAX = 2.0  # from the declared noise to that of the trials, beyond which it is said
 GROSS_FROM_FLOORS = 20.0  # noise floors of error from which a mistake of the set-up is looked for
 ERROR_SHARE_LEFT_MAX = 0.1  # of the error, that a mistake may leave
 EXPLAINED_WITHIN_FLOORS = 8.0  # or so many noise floors, if that is more
 ERROR_SHARE_LEFT_LIMIT = 0.3  # of the error, that it may leave in any case
 AS_GOOD_WITHIN = 1.3  # times the least error left: then the plainest mistake is said
+ODD_FROM_SPREADS = 4.0  # times the error of all other markers, that two exchanged ones have
 STILL_SHARE_MAX = 0.05  # of the way that a marker should go, below which it is frozen
 STILL_FROM_FLOORS = 10.0  # noise floors that it should go by at least to be called so
 FALSE_OUTLIER_PROBABILITY = 1e-3  # for the most extreme of all readings, or of all trials

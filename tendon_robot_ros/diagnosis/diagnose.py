@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 
+import numpy as np
+
+from ..common.errors import NoEquilibriumError
 from ..common.threads import one_thread
 from ..comparison.noise import rms
 from ..data import DataSet
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
+from .arm_report import usual_floor
 from .candidates import Ranked
-from .decide import APART_FROM_SCORE, P_SINGLE_MIN, STRAY_SD_MAX, Verdict
+from .decide import APART_FROM_SCORE, P_SINGLE_MIN, POSTURES_MIN, STRAY_SD_MAX, Verdict
 from .evidence import Evidence, best_rival, gather, is_alarming, outside_by_itself, remainder_text
+from .indistinct import indistinct
 from .next_measurement import propose
 from .outliers import find_outliers
 from .report_rows import details_of, finding, rows_of
 from .result import Diagnosis
 from .rivals import Pattern
-from .session import Progress, Session, indistinct, joined, several
-from .setup_mistakes import Mistake, find_mistake
+from .session import Progress, Session, joined, several
+from .setup_hypotheses import Mistake
+from .setup_mistakes import find_mistake
 
 
 @one_thread()
@@ -58,7 +64,7 @@ def diagnose(
     if lacking:
         return _cannot_judge(session, lacking)
     session.leave_out(find_outliers(session.predictor, {}))
-    mistake = find_mistake(session.predictor, session.whitener.floor())
+    mistake = find_mistake(session.predictor, session.whitener.floor(), usual_floor(session))
     if mistake is not None:
         return _mistaken(session, mistake)
     evidence = gather(session)
@@ -77,9 +83,15 @@ def _what_is_lacking(session: Session) -> str:
     """Say what is needed before anything can be judged; empty when nothing is."""
     dataset = session.dataset
     measured = int((dataset.trials > 0).sum())
-    if measured < 2:
-        return f'{measured} measured posture(s): two or more are needed, six are better'
-    session.leave_out_unsettled()
+    if measured < POSTURES_MIN:
+        return f'{measured} measured posture(s): {POSTURES_MIN} or more are needed, six are better'
+    try:
+        session.leave_out_unsettled()
+    except NoEquilibriumError:
+        mistake = find_mistake(session.predictor, 0.0)
+        if mistake is None:
+            raise
+        return mistake.text(np.inf)
     if not session.weigh({}):
         return (
             'one trial per posture and no position_noise in dataset.yaml: repeat the '
@@ -101,12 +113,9 @@ def decide(evidence: Evidence) -> Diagnosis:
         return _named(evidence, group) if more is None else _several(evidence, more)
     combined = several(session, evidence.singles) if evidence.singles else None
     if combined is not None:  # the weights have moved
-        evidence.base = session.base_fit()
+        evidence.base = session.base_fit((evidence.base,))
         evidence.__dict__.pop('patterns', None)
-        evidence.singles = session.fit_all(
-            [r.candidate for r in evidence.singles],
-            {r.candidate.label: r.fit for r in evidence.singles},
-        )
+        evidence.singles = session.refit(evidence.singles, evidence.base)
         evidence.best = session.best(evidence.singles)
     candidates = [r for r in (combined, evidence.best) if r is not None]
     best_overall = min(candidates, key=lambda r: r.score) if candidates else None
@@ -123,7 +132,8 @@ def _nameless(evidence: Evidence, best: Ranked) -> Pattern | None:
     session, base = evidence.session, evidence.base
     if base.built is None or session.stands_out(base, best, len(evidence.singles)):
         return None
-    return outside_by_itself(evidence)
+    pattern = outside_by_itself(evidence)
+    return pattern if pattern is not None and pattern.score < best.score else None
 
 
 def _named(evidence: Evidence, group: Sequence[Ranked]) -> Diagnosis:
@@ -225,7 +235,12 @@ def _mistaken(session: Session, mistake: Mistake) -> Diagnosis:
     markers = session.predictor.markers({})
     assert markers is not None
     diagnosis = _cannot_judge(session, mistake.text(rms(session.dataset.mean - markers)))
-    return replace(diagnosis, noise_floor=session.whitener.floor(), error_after=mistake.after)
+    return replace(
+        diagnosis,
+        noise_floor=session.whitener.floor(),
+        error_after=mistake.after,
+        details={**diagnosis.details, 'mistake': asdict(mistake)},
+    )
 
 
 def _cannot_judge(session: Session, lacking: str) -> Diagnosis:

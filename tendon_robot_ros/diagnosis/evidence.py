@@ -53,9 +53,8 @@ def gather(session: Session) -> Evidence:
             break
         best = session.best(singles)
         session.weigh(best.fit.point, best.fit.members)
-        base = session.base_fit()
-        starts = {r.candidate.label: r.fit for r in singles}
-        singles = session.fit_all([r.candidate for r in singles], starts)
+        base = session.base_fit((base, best.fit))
+        singles = session.refit(singles, base)
     evidence = Evidence(session, base, singles, not_tested)
     evidence.best = session.best(singles) if singles else None
     return evidence
@@ -136,8 +135,9 @@ def pattern_text(evidence: Evidence, pattern: Pattern) -> str:
         )
     if pattern.name == 'soft_cell':
         return (
-            f'The remainder is the same in every posture: cell {pattern.cell} bends '
-            f'{pattern.size:.1f} times as much as it should. Look at that cell.'
+            f'The remainder is the same in every posture: cell '
+            f'{" or ".join(map(str, pattern.alike))} bends {pattern.size:.1f} times as much as it '
+            'should. Look at that cell.'
         )
     if pattern.name == 'taper':
         way = 'stiffer' if pattern.size > 0.0 else 'softer'
@@ -159,10 +159,9 @@ def pattern_text(evidence: Evidence, pattern: Pattern) -> str:
     )
 
 
-def _worst(evidence: Evidence, fit: object) -> str:
+def _worst(evidence: Evidence, fit: Fit) -> str:
     dataset = evidence.session.dataset
-    markers = fit.markers  # type: ignore[attr-defined]
-    distance = np.linalg.norm(dataset.mean - markers, axis=2)
+    distance = np.linalg.norm(dataset.mean - fit.markers, axis=2)
     posture, marker = np.unravel_index(np.nanargmax(distance), distance.shape)
     return (
         f'No pattern fits it. It is largest in posture {dataset.postures[posture]} at marker '

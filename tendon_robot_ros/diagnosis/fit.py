@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from ..comparison.predict import FreeParameter
 from ..comparison.statistics import chi2_sf, f_sf
-from .as_built import REMAINDER, Kind
-from .marginal import RandomEffects
+from .as_built import Kind, Members
+from .marginal import RandomEffects, Sizes
 
 Floats = npt.NDArray[np.float64]
 
@@ -32,18 +32,15 @@ class Scatter:
     """The imperfections of an arm as it is built, at a fit."""
 
     random: RandomEffects
+    around: Members  # where they are taken as linear
     sizes: Floats  # (K,) estimated sd of each kind
     penalty: float  # log |V| and priors of the sizes: what chi² lacks to be a deviance
-    without_remainder: Callable[[], float]  # deviance if there is no remainder
+    estimate: Callable[..., Sizes]  # of the sizes again; takes `remainder` and `told`
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
         """The kinds, the remainder last."""
         return self.random.kinds
-
-    def members(self, units: Floats) -> Floats:
-        """Return every member (b,) [unit of its kind] from mixtures (r,) in units of their sd."""
-        return np.concatenate(self.random.members(units, self.sizes))
 
 
 @dataclass(frozen=True)
@@ -82,9 +79,7 @@ class Fit:
         """Most likely imperfections by kind [unit], without the remainder."""
         if self.built is None:
             return None
-        own = self.built.random.members(self.values[len(self.all_frees) :], self.built.sizes)
-        named = zip(self.built.kinds, own, strict=True)
-        return {kind.name: sizes for kind, sizes in named if kind.name != REMAINDER}
+        return self.built.random.named(self.values[len(self.all_frees) :], self.built.sizes)
 
     @property
     def deviance(self) -> float:
@@ -96,7 +91,7 @@ class Fit:
         """Gain in deviance by a remainder that neither the model nor imperfections explain."""
         if self.built is None:
             return 0.0
-        return max(self.built.without_remainder() - self.deviance, 0.0)
+        return max(self.built.estimate(remainder=False).deviance - self.deviance, 0.0)
 
     @cached_property
     def rank(self) -> int:
@@ -183,3 +178,39 @@ def covariance_of(jacobian: Floats, blind: float = np.inf) -> Floats:
     made = inverse / np.outer(np.where(unseen, 1.0, scale), np.where(unseen, 1.0, scale))
     made[unseen, unseen] = blind
     return np.asarray(made)
+
+
+def with_imperfections(plain: Fit, random: RandomEffects, sizes: Floats, around: Members) -> Fit:
+    """Return a fit whose last parameters are the imperfections, at their most likely values."""
+    n, spread = len(random.columns), random.spread(sizes)
+    prior = np.append(np.full(len(plain.frees), 1e-9), [n.spread**-2 for n in plain.nuisances])
+
+    def estimate(remainder: bool = True, told: bool = True) -> Sizes:
+        raw, slopes = plain.residual[:n], plain.jacobian[:n]
+        return random.estimate(raw, slopes, sizes, prior, remainder, told)
+
+    scaled = random.columns * spread
+    members = random.best(plain.residual[:n], sizes)
+    off = plain.residual.copy()
+    off[:n] -= scaled @ members
+    q = plain.jacobian.shape[1]
+    jacobian = np.zeros((len(off) + len(spread), q + len(spread)))
+    jacobian[: len(off), :q] = plain.jacobian
+    jacobian[:n, q:] = -scaled
+    jacobian[len(off) :, q:] = np.eye(len(spread))
+    scatter = Scatter(
+        random,
+        around,
+        sizes,
+        random.log_determinant(sizes) + random.prior(sizes),
+        estimate,
+    )
+    return Fit(
+        plain.frees,
+        plain.nuisances,
+        np.append(plain.values, members),
+        np.append(off, members),
+        jacobian,
+        plain.markers,
+        scatter,
+    )

@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from ..comparison.noise import Whitener
 from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
-from .fit import Fit, Nuisance, Scatter
+from .as_built import Imperfections, Members
+from .fit import Fit, Nuisance, with_imperfections
 from .marginal import RandomEffects, Sizes
+from .split import SplitPredictor
 
 Floats = npt.NDArray[np.float64]
-ROUNDS = 4  # of parameters and sizes of the imperfections in turn
+ROUNDS = 6  # of parameters, sizes of the imperfections and imperfections in turn
+SHIFT_SETTLED = 0.3  # whitened change by imperfections that is worth no further look
+WAY_SHARES = (1.0, 0.5, 0.2)  # of the way to better imperfections, the first that is better
 DEVIANCE_SETTLED = 0.1  # change in deviance at which they are settled
+
+
+@dataclass(frozen=True)
+class AsBuilt:
+    """The imperfections of an arm, for the fits of one worker."""
+
+    split: SplitPredictor
+    random: RandomEffects
+    imperfections: Imperfections
 
 
 class Fitter:
@@ -26,47 +40,44 @@ class Fitter:
         whitener: Whitener,
         nuisances: Sequence[Nuisance] = (),
         columns: Mapping[FreeParameter, Floats] | None = None,
-        random: RandomEffects | None = None,
+        built: AsBuilt | None = None,
     ) -> None:
-        """
-        Keep what all fits share.
-
-        `columns` (N,) of the derivative are known already; `random` are the imperfections of an
-        arm as it is built.
-        """
+        """Keep what all fits share; `columns` (N,) of the derivative are known already."""
         self.predictor, self.whitener = predictor, whitener
         self.columns = dict(columns or {})
-        self.random = random
+        self.built = built  # None: the description is exact
+        self.random = None if built is None else built.random
         self.sizes: Floats | None = None  # (K,) of the imperfections, for the fit that runs
         self._root: Floats | None = None
         self.nuisances = tuple(nuisances)
-        self.measured = predictor.dataset.mean
-        self.bend: Floats | float = 0.0  # of the measured: what imperfections do beyond slopes
+        self.measured = predictor.dataset.mean  # less what imperfections do beyond slopes
+        if built is not None:
+            self.go_around({})
 
     def fit(
         self,
         frees: Sequence[FreeParameter],
-        start: Point | None = None,
+        start: Fit | Point | None = None,
         turns: int = 25,
         sizes: Floats | None = None,
-        begin: Floats | None = None,
     ) -> Fit:
         """
         Fit free parameters, and the nuisances that they do not claim, from the described values.
 
-        `start` (values) spares the search for a start. The sizes (K,) of the imperfections are
-        estimated with the parameters, in turn, from where they `begin`, unless they are given.
+        `start` spares the search for a start. Imperfections and their sizes (K,) are estimated
+        with the parameters, in turn, from where they start; where sizes are given they stay, and
+        imperfections are linear around where the fitter is.
         """
         claimed = {(free.effect, free.parameter.name) for free in frees}
         nuisances = tuple(
             n for n in self.nuisances if (n.free.effect, n.free.parameter.name) not in claimed
         )
         if self.random is not None:
-            first = self.random.start if begin is None else begin
-            self.take(first if sizes is None else sizes)
+            self._begin(start, sizes)
         search = Search(self, tuple(frees), nuisances)
         if start is not None:
-            search.begin([np.array([start.get(f, search.described(f)) for f in search.all])])
+            point = start.point if isinstance(start, Fit) else start
+            search.begin([np.array([point.get(f, search.described(f)) for f in search.all])])
         else:
             search.begin(search.starts())
         search.run(turns)
@@ -75,18 +86,47 @@ class Fitter:
         before = np.inf
         for _ in range(ROUNDS):
             estimated = self.estimate(search)
-            if before - estimated.deviance < DEVIANCE_SETTLED:
-                break
-            before = estimated.deviance
             self.take(estimated.values)
             search.weigh_again()
+            moved = search.follow()
+            if not moved and abs(before - estimated.deviance) < DEVIANCE_SETTLED:
+                break
+            before = estimated.deviance
             search.run(turns)
         return search.result()
+
+    def _begin(self, start: Fit | Point | None, sizes: Floats | None) -> None:
+        """Take the sizes and imperfections to start from."""
+        assert self.random is not None
+        if sizes is not None:
+            self.take(sizes)
+        elif isinstance(start, Fit) and start.built is not None:
+            self.take(start.built.sizes)
+            self.go_around(start.members or {})
+        else:
+            self.take(self.random.start)
+            self.go_around({})
 
     def take(self, sizes: Floats) -> None:
         """Take sizes (K,) of the imperfections: their share is then no error any more."""
         assert self.random is not None
         self.sizes, self._root = sizes, self.random.root(sizes)
+
+    def go_around(self, members: Members) -> None:
+        """Take imperfections as linear around members."""
+        assert self.built is not None
+        self.built.split.around = members
+        self.measured = self.predictor.dataset.mean + self.built.imperfections.moved(members)
+
+    def resume(self, fit: Fit) -> None:
+        """Go where a fit is: its imperfections and their sizes."""
+        if fit.built is not None and self.built is not None:
+            self.take(fit.built.sizes)
+            self.go_around(fit.built.around)
+
+    def residual(self, markers: Floats) -> Floats:
+        """Whitened residual (N,) for predicted markers."""
+        return self.whitener.white(self.measured - markers)
 
     def lift(self, rows: Floats) -> Floats:
         """Take off whitened rows (N + nuisances, ...) what imperfections of that size explain."""
@@ -94,6 +134,46 @@ class Fitter:
             return rows
         n = len(self.random.columns)
         return np.concatenate([self.random.lift(self._root, rows[:n]), rows[n:]])
+
+    def follow(self, raw: Floats, predict: Callable[[], Floats | None]) -> Floats | None:
+        """
+        Go around the imperfections that are most likely at a residual (N,), if that is better.
+
+        Returns
+        -------
+        (N,), optional
+            The residual there; None where nothing changes, or nothing is gained by going.
+
+        """
+        built, random, sizes = self.built, self.random, self.sizes
+        assert built is not None and random is not None and sizes is not None
+        here = built.split.around
+        goal = random.named(random.best(raw, sizes), sizes)
+        there, cost = self._shift(here), None
+        if np.linalg.norm(self._shift(goal) - there) < SHIFT_SETTLED:
+            return None
+        cost = random.misfit(raw - there, sizes) + random.cost(here, sizes)
+        for share in WAY_SHARES:
+            moved = {
+                name: (1.0 - share) * here.get(name, np.zeros_like(value)) + share * value
+                for name, value in goal.items()
+            }
+            self.go_around(moved)
+            markers = predict()
+            if markers is None:
+                continue
+            new = self.residual(markers)
+            errors = new - self._shift(moved)
+            if random.misfit(errors, sizes) + random.cost(moved, sizes) < cost:
+                return new
+        self.go_around(here)
+        return None
+
+    def _shift(self, members: Members) -> Floats:
+        """Whitened (N,) move of the markers by members, by their slopes."""
+        assert self.built is not None
+        moved = np.broadcast_to(self.built.imperfections.moved(members), self.measured.shape)
+        return self.whitener.white(moved)
 
     def estimate(self, search: Search) -> Sizes:
         """Estimate the sizes of the imperfections where a search is."""
@@ -128,6 +208,8 @@ class Search:
         self.count = count
         self.damping = 1e-3
         self.slopes: Floats | None = None
+        self.raw: Floats  # whitened residual with prior rows at the best point
+        self.r: Floats  # the same, less what imperfections explain
         self.settled: SettledShapes | None = None  # of the best point: neighbours start there
 
     def described(self, free: FreeParameter) -> float:
@@ -167,13 +249,29 @@ class Search:
         self.r = self.fitter.lift(self.raw)
         self.damping = 1e-3
 
+    def follow(self) -> bool:
+        """Go around the most likely imperfections; False where that changes nothing."""
+        predictor, point = self.fitter.predictor, self.point
+        n = self.fitter.whitener.size
+        raw = self.fitter.follow(self.raw[:n], lambda: predictor.markers(point, near=self.settled))
+        if raw is None:
+            return False
+        self.raw, self.slopes = np.concatenate([raw, self.raw[n:]]), None
+        self.weigh_again()
+        return True
+
+    @property
+    def point(self) -> Point:
+        """Values of now."""
+        return dict(zip(self.all, self.values.tolist(), strict=True))
+
     def residual(self, values: Floats) -> tuple[Floats, Floats] | None:
         """Whitened residual with prior rows, and the markers; None without equilibrium."""
         point = dict(zip(self.all, values.tolist(), strict=True))
         markers = self.fitter.predictor.markers(point, near=self.settled)
         if markers is None:
             return None
-        white = self.fitter.whitener.white(self.fitter.measured - markers)
+        white = self.fitter.residual(markers)
         prior = (values[self.count :] - self.centre) / self.spread
         return np.concatenate([white, prior]), markers
 
@@ -263,47 +361,12 @@ class Search:
 
     def result(self) -> Fit:
         """Freeze the fit."""
-        raw, slopes, random = self.raw, self.derivative(), self.fitter.random
-        plain = Fit(self.frees, self.nuisances, self.values, raw, slopes, self.markers)
-        return plain if random is None else with_imperfections(plain, self.fitter)
-
-
-def with_imperfections(plain: Fit, fitter: Fitter) -> Fit:
-    """Return a fit whose last parameters are the imperfections, at their most likely values."""
-    random, sizes = fitter.random, fitter.sizes
-    assert random is not None and sizes is not None
-    n, spread = len(random.columns), random.spread(sizes)
-    prior = np.append(np.full(len(plain.frees), 1e-9), [n.spread**-2 for n in plain.nuisances])
-
-    def without_remainder() -> float:
-        none = random.estimate(
-            plain.residual[:n], plain.jacobian[:n], sizes, prior, remainder=False
-        )
-        return none.deviance
-
-    scaled = random.columns * spread
-    members = np.linalg.solve(
-        np.eye(len(spread)) + scaled.T @ scaled, scaled.T @ plain.residual[:n]
-    )
-    off = plain.residual.copy()
-    off[:n] -= scaled @ members
-    q = plain.jacobian.shape[1]
-    jacobian = np.zeros((len(off) + len(spread), q + len(spread)))
-    jacobian[: len(off), :q] = plain.jacobian
-    jacobian[:n, q:] = -scaled
-    jacobian[len(off) :, q:] = np.eye(len(spread))
-    built = Scatter(
-        random,
-        sizes,
-        random.log_determinant(sizes) + random.prior(sizes),
-        without_remainder,
-    )
-    return Fit(
-        plain.frees,
-        plain.nuisances,
-        np.append(plain.values, members),
-        np.append(off, members),
-        jacobian,
-        plain.markers,
-        built,
-    )
+        fitter, raw, slopes, markers = self.fitter, self.raw, self.derivative(), self.markers
+        if fitter.built is not None:
+            with fitter.built.split.as_described():
+                described = fitter.predictor.markers(self.point)
+            markers = markers if described is None else described
+        plain = Fit(self.frees, self.nuisances, self.values, raw, slopes, markers)
+        if fitter.built is None or fitter.random is None or fitter.sizes is None:
+            return plain
+        return with_imperfections(plain, fitter.random, fitter.sizes, fitter.built.split.around)

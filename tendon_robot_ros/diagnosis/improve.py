@@ -22,12 +22,13 @@ from ..data import DataSet
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from .add import Addition, more_at_work, with_origin
-from .as_built import imperfections
 from .decide import P_SINGLE_MIN
 from .described_arm import route_changes, stiffness_change
 from .improvement import Improvement, ImprovementStep, total
 from .local_tests import local_faults
 from .report_rows import values_of
+from .slopes import imperfections
+from .split import SplitPredictor
 from .staircase import Errors, predict
 from .stepwise import POSTURES_MIN, STEPS_MAX, State, Stepwise
 
@@ -246,7 +247,7 @@ def _addition(
 def _faults(search: Stepwise, final: State, robot: Robot) -> tuple[dict[str, Any], ...]:
     """Return where the improved description is wrong by more than what remains everywhere."""
     predictor, _ = predict(search.dataset, robot, search.catalogue)
-    found = imperfections(predictor, {})
+    found = imperfections(SplitPredictor(predictor), {})
     if found is None:
         return ()
     faults = local_faults(

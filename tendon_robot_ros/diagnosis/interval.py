@@ -47,6 +47,8 @@ def intervals(
 
     An endpoint comes from the curvature at the fit where chi² there is what the curvature says;
     else (bounds, asymmetry, friction's kinks) it is where the profile of chi² has risen by 3.84.
+    Of an arm as built chi² is the deviance, the sizes of its imperfections estimated again: where
+    they could grow to do what the effect does, the interval is wider than the curvature says.
 
     Parameters
     ----------
@@ -58,8 +60,7 @@ def intervals(
 
     """
     wide = QUANTILE * math.sqrt(scale)
-    if fit.built is not None:
-        fitter.take(fit.built.sizes)
+    fitter.resume(fit)
     ends = {}
     for i, free in enumerate(fit.frees):
         spread = float(np.sqrt(max(fit.covariance[i, i], 0.0)))
@@ -77,14 +78,15 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
     bound = parameter.high if spread > 0.0 else parameter.low
     end = value + wide * spread
     outside = end > parameter.high if spread > 0.0 else end < parameter.low
+    first, profile = (_ridge_rise, _profile_rise) if fit.built is None else (_risen, _risen)
     if not outside:
-        rise = _ridge_rise(fitter, fit, i, end)
+        rise = first(fitter, fit, i, end)
         if abs(rise - wide) < PROFILE_FROM_ERROR * wide:
             return end
     if value == bound:
         return value
     end = bound if outside else end
-    rise = _profile_rise(fitter, fit, i, end)
+    rise = profile(fitter, fit, i, end)
     if outside and rise < wide:
         return bound
     for _ in range(SEARCH_STEPS_MAX):
@@ -92,7 +94,7 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
             break
         stretch = float(np.clip(wide / max(rise, 1e-6), 0.2, 5.0))
         end = float(np.clip(value + (end - value) * stretch, parameter.low, parameter.high))
-        rise = _profile_rise(fitter, fit, i, end)
+        rise = profile(fitter, fit, i, end)
         if end == bound and rise < wide:
             break
     return end if np.isfinite(rise) else value + wide * spread
@@ -100,22 +102,47 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
 
 def _ridge_rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
     """Root of the rise of chi² where the curvature says the profile runs; NaN: no equilibrium."""
+    moved, prior = _along(fit, i, end)
+    markers = fitter.predictor.markers(moved)
+    if markers is None:
+        return float('nan')
+    white = fitter.residual(markers)
+    return float(np.sqrt(max(float(white @ white) + prior - fit.chi2, 0.0)))
+
+
+def _along(fit: Fit, i: int, end: float) -> tuple[Point, float]:
+    """Return the point at which the curvature says the profile runs, and chi² of its priors."""
     share = fit.covariance[:, i] / fit.covariance[i, i]
     moved = (fit.values + np.nan_to_num(share) * (end - fit.values[i]))[: len(fit.all_frees)]
     lows = [f.parameter.low for f in fit.frees] + [-np.inf] * len(fit.nuisances)
     highs = [f.parameter.high for f in fit.frees] + [np.inf] * len(fit.nuisances)
     moved = np.clip(moved, lows, highs)
-    point = dict(zip(fit.all_frees, moved.tolist(), strict=True))
-    markers = fitter.predictor.markers(point)
-    if markers is None:
-        return float('nan')
-    white = fitter.lift(fitter.whitener.white(fitter.measured - markers))
     prior = [
         (value - n.centre) / n.spread
         for value, n in zip(moved[len(fit.frees) :], fit.nuisances, strict=True)
     ]
-    rise = float(white @ white) + float(np.sum(np.square(prior))) - fit.chi2
-    return float(np.sqrt(max(rise, 0.0)))
+    point = dict(zip(fit.all_frees, moved.tolist(), strict=True))
+    return point, float(np.sum(np.square(prior)))
+
+
+def _risen(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
+    """Root of the rise of the deviance of an arm as built; NaN: no equilibrium."""
+    here, there = (_deviance(fitter, fit, i, at) for at in (float(fit.values[i]), end))
+    return float(np.sqrt(max(there - here, 0.0)))
+
+
+def _deviance(fitter: Fitter, fit: Fit, i: int, at: float) -> float:
+    """Deviance with one parameter put somewhere: all else goes along, the sizes included."""
+    moved, prior = _along(fit, i, at)
+    markers = fitter.predictor.markers(moved)
+    if markers is None or fit.built is None:
+        return float('nan')
+    others = np.delete(np.arange(len(fit.all_frees)), i)
+    weights = np.array([1e-9] * len(fit.frees) + [n.spread**-2 for n in fit.nuisances])[others]
+    slopes = fit.jacobian[: fitter.whitener.size, others]
+    sizes = fit.built.sizes
+    found = fit.built.random.estimate(fitter.residual(markers), slopes, sizes, weights)
+    return found.deviance + prior
 
 
 def _profile_rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
@@ -126,8 +153,9 @@ def _profile_rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
         fitter.whitener,
         fit.nuisances,
         fitter.columns,
-        fitter.random,
+        fitter.built,
     )
+    pinned.resume(fit)
     sizes = None if fit.built is None else fit.built.sizes
     try:
         refit = pinned.fit(others, fit.point, turns=8, sizes=sizes)

@@ -24,9 +24,11 @@ from ..comparison.noise import Whitener
 from ..comparison.predict import CELLS
 from ..comparison.statistics import false_discovery_control, normal_ppf, t_sf
 from ..robot import Robot
-from .as_built import ACROSS, GAIN, HOLE, KINK, ZERO, Kind, imperfections
+from .as_built import ACROSS, GAIN, HOLE, KINK, ZERO, Kind
 from .decide import FALSE_DISCOVERY_RATE, LOCAL_FAULTS_MAX, LOCAL_SHARE_MIN
 from .fit import Fit
+from .slopes import imperfections
+from .split import SplitPredictor
 
 if TYPE_CHECKING:
     from .session import Session
@@ -111,14 +113,12 @@ def local_faults(
 
 def faults_of(session: Session, fit: Fit) -> list[dict[str, Any]]:
     """Return the local faults of a fit in a session that was weighed there, as plain data."""
-    if fit.built is not None and session.moves is not None:
-        kinds, moves = fit.built.kinds, session.moves
-    else:
-        found = imperfections(session.predictor, fit.point)
-        if found is None:
-            return []
-        kinds, moves = found.kinds, found.moves
-    faults = local_faults(kinds, moves, session.whitener, fit, session.freedom)
+    found = session.imperfections
+    if found is None:
+        found = imperfections(SplitPredictor(session.predictor), fit.point)
+    if found is None:
+        return []
+    faults = local_faults(found.kinds, found.moves, session.whitener, fit, session.freedom)
     return [fault.to_json(session.robot, session.dataset.postures) for fault in faults]
 
 

@@ -15,11 +15,12 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from .as_built import KINDS_WITH_FEW_MEMBERS, REMAINDER, Kind
+from .as_built import KINDS_WITH_FEW_MEMBERS, REMAINDER, Kind, Members
 
 Floats = npt.NDArray[np.float64]
 SEARCH_STEPS_MAX = 25  # of the search for the standard deviations
 DEVIANCE_GAIN_MIN = 0.02  # gain in -2 log likelihood at which it ends
+LEAST_SHARE = 0.01  # of the plausible size, that members may have of a kind without any
 SIZE_MAX = 5.0  # [1] of the plausible sizes: what is larger is no imperfection
 START_SHARE = 0.5  # of the plausible sizes, where it begins
 UNSEEN_MOVE = 0.01  # sd of the noise that a plausible imperfection may do and count as unseen
@@ -44,6 +45,10 @@ class RandomEffects:
 
     Of each kind only what shows is kept: its independent directions (singular vectors), mixtures
     of its members. Members of a kind share one variance, so mixtures are as random as they are.
+
+    The prior of a size s of a plausible p is s exp(-s²/p²) (Rayleigh): it is never zero. Few
+    members do not tell their own spread, and an effect that stands for all of them would be paid
+    for making it small: kinds with few members are as large as is plausible.
     """
 
     def __init__(
@@ -59,7 +64,7 @@ class RandomEffects:
         owners : (q,)
             Index of the kind of each column.
         kinds : (K,)
-            Their half-normal priors; the last one is the remainder, whose prior is flat.
+            Their priors; the last one is the remainder, whose prior is flat.
 
         """
         self.kinds = tuple(kinds)
@@ -68,23 +73,13 @@ class RandomEffects:
         self.mixtures = [_mixture(c, p) for c, p in zip(own, self.plausible, strict=True)]
         self.columns = np.hstack([c @ mix for c, mix in zip(own, self.mixtures, strict=True)])
         self.owners = np.repeat(np.arange(len(kinds)), [mix.shape[1] for mix in self.mixtures])
-        self.floors = np.zeros(len(kinds))
+        self.few = np.array([kind.name in KINDS_WITH_FEW_MEMBERS for kind in kinds])
 
     @property
     def start(self) -> Floats:
         """Sizes (K,) to begin with: no remainder."""
         usual = np.where(np.isfinite(self.plausible), START_SHARE * self.plausible, 0.0)
-        return np.asarray(np.maximum(usual, self.floors))
-
-    def keep(self, base: Floats) -> None:
-        """
-        Let no effect lower the sizes of kinds with few members below those without any effect.
-
-        Few numbers do not tell their own spread: an effect that stood for all of them would be
-        paid for making it zero. What is implausibly large may fall to what is plausible.
-        """
-        few = np.array([kind.name in KINDS_WITH_FEW_MEMBERS for kind in self.kinds])
-        self.floors = np.where(few, np.minimum(base, self.plausible), 0.0)
+        return np.where(self.few, self.plausible, usual)
 
     @cached_property
     def gram(self) -> Floats:
@@ -106,6 +101,35 @@ class RandomEffects:
         values = units * self.spread(sizes)
         return [mix @ values[self.owners == k] for k, mix in enumerate(self.mixtures)]
 
+    def named(self, units: Floats, sizes: Floats) -> dict[str, Floats]:
+        """Return the members by kind, without the remainder."""
+        own = zip(self.kinds, self.members(units, sizes), strict=True)
+        return {kind.name: values for kind, values in own if kind.name != REMAINDER}
+
+    def best(self, residual: Floats, sizes: Floats) -> Floats:
+        """Return the most likely mixtures (r,), in units of their sd, at a residual (N,)."""
+        scaled = self.columns * self.spread(sizes)
+        normal = np.eye(scaled.shape[1]) + scaled.T @ scaled
+        return np.asarray(np.linalg.solve(normal, scaled.T @ residual))
+
+    def misfit(self, errors: Floats, sizes: Floats) -> float:
+        """Return the chi² of errors (N,) that only noise and the remainder explain."""
+        k = len(self.kinds) - 1
+        own = self.columns[:, self.owners == k]
+        length2 = (own * own).sum(axis=0)
+        gain = sizes[k] ** 2 * length2
+        along = (own.T @ errors) ** 2 / np.maximum(length2, 1e-300)
+        return float(errors @ errors - (along * gain / (1.0 + gain)).sum())
+
+    def cost(self, members: Members, sizes: Floats) -> float:
+        """Return what members cost by their priors."""
+        total = 0.0
+        for kind, size in zip(self.kinds, sizes.tolist(), strict=True):
+            if kind.name in members:
+                least = max(size, LEAST_SHARE * kind.plausible)
+                total += float(np.sum((members[kind.name] / least) ** 2))
+        return total
+
     def log_determinant(self, sizes: Floats) -> float:
         """Return log |V|."""
         s = self.spread(sizes)
@@ -113,8 +137,8 @@ class RandomEffects:
         return float(2.0 * np.log(np.diag(np.linalg.cholesky(inner))).sum())
 
     def prior(self, sizes: Floats) -> float:
-        """Return -2 log of the half-normal priors."""
-        return float(np.sum((sizes / self.plausible) ** 2))
+        """Return -2 log of the priors of the sizes, up to a constant."""
+        return prior_of((sizes / self.plausible) ** 2)
 
     def root(self, sizes: Floats) -> Floats:
         """Return A (d, d), by which `lift` whitens."""
@@ -132,7 +156,7 @@ class RandomEffects:
         work = _Work(self, np.zeros(len(self.columns)), np.zeros((len(self.columns), 0)), None)
         least = 1e-3 * np.where(np.isfinite(self.plausible), self.plausible, 1e-3)
         v = np.maximum(sizes, least) ** 2
-        information = work.slopes(v)[1] * np.outer(v, v) + np.diag(v * work.precision)
+        information = work.slopes(v)[1] * np.outer(v, v)
         sd = np.sqrt(2.0 * np.diag(np.linalg.pinv(information, hermitian=True)))  # of log v
         reach = np.exp(np.minimum(0.5 * 1.96 * sd, 5.0))
         return np.where(sd < 2.5, np.sqrt(v) / reach, 0.0), np.minimum(
@@ -146,6 +170,7 @@ class RandomEffects:
         start: Floats | None = None,
         weights: Floats | None = None,
         remainder: bool = True,
+        told: bool = True,
     ) -> Sizes:
         """
         Maximise the likelihood over the standard deviations and linear parameters.
@@ -162,11 +187,16 @@ class RandomEffects:
             Precision of priors of the parameters at their present values.
         remainder : bool
             Whether there may be one.
+        told : bool
+            Whether kinds with few members are as large as is plausible, else as the data say.
 
         """
         work = _Work(self, residual, slopes, weights)
         sizes = self.start if start is None else np.asarray(start, dtype=float)
-        low, high = self.floors**2, (SIZE_MAX * self.plausible) ** 2
+        usual = np.where(np.isfinite(self.plausible), self.plausible, 0.0)
+        fixed = self.few & told
+        low = np.where(fixed, usual, LEAST_SHARE * usual) ** 2
+        high = np.where(fixed, usual, SIZE_MAX * self.plausible) ** 2
         v = np.clip(sizes**2, low, high)
         free = np.array([remainder or kind.name != REMAINDER for kind in self.kinds])
         v[~free] = 0.0
@@ -185,6 +215,12 @@ class RandomEffects:
             if gain < DEVIANCE_GAIN_MIN:
                 break
         return Sizes(np.sqrt(v), cost)
+
+
+def prior_of(share: Floats) -> float:
+    """Return -2 log (s exp(-s²/p²)) of all kinds from shares (s/p)², up to a constant."""
+    proper = share[share > 0.0]
+    return float(2.0 * share.sum() - np.log(proper).sum())
 
 
 def _mixture(columns: Floats, plausible: float) -> Floats:
@@ -227,6 +263,7 @@ class _Work:
         self, random: RandomEffects, residual: Floats, slopes: Floats, weights: Floats | None
     ) -> None:
         self.owners, self.precision = random.owners, 1.0 / random.plausible**2
+        self.proper = np.isfinite(random.plausible)
         self.kinds = np.arange(len(random.kinds))[:, None] == random.owners[None]
         known = np.linalg.norm(slopes, axis=0)
         slopes = slopes[:, known > 1e-9] / known[known > 1e-9]
@@ -265,7 +302,7 @@ class _Work:
         _, half, along, log = self._eliminated(v, slice(self.count, None))
         more = along[:, self.count :]
         chi2 = self._best(self.inner - more.T @ more - half.T @ half)[1]
-        return chi2 + log + float(v @ self.precision)
+        return chi2 + log + prior_of(v * self.precision)
 
     def slopes(self, v: Floats) -> tuple[Floats, Floats, Floats]:
         """
@@ -279,11 +316,13 @@ class _Work:
         c = crossed[:, m:] - half[:, :m].T @ half[:, m:]
         best, _ = self._best(self.inner - more.T @ more - half[:, m:].T @ half[:, m:])
         u = c[:, -1] - c[:, :-1] @ best
-        expected = self.kinds @ np.diag(w) + self.precision
+        rise = self.kinds @ np.diag(w) + 2.0 * self.precision
         found = self.kinds @ (u * u)
-        information = self.kinds @ (w * w) @ self.kinds.T
-        slower = v * np.sqrt(found / np.maximum(expected, 1e-300))
-        return expected - found, information, slower
+        push = np.where(self.proper, 1.0 / np.maximum(v, 1e-300), 0.0)  # away from zero
+        information = self.kinds @ (w * w) @ self.kinds.T + np.diag(push**2)
+        rise = np.maximum(rise, 1e-300)
+        slower = (self.proper + np.sqrt(self.proper + 4.0 * rise * v**2 * found)) / (2.0 * rise)
+        return rise - push - found, information, slower
 
     def _best(self, m: Floats) -> tuple[Floats, float]:
         """Return the best linear parameters and chi² there."""

@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..common.words import mm
 from ..comparison.noise import rms
 from ..comparison.statistics import chi2_isf, normal_ppf
 from .arm_report import arm_report
 from .candidates import Ranked, why_untested
-from .decide import ALARM_LEVEL, APART_FROM_SCORE, CORRELATED_FROM, P_SINGLE_MIN, Verdict
+from .decide import (
+    ALARM_LEVEL,
+    APART_FROM_SCORE,
+    CORRELATED_FROM,
+    COVERED_SHARE_MIN,
+    NOISE_FACTOR_MAX,
+    P_SINGLE_MIN,
+    POSTURES_ENOUGH,
+    Verdict,
+)
 from .fit import Fit
 from .fitter import Fitter
+from .interval import intervals
 from .local_tests import faults_of
 from .result import CandidateRow, EffectFinding, Value
 from .session import Session
@@ -44,8 +56,10 @@ def explained_share(evidence: Evidence, fit: Fit) -> float:
 
 def _chi2_with(fitter: Fitter, fit: Fit, sizes: np.ndarray) -> float:
     """Chi² of a fit's parameters with imperfections of given sizes."""
+    fitter.resume(fit)
     fitter.take(sizes)
-    white = fitter.lift(fitter.whitener.white(fitter.measured - fit.markers))
+    markers = fitter.predictor.markers(fit.point)
+    white = fitter.lift(fitter.residual(fit.markers if markers is None else markers))
     return float(white @ white) + sum(z * z for z in fit.prior_z.values())
 
 
@@ -61,6 +75,16 @@ def values_of(fit: Fit, scale: float = 1.0) -> dict[str, dict[str, Value]]:
         values.setdefault(free.effect, {})[free.key] = Value(
             value, low, high, free.parameter.unit, _note(fit, i, half)
         )
+    return values
+
+
+def values_with_intervals(
+    fitter: Fitter, fit: Fit, scale: float = 1.0
+) -> dict[str, dict[str, Value]]:
+    """Values of effects that are to be added: the profile decides where the curvature does not."""
+    values = values_of(fit, scale)
+    for free, (low, high) in intervals(fitter, fit, scale).items():
+        values[free.effect][free.key] = replace(values[free.effect][free.key], low=low, high=high)
     return values
 
 
@@ -83,7 +107,7 @@ def _note(fit: Fit, i: int, half: float) -> str:
 
 def finding(evidence: Evidence, ranked: Ranked) -> list[EffectFinding]:
     """Return the effects of a candidate, with what they explain together."""
-    values = values_of(ranked.fit, evidence.scale)
+    values = values_with_intervals(evidence.session.fitters[0], ranked.fit, evidence.scale)
     share = explained_share(evidence, ranked.fit)
     return [
         EffectFinding(name, values[name], share, name in evidence.session.robot.effects)
@@ -140,24 +164,11 @@ def details_of(
 ) -> dict[str, Any]:
     """Return the numbers that reports print beside the verdict."""
     session, base = evidence.session, evidence.base
-    noise = session.noise
-    assert noise is not None
     relative = verdict is Verdict.OUTSIDE_CATALOGUE
     fit = chosen[0].fit if chosen else base
-    details: dict[str, Any] = {
-        'robot': session.robot.name,
-        'data': session.dataset.name,
-        'postures': int((session.dataset.trials > 0).sum()),
-        'input': session.dataset.input,
-        'trials': int(session.dataset.trials.sum()),
-        'markers': len(session.dataset.markers),
-        'noise': {
-            'position': noise.position,
-            'trial': noise.trial,
-            'setting': noise.setting,
-            'source': noise.source,
-        },
+    details: dict[str, Any] = measured_with(session) | {
         'exact': session.robot.exact,
+        'caveats': caveats(session),
         **left_out(session),
         'as_built': arm_report(session, fit),
         'local_faults': faults_of(session, fit),
@@ -176,6 +187,45 @@ def details_of(
     if verdict is Verdict.ADEQUATE:
         details['detectable'] = smallest_seen(evidence)
     return details
+
+
+def measured_with(session: Session) -> dict[str, Any]:
+    """Return what was measured, and how exactly."""
+    dataset, noise = session.dataset, session.noise
+    assert noise is not None
+    return {
+        'robot': session.robot.name,
+        'data': dataset.name,
+        'postures': int((dataset.trials > 0).sum()),
+        'input': dataset.input,
+        'trials': int(dataset.trials.sum()),
+        'markers': len(dataset.markers),
+        'noise': {key: getattr(noise, key) for key in ('position', 'trial', 'setting', 'source')},
+    }
+
+
+def caveats(session: Session) -> list[str]:
+    """Say what these measurements are short of."""
+    dataset, noise = session.dataset, session.noise
+    postures, said = int((dataset.trials > 0).sum()), []
+    if postures < POSTURES_ENOUGH:
+        said.append(f'{postures} postures are few: different causes may look alike in them')
+    seen = dataset.counts.sum(axis=0) > 0
+    reach = float(dataset.arc_lengths[seen].max()) / session.robot.length
+    if reach < COVERED_SHARE_MIN:
+        said.append(
+            f'the markers end at {100.0 * reach:.0f} % of the arm: nothing is told of what lies '
+            'beyond'
+        )
+    declared = dataset.position_noise
+    if noise is not None and noise.source == 'trials' and declared:
+        ratio = noise.position / declared
+        if not 1.0 / NOISE_FACTOR_MAX < ratio < NOISE_FACTOR_MAX:
+            said.append(
+                f'the trials scatter by {mm(noise.position, 2)} per coordinate, declared are '
+                f'{mm(declared, 2)}'
+            )
+    return said
 
 
 def left_out(session: Session) -> dict[str, Any]:

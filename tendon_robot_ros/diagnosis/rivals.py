@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.predict import CELLS, Point
-from ..comparison.statistics import chi2_sf, minimum
-from .as_built import SplitPredictor, typical_force
+from ..comparison.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point
+from ..comparison.statistics import chi2_sf
+from ..effects import Parameter
 from .cells import CellRelief
 from .fit import Fit
 from .fitter import Fitter
+from .slopes import pushes
+from .split import PUSH, typical_force
 
 Floats = npt.NDArray[np.float64]
+SAME_CELL_WITHIN = 3.84  # of the best deviance, that another cell would do as well (95 %)
+PLACES = 3  # at which a pattern is fitted: those where it promises most
+SOFTNESS = Parameter(
+    'softness', '1', -1.5, 4.0, 0.0, 0.1
+)  # log of the bend over what it should be
+ROUNDS = 4  # of sizes of the imperfections and imperfections in turn
 
 
 @dataclass(frozen=True)
@@ -29,6 +38,7 @@ class Pattern:
     free: int = 1  # numbers that the pattern itself may choose
     places: int = 1  # among which it was searched
     values: tuple[float, ...] = ()  # one per posture [1] or [rad]; contact: force (3,) [N]
+    alike: tuple[int, ...] = ()  # 1-based cells where it would do as well, its own among them
 
     def gain_p_value(self, deviance: float) -> float:
         """Chance of so much gain over a deviance without the pattern, its place searched."""
@@ -42,19 +52,22 @@ class Pattern:
 
 class Rivals:
     """
-    Fits the patterns on top of a settled fit, its parameters staying where they are.
+    Fits the patterns on top of a settled fit.
 
-    Only a tolerance of the cells gives way: one soft cell is not thirty that deviate a little.
+    Where a pattern has a number for every posture, the parameters of the fit stay where they are;
+    imperfections and tolerances of cells give way: one soft cell is not thirty that deviate a
+    little.
     """
 
     def __init__(self, fitter: Fitter, fit: Fit) -> None:
         """Keep the fit and its whitened residual."""
         self.fitter, self.fit = fitter, fit
         self.point: Point = fit.point
-        if fit.built is not None:
-            fitter.take(fit.built.sizes)
+        fitter.resume(fit)
         self.relief = CellRelief(fit, fitter.whitener)
-        self.r = self.white(fit.markers)
+        markers = fitter.predictor.markers(self.point)
+        self.markers = fit.markers if markers is None else markers
+        self.r = self.white(self.markers)
         self.prior = fit.chi2 - float(self.r @ self.r)
         self.extra = fit.rank
 
@@ -71,19 +84,31 @@ class Rivals:
 
     def white(self, markers: Floats) -> Floats:
         """Whitened residual for predicted markers; imperfections give way."""
-        return self.relief.residual(self.fitter.lift(self.raw(markers)))
+        return self.relief.residual(self.fitter.lift(self.fitter.residual(markers)))
 
-    def raw(self, markers: Floats) -> Floats:
-        """Whitened residual (N,) for predicted markers."""
-        return self.fitter.whitener.white(self.fitter.measured - markers)
+    def deviance(self, predict: Callable[[], Floats | None]) -> float:
+        """
+        Deviance of what a pattern predicts; imperfections follow it, and so do their sizes.
 
-    def deviance(self, white: Floats, raw: Floats) -> float:
-        """Deviance of a residual; the sizes of imperfections are estimated with the pattern."""
-        random, built = self.fitter.random, self.fit.built
-        if random is None or built is None:
+        The fitter comes back to where the fit is.
+        """
+        markers, fitter = predict(), self.fitter
+        if markers is None:
+            return np.inf
+        if fitter.random is None or self.fit.built is None:
+            white = self.white(markers)
             return float(white @ white) + self.prior
-        nothing = np.zeros((len(raw), 0))
-        return random.estimate(raw, nothing, built.sizes).deviance + self.prior
+        raw, nothing = fitter.residual(markers), np.zeros((self.fitter.whitener.size, 0))
+        for _ in range(ROUNDS):
+            estimated = fitter.random.estimate(raw, nothing, fitter.sizes)
+            fitter.take(estimated.values)
+            followed = fitter.follow(raw, predict)
+            if followed is None:
+                break
+            raw = followed
+        deviance = fitter.random.estimate(raw, nothing, fitter.sizes).deviance
+        fitter.resume(self.fit)
+        return deviance + self.prior
 
     def _changes(self, change: Floats, p: int) -> Floats:
         """Return what changes (q, P, J, 3) [m] of the markers of one posture do to it, (N, q)."""
@@ -91,75 +116,76 @@ class Rivals:
         alone[:, p] = change[:, p]
         return self.relief.apply(self.fitter.lift(-self.fitter.whitener.white(alone).T))
 
-    def _stiff(self, factor: Floats) -> Floats | None:
-        markers = self.fitter.predictor.markers(self.point, stiffness=factor)
-        return None if markers is None else self.white(markers)
-
     def contact(self) -> Pattern | None:
         """Fit a force at one cell, the same in all postures: where, and how strong."""
-        if self.fit.built is None:
+        built = self.fitter.built
+        if built is None or not built.split.pushable:
             return None
-        split = SplitPredictor(self.fitter.predictor)
-        cells, unit = split.whole.cells, typical_force(split.whole)
-        gains: list[tuple[float, int, Floats]] = []
-        for i in range(cells):
-            moved = [split.pushed(self.point, i, 0.1 * unit * axis) for axis in np.eye(3)]
-            if any(one is None for one in moved):
-                return None
-            slopes = np.array([self.white(one) - self.r for one in moved if one is not None]).T
-            step = -np.linalg.lstsq(slopes, self.r, rcond=1e-9)[0]
-            gain = float(self.r @ self.r - np.sum((self.r + slopes @ step) ** 2))
-            gains.append((gain, i, 0.1 * unit * step))
-        best = [self._pushed(split, i, force) for _, i, force in sorted(gains, key=_gain)[-3:]]
-        return min((one for one in best if one), key=lambda pattern: pattern.score, default=None)
-
-    def _pushed(self, split: SplitPredictor, i: int, force: Floats) -> Pattern | None:
-        """Fit a force at a cell by Gauss-Newton, from a guess."""
-        unit, best = typical_force(split.whole), np.zeros(3)
-        r, markers = self.r, self.fit.markers
-        for _ in range(6):
-            pushed = split.pushed(self.point, i, force)
-            new = None if pushed is None else self.white(pushed)
-            if pushed is None or new is None or new @ new >= r @ r:
-                force = best + 0.3 * (force - best)
-                continue
-            gain = float(r @ r - new @ new)
-            best, r, markers = force, new, pushed
-            if gain < 0.1:
-                break
-            moved = [split.pushed(self.point, i, best + 0.01 * unit * a) for a in np.eye(3)]
-            slopes = np.array([self.white(m) - r for m in moved if m is not None]).T
-            if slopes.shape[1] < 3:
-                break
-            force = best - 0.01 * unit * np.linalg.lstsq(slopes, r, rcond=1e-9)[0]
-        deviance = self.deviance(r, self.raw(markers))
-        size = float(np.linalg.norm(best))
-        values, n = tuple(best.tolist()), split.whole.cells
-        return Pattern('contact', deviance, self.extra + 4, i + 1, size, 3, n, values)
+        unit = typical_force(built.split.whole)
+        slopes = pushes(built.split, self.point, 1e-3 * unit)
+        if slopes is None:
+            return None
+        gains = [self._gain(-moves) for moves in slopes]
+        fits = []
+        for i in np.argsort(gains)[-PLACES:]:
+            frees = [
+                Parameter(f'force_{xyz}', 'N', -30 * unit, 30 * unit, 0.0, unit) for xyz in 'xyz'
+            ]
+            fits.append((self._refit([FreeParameter(PUSH, p, int(i)) for p in frees]), int(i)))
+        fit, i = min(fits, key=_deviance)
+        if fit is None:
+            return None
+        force, n = fit.values[len(self.fit.frees) : len(fit.frees)], len(slopes)
+        size = float(np.linalg.norm(force))
+        return Pattern(
+            'contact', fit.deviance, fit.rank + 1, i + 1, size, 3, n, tuple(force.tolist())
+        )
 
     def soft_cell(self) -> Pattern | None:
         """One cell with its own stiffness: where, and how soft."""
         n = self.fitter.predictor.model.arrays.chain.n
+        frees = [FreeParameter(SOFT_CELL, SOFTNESS, i) for i in range(n)]
         self._others_as_usual()
-        whole = self._one_stiff(0, 0.0, n)
-        gains, guesses = np.zeros(n), np.zeros(n)
-        for i in range(n):
-            moved = self._one_stiff(i, 0.02, n)
-            if moved is None or whole is None:
-                continue
-            slope = (moved - whole) / 0.02
-            size = float(slope @ slope)
-            if size > 1e-12:
-                guesses[i] = -(slope @ whole) / size
-                gains[i] = (slope @ whole) ** 2 / size
-        best: Pattern | None = None
-        for i in np.argsort(-gains)[:3]:
-            pattern = self._one_cell(int(i), float(guesses[i]), n)
-            if best is None or pattern.deviance < best.deviance:
-                best = pattern
-        if self.fit.built is not None:
-            self.fitter.take(self.fit.built.sizes)
-        return best
+        gains = []
+        for free in frees:
+            moved = self.fitter.predictor.markers({**self.point, free: 0.02})
+            gains.append(
+                -np.inf if moved is None else self._gain((self.markers - moved)[None] / 0.02)
+            )
+        fits = [(self._refit([frees[i]]), int(i)) for i in np.argsort(gains)[-PLACES:]]
+        fit, i = min(fits, key=_deviance)
+        if fit is None:
+            return None
+        size = float(np.exp(fit.values[len(self.fit.frees)]))
+        near = [row for row in fits if _deviance(row) < fit.deviance + SAME_CELL_WITHIN]
+        alike = tuple(sorted(cell + 1 for _, cell in near))
+        return Pattern('soft_cell', fit.deviance, fit.rank + 1, i + 1, size, 1, n, alike=alike)
+
+    def taper(self) -> Pattern | None:
+        """Stiffness that changes linearly from base to tip, mean and slope free."""
+        names = ('mean', 'slope')
+        frees = [FreeParameter(TAPER, Parameter(name, '1', -2.0, 2.0, 0.0, 0.1)) for name in names]
+        fit = self._refit(frees)
+        if fit is None:
+            return None
+        slope = fit.values[len(fit.frees) - 1]
+        change = float(np.exp(2.0 * slope) - 1.0)
+        return Pattern('taper', fit.deviance, fit.rank, free=2, size=change)
+
+    def _refit(self, frees: Sequence[FreeParameter]) -> Fit | None:
+        """Fit parameters of a pattern together with those of the fit; None: no equilibrium."""
+        try:
+            return self.fitter.fit((*self.fit.frees, *frees), self.fit)
+        except (ArithmeticError, np.linalg.LinAlgError):
+            return None
+        finally:
+            self.fitter.resume(self.fit)
+
+    def _gain(self, slopes: Floats) -> float:
+        """Return what changes (q, P, J, 3) of the residual take off its chi², as far as linear."""
+        white = self.relief.apply(self.fitter.lift(self.fitter.whitener.white(slopes).T))
+        here = self.white(self.markers)
+        return float(here @ white @ np.linalg.lstsq(white, here, rcond=1e-9)[0])
 
     def _others_as_usual(self) -> None:
         """Let no cell scatter more than is plausible: one that does is what is searched."""
@@ -172,68 +198,9 @@ class Rivals:
                 sizes[k] = min(sizes[k], kind.plausible)
         self.fitter.take(sizes)
 
-    def _one_stiff(self, i: int, softness: float, n: int) -> Floats | None:
-        """Whitened residual with one cell softer; its own change is exact."""
-        raw = self._raw_with(i, softness, n)
-        return None if raw is None else self.relief.residual(self.fitter.lift(raw))
-
-    def _raw_with(self, i: int, softness: float, n: int) -> Floats | None:
-        factor = np.where(np.arange(n) == i, np.exp(-softness), 1.0)
-        markers = self.fitter.predictor.markers(self.point, stiffness=factor)
-        return None if markers is None else self.raw(markers - self.fitter.bend)
-
-    def _one_cell(self, i: int, guess: float, n: int) -> Pattern:
-        def cost(softness: float) -> float:
-            white = self._one_stiff(i, softness, n)
-            return np.inf if white is None else float(white @ white)
-
-        guess = float(np.clip(guess, -1.5, 1.5))
-        reach = max(abs(guess), 0.05)
-        softness, lowest = minimum(cost, guess - 1.5 * reach, guess + 3.0 * reach, 2e-3)
-        raw, deviance = self._raw_with(i, softness, n), lowest + self.prior
-        if self.fit.built is not None and raw is not None:
-            deviance = self.deviance(raw, raw)
-        return Pattern('soft_cell', deviance, self.extra + 2, i + 1, float(np.exp(softness)), 1, n)
-
-    def taper(self) -> Pattern | None:
-        """Stiffness that changes linearly from base to tip, mean and slope free."""
-        n = self.fitter.predictor.model.arrays.chain.n
-        along = np.linspace(-1.0, 1.0, n)
-        values = np.zeros(2)
-        r = self.r
-        for _ in range(6):
-            here = np.exp(values[0] + values[1] * along)
-            columns = []
-            for shape in (np.ones(n), along):
-                moved = self._stiff(here * np.exp(0.01 * shape))
-                if moved is None:
-                    return None
-                columns.append((moved - r) / 0.01)
-            slopes = np.array(columns).T
-            step = -np.linalg.lstsq(slopes, r, rcond=None)[0]
-            step = np.clip(step, -0.5, 0.5)
-            moved = self._stiff(np.exp(values[0] + step[0] + (values[1] + step[1]) * along))
-            if moved is None or moved @ moved >= r @ r:
-                break
-            gain = float(r @ r - moved @ moved)
-            values, r = values + step, moved
-            if gain < 0.1:
-                break
-        markers = self.fitter.predictor.markers(
-            self.point, stiffness=np.exp(values[0] + values[1] * along)
-        )
-        assert markers is not None
-        return Pattern(
-            'taper',
-            self.deviance(r, self.raw(markers)),
-            self.extra + 2,
-            free=2,
-            size=float(np.exp(values[0] + values[1]) / np.exp(values[0] - values[1]) - 1.0),
-        )
-
     def gain_per_posture(self) -> Pattern | None:
         """Every posture with its own factor on the inputs."""
-        inputs, markers, r = self.fitter.predictor.inputs, self.fit.markers, self.r
+        inputs, markers, r = self.fitter.predictor.inputs, self.markers, self.r
         gains = np.ones(len(inputs))
         for _ in range(6):
             moved = self.fitter.predictor.markers(self.point, inputs * (gains + 1e-3)[:, None])
@@ -255,7 +222,9 @@ class Rivals:
                 break
         return Pattern(
             'gain_per_posture',
-            self.deviance(r, self.raw(markers)),
+            self.deviance(
+                lambda: self.fitter.predictor.markers(self.point, inputs * gains[:, None])
+            ),
             self.extra + len(inputs),
             free=len(inputs),
             values=tuple((gains - 1.0).tolist()),
@@ -263,21 +232,25 @@ class Rivals:
 
     def rotation_per_posture(self) -> Pattern:
         """Every posture rotated about the base by its own small rotation vector."""
-        change = np.array([np.cross(axis, self.fit.markers) for axis in np.eye(3)])
+        change = np.array([np.cross(axis, self.markers) for axis in np.eye(3)])
         postures = range(change.shape[1])
         slopes = np.hstack([self._changes(change, p) for p in postures])
         turns, _, parameters, _ = np.linalg.lstsq(slopes, -self.r, rcond=1e-7)
-        r = self.r + slopes @ turns
-        moved = np.einsum('pa,apjc->pjc', turns.reshape(-1, 3), change)
+        turned = turns.reshape(-1, 1, 3)
         angles = np.linalg.norm(turns.reshape(-1, 3), axis=1)
+
+        def predict() -> Floats | None:
+            markers = self.fitter.predictor.markers(self.point)
+            return None if markers is None else markers + np.cross(turned, markers)
+
         return Pattern(
             'rotation_per_posture',
-            self.deviance(r, self.raw(self.fit.markers + moved)),
+            self.deviance(predict),
             self.extra + int(parameters),
             free=int(parameters),
             values=tuple(angles.tolist()),
         )
 
 
-def _gain(row: tuple[float, int, Floats]) -> float:
-    return row[0]
+def _deviance(row: tuple[Fit | None, int]) -> float:
+    return np.inf if row[0] is None else row[0].deviance

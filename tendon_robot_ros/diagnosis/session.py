@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from copy import copy
 
 import numpy as np
 import numpy.typing as npt
@@ -12,12 +11,12 @@ import numpy.typing as npt
 from ..common.errors import NoEquilibriumError
 from ..common.words import listed
 from ..comparison.noise import Noise, Whitener, estimate_noise, input_slopes
-from ..comparison.predict import Point, Predictor
+from ..comparison.predict import FreeParameter, Point, Predictor
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
 from ..robot.size import natural_sizes
-from .as_built import Members, imperfections
+from .as_built import Imperfections, Members
 from .candidates import Candidate, Ranked, candidates_of, gain_p_value, is_tested, nuisances_of
 from .cells import cell_slopes
 from .decide import (
@@ -25,17 +24,19 @@ from .decide import (
     APART_FROM_SCORE,
     EFFECTS_MAX,
     FIRST_STEP_GAIN_MIN,
+    NEAR_SCORE,
     P_SEVERAL_MIN,
     P_SINGLE_MIN,
     PAIRED_MAX,
-    SAME_WITHIN_CHI2,
     TIE_WITHIN_SCORE,
     UNSETTLED_SHARE_MAX,
 )
 from .fit import Fit
-from .fitter import Fitter
+from .fitter import AsBuilt, Fitter
 from .marginal import RandomEffects
 from .outliers import Outliers
+from .slopes import imperfections
+from .split import SplitPredictor
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -65,7 +66,7 @@ class Session:
         self.use_accuracy = False
         self.noise: Noise | None = None
         self.random: RandomEffects | None = None  # None: the description is exact
-        self.moves: Floats | None = None  # (q, P, J, 3) [m] by a unit of each imperfection
+        self.imperfections: Imperfections | None = None
 
     def _measured_by(self, dataset: DataSet) -> None:
         """Take measurements."""
@@ -74,6 +75,7 @@ class Session:
             Predictor(dataset, self.robot, self.catalogue) for _ in range(self.workers)
         ]
         self.predictor = self.predictors[0]
+        self.splits = [] if self.robot.exact else [SplitPredictor(p) for p in self.predictors]
 
     def leave_out_unsettled(self) -> None:
         """
@@ -118,29 +120,31 @@ class Session:
         )
         changes = cell_slopes(self.predictor, self.nuisances, point)
         self._columns = {free: -self.whitener.white(change) for free, change in changes.items()}
-        floors = None if self.random is None else self.random.floors
-        self.random = None if self.robot.exact else self._random(point, at)
-        if self.random is not None and floors is not None:
-            self.random.floors = floors
-        self.fitters = [self.fitter(predictor) for predictor in self.predictors]
+        self.imperfections = self.random = None
+        if self.splits:
+            self.imperfections = imperfections(self.splits[0], point, at)
+        if self.imperfections is not None:
+            columns = self.whitener.white(self.imperfections.moves).T
+            owners, kinds = self.imperfections.owners, self.imperfections.kinds
+            self.random = RandomEffects(columns, owners, kinds)
+        self.fitters = [self.fitter(worker) for worker in range(self.workers)]
         return True
 
-    def _random(self, point: Point, at: Members | None) -> RandomEffects | None:
-        """Imperfections of the arm as it is built, at a point."""
-        imperfect = imperfections(self.predictor, point, at)
-        self._bend = 0.0 if imperfect is None else imperfect.bend
-        self.moves = None if imperfect is None else imperfect.moves
-        if imperfect is None:
-            return None
-        white = self.whitener.white(imperfect.moves).T
-        return RandomEffects(white, imperfect.owners, imperfect.kinds)
+    def fitter(self, worker: int = 0) -> Fitter:
+        """Return a fitter of a worker with the weights of now."""
+        if self.random is None or self.imperfections is None:
+            return Fitter(self.predictors[worker], self.whitener, self.nuisances, self._columns)
+        built = AsBuilt(self.splits[worker], self.random, self.imperfections)
+        return Fitter(self.splits[worker], self.whitener, self.nuisances, self._columns, built)
 
-    def fitter(self, predictor: Predictor) -> Fitter:
-        """Return a fitter with the weights of now."""
-        made = Fitter(predictor, self.whitener, self.nuisances, self._columns, self.random)
-        if self.random is not None:
-            made.bend, made.measured = self._bend, made.measured - self._bend
-        return made
+    def mimic(
+        self, markers: Floats, frees: Sequence[FreeParameter], start: Point, like: Fit
+    ) -> Fit:
+        """Fit parameters to predicted markers (P, J, 3), imperfections as large as in a fit."""
+        fitter = self.fitter()
+        fitter.measured = markers  # predicted without imperfections
+        sizes = None if like.built is None else like.built.sizes
+        return fitter.fit(frees, start, sizes=sizes)
 
     @property
     def freedom(self) -> float:
@@ -172,11 +176,7 @@ class Session:
                 candidate = candidates[i]
                 start = None if starts is None else starts.get(candidate.label)
                 try:
-                    fit = self.fitters[worker].fit(
-                        candidate.frees,
-                        None if start is None else start.point,
-                        begin=None if start is None or start.built is None else start.built.sizes,
-                    )
+                    fit = self.fitters[worker].fit(candidate.frees, start)
                 except (ArithmeticError, np.linalg.LinAlgError):
                     continue
                 finally:
@@ -196,15 +196,33 @@ class Session:
         """Tell whether several effects are adequate, for left-out postures as well."""
         return ranked.probability > P_SEVERAL_MIN and ranked.trust > P_SINGLE_MIN
 
-    def base_fit(self) -> Fit:
-        """Fit the declared tolerances and the imperfections alone."""
+    def base_fit(self, starts: Sequence[Fit] = ()) -> Fit:
+        """
+        Fit the declared tolerances and the imperfections alone.
+
+        Friction is kinked: what is found depends on where imperfections start. `starts` are fits
+        from which they are tried as well.
+        """
         if self.random is None:
             return self.fitters[0].fit(())
-        self.random.floors = np.zeros(len(self.random.kinds))
-        base = self.fitters[0].fit(())
-        assert base.built is not None
-        self.random.keep(base.built.sizes)
-        return base
+        fits = [self.fitters[0].fit((), start) for start in (None, *starts)]
+        return min(fits, key=lambda fit: fit.deviance)
+
+    def refit(self, ranked: Sequence[Ranked], base: Fit) -> list[Ranked]:
+        """
+        Fit candidates again; from the base where that, which they contain, does better.
+
+        Of an arm as built those that are far from the best stay as they are.
+        """
+        top = min(r.score for r in ranked) + (np.inf if self.random is None else NEAR_SCORE)
+        near = [r for r in ranked if r.score <= top]
+        found = self.fit_all([r.candidate for r in near], {r.candidate.label: r.fit for r in near})
+        worse = [r.candidate for r in found if r.fit.deviance > base.deviance + TIE_WITHIN_SCORE]
+        again = self.fit_all(worse, {c.label: base for c in worse})
+        better = {r.candidate.label: r for r in again}
+        both = [(r, better.get(r.candidate.label, r)) for r in found]
+        far = [r for r in ranked if r.score > top]
+        return [min(pair, key=lambda r: r.fit.deviance) for pair in both] + far
 
     def split_tested(self, point: Point) -> tuple[list[Candidate], list[Candidate]]:
         """Split the candidates into those that these postures show at a point, and the rest."""
@@ -232,7 +250,12 @@ class Session:
         if random is None or built is None:
             return True
         n, columns = len(random.columns), [current.fit.jacobian[:, : len(current.fit.all_frees)]]
-        raw = self.whitener.white(self.fitters[0].measured - current.fit.markers)
+        fitter = self.fitters[0]
+        fitter.resume(current.fit)
+        here = fitter.predictor.markers(point)
+        if here is None:
+            return False
+        raw = fitter.residual(here)
         for free in larger.frees:
             if free in point:
                 continue
@@ -240,10 +263,10 @@ class Session:
             step = 0.05 * free.parameter.typical
             if value + step > free.parameter.high:
                 step = -step
-            moved = self.predictor.markers({**point, free: value + step})
+            moved = fitter.predictor.markers({**point, free: value + step})
             if moved is None or self.catalogue[free.effect].always_on:
                 return True
-            columns.append(self.whitener.white(current.fit.markers - moved)[:, None] / step)
+            columns.append(self.whitener.white(here - moved)[:, None] / step)
         slopes = np.column_stack([column[:n] for column in columns])
         estimated = random.estimate(raw, slopes, built.sizes)
         return current.fit.deviance - estimated.deviance > FIRST_STEP_GAIN_MIN
@@ -252,40 +275,6 @@ class Session:
         """Return the best by score; within a tie the first of the catalogue."""
         top = min(r.score for r in ranked)
         return next(r for r in ranked if r.score <= top + TIE_WITHIN_SCORE)
-
-
-def indistinct(session: Session, ranked: Sequence[Ranked], gate: float) -> list[Ranked]:
-    """
-    Return the adequate candidates that cannot be told apart, the best first.
-
-    Within chi² + 2 k of 9.21 of the best; a larger candidate that contains a smaller one of the
-    class drops out; among ties the first of the catalogue is best.
-    """
-    adequate = [r for r in ranked if r.probability > gate]
-    top = min(r.score for r in adequate)
-    near = [r for r in adequate if r.score <= top + APART_FROM_SCORE]
-    kept = [
-        r
-        for r in near
-        if not any(small is not r and contains(session, r, small) for small in near)
-    ]
-    best = session.best(kept)
-    return sorted(kept, key=lambda r: r is not best)
-
-
-def contains(session: Session, large: Ranked, small: Ranked) -> bool:
-    """Tell whether the larger candidate can predict just what the smaller one predicts here."""
-    if small.candidate.names[0] in session.catalogue[large.candidate.names[0]].contains:
-        return True
-    if set(small.candidate.names) < set(large.candidate.names):
-        return True
-    if large.fit.rank <= small.fit.rank:
-        return False
-    fitter = session.fitter(session.predictor)
-    fitter.measured = small.fit.markers  # without imperfections, as these predict it
-    sizes = None if small.fit.built is None else small.fit.built.sizes
-    mimic = fitter.fit(large.candidate.frees, large.fit.point, sizes=sizes)
-    return mimic.chi2 < SAME_WITHIN_CHI2
 
 
 def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
@@ -322,7 +311,7 @@ def joined(session: Session, best: Ranked) -> Ranked | None:
     while len(current.candidate.names) < EFFECTS_MAX:
         better = [
             r
-            for r in _hinted(session, current) + _hinted_around_none(session, current)
+            for r in _hinted(session, current)
             if session.stands_out(current.fit, r, len(session.candidates))
             and r.score < current.score - APART_FROM_SCORE
         ]
@@ -337,19 +326,6 @@ def _hinted(session: Session, current: Ranked) -> list[Ranked]:
     order = [c for c in _extensions(session, current) if session.hints(current, c)]
     starts = {c.label: current.fit for c in order}
     return session.fit_all(order, starts, f'{len(current.candidate.names) + 1} effects')
-
-
-def _hinted_around_none(session: Session, current: Ranked) -> list[Ranked]:
-    """
-    Fit the same with slopes around no imperfections; the session stays as it is.
-
-    What imperfections do beyond their slopes stays when an effect takes over from them: it would
-    find the best fit around them good enough already.
-    """
-    around_none = copy(session)
-    around_none.weigh(current.fit.point)
-    again = around_none.fit_all([current.candidate], {current.candidate.label: current.fit})
-    return [extended for ranked in again for extended in _hinted(around_none, ranked)]
 
 
 def reweighed(session: Session, ranked: Ranked) -> Ranked:

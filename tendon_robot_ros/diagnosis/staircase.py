@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ from ..effects import Catalogue
 from ..robot import Robot
 from .fit import Fit
 from .fitter import Fitter
-from .written import written_share
+from .written import written_members
 
 Floats = npt.NDArray[np.float64]
 FOLDS = 6  # groups of postures that are left out in turn
@@ -69,30 +69,21 @@ def predict(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> tuple[Predi
     return predictor, markers
 
 
-def left_out(fitter: Fitter, fit: Fit, errors: Errors, moves: Floats | None = None) -> Errors:
+def left_out(fitter: Fitter, fit: Fit, beside: bool = True) -> float:
     """
-    Return the errors on postures that were not used: groups are left out in turn.
+    Return the rms error [m] on postures that were not used: groups are left out in turn.
 
     The change of the parameters that leaving a group out makes is taken from the slopes at the
     fit; the postures left out are then predicted by the model itself, as the description will
-    say it: without the tolerances.
-
-    Parameters
-    ----------
-    fitter, fit : Fitter, Fit
-        With all postures.
-    errors : Errors
-        On all postures.
-    moves : (b, P, J, 3) [m], optional
-        What imperfections do to the markers: those that a description can hold go along.
-
+    say it: with the tolerances and the imperfections that it can hold (`beside`), or without.
     """
     dataset, owners = fitter.predictor.dataset, fitter.whitener.owners
     measured = np.flatnonzero(dataset.trials > 0)
     groups = np.unique(dataset.groups[measured])  # postures of the same inputs tell of each other
     folds = min(FOLDS, len(groups))
-    low = [free.parameter.low for free in fit.frees]
-    high = [free.parameter.high for free in fit.frees]
+    frees = fit.all_frees if beside else fit.frees
+    low = [free.parameter.low for free in frees]
+    high = [free.parameter.high for free in frees]
     predicted = np.full_like(fit.markers, np.nan)
     for fold in range(folds):
         held = measured[np.isin(dataset.groups[measured], groups[fold::folds])]
@@ -101,11 +92,10 @@ def left_out(fitter: Fitter, fit: Fit, errors: Errors, moves: Floats | None = No
         step = np.linalg.lstsq(fit.jacobian[used], fit.residual[used], rcond=1e-10)[0]
         moved = fit.values - step
         values = np.clip(moved[: len(low)], low, high)
-        markers = fitter.predictor.markers(dict(zip(fit.frees, values.tolist(), strict=True)))
-        if markers is not None and fit.built is not None and moves is not None:
-            members = fit.built.members(moved[len(fit.all_frees) :]) * written_share(fit)
-            markers = markers + np.tensordot(members, moves, 1)
+        if fitter.built is not None:
+            units = moved[len(fit.all_frees) :]
+            fitter.go_around(written_members(fit, units) if beside else {})
+        markers = fitter.predictor.markers(dict(zip(frees, values.tolist(), strict=True)))
         if markers is not None:
             predicted[held] = markers[held]
-    after = rms((dataset.mean - predicted)[measured])
-    return replace(errors, kind='left out', after=after)
+    return rms((dataset.mean - predicted)[measured])

@@ -91,11 +91,8 @@ def _change(session: Session, base: Fit, free: FreeParameter, value: float) -> f
     if not session.nuisances and base.built is None:
         change = session.whitener.white(markers - base.markers)
         return float(np.linalg.norm(change))
-    fitter = session.fitter(session.predictor)
-    fitter.measured = markers
     try:
-        sizes = None if base.built is None else base.built.sizes
-        return float(np.sqrt(fitter.fit((), base.point, sizes=sizes).chi2))
+        return float(np.sqrt(session.mimic(markers, (), base.point, base).chi2))
     except (ArithmeticError, np.linalg.LinAlgError):
         return None
 

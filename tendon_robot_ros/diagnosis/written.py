@@ -1,13 +1,15 @@
-"""What a fit found of an arm as it is built, written into its description."""
+"""What a fit found, written into a description: effects, tolerances that moved, imperfections."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.predict import CELLS
+from ..comparison.predict import CELLS, FreeParameter
+from ..effects import Catalogue
 from ..robot import Robot
 from ..robot.description import EffectValues
 from .as_built import GAIN, HOLE, POSITION, ROTATION, ZERO
@@ -17,12 +19,58 @@ Floats = npt.NDArray[np.float64]
 WRITABLE_KINDS = (CELLS, GAIN, HOLE, ZERO, POSITION, ROTATION)  # kinds that a description can hold
 
 
-def written_share(fit: Fit) -> Floats:
-    """Return 1 for every imperfection (b,) that a description can hold, else 0."""
-    assert fit.built is not None
-    return np.concatenate(
-        [np.full(len(k), float(k.name in WRITABLE_KINDS)) for k in fit.built.kinds]
+def with_values(
+    robot: Robot, catalogue: Catalogue, values: Iterable[tuple[FreeParameter, float]]
+) -> Robot:
+    """Return a description with values of parameters; others of their effects stay as they are."""
+    found: dict[str, dict[str, list[float]]] = {}
+    for free, value in values:
+        items = found.setdefault(free.effect, {})
+        items.setdefault(free.parameter.name, []).append(_short(value))
+    for name, items in found.items():
+        parameters = catalogue[name].parameters
+        wide = {p.name for p in parameters if p.per}
+        known = {p.name: p.neutral for p in parameters} | robot.effects.get(name, {})
+        changed = {
+            key: tuple(own) if key in wide and len(own) > 1 else own[0]
+            for key, own in items.items()
+        }
+        robot = robot.with_effect(name, known | changed, robot.fitted.get(name))
+    return robot
+
+
+def with_tolerances(robot: Robot, catalogue: Catalogue, fit: Fit) -> Robot:
+    """Return a description whose declared quantities have the values to which a fit moved them."""
+    moved = list(zip(fit.all_frees, fit.values.tolist(), strict=False))[len(fit.frees) :]
+    own = [value for free, value in moved if free.effect == CELLS]
+    robot = with_cells(robot, np.array(own)) if own else robot
+    return with_values(robot, catalogue, (one for one in moved if one[0].effect != CELLS))
+
+
+def with_cells(robot: Robot, changes: Floats) -> Robot:
+    """Return a description whose cells are stiffer by relative changes (n,)."""
+    ends = np.cumsum([section.cells for section in robot.sections])
+    sections = tuple(
+        replace(
+            section,
+            bending_stiffness=tuple(
+                _short(k * (1.0 + change))
+                for k, change in zip(
+                    section.bending_stiffness, changes[end - section.cells : end], strict=True
+                )
+            ),
+        )
+        for section, end in zip(robot.sections, ends, strict=True)
     )
+    return replace(robot, sections=sections)
+
+
+def written_members(fit: Fit, units: Floats) -> dict[str, Floats]:
+    """Return the imperfections that a description can hold, from mixtures in units of their sd."""
+    if fit.built is None:
+        return {}
+    named = fit.built.random.named(units, fit.built.sizes)
+    return {kind: values for kind, values in named.items() if kind in WRITABLE_KINDS}
 
 
 def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
@@ -36,20 +84,7 @@ def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
     values = fit.members
     if values is None:
         return robot
-    off = values.get(CELLS, np.zeros(robot.cells))
-    ends = np.cumsum([section.cells for section in robot.sections])
-    sections = tuple(
-        replace(
-            section,
-            bending_stiffness=tuple(
-                _short(k * (1.0 + change))
-                for k, change in zip(
-                    section.bending_stiffness, off[end - section.cells : end], strict=True
-                )
-            ),
-        )
-        for section, end in zip(robot.sections, ends, strict=True)
-    )
+    robot = with_cells(robot, values.get(CELLS, np.zeros(robot.cells)))
     scale = np.ones(len(robot.tendons))
     if input == 'tension':
         for change, members in zip(values.get(GAIN, ()), robot.input_tendons, strict=False):
@@ -59,7 +94,7 @@ def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
         replace(t, base=_scaled(t.base, factor), end=_scaled(t.end, factor))
         for t, factor in zip(robot.tendons, scale.tolist(), strict=True)
     )
-    robot = replace(robot, sections=sections, tendons=tendons)
+    robot = replace(robot, tendons=tendons)
     return _registered(robot if input == 'tension' else wound(robot, values), values)
 
 

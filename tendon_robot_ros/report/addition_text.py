@@ -45,7 +45,8 @@ def warnings(made: Addition) -> list[str]:
     sentences = []
     if made.moved:
         moves = ', '.join(f'{name} by {digits(z)} sd' for name, z in made.moved.items())
-        sentences.append(f'declared tolerances moved in the fit: {moves} (not in the file)')
+        where = 'in the file, too' if made.beside else 'not in the file'
+        sentences.append(f'declared tolerances moved in the fit: {moves} ({where})')
     if made.more_at_work:
         sentences.append(f'note: {made.more_at_work}')
     if made.check.after > made.check.before:

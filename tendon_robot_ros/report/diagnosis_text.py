@@ -22,6 +22,7 @@ def lines(diagnosis: Diagnosis) -> list[str]:
     if not diagnosis.verdict.judged:
         return text
     text.append(diagnosis.remainder)
+    text += [f'mind: {caveat}' for caveat in diagnosis.details.get('caveats', ())]
     text += where_wrong(diagnosis.details.get('local_faults', ()))
     text += as_built(diagnosis)
     text += [

@@ -1,0 +1,302 @@
+"""Mistakes that would explain a gross error, each tried on the data, the plainest first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, permutations, product
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.rotations import rigid_fit, turn_angle
+from ..comparison.noise import rms
+from ..comparison.predict import Predictor
+
+Floats = npt.NDArray[np.float64]
+INPUTS_PERMUTED_MAX = (
+    4  # inputs all of whose orders are tried; of more, one exchange after another
+)
+UNIT_FACTORS = {
+    1000.0: 'milli', 0.001: 'kilo', 9.81: 'kilograms of force', 1.0 / 9.81: 'newtons twice',
+    4.448: 'pounds', 1.0 / 4.448: 'newtons as pounds', 10.0: 'a decimal point',
+    0.1: 'a decimal point', 2.0: 'a double count', 0.5: 'half a count',
+    25.4: 'inches', 1.0 / 25.4: 'millimetres as inches',
+}  # fmt: skip
+CELLS_MISCOUNTED_MAX = 3
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A mistake that would explain the error."""
+
+    name: str
+    sentence: str  # 'with ... the error falls'
+    mend: str
+    after: float  # [m] rms
+
+    def text(self, before: float) -> str:
+        """Say it with the error before and after."""
+        if not math.isfinite(before):
+            return (
+                f'the model finds no equilibrium; {self.sentence} it does, and is off by '
+                f'{1e3 * self.after:.2g} mm: {self.mend}'
+            )
+        return (
+            f'{self.sentence} the error falls from {1e3 * before:.3g} to '
+            f'{1e3 * self.after:.2g} mm: {self.mend}'
+        )
+
+
+def _swapped(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try other orders of the inputs."""
+    m = len(predictor.robot.inputs)
+    if m <= INPUTS_PERMUTED_MAX:
+        orders = [order for order in permutations(range(m)) if list(order) != sorted(order)]
+    else:
+        orders = list(_exchanges(predictor))
+    for order in orders:
+        after = _in_order(predictor, order)
+        if np.isfinite(after):
+            yield _swap(predictor.robot.inputs, order, after)
+
+
+def _exchanges(predictor: Predictor) -> Iterator[tuple[int, ...]]:
+    """Exchange two inputs after the other while that helps."""
+    order = tuple(range(len(predictor.robot.inputs)))
+    least = _in_order(predictor, order)
+    for _ in range(len(order)):
+        tried = []
+        for i, j in combinations(range(len(order)), 2):
+            other = list(order)
+            other[i], other[j] = other[j], other[i]
+            tried.append((_in_order(predictor, other), tuple(other)))
+        best, order = min(tried)
+        if not best < least:
+            return
+        least = best
+        yield order
+
+
+def _in_order(predictor: Predictor, order: Sequence[int]) -> float:
+    """Return the error [m] with inputs in another order."""
+    moved = predictor.markers({}, predictor.inputs[:, list(order)])
+    return np.inf if moved is None else rms(predictor.dataset.mean - moved)
+
+
+def _swap(names: Sequence[str], order: Sequence[int], after: float) -> Mistake:
+    off = [i for i in range(len(order)) if order[i] != i]
+    are = ' and '.join(names[i] for i in off)
+    header = ','.join(names[list(order).index(i)] for i in range(len(order)))
+    return Mistake(
+        'inputs_swapped',
+        f'with inputs {are} {"swapped" if len(off) == 2 else "in another order"}',
+        f'name the columns of inputs.csv {header}',
+        after,
+    )
+
+
+def _loose(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try inputs that do not reach the arm."""
+    for j, name in enumerate(predictor.robot.inputs):
+        inputs = predictor.inputs.copy()
+        inputs[:, j] = 0.0 if predictor.dataset.input == 'tension' else np.nan
+        moved = predictor.markers({}, inputs)
+        if moved is not None:
+            yield Mistake(
+                'input_loose',
+                f'if input {name} never reached the arm',
+                f'look whether {name} is connected, and its wire taut',
+                rms(predictor.dataset.mean - moved),
+            )
+
+
+def _rows(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try inputs and shapes that belong to different postures: rows moved by one, or reversed."""
+    measured = predictor.dataset.mean
+    one = 'row of inputs.csv does not belong to its posture in shapes.csv'
+    for shift in (1, -1):
+        kept = slice(max(shift, 0), len(measured) + min(shift, 0))
+        yield Mistake(
+            'rows_moved',
+            f'with the postures moved by one row {"down" if shift > 0 else "up"}',
+            f'a {one}: one was left out, or is double',
+            rms((np.roll(measured, shift, axis=0) - markers)[kept]),
+        )
+    yield Mistake(
+        'rows_moved',
+        'with the postures in reverse order',
+        f'a {one}',
+        rms(measured[::-1] - markers),
+    )
+
+
+def _axes(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try all ways in which axes may be flipped and swapped."""
+    measured = predictor.dataset.mean
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            if list(order) == [0, 1, 2] and min(signs) > 0.0:
+                continue
+            turned = measured[..., order] * np.array(signs)
+            columns = ', '.join(
+                f'{"" if sign > 0 else "-"}{"xyz"[i]}'
+                for i, sign in zip(order, signs, strict=True)
+            )
+            yield Mistake(
+                'axes',
+                f'with the axes of the tracker taken as ({columns})',
+                f'write {columns} into the columns x, y, z of shapes.csv',
+                rms(turned - markers),
+            )
+
+
+def _registered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try a free rigid registration, any angle (Kabsch)."""
+    measured = predictor.dataset.mean
+    seen = np.isfinite(measured).all(axis=2)
+    turn, shift = rigid_fit(measured[seen], markers[seen])
+    angle = math.degrees(turn_angle(turn))
+    millimetres = ', '.join(f'{1e3 * x:.1f}' for x in shift)
+    yield Mistake(
+        'registration',
+        f'with the frame of the tracker turned by {angle:.1f}° and shifted by {millimetres} mm',
+        'register the tracker to the base of the arm again',
+        rms(measured @ turn.T + shift - markers),
+    )
+
+
+def _numbered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try markers that are numbered from the tip."""
+    yield Mistake(
+        'markers_from_the_tip',
+        'with the markers numbered from the tip to the base',
+        'turn the order of the markers in shapes.csv around',
+        rms(predictor.dataset.mean[:, ::-1] - markers),
+    )
+
+
+def _units(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try units of the inputs and of the positions."""
+    tension = predictor.dataset.input == 'tension'
+    described = 'bending_stiffness [N·m/rad] and offsets [m]' if tension else 'offsets [m]'
+    for factor in UNIT_FACTORS:
+        moved = predictor.markers({}, predictor.inputs * factor)
+        how = f'multiplied by {factor:.4g}' if factor >= 1.0 else f'divided by {1.0 / factor:.4g}'
+        if moved is not None:
+            yield Mistake(
+                'unit_of_inputs',
+                f'with all inputs {how}',
+                f'check their unit in inputs.csv {"[N]" if tension else "[m]"}; if that is right, '
+                f'{described} of the description',
+                rms(predictor.dataset.mean - moved),
+            )
+        if np.isfinite(markers).all():
+            yield Mistake(
+                'unit_of_positions',
+                f'with all positions {how}',
+                'check their unit in shapes.csv [m]',
+                rms(predictor.dataset.mean * factor - markers),
+            )
+
+
+def _gravity(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try gravity along every axis, where the weight of the arm is described."""
+    size = float(np.linalg.norm(predictor.parts[0].gravity))
+    if size == 0.0 or not predictor.model.acts('gravity'):
+        return
+    for axis, sign in product(range(3), (1.0, -1.0)):
+        with predictor.under_gravity(sign * size * np.eye(3)[axis]):
+            moved = predictor.markers({})
+        if moved is not None:
+            vector = ', '.join(f'{x:g}' for x in sign * size * np.eye(3)[axis])
+            yield Mistake(
+                'gravity',
+                f'with gravity [{vector}]',
+                f'write gravity: [{vector}] into dataset.yaml',
+                rms(predictor.dataset.mean - moved),
+            )
+
+
+def _cells(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try another number of cells in a section, of the same length each."""
+    robot, dataset = predictor.robot, predictor.dataset
+    reach = range(-CELLS_MISCOUNTED_MAX, CELLS_MISCOUNTED_MAX + 1)
+    for s, more in product(range(len(robot.sections)), reach):
+        section = robot.sections[s]
+        count = section.cells + more
+        if count < 1 or more == 0:
+            continue
+        again = (section.bending_stiffness[-1],) * CELLS_MISCOUNTED_MAX
+        masses = (section.mass_profile[-1],) * CELLS_MISCOUNTED_MAX
+        other = replace(
+            section,
+            cells=count,
+            bending_stiffness=(section.bending_stiffness + again)[:count],
+            mass_profile=(section.mass_profile + masses)[:count],
+        )
+        sections = (*robot.sections[:s], other, *robot.sections[s + 1 :])
+        longer = replace(robot, sections=sections, fitted={})
+        share = longer.length / robot.length
+        for where, along in (('stay', 1.0), ('go along', share)):
+            spots = tuple(
+                replace(m, arc_length=min(m.arc_length * along, longer.length))
+                for m in dataset.markers
+            )
+            moved = Predictor(
+                replace(dataset, robot=longer, markers=spots), longer, predictor.model.catalogue
+            ).markers({})
+            if moved is not None:
+                yield Mistake(
+                    'cells',
+                    f'with {count} cells instead of {section.cells} in section {section.name} '
+                    f'(markers {where})',
+                    f'count the cells of section {section.name}',
+                    rms(dataset.mean - moved),
+                )
+
+
+def _spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try markers that sit elsewhere along the arm: nearer to the base, or the tip."""
+    dataset, length = predictor.dataset, predictor.robot.length
+    cell = predictor.robot.sections[0].cell_length
+    moves = [
+        *((f'{abs(c):g} cell nearer to the {"base" if c < 0 else "tip"}', 1.0, c * cell)
+          for c in (-1.0, -0.5, 0.5, 1.0)),
+        *((f'at {100 * s:.0f} % of their arc lengths', s, 0.0) for s in (0.8, 0.9, 1.1, 1.25)),
+    ]  # fmt: skip
+    for how, share, shift in moves:
+        along = [share * m.arc_length + shift for m in dataset.markers]
+        if min(along) < 0.0 or max(along) > length:
+            continue
+        spots = tuple(
+            replace(m, arc_length=s) for m, s in zip(dataset.markers, along, strict=True)
+        )
+        other = Predictor(
+            replace(dataset, markers=spots), predictor.robot, predictor.model.catalogue
+        )
+        moved = other.markers({})
+        if moved is not None:
+            yield Mistake(
+                'markers_elsewhere',
+                f'with all markers {how}',
+                'check arc_length of the markers in dataset.yaml: from the base, along the arm',
+                rms(dataset.mean - moved),
+            )
+
+
+OF_INPUTS = (_swapped, _units)  # that can be why there is no equilibrium
+# The plainest first: what a free registration can do, some of the others can do as well.
+HYPOTHESES = (
+    _swapped,
+    _loose,
+    _numbered,
+    _rows,
+    _units,
+    _gravity,
+    _spots,
+    _cells,
+    _axes,
+    _registered,
+)

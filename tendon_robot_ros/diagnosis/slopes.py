@@ -1,0 +1,372 @@
+"""
+How imperfections move the markers: derivatives of an arm as it is built.
+
+By the implicit function theorem. A cell's stiffness and its bend at rest change its own balance
+only, so that one difference of residuals tells the rates of all cells, and one elimination how
+the bends of the arm answer to each. Where wire pulls are commanded, tensions answer as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+
+from ..comparison.predict import CELLS, Point
+from ..model.shape import FIELDS, ShapeBatch
+from .as_built import (
+    ACROSS,
+    GAIN,
+    HOLE,
+    KINK,
+    PLAUSIBLE_SIZES,
+    POSITION,
+    REMAINDER,
+    ROTATION,
+    Imperfections,
+    Kind,
+    Members,
+    planar_axis,
+    remainders,
+)
+from .split import REST, WEIGHT, SplitPredictor
+
+Floats = npt.NDArray[np.float64]
+ODD_SHARE = 0.3  # [1] that the slope of a cell may differ from those of its neighbours
+ODD_FACTOR = 2.5  # [1] by which it may differ from that in other postures
+NEIGHBOURS = 3  # cells on either side
+STEP = 1e-6  # [1], [rad]: of differences of what is settled already
+TAUT_FROM_N = 1e-6  # [N] tension of a wire that holds its length
+
+
+def imperfections(
+    split: SplitPredictor, point: Point, at: Members | None = None
+) -> Imperfections | None:
+    """
+    Return the imperfections of an arm at a point, around those that it has (`at`).
+
+    None where the model has no equilibrium.
+    """
+    kinds, split.around = split.kinds(), at or {}
+    if split.markers(point) is None:
+        return None
+    if split.model.remembers:
+        moves = np.concatenate([_differences(split, point, kind) for kind in kinds])
+    else:
+        slopes = _all_parts(split, [slopes.of(kinds) for slopes in _settled(split, point)])
+        ends = np.cumsum([len(kind) for kind in kinds])[:-1]
+        own = zip(kinds, np.split(slopes, ends), strict=True)
+        moves = np.concatenate([_mended(split, point, kind, rows) for kind, rows in own])
+    columns = remainders(split)
+    rest = Kind(REMAINDER, 'm', np.inf, tuple(map(str, range(len(columns)))))
+    return Imperfections((*kinds, rest), np.concatenate([moves, columns]))
+
+
+def pushes(split: SplitPredictor, point: Point, size: float) -> Floats | None:
+    """
+    Return what a force of 1 N at every cell does to the markers, (n, 3, P, J, 3) [m/N].
+
+    None where the model has no equilibrium. `size` [N] is the step of the differences.
+    """
+    if split.markers(point) is None or split.model.remembers:
+        return None
+    moves = _all_parts(split, [slopes.by_forces(size) for slopes in _settled(split, point)])
+    return moves.reshape(-1, 3, *moves.shape[1:])
+
+
+def _settled(split: SplitPredictor, point: Point) -> Iterator[_Slopes]:
+    """Yield the slopes at every part of the settled postures, the model as it is set there."""
+    given, near = split.given(split.inputs), split.settled
+    assert near is not None
+    for part, shapes in split.settle(point, given, near=near):
+        assert shapes is not None
+        yield _Slopes(split, shapes, split.inputs[part.rows])
+
+
+def _all_parts(split: SplitPredictor, parts: Sequence[Floats]) -> Floats:
+    """Put the postures (q, b, J, 3) of all parts where they belong, (q, P, J, 3)."""
+    moves = np.empty((len(parts[0]), len(split.inputs), *parts[0].shape[2:]))
+    for part, own in zip(split.parts, parts, strict=True):
+        moves[:, part.rows] = own
+    return moves
+
+
+def _differences(
+    split: SplitPredictor, point: Point, kind: Kind, members: Iterable[int] | None = None
+) -> Floats:
+    """Return central differences (q, P, J, 3) of settled shapes by (some) members of a kind."""
+    at, moves = split.around, []
+    here = at.get(kind.name, np.zeros(len(kind)))
+    step = PLAUSIBLE_SIZES[kind.name][2]
+    for i in range(len(kind)) if members is None else members:
+        sides = []
+        for side in (step, -step):
+            split.around = {**at, kind.name: here + side * np.eye(len(kind))[i]}
+            sides.append(split.markers(point))
+        split.around = at
+        up, down = sides
+        if up is None or down is None:
+            moves.append(np.zeros((len(split.inputs), len(split.dataset.markers), 3)))
+        else:
+            moves.append((up - down) / (2.0 * step))
+    return np.array(moves)
+
+
+def _mended(split: SplitPredictor, point: Point, kind: Kind, moves: Floats) -> Floats:
+    """
+    Take differences where a slope (q, P, J, 3) is not as at the neighbours or in other postures.
+
+    Friction turns over within a tiny bend: the slope there is not what a kink of ordinary size
+    does.
+    """
+    if kind.name not in (KINK, ACROSS):
+        return moves
+    sizes = np.linalg.norm(moves, axis=(2, 3))
+    axes = len(kind) // split.whole.cells
+    usual = _usual(sizes.reshape(-1, axes, sizes.shape[1])).reshape(sizes.shape)
+    everywhere = np.median(usual, axis=1, keepdims=True)
+    least = ODD_SHARE * everywhere.max(initial=0.0) / 10.0
+    odd = np.abs(sizes - usual) > ODD_SHARE * usual + least
+    odd |= (sizes > ODD_FACTOR * everywhere + least) | (ODD_FACTOR * sizes < everywhere - least)
+    strange = np.flatnonzero(odd.any(axis=1))
+    if len(strange):
+        moves[strange] = _differences(split, point, kind, strange.tolist())
+    return moves
+
+
+def _usual(sizes: Floats) -> Floats:
+    """Return the median (n, ...) of each value and its neighbours along the arm."""
+    n = len(sizes)
+    reach = min(NEIGHBOURS, (n - 1) // 2)
+    windows = [np.clip(np.arange(n) + i, 0, n - 1) for i in range(-reach, reach + 1)]
+    return np.asarray(np.median(sizes[np.array(windows)], axis=0))
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What q changes do at constant tensions, per unit."""
+
+    markers: Floats  # (P, q, J, 3) [m]
+    pulls: Floats  # (P, q, m) [m]
+
+
+class _Slopes:
+    """Derivatives at settled shapes."""
+
+    def __init__(self, split: SplitPredictor, shapes: ShapeBatch, commanded: Floats) -> None:
+        """Take how the state answers (P, u, u) to a residual, and what each entry shows."""
+        self.split, self.shapes, self.model = split, shapes, split.model
+        self.state, self.commanded = np.ascontiguousarray(shapes.state), commanded
+        self.cells = shapes.state.shape[1] // 3
+        b, size = len(shapes), (3 if self.model.arrays.twists else 2) * self.cells
+        rates = np.ascontiguousarray(np.broadcast_to(np.eye(size), (b, size, size)))
+        self.answers = np.empty((b, size, size))
+        arrays = self.model.arrays
+        arrays.part('derivatives').responses(
+            arrays.address,
+            np.ascontiguousarray(shapes.inputs),
+            self.state,
+            arrays.fresh_memory(),
+            self.model.scratch,
+            rates,
+            self.answers,
+        )
+        self.by_state = self._by_state()
+        self.by_tension = self._by_tension()
+
+    def of(self, kinds: tuple[Kind, ...]) -> Floats:
+        """Return the derivatives (q, P, J, 3) by the members of all kinds."""
+        parts = []
+        for kind in kinds:
+            if kind.name == POSITION:
+                parts.append(np.array([np.ones_like(self.seen) * axis for axis in np.eye(3)]))
+            elif kind.name == ROTATION:
+                parts.append(np.array([np.cross(axis, self.seen) for axis in np.eye(3)]))
+            else:
+                parts.append(self._held(self._of(kind)).swapaxes(0, 1))
+        return np.concatenate(parts)
+
+    def _of(self, kind: Kind) -> _Seen:
+        """Return what the members of a kind do at constant tensions."""
+        if kind.name == CELLS:
+            return self._cells()
+        if kind.name == HOLE:
+            return self._holes()
+        if kind.name in (KINK, ACROSS):
+            return self._kinks(kind)
+        given = np.nan_to_num(self.commanded)
+        if self.split.dataset.input == 'tension':
+            own = self.by_tension
+            return _Seen(own.markers * given[..., None, None], own.pulls * given[..., None])
+        sizes = given if kind.name == GAIN else np.ones_like(given)  # else the zeros of pulls
+        asked = -np.eye(given.shape[1]) * sizes[:, None]  # to pull more is to be off by less
+        return _Seen(np.zeros_like(self.by_tension.markers), asked)
+
+    def _held(self, moved: _Seen) -> Floats:
+        """Return changes (P, q, J, 3) of the markers; tensions keep the pulls that are set."""
+        if self.split.dataset.input == 'tension':
+            return moved.markers
+        found = moved.markers.copy()
+        for p, tensions in enumerate(self.shapes.inputs):
+            taut = np.flatnonzero(tensions > TAUT_FROM_N)
+            by_tension = self.by_tension.pulls[p][np.ix_(taut, taut)]
+            answer = -moved.pulls[p][:, taut] @ np.linalg.pinv(by_tension, rcond=1e-9)
+            found[p] += np.tensordot(answer, self.by_tension.markers[p, taut], 1)
+        return found
+
+    def _shown(self, inputs: Floats, state: Floats) -> _Seen:
+        """Return what inputs (b, m) [N] and states (b, 3n) [rad] show, without solving."""
+        b, form, arrays = len(inputs), self.model.form, self.model.arrays
+        block = np.zeros(b * form.size)
+        fields = {name: form.rows(block, name, b) for name in FIELDS}
+        fields['inputs'][:], fields['state'][:] = inputs, state
+        arrays.part('shape').show_postures(
+            arrays.address, block, b, arrays.fresh_memory().ctypes.data, self.model.scratch
+        )
+        lengths, hinge = self.shapes.cell_length, self.shapes.hinge
+        batch = ShapeBatch(**fields, cell_length=lengths, hinge=hinge)
+        return _Seen(self.split.see(batch), fields['pulls'])
+
+    def _by_state(self) -> _Seen:
+        """Return the derivatives by every entry of the state, tensions constant: (P, u, ...)."""
+        b, size = self.answers.shape[:2]
+        steps = STEP * np.eye(self.state.shape[1])[:size]
+        moved = self.state[:, None] + np.concatenate([np.zeros((1, len(steps[0]))), steps])
+        inputs = np.repeat(self.shapes.inputs, size + 1, axis=0)
+        shown = self._shown(inputs, moved.reshape(-1, self.state.shape[1]))
+        markers = shown.markers.reshape(b, size + 1, *shown.markers.shape[1:])
+        pulls = shown.pulls.reshape(b, size + 1, -1)
+        self.seen = markers[:, 0]
+        return _Seen(
+            (markers[:, 1:] - markers[:, :1]) / STEP, (pulls[:, 1:] - pulls[:, :1]) / STEP
+        )
+
+    def _by_tension(self) -> _Seen:
+        """Return the derivatives by every input tension: (P, m, ...) per N."""
+        inputs, moved = self.shapes.inputs, []
+        for unit in np.eye(inputs.shape[1]):
+            up, down = inputs + STEP * unit, np.maximum(inputs - STEP * unit, 0.0)
+            moved.append(self._difference(up, down, (up - down) @ unit))
+        return _joined(moved)
+
+    def _holes(self) -> _Seen:
+        """Return the derivatives by the relative radius of every tendon."""
+        offset, inputs, moved = self.model.arrays.offset, self.shapes.inputs, []
+        was, radii = offset.copy(), np.ones(offset.shape[1])
+        radii += self.split.around.get(HOLE, 0.0)
+        for k, radius in enumerate(radii):
+
+            def arrange(side: float, k: int = k, radius: float = radius) -> None:
+                offset[:, k] = was[:, k] * (radius + side * STEP) / radius
+
+            moved.append(
+                self._difference(inputs, inputs, np.full(len(inputs), 2.0 * STEP), arrange)
+            )
+            offset[:] = was
+        return _joined(moved)
+
+    def _difference(
+        self,
+        up: Floats,
+        down: Floats,
+        width: Floats,
+        arrange: Callable[[float], None] = lambda side: None,
+    ) -> _Seen:
+        """Return a derivative (P, 1, ...): what bends do, and what is done without them."""
+        sides = []
+        for inputs, side in ((up, 1.0), (down, -1.0)):
+            arrange(side)
+            sides.append((self._residual(inputs), self._shown(inputs, self.state)))
+        (rate, shown), (low, below) = sides
+        along = self._along(((rate - low) / width[:, None])[:, None])
+        markers = (shown.markers - below.markers) / width[:, None, None]
+        pulls = (shown.pulls - below.pulls) / width[:, None]
+        return _Seen(along.markers + markers[:, None], along.pulls + pulls[:, None])
+
+    def by_forces(self, size: float) -> Floats:
+        """Return the derivatives (3 n, P, J, 3) [m/N] by a force at every cell."""
+        model, inputs = self.model, self.shapes.inputs
+        arrays, effect = model.arrays, model.catalogue[WEIGHT]
+        row = arrays.layout.rows[WEIGHT, effect.parameters[0].name]
+        before, rates = self._residual(inputs), []
+        gravity, values, on = arrays.gravity.copy(), arrays.values[row].copy(), arrays.on.copy()
+        arrays.on[arrays.layout.index[WEIGHT]] = 1
+        for mass, axis in product(enumerate(arrays.cells[:, 2].tolist()), np.eye(3)):
+            arrays.gravity[:] = axis
+            arrays.values[row] = 0.0
+            arrays.values[row, mass[0]] = size / mass[1]
+            rates.append((self._residual(inputs) - before) / size)
+        arrays.gravity[:], arrays.values[row], arrays.on[:] = gravity, values, on
+        return self._along(np.stack(rates, axis=1)).markers.swapaxes(0, 1)
+
+    def _residual(self, inputs: Floats) -> Floats:
+        """Residual (P, u) [rad] at the settled states, the model as it is now."""
+        arrays, out = self.model.arrays, np.empty(self.answers.shape[:2])
+        arrays.part('derivatives').residuals(
+            arrays.address,
+            np.ascontiguousarray(inputs),
+            self.state,
+            arrays.fresh_memory(),
+            self.model.scratch,
+            out,
+        )
+        return out
+
+    def _along(self, rates: Floats) -> _Seen:
+        """Return what is seen of residuals' rates (P, q, u): the state follows."""
+        ways, by = rates @ self.answers, self.by_state.markers
+        markers = ways @ by.reshape(*by.shape[:2], -1)
+        return _Seen(markers.reshape(*ways.shape[:2], *by.shape[2:]), ways @ self.by_state.pulls)
+
+    def _own(self, arrange: Callable[[float], None]) -> Floats:
+        """Return rates (P, n, u) of what changes every cell's bending, one cell each."""
+        sides = []
+        for side in (1.0, -1.0):
+            arrange(side)
+            sides.append(self._residual(self.shapes.inputs))
+        rates = (sides[0] - sides[1]) / (2.0 * STEP)
+        own, n = np.zeros((len(rates), self.cells, rates.shape[1])), np.arange(self.cells)
+        for xy in range(2):
+            own[:, n, 2 * n + xy] = rates[:, 2 * n + xy]
+        return own
+
+    def _cells(self) -> _Seen:
+        """Return the derivatives by the relative stiffness of every cell."""
+        stiffness = self.model.arrays.cells[:, 1]
+        was, off = stiffness.copy(), 1.0 + self.split.around.get(CELLS, np.zeros(len(stiffness)))
+
+        def arrange(side: float) -> None:
+            stiffness[:] = was * (off + side * STEP) / off
+
+        rates = self._own(arrange)
+        stiffness[:] = was
+        return self._along(rates)
+
+    def _kinks(self, kind: Kind) -> _Seen:
+        """Return the derivatives by the bend at rest of every cell."""
+        arrays, axis = self.model.arrays, planar_axis(self.split.whole)
+        values, on = arrays.values.copy(), arrays.on.copy()
+        arrays.on[arrays.layout.index[REST]] = 1
+        rates = []
+        for row in self.split.rests:
+
+            def arrange(side: float, row: int = row) -> None:
+                arrays.values[row] = values[row] + side * STEP
+
+            rates.append(self._own(arrange))
+            arrays.values[:] = values
+        arrays.on[:] = on
+        if axis is None:
+            both = np.stack(rates, axis=2)  # x and y of a cell one after the other
+            return self._along(both.reshape(len(both), -1, both.shape[-1]))
+        return self._along(rates[axis if kind.name == KINK else 1 - axis])
+
+
+def _joined(moved: Sequence[_Seen]) -> _Seen:
+    return _Seen(
+        np.concatenate([one.markers for one in moved], axis=1),
+        np.concatenate([one.pulls for one in moved], axis=1),
+    )

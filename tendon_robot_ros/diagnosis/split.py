@@ -1,0 +1,213 @@
+"""The model of an arm whose cells and tendons are each a little off: what `as_built` predicts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from ..comparison.predict import (
+    CELLS,
+    Conditions,
+    FreeParameter,
+    Point,
+    Predictor,
+    SettledShapes,
+)
+from ..effects import Catalogue
+from ..model.shape import ShapeBatch
+from ..robot import Robot, Section
+from ..robot.description import EffectValues
+from .as_built import (
+    ACROSS,
+    GAIN,
+    HOLE,
+    KINK,
+    PLAUSIBLE_LENGTH,
+    PLAUSIBLE_SIZES,
+    POSITION,
+    ROTATION,
+    ZERO,
+    Kind,
+    Members,
+    planar_axis,
+)
+
+Floats = npt.NDArray[np.float64]
+REST = 'pre_curvature'  # the effect whose parameters are the bends at rest
+PUSH, WEIGHT = 'push', 'gravity'  # a force at the middle of a cell; the effect that it uses
+
+
+class SplitPredictor(Predictor):
+    """
+    A predictor of the same arm with a section per cell, so that every cell may be its own.
+
+    It predicts the arm with the imperfections `around`; none: as described.
+    """
+
+    def __init__(self, predictor: Predictor) -> None:
+        """Split the robot of a predictor."""
+        self.whole = predictor.robot
+        super().__init__(
+            predictor.dataset,
+            split_robot(predictor.robot, predictor.model.catalogue),
+            predictor.model.catalogue,
+        )
+        self.around: Members = {}
+        ends = np.cumsum([section.cells for section in self.whole.sections])
+        self._spans = [
+            slice(end - s.cells, end) for end, s in zip(ends, self.whole.sections, strict=True)
+        ]
+        self._offsets = self.model.arrays.offset.copy()
+        layout, effect = self.model.arrays.layout, self.model.catalogue[REST]
+        self.rests = [layout.rows[REST, parameter.name] for parameter in effect.parameters]
+
+    @contextmanager
+    def as_described(self) -> Iterator[None]:
+        """Predict without imperfections while the block runs."""
+        around, self.around = self.around, {}
+        try:
+            yield
+        finally:
+            self.around = around
+
+    def kinds(self) -> tuple[Kind, ...]:
+        """Return what may be off; a registration that is declared is a parameter of the fit."""
+        cells = [f'cell {i + 1}' for i in range(self.whole.cells)]
+        axis = planar_axis(self.whole)
+        kinks = [f'{cell} towards {xy}' for cell in cells for xy in 'xy']
+        labels = {CELLS: cells, KINK: kinks}
+        if axis is not None:
+            labels |= {KINK: kinks[axis::2], ACROSS: kinks[1 - axis :: 2]}
+        labels[GAIN] = list(self.whole.inputs)  # of a tension: a hole off its place does the same
+        if self.dataset.input == 'displacement':
+            labels |= {HOLE: [t.name for t in self.whole.tendons], ZERO: list(self.whole.inputs)}
+        known = self.whole.tolerances
+        labels |= {name: list('xyz') for name in (POSITION, ROTATION) if name not in known}
+        made, larger = [], max(self.whole.length / PLAUSIBLE_LENGTH, 1.0)
+        for name, members in labels.items():
+            unit, plausible, _ = PLAUSIBLE_SIZES[name]
+            usual = plausible * (larger if unit == 'm' else 1.0)
+            size = float(known.get(KINK if name == ACROSS else name, usual))
+            if size > 0.0:
+                made.append(Kind(name, unit, size, tuple(members)))
+        return tuple(made)
+
+    def markers(
+        self,
+        point: Point,
+        inputs: Floats | None = None,
+        stiffness: Floats | None = None,
+        near: SettledShapes | None = None,
+    ) -> Floats | None:
+        """Predict marker positions of the arm as built; see `Predictor.markers`."""
+        given = self.given(self.inputs if inputs is None else inputs)
+        return super().markers(point, given, stiffness, near)
+
+    def set_parameters(
+        self, point: Point, part: Conditions, stiffness: Floats | None = None
+    ) -> None:
+        """Set the parameters and imperfections; see `Predictor.set_parameters`."""
+        split = {
+            one: value
+            for free, value in point.items()
+            if free.effect != PUSH
+            for one in self.spread(free)
+        }
+        off, arrays = self.around, self.model.arrays
+        own = 1.0 + off.get(CELLS, np.zeros(self.whole.cells))
+        super().set_parameters(split, part, own if stiffness is None else own * stiffness)
+        arrays.offset[:] = self._offsets * (1.0 + off.get(HOLE, np.zeros(1))[None, :, None])
+        self._push({free: value for free, value in point.items() if free.effect == PUSH})
+        kinks = self.kinks()
+        if kinks.any():
+            arrays.values[self.rests, : len(kinks)] += kinks.T
+            arrays.on[arrays.layout.index[REST]] = 1
+
+    def kinks(self) -> Floats:
+        """Return the bend at rest of every cell (n, 2) [rad] by imperfections."""
+        axis, off = planar_axis(self.whole), self.around
+        kinks = np.zeros((self.whole.cells, 2))
+        if axis is None:
+            return np.asarray(kinks + off.get(KINK, kinks).reshape(-1, 2))
+        kinks[:, axis] = off.get(KINK, 0.0)
+        kinks[:, 1 - axis] = off.get(ACROSS, 0.0)
+        return kinks
+
+    def given(self, inputs: Floats) -> Floats:
+        """Return what arrives of inputs (P, m) [N] or [m]."""
+        off = self.around
+        return np.asarray(inputs * (1.0 + off.get(GAIN, 0.0)) + off.get(ZERO, 0.0))
+
+    def see(self, shapes: ShapeBatch) -> Floats:
+        """Return where the tracker, its frame a little off, sees the markers (b, J, 3) [m]."""
+        placed, off = super().see(shapes), self.around
+        turn, shift = off.get(ROTATION, np.zeros(3)), off.get(POSITION, np.zeros(3))
+        return np.asarray(placed + np.cross(turn, placed) + shift)
+
+    @property
+    def pushable(self) -> bool:
+        """Whether forces at cells can be predicted: not where the arm has weight."""
+        return not self._on[self.model.arrays.layout.index[WEIGHT]]
+
+    def _push(self, forces: Point) -> None:
+        """Push one cell with a force, as a weight of that cell alone."""
+        arrays = self.model.arrays
+        force = np.array(list(forces.values()))
+        size = float(np.linalg.norm(force))
+        if size > 0.0:
+            cell = next(iter(forces)).column
+            assert cell is not None
+            arrays.gravity[:] = force / size
+            weight = self.model.catalogue[WEIGHT].parameters[0].name
+            arrays.set(WEIGHT, weight, cell, size / arrays.cells[cell, 2])
+
+    def value(self, free: FreeParameter) -> float:
+        """Value that the description gives a parameter; see `Predictor.value`."""
+        return super().value(self.spread(free)[0])
+
+    def spread(self, free: FreeParameter) -> tuple[FreeParameter, ...]:
+        """Return a free parameter of one section as those of its cells."""
+        if free.column is None or not free.parameter.per_section:
+            return (free,)
+        span = self._spans[free.column]
+        return tuple(replace(free, column=i) for i in range(span.start, span.stop))
+
+
+def split_robot(robot: Robot, catalogue: Catalogue) -> Robot:
+    """Return the same robot with every cell a section of its own."""
+    sections = tuple(
+        Section(
+            f'{s.name} {i + 1}',
+            1,
+            s.cell_length,
+            (s.bending_stiffness[i],),
+            (s.mass_profile[i],),
+            s.bends_as,
+        )
+        for s in robot.sections
+        for i in range(s.cells)
+    )
+    ends = {s.name: f'{s.name} {s.cells}' for s in robot.sections}
+    cells = [s.cells for s in robot.sections]
+    wide = {(e.name, p.name) for e in catalogue for p in e.parameters if p.per_section}
+    effects: dict[str, EffectValues] = {
+        name: {
+            key: tuple(np.repeat(value, cells).tolist())
+            if isinstance(value, tuple) and (name, key) in wide
+            else value
+            for key, value in values.items()
+        }
+        for name, values in robot.effects.items()
+    }
+    tendons = tuple(replace(tendon, section=ends[tendon.section]) for tendon in robot.tendons)
+    return replace(robot, sections=sections, tendons=tendons, effects=effects, fitted={})
+
+
+def typical_force(robot: Robot) -> float:
+    """Return a side force [N] at the tip that bends the arm by about a third of a radian."""
+    softness = sum(1.0 / k for section in robot.sections for k in section.bending_stiffness)
+    return 0.6 / (softness * robot.length)
