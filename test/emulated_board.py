@@ -14,9 +14,13 @@ needs_compiler = pytest.mark.skipif(
 )
 
 
+class Line(emulated.OwnTime, EmulatedBoard):
+    """An emulated board."""
+
+
 def board(slack=0.001, stiffness=emulated.STIFFNESS):
     """Make a board with four motors that wind four springs."""
-    return EmulatedBoard(BoardRig(SpringArm(np.full(4, stiffness), np.full(4, slack)), 4))
+    return Line(BoardRig(SpringArm(np.full(4, stiffness), np.full(4, slack)), 4))
 
 
 def config(line, /, **changes):

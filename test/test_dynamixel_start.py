@@ -1,6 +1,9 @@
 """Starting: who is on the bus, settings that are refused, the search for slack."""
 
+import os
+import threading
 import time
+import tty
 
 import emulated
 import numpy as np
@@ -8,6 +11,7 @@ import pytest
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import make_driver
+from tendon_robot_ros.drivers.ports import write_all
 from tendon_robot_ros.emulator.rig import SpringArm
 
 pytest.importorskip('dynamixel_sdk')
@@ -124,6 +128,27 @@ def test_a_late_answer_is_not_taken_for_that_of_the_next_register(monkeypatch):
         while time.monotonic() < end:
             assert 'supply' not in emulated.codes(driver.read())
         driver.close()
+
+
+def test_what_is_written_arrives_and_a_port_that_takes_nothing_is_lost():
+    here, there = os.openpty()
+    tty.setraw(there)
+    os.set_blocking(there, False)
+    data, came = os.urandom(50_000), bytearray()
+
+    def drain():
+        while len(came) < len(data):
+            came.extend(os.read(here, 1000))
+
+    reader = threading.Thread(target=drain)
+    reader.start()
+    write_all(there, data)
+    reader.join()
+    assert came == data
+    with pytest.raises(TimeoutError, match='took nothing'):
+        write_all(there, data)
+    os.close(here)
+    os.close(there)
 
 
 @pytest.mark.parametrize('mode', ['tension', 'pull'])

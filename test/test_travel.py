@@ -13,6 +13,7 @@ from tendon_robot_ros.common.errors import DriverError, MovedError
 pytest.importorskip('dynamixel_sdk')
 
 from tendon_robot_ros.drivers.dynamixel import driver as module
+from tendon_robot_ros.drivers.dynamixel.tables import WATCHDOG_TRIPPED
 
 TRAVEL = 0.01  # [m]
 MORE = 0.002  # [m] the back-off, and what a motor turns until it is told to stop
@@ -47,10 +48,13 @@ class Free:
 
     def unplug_on_the_way(self):
         """Pull the plug as soon as a wire has moved; or in the end, whatever happened."""
-        end = time.monotonic() + emulated.SOON
-        while np.abs(self.wound() - self.begin).max() < 0.001 and time.monotonic() < end:
-            time.sleep(0.001)
+        self.wait_until_on_the_way()
         self.line.unplug()
+
+    def wait_until_on_the_way(self, way=0.001):
+        end = time.monotonic() + emulated.SOON
+        while np.abs(self.wound() - self.begin).max() < way and time.monotonic() < end:
+            time.sleep(0.001)
 
     def attempt(self, driver):
         """Enable, refused; return the largest way [m] from the very beginning."""
@@ -73,6 +77,21 @@ def test_attempts_wind_no_more_together_than_one(free):
         assert 0.5 * TRAVEL < first < TRAVEL + MORE
         for _ in range(3):
             assert free.attempt(driver) < TRAVEL + MORE
+
+
+@pytest.mark.parametrize('free', ['dynamixel'], indirect=True)
+def test_a_motor_that_its_watchdog_stopped_has_found_no_wire(free):
+    def trip():
+        free.wait_until_on_the_way(way=0.004)  # behind the back-off
+        for number in (1, 2, 3, 4):
+            free.line.servo(number).put('bus_watchdog', WATCHDOG_TRIPPED)
+
+    with free.driver(free.line) as driver:
+        trips = threading.Thread(target=trip)
+        trips.start()
+        with pytest.raises(MovedError, match='its bus watchdog stopped it while it looked'):
+            driver.enable()
+        trips.join()
 
 
 def test_another_driver_of_the_process_goes_on_from_the_same_beginning(free):

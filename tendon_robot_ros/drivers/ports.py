@@ -1,14 +1,17 @@
-"""Serial ports of any kind of motor: which there are, why one cannot be opened, lost ones."""
+"""Serial ports of any kind of motor: which there are, why one cannot be opened, writing."""
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
+import select
 import termios
 from pathlib import Path
 
 # what an unplugged port raises: serial's error is an OSError, termios.error is none
 PORT_ERRORS = (OSError, termios.error)
+WRITE_TIMEOUT_S = 0.1  # [s] for which a port may take nothing
 
 
 class PortLostError(Exception):
@@ -18,6 +21,26 @@ class PortLostError(Exception):
 def take_alone(file: int) -> None:
     """Let no other process open the port; a lock that pyserial takes binds its users only."""
     fcntl.ioctl(file, termios.TIOCEXCL)
+
+
+def write_all(file: int, data: bytes) -> None:
+    """
+    Write to a port that does not block.
+
+    pyserial's own write, with a time-out, says that a port takes nothing also where it took all
+    at once and this process was late to notice.
+
+    Raises
+    ------
+    OSError
+        The port is gone, or has taken nothing for `WRITE_TIMEOUT_S`.
+
+    """
+    while data:
+        with contextlib.suppress(BlockingIOError):
+            data = data[os.write(file, data) :]
+        if data and not select.select([], [file], [], WRITE_TIMEOUT_S)[1]:
+            raise TimeoutError(f'the port took nothing for {WRITE_TIMEOUT_S:g} s')
 
 
 def why_not(path: str, error: BaseException) -> str:

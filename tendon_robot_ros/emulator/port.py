@@ -30,18 +30,22 @@ class Faults:
         How many of the next answers get a wrong CRC, lose their second half, come twice.
     delay : float
         Before every answer [s].
+    slept : float
+        All delays so far, and the one that has begun [s].
     """
 
     spoilt: int = 0
     cut: int = 0
     doubled: int = 0
     delay: float = 0.0
+    slept: float = 0.0
 
     def on_the_way(self, answer: bytes) -> bytes:
         """Do to an answer what the bus does to it."""
         if not answer:
             return answer
         if self.delay:
+            self.slept += self.delay
             time.sleep(self.delay)
         if self.spoilt:
             self.spoilt -= 1
@@ -80,7 +84,7 @@ class Plug(abc.ABC):
             Between two looks at the clock when nothing arrives [s].
 
         """
-        self._idle, self.faults = idle, Faults()
+        self._idle, self.faults, self._lived = idle, Faults(), 0.0
         if port and os.path.exists(port):
             raise InputError(f'{port}: there is a file of that name already')
         self._folder = Path(tempfile.mkdtemp(prefix='tendon_robot_ros_'))
@@ -91,6 +95,11 @@ class Plug(abc.ABC):
         self._thread = threading.Thread(target=self._serve, name=f'emulated {name}', daemon=True)
         self._before = time.monotonic()
         self.plug()
+
+    @property
+    def lived(self) -> float:
+        """Its own time [s]: it stands still while nobody lets this process run."""
+        return self._lived + self.faults.slept
 
     @abc.abstractmethod
     def _let_time_pass(self, passed: float) -> None:
@@ -160,6 +169,7 @@ class Plug(abc.ABC):
                 self._let_time_pass(passed)
                 if data:
                     self._hear(data)
+                self._lived += min(passed, 2.0 * self._idle)
 
     def _receive(self) -> bytes:
         """Wait a little for bytes; none when there are none or nobody has the port open."""

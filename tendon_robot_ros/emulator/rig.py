@@ -205,6 +205,7 @@ class ElasticArm:
 
 MOMENTS_REMEMBERED_MAX = 20_000  # moments
 TIME_STEP_MAX_S = 0.1  # [s]; after a longer pause of this process the emulated world skips time
+SILENCE_STEP_MAX_S = 0.02  # [s]; and no watchdog takes a pause for silence
 
 
 @dataclass(frozen=True)
@@ -257,7 +258,7 @@ class Rig:
         """Let time [s] pass."""
         passed = min(passed, TIME_STEP_MAX_S)
         for servo in self.servos.values():
-            servo.protect(passed)
+            servo.protect(min(passed, SILENCE_STEP_MAX_S))
         steps = max(1, math.ceil(passed / STEP_S - 1e-9))
         for _ in range(steps):
             self._step(passed / steps)

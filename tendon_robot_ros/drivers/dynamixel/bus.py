@@ -28,7 +28,7 @@ from dynamixel_sdk import (
 )
 
 from ...common.errors import DriverError
-from ..ports import PORT_ERRORS, PortLostError, take_alone, why_not
+from ..ports import PORT_ERRORS, PortLostError, take_alone, why_not, write_all
 from .control_table import REGISTERS, decode, encode
 
 UDEV_FILE = '/etc/udev/rules.d/99-usb-serial-latency.rules'
@@ -37,7 +37,9 @@ LATENCY_MAX_MS = 2  # [ms]
 
 
 class Port(PortHandler):  # type: ignore[misc]
-    """The SDK's port handler for one process."""
+    """The SDK's port handler for one process; `clock` tells how long it waits for answers [s]."""
+
+    clock = staticmethod(time.monotonic)
 
     def __init__(self, path: str, baud: int, answer_time: float) -> None:
         """Take path, baud rate and the time to wait for an answer besides its bytes [s]."""
@@ -51,7 +53,7 @@ class Port(PortHandler):  # type: ignore[misc]
         if self.is_open:
             self.closePort()
         self.ser = serial.Serial(
-            port=self.port_name, baudrate=cflag_baud, timeout=0, write_timeout=0.1, exclusive=True
+            port=self.port_name, baudrate=cflag_baud, timeout=0, exclusive=True
         )
         take_alone(self.ser.fileno())
         self.is_open = True
@@ -71,11 +73,16 @@ class Port(PortHandler):  # type: ignore[misc]
 
     def getCurrentTime(self) -> float:  # noqa: N802
         """Return a time that no clock adjustment moves [ms]."""
-        return 1000.0 * time.monotonic()
+        return 1000.0 * self.clock()
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
         """Wait for the bytes of an answer and the adapter's latency."""
         self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + self.answer_time)
+
+    def writePort(self, packet: list[int]) -> int:  # noqa: N802
+        """Write a packet; return its length."""
+        write_all(self.ser.fileno(), bytes(packet))
+        return len(packet)
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
         """Read up to `length` bytes; sleep until the first comes or the time is over."""

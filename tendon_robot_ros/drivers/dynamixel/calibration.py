@@ -29,6 +29,7 @@ SAMPLE_PERIOD_S = 0.01  # [s]
 ARRIVAL_TIMEOUT_S = 1.0  # [s] for the end of a way, after its last goal
 STEADY_PART = (0.35, 0.9)  # part of the way in which the current counts
 WEIGHTS_MIN = 3
+READ_ATTEMPTS = 3
 SAMPLES_MIN = 5
 
 
@@ -173,20 +174,28 @@ def _turn_to(bus: Bus, motor: Motor, ticks: int) -> None:
         'goal_position', {motor.identity: ticks}, {motor.identity: motor.position_bounds}
     )
     time.sleep(SAMPLE_PERIOD_S)
-    read_state(bus, [motor])
-    if not motor.answers:
-        raise DriverError(f'{bus.path}: {motor}: no answer while calibrating; torque is off')
+    for _ in range(READ_ATTEMPTS):
+        read_state(bus, [motor])
+        if motor.answers:
+            return
+    raise DriverError(f'{bus.path}: {motor}: no answer while calibrating; torque is off')
 
 
 def _go(bus: Bus, motor: Motor, end: int, duration: float) -> float:
-    """Turn to `end` at constant speed; return the mean current on the steady part [A]."""
-    start, began = motor.ticks or 0, time.monotonic()
+    """
+    Turn to `end` at constant speed; return the mean current on the steady part [A].
+
+    A process that is late turns it more slowly, instead of leaving readings out.
+    """
+    start, part, before = motor.ticks or 0, 0.0, time.monotonic()
     currents = []
     wire = motor.wires[0]
-    while (part := (time.monotonic() - began) / duration) < 1.0:
+    while part < 1.0:
         _turn_to(bus, motor, round(start + part * (end - start)))
         if STEADY_PART[0] < part < STEADY_PART[1] and motor.current is not None:
             currents.append(wire.spool.direction * motor.current * motor.model.current_unit)
+        now = time.monotonic()
+        part, before = part + min(now - before, 2.0 * SAMPLE_PERIOD_S) / duration, now
     latest = time.monotonic() + ARRIVAL_TIMEOUT_S
     while abs((motor.ticks or 0) - end) > 0.2 * abs(end - start) and time.monotonic() < latest:
         _turn_to(bus, motor, end)  # the last goal may be an old one where this process was late

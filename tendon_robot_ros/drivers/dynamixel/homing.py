@@ -17,7 +17,12 @@ from ...common.errors import DriverError, MovedError
 from ..ports import PortLostError, travelled
 from .bus import Bus
 from .config import DynamixelConfig
-from .control_table import CURRENT_POSITION_MODE, RPM_PER_COUNT, TICKS_PER_TURN
+from .control_table import (
+    CURRENT_POSITION_MODE,
+    RPM_PER_COUNT,
+    TICKS_PER_TURN,
+    WATCHDOG_TRIPPED,
+)
 from .motor import Motor
 from .torque import read_state, torque_off, torque_on
 
@@ -38,7 +43,7 @@ class SlackSearch:
     goal: float  # ticks
     way: int  # +1 or -1, the direction of the ticks
     backing: bool
-    still_since: float | None = None
+    still: float = 0.0  # [s] for which it has not done as told
     stalls: tuple[int, ...] = ()
     missed: int = 0  # answers in a row
     done: bool = False
@@ -107,14 +112,21 @@ def _prepare(bus: Bus, config: DynamixelConfig, motors: list[Motor]) -> list[Sla
 def _search(
     bus: Bus, config: DynamixelConfig, searches: list[SlackSearch], cancelled: Callable[[], bool]
 ) -> None:
-    """Move all motors until every zero is known."""
-    deadline = time.monotonic() + 3.0 * config.home_travel / config.home_speed + 5.0
+    """
+    Move all motors until every zero is known.
+
+    A pause of this process counts as one cycle: nobody looked whether a motor turned meanwhile.
+    """
+    left, before = 3.0 * config.home_travel / config.home_speed + 5.0, time.monotonic()
     while not all(search.done for search in searches):
         if cancelled():
             raise DriverError(f'{bus.path}: looking for slack was cancelled; torque is off')
-        if time.monotonic() > deadline:
+        now = time.monotonic()
+        passed, before = min(now - before, 2.0 * CYCLE_S), now
+        left -= passed
+        if left < 0.0:
             raise DriverError(f'{bus.path}: looking for slack took too long; torque is off')
-        _cycle(bus, config, searches)
+        _cycle(bus, config, searches, passed)
         time.sleep(CYCLE_S)
     for search in searches:
         search.motor.zero = search.middle
@@ -139,10 +151,9 @@ def _end(bus: Bus, searches: list[SlackSearch]) -> None:
         gone.clear()
 
 
-def _cycle(bus: Bus, config: DynamixelConfig, searches: list[SlackSearch]) -> None:
+def _cycle(bus: Bus, config: DynamixelConfig, searches: list[SlackSearch], passed: float) -> None:
     """Move every goal a little, look at every motor."""
     read_state(bus, [search.motor for search in searches])
-    now = time.monotonic()
     for search in searches:
         search.missed = 0 if search.motor.answers else search.missed + 1
         if search.missed > MISSED_ANSWERS_MAX:
@@ -150,28 +161,28 @@ def _cycle(bus: Bus, config: DynamixelConfig, searches: list[SlackSearch]) -> No
         if search.missed:
             continue
         if search.backing:
-            _back_off(config, search, now)
+            _back_off(config, search, passed)
         elif search.middle is not None:
             _return(config, search, search.middle)
-        else:
-            _wind(config, search, now)
+        elif _wind(config, search, passed):
+            _require_awake(bus, search.motor)
+            _stalled(search)
     goals = {s.motor.identity: round(s.goal) for s in searches}
     bus.send_goals(
         'goal_position', goals, {s.motor.identity: s.motor.position_bounds for s in searches}
     )
 
 
-def _back_off(config: DynamixelConfig, search: SlackSearch, now: float) -> None:
+def _back_off(config: DynamixelConfig, search: SlackSearch, passed: float) -> None:
     """Pay out a little; refuse a motor that does not turn."""
     ticks = search.motor.ticks or 0
     search.goal = search.start - search.way * search.ticks(BACK_OFF_M)
     moved = abs(ticks - search.start)
     if moved >= 0.5 * search.ticks(BACK_OFF_M):
-        search.backing, search.goal = False, float(ticks)
-        search.still_since = None
+        search.backing, search.goal, search.still = False, float(ticks), 0.0
         return
-    search.still_since = search.still_since or now
-    if now - search.still_since > 2.0:
+    search.still += passed
+    if search.still > 2.0:
         amperes = (search.motor.guided or (0, (0, 0)))[0] * search.motor.model.current_unit
         raise DriverError(
             f'{config.port}: {search.motor}: does not turn with {amperes:.3f} A; calibrate it, '
@@ -179,22 +190,29 @@ def _back_off(config: DynamixelConfig, search: SlackSearch, now: float) -> None:
         )
 
 
-def _wind(config: DynamixelConfig, search: SlackSearch, now: float) -> None:
-    """Let the goal run ahead; a motor that stays behind and stands still has found the wire."""
+def _wind(config: DynamixelConfig, search: SlackSearch, passed: float) -> bool:
+    """Let the goal run ahead; tell whether the motor stays behind and stands still: wire found."""
     motor, ticks = search.motor, search.motor.ticks or 0
     lag, step = search.ticks(LAG_MAX_M), search.ticks(config.home_speed * CYCLE_S)
     search.goal += search.way * min(step, max(0.0, 2.0 * lag - abs(search.goal - ticks)))
     slow = (
         abs(motor.velocity) * RPM_PER_COUNT / 60.0 * TICKS_PER_TURN < 0.1 * step / CYCLE_S + 30.0
     )
-    if abs(search.goal - ticks) < lag or not slow:
-        search.still_since = None
-    elif search.still_since is None:
-        search.still_since = now
-    elif now - search.still_since > STALLED_AFTER_S:
-        _stalled(search, ticks)
-        return
+    behind = slow and abs(search.goal - ticks) >= lag
+    search.still = search.still + passed if behind else 0.0
+    if search.still > STALLED_AFTER_S:
+        return True
     _stay_near(config, search)
+    return False
+
+
+def _require_awake(bus: Bus, motor: Motor) -> None:
+    """Refuse to take a motor that its watchdog has stopped for one that has found its wire."""
+    if bus.read(motor.identity, 'bus_watchdog') == WATCHDOG_TRIPPED:
+        raise MovedError(
+            f'{bus.path}: {motor}: its bus watchdog stopped it while it looked for slack: this '
+            'computer was late; torque is off'
+        )
 
 
 def _stay_near(config: DynamixelConfig, search: SlackSearch) -> None:
@@ -207,9 +225,10 @@ def _stay_near(config: DynamixelConfig, search: SlackSearch) -> None:
         )
 
 
-def _stalled(search: SlackSearch, ticks: int) -> None:
+def _stalled(search: SlackSearch) -> None:
+    ticks = search.motor.ticks or 0
     search.stalls += (ticks,)
-    search.goal, search.still_since = float(ticks), None
+    search.goal, search.still = float(ticks), 0.0
     search.way = -search.way
 
 

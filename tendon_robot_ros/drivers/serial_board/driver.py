@@ -175,7 +175,7 @@ class SerialDriver(PortDriver):
         heard = self._hear(min(3.0 * self.config.period, 0.03))
         self._read_at = time.monotonic()
         if heard is None:
-            if self._read_at - self._heard > max(TELEMETRY_SILENT_S, 5.0 * self.config.period):
+            if self.link.clock() - self._heard > max(TELEMETRY_SILENT_S, 5.0 * self.config.period):
                 self.telemetry = None
             return
         if not heard.flags & messages.CONFIGURED:
@@ -207,7 +207,7 @@ class SerialDriver(PortDriver):
         assert self.identity is not None
         heard = telemetry(self.link, self.identity.channels, wait)
         if heard is not None:
-            self.telemetry, self._heard = heard, time.monotonic()
+            self.telemetry, self._heard = heard, self.link.clock()
         return heard
 
     def read_again(self) -> None:
@@ -224,7 +224,7 @@ class SerialDriver(PortDriver):
         if not self.link.reopen():
             return False
         self.link.send(messages.HEARTBEAT)
-        self._heard = now
+        self._heard = self.link.clock()
         return True
 
     def _start_from_measured(self) -> None:

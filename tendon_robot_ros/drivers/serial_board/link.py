@@ -11,7 +11,7 @@ import serial
 
 from ...common.errors import DriverError
 from ..interface import Array
-from ..ports import PORT_ERRORS, PortLostError, take_alone, why_not
+from ..ports import PORT_ERRORS, PortLostError, take_alone, why_not, write_all
 from . import messages
 from .config import BoardConfig
 from .messages import VERSION, Frame, FrameReceiver, Identity, Telemetry, encode
@@ -30,8 +30,12 @@ class BoardLink:
         Frames of the board that never came, by their sequence numbers.
     sent_at : float
         `time.monotonic()` when something was last sent [s].
+    clock : callable
+        Tells how long the board has been silent [s].
 
     """
+
+    clock = staticmethod(time.monotonic)
 
     def __init__(self, path: str, baud: int) -> None:
         """Take the path of the port and its baud rate."""
@@ -71,7 +75,7 @@ class BoardLink:
         return self.connected
 
     def _open(self) -> None:
-        port = serial.Serial(self.path, self.baud, timeout=0, write_timeout=0.1, exclusive=True)
+        port = serial.Serial(self.path, self.baud, timeout=0, exclusive=True)
         try:
             take_alone(port.fileno())
             port.reset_input_buffer()
@@ -97,7 +101,7 @@ class BoardLink:
         self._sequence = (self._sequence + 1) & 0xFF
         self.sent_at = time.monotonic()
         try:
-            port.write(encode(kind, self._sequence, payload))
+            write_all(port.fileno(), encode(kind, self._sequence, payload))
         except PORT_ERRORS as error:
             self._lost(error)
         return self._sequence
