@@ -15,8 +15,10 @@ wires carried.
 - `rise`: by how much a wire was tighter after the cause than at it [N].
 
 Motors whose port is gone get no command: they wait for their watchdog, then have no current. It is
-short where the driver runs in real time: not under `nice`. A run that was broken off goes on with
-the `--resume FILE` that it was given.
+short where the driver runs in real time: not under `nice`. The wires pull springs: the model of
+the mock arm (`--arm plant`) holds up the emulated servos now and then, which no motor does. A run
+that was broken off goes on with the `--resume FILE` that it was given. One at a time: several
+chains in real time on two cores are in each other's way.
 """
 
 import argparse
@@ -197,7 +199,7 @@ def trial(chain, stops, kind, scale, number):
     if found is None:
         return None
     if found['rest_ms'] > 1e3 * SOON:  # to find out why: [ms] and currents [A]
-        found['trace'] = [[round(1e3 * (at - cause), 1), amperes] for at, amperes, _ in trace]
+        found['trace'] = [[round(1e3 * (at - cause), 1), amperes] for at, amperes, *_ in trace]
     return {**found, 'sent_ms': 1e3 * sent, 'ended_ms': ended}
 
 
@@ -292,7 +294,7 @@ def read_arguments():
     parser.add_argument('--minutes', type=float, default=1e6, help='stop after so long')
     parser.add_argument('--busy', type=int, default=0, help='busy processes beside it')
     parser.add_argument('--stop-time', type=float, default=0.06, help='[s]')
-    parser.add_argument('--arm', default='plant', choices=('plant', 'springs'))
+    parser.add_argument('--arm', default='springs', choices=('plant', 'springs'))
     parser.add_argument('--command-timeout', type=float, default=0.1, help='[s]')
     parser.add_argument('--watchdog', type=float, help="[s] of the motors; default: the driver's")
     parser.add_argument('--kinds', nargs='+', default=list(KINDS), choices=list(KINDS))

@@ -91,8 +91,11 @@ def at_once(process, priority=1):
     """
     Let a process run whatever the load, with its threads of now.
 
-    The electronics of a motor are no part of what is measured, nor is the finger that stops.
+    The electronics of a motor are no part of what is measured, nor is the finger that stops. Who
+    was started with `nice` lets others go first.
     """
+    if os.getpriority(os.PRIO_PROCESS, 0) > 0:
+        return
     with contextlib.suppress(PermissionError):
         for thread in os.listdir(f'/proc/{process}/task'):
             os.sched_setscheduler(int(thread), os.SCHED_RR, os.sched_param(priority))

@@ -1,11 +1,13 @@
 """A model that takes long, by an effect whose law does: the controller hears and commands on."""
 
+import signal
+
 import numpy as np
 import pytest
 
 pytest.importorskip('rclpy')
 
-from ros_station import Station, last, point, start, values
+from ros_station import Station, point, stamp, start, values
 
 from tendon_robot_ros.robot import dump_robot
 from tendon_robot_ros.ros.shared.files import read_robot
@@ -26,7 +28,13 @@ def law(stiffness, tendons, turns):
 EFFECT = Effect('slow', 'stiffness', 'stiffness',
                 (Parameter('turns', '1', 0.0, 1e7, 0.0, 1e3),), law)
 """
+ANSWERED_S = 1.0  # [s] in which a signal is answered
 TURNS = 2_000.0  # some 20 µs for every cell and evaluation: a search takes a second
+
+
+def lets_go(station, since):
+    """List the commands without tendons since then: the driver lets go."""
+    return [m for _, m in station.commands if not m.name and stamp(m) > since]
 
 
 def test_commands_stops_and_the_end_do_not_wait_for_the_model(tmp_path):
@@ -54,6 +62,10 @@ def test_commands_stops_and_the_end_do_not_wait_for_the_model(tmp_path):
         station.until_code(station.controller, 'holding')
         station.send('controller/target_point', point(0.2, 0.2))
         station.until_code(station.controller, 'searching')
-        assert controller.end() == 0  # it did not have to be killed
-    assert last(station.commands).name
+        sent = station.now()
+        controller.process.send_signal(signal.SIGINT)
+        station.until(lambda: lets_go(station, sent), 'the word that lets go')
+        assert stamp(lets_go(station, sent)[0]) - sent < ANSWERED_S
+        station.until(lambda: controller.process.poll() is not None, 'its end')
+        assert controller.process.returncode == 0
     station.close()

@@ -1,5 +1,6 @@
 """Two senders of one topic: the first is followed until it is gone, the other is named."""
 
+import math
 import re
 import signal
 import sys
@@ -12,13 +13,17 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from diagnostic_msgs.msg import DiagnosticStatus
-from ros_station import Station, last, point, start, values
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.qos import QoSProfile
+from ros_station import Station, last, point, stamp, start, values
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.ros.shared.messages import LATCHED
 from tendon_robot_ros.ros.shared.origin import Received
 from tendon_robot_ros.ros.shared.senders import GONE_AFTER_S, Senders, signature
+
+NAMED_S = 0.5  # [s] after which all name another who commands
+EVERY = QoSProfile(depth=1000)
 
 
 def numbered(number):
@@ -116,6 +121,15 @@ def robot(request, tmp_path):
     station.close()
 
 
+def named_at(heard, node, key, name):
+    """Return the stamp of the first status in which a node names another [s], or infinity."""
+    for _, message in heard:
+        said = {item.name: values(item) for item in message.status}.get(node, {})
+        if name in said.get(key, ''):
+            return stamp(message)
+    return math.inf
+
+
 @pytest.mark.ros
 def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
     robot.run('driver')
@@ -123,7 +137,12 @@ def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
     robot.until_code(robot.controller, 'holding', timeout=120.0)
     robot.go_to_point(0.06, 0.17)
     second = robot.hear(DiagnosticStatus, 'second/status', LATCHED)
+    heard, own = robot.hear(DiagnosticArray, '/diagnostics', EVERY), robot.namespace
     intruder = robot.run('controller', extra=('-r', '__node:=second'))
+    robot.until(
+        lambda: robot.node.count_publishers(f'{own}/tendon_command') == 2, 'the second', 120.0
+    )
+    there = robot.now()
     robot.until_code(second, 'driver_stopped', timeout=120.0)
     assert f'it follows {robot.namespace}/controller (process' in last(second).message
     robot.until(lambda: '/second (process' in last(robot.driver).message, 'the driver to say so')
@@ -132,6 +151,15 @@ def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
         'the first to say so',
     )
     assert values(last(second))['other_controllers'] == f'{robot.namespace}/controller'
+    commanded = next(stamp(m) for _, m in robot.commands if '/second' in m.header.frame_id)
+    for node, key, name, begun in (
+        ('controller', 'other_controllers', '/second', there),
+        ('driver', 'ignored', '/second', commanded),
+        ('second', 'other_controllers', '/controller', commanded),
+    ):
+        wanted = f'{own}/{node}', key, name
+        robot.until(lambda wanted=wanted: named_at(heard, *wanted) < math.inf, wanted)
+        assert named_at(heard, *wanted) - begun < NAMED_S
     robot.send('second/target_point', point(-0.06, 0.17))
     robot.spin(0.5)
     assert robot.tip() == pytest.approx([0.06, 0.0, 0.17], abs=1e-3)

@@ -32,9 +32,16 @@ def end_with_parent() -> None:
 # -----------------------------------------------------------------------------
 # What controls motors goes before other work of the machine, where that is allowed (Linux).
 
+# [s] a thread that talks to motors waits so long after each of its words (default 5 ms)
+SWITCH_INTERVAL_S = 0.0005
 FIRST_NICENESS = -15  # nice value; the kernel's own threads stay before it
 # of SCHED_RR, first what moves motors; what the kernel does for devices is at 50
 REALTIME_PRIORITY, REALTIME_PRIORITY_SECOND = 5, 4
+
+
+def switch_often() -> None:
+    """Let no thread's Python hold up that of another for more than a moment."""
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
 
 
 def go_first() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import threading
 import time
 from collections import Counter, deque
@@ -12,12 +11,11 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from ..common.errors import TendonRobotError
+from ..common.processes import switch_often
 
 GiveUp = Callable[[], bool]
 Work = Callable[[GiveUp], Any]  # reads no state that the commanding thread changes
 Done = Callable[[Any, TendonRobotError | None], None]
-# [s] for which the solver's Python may hold up the commands (default 5 ms)
-SWITCH_INTERVAL_S = 0.001
 SOLVER = 'solver'  # name of the thread
 END_TIMEOUT_S = 0.2  # [s] to wait for what is being evaluated
 
@@ -110,7 +108,7 @@ class Worker:
         self._answered: deque[tuple[str, _Job]] = deque()
         self._open: Counter[str] = Counter()
         self._ended = False
-        sys.setswitchinterval(SWITCH_INTERVAL_S)
+        switch_often()
         self._thread = threading.Thread(target=self._work, name=SOLVER, daemon=True)
         self._thread.start()
 

@@ -22,7 +22,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from ...common.errors import InputError, TendonRobotError
-from ...common.processes import child_environment, end_with_parent, go_first
+from ...common.processes import child_environment, end_with_parent, go_first, switch_often
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 # [s] launch passes on the signal that the terminal or systemd has sent to all, too
@@ -185,6 +185,7 @@ def run(make: Callable[[], Runnable], arguments: Sequence[str], first: bool = Fa
     """
     if first:
         go_first()
+        switch_often()
     with ros(arguments, first) as ending:
         executor = make_executor()
         runnable = None

@@ -18,7 +18,7 @@ GONE_AFTER_S = 1.0  # [s] of silence; a shorter one may be a busy machine
 UNKNOWN = '_NODE_NAME_UNKNOWN_'  # of rmw, while discovery is under way
 UNSIGNED = 'one that does not sign'
 SIGNATURE_LENGTH_MAX, NAMED_MAX = 200, 8  # anybody may send anything
-LOOK_PERIOD_S = 0.25  # [s]
+LOOK_PERIOD_S = 0.1  # [s]
 PF_EXITING = 0x4  # of the kernel, include/linux/sched.h
 PROCESS = re.compile(r'\(process (?P<process>\d{1,9}) @ (?P<machine>\w+)\)$')
 
@@ -133,7 +133,7 @@ class OtherPublishers:
         self._names, self._looked = '', float('-inf')
 
     def names(self, now: float) -> str:
-        """Return who is there, '' for nobody; looked up four times a second."""
+        """Return who is there, '' for nobody; looked up ten times a second."""
         if now - self._looked >= LOOK_PERIOD_S:
             self._looked, self._names = now, self._look()
         return self._names
