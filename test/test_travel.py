@@ -13,7 +13,7 @@ from tendon_robot_ros.common.errors import DriverError, MovedError
 pytest.importorskip('dynamixel_sdk')
 
 from tendon_robot_ros.drivers.dynamixel import driver as module
-from tendon_robot_ros.drivers.dynamixel.tables import WATCHDOG_TRIPPED
+from tendon_robot_ros.drivers.dynamixel.control_table import WATCHDOG_TRIPPED
 
 TRAVEL = 0.01  # [m]
 MORE = 0.002  # [m] the back-off, and what a motor turns until it is told to stop
