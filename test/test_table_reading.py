@@ -149,6 +149,35 @@ def test_the_export_of_optitrack_is_read_with_its_header_rows(tmp_path):
     assert np.isnan(table.columns['tip Z'][1])
 
 
+VICON = """\
+Trajectories
+100
+,,arm:elbow,,,arm:tip,,
+Frame,Sub Frame,X,Y,Z,X,Y,Z
+,,mm,mm,mm,mm,mm,mm
+1,0,1,2,3,4,5,6
+2,0,1,2,3,,,
+"""
+
+
+def test_an_export_of_vicon_gives_markers_their_unit_time_and_up(tmp_path):
+    table = read(tmp_path, VICON)
+    markers = guess_markers(names_of(table))
+    assert list(markers) == ['elbow', 'tip']
+    assert table.columns[markers['tip'][1]].tolist()[0] == 5.0
+    assert np.isnan(table.columns['tip Z'][1])
+    assert table.units['tip X'] == 'mm'
+    assert table.up == 'z'
+    assert guess_time(names_of(table)).column == 'time'
+    assert table.columns['time'].tolist() == [0.01, 0.02]
+
+
+@pytest.mark.parametrize('text', ['Devices\n1000\n', VICON.replace('100\n', '\n', 1)])
+def test_another_export_of_vicon_is_refused(text, tmp_path):
+    with pytest.raises(DataSetError, match='export from Nexus the section Trajectories alone'):
+        read(tmp_path, text)
+
+
 def test_an_export_of_optitrack_without_its_rows_is_refused(tmp_path):
     with pytest.raises(DataSetError, match='has no rows Name and Frame; export markers from'):
         read(tmp_path, 'Format Version,1.23\n1,2\n')

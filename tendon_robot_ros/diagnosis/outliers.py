@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,9 +65,10 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
     counted = np.maximum(dataset.mask.sum(axis=2), 1)
     trials |= (readings.sum(axis=2) > MARKERS_OFF_SHARE * counted) & (counted > 2)
     trials &= (trials.sum(axis=1) < 0.5 * dataset.trials)[:, None]  # the rest must agree
-    moved = np.linalg.norm(
-        dataset.positions - np.nanmedian(dataset.positions, axis=1, keepdims=True), axis=-1
-    )
+    with warnings.catch_warnings():  # a marker that no trial of a posture saw is nowhere
+        warnings.simplefilter('ignore', RuntimeWarning)
+        middle = np.nanmedian(dataset.positions, axis=1, keepdims=True)
+    moved = np.linalg.norm(dataset.positions - middle, axis=-1)
     return Outliers(readings & ~trials[..., None], trials, moved)
 
 

@@ -88,8 +88,11 @@ def _choose_times(
     if times and not all(time_column(table, times) for table in tables):
         lacking = next(table for table in tables if not time_column(table, times))
         raise DataSetError(lacking.name, 'has no column of times', 'say --time COLUMN')
-    if not times and len(tables) > 1:
-        assumed.append('no column of times: every row is a measurement')
+    if not times:
+        assumed.append(
+            'no column of times: every row is a measurement of the arm at rest '
+            '(a recording? name the column: --time COLUMN)'
+        )
     return replace(recipe, time=times or None)
 
 

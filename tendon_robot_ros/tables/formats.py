@@ -71,6 +71,59 @@ def optitrack_header(
     return tuple(names), units, number + 1, notes
 
 
+def is_vicon(lines: Sequence[str]) -> bool:
+    """Tell an export of Nexus by its first line, the name of a section."""
+    return bool(lines) and lines[0].strip().strip(',"') in ('Trajectories', 'Devices', 'Joints')
+
+
+def vicon_header(
+    shown: str, lines: Sequence[str]
+) -> tuple[tuple[str, ...], dict[str, str], int, tuple[str, ...], float]:
+    """
+    Read the header rows of the section Trajectories of Vicon Nexus' CSV export.
+
+    Below the name of the section stand frames per second, a marker above its x, the axes, units.
+
+    Returns
+    -------
+    names, units, skip, notes, rate
+        As of `optitrack_header`; `time` counts frames, `rate` of them a second.
+
+    Raises
+    ------
+    DataSetError
+        A row is missing, or another section begins the file.
+
+    """
+    rows = [[cell.strip() for cell in row] for row in csv.reader(lines[:5])]
+    try:
+        rate = float(rows[1][0])
+        axes, told = rows[3], rows[4]
+        owners = [*rows[2], *([''] * len(axes))]
+    except (ValueError, IndexError):
+        rate, axes, told, owners = 0.0, [], [], []
+    if rows[0][0] != 'Trajectories' or rate <= 0.0 or axes[:1] != ['Frame']:
+        raise DataSetError(
+            shown,
+            'begins as an export of Vicon, but not with frames of trajectories',
+            'export from Nexus the section Trajectories alone, with its header rows',
+        )
+    names, owner = ['time', UNUSED], ''
+    for i in range(2, len(axes)):
+        owner = owners[i].rpartition(':')[2] or owner
+        is_place = axes[i] in ('X', 'Y', 'Z')
+        names.append(f'{owner} {axes[i]}' if is_place else f'{UNUSED} {i + 1} {axes[i]}')
+    stands = [n for i, n in enumerate(names) if names.index(n) != i]
+    if stands:
+        raise DataSetError(shown, f'column {stands[0]!r} stands twice', 'rename that marker')
+    units = {'time': 's'}
+    for name, unit in zip(names[2:], told[2:], strict=False):
+        if find_unit(unit) is not None:
+            units[name] = unit
+    notes = (f'exported by Vicon, {rate:g} frames a second, z up',)
+    return tuple(names), units, 5, notes, rate
+
+
 def read_c3d(shown: str, path: Path) -> RawTable:
     """
     Read the points of a .c3d file, and its analog channels as means over each frame.

@@ -1,4 +1,4 @@
-"""A file as laboratories have them to named columns: CSV, Parquet, OptiTrack's CSV, .c3d."""
+"""A file to named columns: CSV, also OptiTrack's and Vicon's, Parquet, .c3d."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from ..common.dataframes import pandas
 from ..common.errors import DataSetError, MissingExtraError, short
 from ..common.units import find_unit
-from .formats import is_optitrack, optitrack_header, read_c3d
+from .formats import is_optitrack, is_vicon, optitrack_header, read_c3d, vicon_header
 from .raw_table import MISSING, RawTable, is_number, table_of
 
 BYTES_MAX = 1_000_000_000  # of a file: its numbers and their parse must fit into the memory
@@ -95,6 +95,11 @@ def _read_text(shown: str, path: Path) -> RawTable:
         names, units, skip, told = optitrack_header(shown, lines)
         table = _numbers(shown, path, TextLayout(encoding, ',', names, units, skip, told))
         return replace(table, up='y')
+    if is_vicon(lines):
+        names, units, skip, told, rate = vicon_header(shown, lines)
+        table = _numbers(shown, path, TextLayout(encoding, ',', names, units, skip, told))
+        columns = {**table.columns, 'time': table.numbers('time') / rate}
+        return replace(table, columns=columns, up='z')
     return _numbers(shown, path, _layout(shown, lines, encoding, notes))
 
 
