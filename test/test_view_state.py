@@ -2,7 +2,10 @@
 
 import json
 
+import pytest
+
 from tendon_robot_ros.diagnosis.decide import Verdict
+from tendon_robot_ros.ros.viewer import page_parts
 from tendon_robot_ros.ros.viewer.state import ViewState
 
 
@@ -34,10 +37,11 @@ def test_the_page_leads_from_the_first_click_to_the_fallen_error():
     assert 'Click 2' in said(state, recording='true', postures='9')
     assert state.can_diagnose
     assert 'Comparing every' in said(state, postures='9', diagnosing='true')
-    assert not state.can_diagnose
+    assert not state.can_diagnose and not state.can_record
     state.hear_verdict(published(Verdict.MISSING_EFFECT))
     assert 'Fitting' in said(state, postures='9', diagnosing='true')
     assert 'Click 3' in said(state, postures='9', addition='gravity')
+    assert state.can_record
     assert state.can_add
     assert 'now has gravity' in said(state, postures='9', added='1')
     assert not state.can_add
@@ -64,3 +68,16 @@ def test_reset_is_offered_after_a_stop_only():
     assert not state.stopped
     state.hear_status(0.0, 'driver', 2, '', {'stopped': 'true'})
     assert state.stopped
+
+
+def test_the_marker_that_is_off_most_is_named_as_of_now():
+    state = ViewState(marker_errors=(0.001, 0.004, 0.002))
+    assert state.per_marker() == 'this moment most at marker 2 of 3: 4.00 mm'
+    state.marker_errors = (0.001, float('nan'), 0.002)
+    assert state.per_marker() == 'this moment most at the tip: 2.00 mm'
+
+
+@pytest.mark.parametrize(('length', 'square'), [(0.0312, 0.02), (0.05, 0.05), (1.2, 1.0)])
+def test_squares_of_the_grid_have_round_sizes(length, square):
+    assert page_parts.round_length(length) == pytest.approx(square)
+    assert f'a square of the grid: {1e3 * square:g} mm' in page_parts.legend(square)

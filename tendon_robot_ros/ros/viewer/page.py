@@ -102,7 +102,12 @@ class LivePage:
             self._buttons['record'].label = label
         if self._buttons['reset'].visible != state.stopped:
             self._buttons['reset'].visible = state.stopped
-        for name, on in (('diagnose', state.can_diagnose), ('add', state.can_add)):
+        ready = {
+            'record': state.can_record,
+            'diagnose': state.can_diagnose,
+            'add': state.can_add,
+        }
+        for name, on in ready.items():
             if self._buttons[name].disabled == on:
                 self._buttons[name].disabled = not on
         if self._tour.value != state.touring:
@@ -115,8 +120,9 @@ class LivePage:
         camera.position = (0.1 * size, -1.75 * size, 0.7 * size)
         camera.look_at = (0.1 * size, 0.0, 0.45 * size)
         camera.near = 0.01 * size
-        scene.add_grid('/grid', width=2.0 * size, height=2.0 * size, cell_size=0.1 * size,
-                       section_size=0.5 * size)  # fmt: skip
+        self._square = page_parts.round_length(0.15 * size)
+        scene.add_grid('/grid', width=2.0 * size, height=2.0 * size, cell_size=self._square,
+                       section_size=5.0 * self._square)  # fmt: skip
         self._lines: dict[str, Any] = {}
         self._target = scene.add_transform_controls(
             '/target', scale=0.22 * size, disable_rotations=True, disable_sliders=True,
@@ -144,7 +150,7 @@ class LivePage:
         if panel is not None:
             panel.dock_right()
         gui.set_panel_label('tendon robot, live')
-        self._boxes: dict[str, Any] = {'legend': gui.add_html(page_parts.legend())}
+        self._boxes: dict[str, Any] = {'legend': gui.add_html(page_parts.legend(self._square))}
         for name in ('error', 'curve', 'guide'):
             self._boxes[name] = gui.add_html('')
         self._buttons: dict[str, Any] = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
@@ -16,14 +17,15 @@ CURVE_SPAN_S = 120.0  # [s] that the curve shows
 STYLE = f'font-family:system-ui,sans-serif;font-size:13px;color:{INK};padding:2px 12px'
 
 
-def legend() -> str:
-    """Say which colour is which."""
+def legend(square: float) -> str:
+    """Say which colour is which, and how long a square [m] of the grid is."""
     line = '<span style="display:inline-block;width:22px;border-top:{} {}"></span> {}'
     return (
         f'<div style="{STYLE}">'
         + line.format('5px solid', MEASURED, 'measured &nbsp; ')
         + line.format('5px solid', PREDICTED, 'predicted &nbsp; ')
         + line.format('2px dashed', ERROR, 'error')
+        + f'<br><span id="scale">a square of the grid: {1e3 * square:g} mm</span>'
         + '</div>'
     )
 
@@ -42,7 +44,7 @@ def big_error(rolling: float, tip: str) -> str:
     shown = mm(rolling) if np.isfinite(rolling) else '–'
     return (
         f'<div style="{STYLE}">off by <b id="tip-error" style="font-size:24px">{shown}</b> '
-        f'at the tip <span style="color:{ERROR}">{escape(tip)}</span></div>'
+        f'at the tip (rms, lately) <br><span style="color:{ERROR}">{escape(tip)}</span></div>'
     )
 
 
@@ -96,7 +98,8 @@ def _axes(top: float, floor: float | None) -> list[str]:
         band = _y(0.0, top) - _y(min(1e3 * floor, top), top)
         parts.append(
             f'<rect x="{LEFT}" y="{_y(0.0, top) - band:.1f}" width="{WIDTH - LEFT}" '
-            f'height="{band:.1f}" fill="#78828c" opacity="0.25"><title>noise floor</title></rect>'
+            f'height="{band:.1f}" fill="#78828c" opacity="0.25"/>'
+            f'<text x="{LEFT + 4}" y="{_y(0.0, top) - 4:.1f}" fill="#4b545e">repeatability</text>'
         )
     for value in _ticks(top):
         parts.append(
@@ -181,6 +184,12 @@ def statuses(nodes: Mapping[str, tuple[str, str]]) -> str:
         for name, (level, text) in nodes.items()
     )
     return f'<div style="{STYLE}">{rows}</div>'
+
+
+def round_length(length: float) -> float:
+    """Return the nearest of 1, 2, 5, 10, ... below a length [m]."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return power * next(step for step in (5.0, 2.0, 1.0) if step * power <= 1.0001 * length)
 
 
 def _ticks(top: float) -> list[float]:

@@ -66,9 +66,14 @@ class ViewState:
         )
 
     @property
+    def can_record(self) -> bool:
+        """Whether nothing is being diagnosed or fitted: that takes the recording."""
+        return self.monitor.get('diagnosing') != 'true'
+
+    @property
     def can_diagnose(self) -> bool:
         """Whether there is something to diagnose."""
-        return self.postures >= 2 and self.monitor.get('diagnosing') != 'true'
+        return self.postures >= 2 and self.can_record
 
     @property
     def can_add(self) -> bool:
@@ -120,12 +125,13 @@ class ViewState:
         return np.stack([predicted, np.where(unseen[:, None], predicted, measured)], axis=1)
 
     def per_marker(self) -> str:
-        """Name the worst marker."""
+        """Name the marker that is off most, now."""
         sizes = np.array(self.marker_errors)
         if not len(sizes) or not np.isfinite(sizes).any():
             return ''
         worst = int(np.nanargmax(sizes))
-        return f'worst marker {worst + 1} of {len(sizes)}: {mm(float(sizes[worst]))}'
+        place = 'the tip' if worst == len(sizes) - 1 else f'marker {worst + 1} of {len(sizes)}'
+        return f'this moment most at {place}: {mm(float(sizes[worst]))}'
 
     def statuses(self, now: float) -> dict[str, tuple[str, str]]:
         """Return name -> (level, sentence) of the nodes; old news is silence."""
