@@ -5,10 +5,11 @@ import pytest
 
 from tendon_robot_ros.common.errors import DataSetError, InputError
 from tendon_robot_ros.data import load_dataset, save_dataset
+from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring import History, Monitor, StillWindow
-from tendon_robot_ros.monitoring.job import Work
+from tendon_robot_ros.monitoring.job import Work, guide_of
 from tendon_robot_ros.ros.shared.files import read_robot
 from tendon_robot_ros.simulation.rehearsal import Story, choices, draw, refined, tour
 
@@ -28,6 +29,12 @@ def test_a_moment_between_two_samples_has_the_value_between():
     assert history.at(1.15) == pytest.approx([1.0])
     assert history.at(0.9) is None
     assert history.at(1.3) is None, 'nobody knows after the patience'
+
+
+def test_where_no_effect_is_the_cause_the_recording_offers_to_improve(tmp_path):
+    said = guide_of(Verdict.OUTSIDE_CATALOGUE, tmp_path)
+    assert f'improve {tmp_path} --output {tmp_path / "improved.yaml"}' in said
+    assert guide_of(Verdict.MISSING_EFFECT, tmp_path) == Verdict.MISSING_EFFECT.guide
 
 
 def test_late_samples_are_dropped_and_a_gap_is_not_bridged():

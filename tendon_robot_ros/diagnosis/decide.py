@@ -155,7 +155,8 @@ class Verdict(StrEnum):
         'OUTSIDE THE CATALOGUE: {what_remains}.',
         'bad',
         'Nothing is added by itself; if part of the way helps: '
-        '`{command} --add better.yaml --partial`',
+        '`{command} --add better.yaml --partial`; several, while the error on left-out postures '
+        'falls: `improve`',
         'The catalogue has no name for this cause, so nothing is added. What the remainder looks '
         'like is said below.',
     )

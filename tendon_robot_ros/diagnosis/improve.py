@@ -34,7 +34,7 @@ from .stepwise import POSTURES_MIN, STEPS_MAX, State, Stepwise
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
-GROUPS_MAX = 16  # groups of postures that the search is made without
+GROUPS_MAX = 8  # groups of postures that the search is made without
 
 
 def improve(

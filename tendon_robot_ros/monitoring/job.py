@@ -18,11 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import InputError, TendonRobotError
-from ..common.words import listed, mm
+from ..common.words import PROGRAM, listed, mm
 from ..diagnosis.decide import Verdict
 
 NICENESS = 5  # control comes first
 RESULT, REPORT, BETTER = 'diagnosis.json', 'diagnosis.html', 'better.yaml'
+IMPROVED = 'improved.yaml'
 
 
 class DiagnosisJob:
@@ -95,7 +96,7 @@ def work(folder: Path, effects: Sequence[str]) -> None:
     report = _report(diagnosis, folder / REPORT)
     say('verdict', content=diagnosis.to_json() | {
         'sentence': verdict(diagnosis), 'lines': lines(diagnosis), 'report': report,
-        'colour': diagnosis.verdict.colour, 'guide': diagnosis.verdict.guide,
+        'colour': diagnosis.verdict.colour, 'guide': guide_of(diagnosis.verdict, folder),
         'may_add': diagnosis.adds,
     })  # fmt: skip
     if diagnosis.effects:
@@ -110,6 +111,14 @@ def work(folder: Path, effects: Sequence[str]) -> None:
             before=made.check.before, after=made.check.after, floor=made.check.floor)  # fmt: skip
         _illustrate(diagnosis, dataset, catalogue, made, folder / REPORT)
     say('done')
+
+
+def guide_of(verdict: Verdict, folder: Path) -> str:
+    """Say what to do next: where no effect is the cause, some together may still help."""
+    if verdict is not Verdict.OUTSIDE_CATALOGUE:
+        return verdict.guide
+    command = f'{PROGRAM} improve {folder} --output {folder / IMPROVED}'
+    return f'{verdict.guide} What lowers the error all the same, effect by effect: {command}'
 
 
 def _report(diagnosis: Any, path: Path, made: Any = None, pictures: Any = None) -> str:
