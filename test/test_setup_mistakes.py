@@ -46,6 +46,23 @@ def test_a_mistake_is_named_with_the_error_before_and_after(right, name):
     assert found.after < 1e-3
 
 
+def test_markers_a_cell_further_than_said_are_named_and_the_tip_marker_is_among_them(right):
+    cell = ROBOT.sections[0].cell_length
+    markers = tuple(replace(m, arc_length=max(m.arc_length - cell, 0.0)) for m in right.markers)
+    wrong = replace(right, markers=markers)
+    found = find_mistake(Predictor(wrong, ROBOT, CATALOGUE), FLOOR)
+    assert found is not None and found.name == 'markers_elsewhere'
+    assert '1 cell nearer to the tip' in found.sentence
+
+
+def test_a_mistake_without_which_nothing_settles_says_the_best_factor(right):
+    section = ROBOT.sections[0]
+    soft = replace(section, bending_stiffness=tuple(0.1 * k for k in section.bending_stiffness))
+    found = diagnose(replace(right, robot=replace(ROBOT, sections=(soft,))))
+    assert found.details['mistake']['name'] == 'unit_of_inputs'
+    assert 'divided by 10' in found.remainder
+
+
 def test_a_frozen_marker_is_named(right):
     positions = right.positions.copy()
     positions[:, :, 9] = positions[0, 0, 9]
@@ -66,6 +83,7 @@ PHYSICS = {
     'hinge_friction': {'lever': 3e-4},
     'tip_load': {'force_x': 3e-3},
     'nonlinear_stiffness': {'cubic': 3.0},
+    'base_misalignment': {'rotation_y': 0.08},
 }
 
 

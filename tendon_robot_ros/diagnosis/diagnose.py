@@ -61,6 +61,8 @@ def diagnose(
         dataset, robot or dataset.robot, catalogue or load_catalogue(), workers, progress
     )
     lacking = _what_is_lacking(session)
+    if isinstance(lacking, Mistake):
+        return _mistaken(session, lacking)
     if lacking:
         return _cannot_judge(session, lacking)
     session.leave_out(find_outliers(session.predictor, {}))
@@ -79,8 +81,8 @@ def diagnose(
     return diagnosis
 
 
-def _what_is_lacking(session: Session) -> str:
-    """Say what is needed before anything can be judged; empty when nothing is."""
+def _what_is_lacking(session: Session) -> str | Mistake:
+    """Say what is needed, or wrong, before anything can be judged; empty when nothing is."""
     dataset = session.dataset
     measured = int((dataset.trials > 0).sum())
     if measured < POSTURES_MIN:
@@ -91,7 +93,7 @@ def _what_is_lacking(session: Session) -> str:
         mistake = find_mistake(session.predictor, 0.0)
         if mistake is None:
             raise
-        return mistake.text(np.inf)
+        return mistake
     if not session.weigh({}):
         return (
             'one trial per posture and no position_noise in dataset.yaml: repeat the '
@@ -233,11 +235,11 @@ def _result(
 def _mistaken(session: Session, mistake: Mistake) -> Diagnosis:
     """Say the mistake of the set-up; no effect is judged before it is mended."""
     markers = session.predictor.markers({})
-    assert markers is not None
-    diagnosis = _cannot_judge(session, mistake.text(rms(session.dataset.mean - markers)))
+    before = np.inf if markers is None else rms(session.dataset.mean - markers)
+    diagnosis = _cannot_judge(session, mistake.text(before))
     return replace(
         diagnosis,
-        noise_floor=session.whitener.floor(),
+        noise_floor=diagnosis.noise_floor if markers is None else session.whitener.floor(),
         error_after=mistake.after,
         details={**diagnosis.details, 'mistake': asdict(mistake)},
     )

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from ..common.rotations import rigid_fit, turn_angle
 from ..comparison.noise import rms
 from ..comparison.predict import Predictor
+from .decide import FRAME_OFF_SHARE_MIN, FRAME_TURNED_MIN_DEG
 
 Floats = npt.NDArray[np.float64]
 INPUTS_PERMUTED_MAX = (
@@ -153,11 +154,14 @@ def _axes(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
 
 
 def _registered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
-    """Try a free rigid registration, any angle (Kabsch)."""
+    """Try a free rigid registration (Kabsch); a small one is an effect's: a load does the same."""
     measured = predictor.dataset.mean
     seen = np.isfinite(measured).all(axis=2)
     turn, shift = rigid_fit(measured[seen], markers[seen])
     angle = math.degrees(turn_angle(turn))
+    far = np.linalg.norm(shift) > FRAME_OFF_SHARE_MIN * predictor.robot.length
+    if angle < FRAME_TURNED_MIN_DEG and not far:
+        return
     millimetres = ', '.join(f'{1e3 * x:.1f}' for x in shift)
     yield Mistake(
         'registration',
@@ -268,10 +272,11 @@ def _spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     ]  # fmt: skip
     for how, share, shift in moves:
         along = [share * m.arc_length + shift for m in dataset.markers]
-        if min(along) < 0.0 or max(along) > length:
+        if min(along) < -1e-9 * length or max(along) > (1.0 + 1e-9) * length:
             continue
         spots = tuple(
-            replace(m, arc_length=s) for m, s in zip(dataset.markers, along, strict=True)
+            replace(m, arc_length=s)
+            for m, s in zip(dataset.markers, np.clip(along, 0.0, length).tolist(), strict=True)
         )
         other = Predictor(
             replace(dataset, markers=spots), predictor.robot, predictor.model.catalogue
@@ -287,8 +292,9 @@ def _spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
 
 
 OF_INPUTS = (_swapped, _units)  # that can be why there is no equilibrium
-# The plainest first: what a free registration can do, some of the others can do as well.
-HYPOTHESES = (
+# The plainest first: what a free registration can do, some of the others can do as well. It can
+# also do what a tilted base does, which is an effect: only a gross error is laid to it.
+DISCRETE = (
     _swapped,
     _loose,
     _numbered,
@@ -298,5 +304,5 @@ HYPOTHESES = (
     _spots,
     _cells,
     _axes,
-    _registered,
 )
+HYPOTHESES = (*DISCRETE, _registered)

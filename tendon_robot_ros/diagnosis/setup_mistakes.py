@@ -20,11 +20,12 @@ from .decide import (
     ERROR_SHARE_LEFT_MAX,
     EXPLAINED_WITHIN_FLOORS,
     GROSS_FROM_FLOORS,
+    ODD_FROM_FLOORS,
     ODD_FROM_SPREADS,
     STILL_FROM_FLOORS,
     STILL_SHARE_MAX,
 )
-from .setup_hypotheses import HYPOTHESES, OF_INPUTS, Mistake
+from .setup_hypotheses import DISCRETE, HYPOTHESES, OF_INPUTS, Mistake
 
 Floats = npt.NDArray[np.float64]
 
@@ -50,10 +51,11 @@ def find_mistake(predictor: Predictor, floor: float, usual: float = 0.0) -> Mist
     if few is not None:
         return few
     before = rms(predictor.dataset.mean - markers)
-    if before < GROSS_FROM_FLOORS * floor:
+    if before < ODD_FROM_FLOORS * floor:
         return None
+    tries = HYPOTHESES if before > GROSS_FROM_FLOORS * floor else DISCRETE
     enough = max(ERROR_SHARE_LEFT_MAX * before, EXPLAINED_WITHIN_FLOORS * floor, 2.0 * usual)
-    mistakes = [one for tried in HYPOTHESES for one in tried(predictor, markers)]
+    mistakes = [one for tried in tries for one in tried(predictor, markers)]
     likely = [one for one in mistakes if one.after < min(enough, ERROR_SHARE_LEFT_LIMIT * before)]
     return _plainest(likely, max(floor, 0.3 * usual))
 
@@ -68,11 +70,12 @@ def _shapeless(predictor: Predictor, floor: float) -> Mistake | None:
 
 
 def _plainest(likely: Sequence[Mistake], floor: float) -> Mistake | None:
-    """Return the first of those that do about as well as the best."""
+    """Return the first kind of those that do about as well as the best; of a kind the best."""
     if not likely:
         return None
     least = min(one.after for one in likely) + floor
-    return next(one for one in likely if one.after <= AS_GOOD_WITHIN * least)
+    plain = next(one for one in likely if one.after <= AS_GOOD_WITHIN * least)
+    return min((one for one in likely if one.name == plain.name), key=lambda one: one.after)
 
 
 def _frozen(predictor: Predictor, markers: Floats, floor: float) -> Mistake | None:
