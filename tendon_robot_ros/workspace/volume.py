@@ -16,8 +16,9 @@ from ..model.model import Model
 from ..robot import Robot
 from ..robot.routes import tendon_offsets
 from .cubes import LOOKS, Cubes, Floats, Reached, beyond, sphere_part
-from .grid import POSTURES_AT_ONCE, POSTURES_MAX, Progress
+from .grid import POSTURES_MAX, Progress
 
+ROUND_MAX = 5_000  # postures that are solved at once, between two looks at the edge
 POSTURES_PER_CUBE = 10  # wanted: fewer, and cubes stay empty by chance
 CUBES_MAX = 100.0  # along the arm
 LOW_SHARE, HIGH_SHARE = 0.5, 0.1  # of the tensions are the lowest and the highest there are
@@ -205,7 +206,7 @@ class _Walk:
 
     def run(self, postures: int, progress: Any) -> None:
         """Sample so many postures, the second half from the edge of what is known."""
-        at_once = min(POSTURES_AT_ONCE, max(postures // 20, 64))
+        at_once = min(ROUND_MAX, max(postures // 20, 64))
         done = 0
         while done < postures:
             count = min(at_once, postures - done)
