@@ -86,7 +86,7 @@ class DriverNode(ManagedNode):
         if self._stop_topic.says:
             self._stop_said(STOP_REASON)
         self.bus.start()
-        if goes_first() and not isinstance(driver, MockDriver):  # a mock arm can wait
+        if goes_first():
             go_realtime()
 
     def activate(self) -> None:
