@@ -36,7 +36,7 @@ def end_with_parent() -> None:
 SWITCH_INTERVAL_S = 0.0005
 FIRST_NICENESS = -15  # nice value; the kernel's own threads stay before it
 # of SCHED_RR, first what moves motors; what the kernel does for devices is at 50
-REALTIME_PRIORITY, REALTIME_PRIORITY_SECOND = 5, 4
+REALTIME_PRIORITY, REALTIME_PRIORITY_SECOND, REALTIME_PRIORITY_MOCK = 5, 4, 3
 
 
 def switch_often() -> None:

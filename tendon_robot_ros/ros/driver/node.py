@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from ...common.errors import TendonRobotError
-from ...common.processes import go_realtime
+from ...common.processes import REALTIME_PRIORITY, REALTIME_PRIORITY_MOCK, go_realtime
 from ...control.checks import Refusal, by_name, check_stamp, finite
 from ...drivers.mock import MockDriver
 from ...drivers.supervisor import FOLLOWING, LIMP, OFF, RELEASED, Supervisor
@@ -86,8 +86,9 @@ class DriverNode(ManagedNode):
         if self._stop_topic.says:
             self._stop_said(STOP_REASON)
         self.bus.start()
-        if goes_first():
-            go_realtime()
+        if goes_first():  # a mock arm computes: motors of another robot go before it
+            mock = isinstance(driver, MockDriver)
+            go_realtime(REALTIME_PRIORITY_MOCK if mock else REALTIME_PRIORITY)
 
     def activate(self) -> None:
         """Torque on, from the measured state."""
