@@ -165,6 +165,7 @@ class _Slopes:
         rates = np.ascontiguousarray(np.broadcast_to(np.eye(size), (b, size, size)))
         self.answers = np.empty((b, size, size))
         arrays = self.model.arrays
+        arrays.link()
         arrays.part('derivatives').responses(
             arrays.address,
             np.ascontiguousarray(shapes.inputs),
