@@ -15,7 +15,14 @@ from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from .arm_report import usual_floor
 from .candidates import Ranked
-from .decide import APART_FROM_SCORE, P_SINGLE_MIN, POSTURES_MIN, STRAY_SD_MAX, Verdict
+from .decide import (
+    APART_FROM_SCORE,
+    P_SINGLE_MIN,
+    PLAIN_WITHIN_FLOORS,
+    POSTURES_MIN,
+    STRAY_SD_MAX,
+    Verdict,
+)
 from .evidence import Evidence, best_rival, gather, is_alarming, outside_by_itself, remainder_text
 from .indistinct import indistinct
 from .next_measurement import propose
@@ -66,9 +73,18 @@ def diagnose(
     if lacking:
         return _cannot_judge(session, lacking)
     session.leave_out(find_outliers(session.predictor, {}))
-    mistake = find_mistake(session.predictor, session.whitener.floor(), usual_floor(session))
-    if mistake is not None:
+    usual = usual_floor(session)
+    mistake = find_mistake(session.predictor, session.whitener.floor(), usual)
+    if mistake is None:
+        return _judge(session)
+    if mistake.after <= PLAIN_WITHIN_FLOORS * usual:
         return _mistaken(session, mistake)
+    diagnosis = _judge(session)  # an effect that explains all is the better story
+    return diagnosis if diagnosis.verdict.may_add else _mistaken(session, mistake)
+
+
+def _judge(session: Session) -> Diagnosis:
+    """Judge the effects, the mistakes of the set-up being looked through."""
     evidence = gather(session)
     if not is_alarming(evidence):
         return _adequate(evidence)
