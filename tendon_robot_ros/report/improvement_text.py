@@ -57,10 +57,10 @@ def sentences(found: Improvement) -> list[str]:
     inside, before = found.chosen, total(first.left_out)
     said = [
         f'Postures that had no part in the search are predicted to {mm(total(last.left_out))} '
-        f'({mm(float(last.left_out[-1]))} at {found.markers[-1]}), by the description as it was '
-        f'to {mm(before)}; the noise floor is {mm(found.noise_floor)}.',
+        f'({mm(float(last.left_out[-1]))} at marker {found.markers[-1]}), by the description as '
+        f'it was to {mm(before)}; the noise floor is {mm(found.noise_floor)}.',
         'Where the number of steps is chosen without them as well: '
-        f'{mm(total(inside))} ({mm(float(inside[-1]))} at {found.markers[-1]}).',
+        f'{mm(total(inside))} ({mm(float(inside[-1]))} at marker {found.markers[-1]}).',
     ]
     if found.taken + 1 < len(found.steps):
         said.append('It stops there: what follows takes off no more than its scatter.')
@@ -95,9 +95,9 @@ def degrees(radians: float) -> str:
 def remains(found: Improvement) -> list[str]:
     """Say what is not explained: the worst postures, places, and that more is at work."""
     worst = sorted(found.tips.items(), key=lambda item: -item[1])[:WORST_POSTURES]
-    named = ', '.join(f'{posture} {mm(error)}' for posture, error in worst)
+    named = ', '.join(f'posture {posture} ({mm(error)})' for posture, error in worst)
     said = [
-        f'worst at {found.markers[-1]} when left out: {named}',
+        f'worst at marker {found.markers[-1]} when left out: {named}',
         *where_wrong(found.local_faults),
     ]
     return [*said, f'note: {found.more_at_work}'] if found.more_at_work else said
