@@ -224,7 +224,7 @@ def _straight(length: float) -> dict[str, Any]:
 
 
 def _thinned(rows: Numbers) -> Numbers:
-    return rows[np.linspace(0, len(rows) - 1, min(len(rows), CLOUD_MAX)).astype(int)]
+    return rows.take(np.linspace(0, len(rows) - 1, min(len(rows), CLOUD_MAX)).astype(int), axis=0)
 
 
 def _pulled(reached: Reached, row: int) -> str:
@@ -237,8 +237,9 @@ def _sections(volume: Volume, values: Floats, title: str, axis: int) -> Figure:
     reached, other = volume.reached, volume.frictionless
     across, up = (0, 2) if axis == 1 else (0, 1)
     cells = [reached.cells] + ([other.cells] if other is not None else [])
-    low = np.min([c.min(axis=0) for c in cells], axis=0)
-    high = np.max([c.max(axis=0) for c in cells], axis=0)
+    corners = np.array([(c.min(axis=0), c.max(axis=0)) for c in cells], dtype=np.int64)
+    low: Numbers = corners[:, 0].min(axis=0)
+    high: Numbers = corners[:, 1].max(axis=0)
     places = np.unique(np.linspace(low[axis], high[axis], SLICES_MAX).round().astype(int))
     middle = int(np.argmin(np.abs(places - (0 if axis == 1 else (low[2] + high[2]) // 2))))
     frame = (low[[across, up]], high[[across, up]], reached.edge)

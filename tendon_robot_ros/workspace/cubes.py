@@ -187,7 +187,8 @@ def beyond(cells: Numbers, known: Numbers) -> npt.NDArray[np.bool_]:
     near = np.zeros(np.maximum(cells.max(axis=0), known.max(axis=0)) - low + 2, dtype=bool)
     for step in np.ndindex(3, 3, 3):
         near[tuple((known - low + step - 1).T)] = True
-    return ~near[tuple((cells - low).T)]
+    known_or_beside: npt.NDArray[np.bool_] = near[tuple((cells - low).T)]
+    return ~known_or_beside
 
 
 def neighbours(cells: Numbers, is_flat: bool) -> Numbers:
