@@ -113,7 +113,9 @@ def judge(case: Case) -> Outcome:
         inside(case, found, values) if named else None,
         error_gone(found, sets, robot) if named else None,
         seconds,
-        scatter_inside(found, built) if case.level and right else None,
+        scatter_inside(found, built)
+        if case.level and right and case.hidden not in CAUSES
+        else None,
     )
 
 

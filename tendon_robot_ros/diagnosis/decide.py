@@ -13,7 +13,8 @@ from enum import StrEnum
 # Whether something is missing, and what.
 
 TESTED_FROM_CHI2 = 1.0  # whitened squared change by a typical size that counts as tested
-ALARM_LEVEL = 0.005  # of the omnibus alarm and of the best candidate's alarm, each
+ALARM_LEVEL = 0.005  # of the omnibus alarm, of the best candidate's and of a pattern's, each
+MISFIT_ALARM_LEVEL = 1e-4  # of the omnibus alarm of an arm as built, whose scatter is estimated
 P_SINGLE_MIN = 0.001  # p-value above which one effect is adequate
 P_SEVERAL_MIN = 0.01  # and several together
 APART_FROM_SCORE = 9.21  # chi² + 2 k within which candidates cannot be told apart

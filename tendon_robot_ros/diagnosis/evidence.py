@@ -12,6 +12,7 @@ from .candidates import Candidate, Ranked
 from .decide import (
     ALARM_LEVEL,
     APART_FROM_SCORE,
+    MISFIT_ALARM_LEVEL,
     NOISE_WITHIN_FLOORS,
     PATTERN_SHARE_MIN,
     STRAY_SD_MAX,
@@ -63,7 +64,8 @@ def gather(session: Session) -> Evidence:
 def is_alarming(evidence: Evidence) -> bool:
     """Tell whether the base model is off: as a whole, beyond a tolerance, or one effect gains."""
     session, base = evidence.session, evidence.base
-    if base.probability(session.freedom) < ALARM_LEVEL:
+    level = ALARM_LEVEL if base.built is None else MISFIT_ALARM_LEVEL
+    if base.probability(session.freedom) < level:
         return True
     if any(abs(z) > STRAY_SD_MAX for z in base.prior_z.values()):
         return True
