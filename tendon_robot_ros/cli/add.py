@@ -15,11 +15,8 @@ example: python -m tendon_robot_ros add hinge_friction --data data/hinge_frictio
 from __future__ import annotations
 
 import argparse
-import sys
 
 from ..diagnosis.add import add_effects
-from ..effects import load_catalogue
-from ..model.compile import is_compiled
 from ..report.addition_text import NOT_WRITTEN, addition_lines
 from .data_options import (
     add_data,
@@ -30,7 +27,7 @@ from .data_options import (
     refuse_existing,
     write_description,
 )
-from .options import REFUSED_EXIT_CODE, add_effect_files, add_json, emit
+from .options import REFUSED_EXIT_CODE, add_effect_files, add_json, effects_of, emit
 
 HELP = 'add a physical effect to a robot description, fitted on measurements'
 
@@ -53,9 +50,7 @@ def run(args: argparse.Namespace) -> int:
     refuse_existing('--output', args.output, args.overwrite)
     dataset = load_measurements(args.data, args.robot)
     check = load_check(args.check, dataset)
-    catalogue = load_catalogue(args.effect_file)
-    if not is_compiled(catalogue):
-        print('compiling the model (once)', file=sys.stderr)
+    catalogue = effects_of(args)
     made = add_effects(dataset, args.effects, None, catalogue, check)
     content = {**made.to_json(), 'written': args.output if made.helps else None}
     if made.helps:

@@ -14,7 +14,6 @@ example: python -m tendon_robot_ros compare data/hinge_friction/fit --pcca --rep
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,12 +22,10 @@ from ..comparison.compare import compare
 from ..comparison.saved import to_json
 from ..comparison.statistics import ERRORS
 from ..data import DataSet
-from ..effects import load_catalogue
-from ..model.compile import is_compiled
 from ..report.comparison_text import sentences, table
 from ..robot import Robot, load_robot
 from .data_options import add_data, load_measurements
-from .options import add_effect_files, add_json, emit
+from .options import add_effect_files, add_json, effects_of, emit
 
 HELP = 'compare models with measurements'
 
@@ -59,9 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Compare and print."""
     dataset = load_measurements(args.data, args.model[0] if args.model else None)
-    catalogue = load_catalogue(args.effect_file)
-    if not is_compiled(catalogue):
-        print('compiling the model (once)', file=sys.stderr)
+    catalogue = effects_of(args)
     comparison = compare(dataset, _models(args, dataset), catalogue, args.error)
     lines = [table(comparison), *sentences(comparison)]
     if args.report:

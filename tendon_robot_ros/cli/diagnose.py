@@ -15,7 +15,6 @@ example: python -m tendon_robot_ros diagnose data/hinge_friction/fit --add bette
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import replace
 from typing import Any
 
@@ -26,8 +25,7 @@ from ..diagnosis.decide import Verdict
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.session import Progress
-from ..effects import Catalogue, load_catalogue
-from ..model.compile import is_compiled
+from ..effects import Catalogue
 from ..report import addition_text
 from ..report.diagnosis_text import lines, trust_lines
 from .data_options import (
@@ -39,7 +37,7 @@ from .data_options import (
     refuse_existing,
     write_description,
 )
-from .options import REFUSED_EXIT_CODE, add_effect_files, add_json, emit, progress
+from .options import REFUSED_EXIT_CODE, add_effect_files, add_json, effects_of, emit, progress
 
 HELP = 'name the physical effect that a model lacks'
 
@@ -74,9 +72,7 @@ def run(args: argparse.Namespace) -> int:
     refuse_existing('--add', args.add, args.overwrite)
     dataset = load_measurements(args.data, args.robot)
     check = load_check(args.check, dataset)
-    catalogue = load_catalogue(args.effect_file)
-    if not is_compiled(catalogue):
-        print('compiling the model (once)', file=sys.stderr)
+    catalogue = effects_of(args)
     with progress() as show:
         diagnosis = diagnose(dataset, None, catalogue, args.workers, show)
         if args.trust:

@@ -15,12 +15,9 @@ example: python -m tendon_robot_ros improve data/tentacle --output better.yaml -
 from __future__ import annotations
 
 import argparse
-import sys
 
 from ..common.errors import InputError
 from ..diagnosis.improve import improve
-from ..effects import load_catalogue
-from ..model.compile import is_compiled
 from ..report.improvement_text import NOT_WRITTEN, lines
 from .data_options import (
     add_data,
@@ -31,9 +28,8 @@ from .data_options import (
     refuse_existing,
     write_description,
 )
-from .options import add_effect_files, add_json, emit, progress
+from .options import REFUSED_EXIT_CODE, add_effect_files, add_json, effects_of, emit, progress
 
-REFUSED_EXIT_CODE = 2
 HELP = 'add effects one by one while the error on left-out postures falls'
 
 
@@ -58,9 +54,7 @@ def run(args: argparse.Namespace) -> int:
     refuse_existing('--output', args.output, args.overwrite)
     dataset = load_measurements(args.data, args.robot)
     check = load_check(args.check, dataset)
-    catalogue = load_catalogue(args.effect_file)
-    if not is_compiled(catalogue):
-        print('compiling the model (once)', file=sys.stderr)
+    catalogue = effects_of(args)
     with progress(remaining=True) as show:
         found = improve(dataset, None, catalogue, check, args.workers, show)
     report_lines = lines(found)

@@ -19,6 +19,7 @@ from ..common.units import read_quantity
 from ..robot import load_robot
 
 if TYPE_CHECKING:
+    from ..effects import Catalogue
     from ..model.model import Model
 
 LENGTH_UNITS = ('mm', 'm', 'cm', 'inch')
@@ -55,16 +56,22 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def load_model(args: argparse.Namespace) -> Model:
-    """Read the robot and make its model; the first one ever takes a while to compile."""
+def effects_of(args: argparse.Namespace) -> Catalogue:
+    """Read the catalogue with the user's own effects; say it where the model compiles first."""
     from ..effects import load_catalogue
     from ..model.compile import is_compiled
-    from ..model.model import Model
 
-    robot, catalogue = load_robot(args.robot), load_catalogue(args.effect_file)
+    catalogue = load_catalogue(args.effect_file)
     if not is_compiled(catalogue):
         print('compiling the model (once)', file=sys.stderr)
-    return Model(robot, catalogue)
+    return catalogue
+
+
+def load_model(args: argparse.Namespace) -> Model:
+    """Read the robot and make its model; the first one ever takes a while to compile."""
+    from ..model.model import Model
+
+    return Model(load_robot(args.robot), effects_of(args))
 
 
 def emit(args: argparse.Namespace, content: dict[str, Any], table: str) -> None:
