@@ -163,7 +163,7 @@ def _check(
 
 def _edge(robot: Robot, postures: int) -> float:
     """Return the edge of the cubes [m] that so many postures fill."""
-    cubes = postures / POSTURES_PER_CUBE
+    cubes = max(postures, 1) / POSTURES_PER_CUBE
     # tips fill about three squares, or four cubes, of the length of the arm
     flat = not tendon_offsets(robot)[..., 1].any()
     count = (cubes / 3.0) ** 0.5 if flat else (cubes / 4.0) ** (1.0 / 3.0)
