@@ -1,0 +1,202 @@
+"""
+Regions that no part of the arm may enter: planes, spheres and boxes, in the base frame.
+
+    keep_out:
+      - {name: table, plane: {point: [0, 0, -0.05], normal: [0, 0, 1]}}
+      - {name: lamp, sphere: {centre: [0.08, 0, 0.12], radius: 0.02}, margin: 0.005}
+      - {name: frame, box: {centre: [0, 0.1, 0.1], size: [0.2, 0.02, 0.2], rotation: [0, 0, 0.3]}}
+
+Metres and radians. Behind a plane, seen along its normal, is forbidden. `rotation` is a rotation
+vector of the box about its centre. `margin` is kept besides: the thickness of the arm, for one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import InputError
+from ..common.rotations import rotated
+from ..common.yaml_reading import Reader, parse_yaml
+
+Floats = npt.NDArray[np.float64]
+FAR_M, TURN_MAX_RAD = 100.0, 2.0 * np.pi  # [m], [rad] beyond which a number is a slip of the pen
+KINDS = 'plane', 'sphere', 'box'
+
+
+class Solid(Protocol):
+    """What a region is made of."""
+
+    def distance(self, points: Floats) -> Floats:
+        """Return how far points (..., 3) [m] are outside, (...) [m]; negative: inside."""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """All that lies behind a plane, against its normal."""
+
+    point: tuple[float, float, float]  # [m]
+    normal: tuple[float, float, float]  # of any length
+
+    def distance(self, points: Floats) -> Floats:
+        """Return how far points (..., 3) [m] are before the plane, (...) [m]."""
+        normal = np.array(self.normal)
+        along: Floats = (points - np.array(self.point)) @ (normal / np.linalg.norm(normal))
+        return along
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A ball."""
+
+    centre: tuple[float, float, float]  # [m]
+    radius: float  # [m]
+
+    def distance(self, points: Floats) -> Floats:
+        """Return how far points (..., 3) [m] are outside, (...) [m]; negative: inside."""
+        away: Floats = np.linalg.norm(points - np.array(self.centre), axis=-1) - self.radius
+        return away
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box, turned about its centre by a rotation vector."""
+
+    centre: tuple[float, float, float]  # [m]
+    size: tuple[float, float, float]  # [m] edge to edge
+    rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [rad]
+
+    def distance(self, points: Floats) -> Floats:
+        """Return how far points (..., 3) [m] are outside, (...) [m]; negative: inside."""
+        turn = np.array(self.rotation)
+        axes = np.array([rotated(axis, turn) for axis in np.eye(3)])  # rows: its edges
+        over = np.abs((points - np.array(self.centre)) @ axes.T) - 0.5 * np.array(self.size)
+        outside = np.linalg.norm(np.maximum(over, 0.0), axis=-1)
+        away: Floats = outside + np.minimum(over.max(axis=-1), 0.0)
+        return away
+
+
+@dataclass(frozen=True)
+class Region:
+    """A named solid and the distance that is kept from it."""
+
+    name: str
+    solid: Solid
+    margin: float = 0.0  # [m]
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """The least distance of points from all regions."""
+
+    distance: float  # [m], its margin taken off; negative: inside; inf without regions
+    region: str  # the nearest, '' without regions
+    point: int  # index of the point that is nearest to it
+
+
+@dataclass(frozen=True)
+class KeepOut:
+    """Regions that no part of the arm may enter; without any, everything is allowed."""
+
+    regions: tuple[Region, ...] = field(default=())
+
+    def __bool__(self) -> bool:
+        """Whether there are regions."""
+        return bool(self.regions)
+
+    def distances(self, points: npt.ArrayLike) -> Floats:
+        """Return how far points (..., 3) [m] are from every region, (r, ...) [m]."""
+        at = np.asarray(points, dtype=float)
+        made = [region.solid.distance(at) - region.margin for region in self.regions]
+        return np.array(made).reshape(len(self.regions), *at.shape[:-1])
+
+    def clearance(self, points: npt.ArrayLike) -> Clearance:
+        """Return how far points (n, 3) [m] are from the nearest region."""
+        away = self.distances(np.asarray(points, dtype=float).reshape(-1, 3))
+        if not away.size:
+            return Clearance(np.inf, '', -1)
+        row, point = np.unravel_index(int(np.argmin(away)), away.shape)
+        return Clearance(float(away[row, point]), self.regions[row].name, int(point))
+
+
+def load_keep_out(path: str | Path) -> KeepOut:
+    """
+    Read regions from a YAML file.
+
+    Raises
+    ------
+    InputError, RobotDescriptionError
+        The file cannot be read; a region is not valid: which, what was expected and what came.
+
+    """
+    try:
+        text = Path(path).read_text(encoding='utf-8')
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f'{path}: cannot be read: {error}') from None
+    return parse_keep_out(text, str(path))
+
+
+def parse_keep_out(text: str, source: str = 'keep_out') -> KeepOut:
+    """
+    Read regions from YAML text: a mapping with the key `keep_out`, or its list alone; '': none.
+
+    Raises
+    ------
+    InputError, RobotDescriptionError
+
+    """
+    try:
+        content: Any = parse_yaml(text)
+    except ValueError as error:
+        raise InputError(f'{source}: {error}') from None
+    if content is None or content == []:
+        return KeepOut()
+    reader = Reader(source, '', {'keep_out': content} if isinstance(content, list) else content)
+    reader.only('keep_out')
+    if reader.content.get('keep_out') == []:
+        return KeepOut()
+    regions = tuple(_region(item) for item in reader.items('keep_out'))
+    reader.unique('keep_out', [region.name for region in regions])
+    return KeepOut(regions)
+
+
+def _region(item: Reader) -> Region:
+    item.only('name', 'margin', *KINDS)
+    name = item.name('name')
+    kinds = [kind for kind in KINDS if item.has(kind)]
+    if len(kinds) != 1:
+        got = ', '.join(kinds) or list(item.content)
+        raise item.error('', f'one of {", ".join(KINDS)}', got)
+    margin = item.number('margin', 0.0, FAR_M, 'm') if item.has('margin') else 0.0
+    return Region(name, _solid(kinds[0], item.child(kinds[0])), margin)
+
+
+def _solid(kind: str, reader: Reader) -> Solid:
+    if kind == 'plane':
+        reader.only('point', 'normal')
+        normal = _vector(reader, 'normal', FAR_M)
+        if not np.linalg.norm(normal) > 1e-9:
+            raise reader.error('normal', 'a direction of some length', list(normal))
+        return Plane(_vector(reader, 'point', FAR_M), normal)
+    if kind == 'sphere':
+        reader.only('centre', 'radius')
+        return Sphere(_vector(reader, 'centre', FAR_M), reader.number('radius', 1e-6, FAR_M, 'm'))
+    reader.only('centre', 'size', 'rotation')
+    size = _vector(reader, 'size', FAR_M)
+    if min(size) <= 0.0:
+        raise reader.error('size', 'three lengths above 0 [m]', list(size))
+    turn = (0.0, 0.0, 0.0)
+    if reader.has('rotation'):
+        turn = _vector(reader, 'rotation', TURN_MAX_RAD)
+    return Box(_vector(reader, 'centre', FAR_M), size, turn)
+
+
+def _vector(reader: Reader, key: str, most: float) -> tuple[float, float, float]:
+    x, y, z = reader.vector(key, 3)
+    if max(abs(x), abs(y), abs(z)) > most:
+        raise reader.error(key, f'three numbers of at most {most:.4g} in SI units', [x, y, z])
+    return x, y, z
