@@ -30,8 +30,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from chain import TARGETS, Chain, Load, at_once
-from emulated_bus import driver_for
+from chain import Chain, Load, at_once
+from emulated_bus import ROBOTS, driver_for
 from machine import machine, tell
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
@@ -42,6 +42,7 @@ BEFORE = 0.1  # [s] of the trace before the cause
 AFTER = 0.45  # [s] of the trace after the cause
 ENDED = 2.0  # [s] that a process may take to end
 TRIES = 3
+ARMS = 'kato_10_1', 'spatial_3', 'spatial_6'
 SETTLE = 0.3  # [s]
 FALLEN = 0.97  # of the current before: the release has begun
 SEEN = 0.02  # [s] at least so often
@@ -143,8 +144,8 @@ ENDS = {'SIGINT of the driver': 'driver', 'SIGTERM of the driver': 'driver',
 class Scale:
     """Turns the currents of the motors into the tensions that the driver means by them."""
 
-    def __init__(self, servos):
-        driver = driver_for(servos)
+    def __init__(self, servos, robot):
+        driver = driver_for(servos, robot=robot)
         wires = driver.config.wires
         self.lines = [(wire.calibration.mean, wire.spool.direction) for wire in wires]
         self.rest = float(driver.limits[0, 0])
@@ -183,7 +184,7 @@ def judge(trace, cause, scale):
 def trial(chain, stops, kind, scale, number):
     """Bend the arm, stop it, look; return the figures or None."""
     stop, undo = KINDS[kind]
-    held = chain.up(TARGETS[number % len(TARGETS)], LEAST)
+    held = chain.up(chain.targets[number % len(chain.targets)], LEAST)
     chain.user.spin(SETTLE)
     cause = stop(stops)
     sent, ended = time.monotonic() - cause, np.nan
@@ -209,12 +210,12 @@ def measure(args, rows):
     load = Load(args.busy)
     servos = {} if args.watchdog is None else {'watchdog': args.watchdog}
     chain = Chain(
-        args.logs, arm=args.arm, servos=servos, stop_time=args.stop_time,
+        args.logs, arm=args.arm, servos=servos, robot=args.robot, stop_time=args.stop_time,
         command_timeout=args.command_timeout,
     )  # fmt: skip
     at_once(os.getpid(), 2)
     try:
-        stops, scale = Stops(chain), Scale(chain.servos)
+        stops, scale = Stops(chain), Scale(chain.servos, args.robot)
         end = time.monotonic() + 60.0 * args.minutes
         for number in range(args.trials):
             for kind in args.kinds:
@@ -294,6 +295,7 @@ def read_arguments():
     parser.add_argument('--minutes', type=float, default=1e6, help='stop after so long')
     parser.add_argument('--busy', type=int, default=0, help='busy processes beside it')
     parser.add_argument('--stop-time', type=float, default=0.06, help='[s]')
+    parser.add_argument('--robot', default='kato_10_1', choices=ARMS)
     parser.add_argument('--arm', default='springs', choices=('plant', 'springs'))
     parser.add_argument('--command-timeout', type=float, default=0.1, help='[s]')
     parser.add_argument('--watchdog', type=float, help="[s] of the motors; default: the driver's")
@@ -302,6 +304,7 @@ def read_arguments():
     parser.add_argument('--resume', type=Path, help='file of trials: read first, then added to')
     parser.add_argument('--json', type=Path)
     args = parser.parse_args()
+    args.robot = ROBOTS / f'{args.robot}.yaml'
     args.rows = args.resume or args.logs / f'trials_{os.getpid()}.jsonl'
     return args
 
@@ -316,6 +319,7 @@ def main():
         'load_average': [round(begun[0], 1), round(os.getloadavg()[1], 1)],
         'busy processes': args.busy,
         'stop_time': args.stop_time,
+        'robot': args.robot.stem,
         'arm': args.arm,
         'command_timeout': args.command_timeout,
         'watchdog': args.watchdog or 'default',

@@ -18,6 +18,7 @@ from pathlib import Path
 os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
+import numpy as np
 import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -32,22 +33,24 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from tendon_robot_ros.emulator.process import EmulatorProcess
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED, LISTEN
 from tendon_robot_ros.ros.shared.runtime import ros_arguments
 
 ANSWER = 0.03  # [s]; emulated servos are late when the machine is busy
 LONG = 4.0  # [s] off: it does not activate itself
-BASE = 'kato_10_1_base'
-TARGETS = ((0.06, 0.17), (-0.12, 0.08), (0.11, 0.05), (0.08, 0.15), (-0.1, 0.0))  # [m]
+PLANAR = ((0.06, 0.17), (-0.12, 0.08), (0.11, 0.05), (0.08, 0.15), (-0.1, 0.0))  # [m]
+PULLED = 2.0  # [N] by one wire of a spatial arm at each of its targets
 
 
 class Nodes:
     """Starts nodes by `chain_nodes.py`."""
 
-    def __init__(self):
+    def __init__(self, robot):
         script = Path(__file__).with_name('chain_nodes.py')
         self.process = subprocess.Popen(
-            [sys.executable, str(script)],
+            [sys.executable, str(script), str(robot)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -118,8 +121,9 @@ class Load:
 class User(Node):
     """What a person has beside the robot: statuses, states, targets, services."""
 
-    def __init__(self, namespace):
+    def __init__(self, namespace, base):
         super().__init__('user', namespace=namespace)
+        self.base = base  # frame of the targets
         self.said = {'driver': None, 'controller': None}
         self.state = None
         self.heard = 0  # commands of the controller
@@ -154,10 +158,10 @@ class User(Node):
             self.executor_.spin_once(timeout_sec=0.01)
         return met
 
-    def aim(self, x, z):
+    def aim(self, x, y, z):
         message = PointStamped()
-        message.header.frame_id = BASE
-        message.point.x, message.point.z = float(x), float(z)
+        message.header.frame_id = self.base
+        message.point.x, message.point.y, message.point.z = float(x), float(y), float(z)
         self._points.publish(message)
 
     def ready(self, name, seconds=10.0):
@@ -184,20 +188,30 @@ class User(Node):
         self.destroy_client(client)
 
 
+def targets(robot):
+    """Return tips [m] that take a strong pull: of kato_10_1, or with one wire after the other."""
+    if robot == ROBOT:
+        return [(x, 0.0, z) for x, z in PLANAR]
+    model = Model(load_robot(robot))
+    rest = np.full(len(model.inputs), model.robot.tension_limits[0])
+    return [model.shape(np.maximum(rest, PULLED * row)).tip_position for row in np.eye(len(rest))]
+
+
 class Chain:
     """Emulated servos, driver and controller, and a user."""
 
-    def __init__(self, logs, mode='tension', arm='plant', servos=None, **parameters):
+    def __init__(self, logs, mode='tension', arm='plant', servos=None, robot=ROBOT, **parameters):
         """
         Start all; `servos` changes their configuration, `parameters` the driver's.
 
         A value of `servos` may be a function of the configuration.
         """
-        self.mode, self.logs, self.robot = mode, Path(logs), ROBOT
+        self.mode, self.logs, self.robot = mode, Path(logs), Path(robot)
         self.logs.mkdir(parents=True, exist_ok=True)
+        self.targets = targets(self.robot)
         self.space = f'/chain_{os.getpid()}'
-        self._forks = Nodes()
-        self.servos = EmulatorProcess(ROBOT, '--arm', arm)
+        self._forks = Nodes(self.robot)
+        self.servos = EmulatorProcess(self.robot, '--arm', arm)
         at_once(self.servos.process.pid)
         plain = {**self.servos.content(), 'answer_time': ANSWER}
         del plain['watchdog']  # the emulator runs at once: the driver's default holds
@@ -215,7 +229,7 @@ class Chain:
         self._off_since = time.monotonic()
         self.died = []  # nodes that ended although nobody had told them to
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        self.user = User(self.space)
+        self.user = User(self.space, f'{self.robot.stem}_base')
         for name in self._given:
             self.start(name)
 

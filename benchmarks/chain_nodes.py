@@ -1,6 +1,8 @@
 """
 A process that has loaded everything, and forks a node from itself at every line of its input.
 
+Its argument is the robot whose model the nodes need.
+
 A line is JSON: `{"start": NAME, "arguments": [...], "log": FILE}` is answered with the process id,
 `{"code": PID}` with its exit code, or null while it runs. When the input ends, so do the nodes.
 """
@@ -10,8 +12,6 @@ import json
 import os
 import signal
 import sys
-
-from emulated_bus import ROBOT
 
 from tendon_robot_ros.common.processes import child_environment
 from tendon_robot_ros.model.model import Model
@@ -46,7 +46,7 @@ def exit_code(process):
 
 
 def main():
-    model = Model(load_robot(ROBOT))
+    model = Model(load_robot(sys.argv[1]))
     model.shape([0.5] * len(model.inputs))  # compiled, or read from the cache
     running = set()
     os.environ.update(child_environment())  # nodes end when this process does

@@ -1,4 +1,4 @@
-"""Emulated servos of a robot with four inputs, and a fixed cycle; used by the benchmarks here."""
+"""Emulated servos of a robot, and a fixed cycle; used by the benchmarks here."""
 
 import time
 from pathlib import Path
@@ -7,15 +7,16 @@ from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.robot import load_robot
 
-ROBOT = Path(__file__).resolve().parents[1] / 'config' / 'robots' / 'kato_10_1.yaml'
+ROBOTS = Path(__file__).resolve().parents[1] / 'config' / 'robots'
+ROBOT = ROBOTS / 'kato_10_1.yaml'
 
 
 def emulator():
     return EmulatorProcess(ROBOT)
 
 
-def driver_for(emulated, mode='tension'):
-    return make_driver('dynamixel', load_robot(ROBOT), emulated.content(), mode=mode)
+def driver_for(emulated, mode='tension', robot=ROBOT):
+    return make_driver('dynamixel', load_robot(robot), emulated.content(), mode=mode)
 
 
 def every(period, seconds):

@@ -90,7 +90,7 @@ class ChainBreaker(Breaker):
 
     def wrong_targets(self, _):
         for x, z in ((math.nan, 0.1), (5.0, 0.1), (1e300, 0.0), (0.0, -0.3)):
-            self.user.aim(x, z)
+            self.user.aim(x, 0.0, z)
 
     def rival_commands(self, value):
         names = list(load_robot(self.chain.robot).inputs)
@@ -140,6 +140,11 @@ def weak_enough(config):
     return line.current(load_robot(ROBOT).tension_limits[1])
 
 
+def path(angle):
+    """Return a tip [m] of the path that the arm follows between the faults."""
+    return 0.05 * math.sin(angle), 0.0, 0.18
+
+
 def follow(chain, breaker, args):
     """Send targets and break things until the time is up; return how often it followed."""
     begin = time.monotonic()
@@ -148,7 +153,7 @@ def follow(chain, breaker, args):
     told = begin
     while (now := time.monotonic()) < begin + 60.0 * args.minutes:
         angle = 2.0 * math.pi * (now - begin) / ROUND
-        chain.user.aim(0.05 * math.sin(angle), 0.18)
+        chain.user.aim(*path(angle))
         chain.user.spin(PERIOD)
         breaker.work(time.monotonic())
         if now > due:
