@@ -130,7 +130,7 @@ def _listen(obey: Callable[[str], str], ending: threading.Event, to_the_end: boo
 
 def _servos(args: argparse.Namespace, robot: Robot) -> Emulated:
     many = range(1, len(robot.inputs) + 1)
-    typed = None if args.spool_radius is None else 1e-3 * args.spool_radius
+    typed = None if args.spool_radius is None else args.spool_radius / 1e3
     radius = typed or smallest_spool(MODELS[args.model], robot.tension_limits[1])
     servos = [Servo(MODELS[args.model], i, args.baudrate) for i in many]
     line = EmulatedBus(Rig(servos, [Wire(i, radius) for i in many], _arm(args, robot)), args.port)

@@ -326,4 +326,4 @@ def smallest_spool(model: ServoModel, limit: float) -> float:
     friction = model.friction_current * model.torque_per_ampere  # [N·m]
     count = model.current_unit * model.torque_per_ampere  # [N·m]
     least = max(friction / (FRICTION_BAND_MAX * limit), CURRENT_COUNTS_MIN * count / limit)
-    return 1e-3 * math.ceil(1e3 * least + 0.5)
+    return math.ceil(1e3 * least + 0.5) / 1e3
