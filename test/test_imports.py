@@ -26,10 +26,17 @@ ALLOWED['simulation'] = ALLOWED['diagnosis'] | {'diagnosis'}
 ALLOWED['tables'] = ALLOWED['diagnosis'] | {'diagnosis'}
 ALLOWED['paper'] = ALLOWED['diagnosis'] | {'diagnosis', 'simulation'}
 ALLOWED['report'] = ALLOWED['paper'] | {'paper', 'paths'}
+ALLOWED['investigation'] = ALLOWED['report'] | {'report'}
 ALLOWED['monitoring'] = ALLOWED['diagnosis'] | {'diagnosis', 'report'}
 ALLOWED['cli'] = ALLOWED['report'] | ALLOWED['emulator'] | {'report', 'emulator', 'control'}
-ALLOWED['cli'] |= {'tables'}
-ALLOWED['ros'] = ALLOWED['report'] | {'report', 'control', 'drivers', 'monitoring'}
+ALLOWED['cli'] |= {'tables', 'investigation'}
+ALLOWED['ros'] = ALLOWED['report'] | {
+    'report',
+    'control',
+    'drivers',
+    'monitoring',
+    'investigation',
+}
 # the package itself says what a notebook needs, and imports it when it is asked for
 ALLOWED['__init__'] = set(ALLOWED) - {'cli', 'ros'}
 ALLOWED['__main__'] = {'cli'}

@@ -53,6 +53,7 @@ COMMANDS: dict[str, str] = {
     'remove': 'tendon_robot_ros.cli.remove',
     'improve': 'tendon_robot_ros.cli.improve',
     'simulate': 'tendon_robot_ros.cli.simulate',
+    'rehearse': 'tendon_robot_ros.cli.rehearse',
     'export-bag': 'tendon_robot_ros.cli.export_bag',
     'import-bag': 'tendon_robot_ros.cli.import_bag',
     'import-table': 'tendon_robot_ros.cli.import_table',

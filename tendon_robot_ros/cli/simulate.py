@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     if args.gravity:
         x, y, z = vector('--gravity', args.gravity) or (0.0, 0.0, 0.0)
         robot = replace(robot, gravity=(x, y, z))
-    hidden = dict(map(_effect, args.hidden))
+    hidden = dict(map(hidden_effect, args.hidden))
     if 'gravity' in hidden and robot.gravity is None:
         raise InputError(
             'hidden gravity: ROBOT does not say where down is; give --gravity 0,0,9.81'
@@ -131,7 +131,7 @@ def _write_tables(args: argparse.Namespace, plant: Plant) -> int:
         names, values = raw_table(
             plant,
             default_postures(plant.robot, max(count // (1 + which), 1), which),
-            noise=_noise(args.noise),
+            noise=simulated_noise(args.noise),
             trials=args.trials,
             seed=args.seed,
             which=which,
@@ -165,7 +165,7 @@ def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:
     return simulate(
         plant,
         inputs,
-        noise=_noise(args.noise),
+        noise=simulated_noise(args.noise),
         trials=args.trials,
         seed=2 * args.seed + which,
         markers=_markers(args.markers, robot),
@@ -176,7 +176,7 @@ def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:
     )
 
 
-def _effect(text: str) -> tuple[str, dict[str, float | tuple[float, ...]]]:
+def hidden_effect(text: str) -> tuple[str, dict[str, float | tuple[float, ...]]]:
     """Read EFFECT[:NAME=VALUE,...]."""
     name, _, rest = text.partition(':')
     values: dict[str, float | tuple[float, ...]] = {}
@@ -187,7 +187,8 @@ def _effect(text: str) -> tuple[str, dict[str, float | tuple[float, ...]]]:
     return name, values
 
 
-def _noise(text: str) -> SimulatedNoise:
+def simulated_noise(text: str) -> SimulatedNoise:
+    """Read position=MM,setting=SD,trial=SD."""
     known = [field.name for field in fields(SimulatedNoise)]
     values = named_numbers('--noise', text, 'mm, or relative') if text else {}
     for key in values:

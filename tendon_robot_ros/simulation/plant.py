@@ -209,6 +209,10 @@ class Plant:
         self._state = PlantShape(shape, self, asked)
         return self._state
 
+    def forget(self) -> None:
+        """Stand straight and free of tension again."""
+        self._state = None
+
     def respond_to_pulls(self, pulls: npt.ArrayLike) -> PlantShape:
         """Return the arm under wire pulls (m,) [m], nan = slack; friction does not remember."""
         asked = np.asarray(pulls, dtype=float)

@@ -1,0 +1,219 @@
+"""
+Which posture tells most: the expected information about the effects that are in question.
+
+What the markers show is taken as linear around the best guess, y = F theta + B b + noise: theta
+are the parameters of the effects that are in question, b the imperfections of the arm as built and
+the declared tolerances, both with their prior. A posture is worth the information that it adds
+about theta with b unknown,
+
+    1/2 log det(P' / P) - 1/2 log det(Pbb' / Pbb),
+
+P the precision of theta and b, Pbb its block of b, primed with the posture (Bayesian D-optimal for
+a subset, Chaloner and Verdinelli 1995). Effects that look alike in what was measured leave a
+direction of theta unknown, so that the posture that separates them tells most; so does the one
+that narrows a parameter, and one is chosen less where imperfections do what the effects do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from ..comparison.noise import Noise, Whitener, input_slopes
+from ..comparison.predict import FreeParameter, Point, Predictor, frees_of
+from ..data import DataSet
+from ..diagnosis.as_built import REMAINDER
+from ..diagnosis.candidates import nuisances_of
+from ..diagnosis.slopes import imperfections
+from ..diagnosis.split import SplitPredictor
+from ..effects import Catalogue
+from ..robot import Robot
+from ..robot.size import natural_sizes
+
+Floats = npt.NDArray[np.float64]
+STEP_SHARES = (0.3, 0.03)  # of a typical size, that a parameter moves for its derivative
+WIDE = 3.0  # typical sizes of 1 sd that an effect in question may have
+
+
+@dataclass(frozen=True)
+class OpenQuestion:
+    """What is not known yet."""
+
+    effects: tuple[str, ...]  # that may act
+    point: Point  # the best guess of their parameters; those that it lacks are as described
+    noise: Noise
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A posture worth measuring."""
+
+    inputs: Floats  # (m,) [N] or [m]
+    gain: float  # [nat] information about what is in question that it adds
+
+
+def choose(
+    question: OpenQuestion,
+    measured: DataSet,
+    pool: Floats,
+    catalogue: Catalogue,
+    count: int = 1,
+) -> list[Choice]:
+    """
+    Choose the postures that tell most, one after the other.
+
+    Parameters
+    ----------
+    question : OpenQuestion
+    measured : DataSet
+        What was measured already; its robot is the description that is judged. No posture of it
+        may be measured yet.
+    pool : (b, m) [N] or [m]
+        Postures that may be chosen. Of a sequence each is judged as the next one.
+    catalogue : Catalogue
+    count : int
+        How many; of a sequence one at a time is exact, the later ones are taken as coming after
+        the same posture.
+
+    Raises
+    ------
+    NoEquilibriumError
+        The model has no shape where it was measured.
+
+    """
+    design = _LinearDesign(question, measured, catalogue)
+    offered, where = design.offered(pool)
+    precision = np.eye(design.size)
+    for rows in design.rows(measured) if len(measured.postures) else ():
+        precision += rows.T @ rows
+    choices = list[Choice]()
+    left = list(range(len(offered)))
+    for _ in range(min(count, len(left))):
+        gains = [design.gain(precision, offered[i]) for i in left]
+        best = left.pop(int(np.argmax(gains)))
+        choices.append(Choice(pool[where[best]], float(max(gains))))
+        precision += offered[best].T @ offered[best]
+    return choices
+
+
+class _LinearDesign:
+    """The linear picture of a question: columns in units of their prior, effects first."""
+
+    def __init__(self, question: OpenQuestion, measured: DataSet, catalogue: Catalogue) -> None:
+        self.question, self.measured = question, measured
+        self.robot: Robot = measured.robot
+        self.catalogue = catalogue.sized(natural_sizes(self.robot))
+        self.frees = tuple(dict.fromkeys(frees_of(question.effects, self.catalogue, self.robot)))
+        self.size = 0
+
+    def offered(self, pool: Floats) -> tuple[list[Floats], list[int]]:
+        """Return what each posture of the pool shows, and which of them have an equilibrium."""
+        as_if, shown = self._as_if(pool)
+        predictor = Predictor(as_if, self.robot, self.catalogue)
+        if predictor.markers(self.question.point) is None:
+            if shown != slice(None):
+                return [], []
+            bad = {int(name) for name in predictor.unsettled()}
+            keep = [i for i in range(len(pool)) if i not in bad]
+            if len(keep) in (0, len(pool)):
+                return [], []
+            rows, where = self.offered(pool[keep])
+            return rows, [keep[i] for i in where]
+        rows = self.rows(as_if)[shown]
+        return rows, list(range(len(pool)))
+
+    def rows(self, dataset: DataSet) -> list[Floats]:
+        """Return whitened derivatives (values, columns) for every posture of a data set."""
+        point, predictor = self.question.point, Predictor(dataset, self.robot, self.catalogue)
+        here = predictor.markers(point)
+        if here is None:
+            return []
+        slopes = [
+            self._prior(free, predictor) * self._slope(predictor, free, here)
+            for free in self.frees
+        ]
+        slopes += [
+            n.spread * self._slope(predictor, n.free, here)
+            for n in nuisances_of(self.robot, self.catalogue, predictor)
+        ]
+        slopes += self._as_built(dataset)
+        self.size = len(slopes)
+        whitener = Whitener(dataset, self.question.noise, input_slopes(predictor, point))
+        columns = np.array(slopes).reshape(len(slopes), len(here), -1)
+        return [
+            factor @ columns[:, p, rows].T
+            for p, (rows, factor) in enumerate(zip(whitener.rows, whitener.factors, strict=True))
+        ]
+
+    def gain(self, precision: Floats, rows: Floats) -> float:
+        """Information [nat] about the effects that a posture adds to a precision."""
+        k = len(self.frees)
+        return 0.5 * (_added(precision, rows) - _added(precision[k:, k:], rows[:, k:]))
+
+    def _as_if(self, pool: Floats) -> tuple[DataSet, slice]:
+        """Return a data set of the pool as if measured, and which of its postures are the pool."""
+        old, inputs, shown = self.measured, pool, slice(None)
+        if old.path == 'sequence' and len(old.postures):
+            last = np.broadcast_to(np.nan_to_num(old.inputs[-1]), pool.shape)
+            inputs = np.stack([last, pool], axis=1).reshape(-1, pool.shape[1])
+            shown = slice(1, None, 2)
+        trials = max(old.positions.shape[1], 1)
+        made = replace(
+            old,
+            postures=tuple(map(str, range(len(inputs)))),
+            inputs=inputs,
+            positions=np.zeros((len(inputs), trials, len(old.markers), 3)),
+            orientations=None,
+            trial_inputs=None,
+            trial_names=(),
+        )
+        return made, shown
+
+    def _prior(self, free: FreeParameter, predictor: Predictor) -> float:
+        """Return 1 sd that a parameter in question may be off the guess."""
+        value = self.question.point.get(free, predictor.value(free))
+        return WIDE * max(free.parameter.typical, abs(value - free.parameter.neutral))
+
+    def _slope(self, predictor: Predictor, free: FreeParameter, here: Floats) -> Floats:
+        """Return the derivative (P, J, 3) [m per unit] of the markers by a parameter."""
+        point, parameter = self.question.point, free.parameter
+        value = point.get(free, predictor.value(free))
+        for share in STEP_SHARES:
+            step = share * parameter.typical
+            if value + step > parameter.high:
+                step = -step
+            moved = predictor.markers({**point, free: value + step})
+            if moved is not None:
+                return (moved - here) / step
+        return np.zeros_like(here)
+
+    def _as_built(self, dataset: DataSet) -> list[Floats]:
+        """Return what each imperfection of a plausible size does (P, J, 3) [m]."""
+        if self.robot.exact:
+            return []
+        unmeasured = replace(dataset, positions=np.full_like(dataset.positions, np.nan))
+        split = SplitPredictor(Predictor(unmeasured, self.robot, self.catalogue))
+        built = imperfections(split, self.question.point)
+        if built is None:
+            return []
+        sizes = [kind.plausible for kind in built.kinds if kind.name != REMAINDER]
+        members = [len(kind) for kind in built.kinds if kind.name != REMAINDER]
+        return list(built.moves * np.repeat(sizes, members)[:, None, None, None])
+
+
+def _added(precision: Floats, rows: Floats) -> float:
+    """Return by how much the log determinant of a precision grows with rows."""
+    if not precision.size:
+        return 0.0
+    middle = rows @ np.linalg.solve(precision, rows.T)
+    return float(np.linalg.slogdet(np.eye(len(rows)) + middle)[1])
+
+
+def noise_expected(measured: DataSet, position: float) -> Noise:
+    """Return the noise to plan with: as declared, else of a tracker [m]."""
+    declared: Sequence[float | None] = (measured.position_noise, position)
+    size = next(value for value in declared if value)
+    return Noise(size, measured.trial_noise, measured.setting_noise, np.inf, 'declared')

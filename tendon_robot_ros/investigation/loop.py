@@ -1,0 +1,376 @@
+"""
+The loop: choose the posture that tells most, measure it, diagnose, until enough is known.
+
+It ends when one name is left with an interval as narrow as asked, when what is left cannot be
+separated, when the model is adequate, when nothing in the catalogue fits, or when the budget is
+spent. Then what was found is verified on postures that were never chosen for it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import TendonRobotError
+from ..common.words import commands, digits, listed
+from ..comparison.noise import Noise
+from ..comparison.predict import FreeParameter, frees_of
+from ..data import DataSet
+from ..diagnosis.add import Addition, add_effects
+from ..diagnosis.diagnose import diagnose
+from ..diagnosis.result import Diagnosis
+from ..effects import Catalogue, Effect, load_catalogue
+from ..model.model import Model
+from ..report.diagnosis_page import with_effects
+from ..robot import Robot
+from ..robot.keep_out import KeepOut
+from ..robot.size import natural_sizes
+from .arm import BrokenMeasurementError, MeasurableArm, PostureMeasured, checked
+from .choice import Choice, OpenQuestion, choose
+from .goal import Goal
+from .pool import MARGIN_SHARE, Room, fresh, pool
+from .record import CHECK, Record, Round, empty_dataset, with_posture
+from .stopping import NAMING, SENTENCES, InvestigationEnd, in_question, names_of, settled, widest
+
+Floats = npt.NDArray[np.float64]
+ATTEMPTS = 2  # at a posture, before it is skipped
+SKIPPED_MAX = 5  # postures in a row, after which something is wrong with the robot
+GAIN_MIN = 0.02  # [nat] below which a posture tells nothing
+
+
+@dataclass(frozen=True)
+class News:
+    """Something that happened: a line to print, and plain data for a page."""
+
+    kind: str  # 'posture', 'broken', 'skipped', 'diagnosis', 'end', 'added', 'check'
+    text: str
+    content: dict[str, Any] = field(default_factory=dict)
+
+
+Tell = Callable[[News], None]
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What an investigation came to."""
+
+    outcome: InvestigationEnd
+    diagnosis: Diagnosis | None
+    dataset: DataSet
+    record: Record
+    made: Addition | None = None  # fitted, and its error on fresh postures
+    check: DataSet | None = None
+
+    @property
+    def may_add(self) -> bool:
+        """Whether the description that was made is worth writing without asking."""
+        return self.outcome is InvestigationEnd.NAMED and self.made is not None and self.made.helps
+
+
+class Investigation:
+    """One investigation of an arm."""
+
+    def __init__(
+        self,
+        arm: MeasurableArm,
+        goal: Goal,
+        folder: Path | None = None,
+        regions: KeepOut | None = None,
+        tell: Tell = lambda news: None,
+        resume: bool = False,
+    ) -> None:
+        """
+        Begin, or go on with what a folder has.
+
+        Parameters
+        ----------
+        arm : MeasurableArm
+        goal : Goal
+        folder : Path, optional
+            Where it is written, after every posture.
+        regions : KeepOut, optional
+            Where no part of the arm may be.
+        tell : callable, optional
+            Hears what happens.
+        resume : bool
+
+        Raises
+        ------
+        InputError
+
+        """
+        self.arm, self.goal, self.tell = arm, goal, tell
+        self.catalogue: Catalogue = load_catalogue(goal.effect_files).sized(
+            natural_sizes(arm.robot)
+        )
+        trials = goal.trials if arm.path == 'from_straight' else 1
+        begin = Record.resume if resume and folder is not None else Record.begin
+        self.record = begin(arm, folder, trials)  # type: ignore[arg-type]
+        self.trials = trials
+        self.diagnosis: Diagnosis | None = None
+        margin = MARGIN_SHARE * arm.robot.length
+        self.room = Room(regions or KeepOut(), margin)
+        self._deadline = time.monotonic() + 60.0 * goal.minutes
+
+    def run(self) -> Findings:
+        """
+        Ask until enough is known, verify, and let the arm go whatever happens.
+
+        Raises
+        ------
+        TendonRobotError
+            The robot is gone or stopped, or nothing could be measured.
+        KeyboardInterrupt
+
+        """
+        try:
+            outcome = self._ask()
+            self._end(outcome)
+            return self._verified(outcome)
+        finally:
+            self.record.save()
+            self.arm.release()
+
+    # -------------------------------------------------------------------------
+    # Asking.
+
+    def _ask(self) -> InvestigationEnd:
+        """Measure and diagnose until it is enough."""
+        while True:
+            have = len(self.record.dataset.postures)
+            if have >= self.goal.start:
+                outcome = self._diagnose()
+                if outcome is not None:
+                    return outcome
+            if have >= self.goal.postures or time.monotonic() > self._deadline:
+                return InvestigationEnd.BUDGET
+            wanted = self.goal.start - have if have < self.goal.start else self.goal.at_once
+            if self.arm.path == 'sequence':  # the next one depends on where this one was
+                wanted = 1
+            choices = self.choices(min(wanted, self.goal.postures - have))
+            if not choices or (have >= self.goal.start and choices[0].gain < GAIN_MIN):
+                return InvestigationEnd.POOL
+            for choice in choices:
+                self._measure(choice)
+
+    def choices(self, count: int) -> list[Choice]:
+        """Choose the next postures."""
+        dataset, robot, goal = self.record.dataset, self.guess, self.goal
+        model = Model(robot, self.catalogue)
+        start = None
+        if self.arm.path == 'sequence' and len(dataset.postures):
+            start = dataset.inputs[-1]
+        kind, path = self.arm.input, self.arm.path
+        offered = pool(robot, goal, kind, path, model, self.room, start)
+        taken = [*dataset.inputs, *(one.inputs for one in self.record.skipped)]
+        for row in taken:
+            same = np.isclose(np.nan_to_num(offered), np.nan_to_num(row), atol=1e-9).all(axis=1)
+            offered = offered[~same] if self.arm.path == 'from_straight' else offered
+        if not len(offered):
+            return []
+        return choose(self.question(), dataset, offered, self.catalogue, count)
+
+    def question(self) -> OpenQuestion:
+        """Return what is not known yet."""
+        names = self.asked
+        found: Sequence[Any] = () if self.diagnosis is None else self.diagnosis.effects
+        values = {
+            (effect.name, key): value.value
+            for effect in found
+            for key, value in effect.parameters.items()
+        }
+        point: dict[FreeParameter, float] = {
+            free: values[free.effect, free.key]
+            for free in frees_of([e.name for e in found], self.catalogue, self.arm.robot)
+            if (free.effect, free.key) in values
+        }
+        return OpenQuestion(tuple(names), point, self._noise())
+
+    @property
+    def asked(self) -> list[str]:
+        """Names of the effects that the next posture is to tell of."""
+        names = [] if self.diagnosis is None else in_question(self.diagnosis)
+        if not names or (self.diagnosis is not None and not self.diagnosis.effects):
+            names += [e.name for e in self.catalogue if e.name not in names and self._shows(e)]
+        return names
+
+    @property
+    def guess(self) -> Robot:
+        """The description with what is thought to be missing."""
+        robot = self.arm.robot
+        return robot if self.diagnosis is None else with_effects(self.diagnosis, robot)
+
+    def _shows(self, effect: Effect) -> bool:
+        """Tell whether an effect can show at all on this arm."""
+        robot = self.arm.robot
+        if effect.acts_on and effect.acts_on not in robot.effects:
+            return False
+        return {
+            'history': self.arm.path == 'sequence',
+            'pulls': self.arm.input == 'displacement',
+            'gravity': robot.gravity is not None and bool(np.any(robot.gravity)),
+        }.get(effect.needs or '', True)
+
+    def _noise(self) -> Noise:
+        """Return the noise to plan with."""
+        setting, trial = self.arm.input_noise
+        position = self.arm.position_noise or self.goal.tracker_noise
+        if self.diagnosis is not None and self.diagnosis.verdict.judged:
+            position = self.diagnosis.details['noise']['position'] or position
+        return Noise(position, trial, setting, np.inf, 'declared')
+
+    # -------------------------------------------------------------------------
+    # Measuring.
+
+    def _measure(self, choice: Choice) -> None:
+        """Measure a posture; one that breaks twice is skipped and said."""
+        number = len(self.record.dataset.postures) + 1
+        where = commands(dict(zip(self.arm.robot.inputs, choice.inputs.tolist(), strict=True)),
+                         self.arm.input)  # fmt: skip
+        asked = self.asked
+        why = listed(asked, 'or') if len(asked) <= 3 else f'{len(asked)} effects'
+        self.tell(
+            News(
+                'posture',
+                f'posture {number}: {where}   tells {digits(choice.gain)} nat of {why}',
+                {
+                    'number': number,
+                    'inputs': choice.inputs.tolist(),
+                    'gain': choice.gain,
+                    'asked': asked,
+                    'most': self.goal.postures,
+                },
+            )
+        )
+        measured = self._attempted(choice.inputs)
+        if measured is not None:
+            self.record.take(choice.inputs, measured)
+
+    def _attempted(self, inputs: Floats) -> PostureMeasured | None:
+        """Return what was measured; None after the last attempt."""
+        reason = ''
+        for attempt in range(ATTEMPTS):
+            try:
+                measured = checked(self.arm.measure(inputs, self.trials))
+                self._refuse_forbidden(measured)
+                return measured
+            except BrokenMeasurementError as error:
+                reason = str(error)
+                if attempt + 1 < ATTEMPTS:
+                    self.tell(News('broken', f'  not measured: {reason}; once more'))
+        self.record.skip(inputs, reason)
+        self.tell(News('skipped', f'  skipped: {reason}'))
+        if len(self.record.skipped) >= SKIPPED_MAX + len(self.record.dataset.postures):
+            raise TendonRobotError(
+                f'{len(self.record.skipped)} postures could not be measured, the last one: '
+                f'{reason}; look at the robot, then go on with --resume'
+            )
+        return None
+
+    def _refuse_forbidden(self, measured: PostureMeasured) -> None:
+        """Raise where a marker was seen in a region that is kept out."""
+        points = measured.positions[np.isfinite(measured.positions).all(axis=2)]
+        clear = self.room.regions.clearance(points)
+        if clear.distance < 0.0:
+            raise TendonRobotError(
+                f'a marker was seen {1e3 * -clear.distance:.1f} mm inside {clear.region}, where '
+                'the model says that it is not: the arm was released; look at the robot, and at '
+                'where the tracker says its base is'
+            )
+
+    # -------------------------------------------------------------------------
+    # Judging.
+
+    def _diagnose(self) -> InvestigationEnd | None:
+        """Diagnose what there is, and tell whether it is enough."""
+        dataset = self.record.dataset
+        found = diagnose(dataset, None, self.catalogue, 1)
+        self.diagnosis = found
+        self._narrow_margin(found)
+        now = Round(
+            len(dataset.postures),
+            str(found.verdict),
+            names_of(found),
+            in_question(found),
+            widest(found, self.catalogue),
+            _short(found),
+        )
+        self.record.rounds.append(now)
+        self.record.save()
+        outcome = settled(found, self.record.rounds, self.goal, now.postures)
+        width = '' if now.widest is None else f', to {100.0 * now.widest:.0f} %'
+        text = f'  {now.postures} postures: {now.text}{width}'
+        self.tell(News('diagnosis', text, {**vars(now), 'enough': outcome is not None}))
+        return outcome
+
+    def _narrow_margin(self, found: Diagnosis) -> None:
+        """Keep as far from the regions as the best model is off, and more."""
+        if found.verdict.judged and np.isfinite(found.error_after):
+            tips = 3.0 * found.error_after
+            self.room = Room(self.room.regions, min(tips, MARGIN_SHARE * self.arm.robot.length))
+
+    def _end(self, outcome: InvestigationEnd) -> None:
+        """Say why it ended."""
+        record, named = self.record, [] if self.diagnosis is None else names_of(self.diagnosis)
+        record.outcome = {'why': str(outcome), 'names': named,
+                          'postures': len(record.dataset.postures)}  # fmt: skip
+        sentence = f'{len(record.dataset.postures)} postures: {SENTENCES[outcome]}'
+        if record.skipped:
+            sentence += f'; {len(record.skipped)} could not be measured'
+        self.tell(News('end', sentence, record.outcome))
+
+    # -------------------------------------------------------------------------
+    # Verifying.
+
+    def _verified(self, outcome: InvestigationEnd) -> Findings:
+        """Fit what was found and see what it does on fresh postures."""
+        found, dataset = self.diagnosis, self.record.dataset
+        adds = found is not None and bool(found.effects) and found.verdict.may_add
+        sure = outcome is InvestigationEnd.NAMED or self.goal.add
+        if found is None or not adds or not sure:
+            return Findings(outcome, found, dataset, self.record)
+        check = self._fresh() if self.goal.checks else None
+        names = [effect.name for effect in found.effects]
+        made = add_effects(dataset, names, None, self.catalogue, check, found.effects)
+        self.tell(
+            News(
+                'added',
+                f'{listed(names)}: error on {"fresh" if check else "left-out"} postures '
+                f'{1e3 * made.check.before:.2f} -> {1e3 * made.check.after:.2f} mm',
+                {'before': made.check.before, 'after': made.check.after, 'names': names},
+            )
+        )
+        return Findings(outcome, found, dataset, self.record, made, check)
+
+    def _fresh(self) -> DataSet | None:
+        """Measure postures that were not chosen for anything."""
+        self.arm.release()
+        model = Model(self.guess, self.catalogue)
+        rows = fresh(self.arm.robot, self.goal, self.arm.input, model, self.room)
+        check = empty_dataset(self.arm, CHECK, self.trials)
+        for row in rows:
+            if len(check.postures) == self.goal.checks:
+                break
+            measured = self._attempted(row)
+            if measured is not None:
+                check = with_posture(check, row, measured)
+                self.tell(News('check', f'  fresh posture {len(check.postures)} measured'))
+        return check if len(check.postures) else None
+
+
+def _short(found: Diagnosis) -> str:
+    """Say a verdict in a few words."""
+    names = names_of(found)
+    if found.verdict in NAMING:
+        return f'consistent with {listed(names)}'
+    if found.cannot_tell_apart and found.verdict.may_add:
+        return f'{listed(found.cannot_tell_apart, "or")} explain it equally well'
+    if not found.verdict.judged:
+        return f'cannot judge: {found.remainder}'
+    return str(found.verdict).replace('_', ' ')

@@ -1,0 +1,181 @@
+"""What an investigation has measured so far: a data set that grows, on disk all the time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import InputError
+from ..common.files import new_file
+from ..data import DataSet, load_dataset, save_dataset
+from ..robot import dump_robot
+from .arm import MeasurableArm, PostureMeasured
+
+Floats = npt.NDArray[np.float64]
+DATA, CHECK, LOG, BETTER = 'data', 'check', 'investigation.json', 'better.yaml'
+FORMAT = 'tendon_robot_ros/investigation@1'
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A posture that could not be measured."""
+
+    inputs: list[float]
+    reason: str
+
+
+@dataclass(frozen=True)
+class Round:
+    """One diagnosis on the way."""
+
+    postures: int
+    verdict: str
+    names: list[str]
+    in_question: list[str]
+    widest: float | None  # half of the widest interval, relative; None: nothing named
+    text: str
+
+
+@dataclass
+class Record:
+    """The data set so far, what was skipped, and the diagnoses."""
+
+    dataset: DataSet
+    folder: Path | None = None
+    skipped: list[Skipped] = field(default_factory=list)
+    rounds: list[Round] = field(default_factory=list)
+    outcome: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def begin(cls, arm: MeasurableArm, folder: Path | None, trials: int) -> Record:
+        """
+        Begin with nothing.
+
+        Raises
+        ------
+        InputError
+            The folder is there already.
+
+        """
+        if folder is not None:
+            if folder.exists():
+                raise InputError(f'{folder}: is there already; use --resume or another folder')
+            folder.mkdir(parents=True)
+        return cls(empty_dataset(arm, DATA, trials), folder)
+
+    @classmethod
+    def resume(cls, arm: MeasurableArm, folder: Path, trials: int) -> Record:
+        """
+        Go on with what a folder has.
+
+        Raises
+        ------
+        InputError
+            There is nothing, or it is of another robot, or measured otherwise.
+
+        """
+        log = folder / LOG
+        if not log.exists():
+            raise InputError(f'{folder}: no {LOG} there: nothing to resume')
+        content = json.loads(log.read_text(encoding='utf-8'))
+        record = cls(
+            empty_dataset(arm, DATA, trials),
+            folder,
+            [Skipped(**one) for one in content['skipped']],
+            [Round(**one) for one in content['rounds']],
+        )
+        if (folder / DATA).exists():
+            record.dataset = replace(load_dataset(folder / DATA), name=DATA)
+        dataset = record.dataset
+        same = dump_robot(dataset.robot) == dump_robot(arm.robot)
+        if not same or (dataset.input, dataset.path) != (arm.input, arm.path):
+            raise InputError(
+                f'{folder}: was measured with another description, input or path than now; '
+                'begin a new folder'
+            )
+        return record
+
+    def take(self, inputs: Floats, measured: PostureMeasured) -> None:
+        """Append a posture and write it."""
+        self.dataset = with_posture(self.dataset, inputs, measured)
+        self.save()
+
+    def without_last(self) -> None:
+        """Forget the last posture."""
+        old = self.dataset
+        self.dataset = old._rows(np.arange(len(old.postures) - 1))
+
+    def skip(self, inputs: Floats, reason: str) -> None:
+        """Remember a posture that could not be measured."""
+        self.skipped.append(Skipped(np.asarray(inputs).tolist(), reason))
+        self.save()
+
+    def save(self) -> None:
+        """Write data set and log."""
+        if self.folder is None:
+            return
+        if len(self.dataset.postures):
+            save_dataset(self.dataset, self.folder / DATA, True)
+        content = {
+            'format': FORMAT,
+            'postures': len(self.dataset.postures),
+            'skipped': [asdict(one) for one in self.skipped],
+            'rounds': [asdict(one) for one in self.rounds],
+            'outcome': self.outcome,
+        }
+        with new_file(self.folder / LOG) as draft:
+            draft.write_text(json.dumps(content, indent=1) + '\n', encoding='utf-8')
+
+
+def empty_dataset(arm: MeasurableArm, name: str, trials: int) -> DataSet:
+    """Return a data set of an arm without postures."""
+    setting, trial = arm.input_noise
+    return DataSet(
+        name=name,
+        robot=arm.robot,
+        markers=tuple(arm.markers),
+        postures=(),
+        inputs=np.zeros((0, len(arm.robot.inputs))),
+        positions=np.zeros((0, trials, len(arm.markers), 3)),
+        input=arm.input,
+        path=arm.path,
+        gravity=arm.robot.gravity,
+        position_noise=arm.position_noise,
+        setting_noise=setting,
+        trial_noise=trial,
+    )
+
+
+def with_posture(old: DataSet, inputs: Floats, measured: PostureMeasured) -> DataSet:
+    """Return a data set with one posture more; missing trials are nan."""
+    trials = max(old.positions.shape[1], len(measured.positions))
+    positions = _stacked([*old.positions, measured.positions], trials)
+    taken: Floats | None = None
+    if old.trial_inputs is not None or measured.inputs is not None:
+        before = [] if not len(old.postures) else list(old.inputs_by_trial)
+        now = measured.inputs
+        if now is None:
+            now = np.tile(inputs, (len(measured.positions), 1))
+        taken = _stacked([*before, now], trials)
+    return replace(
+        old,
+        postures=(*old.postures, str(len(old.postures) + 1)),
+        inputs=np.vstack([old.inputs, inputs]),
+        positions=positions,
+        trial_inputs=taken,
+        trial_names=(),
+    )
+
+
+def _stacked(rows: Sequence[Floats], trials: int) -> Floats:
+    """Stack arrays whose first axis are trials; nan where one is missing."""
+    made = np.full((len(rows), trials, *rows[-1].shape[1:]), np.nan)
+    for row, values in zip(made, rows, strict=True):
+        row[: len(values)] = values
+    return made

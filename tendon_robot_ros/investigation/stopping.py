@@ -1,0 +1,114 @@
+"""When an investigation knows enough, and what is still in question."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+
+import numpy as np
+
+from ..diagnosis.decide import POSTURES_ENOUGH, SEPARABLE_FROM_SD, Verdict
+from ..diagnosis.result import Diagnosis
+from ..effects import Catalogue
+from .goal import Goal
+from .record import Round
+
+REJECTED = 'rejected'  # status of a candidate that is out
+IN_QUESTION_MAX = 6  # effects that the next posture is chosen for
+NAMING = (Verdict.MISSING_EFFECT, Verdict.WRONG_PARAMETER, Verdict.SEVERAL)
+AGAIN_FOR_CLASS = 3  # diagnoses in a row that name the same class before it counts as inseparable
+
+
+class InvestigationEnd(StrEnum):
+    """Why an investigation ended."""
+
+    NAMED = 'named'
+    INSEPARABLE = 'inseparable'
+    ADEQUATE = 'model_adequate'
+    OUTSIDE = 'nothing_fits'
+    MISTAKE = 'mistake_of_the_set_up'
+    BUDGET = 'budget_spent'
+    POOL = 'nothing_left_to_measure'
+
+
+SENTENCES = {
+    InvestigationEnd.NAMED: 'one name is left, its interval is as narrow as asked',
+    InvestigationEnd.INSEPARABLE: 'no posture within the limits separates what is left',
+    InvestigationEnd.ADEQUATE: 'the model is adequate',
+    InvestigationEnd.OUTSIDE: 'nothing in the catalogue fits',
+    InvestigationEnd.MISTAKE: 'the set-up has a mistake: mend it, then begin again',
+    InvestigationEnd.BUDGET: 'the budget is spent',
+    InvestigationEnd.POOL: 'no posture within the limits tells more',
+}
+
+
+def names_of(diagnosis: Diagnosis) -> list[str]:
+    """Return what a diagnosis names: effects, or a class."""
+    return sorted({*(e.name for e in diagnosis.effects), *diagnosis.cannot_tell_apart})
+
+
+def in_question(diagnosis: Diagnosis) -> list[str]:
+    """
+    Return the effects that may still be it, the likeliest first.
+
+    Those that are named; then those that fit as well though less likely; while nothing is settled
+    (adequate, outside, cannot judge) all that these postures hardly show, too.
+    """
+    names = [effect.name for effect in diagnosis.effects]
+    names += diagnosis.cannot_tell_apart
+    likely = [row.name for row in diagnosis.candidates if row.status != REJECTED]
+    names += [name for label in likely for name in label.split(' + ')]
+    if not diagnosis.effects:
+        names += diagnosis.not_tested
+    return list(dict.fromkeys(names))[:IN_QUESTION_MAX]
+
+
+def widest(diagnosis: Diagnosis, catalogue: Catalogue) -> float | None:
+    """Half of the widest 95 % interval, of the value or of a typical size; None: nothing named."""
+    halves = []
+    for effect in diagnosis.effects:
+        parameters = {p.name: p for p in catalogue[effect.name].parameters}
+        for key, value in effect.parameters.items():
+            parameter = parameters[key.split('[')[0]]
+            size = max(abs(value.value - parameter.neutral), parameter.typical)
+            half = 0.5 * (value.high - value.low)
+            halves.append(half / size if np.isfinite(half) else np.inf)
+    return float(max(halves)) if halves else None
+
+
+def settled(
+    diagnosis: Diagnosis, rounds: Sequence[Round], goal: Goal, postures: int
+) -> InvestigationEnd | None:
+    """
+    Tell whether it is enough; the last of the rounds is this diagnosis.
+
+    A verdict counts when the one before, on fewer postures, was the same.
+    """
+    verdict, now = diagnosis.verdict, rounds[-1]
+    if verdict is Verdict.CANNOT_JUDGE:
+        return InvestigationEnd.MISTAKE if 'mistake' in diagnosis.details else None
+    before = rounds[-2] if len(rounds) > 1 else None
+    again = before is not None and (before.verdict, before.names) == (now.verdict, now.names)
+    if verdict in NAMING and not diagnosis.cannot_tell_apart:
+        narrow = now.widest is not None and now.widest <= goal.interval
+        return InvestigationEnd.NAMED if again and narrow else None
+    if verdict is Verdict.ADEQUATE:
+        return InvestigationEnd.ADEQUATE if again and postures >= POSTURES_ENOUGH else None
+    if verdict is Verdict.OUTSIDE_CATALOGUE:
+        enough = before is not None and before.verdict == now.verdict
+        return InvestigationEnd.OUTSIDE if enough and postures >= POSTURES_ENOUGH else None
+    return InvestigationEnd.INSEPARABLE if _inseparable(diagnosis, rounds) else None
+
+
+def _inseparable(diagnosis: Diagnosis, rounds: Sequence[Round]) -> bool:
+    """Tell whether a class stays what it is: nothing separates it, or three rounds did not."""
+    last = [one.names for one in rounds[-AGAIN_FOR_CLASS:]]
+    same = len(last) > 1 and last[-1] == last[-2]
+    following = diagnosis.next_measurement
+    alike = (
+        following is None
+        or following.gravity is not None  # the arm would have to be turned
+        or following.difference < SEPARABLE_FROM_SD * following.noise
+    )
+    always = len(last) == AGAIN_FOR_CLASS and all(names == last[0] for names in last)
+    return same and (alike or always)

@@ -1,0 +1,180 @@
+"""An investigation: information by closed forms; it finds, keeps limits, stops, resumes."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from source_tree import ROOT
+
+from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.common.errors import InputError, TendonRobotError
+from tendon_robot_ros.comparison.noise import Noise
+from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.investigation.choice import OpenQuestion, _added, choose
+from tendon_robot_ros.investigation.goal import Goal
+from tendon_robot_ros.investigation.loop import Investigation
+from tendon_robot_ros.investigation.pool import Room, pool
+from tendon_robot_ros.investigation.record import empty_dataset
+from tendon_robot_ros.investigation.simulated_arm import SimulatedArm
+from tendon_robot_ros.investigation.stopping import InvestigationEnd
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
+from tendon_robot_ros.simulation.imperfect import Workmanship
+from tendon_robot_ros.simulation.plant import make_plant
+
+KATO = ROOT / 'config' / 'robots' / 'kato_10_1.yaml'
+
+
+def arm(hidden, seed=3, **options):
+    plant = make_plant(load_robot(KATO), hidden, seed=seed, work=Workmanship())
+    return SimulatedArm(plant, seed=seed, **options)
+
+
+def test_the_information_of_one_reading_of_one_parameter_is_that_of_a_gaussian_channel():
+    signal, noise = 3.0, 0.5
+    added = 0.5 * _added(np.eye(1), np.array([[signal / noise]]))
+    assert added == pytest.approx(0.5 * np.log(1.0 + (signal / noise) ** 2))
+
+
+def test_what_an_imperfection_does_as_well_tells_less_and_a_second_reading_tells_less():
+    alone = _added(np.eye(1), np.array([[2.0]]))
+    both = np.array([[2.0, 5.0]])  # the second column is a nuisance
+    beside = _added(np.eye(2), both) - _added(np.eye(1), both[:, 1:])
+    assert 0.0 < beside < 0.2 * alone
+    again = _added(np.eye(1) + 4.0, np.array([[2.0]]))
+    assert again < alone
+
+
+def test_a_load_and_a_curvature_are_told_apart_where_they_differ_not_where_they_are_large():
+    """A tip load bends an arm the less the stiffer it is pulled; a curvature stays as it is."""
+    robot = replace(load_robot(KATO), effects={}, tolerances={}, exact=True)
+    plant = make_plant(robot, {}, scatter=0.0)
+    empty = empty_dataset(SimulatedArm(plant), 'none', 1)
+    noise = Noise(1e-4, 0.0, 0.0, np.inf, 'declared')
+    low = robot.tension_limits[0]
+    rows = np.array([[low] * 4, [low, 0.8, low, 0.8], [0.8, low, 0.8, low]])
+    catalogue = load_catalogue()
+    first = choose(OpenQuestion(('tip_load',), {}, noise), empty, rows, catalogue, 3)
+    assert [c.gain for c in first] == sorted((c.gain for c in first), reverse=True)
+    both = OpenQuestion(('tip_load', 'pre_curvature'), {}, noise)
+    chosen = choose(both, empty, rows, catalogue, 2)
+    same = choose(both, empty, np.repeat(rows[:1], 2, axis=0), catalogue, 2)
+    assert sum(c.gain for c in chosen) > sum(c.gain for c in same) + 1.0
+
+
+@pytest.fixture(scope='module')
+def found(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('investigation') / 'found'
+    said = []
+    subject = arm({'hinge_friction': {}}, lost=0.25)
+    made = Investigation(subject, Goal(tension_max=0.8), folder, tell=said.append).run()
+    return subject, made, folder, [news.text for news in said]
+
+
+def test_it_names_what_is_hidden_with_half_of_the_twelve_postures(found):
+    _, made, _, _ = found
+    assert made.outcome is InvestigationEnd.NAMED
+    assert [e.name for e in made.diagnosis.effects] == ['hinge_friction']
+    assert len(made.dataset.postures) <= 6
+
+
+def test_what_it_adds_lowers_the_error_on_fresh_postures_and_is_written_whole(found):
+    _, made, folder, _ = found
+    assert made.check is not None and len(made.check.postures) == 3
+    assert made.made.check.after < 0.3 * made.made.check.before
+    written = load_dataset(folder / 'data')
+    assert np.array_equal(written.positions, made.dataset.positions, equal_nan=True)
+    log = json.loads((folder / 'investigation.json').read_text())
+    assert log['outcome']['names'] == ['hinge_friction']
+
+
+def test_it_never_leaves_the_limits_and_lets_the_arm_go_at_the_end(found):
+    subject, *_ = found
+    visited = np.array(subject.visited)
+    low, _ = subject.robot.tension_limits
+    assert visited.min() >= low - 1e-9
+    assert visited.max() <= 0.8 + 1e-9
+    assert subject.released >= 1
+
+
+def test_a_broken_measurement_is_said_and_repeated(found):
+    subject, made, _, said = found
+    broken = [line for line in said if 'once more' in line or 'skipped' in line]
+    assert broken and all('the tracker lost the arm' in line for line in broken)
+    whole = len(made.dataset.postures) + len(made.check.postures)
+    assert len(subject.visited) == whole + len(broken)
+
+
+def test_an_arm_that_is_never_seen_ends_with_one_line(tmp_path):
+    subject = arm({}, lost=1.0)
+    with pytest.raises(TendonRobotError, match=r'postures could not be measured.*--resume'):
+        Investigation(subject, Goal(), tmp_path / 'none').run()
+    assert subject.released == 1
+
+
+def test_interrupted_it_lets_go_and_goes_on_where_it_was(tmp_path):
+    folder, subject = tmp_path / 'broken_off', arm({'hinge_friction': {}})
+    usual, count = subject.measure, [0]
+
+    def interrupted(inputs, trials):
+        count[0] += 1
+        if count[0] == 4:
+            raise KeyboardInterrupt
+        return usual(inputs, trials)
+
+    subject.measure = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        Investigation(subject, Goal(), folder).run()
+    assert subject.released == 1
+    assert len(load_dataset(folder / 'data').postures) == 3
+    with pytest.raises(InputError, match='--resume'):
+        Investigation(subject, Goal(), folder)
+    again = Investigation(subject, Goal(postures=4), folder, resume=True)
+    before = again.record.dataset.positions[:3].copy()
+    made = again.run()
+    assert np.array_equal(made.dataset.positions[:3], before)
+    assert made.outcome is InvestigationEnd.BUDGET
+    assert len(made.dataset.postures) == 4
+    other = replace(load_robot(KATO), effects={})
+    stranger = SimulatedArm(make_plant(other, {}), seed=1)
+    with pytest.raises(InputError, match='another description'):
+        Investigation(stranger, Goal(), folder, resume=True)
+
+
+def test_of_an_arm_without_a_hidden_effect_it_says_that_the_model_is_adequate():
+    made = Investigation(arm({}, seed=5), Goal()).run()
+    assert made.outcome is InvestigationEnd.ADEQUATE
+    assert made.made is None
+
+
+def test_postures_keep_out_of_a_region_on_their_whole_way():
+    robot = load_robot(KATO)
+    model, goal = Model(robot), Goal()
+    everywhere = pool(robot, goal, 'tension', 'from_straight', model, Room())
+    tips = model.shapes(everywhere).tip_position
+    away = KeepOut((Region('lamp', Sphere(tuple(tips[10].tolist()), 0.03)),))
+    kept = pool(robot, goal, 'tension', 'from_straight', model, Room(away, 0.005))
+    assert 0 < len(kept) < len(everywhere)
+    low = robot.tension_limits[0]
+    for share in np.linspace(0.0, 1.0, 37):
+        shapes = model.shapes(low + share * (kept - low)).positions
+        assert away.clearance(shapes.reshape(-1, 3)).distance > 0.0
+
+
+@pytest.mark.parametrize(
+    ('option', 'says'),
+    [
+        (['--start', '2'], '--start: expected 3'),
+        (['--interval', '-1'], '--interval: expected'),
+        (['--postures', '3'], '--start: expected 3 to 3, got 4'),
+    ],
+)
+def test_a_goal_that_cannot_be_is_refused_in_one_line(option, says, tmp_path, capsys):
+    code = main(['rehearse', str(KATO), '--output', str(tmp_path / 'x'), *option])
+    assert code == 1
+    error = capsys.readouterr().err
+    assert says in error and error.count('\n') == 1
+    assert not (tmp_path / 'x').exists()
