@@ -37,7 +37,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
 SOON = 0.1  # [s]
-LEAST = 0.8  # [N] before a stop
+LEAST = {'tension': 0.8, 'pull': 0.006}  # [N], [m] before a stop
 BEFORE = 0.1  # [s] of the trace before the cause
 AFTER = 0.45  # [s] of the trace after the cause
 ENDED = 2.0  # [s] that a process may take to end
@@ -144,11 +144,11 @@ ENDS = {'SIGINT of the driver': 'driver', 'SIGTERM of the driver': 'driver',
 class Scale:
     """Turns the currents of the motors into the tensions that the driver means by them."""
 
-    def __init__(self, servos, robot):
-        driver = driver_for(servos, robot=robot)
+    def __init__(self, chain):
+        driver = driver_for(chain.servos, chain.mode, chain.robot)
         wires = driver.config.wires
         self.lines = [(wire.calibration.mean, wire.spool.direction) for wire in wires]
-        self.rest = float(driver.limits[0, 0])
+        self.rest = driver.robot.tension_limits[0]
 
     def __call__(self, currents):
         rows = [
@@ -164,7 +164,11 @@ def judge(trace, cause, scale):
     tensions = scale(np.array([moment[1] for moment in trace]))
     wires = np.array([moment[2] for moment in trace])
     before = tensions[times <= 0.0]
-    if not len(before) or before[-1].max() < LEAST or np.ptp(before, axis=0).max() > 0.2:
+    if (
+        not len(before)
+        or before[-1].max() < LEAST['tension']
+        or np.ptp(before, axis=0).max() > 0.2
+    ):
         return None
     start = before[-1]
     pulling = start > scale.rest + 5.0 * NEAR
@@ -184,7 +188,7 @@ def judge(trace, cause, scale):
 def trial(chain, stops, kind, scale, number):
     """Bend the arm, stop it, look; return the figures or None."""
     stop, undo = KINDS[kind]
-    held = chain.up(chain.targets[number % len(chain.targets)], LEAST)
+    held = chain.up(chain.targets[number % len(chain.targets)], LEAST[chain.mode])
     chain.user.spin(SETTLE)
     cause = stop(stops)
     sent, ended = time.monotonic() - cause, np.nan
@@ -210,12 +214,12 @@ def measure(args, rows):
     load = Load(args.busy)
     servos = {} if args.watchdog is None else {'watchdog': args.watchdog}
     chain = Chain(
-        args.logs, arm=args.arm, servos=servos, robot=args.robot, stop_time=args.stop_time,
+        args.logs, args.mode, args.arm, servos, args.robot, stop_time=args.stop_time,
         command_timeout=args.command_timeout,
     )  # fmt: skip
     at_once(os.getpid(), 2)
     try:
-        stops, scale = Stops(chain), Scale(chain.servos, args.robot)
+        stops, scale = Stops(chain), Scale(chain)
         end = time.monotonic() + 60.0 * args.minutes
         for number in range(args.trials):
             for kind in args.kinds:
@@ -295,6 +299,7 @@ def read_arguments():
     parser.add_argument('--minutes', type=float, default=1e6, help='stop after so long')
     parser.add_argument('--busy', type=int, default=0, help='busy processes beside it')
     parser.add_argument('--stop-time', type=float, default=0.06, help='[s]')
+    parser.add_argument('--mode', default='tension', choices=tuple(LEAST))
     parser.add_argument('--robot', default='kato_10_1', choices=ARMS)
     parser.add_argument('--arm', default='springs', choices=('plant', 'springs'))
     parser.add_argument('--command-timeout', type=float, default=0.1, help='[s]')
@@ -320,6 +325,7 @@ def main():
         'busy processes': args.busy,
         'stop_time': args.stop_time,
         'robot': args.robot.stem,
+        'mode': args.mode,
         'arm': args.arm,
         'command_timeout': args.command_timeout,
         'watchdog': args.watchdog or 'default',

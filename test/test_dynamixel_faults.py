@@ -209,3 +209,32 @@ def test_nothing_was_ever_commanded_beyond_the_limits(arm):
         assert low <= min(sent)
         assert max(sent) <= high
         assert line.servo(motor.identity).get('current_limit') == motor.strongest
+
+
+@pytest.fixture
+def pulled_arm():
+    """Give the same in pull mode only."""
+    yield from arm_in('pull')
+
+
+def test_a_motor_that_is_weakened_lets_the_arm_have_its_wire_and_is_strong_again(pulled_arm):
+    driver, line, command = pulled_arm
+    command = 2.0 * command
+    settled(driver, command)
+    held, motor = driver.read().tensions, driver.motors[1]
+    driver.weaken(0.5)
+    settled(driver, command)
+    counts = round(motor.wires[0].calibration.current(0.5) / motor.model.current_unit)
+    assert [line.servo(i).get('goal_current') for i in (1, 2, 3, 4)] == [counts] * 4
+    assert driver.read().tensions.max() < 0.6 < held.max()
+    driver.weaken(np.inf)
+    settled(driver, command)
+    assert line.servo(1).get('goal_current') == motor.strongest
+    np.testing.assert_allclose(driver.read().tensions, held, atol=0.1)
+
+
+def test_a_position_mode_without_current_cannot_be_weakened():
+    with emulated.line() as line:
+        assert emulated.driver_for(line, 'pull').gives_way
+        assert not emulated.driver_for(line, 'pull', pull_operation='extended').gives_way
+        assert not emulated.driver_for(line, 'tension').gives_way

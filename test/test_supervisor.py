@@ -85,9 +85,15 @@ def disturb(supervisor, event):
 
 
 @settings(deadline=None)
-@given(mode=st.sampled_from(['tension', 'pull']), first=readings, sequence=events)
-def test_no_sequence_of_inputs_breaks_limits_or_rates(mode, first, sequence):
-    supervisor = Supervisor(rules(mode))
+@given(
+    mode=st.sampled_from(['tension', 'pull']),
+    weak=st.booleans(),
+    first=readings,
+    sequence=events,
+)
+def test_no_sequence_of_inputs_breaks_limits_or_rates(mode, weak, first, sequence):
+    giving = {'give_way': LOW, 'stop_time': STOP} if weak and mode == 'pull' else {}
+    supervisor = Supervisor(rules(mode, **giving))
     try:
         supervisor.start(0.0, first)
     except DriverError:
@@ -95,14 +101,17 @@ def test_no_sequence_of_inputs_breaks_limits_or_rates(mode, first, sequence):
     limits, rate = supervisor.rules.limits, supervisor.rules.rates[0]
     fall = max(rate, (HIGH - LOW) / STOP) if mode == 'tension' else rate
     before, faulty = supervisor.step(0.0, None, reading()).command, False
-    now = 0.0
+    now, strongest = 0.0, np.inf
     for passed, command, state, event in sequence:
         disturb(supervisor, event)
         now += passed
         asked = None if command is None else np.array(command)
-        out = supervisor.step(now, asked, state).command
+        decision = supervisor.step(now, asked, state)
+        out = decision.command
         assert np.all(np.isfinite(out))
-        begins_again = faulty and not state.faults
+        begins_again = (faulty and not state.faults) or decision.strongest > strongest
+        strongest = decision.strongest
+        assert strongest == np.inf or (LOW <= strongest <= HIGH and giving)
         if not begins_again:
             assert np.all(out - before <= rate * CYCLE_MAX_S * (1 + 1e-9))
             assert np.all(before - out <= fall * CYCLE_MAX_S * (1 + 1e-9))
@@ -270,6 +279,47 @@ def test_in_pull_mode_a_tension_within_its_uncertainty_changes_nothing():
     assert decision.command[1] < 0.005
 
 
+def weak(pulls=(0.010, -0.008)):
+    """Return a supervisor in pull mode whose motors are stopped in `STOP` seconds."""
+    return started('pull', reading(pulls=pulls), give_way=LOW, stop_time=STOP)
+
+
+def test_in_pull_mode_a_stop_weakens_the_motors_and_the_wire_stays_on_its_spool():
+    supervisor = weak()
+    bent = np.array([0.010, -0.008])
+    decision, now = run(supervisor, 0.0, 0.1, bent)
+    assert decision.strongest == np.inf
+    assert decision.command == pytest.approx(bent)
+    supervisor.latch.stop('stop', 'stop was called')
+    decision, now = run(supervisor, now, 0.5 * STOP)
+    assert decision.strongest == pytest.approx(0.5 * (LOW + HIGH))  # the ramp is a straight line
+    decision, now = run(supervisor, now, 0.5 * STOP)
+    assert decision.strongest == LOW
+    assert decision.command[0] == pytest.approx(0.010 - 0.01 * STOP)  # at the release rate
+    assert -0.01 * STOP < decision.command[1] + 0.008 - 0.02 * STOP <= 0.0  # nothing pulls there
+    decision, now = run(supervisor, now, 2.0)
+    assert (decision.state, decision.strongest) == ('released', LOW)
+    assert decision.command == pytest.approx([0.0, 0.0])
+
+
+def test_silence_in_pull_mode_does_not_weaken_the_motors():
+    decision, _ = run(weak(), 0.0, 0.3)
+    assert decision.state == 'releasing'
+    assert decision.strongest == np.inf
+
+
+def test_after_such_a_stop_the_motors_go_on_from_where_the_arm_has_moved_them():
+    supervisor = weak()
+    _, now = run(supervisor, 0.0, 0.1, np.array([0.010, -0.008]))
+    supervisor.latch.stop('stop', 'stop was called')
+    moved = reading(pulls=(0.002, -0.001))
+    _, now = run(supervisor, now, STOP, None, moved)
+    supervisor.reset()
+    decision = supervisor.step(now + CYCLE, np.array([0.010, 0.0]), moved)
+    assert decision.strongest == np.inf
+    assert decision.command[0] == pytest.approx(0.002 + 0.02 * CYCLE)
+
+
 def test_pull_mode_does_not_start_without_a_measured_pull():
     with pytest.raises(DriverError, match='no wire pull measured for right'):
         started('pull', reading(pulls=(0.0, np.nan)))
@@ -284,6 +334,7 @@ def test_pull_mode_does_not_start_without_a_measured_pull():
         {'command_timeout': np.inf},
         {'release_to': 'nowhere'},
         {'rates': np.ones(3)},
+        {'give_way': 0.1},
     ],
 )
 def test_rules_that_cannot_be_held_are_refused(changes):

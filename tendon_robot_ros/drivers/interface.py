@@ -118,6 +118,8 @@ class Driver(abc.ABC):
         Largest change of the command per second, in the unit of the mode.
     port : str
         Path of the serial port, empty where there is none.
+    gives_way : bool
+        Whether `weaken` does what it is told, in pull mode.
 
     """
 
@@ -127,6 +129,7 @@ class Driver(abc.ABC):
     limits: Array
     rates: Array
     port: str = ''
+    gives_way: bool = False
 
     @abc.abstractmethod
     def open(self) -> None:
@@ -147,6 +150,14 @@ class Driver(abc.ABC):
     @abc.abstractmethod
     def write(self, command: Array) -> None:
         """Command every input, shape (m,) [N] or [m], kept within limits and rates."""
+
+    def weaken(self, strongest: float) -> None:
+        """
+        Take what a motor may hold a wire with [N], in pull mode, from the next command on.
+
+        Without `gives_way` nothing comes of it.
+        """
+        return
 
     @abc.abstractmethod
     def read(self) -> Reading:

@@ -136,6 +136,9 @@ class SafetyRules:
     tension_limits : tuple of float
         In pull mode: a wire tighter than the second pays out [N]; a tension that is not
         observed counts as none.
+    give_way : float, optional
+        In pull mode: what a motor may still pull `stop_time` after a stop was asked for [N];
+        None where motors cannot be told.
 
     """
 
@@ -149,6 +152,7 @@ class SafetyRules:
     release_to: str = 'pretension'
     stop_time: float = 0.0
     tension_limits: tuple[float, float] = (0.0, np.inf)
+    give_way: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse rules that cannot be held."""
@@ -172,6 +176,8 @@ class SafetyRules:
             raise DriverError('safety rules: rates and command_timeout must be > 0 and finite')
         if not 0.0 <= self.stop_time < np.inf:
             raise DriverError(f'safety rules: stop_time must be >= 0, got {self.stop_time}')
+        if self.give_way is not None and not (self.mode == 'pull' and self.give_way >= 0.0):
+            raise DriverError(f'safety rules: give_way is for pull mode, >= 0: {self.give_way}')
 
 
 @dataclass(frozen=True)
@@ -191,6 +197,8 @@ class Decision:
         Why it does not follow, one sentence each.
     clipped : tuple of str
         Inputs whose command was outside the limits.
+    strongest : float
+        What a motor may pull [N], below its own limit after a stop in pull mode.
 
     """
 
@@ -199,3 +207,4 @@ class Decision:
     state: str
     reasons: tuple[str, ...] = ()
     clipped: tuple[str, ...] = ()
+    strongest: float = np.inf

@@ -15,6 +15,7 @@ from ..interface import Array, Fault, Reading
 from ..ports import PortLostError
 from .bus import Bus, check_latency
 from .config import DynamixelConfig, limits, read_config
+from .control_table import CURRENT_POSITION_MODE
 from .handshake import shake_hands
 from .homing import find_slack
 from .motor import Motor, make_motors
@@ -97,6 +98,7 @@ def driver_reading(
 # Dynamixel servos behind the driver interface: fails safe, comes back from where the arm is.
 
 REBOOT_TIME_S = 2.0  # [s]
+STRENGTH_REPEATED_S = 0.1  # [s] nobody acknowledges a goal
 
 
 class DynamixelDriver(PortDriver):
@@ -118,6 +120,8 @@ class DynamixelDriver(PortDriver):
         self._lost: list[Motor] = []
         self._turn = 0
         observable = config.allow_coarse or mode == 'tension'
+        self.gives_way = self._operating == CURRENT_POSITION_MODE
+        self._strongest, self._weak_until = np.inf, -np.inf  # [N], monotonic [s]
         self._observable = np.array([observable or not w.resolution.coarse for w in config.wires])
 
     def open(self) -> None:
@@ -203,9 +207,25 @@ class DynamixelDriver(PortDriver):
         name = 'goal_current' if self.mode == 'tension' else 'goal_position'
         try:
             if self.bus.connected:
+                self._send_strength()
                 self.bus.send_goals(name, goals, bounds)
         except PortLostError:
             pass  # read() says so and tries to get it back
+
+    def weaken(self, strongest: float) -> None:
+        """Let no motor hold a wire with more than a tension [N]; inf: its limit."""
+        self._strongest = strongest
+
+    def _send_strength(self) -> None:
+        """Send what the motors may hold while it is less than usual, and for a while after."""
+        now = time.monotonic()
+        if self.gives_way and np.isfinite(self._strongest):
+            self._weak_until = now + STRENGTH_REPEATED_S
+        if now < self._weak_until:
+            motors = [motor for motor in self.motors.values() if motor.wanted]
+            goals = {motor.identity: motor.strength(self._strongest) for motor in motors}
+            bounds = {motor.identity: motor.current_bounds for motor in motors}
+            self.bus.send_goals('goal_current', goals, bounds)
 
     def read(self) -> Reading:
         """Read every motor; look after errors, watchdogs and what was lost."""

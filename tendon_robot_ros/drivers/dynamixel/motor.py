@@ -155,6 +155,13 @@ class Motor:
         way = sum(w.share * w.spool.ticks(c) for w, c in zip(self.wires, commands, strict=True))
         return round(zero + way)
 
+    def strength(self, tension: float) -> int:
+        """Return the current at which it holds no wire with more than a tension [N], in counts."""
+        if math.isinf(tension):
+            return self.strongest
+        amperes = min(wire.calibration.current(tension) for wire in self.wires)
+        return max(0, round(amperes / self.model.current_unit))
+
     def faults(self, port: str) -> Iterator[Fault]:
         """List what is wrong with it."""
         who = f'{port}: {self}'

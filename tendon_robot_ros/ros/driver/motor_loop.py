@@ -180,9 +180,13 @@ class MotorLoop:
         stopped = bool(self.supervisor.latch)
         began_again = self._torque(decision)
         if decision.state not in (OFF, LIMP) and not began_again:
-            self.driver.write(decision.command)
+            self._write(decision)
         self._last = self.driver.read()
         self._report(Cycle(self._last, decision, time.monotonic() - began, stopped))
+
+    def _write(self, decision: Decision) -> None:
+        self.driver.weaken(decision.strongest)
+        self.driver.write(decision.command)
 
     def _torque(self, decision: Decision) -> bool:
         """
@@ -214,7 +218,7 @@ class MotorLoop:
             for _ in range(round(5.0 / self._period)):
                 decision = self.supervisor.step(time.monotonic(), None, self.driver.read())
                 if decision.state not in (OFF, LIMP):
-                    self.driver.write(decision.command)
+                    self._write(decision)
                 if decision.state in (OFF, LIMP, RELEASED):
                     return
                 time.sleep(self._period)

@@ -55,7 +55,7 @@ SPECS = (
     Spec(
         'stop_time',
         0.06,
-        'tension mode: after a stop all tensions are at pretension so much later',
+        'after a stop no motor pulls more than pretension so much later (docs/safety.md)',
         's',
         STOP_TIME_MIN_S,
         10.0,
@@ -169,10 +169,12 @@ def rules(robot: Robot, driver: Driver, parameters: Parameters) -> SafetyRules:
         high = parameters['pull_limit'] or np.inf
         low, rate, release = -high, parameters['pull_rate_limit'], parameters['pull_release_rate']
     limits = np.column_stack([np.maximum(limits[:, 0], low), np.minimum(limits[:, 1], high)])
-    rest = np.zeros(m)
+    rest, give_way, wanted = np.zeros(m), None, parameters['pretension']
     if driver.mode == 'tension':
-        wanted = parameters['pretension']
         rest = limits[:, 0].copy() if wanted < 0.0 else np.full(m, wanted)
+    elif driver.gives_way:
+        give_way = robot.tension_limits[0] if wanted < 0.0 else wanted
+    soon = driver.mode == 'tension' or driver.gives_way
     return SafetyRules(
         inputs=robot.inputs,
         mode=driver.mode,
@@ -182,8 +184,9 @@ def rules(robot: Robot, driver: Driver, parameters: Parameters) -> SafetyRules:
         release_rate=release,
         command_timeout=parameters['command_timeout'],
         release_to=parameters['release_to'],
-        stop_time=parameters['stop_time'] if driver.mode == 'tension' else 0.0,
+        stop_time=parameters['stop_time'] if soon else 0.0,
         tension_limits=robot.tension_limits,
+        give_way=give_way,
     )
 
 
