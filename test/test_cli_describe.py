@@ -117,6 +117,9 @@ def test_new_robot_takes_answers_from_a_pipe_and_draws(monkeypatch, tmp_path, ca
     assert robot.effects == {
         'tendon_friction': {'friction_coefficient': 0.2},
         'gravity': {'linear_density': 0.01389},
+        'straight_tendon': {'fraction': 1.0},
+        'eyelet_wrap': {'fraction': 1.0},
+        'tendon_travel': {'fraction': 1.0},
     }
     assert robot.tolerances == {'bending_stiffness': 0.1}
     assert (tmp_path / 'my_arm.png').read_bytes().startswith(b'\x89PNG')

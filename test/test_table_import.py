@@ -244,6 +244,33 @@ def test_two_tables_of_one_recording_are_joined_on_time(calm):
         import_table([tensions, tensions, markers], ARM)
 
 
+@pytest.mark.parametrize('delay', [-12.4, 0.0, 0.37, 5.0])
+def test_the_delay_of_a_clock_of_its_own_is_found_said_and_written(noisy, delay):
+    tensions = noisy[[name for name in noisy.columns if '[mm]' not in name]]
+    markers = noisy[[name for name in noisy.columns if '[N]' not in name]]
+    markers = markers[max(0, round(25 * delay)) :]  # the tracker was started later
+    tensions = tensions[max(0, round(-25 * delay)) :]
+    found = import_table([tensions, markers], ARM, {'up': 'y'})
+    assert found.recipe.delay == (pytest.approx(delay, abs=0.02),)
+    way = 'before' if delay < 0.0 else 'behind'
+    assert f's {way} that of the inputs: then' in found.text()
+    given = import_table([tensions, markers], ARM, {'up': 'y', 'delay': delay})
+    assert given.recipe.delay == (delay,)
+    assert_allclose(found.dataset.mean, given.dataset.mean, atol=2e-4)
+
+
+def test_clocks_that_nothing_tells_apart_are_said_and_not_guessed(noisy):
+    """A tracker that was started a round and more later: every round is like the one before."""
+    tensions = noisy[[name for name in noisy.columns if '[mm]' not in name]]
+    markers = noisy[[name for name in noisy.columns if '[N]' not in name]][25 * 31 :]
+    found = import_table([tensions, markers], ARM, {'up': 'y'})
+    text = found.text()
+    assert 'does not tell by how much one clock is behind' in text and 'say --delay' in text
+    assert found.recipe.delay == (0.0,)
+    with pytest.raises(DataSetError, match='2 delays are given for 1 recordings'):
+        import_table([tensions, markers], ARM, {'up': 'y', 'delay': [0.0, 1.0]})
+
+
 def test_recordings_one_after_the_other_are_trials_of_the_same_postures(calm):
     data = import_table([calm, calm], ARM, {'up': 'y'}).dataset
     assert data.postures == tuple('01234')

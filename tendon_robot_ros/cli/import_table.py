@@ -85,7 +85,8 @@ def _add_still(group: argparse._ArgumentGroup) -> None:
     add('--rest', metavar='X', help=what)
     what = 'sequence: every posture was reached from the one before'
     add('--path', choices=('from_straight', 'sequence'), help=what)
-    add('--delay', type=float, metavar='S', help="the tracker's clock is behind by this")
+    what = "the tracker's clock is behind by this, in a file of its own (default: found)"
+    add('--delay', type=float, metavar='S', help=what)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -185,7 +186,7 @@ def _with_measurements(recipe: Recipe, args: argparse.Namespace) -> Recipe:
         if value is not None:
             _check(f'--{key}', value, 0.0 if key != 'rest' else -1.0)
             given[key] = value
-    given |= {} if args.delay is None else {'delay': args.delay}
+    given |= {} if args.delay is None else {'delay': (args.delay,)}
     given |= {} if args.path is None else {'path': args.path}
     return replace(recipe, **given)
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO, TypeVar
@@ -110,7 +110,9 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
         'effects': {'tendon_friction': {'friction_coefficient': friction}} if friction else {},
     }
     content |= _ask_weight(questions, count * cells * length, content['effects'])
-    return content | _ask_tolerances(questions, known, friction)
+    content |= _ask_tolerances(questions, known, friction)
+    _ask_guides(questions, content['effects'])
+    return content | _ask_down(questions, content.get('gravity', (0.0, 0.0, 0.0)))
 
 
 def _ask_weight(
@@ -127,7 +129,6 @@ def _ask_weight(
     if grams:
         effects['gravity'] = {'linear_density': float(f'{1e-3 * grams / length:.4g}')}
     if along == 'horizontal':
-        print('  then +x is down: in the file, turn gravity if it is not', file=sys.stderr)
         return {'gravity': [acceleration, 0.0, 0.0]}
     return {'gravity': [0.0, 0.0, acceleration]}
 
@@ -141,6 +142,28 @@ def _ask_tolerances(
     if friction and (percent := questions.number('How sure is the friction [± %]', 20, 0, 90)):
         tolerances['friction_coefficient'] = percent / 100.0
     return {'tolerances': tolerances} if tolerances else {}
+
+
+def _ask_guides(questions: Questions, effects: dict[str, Any]) -> None:
+    """Ask how tendons run; what follows where they run free from hole to hole is no guess."""
+    way = questions.choice('Between two guides the tendons run', ('free', 'channel'))
+    if way == 'free':
+        effects['straight_tendon'] = {'fraction': 1.0}
+        if 'tendon_friction' in effects:
+            effects |= {'eyelet_wrap': {'fraction': 1.0}, 'tendon_travel': {'fraction': 1.0}}
+
+
+def _ask_down(questions: Questions, gravity: Sequence[float]) -> dict[str, list[float]]:
+    """Ask where the first tendon of a level arm lies, as seen from its tip."""
+    if not gravity[0]:
+        return {}
+    degrees = questions.number(
+        'Seen from the tip, the first tendon lies [°] counter-clockwise from straight down',
+        0.0, -360.0, 360.0,
+    )  # fmt: skip
+    angle = math.radians(degrees)
+    down = (gravity[0] * math.cos(angle), -gravity[0] * math.sin(angle))
+    return {'gravity': [round(down[0], 4) + 0.0, round(down[1], 4) + 0.0, 0.0]}
 
 
 # -----------------------------------------------------------------------------

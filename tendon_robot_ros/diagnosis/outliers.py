@@ -16,6 +16,7 @@ from .decide import FALSE_OUTLIER_PROBABILITY, MARKERS_OFF_SHARE, TRIALS_MIN
 
 Floats = npt.NDArray[np.float64]
 REWEIGHTING_ROUNDS = 4  # of the robust scale
+SLOPES_OFF_SHARE = 0.3  # of what slopes took off; the model that they are of may lack something
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
     dataset = predictor.dataset
     slopes = input_slopes(predictor, point)
     P, Q, J = dataset.mask.shape
-    left = np.full((P, Q, J, 3), np.nan)
+    left, along = np.full((P, Q, J, 3), np.nan), np.zeros((P, Q, J, 3))
     inputs = np.zeros((P, Q))
     for p in range(P):
         seen = np.flatnonzero(dataset.trial_mask[p])
@@ -59,8 +60,10 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
         g = slopes[p].reshape(len(slopes[p]), -1).T
         for q, move in zip(seen, moves.reshape(len(seen), -1), strict=True):
             left[p, q], inputs[p, q] = _without_inputs(move, g)
+            along[p, q] = move.reshape(-1, 3) - left[p, q]
     distance = np.linalg.norm(left, axis=-1)
-    readings = distance > _limit(distance, 3)
+    explained = np.linalg.norm(along, axis=-1)
+    readings = distance > _limit(distance, 3) + SLOPES_OFF_SHARE * explained
     trials = np.abs(inputs) > 1.5 * _limit(np.where(inputs == 0.0, np.nan, np.abs(inputs)), 1)
     counted = np.maximum(dataset.mask.sum(axis=2), 1)
     trials |= (readings.sum(axis=2) > MARKERS_OFF_SHARE * counted) & (counted > 2)

@@ -116,6 +116,7 @@ def _written_out(
         speed=measured.rule.speed,
         same=measured.same,
         rest=measured.rest,
+        delay=measured.delays or None,
         frame=FrameChoice(frame.method, rotation_vector(frame.rotation), (x, y, z)),
         leave_out=left_out,
     )

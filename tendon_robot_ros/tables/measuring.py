@@ -63,6 +63,7 @@ class StillMeasurements:
     rule: Rule
     same: float  # [N] or [m] inputs that differ by less are those of one posture
     rest: float  # [N] or [m] below, the arm rests; 0: it never does
+    delays: tuple[float, ...]  # [s] of the tracker's clock in each recording; () of one clock
     dropped: tuple[str, ...]
     assumed: tuple[str, ...]
 
@@ -82,7 +83,7 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
         robot, kind
     )
     motions: list[ArmMotion | None] = [None] * len(traces)
-    dropped, assumed = _zeros(traces), list[str]()
+    dropped, assumed = _zeros(traces), [one.clocks for one in traces if one.clocks]
     if recipe.time is not None:
         motions = [motion(one.recording, one.inputs, rule) for one in traces]
         rule = _still_rule([m for m in motions if m is not None], traces, rule, recipe)
@@ -110,6 +111,7 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
         rule,
         same,
         rest,
+        tuple(one.delay for one in traces if one.delay is not None),
         tuple(dropped),
         tuple(assumed),
     )

@@ -74,7 +74,7 @@ class Recipe:
     offset: Vector | None = None  # [m] of all markers, where columns are guessed
     places: tuple[float, ...] = ()  # [m] arc lengths from base to tip, where columns are guessed
     up: str | None = None  # axis of the tracker
-    delay: float = 0.0  # [s] that the tracker's clock is behind
+    delay: tuple[float, ...] | None = None  # [s] that the tracker's clock is behind, by recording
     speed: float | None = None  # [m/s] slower is still
     duration: float = 1.0  # [s] at least so long
     change: float | None = None  # [N] or [m] of an input, while the arm stands still
@@ -160,9 +160,9 @@ def read_recipe(content: Any, source: str = 'recipe', folder: Path | None = None
         positions=top.unit('positions', 'length'),
         markers=tuple(map(_marker, top.items('markers'))) if top.has('markers') else None,
         offset=_vector(top, 'offset'),
-        places=_places(top),
+        places=_numbers(top, 'places'),
         up=top.choice('up', UPS) if top.has('up') else None,
-        delay=top.some('delay', -1e5, 1e5, 's') or 0.0,
+        delay=_numbers(top, 'delay') or None,
         speed=still.some('speed', 1e-6, 10.0, 'm/s'),
         duration=still.some('duration', 1e-3, 1e4, 's') or 1.0,
         change=still.some('change', 1e-9, 1e4, 'N or m'),
@@ -227,9 +227,9 @@ def _vector(top: RecipeFields, key: str) -> Vector | None:
     return x, y, z
 
 
-def _places(top: RecipeFields) -> tuple[float, ...]:
-    places = top.numbers('places') if top.has('places') else ()
-    return places if isinstance(places, tuple) else (places,)
+def _numbers(top: RecipeFields, key: str) -> tuple[float, ...]:
+    found = top.numbers(key) if top.has(key) else ()
+    return found if isinstance(found, tuple) else (found,)
 
 
 def _frame(top: RecipeFields) -> FrameChoice:
@@ -268,7 +268,7 @@ def dump_recipe(recipe: Recipe, folder: Path) -> str:
         'positions': recipe.positions,
         'markers': [_plain_marker(marker) for marker in recipe.markers or ()],
         'up': recipe.up,
-        'delay': recipe.delay or None,
+        'delay': list(recipe.delay) if recipe.delay else None,
         'still': {
             'speed': recipe.speed, 'duration': recipe.duration, 'change': recipe.change
         } if recipe.time else None,

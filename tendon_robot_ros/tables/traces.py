@@ -14,6 +14,7 @@ from ..common.units import UNITS, find_unit
 from ..data.dataset import listing
 from ..data.recording.reader import Recording, Track
 from .choices import Taken, time_column
+from .clocks import find_delay
 from .raw_table import FloatArray, RawTable
 from .recipe import Recipe, WireSpool
 
@@ -63,6 +64,8 @@ class Traces:
     inputs: FloatArray  # (T, m) [N] or [m] at `recording.state_times`
     zeros: int  # marker readings of exactly 0, 0, 0: not seen
     jumps: IntArray  # (J,) frames in which a marker was elsewhere for a moment
+    delay: float | None = None  # [s] that the tracker's clock is behind; None: there is one clock
+    clocks: str = ''  # how the delay is known, where there are two clocks
 
 
 def make_traces(tables: Sequence[RawTable], taken: Taken) -> list[Traces]:
@@ -92,14 +95,23 @@ def make_traces(tables: Sequence[RawTable], taken: Taken) -> list[Traces]:
             f'{len(told)} tables hold inputs and {len(seen)} markers',
             'name one of each per recording',
         )
-    return [_trace(a, b, recipe) for a, b in zip(told, seen, strict=True)]
+    delays = recipe.delay or (None,) * len(told)
+    if len(delays) == 1:
+        delays *= len(told)
+    if len(delays) != len(told):
+        raise DataSetError(
+            tables[0].name,
+            f'{len(delays)} delays are given for {len(told)} recordings',
+            'give one delay, or one for each',
+        )
+    return [_trace(a, b, recipe, d) for a, b, d in zip(told, seen, delays, strict=True)]
 
 
 def _holds(table: RawTable, columns: Sequence[str]) -> bool:
     return all(c in table.columns or c in table.texts for c in columns)
 
 
-def _trace(told: RawTable, seen: RawTable, recipe: Recipe) -> Traces:
+def _trace(told: RawTable, seen: RawTable, recipe: Recipe, delay: float | None) -> Traces:
     uses = (recipe.inputs or {}).values()
     inputs = np.column_stack(
         [told.numbers(use.column) * input_factor(use.unit, recipe.spool) for use in uses]
@@ -111,17 +123,42 @@ def _trace(told: RawTable, seen: RawTable, recipe: Recipe) -> Traces:
             positions[:, j, axis] = seen.numbers(column) * factor
     lost = (positions == 0.0).all(axis=2)
     positions[lost | ~np.isfinite(positions).all(axis=2)] = np.nan
+    clocks = ''
     if recipe.time is None:
         times = state_times = np.arange(len(told), dtype=float)
     else:
         state_times, times = _times(told, recipe), _times(seen, recipe)
-        if told is not seen:  # clocks of their own: they begin when they are started
-            times = times + recipe.delay
+        if told is not seen:  # clocks of their own
+            if delay is None:
+                delay, clocks = _delay(state_times, inputs, times, positions)
+            times = times + delay
+        else:
+            delay = None
     jumps = _cut_jumps(positions, times) if recipe.time else np.zeros(positions.shape[1], int)
     turned = np.broadcast_to(np.nan, (*positions.shape[:2], 4))
     track = Track(times, positions, turned)
     recording = Recording(seen.name, state_times, [], (track,), (), [], None, None)
-    return Traces(recording, inputs, int(lost.sum()), jumps)
+    return Traces(recording, inputs, int(lost.sum()), jumps, delay, clocks)
+
+
+def _delay(
+    state_times: FloatArray, inputs: FloatArray, times: FloatArray, positions: FloatArray
+) -> tuple[float, str]:
+    """Return how far the tracker's clock is behind [s], and how that is known."""
+    found = find_delay(state_times, inputs, times, positions)
+    if not found.is_clear:
+        return 0.0, (
+            'both files begin together: what moves in them does not tell by how much one clock is '
+            f'behind ({100 * found.match:.0f} % go with the inputs at {found.seconds:.2f} s, '
+            f'{100 * found.next_best:.0f} % at another delay); if you know it, say --delay'
+        )
+    delay = round(found.seconds, 3)
+    way = 'behind' if delay >= 0.0 else 'before'
+    return delay, (
+        f"the tracker's clock is {abs(delay):.2f} s {way} that of the inputs: then "
+        f'{100 * found.match:.0f} % of what the markers move goes with the inputs, at no other '
+        f'delay more than {100 * found.next_best:.0f} %'
+    )
 
 
 def _cut_jumps(positions: FloatArray, times: FloatArray) -> IntArray:
