@@ -26,6 +26,8 @@ EXTRAS = {
     # a laboratory's tables: CSV a million rows a second, Parquet, motion capture's .c3d
     'tables': ['ezc3d>=1.5', 'pandas>=2.2', 'pyarrow>=15'],
     'bags': ['rosbags>=0.11'],
+    # chunks of campaigns on more than one machine
+    'cluster': ['distributed>=2024.4'],
     'dynamixel': ['dynamixel-sdk>=3.7'],
     'serial': ['pyserial>=3.5'],
     # ROS 2 Jazzy for machines without it; where ROS is sourced, leave this one out

@@ -13,7 +13,7 @@ set -eu
 here=$(cd "$(dirname "$0")/.." && pwd)
 venv=${VENV:-$here/.venv}
 stamp=$venv/installed-for
-extras='viewer,report,bags,tables,dynamixel,serial,test,colcon,dev'
+extras='viewer,report,bags,tables,cluster,dynamixel,serial,test,colcon,dev'
 
 say() { printf '%s\n' "$*" >&2; }
 

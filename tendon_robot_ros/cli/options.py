@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -53,6 +54,21 @@ def add_json(parser: argparse.ArgumentParser) -> None:
         const='-',
         metavar='OUT',
         help='write the result as JSON to OUT; without OUT print it instead of the table',
+    )
+
+
+def add_cluster(parser: argparse.ArgumentParser) -> None:
+    """Declare where work is spread: processes of this machine, or a cluster."""
+    add = parser.add_argument
+    cores = len(os.sched_getaffinity(0))
+    add(
+        '--workers', type=int, default=cores, metavar='N', help='processes (default: one per core)'
+    )
+    add(
+        '--cluster',
+        default='',
+        metavar='ADDRESS',
+        help='of a dask scheduler instead: tcp://host:8786, or tls:// as its settings say',
     )
 
 

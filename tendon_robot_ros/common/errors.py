@@ -58,6 +58,10 @@ class DataSetError(TendonRobotError):
         super().__init__(f'{where}: {problem}; {remedy}')
 
 
+class ClusterLostError(TendonRobotError):
+    """The scheduler of a cluster is gone while it was at work."""
+
+
 class DriverError(TendonRobotError):
     """A driver cannot do what it was asked."""
 

@@ -19,14 +19,14 @@ def child_environment() -> dict[str, str]:
     return {**os.environ, 'PYTHONUNBUFFERED': '1', PARENT: str(os.getpid())}
 
 
-def end_with_parent() -> None:
-    """Have the kernel send SIGINT to this process when its parent dies, if it was told so."""
-    parent = os.environ.pop(PARENT, '')
+def end_with_parent(parent: int = 0, by: signal.Signals = signal.SIGINT) -> None:
+    """Have the kernel send a signal to this process when its parent dies, if it was told so."""
+    parent = parent or int(os.environ.pop(PARENT, '0'))
     if not parent or not sys.platform.startswith('linux'):
         return
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT)
-    if os.getppid() != int(parent):  # it died before that
-        os.kill(os.getpid(), signal.SIGINT)
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, by)
+    if os.getppid() != parent:  # it died before that
+        os.kill(os.getpid(), by)
 
 
 # -----------------------------------------------------------------------------

@@ -1,0 +1,332 @@
+"""One simulated robot: what it hides, how it is built, and what is measured of it."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from ..comparison.noise import Whitener, estimate_noise, input_slopes
+from ..comparison.predict import Predictor
+from ..data import DataSet, Marker
+from ..diagnosis.marginal import RandomEffects
+from ..diagnosis.slopes import imperfections
+from ..diagnosis.split import SplitPredictor
+from ..effects import Catalogue
+from ..robot import Robot
+from ..robot.size import natural_sizes
+from ..simulation.hidden import CAUSES
+from ..simulation.imperfect import Built, Workmanship
+from ..simulation.measurements import SimulatedNoise, simulate
+from ..simulation.plant import make_plant
+from ..workspace.postures import default_postures
+
+Floats = npt.NDArray[np.float64]
+HiddenSizes = dict[str, float | list[float]]
+NOTHING = 'none'
+VISIBLE_FROM_CHI2 = 30.0  # whitened squared change of the markers that stands out of the noise
+SEQUENCE_FACTOR = 5.0 / 3.0  # postures of a sequence, which goes up and down, for each of others
+LOST_SHARE, WILD_SHARE, WILD_SD_M = 0.03, 0.005, 5e-3  # of the readings of markers; [m]
+
+
+@dataclass(frozen=True)
+class Design:
+    """
+    How a robot is measured.
+
+    Attributes
+    ----------
+    name : str
+    postures, trials : int
+    markers : int
+        Evenly spaced; 0: one at every cell.
+    data : DataSet, optional
+        Measured as these are instead: its postures, trials and markers.
+
+    """
+
+    name: str
+    postures: int = 12
+    trials: int = 5
+    markers: int = 0
+    data: DataSet | None = None
+
+    def placed(self, robot: Robot) -> tuple[Marker, ...] | None:
+        """Return the markers; None: one at every cell."""
+        if self.data is not None:
+            return self.data.markers
+        if not self.markers:
+            return None
+        places = robot.length * (np.arange(self.markers) + 1.0) / self.markers
+        return tuple(Marker(str(i + 1), float(place)) for i, place in enumerate(places))
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A robot of a plan."""
+
+    name: str
+    robot: Robot  # as its owner describes it, with all that may be hidden
+    down: tuple[float, float, float] | None = None  # [m/s²] where gravity is hidden
+
+
+@dataclass(frozen=True)
+class Case:
+    """
+    One simulated robot to judge.
+
+    Attributes
+    ----------
+    robot, hidden : str
+    size : float
+        Times the typical size of the effect.
+    number : int
+        Which of the robots that differ in chance only.
+    design, noise : int
+        Which of the plan's.
+    level : float
+        How badly the arm is built, undeclared; 1: as in a laboratory.
+    exact : bool
+        Whether the description says that the arm is exact.
+    scatter : float
+        Of the cells' stiffness, where the level is 0.
+    declared : bool
+        Whether the description's tolerances say that scatter.
+
+    """
+
+    robot: str
+    hidden: str
+    size: float
+    number: int
+    design: int = 0
+    noise: int = 0
+    level: float = 1.0
+    exact: bool = False
+    scatter: float = 0.0
+    declared: bool = False
+
+    @property
+    def key(self) -> str:
+        """Name it among all cases of all plans that share a folder."""
+        tail = f'{self.design}/{self.noise}/{self.level:g}/{self.exact:d}'
+        more = f'/{self.scatter:g}/{self.declared:d}' if self.scatter else ''
+        return f'{self.robot}/{self.hidden}/{self.size:.6g}/{self.number}/{tail}{more}'
+
+
+@dataclass(frozen=True)
+class Chance:
+    """The seeds of a case: the same arm whatever the design, whoever computes it and when."""
+
+    arm: int
+    fit: int
+    check: int
+    direction: int
+
+    @classmethod
+    def of(cls, case: Case, seed: int) -> Chance:
+        """Spawn them from the plan's seed, by what the case is."""
+        label = f'{case.robot}/{case.hidden}/{case.size:.6g}'
+        root = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(label.encode()), case.number))
+        return cls(*(int(one.generate_state(1)[0]) for one in root.spawn(4)))
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What was measured of a case, and the truth."""
+
+    robot: Robot  # as its owner describes it
+    fit: DataSet
+    check: DataSet
+    values: HiddenSizes
+    built: Built
+    catalogue: Catalogue = field(repr=False)
+
+
+def described(case: Case, arm: Arm, catalogue: Catalogue) -> Robot:
+    """Return the owner's description: all that the arm has, but what is hidden."""
+    robot = arm.robot
+    if case.hidden in robot.effects:
+        robot = robot.without_effect(case.hidden)
+    if needs(case.hidden, catalogue) == 'gravity' and arm.down is not None:
+        robot = replace(robot, gravity=arm.down)
+    known = {'cell_stiffness': case.scatter} if case.declared else {}
+    tolerances = {**robot.tolerances, **known}
+    return replace(robot, tolerances=tolerances, exact=case.exact)
+
+
+def needs(hidden: str, catalogue: Catalogue) -> str | None:
+    """Return what the measurements must have for an effect to show."""
+    return catalogue[hidden].needs if hidden in catalogue else None
+
+
+def hidden_values(
+    hidden: str, size: float, robot: Robot, catalogue: Catalogue, seed: int
+) -> HiddenSizes:
+    """Return the true parameters: typical ones times size; forces and bends point anywhere."""
+    random = np.random.default_rng([seed, 5])
+    if hidden == 'soft_cell':
+        cell = 1 + robot.cells // 4 + int(random.integers(max(robot.cells // 2, 1)))
+        return {'cell': float(cell), 'factor': 1.0 - 0.45 * size}
+    if hidden in CAUSES or hidden == NOTHING:
+        return {}
+    effect = catalogue[hidden].sized(natural_sizes(robot))
+    values: HiddenSizes = {}
+    vector = sum(parameter.low <= -parameter.typical for parameter in effect.parameters) > 1
+    for parameter in effect.parameters:
+        value = parameter.typical * size
+        if parameter.low <= -parameter.typical:  # may have either sign
+            value *= float(random.choice([-1.0, 1.0]))
+            value *= float(random.uniform(0.4, 1.0)) if vector else 1.0
+        if parameter.per_section and len(robot.sections) > 1 and parameter.low < 0.0:
+            shares = [1.5, -1.0] * len(robot.sections)  # sections differ, or it is another effect
+            values[parameter.name] = [
+                abs(value) * share for share in shares[: len(robot.sections)]
+            ]
+        else:
+            values[parameter.name] = float(np.clip(value, parameter.low, parameter.high))
+    return values
+
+
+def simulated(
+    case: Case,
+    arm: Arm,
+    design: Design,
+    noise: SimulatedNoise,
+    catalogue: Catalogue,
+    seed: int = 0,
+    own_model: bool = False,
+) -> Simulated:
+    """
+    Build the arm of a case and measure it, and once more in other postures.
+
+    Parameters
+    ----------
+    case : Case
+    arm : Arm
+    design : Design
+    noise : SimulatedNoise
+    catalogue : Catalogue
+    seed : int
+        Of the plan.
+    own_model : bool
+        The arm is one of the model itself, of the same cells and laws, so that nothing but noise
+        moves what is fitted.
+
+    Raises
+    ------
+    TendonRobotError
+        The hidden effect cannot be, or the arm has no equilibrium.
+
+    """
+    robot, chance = described(case, arm, catalogue), Chance.of(case, seed)
+    values = hidden_values(case.hidden, case.size, robot, catalogue, chance.direction)
+    work = Workmanship().times(case.level) if case.level else None
+    real = {'refine': 1, 'capstan': False} if own_model else {}
+    plant = make_plant(
+        robot,
+        {} if case.hidden == NOTHING else {case.hidden: values},
+        scatter=case.scatter,
+        seed=chance.arm,
+        catalogue=catalogue,
+        work=work,
+        **real,  # type: ignore[arg-type]
+    )
+    sets = []
+    for which, own in enumerate((chance.fit, chance.check)):
+        inputs, kind, path = _postures(case, robot, design, catalogue, which)
+        trials = design.trials if design.data is None else int(design.data.positions.shape[1])
+        one = simulate(
+            plant,
+            inputs,
+            noise=noise,
+            trials=trials,
+            seed=own,
+            markers=design.placed(robot),
+            input=kind,
+            path=path,
+        )
+        sets.append(_disturbed(one, own) if case.level else one)
+    return Simulated(robot, sets[0], sets[1], values, plant.built, catalogue)
+
+
+def _postures(
+    case: Case, robot: Robot, design: Design, catalogue: Catalogue, which: int
+) -> tuple[Floats, str, str]:
+    """Return the inputs, what they are and how postures are reached."""
+    need, data = needs(case.hidden, catalogue), design.data
+    path = 'sequence' if need == 'history' else 'from_straight'
+    kind = 'displacement' if need == 'pulls' else 'tension'
+    if data is not None:
+        path, kind = data.path, data.input
+        if which == 0:
+            return data.inputs, kind, path
+    count = len(data.postures) if data is not None else design.postures
+    count = round(SEQUENCE_FACTOR * count) if path == 'sequence' else count
+    return default_postures(robot, count, which, kind, path), kind, path
+
+
+def _disturbed(dataset: DataSet, seed: int) -> DataSet:
+    """Lose some of the readings of the markers, and put a few of them far off."""
+    random = np.random.default_rng([seed, 19])
+    positions = dataset.positions.copy()
+    wild = random.random(positions.shape[:3]) < WILD_SHARE
+    positions[wild] += random.normal(0.0, WILD_SD_M, (int(wild.sum()), 3))
+    lost = random.random(positions.shape[:3]) < LOST_SHARE
+    lost[:, 0, 0] = False  # every posture keeps a reading
+    positions[lost] = np.nan
+    return replace(dataset, positions=positions)
+
+
+def is_visible(case: Case, made: Simulated) -> bool:
+    """
+    Tell whether the hidden effect stands out of the noise.
+
+    On an arm as built: by what imperfections of that level cannot explain (information left).
+    """
+    if case.hidden in CAUSES or case.hidden == NOTHING:
+        return case.hidden != NOTHING
+    before = Predictor(made.fit, made.robot, made.catalogue)
+    slopes = input_slopes(before, {})
+    noise = estimate_noise(made.fit, slopes)
+    real = made.robot.with_effect(case.hidden, true_values(case, made))
+    after = Predictor(made.fit, real, made.catalogue).markers({})
+    markers = before.markers({})
+    if after is None or markers is None or noise is None:
+        return True
+    whitener = Whitener(made.fit, noise, slopes)
+    white = whitener.white(after - markers)
+    found = None if case.exact else imperfections(SplitPredictor(before), {})
+    if found is None:
+        return float(white @ white) > VISIBLE_FROM_CHI2
+    random = RandomEffects(whitener.white(found.moves).T, found.owners, found.kinds)
+    sizes = case.level * np.where(np.isfinite(random.plausible), random.plausible, 0.0)
+    left = random.lift(random.root(sizes), white)
+    return float(left @ left) > VISIBLE_FROM_CHI2
+
+
+def true_values(case: Case, made: Simulated) -> dict[str, float | tuple[float, ...]]:
+    """Spread the hidden values over sections as the plant does."""
+    values: dict[str, float | tuple[float, ...]] = {}
+    for parameter in made.catalogue[case.hidden].parameters:
+        value = made.values[parameter.name]
+        if parameter.per_section:
+            spread = np.broadcast_to(value, len(made.robot.sections))
+            values[parameter.name] = tuple(spread.tolist())
+        else:
+            values[parameter.name] = float(np.asarray(value))
+    return values
+
+
+def truth_of(case: Case, made: Simulated, keys: Mapping[str, object]) -> dict[str, float]:
+    """Return the true value of every fitted parameter, by its key: `name` or `name[section]`."""
+    found = {}
+    for key in keys:
+        bare, _, member = key.partition('[')
+        value = np.atleast_1d(made.values[bare])
+        names = [f'{section.name}]' for section in made.robot.sections]
+        found[key] = float(value[names.index(member)] if len(value) > 1 else value[0])
+    return found

@@ -1,0 +1,274 @@
+"""Power, confusion, intervals, false alarms and costs, counted from the rows of a table."""
+
+from __future__ import annotations
+
+import collections
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+
+from ..diagnosis.decide import Verdict
+from ..diagnosis.trust import DETECTED_SHARE, wilson
+from ..simulation.hidden import CAUSES
+from .cases import NOTHING
+from .judge import ERROR, NAMING, Row
+
+NOMINAL = (0.5, 0.8, 0.9, 0.95, 0.99)  # of the intervals whose coverage is counted
+BINS = 6  # of sizes that were drawn at random, on the scale of logarithms
+LISTED_SIZES_MAX = 12  # different sizes, above which they were drawn
+TWINS = (  # scale all bends alike
+    'backbone_stiffness',
+    'section_stiffness',
+    'tendon_stiffness',
+    'transmission_loss',
+    'moment_arm',
+)
+
+
+@dataclass(frozen=True)
+class Rate:
+    """So many of so many, with the 95 % interval of Wilson."""
+
+    hits: int
+    runs: int
+
+    @classmethod
+    def of(cls, flags: Iterable[bool]) -> Rate:
+        """Count."""
+        listed = [bool(flag) for flag in flags]
+        return cls(sum(listed), len(listed))
+
+    @property
+    def share(self) -> float | None:
+        """Return the rate; None of nothing."""
+        return self.hits / self.runs if self.runs else None
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Return its 95 % interval."""
+        return wilson(self.hits, self.runs)
+
+    def __str__(self) -> str:
+        if not self.runs:
+            return '–'
+        low, high = self.interval
+        share = 100.0 * self.hits / self.runs
+        return f'{share:.0f} % ({100 * low:.0f} to {100 * high:.0f}; {self.hits} of {self.runs})'
+
+
+@dataclass(frozen=True)
+class Power:
+    """How often an effect was seen and named, over its size."""
+
+    robot: str
+    hidden: str
+    way: str  # design, noise and imperfections
+    sizes: tuple[float, ...]  # times the typical one
+    alarms: tuple[Rate, ...]  # anything said at all
+    right: tuple[Rate, ...]  # it, or the class that it is in
+
+    @property
+    def smallest(self) -> float | None:
+        """Return the size that is named in four of five cases, between those tried."""
+        shares = [rate.share or 0.0 for rate in self.right]
+        for i, share in enumerate(shares):
+            if min(shares[i:]) >= DETECTED_SHARE:
+                if i == 0:
+                    return self.sizes[0]
+                part = (DETECTED_SHARE - shares[i - 1]) / max(share - shares[i - 1], 1e-12)
+                ends = np.log([self.sizes[i - 1], self.sizes[i]])
+                return float(np.exp(ends[0] + part * (ends[1] - ends[0])))
+        return None
+
+
+def ways(rows: Sequence[Row]) -> Callable[[Row], str]:
+    """Return what says how a case was measured and built, as far as that differs in a table."""
+    parts: dict[str, Callable[[Row], str]] = {
+        'design': lambda row: row.design,
+        'noise': lambda row: f'noise {row.noise}',
+        'level': lambda row: f'imperfections x {row.level:g}',
+    }
+    told = [say for name, say in parts.items() if len({getattr(r, name) for r in rows}) > 1]
+    return lambda row: '; '.join(say(row) for say in told)
+
+
+def powers(rows: Sequence[Row]) -> list[Power]:
+    """Count how often every effect was seen, size by size."""
+    way_of = ways(rows)
+    groups = grouped(
+        (row for row in rows if row.hidden != NOTHING),
+        lambda row: (row.robot, row.hidden, way_of(row)),
+    )
+    found = []
+    for (robot, hidden, way), members in groups.items():
+        binned = grouped(_binned(members), lambda row: row.size)
+        sizes = sorted(binned)
+        found.append(
+            Power(
+                robot,
+                hidden,
+                way,
+                tuple(sizes),
+                tuple(Rate.of(row.alarm for row in binned[size]) for size in sizes),
+                tuple(Rate.of(row.right for row in binned[size]) for size in sizes),
+            )
+        )
+    return found
+
+
+def _binned(rows: Sequence[Row]) -> list[Row]:
+    """Put sizes that were drawn into bins; sizes that were listed stay."""
+    if len({row.size for row in rows}) <= LISTED_SIZES_MAX:
+        return list(rows)
+    logs = np.log([row.size for row in rows])
+    edges = np.linspace(logs.min(), logs.max() + 1e-9, BINS + 1)
+    which = np.searchsorted(edges, logs, side='right') - 1
+    middles = np.exp(0.5 * (edges[:-1] + edges[1:]))
+    return [replace(row, size=float(middles[i])) for row, i in zip(rows, which, strict=True)]
+
+
+def said(row: Row) -> str:
+    """Say in one word what a diagnosis said: the class's first member where it names one."""
+    if row.verdict in NAMING and row.effects:
+        return row.hidden if row.right else ' + '.join(row.effects)
+    return row.verdict.replace('_', ' ')
+
+
+def confusion(rows: Sequence[Row]) -> tuple[list[str], list[str], list[list[int]]]:
+    """Return what was hidden, what was said, and how often."""
+    counts = collections.Counter((row.hidden, said(row)) for row in rows)
+    hidden = list(dict.fromkeys(row.hidden for row in rows))
+    names = {name for _, name in counts}
+    words = [name for name in hidden if name in names] + sorted(names - set(hidden))
+    return hidden, words, [[counts[one, word] for word in words] for one in hidden]
+
+
+def coverage(rows: Sequence[Row]) -> list[tuple[float, Rate]]:
+    """Return how many intervals hold the truth, for several nominal shares."""
+    z = []
+    for row in rows:
+        for true, value, low, high in zip(row.truth, row.value, row.low, row.high, strict=True):
+            half = (high - value) if true > value else (value - low)
+            z.append(abs(true - value) / half if half > 0.0 else float(true != value) * np.inf)
+    full = NormalDist().inv_cdf(0.975)
+    limits = [(share, NormalDist().inv_cdf(0.5 + 0.5 * share) / full) for share in NOMINAL]
+    return [(share, Rate.of(one <= limit for one in z)) for share, limit in limits]
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a way to measure brings, and what it costs."""
+
+    way: str
+    alarms: Rate  # of hidden effects seen
+    right: Rate  # and named
+    quiet: Rate  # clean sets that were called so
+    seconds: float  # [s] of processor time for a diagnosis, median
+
+
+def costs(rows: Sequence[Row]) -> list[Cost]:
+    """Compare the ways to measure: the same arms, all effects and sizes."""
+    found = []
+    for way, members in grouped(rows, ways(rows)).items():
+        hidden = [row for row in members if row.hidden != NOTHING and row.hidden not in CAUSES]
+        found.append(
+            Cost(
+                way,
+                Rate.of(row.alarm for row in hidden),
+                Rate.of(row.right for row in hidden),
+                Rate.of(row.right for row in members if row.hidden == NOTHING),
+                float(np.median([row.seconds for row in members])),
+            )
+        )
+    return found
+
+
+def clean_rows(rows: Sequence[Row]) -> list[tuple[str, str, Rate, Rate]]:
+    """Return (robot, way, alarms, named) of the sets with nothing hidden."""
+    way_of = ways(rows)
+    groups = grouped(
+        (row for row in rows if row.hidden == NOTHING), lambda row: (row.robot, way_of(row))
+    )
+    return [
+        (
+            robot,
+            way,
+            Rate.of(row.alarm for row in members),
+            Rate.of(row.verdict in NAMING for row in members),
+        )
+        for (robot, way), members in groups.items()
+    ]
+
+
+def rates(rows: Sequence[Row]) -> dict[str, Rate]:
+    """Return the rates that the diagnosis is judged by."""
+    effects = [row for row in rows if row.hidden not in (*CAUSES, NOTHING)]
+    named = [row for row in effects if row.right]
+    causes = [row for row in rows if row.hidden in CAUSES]
+    clean = [row for row in rows if row.hidden == NOTHING]
+    held = [
+        low <= true <= high
+        for row in effects
+        for low, true, high in zip(row.low, row.truth, row.high, strict=True)
+    ]
+    single = [row for row in named if row.hidden not in TWINS]
+    return {
+        'right, of all effects': Rate.of(row.right for row in effects),
+        'right, of those that stand out of the noise': Rate.of(
+            row.right for row in effects if row.visible
+        ),
+        'wrong names, of all effects': Rate.of(row.wrong_name for row in effects),
+        'a single name, effects without a twin': Rate.of(len(row.group) <= 1 for row in single),
+        'true values inside their 95 % intervals': Rate.of(held),
+        'named effects that take 90 % of the error off other postures': Rate.of(
+            row.gone >= 0.9 for row in named if row.gone is not None
+        ),
+        'scatter inside its interval, where it is told': Rate.of(
+            row.scatter_inside == 1.0 for row in rows if row.scatter_inside is not None
+        ),
+        'causes called outside, of those that raise an alarm': Rate.of(
+            row.right for row in causes if row.verdict != Verdict.ADEQUATE
+        ),
+        'clean sets with an effect named': Rate.of(row.verdict in NAMING for row in clean),
+        'clean sets with any alarm': Rate.of(not row.right for row in clean),
+        'cases that ended in an error': Rate.of(row.verdict == ERROR for row in rows),
+    }
+
+
+def grouped[K](rows: Iterable[Row], by: Callable[[Row], K]) -> dict[K, list[Row]]:
+    """Collect rows that share something."""
+    groups: dict[K, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(by(row), []).append(row)
+    return groups
+
+
+def to_json(rows: Sequence[Row]) -> dict[str, Any]:
+    """Return all figures as plain data."""
+
+    def plain(rate: Rate) -> dict[str, Any]:
+        low, high = rate.interval
+        return {'share': rate.share, 'low': low, 'high': high, 'hits': rate.hits,
+                'runs': rate.runs}  # fmt: skip
+
+    return {
+        'cases': len(rows),
+        'rates': {name: plain(rate) for name, rate in rates(rows).items()},
+        'power': [
+            {
+                'robot': one.robot,
+                'hidden': one.hidden,
+                'way': one.way,
+                'sizes': list(one.sizes),
+                'alarms': [plain(rate) for rate in one.alarms],
+                'right': [plain(rate) for rate in one.right],
+                'smallest': one.smallest,
+            }
+            for one in powers(rows)
+        ],
+        'coverage': [{'nominal': share, **plain(rate)} for share, rate in coverage(rows)],
+        'seconds': float(np.median([row.seconds for row in rows])) if rows else None,
+    }

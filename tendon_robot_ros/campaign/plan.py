@@ -1,0 +1,295 @@
+"""What to simulate and diagnose, read from YAML: robots x effects x sizes x designs x chance."""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..common.errors import InputError
+from ..common.yaml_reading import Reader, parse_yaml
+from ..data import load_dataset
+from ..effects import Catalogue
+from ..robot import dump_robot, load_robot
+from ..simulation.hidden import CAUSES
+from ..simulation.measurements import SimulatedNoise
+from .cases import NOTHING, Arm, Case, Design, needs
+from .judge import DIAGNOSIS, INTERVALS, QUESTIONS, Setup
+from .versions import UserEffect, catalogue_of
+
+SIZE_MIN, SIZE_MAX = 1e-3, 10.0  # times the typical size of an effect
+CAUSE_SIZE_MIN = 0.5  # a cause outside the catalogue below it is nothing
+SEEDS_MAX = 1_000_000
+ALL, ALL_CAUSES = 'all', 'causes'
+KEYS = (
+    'question', 'seed', 'seeds', 'clean', 'robots', 'hidden', 'sizes', 'drawn', 'full_size',
+    'designs', 'noise', 'imperfections', 'exact', 'scatter', 'declared',
+)  # fmt: skip
+
+
+class PlanReader(Reader):
+    """Checked reading of a plan."""
+
+    def error(self, key: str, expected: str, got: object) -> InputError:
+        """Build the error for a key."""
+        return InputError(f'{self.source}: {self._where(key)}: expected {expected}, got {got!r}')
+
+    def numbers_in(
+        self, key: str, low: float, high: float, default: Sequence[float]
+    ) -> list[float]:
+        """Return a list of numbers within bounds."""
+        value = self.content.get(key, list(default))
+        if not isinstance(value, list) or not value:
+            raise self.error(key, 'a list of numbers', value)
+        return [self._number(f'{key}[{i}]', one, low, high, '1') for i, one in enumerate(value)]
+
+    def words(self, key: str, known: Sequence[str], default: Sequence[str]) -> list[str]:
+        """Return a list of known words."""
+        value = self.content.get(key, list(default))
+        value = [value] if isinstance(value, str) else value
+        if not isinstance(value, list):
+            raise self.error(key, 'a list of names', value)
+        for word in value:
+            if word not in known:
+                raise self.error(key, 'names of ' + ', '.join(known), word)
+        return value
+
+    def count(self, key: str, default: int, low: int = 0, high: int = SEEDS_MAX) -> int:
+        """Return a whole number within bounds."""
+        return self.whole(key, low, high) if self.has(key) else default
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to simulate and diagnose."""
+
+    source: str
+    setup: Setup
+    cases: tuple[Case, ...]
+
+    @property
+    def contents(self) -> dict[str, str]:
+        """Digests of what cases are made of, by name: a table is one of the same things."""
+        setup = self.setup
+        found = {'question': setup.question, 'seed': str(setup.seed)}
+        found |= {f'robot {arm.name}': _digest(dump_robot(arm.robot), arm.down)
+                  for arm in setup.arms}  # fmt: skip
+        for i, design in enumerate(setup.designs):
+            data = design.data
+            measured = () if data is None else (data.inputs.tobytes(), data.trials.tobytes())
+            found[f'design {i + 1}'] = _digest(
+                design.name, design.postures, design.trials, design.markers, *measured
+            )
+        for i, (name, noise) in enumerate(setup.noises):
+            found[f'noise {i + 1}'] = _digest(name, noise)
+        return found
+
+
+def read_plan(path: str | Path, effect_files: Sequence[str] = ()) -> Plan:
+    """
+    Read a plan; files that it names are sought beside it.
+
+    Raises
+    ------
+    TendonRobotError
+        One line: file, key, what was expected and what came.
+
+    """
+    try:
+        text = Path(path).read_text(encoding='utf-8')
+        content = parse_yaml(text)
+    except OSError as error:
+        raise InputError(f'{path}: expected a plan (YAML), got {error.strerror}') from None
+    except ValueError as error:
+        raise InputError(f'{path}: {error}') from None
+    return plan_of(content, str(path), Path(path).parent, effect_files)
+
+
+def plan_of(
+    content: Any, source: str, folder: Path = Path(), effect_files: Sequence[str] = ()
+) -> Plan:
+    """Check the content of a plan; as `read_plan`."""
+    top = PlanReader(source, '', content)
+    top.only(*KEYS)
+    effects = UserEffect.read(effect_files)
+    catalogue = catalogue_of(effects)
+    skipped: dict[str, list[str]] = {}
+    setup = Setup(
+        arms=tuple(_arms(top, folder, catalogue, skipped)),
+        designs=tuple(_designs(top, folder)) or (Design('12 postures'),),
+        noises=tuple(_noises(top)) or (('0.2 mm', SimulatedNoise()),),
+        seed=top.count('seed', 0, high=2**32 - 1),
+        question=top.choice('question', QUESTIONS, DIAGNOSIS),
+        effects=effects,
+    )
+    _check_designs(top, setup)
+    cases = tuple(_cases(top, setup, catalogue, skipped))
+    if not cases:
+        raise top.error('seeds', 'at least one case: seeds of effects, or clean sets', 0)
+    return Plan(source, setup, cases)
+
+
+def _arms(
+    top: PlanReader, folder: Path, catalogue: Catalogue, skipped: dict[str, list[str]]
+) -> Iterator[Arm]:
+    value, names = top.content.get('robots'), []
+    if not isinstance(value, list) or not value:
+        raise top.error('robots', 'a list of robot descriptions', value)
+    for i, item in enumerate(value):
+        entry = PlanReader(
+            top.source, f'robots[{i}]', {'file': item} if isinstance(item, str) else item
+        )
+        entry.only('file', 'but', 'down')
+        path = entry.content.get('file')
+        if not isinstance(path, str):
+            raise entry.error('file', 'a robot description (YAML)', path)
+        robot = load_robot(_found(path, folder))
+        down = entry.vector('down', 3) if entry.has('down') else None
+        names.append(robot.name)
+        skipped[robot.name] = entry.words('but', [*catalogue.names, *CAUSES], ())
+        yield Arm(robot.name, robot, down)
+    top.unique('robots', names)
+
+
+def _designs(top: PlanReader, folder: Path) -> Iterator[Design]:
+    names = []
+    for entry in top.items('designs') if top.has('designs') else ():
+        entry.only('name', 'postures', 'trials', 'markers', 'data')
+        data = entry.content.get('data')
+        if data is not None and not isinstance(data, str):
+            raise entry.error('data', 'the folder of a data set', data)
+        design = Design(
+            '',
+            entry.count('postures', 12, 3, 1000),
+            entry.count('trials', 5, 1, 1000),
+            entry.count('markers', 0, 0, 1000),
+            load_dataset(_found(data, folder)) if data else None,
+        )
+        names.append(entry.name('name') if entry.has('name') else _title(design, data))
+        yield replace(design, name=names[-1])
+    top.unique('designs', names)
+
+
+def _title(design: Design, data: str | None) -> str:
+    if data:
+        return f'as {Path(data).name}'
+    markers = 'a marker per cell' if not design.markers else f'{design.markers} markers'
+    return f'{design.postures} postures x {design.trials} x {markers}'
+
+
+def _noises(top: PlanReader) -> Iterator[tuple[str, SimulatedNoise]]:
+    names = []
+    for entry in top.items('noise') if top.has('noise') else ():
+        known = tuple(field.name for field in fields(SimulatedNoise))
+        entry.only('name', *known)
+        values = {key: entry.number(key, 0.0, 0.5) for key in known if entry.has(key)}
+        made = SimulatedNoise(**values)
+        title = (
+            f'{1e3 * made.position:.3g} mm, {100 * made.setting:.3g} %, {100 * made.trial:.3g} %'
+        )
+        names.append(entry.name('name') if entry.has('name') else title)
+        yield names[-1], made
+    top.unique('noise', names)
+
+
+def _check_designs(top: PlanReader, setup: Setup) -> None:
+    for i, design in enumerate(setup.designs):
+        for arm in setup.arms:
+            if design.data is not None and design.data.robot.inputs != arm.robot.inputs:
+                raise top.error(
+                    f'designs[{i}].data',
+                    f'measurements of the inputs of {arm.name}, {", ".join(arm.robot.inputs)}',
+                    ', '.join(design.data.robot.inputs),
+                )
+
+
+def _cases(
+    top: PlanReader, setup: Setup, catalogue: Catalogue, skipped: Mapping[str, list[str]]
+) -> Iterator[Case]:
+    """List the cases: seeds outermost, so that what is done first says something of all."""
+    known = (ALL, ALL_CAUSES, *catalogue.names, *CAUSES)
+    hidden = _expanded(top.words('hidden', known, (ALL,)), setup, catalogue)
+    full = set(top.words('full_size', [*catalogue.names, *CAUSES], ()))
+    levels = top.numbers_in('imperfections', 0.0, 5.0, (1.0,))
+    if setup.question == INTERVALS:
+        levels = [0.0]  # the arm is the model's own
+    exact, scatter = top.flag('exact'), 0.0
+    if top.has('scatter'):
+        scatter = top.number('scatter', 0.0, 0.2)
+    seeds, clean = top.count('seeds', 20), top.count('clean', 0)
+    sizes = _sizes(top)
+    shared: dict[str, Any] = {'exact': exact, 'scatter': scatter, 'declared': top.flag('declared')}
+    ways = [(d, n, level) for d in range(len(setup.designs))
+            for n in range(len(setup.noises)) for level in levels]  # fmt: skip
+    for number in range(max(seeds, clean)):
+        for arm in setup.arms:
+            if number < clean:
+                yield from (Case(arm.name, NOTHING, 0.0, number, *way, **shared) for way in ways)
+            if number >= seeds:
+                continue
+            for name in hidden:
+                if name in skipped[arm.name] or not _can_show(name, arm, setup, catalogue):
+                    continue
+                for size in [1.0] if name in full else sizes(setup.seed, number, name):
+                    yield from (Case(arm.name, name, size, number, *way, **shared) for way in ways)
+
+
+def _expanded(words: Sequence[str], setup: Setup, catalogue: Catalogue) -> list[str]:
+    names: dict[str, None] = {}
+    for word in words:
+        group = {ALL: catalogue.names, ALL_CAUSES: tuple(CAUSES)}.get(word, (word,))
+        names |= dict.fromkeys(group)
+    if setup.question == INTERVALS:
+        return [name for name in names if name in catalogue]
+    return list(names)
+
+
+def _sizes(top: PlanReader) -> Callable[[int, int, str], list[float]]:
+    """Return a function of (seed, number, name) that says which sizes are hidden."""
+    if top.has('sizes') and top.has('drawn'):
+        raise top.error('drawn', 'either sizes or drawn', top.content['drawn'])
+    if not top.has('drawn'):
+        listed = top.numbers_in('sizes', SIZE_MIN, SIZE_MAX, (0.1, 0.3, 1.0))
+        return lambda seed, number, name: listed
+    bounds = top.numbers_in('drawn', SIZE_MIN, SIZE_MAX, ())
+    if len(bounds) != 2 or bounds[0] >= bounds[1]:
+        raise top.error('drawn', '[smallest, largest] size', bounds)
+    low, high = np.log(bounds)
+
+    def drawn(seed: int, number: int, name: str) -> list[float]:
+        own = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(name.encode()), number))
+        size = float(np.exp(low + (high - low) * np.random.default_rng(own).random()))
+        return [max(size, CAUSE_SIZE_MIN) if name in CAUSES else size]
+
+    return drawn
+
+
+def _can_show(name: str, arm: Arm, setup: Setup, catalogue: Catalogue) -> bool:
+    """Tell whether an effect can do anything on an arm that is measured so."""
+    if name not in catalogue:
+        return True
+    robot, effect = arm.robot, catalogue[name]
+    if effect.acts_on is not None and effect.acts_on not in robot.effects:
+        return False
+    if any(p.per_section for p in effect.parameters) and len(robot.sections) == 1:
+        return not any(p.low < 0.0 for p in effect.parameters)  # the same as one of all sections
+    need, down = needs(name, catalogue), arm.down or robot.gravity
+    if need == 'gravity':
+        return down is not None and any(down)
+    measured = [d.data for d in setup.designs if d.data is not None]
+    kinds = {'pulls': 'displacement', 'history': 'sequence'}
+    return all(kinds.get(need or '', d.input) in (d.input, d.path) for d in measured)
+
+
+def _found(path: str, folder: Path) -> Path:
+    """Seek a file beside the plan."""
+    return Path(path) if Path(path).is_absolute() else folder / path
+
+
+def _digest(*parts: object) -> str:
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:12]

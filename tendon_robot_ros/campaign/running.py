@@ -1,0 +1,178 @@
+"""A plan on workers, going on where it was."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..common.errors import InputError
+from ..common.files import new_file
+from ..common.workers import LostWork, Workers
+from .cases import Case
+from .judge import Chunk, Row, judge_chunk, lost
+from .plan import Plan
+from .table import Table
+from .versions import refuse_difference, versions
+
+CHUNK_S = 2.0  # [s] of work in a chunk: handing one out costs some milliseconds
+CHUNK_MAX = 256  # cases in one
+WRITTEN_EVERY_S = 5.0  # [s] the most that is computed again after a loss of power
+CONTENT, ROWS = 'campaign.json', 'table'
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass
+class Pace:
+    """How many cases make a chunk, from how long the last ones took."""
+
+    left: int
+    slots: int
+    seconds: float = 0.0  # for a case; 0: not yet known
+
+    def size(self) -> int:
+        """Return how many to hand out next; few at the end, so that no worker waits for long."""
+        fair = max(self.left // (4 * self.slots), 1)
+        wanted = int(CHUNK_S / self.seconds) if self.seconds else 1
+        return max(min(wanted, fair, CHUNK_MAX), 1)
+
+    def saw(self, rows: Sequence[Row], seconds: float) -> None:
+        """Learn from a chunk."""
+        own = seconds / len(rows)
+        self.seconds = own if not self.seconds else 0.8 * self.seconds + 0.2 * own
+
+
+@dataclass(frozen=True)
+class Timed:
+    """The rows of a chunk and the time [s] that it took in the worker."""
+
+    rows: list[Row]
+    seconds: float
+
+
+def timed_chunk(chunk: Chunk) -> Timed:
+    """Judge a chunk, in a worker."""
+    start = time.monotonic()
+    return Timed(judge_chunk(chunk), time.monotonic() - start)
+
+
+def run_plan(
+    plan: Plan, folder: Path, workers: Workers, progress: Progress | None = None
+) -> list[Row]:
+    """
+    Judge the cases of a plan that are not in the table yet.
+
+    Parameters
+    ----------
+    plan : Plan
+    folder : Path
+        Of the table; what is there already counts.
+    workers : Workers
+    progress : callable, optional
+        Called with (what, done, total) of the cases that were left.
+
+    Returns
+    -------
+    list of Row
+        Of all cases of the plan, in its order.
+
+    Raises
+    ------
+    InputError
+        The folder belongs to something else, or to other versions.
+    ClusterLostError
+        The scheduler is gone; what was finished is in the table.
+
+    """
+    claim(folder, plan)
+    table = Table(folder / ROWS, Row)
+    known = table.keys()
+    todo = [case for case in plan.cases if case.key not in known]
+    before = len(plan.cases) - len(todo)
+    what = f'cases ({before:,} were there)' if before else 'cases'
+    buffer: list[Row] = []
+    done, written = 0, time.monotonic()
+    try:
+        for rows in _judged(plan, todo, workers):
+            buffer += rows
+            done += len(rows)
+            if time.monotonic() > written + WRITTEN_EVERY_S:
+                table.append(buffer)
+                buffer, written = [], time.monotonic()
+            if progress is not None:
+                progress(what, done, len(todo))
+    finally:
+        table.append(buffer)
+    table.merge()
+    return rows_of(plan, folder)
+
+
+def _judged(plan: Plan, todo: Sequence[Case], workers: Workers) -> Iterator[list[Row]]:
+    """Yield the rows of chunks as they come."""
+    pace = Pace(len(todo), workers.slots)
+    handed: dict[int, Chunk] = {}
+
+    def chunks() -> Iterator[Chunk]:
+        begin = 0
+        while begin < len(todo):
+            end = begin + pace.size()
+            chunk = Chunk(plan.setup, tuple(todo[begin:end]))
+            handed[len(handed)] = chunk
+            pace.left -= len(chunk.cases)
+            yield chunk
+            begin = end
+
+    for index, result in workers.run(timed_chunk, chunks()):
+        if isinstance(result, LostWork):
+            yield [lost(plan.setup, case, result.workers) for case in handed[index].cases]
+            continue
+        pace.saw(result.rows, result.seconds)
+        yield result.rows
+
+
+def claim(folder: Path, plan: Plan) -> None:
+    """Make the folder that of a plan, or refuse it."""
+    path = folder / CONTENT
+    ours = {'versions': versions(plan.setup.effects), 'contents': plan.contents}
+    if path.is_file():
+        theirs = read_content(folder)
+        refuse_difference(
+            f'{folder}: was run with other versions',
+            theirs['versions'],
+            ours['versions'],
+            'use another --output',
+        )
+        changed = [
+            name
+            for name, digest in ours['contents'].items()
+            if theirs['contents'].get(name, digest) != digest
+        ]
+        if changed:
+            raise InputError(
+                f'{folder}: was run with another {", ".join(changed)}; use another --output'
+            )
+        ours['contents'] = {**theirs['contents'], **ours['contents']}
+    elif folder.exists() and any(folder.iterdir()):
+        raise InputError(f'{folder}: is not empty and no campaign; use another --output')
+    folder.mkdir(parents=True, exist_ok=True)
+    with new_file(path) as draft:
+        draft.write_text(json.dumps(ours, indent=1) + '\n', encoding='utf-8')
+
+
+def read_content(folder: Path) -> dict[str, dict[str, str]]:
+    """Return what a folder was run with."""
+    try:
+        content: dict[str, dict[str, str]] = json.loads((folder / CONTENT).read_text())
+        return {key: dict(content[key]) for key in ('versions', 'contents')}
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f'{folder / CONTENT}: cannot be read ({error}); use another --output'
+        ) from None
+
+
+def rows_of(plan: Plan, folder: Path) -> list[Row]:
+    """Return the rows that are there of a plan, in its order."""
+    rows = {row.key: row for row in Table(folder / ROWS, Row).rows()}
+    return [rows[case.key] for case in plan.cases if case.key in rows]

@@ -1,0 +1,135 @@
+"""The same package, effects and compiled kernel in every worker."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import importlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from ..common.errors import InputError
+from ..common.files import new_file
+from ..effects import Catalogue, load_catalogue
+from ..model.compile import cache_folder, kernel_key
+
+PACKAGE = Path(__file__).parents[1]
+LIBRARIES = ('numpy', 'scipy', 'numba')
+
+
+@dataclass(frozen=True)
+class UserEffect:
+    """A file with an effect of the user, as it goes to workers."""
+
+    name: str
+    text: str
+
+    @classmethod
+    def read(cls, files: Sequence[str | Path]) -> tuple[UserEffect, ...]:
+        """Read the files that the user has named."""
+        load_catalogue(files)  # refuses what is none
+        return tuple(cls(Path(f).name, Path(f).read_text(encoding='utf-8')) for f in files)
+
+
+@cache
+def catalogue_of(effects: tuple[UserEffect, ...]) -> Catalogue:
+    """Load the catalogue with the user's own effects, which lie beside the compiled kernels."""
+    files = []
+    for effect in effects:
+        digest = hashlib.sha256(effect.text.encode()).hexdigest()[:16]
+        folder = cache_folder() / 'effects' / digest
+        folder.mkdir(parents=True, exist_ok=True)
+        if not (folder / effect.name).is_file():
+            with new_file(folder / effect.name) as draft:
+                draft.write_text(effect.text, encoding='utf-8')
+        files.append(folder / effect.name)
+    return load_catalogue(files)
+
+
+@cache
+def _sources() -> str:
+    """Digest of the code of this package: its version stands still between releases."""
+    digest = hashlib.sha256()
+    for path in sorted(PACKAGE.rglob('*.py')):
+        digest.update(path.relative_to(PACKAGE).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def versions(effects: tuple[UserEffect, ...] = ()) -> dict[str, str]:
+    """Return what results depend on, by name."""
+    libraries = {name: str(importlib.import_module(name).__version__) for name in LIBRARIES}
+    return {
+        'tendon_robot_ros': _sources(),
+        'catalogue of effects': catalogue_of(effects).digest,
+        **libraries,
+    }
+
+
+def refuse_difference(
+    where: str,
+    theirs: Mapping[str, str],
+    ours: Mapping[str, str],
+    remedy: str = 'install the same on both sides',
+) -> None:
+    """
+    Raise where results would depend on who computed them.
+
+    Raises
+    ------
+    InputError
+        One line with what differs.
+
+    """
+    apart = [
+        f'{name} is {theirs.get(name)} there and {version} here'
+        for name, version in ours.items()
+        if theirs.get(name) != version
+    ]
+    if apart:
+        raise InputError(f'{where}: {"; ".join(apart)}; {remedy}')
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """What a worker does before its first chunk: it compares versions and has a kernel."""
+
+    versions: tuple[tuple[str, str], ...]
+    effects: tuple[UserEffect, ...] = ()
+
+    @classmethod
+    def here(cls, effects: tuple[UserEffect, ...] = ()) -> Preparation:
+        """Ask for what this process has."""
+        return cls(tuple(versions(effects).items()), effects)
+
+    def __call__(self) -> None:
+        """Refuse another version."""
+        import platform
+
+        refuse_difference(
+            f'worker on {platform.node()}', versions(self.effects), dict(self.versions)
+        )
+
+
+@contextmanager
+def compiled_once(kind: str, effects: tuple[UserEffect, ...] = ()) -> Iterator[None]:
+    """
+    Let one process of this machine do a kind of work first: it compiles, the others load.
+
+    Numba compiles what is called; the first chunk of a kind calls all that the others will.
+    """
+    catalogue = catalogue_of(effects)
+    mark = cache_folder() / f'compiled_{kind}_{kernel_key(catalogue)}'
+    if mark.exists():
+        yield
+        return
+    with mark.with_suffix('.lock').open('w') as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if mark.exists():
+            fcntl.flock(lock, fcntl.LOCK_UN)
+            yield
+            return
+        yield
+        mark.touch()

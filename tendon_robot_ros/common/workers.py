@@ -1,0 +1,312 @@
+"""
+Chunks of independent work, behind `concurrent.futures`: here, in processes, on a cluster.
+
+What is worth a chunk takes a second or more: handing one out takes a millisecond here and some
+milliseconds through a scheduler. Results come as they get ready; whoever wants them to be the same
+whatever the number of workers gives every chunk seeds of its own (`numpy.random.SeedSequence`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Protocol, Self
+
+from .errors import ClusterLostError, InputError, MissingExtraError
+from .processes import end_with_parent
+from .threads import one_thread
+
+LOSSES_MAX = 8  # workers that may die over a chunk before it counts as the chunk's fault
+AHEAD = 2  # chunks that wait at a scheduler for each of its threads
+CONNECT_S = 10.0  # [s] in which a scheduler answers
+IDLE_S = 5.0  # [s] between two looks at how many workers a scheduler has
+
+Work = Callable[[Any], Any]
+Prepare = Callable[[], None]
+Spread = Callable[[Work, Iterable[Any]], Iterator[tuple[int, Any]]]
+
+
+@dataclass(frozen=True)
+class LostWork:
+    """Comes in place of a result: every worker that tried the chunk died."""
+
+    workers: int
+
+
+class Engine(Protocol):
+    """Where chunks are computed."""
+
+    @property
+    def slots(self) -> int:
+        """Chunks that it should have at a time."""
+        ...
+
+    def submit(self, work: Work, chunk: Any) -> Future[Any]:
+        """Hand out a chunk."""
+        ...
+
+    def is_loss(self, error: BaseException) -> bool:
+        """Tell whether a worker died; what it needs to go on without is then done."""
+        ...
+
+    def close(self) -> None:
+        """End what still runs."""
+        ...
+
+
+class Workers:
+    """
+    Processes of this machine, or of a cluster, that chunks of work are spread over.
+
+    Parameters
+    ----------
+    count : int
+        Processes; 1: the work is done in this one.
+    cluster : str
+        Address of a dask scheduler instead, `tcp://host:8786` or `tls://host:8786`.
+    prepare : callable
+        Called once in every process before its first chunk; can be pickled and hashed.
+
+    Raises
+    ------
+    InputError, MissingExtraError
+        No such number, no scheduler at this address, or dask is not installed.
+
+    """
+
+    def __init__(self, count: int = 1, cluster: str = '', prepare: Prepare | None = None) -> None:
+        if count < 1:
+            raise InputError(f'--workers: expected at least 1, got {count}')
+        self.prepare = prepare
+        self.engine: Engine | None = None
+        if cluster:
+            self.engine = _Cluster(cluster)
+        elif count > 1:
+            self.engine = _Processes(count)
+
+    @property
+    def slots(self) -> int:
+        """Chunks that are at work or wait for it at a time."""
+        return 1 if self.engine is None else self.engine.slots
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.engine is not None:
+            self.engine.close()
+
+    def run(
+        self, work: Work, chunks: Iterable[Any], until: float = float('inf')
+    ) -> Iterator[tuple[int, Any]]:
+        """
+        Yield (which chunk, its result) as results get ready.
+
+        Parameters
+        ----------
+        work : callable
+            Of a module, so that it can be pickled.
+        chunks : iterable
+            Taken as workers get free, so that they may be many.
+        until : float [s]
+            `time.monotonic()` at which to stop; what is not ready then is dropped.
+
+        Raises
+        ------
+        ClusterLostError
+            The scheduler is gone.
+        Exception
+            What the work raised.
+
+        """
+        if self.engine is None:
+            for index, chunk in enumerate(chunks):
+                yield index, _call((self.prepare, work, chunk))
+                if time.monotonic() > until:
+                    return
+        else:
+            yield from self._spread(self.engine, work, enumerate(chunks), until)
+
+    def _spread(
+        self, engine: Engine, work: Work, coming: Iterator[tuple[int, Any]], until: float
+    ) -> Iterator[tuple[int, Any]]:
+        waiting: dict[Future[Any], tuple[int, Any]] = {}
+        again: deque[tuple[int, Any]] = deque()
+        losses: dict[int, int] = {}
+        while True:
+            while len(waiting) < engine.slots:
+                item = again.popleft() if again else next(coming, None)
+                if item is None:
+                    break
+                waiting[engine.submit(_call, (self.prepare, work, item[1]))] = item
+            left = until - time.monotonic()
+            if not waiting or left <= 0.0:
+                return
+            done, _ = wait(waiting, min(left, IDLE_S), FIRST_COMPLETED)
+            for future in done:
+                index, chunk = waiting.pop(future)
+                lost = _result_of(future, engine)
+                if not isinstance(lost, LostWork):
+                    yield index, lost
+                    continue
+                losses[index] = losses.get(index, 0) + 1
+                if losses[index] < LOSSES_MAX:
+                    again.append((index, chunk))
+                else:
+                    yield index, LostWork(losses[index])
+
+
+def _result_of(future: Future[Any], engine: Engine) -> Any:
+    """Return a result, or LostWork where the worker died."""
+    try:
+        return future.result()
+    except (Exception, CancelledError) as error:
+        if engine.is_loss(error):
+            return LostWork(1)
+        raise
+
+
+def _call(task: tuple[Prepare | None, Work, Any]) -> Any:
+    """Do a chunk, in a worker."""
+    prepare, work, chunk = task
+    if prepare is not None:
+        _prepared(prepare)
+    with one_thread():
+        return work(chunk)
+
+
+@lru_cache(maxsize=8)
+def _prepared(prepare: Prepare) -> None:
+    prepare()
+
+
+# -----------------------------------------------------------------------------
+# Processes of this machine: one pool for each, so that one that dies takes its own chunk along.
+
+
+class _Processes:
+    def __init__(self, count: int) -> None:
+        self.slots = count
+        self.free = [_Slot() for _ in range(count)]
+        self.busy: dict[Future[Any], _Slot] = {}
+
+    def submit(self, work: Work, chunk: Any) -> Future[Any]:
+        for future in [future for future in self.busy if future.done()]:
+            self.free.append(self.busy.pop(future))
+        slot = self.free.pop()
+        try:
+            future = slot.pool.submit(work, chunk)
+        except BrokenProcessPool:  # died while it was idle
+            slot.restart()
+            future = slot.pool.submit(work, chunk)
+        self.busy[future] = slot
+        return future
+
+    def is_loss(self, error: BaseException) -> bool:
+        for future, slot in self.busy.items():
+            if future.done() and isinstance(future.exception(), BrokenProcessPool):
+                slot.restart()
+                self.free.append(self.busy.pop(future))
+                break
+        return isinstance(error, BrokenProcessPool)
+
+    def close(self) -> None:
+        for slot in [*self.free, *self.busy.values()]:
+            slot.end()
+
+
+class _Slot:
+    """A process, started anew when it has died."""
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        self.pool = ProcessPoolExecutor(
+            1,
+            mp_context=multiprocessing.get_context('spawn'),
+            initializer=_begin,
+            initargs=(os.getpid(),),
+        )
+        self.process = self.pool.submit(os.getpid)
+
+    def end(self) -> None:
+        """Kill it: whatever it still computes is not wanted."""
+        if self.process.cancel():
+            self.pool.shutdown()
+            return
+        with contextlib.suppress(BrokenProcessPool, ProcessLookupError):
+            os.kill(self.process.result(), signal.SIGKILL)
+        self.pool.shutdown(cancel_futures=True)
+
+
+def _begin(parent: int) -> None:
+    """Leave Ctrl-C to the parent, and end with it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent(parent, signal.SIGKILL)
+
+
+# -----------------------------------------------------------------------------
+# A cluster: whatever has started workers and a scheduler of dask, as its settings say.
+
+
+class _Cluster:
+    def __init__(self, address: str) -> None:
+        try:
+            import distributed
+        except ImportError:
+            raise MissingExtraError('distributed', 'cluster') from None
+        self.address, self.looked = address, 0.0
+        self.killed: type[BaseException] = distributed.KilledWorker
+        try:  # certificates, and all else, are those of dask's own settings
+            self.client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            raise InputError(
+                f'--cluster {address}: no scheduler answers ({error or type(error).__name__}); '
+                'start one with `dask scheduler`, then `dask worker`'
+            ) from None
+        self.executor = self.client.get_executor(pure=False)
+        self.threads = 1
+
+    @property
+    def slots(self) -> int:
+        """Chunks for the workers that are there now: more may come, and some go."""
+        if time.monotonic() > self.looked + IDLE_S:
+            self.looked = time.monotonic()
+            with contextlib.suppress(OSError, RuntimeError):
+                self.threads = max(1, sum(self.client.nthreads().values()))
+        return AHEAD * self.threads
+
+    def submit(self, work: Work, chunk: Any) -> Future[Any]:
+        try:
+            future: Future[Any] = self.executor.submit(work, chunk)
+            return future
+        except (OSError, RuntimeError) as error:
+            raise self._gone(error) from None
+
+    def is_loss(self, error: BaseException) -> bool:
+        if isinstance(error, self.killed):
+            return True
+        if isinstance(error, (CancelledError, OSError)) or self.client.status != 'running':
+            raise self._gone(error) from None
+        return False
+
+    def _gone(self, error: BaseException) -> ClusterLostError:
+        return ClusterLostError(
+            f'--cluster {self.address}: the scheduler is gone '
+            f'({str(error) or type(error).__name__}); what was finished is kept: start it again, '
+            'then the same command'
+        )
+
+    def close(self) -> None:
+        with contextlib.suppress(Exception):  # a scheduler that is gone cannot be told
+            self.client.close(timeout=2.0)

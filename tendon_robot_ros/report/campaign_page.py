@@ -1,0 +1,181 @@
+"""The page of a campaign: power curves, confusion, intervals, false alarms, costs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+from ..campaign.figures import (
+    Power,
+    Rate,
+    clean_rows,
+    confusion,
+    costs,
+    coverage,
+    powers,
+    rates,
+)
+from ..campaign.judge import Row
+from ..common.colours import COLOURS, DASHES, ERROR, PREDICTED
+from ..common.words import digits
+from .campaign_text import HIDDEN_COLUMNS, hidden_rows, smallest_text
+from .page import Figure, Page
+
+NAMED = (
+    'Named: the verdict names it, or a class of effects with it that cannot be told apart. The '
+    'table says from which size on that happens in four of five cases.'
+)
+CAPTION = 'bars: 95 % intervals of the rates; a size of 1 is the typical one of the catalogue'
+
+
+def campaign_page(rows: Sequence[Row], title: str, total: int) -> Page:
+    """Return the page of the rows that are there, of so many cases in all."""
+    page = Page(title, f'{len(rows):,} of {total:,} cases')
+    told = [f'{name}: {rate}' for name, rate in rates(rows).items() if rate.runs]
+    page.box(told, 'verdict', 'In short, with 95 % intervals')
+    page.heading('Which size of an effect is seen')
+    page.text(NAMED)
+    curves = grouped_powers(powers(rows))
+    page.figures([power_figure(name, members) for name, members in curves.items()], 'many')
+    _smallest(page, [power for members in curves.values() for power in members])
+    page.heading('What is said of what is hidden')
+    page.figures([confusion_figure(rows)])
+    page.table(HIDDEN_COLUMNS, hidden_rows(rows), left=[0])
+    page.heading('Intervals and false alarms')
+    page.figures([coverage_figure(rows)])
+    _clean(page, rows)
+    page.heading('What postures, trials and markers cost')
+    header = ('measured so', 'effects seen', 'named', 'nothing hidden: said so', 'a diagnosis')
+    found = [
+        [
+            one.way or 'all',
+            str(one.alarms),
+            str(one.right),
+            str(one.quiet),
+            f'{digits(one.seconds)} s',
+        ]
+        for one in costs(rows)
+    ]
+    page.table(header, found, left=[0])
+    return page
+
+
+def grouped_powers(found: Sequence[Power]) -> dict[str, list[Power]]:
+    """Put the curves of one effect into one figure."""
+    groups: dict[str, list[Power]] = {}
+    for power in found:
+        groups.setdefault(power.hidden, []).append(power)
+    return groups
+
+
+def power_figure(name: str, curves: Sequence[Power]) -> Figure:
+    """Draw how often one effect is named, over its size; a curve per robot and way."""
+    several = len({curve.robot for curve in curves}) > 1
+    data: list[dict[str, Any]] = []
+    for i, curve in enumerate(curves):
+        label = '; '.join(filter(None, (several and curve.robot, curve.way)))
+        data.append(
+            {
+                'x': list(curve.sizes),
+                'y': [100.0 * (rate.share or 0.0) for rate in curve.right],
+                'name': escape(label),
+                'mode': 'lines+markers',
+                'line': {'color': COLOURS[i % len(COLOURS)], 'dash': DASHES[i % len(DASHES)]},
+                'error_y': error_bars(curve.right),
+                'showlegend': len(curves) > 1,
+            }
+        )
+    layout = {
+        'xaxis': {'type': 'log', 'title': {'text': 'size, times the typical one'}},
+        'yaxis': {'title': {'text': 'named [%]'}, 'range': [-4, 104]},
+        'legend': {'orientation': 'h', 'y': -0.35, 'x': 0.0, 'font': {'size': 11}},
+    }
+    return Figure(data, layout, name, CAPTION, 300 + 24 * len(data))
+
+
+def error_bars(found: Sequence[Rate]) -> dict[str, Any]:
+    """Return the 95 % intervals of rates as plotly draws them [%]."""
+    shares = [rate.share or 0.0 for rate in found]
+    ends = [rate.interval for rate in found]
+    return {
+        'type': 'data',
+        'symmetric': False,
+        'array': [100.0 * (high - s) for s, (_, high) in zip(shares, ends, strict=True)],
+        'arrayminus': [100.0 * (s - low) for s, (low, _) in zip(shares, ends, strict=True)],
+        'thickness': 1,
+        'width': 3,
+    }
+
+
+def confusion_figure(rows: Sequence[Row]) -> Figure:
+    """Draw what was said of what was hidden."""
+    hidden, words, counts = confusion(rows)
+    shares = [[100.0 * n / max(sum(row), 1) for n in row] for row in counts]
+    data = [
+        {
+            'type': 'heatmap',
+            'x': words,
+            'y': hidden,
+            'z': shares,
+            'text': [[str(n or '') for n in row] for row in counts],
+            'texttemplate': '%{text}',
+            'hovertemplate': '%{y}: said %{x}: %{text}<extra></extra>',
+            'colorscale': [[0.0, '#ffffff'], [1.0, PREDICTED]],
+            'zmin': 0.0,
+            'zmax': 100.0,
+            'showscale': False,
+        }
+    ]
+    layout = {
+        'xaxis': {'title': {'text': 'said'}, 'tickangle': -60, 'type': 'category'},
+        'yaxis': {'title': {'text': 'hidden'}, 'autorange': 'reversed', 'type': 'category'},
+    }
+    caption = 'cases; a class of effects that cannot be told apart counts as the hidden member'
+    return Figure(data, layout, 'Said of what was hidden', caption, 260 + 24 * len(hidden))
+
+
+def coverage_figure(rows: Sequence[Row]) -> Figure:
+    """Draw how many intervals hold the truth against how many should."""
+    found = coverage(rows)
+    nominal = [100.0 * share for share, _ in found]
+    held = [rate for _, rate in found]
+    data: list[dict[str, Any]] = [
+        {
+            'x': [0, 100],
+            'y': [0, 100],
+            'mode': 'lines',
+            'name': 'as they should',
+            'line': {'color': ERROR, 'width': 1, 'dash': 'dot'},
+        },
+        {
+            'x': nominal,
+            'y': [100.0 * (rate.share or 0.0) for rate in held],
+            'name': 'measured',
+            'mode': 'lines+markers',
+            'line': {'color': PREDICTED},
+            'error_y': error_bars(held),
+        },
+    ]
+    layout = {
+        'xaxis': {'title': {'text': 'intervals of [%]'}, 'range': [40, 101]},
+        'yaxis': {'title': {'text': 'hold the truth [%]'}, 'range': [40, 101]},
+    }
+    count = held[0].runs if held else 0
+    caption = f'{count} intervals of named effects; narrower ones scaled from those of 95 %'
+    return Figure(data, layout, 'Do intervals hold?', caption, 360)
+
+
+def _smallest(page: Page, found: Sequence[Power]) -> None:
+    rows = [[one.robot, one.hidden, one.way or 'all', smallest_text(one)] for one in found]
+    page.table(('robot', 'effect', 'measured so', 'named in four of five cases'), rows,
+               left=[0, 1, 2, 3])  # fmt: skip
+
+
+def _clean(page: Page, rows: Sequence[Row]) -> None:
+    found = [[robot, way or 'all', str(alarms), str(named)]
+             for robot, way, alarms, named in clean_rows(rows)]  # fmt: skip
+    if found:
+        header = ('robot', 'measured so', 'any alarm', 'an effect named')
+        page.text('With nothing hidden:')
+        page.table(header, found, left=[0, 1])

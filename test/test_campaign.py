@@ -1,0 +1,252 @@
+"""Campaigns: plans, tables that grow, workers that die, and figures counted from the rows."""
+
+import os
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from source_tree import ROOT
+
+from tendon_robot_ros.campaign.cases import Case, Chance, Design, hidden_values, simulated
+from tendon_robot_ros.campaign.figures import Rate, coverage, powers
+from tendon_robot_ros.campaign.judge import Row
+from tendon_robot_ros.campaign.plan import plan_of, read_plan
+from tendon_robot_ros.campaign.running import run_plan
+from tendon_robot_ros.campaign.table import Table
+from tendon_robot_ros.campaign.versions import Preparation, UserEffect, catalogue_of
+from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.common.errors import InputError
+from tendon_robot_ros.common.workers import LostWork, Workers
+from tendon_robot_ros.effects import load_catalogue
+
+pytest.importorskip('pyarrow')
+ROBOT = str(ROOT / 'config' / 'robots' / 'kato_10_1_single.yaml')
+CHEAP = {
+    'robots': [ROBOT],
+    'hidden': ['hinge_friction'],
+    'sizes': [1.0],
+    'seeds': 2,
+    'clean': 2,
+    'imperfections': [0],
+    'exact': True,
+    'designs': [{'postures': 4, 'trials': 3, 'markers': 4}],
+}
+
+
+def plan(**changes):
+    """Return a plan of cases that take a tenth of a second each."""
+    return plan_of(CHEAP | changes, 'plan.yaml')
+
+
+def without_time(rows):
+    """Take off what differs from run to run."""
+    return [replace(row, seconds=0.0) for row in rows]
+
+
+@pytest.fixture(scope='module')
+def rows(tmp_path_factory):
+    with Workers() as workers:
+        return run_plan(plan(), tmp_path_factory.mktemp('here') / 'out', workers)
+
+
+def test_every_case_of_a_plan_is_judged(rows):
+    assert [row.hidden for row in rows] == ['none', 'hinge_friction'] * 2
+    assert [row.right for row in rows] == [True] * 4
+    assert [row.alarm for row in rows] == [False, True] * 2
+    assert all(row.low[0] <= row.value[0] <= row.high[0] for row in rows if row.truth)
+    assert all(row.truth == (rows[1].truth[0],) for row in rows[1::2])
+
+
+def test_processes_say_the_same_bit_for_bit_in_another_order_and_from_where_they_were(
+    rows, tmp_path
+):
+    turned = replace(plan(), cases=plan().cases[::-1])
+    with Workers(2, prepare=Preparation.here()) as workers:
+        part = replace(turned, cases=turned.cases[:1])
+        run_plan(part, tmp_path / 'out', workers)
+        seen = []
+        found = run_plan(turned, tmp_path / 'out', workers, lambda *told: seen.append(told))
+    assert seen[-1] == ('cases (1 were there)', 3, 3)
+    assert without_time(found[::-1]) == without_time(rows)
+
+
+def test_a_folder_of_other_settings_is_refused(rows, tmp_path):
+    folder = tmp_path / 'out'
+    with Workers() as workers:
+        run_plan(plan(seeds=0, clean=1), folder, workers)
+        with pytest.raises(InputError, match='was run with another seed, design 1; use another'):
+            run_plan(plan(seed=1, designs=[{'postures': 5}]), folder, workers)
+        other = (folder / 'campaign.json').read_text().replace(np.__version__, '1.0')
+        (folder / 'campaign.json').write_text(other)
+        with pytest.raises(InputError, match=r'numpy is 1\.0 there and .* here; use another'):
+            run_plan(plan(), folder, workers)
+
+
+@pytest.mark.parametrize(
+    ('change', 'message'),
+    [
+        ({'robot': 1}, r"plan.yaml: robot: expected one of question, .*, got 'robot'"),
+        ({'robots': []}, r'plan.yaml: robots: expected a list of robot descriptions, got \[\]'),
+        ({'hidden': ['friktion']}, 'plan.yaml: hidden: expected names of all, causes, tendon_f'),
+        ({'sizes': [0.0]}, r'sizes\[0\]: expected a finite number from 0.001 to 10 \[1\], got 0'),
+        ({'drawn': [0.1, 1]}, 'plan.yaml: drawn: expected either sizes or drawn'),
+        ({'seeds': -1}, 'plan.yaml: seeds: expected a whole number from 0 to'),
+        ({'seeds': 0, 'clean': 0}, 'plan.yaml: seeds: expected at least one case'),
+        ({'designs': [{'postures': 1}]}, r'designs\[0\].postures: expected a whole number from 3'),
+        ({'noise': [{'position': 200}]}, r'noise\[0\].position: expected a finite number from 0'),
+        ({'robots': [ROBOT, ROBOT]}, "plan.yaml: robots: expected names that differ, got 'kato"),
+        ({'question': 'why'}, "plan.yaml: question: expected one of diagnosis, intervals, got 'w"),
+    ],
+)
+def test_a_plan_with_a_mistake_is_refused_in_one_line(change, message):
+    with pytest.raises(InputError, match=message) as refused:
+        plan(**change)
+    assert '\n' not in str(refused.value)
+
+
+def test_chance_depends_on_the_case_and_not_on_the_design():
+    one = Case('arm', 'tip_load', 0.3, 4)
+    assert Chance.of(one, 0) == Chance.of(replace(one, design=3, level=0.0), 0)
+    others = [Chance.of(one, 1), Chance.of(replace(one, number=5), 0),
+              Chance.of(replace(one, size=0.4), 0)]  # fmt: skip
+    assert len({Chance.of(one, 0), *others}) == 4
+
+
+def test_what_is_hidden_grows_with_its_size_and_sections_differ():
+    made = read_plan(ROOT / 'examples' / 'campaign.yaml')
+    robot, catalogue = made.setup.arms[0].robot, load_catalogue()
+    small, large = (hidden_values('tip_load', s, robot, catalogue, 3) for s in (0.1, 0.2))
+    assert [2.0 * v for v in small.values()] == pytest.approx(list(large.values()))
+    two = plan(robots=[str(ROOT / 'config/robots/kato_10_1.yaml')]).setup.arms[0].robot
+    assert hidden_values('section_stiffness', 1.0, two, catalogue, 0) == {
+        'relative_change': pytest.approx([0.15, -0.1])
+    }
+
+
+def test_markers_are_evenly_spaced_up_to_the_tip():
+    made = plan(designs=[{'postures': 4, 'trials': 2, 'markers': 2}])
+    arm = made.setup.arms[0]
+    case = Case(arm.name, 'none', 0.0, 0, level=0.0)
+    data = simulated(case, arm, made.setup.designs[0], made.setup.noises[0][1], load_catalogue())
+    places = [marker.arc_length for marker in data.fit.markers]
+    assert places == pytest.approx([arm.robot.length / 2.0, arm.robot.length])
+    assert Design('x').placed(arm.robot) is None
+
+
+# -----------------------------------------------------------------------------
+# The table and what is counted from it.
+
+
+def row(hidden='tip_load', size=1.0, right=True, truth=0.0, number=0):
+    return Row(f'{hidden}/{size}/{number}', 'arm', hidden, size, number, 'd', 'n', 0.0, 'several',
+               right=right, alarm=right, parameter=('force_x',), truth=(truth,), value=(0.0,),
+               low=(-1.96,), high=(1.96,))  # fmt: skip
+
+
+def test_a_table_grows_becomes_one_file_and_counts_no_row_twice(tmp_path):
+    table = Table(tmp_path / 'table', Row)
+    for number in range(70):
+        table.append([row(number=number)])
+    table.append([row(number=0)])  # as after a loss of power
+    assert len(table.files()) < 64
+    table.merge()
+    assert len(table.files()) == 1
+    assert sorted(r.number for r in table.rows()) == list(range(70))
+    assert table.keys() == {r.key for r in table.rows()}
+    assert table.rows()[0] == row()
+
+
+def test_power_is_the_share_of_each_size_and_meets_four_in_five_between_them():
+    made = [row(size=0.1, right=n < 4, number=n) for n in range(10)]
+    made += [row(size=1.0, right=True, number=n) for n in range(10)]
+    (power,) = powers(made)
+    assert power.right == (Rate(4, 10), Rate(10, 10))
+    assert power.smallest == pytest.approx(10.0 ** -(1.0 - (0.8 - 0.4) / 0.6))
+    (none,) = powers(made[:10])
+    assert none.smallest is None
+
+
+def test_coverage_of_normal_errors_is_nominal():
+    random = np.random.default_rng(0)
+    made = [row(truth=float(z), number=i) for i, z in enumerate(random.normal(size=4000))]
+    for nominal, rate in coverage(made):
+        low, high = rate.interval
+        assert low - 0.01 < nominal < high + 0.01
+
+
+# -----------------------------------------------------------------------------
+# Workers.
+
+
+def die_once(folder):
+    """Kill the process that does this, the first time; then say which it was."""
+    mark = Path(folder) / 'died'
+    if not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 'done'
+
+
+def die(_):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def refuse(_):
+    raise InputError('not this')
+
+
+def test_a_worker_that_dies_costs_its_chunk_once(tmp_path):
+    (tmp_path / 'other').mkdir()
+    (tmp_path / 'other' / 'died').touch()
+    with Workers(2) as workers:
+        folders = [str(tmp_path), *[str(tmp_path / 'other')] * 3]
+        assert dict(workers.run(die_once, folders)) == dict.fromkeys(range(4), 'done')
+
+
+def test_a_chunk_that_kills_every_worker_is_given_up(monkeypatch):
+    monkeypatch.setattr('tendon_robot_ros.common.workers.LOSSES_MAX', 2)
+    with Workers(2) as workers:
+        assert list(workers.run(die, [0])) == [(0, LostWork(2))]
+
+
+def test_what_the_work_raises_is_raised_here():
+    with Workers(2) as workers, pytest.raises(InputError, match='not this'):
+        list(workers.run(refuse, [0]))
+
+
+def test_workers_of_other_versions_are_refused():
+    other = Preparation((('numpy', '0.1'),))
+    with Workers(prepare=other) as workers, pytest.raises(InputError, match=r'here.*install'):
+        list(workers.run(str, [0]))
+
+
+def test_effects_of_the_user_go_to_workers_as_text(tmp_path):
+    source = (ROOT / 'examples' / 'soft_pulley.py').read_text()
+    (tmp_path / 'mine.py').write_text(source)
+    effects = UserEffect.read([tmp_path / 'mine.py'])
+    (tmp_path / 'mine.py').unlink()
+    assert len(catalogue_of(effects).names) == len(load_catalogue().names) + 1
+
+
+def test_the_command_writes_table_and_page_and_goes_on(tmp_path, capsys, monkeypatch):
+    pytest.importorskip('plotly')
+    content = CHEAP | {'seeds': 1, 'clean': 1}
+    (tmp_path / 'plan.yaml').write_text(yaml.safe_dump(content))
+    call = ['campaign', str(tmp_path / 'plan.yaml'), '--output', str(tmp_path / 'out')]
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr('tendon_robot_ros.campaign.running.Pace.saw', stop)
+        assert main([*call, '--workers', '1']) == 130
+    assert 'the same command goes on from there' in capsys.readouterr().err
+    assert main([*call, '--workers', '1']) == 0
+    printed = capsys.readouterr().out
+    assert 'right, of all effects: 100 % (21 to 100; 1 of 1)' in printed
+    assert 'Which size of an effect is seen' in (tmp_path / 'out' / 'campaign.html').read_text()
+    assert main([*call, '--dry-run']) == 0
+    assert '2 cases, 2 of them are there' in capsys.readouterr().out
