@@ -74,7 +74,7 @@ def power_figure(name: str, curves: Sequence[Power]) -> Figure:
     several = len({curve.robot for curve in curves}) > 1
     data: list[dict[str, Any]] = []
     for i, curve in enumerate(curves):
-        label = '; '.join(filter(None, (several and curve.robot, curve.way)))
+        label = '; '.join(filter(None, (curve.robot if several else '', curve.way)))
         data.append(
             {
                 'x': list(curve.sizes),
