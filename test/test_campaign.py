@@ -12,10 +12,10 @@ from source_tree import ROOT
 
 from tendon_robot_ros.campaign.cases import Case, Chance, Design, hidden_values, simulated
 from tendon_robot_ros.campaign.figures import Rate, coverage, powers
-from tendon_robot_ros.campaign.judge import Row
+from tendon_robot_ros.campaign.judge import CaseRow
 from tendon_robot_ros.campaign.plan import plan_of, read_plan
 from tendon_robot_ros.campaign.running import run_plan
-from tendon_robot_ros.campaign.table import Table
+from tendon_robot_ros.campaign.table import GrowingTable
 from tendon_robot_ros.campaign.versions import Preparation, UserEffect, catalogue_of
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import InputError
@@ -141,13 +141,13 @@ def test_markers_are_evenly_spaced_up_to_the_tip():
 
 
 def row(hidden='tip_load', size=1.0, right=True, truth=0.0, number=0):
-    return Row(f'{hidden}/{size}/{number}', 'arm', hidden, size, number, 'd', 'n', 0.0, 'several',
+    return CaseRow(f'{hidden}/{size}/{number}', 'arm', hidden, size, number, 'd', 'n', 0.0, 'several',
                right=right, alarm=right, parameter=('force_x',), truth=(truth,), value=(0.0,),
                low=(-1.96,), high=(1.96,))  # fmt: skip
 
 
 def test_a_table_grows_becomes_one_file_and_counts_no_row_twice(tmp_path):
-    table = Table(tmp_path / 'table', Row)
+    table = GrowingTable(tmp_path / 'table', CaseRow)
     for number in range(70):
         table.append([row(number=number)])
     table.append([row(number=0)])  # as after a loss of power
@@ -241,7 +241,7 @@ def test_the_command_writes_table_and_page_and_goes_on(tmp_path, capsys, monkeyp
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr('tendon_robot_ros.campaign.running.Pace.saw', stop)
+        patch.setattr('tendon_robot_ros.campaign.running.ChunkSize.saw', stop)
         assert main([*call, '--workers', '1']) == 130
     assert 'the same command goes on from there' in capsys.readouterr().err
     assert main([*call, '--workers', '1']) == 0

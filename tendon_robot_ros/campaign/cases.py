@@ -65,7 +65,7 @@ class Design:
 
 
 @dataclass(frozen=True)
-class Arm:
+class PlannedRobot:
     """A robot of a plan."""
 
     name: str
@@ -146,7 +146,7 @@ class Simulated:
     catalogue: Catalogue = field(repr=False)
 
 
-def described(case: Case, arm: Arm, catalogue: Catalogue) -> Robot:
+def described(case: Case, arm: PlannedRobot, catalogue: Catalogue) -> Robot:
     """Return the owner's description: all that the arm has, but what is hidden."""
     robot = arm.robot
     if case.hidden in robot.effects:
@@ -193,7 +193,7 @@ def hidden_values(
 
 def simulated(
     case: Case,
-    arm: Arm,
+    arm: PlannedRobot,
     design: Design,
     noise: SimulatedNoise,
     catalogue: Catalogue,
@@ -206,7 +206,7 @@ def simulated(
     Parameters
     ----------
     case : Case
-    arm : Arm
+    arm : PlannedRobot
     design : Design
     noise : SimulatedNoise
     catalogue : Catalogue

@@ -14,7 +14,7 @@ from ..diagnosis.decide import Verdict
 from ..diagnosis.trust import DETECTED_SHARE, wilson
 from ..simulation.hidden import CAUSES
 from .cases import NOTHING
-from .judge import ERROR, NAMING, Row
+from .judge import ERROR, NAMING, CaseRow
 
 NOMINAL = (0.5, 0.8, 0.9, 0.95, 0.99)  # of the intervals whose coverage is counted
 BINS = 6  # of sizes that were drawn at random, on the scale of logarithms
@@ -84,9 +84,9 @@ class Power:
         return None
 
 
-def ways(rows: Sequence[Row]) -> Callable[[Row], str]:
+def ways(rows: Sequence[CaseRow]) -> Callable[[CaseRow], str]:
     """Return what says how a case was measured and built, as far as that differs in a table."""
-    parts: dict[str, Callable[[Row], str]] = {
+    parts: dict[str, Callable[[CaseRow], str]] = {
         'design': lambda row: row.design,
         'noise': lambda row: f'noise {row.noise}',
         'level': lambda row: f'imperfections x {row.level:g}',
@@ -95,7 +95,7 @@ def ways(rows: Sequence[Row]) -> Callable[[Row], str]:
     return lambda row: '; '.join(say(row) for say in told)
 
 
-def powers(rows: Sequence[Row]) -> list[Power]:
+def powers(rows: Sequence[CaseRow]) -> list[Power]:
     """Count how often every effect was seen, size by size."""
     way_of = ways(rows)
     groups = grouped(
@@ -119,7 +119,7 @@ def powers(rows: Sequence[Row]) -> list[Power]:
     return found
 
 
-def _binned(rows: Sequence[Row]) -> list[Row]:
+def _binned(rows: Sequence[CaseRow]) -> list[CaseRow]:
     """Put sizes that were drawn into bins; sizes that were listed stay."""
     if len({row.size for row in rows}) <= LISTED_SIZES_MAX:
         return list(rows)
@@ -130,14 +130,14 @@ def _binned(rows: Sequence[Row]) -> list[Row]:
     return [replace(row, size=float(middles[i])) for row, i in zip(rows, which, strict=True)]
 
 
-def said(row: Row) -> str:
+def said(row: CaseRow) -> str:
     """Say in one word what a diagnosis said: the class's first member where it names one."""
     if row.verdict in NAMING and row.effects:
         return row.hidden if row.right else ' + '.join(row.effects)
     return row.verdict.replace('_', ' ')
 
 
-def confusion(rows: Sequence[Row]) -> tuple[list[str], list[str], list[list[int]]]:
+def confusion(rows: Sequence[CaseRow]) -> tuple[list[str], list[str], list[list[int]]]:
     """Return what was hidden, what was said, and how often."""
     counts = collections.Counter((row.hidden, said(row)) for row in rows)
     hidden = list(dict.fromkeys(row.hidden for row in rows))
@@ -146,7 +146,7 @@ def confusion(rows: Sequence[Row]) -> tuple[list[str], list[str], list[list[int]
     return hidden, words, [[counts[one, word] for word in words] for one in hidden]
 
 
-def coverage(rows: Sequence[Row]) -> list[tuple[float, Rate]]:
+def coverage(rows: Sequence[CaseRow]) -> list[tuple[float, Rate]]:
     """Return how many intervals hold the truth, for several nominal shares."""
     z = []
     for row in rows:
@@ -169,7 +169,7 @@ class Cost:
     seconds: float  # [s] of processor time for a diagnosis, median
 
 
-def costs(rows: Sequence[Row]) -> list[Cost]:
+def costs(rows: Sequence[CaseRow]) -> list[Cost]:
     """Compare the ways to measure: the same arms, all effects and sizes."""
     found = []
     for way, members in grouped(rows, ways(rows)).items():
@@ -186,7 +186,7 @@ def costs(rows: Sequence[Row]) -> list[Cost]:
     return found
 
 
-def clean_rows(rows: Sequence[Row]) -> list[tuple[str, str, Rate, Rate]]:
+def clean_rows(rows: Sequence[CaseRow]) -> list[tuple[str, str, Rate, Rate]]:
     """Return (robot, way, alarms, named) of the sets with nothing hidden."""
     way_of = ways(rows)
     groups = grouped(
@@ -203,7 +203,7 @@ def clean_rows(rows: Sequence[Row]) -> list[tuple[str, str, Rate, Rate]]:
     ]
 
 
-def rates(rows: Sequence[Row]) -> dict[str, Rate]:
+def rates(rows: Sequence[CaseRow]) -> dict[str, Rate]:
     """Return the rates that the diagnosis is judged by."""
     effects = [row for row in rows if row.hidden not in (*CAUSES, NOTHING)]
     named = [row for row in effects if row.right]
@@ -238,15 +238,15 @@ def rates(rows: Sequence[Row]) -> dict[str, Rate]:
     }
 
 
-def grouped[K](rows: Iterable[Row], by: Callable[[Row], K]) -> dict[K, list[Row]]:
+def grouped[K](rows: Iterable[CaseRow], by: Callable[[CaseRow], K]) -> dict[K, list[CaseRow]]:
     """Collect rows that share something."""
-    groups: dict[K, list[Row]] = {}
+    groups: dict[K, list[CaseRow]] = {}
     for row in rows:
         groups.setdefault(by(row), []).append(row)
     return groups
 
 
-def to_json(rows: Sequence[Row]) -> dict[str, Any]:
+def to_json(rows: Sequence[CaseRow]) -> dict[str, Any]:
     """Return all figures as plain data."""
 
     def plain(rate: Rate) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from ..model.model import Model
 from ..simulation.hidden import CAUSES
 from ..simulation.imperfect import Built
 from ..simulation.measurements import SimulatedNoise
-from .cases import NOTHING, Arm, Case, Design, Simulated, is_visible, simulated, truth_of
+from .cases import NOTHING, Case, Design, PlannedRobot, Simulated, is_visible, simulated, truth_of
 from .versions import UserEffect, catalogue_of, compiled_once
 
 DIAGNOSIS, INTERVALS = 'diagnosis', 'intervals'
@@ -31,7 +31,7 @@ FITTED = ('parameter', 'truth', 'value', 'low', 'high')  # lists of a row, a mem
 
 
 @dataclass(frozen=True)
-class Row:
+class CaseRow:
     """What came of a case."""
 
     key: str
@@ -75,14 +75,14 @@ class Row:
 class Setup:
     """What every case needs; goes to the workers with every chunk."""
 
-    arms: tuple[Arm, ...]
+    arms: tuple[PlannedRobot, ...]
     designs: tuple[Design, ...]
     noises: tuple[tuple[str, SimulatedNoise], ...]
     seed: int = 0
     question: str = DIAGNOSIS
     effects: tuple[UserEffect, ...] = field(default=(), repr=False)
 
-    def arm(self, name: str) -> Arm:
+    def arm(self, name: str) -> PlannedRobot:
         """Return a robot by its name."""
         return next(arm for arm in self.arms if arm.name == name)
 
@@ -101,14 +101,14 @@ def compile_for(setup: Setup) -> None:
         Model(arm.robot, catalogue_of(setup.effects)).arrays.link()
 
 
-def judge_chunk(chunk: Chunk) -> list[Row]:
+def judge_chunk(chunk: Chunk) -> list[CaseRow]:
     """Judge cases, in a worker."""
     setup = chunk.setup
     with compiled_once(setup.question, setup.effects):
         return [judge(setup, case) for case in chunk.cases]
 
 
-def judge(setup: Setup, case: Case) -> Row:
+def judge(setup: Setup, case: Case) -> CaseRow:
     """Simulate, diagnose, and hold the verdict against the truth."""
     catalogue, start = catalogue_of(setup.effects), time.process_time()
     asks = {DIAGNOSIS: _diagnosed, INTERVALS: _fitted}[setup.question]
@@ -129,14 +129,14 @@ def judge(setup: Setup, case: Case) -> Row:
     return _row(setup, case, {'seconds': time.process_time() - start, **found})
 
 
-def lost(setup: Setup, case: Case, workers: int) -> Row:
+def lost(setup: Setup, case: Case, workers: int) -> CaseRow:
     """Return the row of a case at which every worker died."""
     told = {'verdict': ERROR, 'problem': f'{workers} workers died over it'}
     return _row(setup, case, told)
 
 
-def _row(setup: Setup, case: Case, found: Mapping[str, Any]) -> Row:
-    return Row(
+def _row(setup: Setup, case: Case, found: Mapping[str, Any]) -> CaseRow:
+    return CaseRow(
         key=case.key,
         robot=case.robot,
         hidden=case.hidden,

@@ -18,7 +18,7 @@ from ..effects import Catalogue
 from ..robot import dump_robot, load_robot
 from ..simulation.hidden import CAUSES
 from ..simulation.measurements import SimulatedNoise
-from .cases import NOTHING, Arm, Case, Design, needs
+from .cases import NOTHING, Case, Design, PlannedRobot, needs
 from .judge import DIAGNOSIS, INTERVALS, QUESTIONS, Setup
 from .versions import UserEffect, catalogue_of
 
@@ -65,7 +65,7 @@ class PlanReader(Reader):
 
 
 @dataclass(frozen=True)
-class Plan:
+class CampaignPlan:
     """What to simulate and diagnose."""
 
     source: str
@@ -90,7 +90,7 @@ class Plan:
         return found
 
 
-def read_plan(path: str | Path, effect_files: Sequence[str] = ()) -> Plan:
+def read_plan(path: str | Path, effect_files: Sequence[str] = ()) -> CampaignPlan:
     """
     Read a plan; files that it names are sought beside it.
 
@@ -112,7 +112,7 @@ def read_plan(path: str | Path, effect_files: Sequence[str] = ()) -> Plan:
 
 def plan_of(
     content: Any, source: str, folder: Path = Path(), effect_files: Sequence[str] = ()
-) -> Plan:
+) -> CampaignPlan:
     """Check the content of a plan; as `read_plan`."""
     top = PlanReader(source, '', content)
     top.only(*KEYS)
@@ -131,12 +131,12 @@ def plan_of(
     cases = tuple(_cases(top, setup, catalogue, skipped))
     if not cases:
         raise top.error('seeds', 'at least one case: seeds of effects, or clean sets', 0)
-    return Plan(source, setup, cases)
+    return CampaignPlan(source, setup, cases)
 
 
 def _arms(
     top: PlanReader, folder: Path, catalogue: Catalogue, skipped: dict[str, list[str]]
-) -> Iterator[Arm]:
+) -> Iterator[PlannedRobot]:
     value, names = top.content.get('robots'), []
     if not isinstance(value, list) or not value:
         raise top.error('robots', 'a list of robot descriptions', value)
@@ -152,7 +152,7 @@ def _arms(
         down = entry.vector('down', 3) if entry.has('down') else None
         names.append(robot.name)
         skipped[robot.name] = entry.words('but', [*catalogue.names, *CAUSES], ())
-        yield Arm(robot.name, robot, down)
+        yield PlannedRobot(robot.name, robot, down)
     top.unique('robots', names)
 
 
@@ -269,7 +269,7 @@ def _sizes(top: PlanReader) -> Callable[[int, int, str], list[float]]:
     return drawn
 
 
-def _can_show(name: str, arm: Arm, setup: Setup, catalogue: Catalogue) -> bool:
+def _can_show(name: str, arm: PlannedRobot, setup: Setup, catalogue: Catalogue) -> bool:
     """Tell whether an effect can do anything on an arm that is measured so."""
     if name not in catalogue:
         return True

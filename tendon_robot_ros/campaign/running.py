@@ -12,9 +12,9 @@ from ..common.errors import InputError
 from ..common.files import new_file
 from ..common.workers import LostWork, Workers
 from .cases import Case
-from .judge import Chunk, Row, judge_chunk, lost
-from .plan import Plan
-from .table import Table
+from .judge import CaseRow, Chunk, judge_chunk, lost
+from .plan import CampaignPlan
+from .table import GrowingTable
 from .versions import refuse_difference, versions
 
 CHUNK_S = 2.0  # [s] of work in a chunk: handing one out costs some milliseconds
@@ -25,7 +25,7 @@ Progress = Callable[[str, int, int], None]
 
 
 @dataclass
-class Pace:
+class ChunkSize:
     """How many cases make a chunk, from how long the last ones took."""
 
     left: int
@@ -38,7 +38,7 @@ class Pace:
         wanted = int(CHUNK_S / self.seconds) if self.seconds else 1
         return max(min(wanted, fair, CHUNK_MAX), 1)
 
-    def saw(self, rows: Sequence[Row], seconds: float) -> None:
+    def saw(self, rows: Sequence[CaseRow], seconds: float) -> None:
         """Learn from a chunk."""
         own = seconds / len(rows)
         self.seconds = own if not self.seconds else 0.8 * self.seconds + 0.2 * own
@@ -48,7 +48,7 @@ class Pace:
 class Timed:
     """The rows of a chunk and the time [s] that it took in the worker."""
 
-    rows: list[Row]
+    rows: list[CaseRow]
     seconds: float
 
 
@@ -59,14 +59,14 @@ def timed_chunk(chunk: Chunk) -> Timed:
 
 
 def run_plan(
-    plan: Plan, folder: Path, workers: Workers, progress: Progress | None = None
-) -> list[Row]:
+    plan: CampaignPlan, folder: Path, workers: Workers, progress: Progress | None = None
+) -> list[CaseRow]:
     """
     Judge the cases of a plan that are not in the table yet.
 
     Parameters
     ----------
-    plan : Plan
+    plan : CampaignPlan
     folder : Path
         Of the table; what is there already counts.
     workers : Workers
@@ -75,7 +75,7 @@ def run_plan(
 
     Returns
     -------
-    list of Row
+    list of CaseRow
         Of all cases of the plan, in its order.
 
     Raises
@@ -87,12 +87,12 @@ def run_plan(
 
     """
     claim(folder, plan)
-    table = Table(folder / ROWS, Row)
+    table = GrowingTable(folder / ROWS, CaseRow)
     known = table.keys()
     todo = [case for case in plan.cases if case.key not in known]
     before = len(plan.cases) - len(todo)
     what = f'cases ({before:,} were there)' if before else 'cases'
-    buffer: list[Row] = []
+    buffer: list[CaseRow] = []
     done, written = 0, time.monotonic()
     try:
         for rows in _judged(plan, todo, workers):
@@ -109,9 +109,9 @@ def run_plan(
     return rows_of(plan, folder)
 
 
-def _judged(plan: Plan, todo: Sequence[Case], workers: Workers) -> Iterator[list[Row]]:
+def _judged(plan: CampaignPlan, todo: Sequence[Case], workers: Workers) -> Iterator[list[CaseRow]]:
     """Yield the rows of chunks as they come."""
-    pace = Pace(len(todo), workers.slots)
+    pace = ChunkSize(len(todo), workers.slots)
     handed: dict[int, Chunk] = {}
 
     def chunks() -> Iterator[Chunk]:
@@ -132,7 +132,7 @@ def _judged(plan: Plan, todo: Sequence[Case], workers: Workers) -> Iterator[list
         yield result.rows
 
 
-def claim(folder: Path, plan: Plan) -> None:
+def claim(folder: Path, plan: CampaignPlan) -> None:
     """Make the folder that of a plan, or refuse it."""
     path = folder / CONTENT
     ours = {'versions': versions(plan.setup.effects), 'contents': plan.contents}
@@ -172,7 +172,7 @@ def read_content(folder: Path) -> dict[str, dict[str, str]]:
         ) from None
 
 
-def rows_of(plan: Plan, folder: Path) -> list[Row]:
+def rows_of(plan: CampaignPlan, folder: Path) -> list[CaseRow]:
     """Return the rows that are there of a plan, in its order."""
-    rows = {row.key: row for row in Table(folder / ROWS, Row).rows()}
+    rows = {row.key: row for row in GrowingTable(folder / ROWS, CaseRow).rows()}
     return [rows[case.key] for case in plan.cases if case.key in rows]

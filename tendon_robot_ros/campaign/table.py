@@ -35,7 +35,7 @@ def arrow() -> Any:
     return pyarrow
 
 
-class Table[T]:
+class GrowingTable[T]:
     """
     Rows of a dataclass in a folder of Parquet files, each whole or not there.
 

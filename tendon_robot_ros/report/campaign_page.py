@@ -16,7 +16,7 @@ from ..campaign.figures import (
     powers,
     rates,
 )
-from ..campaign.judge import Row
+from ..campaign.judge import CaseRow
 from ..common.colours import COLOURS, DASHES, ERROR, PREDICTED
 from ..common.words import digits
 from .campaign_text import HIDDEN_COLUMNS, hidden_rows, smallest_text
@@ -29,7 +29,7 @@ NAMED = (
 CAPTION = 'bars: 95 % intervals of the rates; a size of 1 is the typical one of the catalogue'
 
 
-def campaign_page(rows: Sequence[Row], title: str, total: int) -> Page:
+def campaign_page(rows: Sequence[CaseRow], title: str, total: int) -> Page:
     """Return the page of the rows that are there, of so many cases in all."""
     page = Page(title, f'{len(rows):,} of {total:,} cases')
     told = [f'{name}: {rate}' for name, rate in rates(rows).items() if rate.runs]
@@ -108,7 +108,7 @@ def error_bars(found: Sequence[Rate]) -> dict[str, Any]:
     }
 
 
-def confusion_figure(rows: Sequence[Row]) -> Figure:
+def confusion_figure(rows: Sequence[CaseRow]) -> Figure:
     """Draw what was said of what was hidden."""
     hidden, words, counts = confusion(rows)
     shares = [[100.0 * n / max(sum(row), 1) for n in row] for row in counts]
@@ -135,7 +135,7 @@ def confusion_figure(rows: Sequence[Row]) -> Figure:
     return Figure(data, layout, 'Said of what was hidden', caption, 260 + 24 * len(hidden))
 
 
-def coverage_figure(rows: Sequence[Row]) -> Figure:
+def coverage_figure(rows: Sequence[CaseRow]) -> Figure:
     """Draw how many intervals hold the truth against how many should."""
     found = coverage(rows)
     nominal = [100.0 * share for share, _ in found]
@@ -172,7 +172,7 @@ def _smallest(page: Page, found: Sequence[Power]) -> None:
                left=[0, 1, 2, 3])  # fmt: skip
 
 
-def _clean(page: Page, rows: Sequence[Row]) -> None:
+def _clean(page: Page, rows: Sequence[CaseRow]) -> None:
     found = [[robot, way or 'all', str(alarms), str(named)]
              for robot, way, alarms, named in clean_rows(rows)]  # fmt: skip
     if found:

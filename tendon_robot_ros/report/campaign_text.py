@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..campaign.figures import Power, grouped, powers, rates
-from ..campaign.judge import NAMING, Row
+from ..campaign.judge import NAMING, CaseRow
 from ..common.words import columns, digits
 from ..diagnosis.decide import Verdict
 
@@ -18,7 +18,7 @@ HIDDEN_COLUMNS = ('hidden', 'n', 'seen', 'right', 'wrong name', 'quiet', 'outsid
 FITTED_COLUMNS = ('intervals of', 'hold', 'of', 'not determined')
 
 
-def hidden_rows(rows: Sequence[Row]) -> list[list[str]]:
+def hidden_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
     """Return a row per robot and hidden effect: how often it was seen, named, and how well."""
     return [
         [f'{robot}: {hidden}', *_row(members)]
@@ -26,7 +26,7 @@ def hidden_rows(rows: Sequence[Row]) -> list[list[str]]:
     ]
 
 
-def _row(rows: Sequence[Row]) -> list[str]:
+def _row(rows: Sequence[CaseRow]) -> list[str]:
     verdicts = collections.Counter(row.verdict for row in rows)
     named = [row for row in rows if row.verdict in NAMING]
     inside = [row.inside for row in rows if row.inside is not None]
@@ -46,7 +46,7 @@ def _row(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-def summary(rows: Sequence[Row]) -> list[str]:
+def summary(rows: Sequence[CaseRow]) -> list[str]:
     """Return the table by hidden effect and the rates."""
     told = [f'{name}: {rate}' for name, rate in rates(rows).items() if rate.runs]
     problems = collections.Counter(row.problem for row in rows if row.problem)
@@ -56,7 +56,7 @@ def summary(rows: Sequence[Row]) -> list[str]:
     return [*map(columns, tables), *told, *worst]
 
 
-def interval_rows(rows: Sequence[Row]) -> list[list[str]]:
+def interval_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
     """Return a row per robot, effect and parameter: how many 95 % intervals hold the truth."""
     hits: dict[tuple[str, str, str], list[bool]] = {}
     for row in rows:
@@ -80,7 +80,7 @@ def smallest_text(power: Power) -> str:
     return f'from {digits(power.smallest)} times the typical size on'
 
 
-def power_lines(rows: Sequence[Row]) -> list[str]:
+def power_lines(rows: Sequence[CaseRow]) -> list[str]:
     """Say for every effect which size is seen."""
     found = powers(rows)
     return [
