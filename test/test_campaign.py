@@ -20,6 +20,7 @@ from tendon_robot_ros.campaign.versions import Preparation, UserEffect, catalogu
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.common.workers import LostWork, Workers
+from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.effects import load_catalogue
 
 pytest.importorskip('pyarrow')
@@ -141,9 +142,24 @@ def test_markers_are_evenly_spaced_up_to_the_tip():
 
 
 def row(hidden='tip_load', size=1.0, right=True, truth=0.0, number=0):
-    return CaseRow(f'{hidden}/{size}/{number}', 'arm', hidden, size, number, 'd', 'n', 0.0, 'several',
-               right=right, alarm=right, parameter=('force_x',), truth=(truth,), value=(0.0,),
-               low=(-1.96,), high=(1.96,))  # fmt: skip
+    return CaseRow(
+        key=f'{hidden}/{size}/{number}',
+        robot='arm',
+        hidden=hidden,
+        size=size,
+        number=number,
+        design='d',
+        noise='n',
+        level=0.0,
+        verdict=Verdict.MISSING_EFFECT,
+        right=right,
+        alarm=right,
+        parameter=('force_x',),
+        truth=(truth,),
+        value=(0.0,),
+        low=(-1.96,),
+        high=(1.96,),
+    )
 
 
 def test_a_table_grows_becomes_one_file_and_counts_no_row_twice(tmp_path):
