@@ -8,5 +8,4 @@ table.py      the table of rows, in Parquet files that grow
 running.py    a plan on workers, going on where it was
 versions.py   the same package, effects and compiled kernel in every worker
 figures.py    power, confusion, intervals, false alarms and costs, counted from the table
-fleet.py      recordings and data sets of many robots over time, compared and diagnosed
 """
