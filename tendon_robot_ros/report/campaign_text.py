@@ -12,7 +12,7 @@ from ..campaign.judge import NAMING, CaseRow
 from ..common.words import columns, digits
 from ..diagnosis.decide import Verdict
 
-HIDDEN_COLUMNS = ('hidden', 'n', 'seen', 'right', 'wrong name', 'quiet', 'outside', 'several',
+HIDDEN_COLUMNS = ('hidden', 'n', 'seen', 'right', 'wrong name', 'quiet', 'outside', 'some at once',
                   'class', 'inside', 'gone', 'time')  # fmt: skip
 
 FITTED_COLUMNS = ('intervals of', 'hold', 'of', 'not determined')
