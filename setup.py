@@ -105,6 +105,7 @@ setup(
     data_files=shared_files(),
     python_requires='>=3.12',
     install_requires=[
+        'daqp>=0.7',  # quadratic programs of a few tensions, 20 µs each (docs/control.md)
         'matplotlib>=3.6',
         'numba>=0.59',
         'numpy>=1.26',

@@ -4,7 +4,10 @@ The model: a description and tensions to a shape, and back.
 model.py         `Model`, the one object that everybody uses
 forward.py       what it stands on: tensions to shapes, batches and sequences of shapes
 shape.py         what it returns: `Shape`, batches of shapes, markers placed on them, `Reach`
+tip_task.py      what is asked of the tip, and from which state of friction
 inverse.py       a target of the tip to tensions within the limits
+redundancy.py    what the freedom of the tensions is used for, and the whole arm kept out of regions
+stiffness.py     how stiff the tip is
 pulls.py         wire pulls to tensions, with slack wires
 inputs.py        what a caller commands, by name or in order, checked
 plot.py          arms drawn for notebooks

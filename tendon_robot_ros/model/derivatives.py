@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
-from .shape import FIELDS, ShapeBatch
+from .shape import FIELDS, Shape, ShapeBatch
 
 if TYPE_CHECKING:
     from .forward import ForwardModel
@@ -24,17 +24,31 @@ REMEMBERED_STEP = 10.0  # [1] longer steps where whole ways are solved twice
 
 
 def tip_jacobian(model: ForwardModel, tensions: Floats) -> Floats:
-    """Return d (tip position, tip direction) / d tensions, (6, m) [m/N], [1/N]."""
+    """Return d (tip position, tip direction) / d tensions, (6, m) [m/N], [1/N], from straight."""
     if model.remembers:
         tips: Floats = derivatives(model, model.shapes(tensions[None]), model.inputs, _tip)[0]
         return tips
-    shape = model.shape(tensions)
-    slopes = np.empty((6, len(tensions)))
+    return tip_slopes(model, model.shape(tensions), model.arrays.fresh_memory())
+
+
+def tip_slopes(model: ForwardModel, shape: Shape, past: Floats) -> Floats:
+    """
+    Return d (tip position, tip direction) / d tensions, (6, m) [m/N], [1/N], at an equilibrium.
+
+    Parameters
+    ----------
+    shape : Shape
+    past : ndarray
+        Friction memory of the posture before, from which tensions went there in a straight line.
+        That of the shape itself gives the mean of both directions in which tendons may slide on.
+
+    """
+    slopes = np.empty((6, len(shape.inputs)))
     model.arrays.part('derivatives').jacobian(
         model.arrays.address,
         shape.inputs.copy(),
         np.array([shape.state, shape.state]),
-        model.arrays.fresh_memory(),
+        past,
         model.scratch,
         slopes,
     )
@@ -42,7 +56,11 @@ def tip_jacobian(model: ForwardModel, tensions: Floats) -> Floats:
 
 
 def derivatives(
-    model: ForwardModel, shapes: ShapeBatch, columns: Sequence[Column], seen: Seen | None = None
+    model: ForwardModel,
+    shapes: ShapeBatch,
+    columns: Sequence[Column],
+    seen: Seen | None = None,
+    memory: Floats | None = None,
 ) -> Floats:
     """
     Return the derivatives (b, ..., q) of what is seen of equilibria, one column per quantity.
@@ -61,6 +79,9 @@ def derivatives(
     seen : callable, optional
         What is differentiated: shapes to an array (b, ...). Default: the positions as the tracker
         sees them, (b, n, 3) [m].
+    memory : optional
+        Friction memory of these shapes (`Shape.memory`): what is small happens from there, with
+        the mean of both directions in which tendons may slide.
 
     Raises
     ------
@@ -71,7 +92,9 @@ def derivatives(
     seen = seen or (lambda batch: model.measured(batch.positions))
     there = [_Move.of(model, shapes, column) for column in columns]
     slopes = []
-    ways = None if model.remembers else _ways(model, shapes, there)
+    past = model.arrays.fresh_memory() if memory is None else memory
+    whole = model.remembers and memory is None
+    ways = None if whole else _ways(model, shapes, there, past)
     for q, move in enumerate(there):
         sides = []
         for side in (move.up, move.down):
@@ -80,7 +103,7 @@ def derivatives(
                     moved = model.shapes(move.inputs(shapes, side), shapes.state)
                 else:
                     state = shapes.state + side[:, None] * ways[:, q]
-                    moved = _shown(model, shapes, move.inputs(shapes, side), state)
+                    moved = _shown(model, shapes, move.inputs(shapes, side), state, past)
                 sides.append(seen(moved))
         width = (move.up - move.down).reshape(-1, *[1] * (sides[0].ndim - 1))
         slopes.append((sides[0] - sides[1]) / width)
@@ -141,9 +164,9 @@ def _section(column: Column) -> int | None:
     return column[2] if len(column) == 3 else None  # type: ignore[return-value]
 
 
-def _ways(model: ForwardModel, shapes: ShapeBatch, there: Sequence[_Move]) -> Floats:
+def _ways(model: ForwardModel, shapes: ShapeBatch, there: Sequence[_Move], past: Floats) -> Floats:
     """Return how the states follow every quantity, (b, q, 3n) [rad per unit]."""
-    arrays, past = model.arrays, model.arrays.fresh_memory()
+    arrays = model.arrays
     arrays.link()
     part, (b, entries) = arrays.part('derivatives'), shapes.state.shape
     with _twisting(model, there):
@@ -180,13 +203,14 @@ def _twisting(model: ForwardModel, there: Sequence[_Move]) -> Iterator[None]:
         model.arrays.on[:] = on
 
 
-def _shown(model: ForwardModel, shapes: ShapeBatch, inputs: Floats, state: Floats) -> ShapeBatch:
+def _shown(
+    model: ForwardModel, shapes: ShapeBatch, inputs: Floats, state: Floats, past: Floats
+) -> ShapeBatch:
     """Return what inputs (b, m) [N] and states (b, 3n) [rad] show, without solving."""
     b, form = len(inputs), model.form
     block = np.zeros(b * form.size)
     fields = {name: form.rows(block, name, b) for name in FIELDS}
     fields['inputs'][:], fields['state'][:] = inputs, state
-    past = model.arrays.fresh_memory()
     model.arrays.part('shape').show_postures(
         model.arrays.address, block, b, past.ctypes.data, model.scratch
     )

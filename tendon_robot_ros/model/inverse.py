@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -12,9 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError, NoEquilibriumError
-from .inputs import finite
+from ..robot.keep_out import KeepOut
 from .pulls import pull_shape
+from .redundancy import Balance, Preferences, balanced
 from .shape import Reach, Shape
+from .tip_task import TipTask, tip_target
 
 if TYPE_CHECKING:
     from .forward import ForwardModel
@@ -30,9 +32,7 @@ def limits_by_pulls(model: ForwardModel) -> Floats:
     return model.limits * [0.0, 1.0]
 
 
-def aim_by_pulls(
-    model: ForwardModel, aim: Aim, inputs: Floats, bend: Floats
-) -> tuple[float, Floats]:
+def aim_by_pulls(task: TipTask, aim: Aim, inputs: Floats, bend: Floats) -> tuple[float, Floats]:
     """
     Improve inputs (m,) [N] in place among those that wire lengths can hold.
 
@@ -53,6 +53,7 @@ def aim_by_pulls(
         State, bends and twists.
 
     """
+    model = task.model
     taut = inputs > model.limits[:, 0] + SLACK_BELOW_N
     for _ in range(len(inputs)):
         limits = limits_by_pulls(model) * taut[:, None]
@@ -61,8 +62,8 @@ def aim_by_pulls(
         if not np.isfinite(cost):
             break
         try:
-            there = model.shape(inputs, bends)
-            held = pull_shape(model, there.pulls, there)
+            there = task.shape(inputs, bends)
+            held = pull_shape(model, there.pulls, there, task.past)
         except (NoEquilibriumError, InputError):
             break
         if np.allclose(held.inputs, inputs, rtol=0.0, atol=HELD_WITHIN_N):
@@ -92,6 +93,8 @@ SEEKING_WEIGHT = 1e-4  # [m/N] and where bends and tensions are found at once
 SEEKING_WIDTHS, SEEKING_SHRINK, SEEKING_STEPS_MAX = (1e3, 1e2), 0.5, 60
 FAR_M2 = 5e-5  # [m²] cost of a tip that no search for an equilibrium improves: 1 cm
 STEPS_MAX = 60
+BALANCE_STEPS_MAX, OUTSIDE_STARTS = 40, 3  # programs after a search, other beginnings
+CLEARANCE_BINDS_M = 1e-4  # [m] from a region: it is what keeps the arm from its target
 
 
 def reach(
@@ -105,6 +108,9 @@ def reach(
     starts: int = 24,
     by_pulls: bool = False,
     relax: bool = False,
+    memory: Floats | None = None,
+    preferences: Preferences | None = None,
+    keep_out: KeepOut | None = None,
     give_up: Callable[[], bool] = lambda: False,
 ) -> Reach:
     """
@@ -126,6 +132,14 @@ def reach(
         Only tensions that wire lengths can hold (see `inverse_pulls`); the lower limit is 0.
     relax : bool
         With a guess, too, go on from a solution to one of low tension, as a cold search does.
+    memory : optional
+        Friction memory where the arm is (`Shape.memory`): tensions then count as reached from
+        there, along a straight line. Default: from straight and free of tension.
+    preferences : Preferences, optional
+        What the freedom that the target leaves is used for; default: low tension.
+    keep_out : KeepOut, optional
+        Regions that no part of the arm may enter; a target that leads there is `nearest`, with
+        the region named.
     give_up : callable
         Asked between starts; once it says True the best found so far is returned.
 
@@ -135,12 +149,13 @@ def reach(
         Neither position nor direction, or not finite.
 
     """
-    target = _target(model, position, direction, position_weight, direction_weight)
+    target = tip_target(model, position, direction, position_weight, direction_weight)
+    task = TipTask(model, target, model.arrays.fresh_memory() if memory is None else memory)
     best: tuple[float, Floats, Floats] | None = None
     starts = min(starts, PULL_STARTS) if by_pulls else starts
-    for search, inputs, bend in _starts(model, target, guess, starts):
+    for search, inputs, bend in _starts(task, guess, starts):
         if by_pulls:
-            cost, bends = aim_by_pulls(model, search, inputs, bend)
+            cost, bends = aim_by_pulls(task, search, inputs, bend)
         else:
             cost, bends = search(inputs, bend, model.limits)
         if best is None or cost < best[0]:
@@ -150,57 +165,82 @@ def reach(
     assert best is not None
     if not np.isfinite(best[0]):
         raise NoEquilibriumError('any start of the search', model.implicit_effects, np.inf)
-    if not by_pulls and not give_up():
-        best = _finished(model, target, relax or guess is None, *best)
-    return _judge(model, target, *best[1:], in_time=not give_up())
+    if not by_pulls and preferences is None and not give_up():
+        best = _finished(task, relax or guess is None, *best)
+    made = judged(task, *best[1:], in_time=not give_up())
+    if preferences is None and not keep_out:
+        return made
+    limits = limits_by_pulls(model) if by_pulls else model.limits
+    here = None if guess is None else guess.inputs
+    wants = preferences or Preferences()
+    return _balanced(Balance(task, wants, keep_out, limits, here), made, by_pulls, give_up)
+
+
+def _balanced(balance: Balance, made: Reach, by_pulls: bool, give_up: Callable[[], bool]) -> Reach:
+    """Use the freedom that is left as it is preferred, and keep the arm out of regions."""
+    task, regions = balance.task, balance.keep_out
+    away = (regions or KeepOut()).clearance(made.shape.positions)
+    if by_pulls and away.distance >= 0.0:
+        return made  # wires of given lengths leave no freedom
+    found, near = made, away
+    for start in _outside(balance, made.shape):
+        shape = balanced(balance, start, BALANCE_STEPS_MAX, give_up)
+        if by_pulls:
+            shape = pull_shape(task.model, shape.pulls, shape, task.past)
+        found = judged(task, shape.inputs, shape.state, in_time=not give_up())
+        if not regions:
+            return found
+        near = regions.clearance(found.shape.positions)
+        if near.distance > -CLEARANCE_BINDS_M or give_up():
+            break
+    if near.distance > -CLEARANCE_BINDS_M and found.status == 'reached':
+        return found
+    kept = near.distance < CLEARANCE_BINDS_M or away.distance < 0.0
+    name = near.region if near.distance < CLEARANCE_BINDS_M else away.region
+    return replace(found, status='nearest', region=name) if kept else found
+
+
+def _outside(balance: Balance, shape: Shape) -> Iterator[Shape]:
+    """Yield the shape, then those of the library that are outside of regions and near the tip."""
+    yield shape
+    if not balance.keep_out:
+        return
+    model, task = balance.task.model, balance.task
+    free = balance.keep_out.distances(model.library.positions).min(axis=(0, 2)) > 0.0
+    for row in islice(
+        (row for row in _rows_near(model, task.target) if free[row]), OUTSIDE_STARTS
+    ):
+        try:
+            yield task.shape(model.library.inputs[row], model.library.state[row])
+        except NoEquilibriumError:
+            continue
 
 
 def _finished(
-    model: ForwardModel, target: Floats, relax: bool, cost: float, inputs: Floats, bend: Floats
+    task: TipTask, relax: bool, cost: float, inputs: Floats, bend: Floats
 ) -> tuple[float, Floats, Floats]:
     """Go to the least error from the best that was found or, with it met, to low tension."""
+    model = task.model
     if cost - _preferred(model, inputs) > COST_REACHED_M2:
         if model.sticks:  # no search for an equilibrium has gone on from there
-            cost, bend = _aim(model, target, GAIN_MIN, inputs, bend, model.limits)
+            cost, bend = _aim(task, GAIN_MIN, inputs, bend, model.limits)
         return cost, inputs, bend
     if not relax:
         return cost, inputs, bend
     less = inputs.copy()
     if model.sticks:
-        new, bends = _seek(model, target, SEEKING_WIDTHS[1], less, bend, model.limits)
+        new, bends = _seek(task, SEEKING_WIDTHS[1], less, bend, model.limits)
     else:
         bends = bend
         for preference in (*RELAXING_WEIGHTS, LOW_TENSION_WEIGHT):
-            new, bends = _aim(model, target, GAIN_MIN, less, bends, model.limits, preference)
+            new, bends = _aim(task, GAIN_MIN, less, bends, model.limits, preference)
     if new < cost and new - _preferred(model, less) < COST_REACHED_M2:
         return new, less, bends
     return cost, inputs, bend
 
 
-def _target(
-    model: ForwardModel,
-    position: npt.ArrayLike | None,
-    direction: npt.ArrayLike | None,
-    position_weight: float,
-    direction_weight: float | None,
-) -> Floats:
-    if position is None and direction is None:
-        raise InputError('target: expected a position, a direction, or both, got neither')
-    target = np.zeros(8)
-    if position is not None:
-        target[:3], target[6] = finite('position', position, 3), position_weight
-    if direction is not None:
-        along = finite('direction', direction, 3)
-        size = float(np.linalg.norm(along))
-        if size < 1e-9:
-            raise InputError(f'direction: expected a vector of some length, got {along}')
-        weight = 0.2 * model.robot.length if direction_weight is None else direction_weight
-        target[3:6], target[7] = along / size, weight
-    return target
-
-
 def _starts(
-    model: ForwardModel, target: Floats, guess: Shape | None, count: int
+    task: TipTask, guess: Shape | None, count: int
 ) -> Iterator[tuple[Aim, Floats, Floats]]:
     """
     Yield how to search, and tensions and bends to start from; made only when needed.
@@ -209,8 +249,9 @@ def _starts(
     shapes of the library whose tips are nearest, those of low tension first: from much tension
     against much tension there is often no way down.
     """
-    near = partial(_aim, model, target, GAIN_MIN if guess is None else TRACKING_GAIN_MIN)
-    seek = partial(_seek, model, target, SEEKING_WIDTHS[0])
+    model = task.model
+    near = partial(_aim, task, GAIN_MIN if guess is None else TRACKING_GAIN_MIN)
+    seek = partial(_seek, task, SEEKING_WIDTHS[0])
     if guess is not None:
         inputs = np.clip(guess.inputs, *model.limits.T)
         if model.sticks:
@@ -218,10 +259,10 @@ def _starts(
             near = seek
         if count or not model.sticks:
             yield near, inputs, guess.state
-    near = seek if model.sticks else partial(_aim, model, target, GAIN_MIN)
+    near = seek if model.sticks else partial(_aim, task, GAIN_MIN)
     if count:
         yield near, model.limits[:, 0].copy(), np.zeros(3 * model.robot.cells)
-        for row in islice(_rows_near(model, target), count):
+        for row in islice(_rows_near(model, task.target), count):
             yield near, model.library.inputs[row].copy(), model.library.state[row]
 
 
@@ -253,8 +294,7 @@ def _preferred(model: ForwardModel, inputs: Floats) -> float:
 
 
 def _aim(
-    model: ForwardModel,
-    target: Floats,
+    task: TipTask,
     enough: float,
     inputs: Floats,
     bend: Floats,
@@ -268,26 +308,26 @@ def _aim(
     Once the tip is there, a step that gains less than `enough` of the cost is the last. What
     costs more than `far` stays as it is.
     """
-    bends = np.array([bend, bend])
+    model, bends = task.model, np.array([bend, bend])
     cost = model.arrays.part('inverse').aim(
         model.arrays.address,
         inputs,
         bends,
-        target,
+        task.target,
         np.ascontiguousarray(limits[:, 0]),
         np.ascontiguousarray(limits[:, 1]),
         preference,
         STEPS_MAX,
         enough,
         far,
-        model.arrays.fresh_memory(),
+        task.past,
         model.scratch,
     )
     return float(cost), bends[0]
 
 
 def _seek(
-    model: ForwardModel, target: Floats, wide: float, inputs: Floats, bend: Floats, limits: Floats
+    task: TipTask, wide: float, inputs: Floats, bend: Floats, limits: Floats
 ) -> tuple[float, Floats]:
     """
     Improve inputs in place from far away; return the cost [m²] and the bends of the equilibrium.
@@ -295,38 +335,29 @@ def _seek(
     For tendons that stick and slip: bends and tensions are found at once, with a slip length that
     starts `wide` times its own.
     """
-    bends = np.array([bend, bend])
+    model, bends = task.model, np.array([bend, bend])
     model.arrays.part('simultaneous').seek(
         model.arrays.address,
         inputs,
         bends,
-        target,
+        task.target,
         np.ascontiguousarray(limits[:, 0]),
         np.ascontiguousarray(limits[:, 1]),
         SEEKING_WEIGHT,
         wide,
         SEEKING_SHRINK,
         SEEKING_STEPS_MAX,
-        model.arrays.fresh_memory(),
+        task.past,
         model.scratch,
     )
-    return _aim(model, target, TRACKING_GAIN_MIN, inputs, bends[0], limits, far=FAR_M2)
+    return _aim(task, TRACKING_GAIN_MIN, inputs, bends[0], limits, far=FAR_M2)
 
 
-def _errors(shape: Shape, target: Floats) -> tuple[float, float]:
-    position = math.dist(shape.tip_position, target[:3]) if target[6] else 0.0
-    if not target[7]:
-        return position, 0.0
-    (ax, ay, az), (bx, by, bz) = shape.tip_direction.tolist(), target[3:6].tolist()
-    across = math.hypot(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
-    return position, math.atan2(across, ax * bx + ay * by + az * bz)
-
-
-def _judge(
-    model: ForwardModel, target: Floats, inputs: Floats, bend: Floats, in_time: bool
-) -> Reach:
-    shape = model.shape(inputs, bend)
-    position, direction = _errors(shape, target)
+def judged(task: TipTask, inputs: Floats, bend: Floats, in_time: bool = True) -> Reach:
+    """Return how near tensions (m,) [N] bring the tip, and whether their limits are to blame."""
+    model = task.model
+    shape = task.shape(inputs, bend)
+    position, direction = task.errors(shape)
     top = model.limits[:, 1]
     at_limit = tuple(
         name
@@ -335,20 +366,21 @@ def _judge(
     )
     status = 'reached'
     if position > POSITION_THRESHOLD or direction > DIRECTION_THRESHOLD:
-        bind = at_limit and in_time and _limits_bind(model, target, inputs, bend)
+        bind = at_limit and in_time and _limits_bind(task, inputs, bend)
         status = 'at_limit' if bind else 'nearest'
     return Reach(shape, position, direction, status, at_limit)
 
 
-def _limits_bind(model: ForwardModel, target: Floats, inputs: Floats, bend: Floats) -> bool:
+def _limits_bind(task: TipTask, inputs: Floats, bend: Floats) -> bool:
     """Tell whether the target would be reached with three times the tension."""
+    model = task.model
     wide = model.limits * [1.0, 3.0]
     more = inputs.copy()
-    cost, bends = _aim(model, target, TRACKING_GAIN_MIN, more, bend, wide)
+    cost, bends = _aim(task, TRACKING_GAIN_MIN, more, bend, wide)
     if not np.isfinite(cost):
         return False
     try:
-        errors = _errors(model.shape(more, bends), target)
+        errors = task.errors(task.shape(more, bends))
     except NoEquilibriumError:
         return False
     return errors[0] <= POSITION_THRESHOLD and errors[1] <= DIRECTION_THRESHOLD

@@ -12,6 +12,7 @@ from .inputs import TensionsLike
 from .inverse import reach
 from .pulls import pull_shape
 from .shape import Reach, Shape, ShapeBatch
+from .stiffness import TipStiffness, tip_stiffness
 
 
 class Model(ForwardModel):
@@ -43,6 +44,12 @@ class Model(ForwardModel):
         """Return tensions that bring the tip to a target; see `inverse.reach`."""
         return reach(self, position, direction, **options)  # type: ignore[arg-type]
 
-    def pull_shape(self, pulls: TensionsLike, guess: Shape | None = None) -> Shape:
+    def tip_stiffness(self, shape: Shape, wires_held: bool = False) -> TipStiffness:
+        """Return how the tip gives way to a force on it; see `stiffness.tip_stiffness`."""
+        return tip_stiffness(self, shape, wires_held)
+
+    def pull_shape(
+        self, pulls: TensionsLike, guess: Shape | None = None, memory: Floats | None = None
+    ) -> Shape:
         """Return the shape under wire pulls; see `pulls.pull_shape`."""
-        return pull_shape(self, pulls, guess)
+        return pull_shape(self, pulls, guess, memory)

@@ -25,11 +25,24 @@ SPRING_COMPLIANCES = (1e-1, 1e-2, 1e-3, 1e-4)  # stretch of the wires, over the 
 SEARCH_STEPS_MAX, NEAR_SEARCH_STEPS_MAX = 20, 6  # steps of a search; of one that begins near
 
 
-def pull_shape(model: ForwardModel, pulls: TensionsLike, guess: Shape | None = None) -> Shape:
+def pull_shape(
+    model: ForwardModel,
+    pulls: TensionsLike,
+    guess: Shape | None = None,
+    memory: Floats | None = None,
+) -> Shape:
     """
     Return the shape whose wire pulls are met by tensions >= 0.
 
     A wire without a pull is slack; so is one whose pull is less than the geometry asks for.
+
+    Parameters
+    ----------
+    pulls : mapping or (m,) [m]
+    guess : Shape, optional
+        Where the search begins.
+    memory : optional
+        Friction memory of the posture before (`Shape.memory`); default: from straight.
 
     Raises
     ------
@@ -41,8 +54,9 @@ def pull_shape(model: ForwardModel, pulls: TensionsLike, guess: Shape | None = N
     """
     target = wire_pulls(model.robot, pulls)
     start = None if guess is None else (guess.inputs, guess.state)
-    inputs, bend = _tensions(model, target, start, model.arrays.fresh_memory(), _compliance(model))
-    return model.shape(inputs, bend)
+    past = model.arrays.fresh_memory() if memory is None else memory
+    inputs, bend = _tensions(model, target, start, past, _compliance(model))
+    return model.shape(inputs, bend, past if model.remembers else None)
 
 
 def pull_shapes(

@@ -366,10 +366,12 @@ class Reach:
     direction_error: float  # [rad], 0 where no direction was asked
     status: str  # 'reached', 'nearest' or 'at_limit'
     at_limit: tuple[str, ...]  # inputs at their upper limit
+    region: str = ''  # that keeps the arm away from the target, '' where none does
 
     def __repr__(self) -> str:
         """Say how near it came, and with what."""
         limits = f', at its limit: {", ".join(self.at_limit)}' if self.at_limit else ''
+        limits += f', kept out of {self.region}' if self.region else ''
         return (
             f'<Reach: {self.status}, {1e3 * self.position_error:.3g} mm and '
             f'{math.degrees(self.direction_error):.3g}° from the target{limits}; '

@@ -1,0 +1,337 @@
+"""
+What the freedom of antagonistic tendons is used for: a quadratic program after another.
+
+Each program linearises the tip about an equilibrium and weighs what is preferred, over the change
+u of the tensions in shares of their range R = high - low:
+
+    min  W/2 |f + J R u|² + sum of weight x preference (quadratic, or its slope)
+    s.t. low <= T + R u <= high, |u| <= trust,  d_i + n_i . P_i R u >= 0 near keep-out regions
+
+with f the weighted error of the tip (6,), J its Jacobian, P_i the motion of a point of the arm
+that is d_i [m] from a region in direction n_i. A step that does not pay is tried again with half
+the trust. Where friction remembers, J is corrected by what each step did (Broyden 1965).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import InputError, NoEquilibriumError
+from .derivatives import derivatives, tip_slopes
+from .stiffness import tip_stiffness
+
+if TYPE_CHECKING:
+    from ..robot.keep_out import KeepOut
+    from .shape import Shape, ShapeBatch
+    from .tip_task import TipTask
+
+Floats = npt.NDArray[np.float64]
+TIP_WEIGHT = 1e7  # [1/m²] of the tip's error against preferences of about 1
+KEEP_OUT_WEIGHT = 1e10  # [1/m²] of what is inside a region
+NEAR_SHARE = 0.25  # of the arm's length: further regions bind no step
+POINTS_MAX = 8  # of the arm that are held away from a region at once
+TRUST, TRUST_MIN = 0.15, 1e-4  # [1] of a tension's range
+STEP_DONE = 3e-5  # [1] of a tension's range: a step that is none
+CO_CONTRACTIONS = 0.1, 0.3  # [1] of the range, more on all tendons
+DAMPING = 1e-4  # [1] keeps tensions where nothing speaks for a change
+SLOPE_SHARE = 2e-3  # [1] of a tension's range, for the slope of the stiffness
+CORRECTIONS_MAX, CORRECTED_M = 3, 2e-6  # after a step: how often, and from what error on [m]
+POINT_STEP_M = 1e-6  # [m] for the direction away from a region
+
+
+@dataclass(frozen=True)
+class Preferences:
+    """What is wanted of tensions that bring the tip to the same place; weights [1]."""
+
+    low_tension: float = 0.03
+    stiffness: float = 0.0  # of the tip, along `stiffness_direction`
+    stiffness_direction: tuple[float, float, float] = (0.0, 0.0, 0.0)  # zeros: the softest
+    slack: float = 0.0  # distance from the lowest tension
+    limit: float = 0.0  # distance from the highest tension
+    smooth: float = 0.0  # little change from where the arm is
+    margin: float = 0.1  # [1] of the range: the distance that `slack` and `limit` want
+    wires_held: bool = False  # stiffness with the wires' lengths held, not their tensions
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        for name in ('low_tension', 'stiffness', 'slack', 'limit', 'smooth'):
+            if not 0.0 <= getattr(self, name) <= 1e3:
+                raise InputError(
+                    f'{name}: expected a weight from 0 to 1000, got {getattr(self, name)}'
+                )
+        if not 0.0 < self.margin <= 0.5:
+            raise InputError(f'margin: expected more than 0 and at most 0.5, got {self.margin}')
+
+
+@dataclass
+class Posture:
+    """An equilibrium on the way, and what is known there."""
+
+    shape: Shape
+    error: Floats  # (6,) weighted [m]
+    slopes: Floats  # (6, m) of the weighted error by shares of the range [m]
+    stiffness_slope: Floats | None = None  # (m,) of the logarithm, by shares of the range
+
+
+@dataclass
+class Balance:
+    """The programs of one task: what is preferred, and where the arm may not be."""
+
+    task: TipTask
+    preferences: Preferences
+    keep_out: KeepOut | None = None
+    limits: Floats | None = None  # (m, 2) [N], default: the model's
+    here: Floats | None = None  # (m,) [N] where the arm is, for smooth commands
+    low: Floats = field(init=False)
+    range: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Scale tensions by their range."""
+        limits = self.task.model.limits if self.limits is None else self.limits
+        self.low, self.range = limits[:, 0], limits[:, 1] - limits[:, 0]
+
+    def begin(self, shape: Shape) -> Posture:
+        """Look at an equilibrium."""
+        return Posture(shape, self.error(shape), self.slopes(shape))
+
+    def error(self, shape: Shape) -> Floats:
+        """Return the weighted error of the tip (6,) [m]."""
+        target = self.task.target
+        miss = np.concatenate([shape.tip_position - target[:3], shape.tip_direction - target[3:6]])
+        return np.asarray(np.repeat(target[6:], 3) * miss)
+
+    def slopes(self, shape: Shape) -> Floats:
+        """Return the slopes of the weighted error (6, m) by shares of the range [m]."""
+        slopes = tip_slopes(self.task.model, shape, self.task.past)
+        return np.repeat(self.task.target[6:], 3)[:, None] * slopes * self.range
+
+    def cost(self, shape: Shape, error: Floats, stiffness: bool = True) -> float:
+        """Return what a posture costs [1]."""
+        wants, u = self.preferences, (shape.inputs - self.low) / self.range
+        cost = 0.5 * TIP_WEIGHT * float(error @ error)
+        cost += 0.5 * wants.low_tension * float(u @ u)
+        near, far = np.maximum(wants.margin - u, 0.0), np.maximum(u - 1.0 + wants.margin, 0.0)
+        cost += (
+            0.5
+            * (wants.slack * float(near @ near) + wants.limit * float(far @ far))
+            / (wants.margin**2)
+        )
+        if self.here is not None:
+            moved = (shape.inputs - self.here) / self.range
+            cost += 0.5 * wants.smooth * float(moved @ moved)
+        if self.keep_out:
+            inside = np.minimum(self.keep_out.distances(shape.positions), 0.0)
+            cost += 0.5 * KEEP_OUT_WEIGHT * float((inside * inside).sum())
+        if stiffness and wants.stiffness > 0.0:
+            cost -= wants.stiffness * self.log_stiffness(shape)
+        return cost
+
+    def log_stiffness(self, shape: Shape) -> float:
+        """Return the logarithm of the preferred stiffness of the tip [N/m]."""
+        wants = self.preferences
+        made = tip_stiffness(self.task.model, shape, wants.wires_held)
+        towards = np.array(wants.stiffness_direction)
+        stiff = made.along(towards) if towards.any() else made.softest[0]
+        return float(np.log(max(stiff, 1e-12)))
+
+    def stiffness_slope(self, shape: Shape) -> Floats:
+        """Return how that logarithm follows shares of the range, (m,), by differences."""
+        slope = np.zeros(len(self.range))
+        base = self.log_stiffness(shape)
+        for j, width in enumerate(self.range):
+            step = SLOPE_SHARE * width
+            if shape.inputs[j] + step > self.low[j] + width:
+                step = -step
+            moved = shape.inputs.copy()
+            moved[j] += step
+            try:
+                there = self.task.shape(moved, shape.state)
+            except NoEquilibriumError:
+                continue
+            slope[j] = (self.log_stiffness(there) - base) / (step / width)
+        return slope
+
+    def quadratic(self, at: Posture) -> tuple[Floats, Floats]:
+        """Return matrix (m, m) and slope (m,) of the cost of a step in shares of the range."""
+        wants, u = self.preferences, (at.shape.inputs - self.low) / self.range
+        diagonal = np.full(len(u), DAMPING + wants.low_tension + wants.smooth)
+        slope = wants.low_tension * u
+        if self.here is not None:
+            slope = slope + wants.smooth * (at.shape.inputs - self.here) / self.range
+        for weight, over in (
+            (wants.slack, np.minimum(u - wants.margin, 0.0)),
+            (wants.limit, np.maximum(u - 1.0 + wants.margin, 0.0)),
+        ):
+            slope = slope + weight / wants.margin**2 * over
+            diagonal = diagonal + weight / wants.margin**2 * (over != 0.0)
+        if wants.stiffness > 0.0:
+            if at.stiffness_slope is None:
+                at.stiffness_slope = self.stiffness_slope(at.shape)
+            slope = slope - wants.stiffness * at.stiffness_slope
+        matrix = TIP_WEIGHT * at.slopes.T @ at.slopes + np.diag(diagonal)
+        return matrix, slope + TIP_WEIGHT * at.slopes.T @ at.error
+
+    def step(self, at: Posture, trust: float) -> Floats:
+        """Return the tensions (m,) [N] of the program about a posture."""
+        matrix, slope = self.quadratic(at)
+        u = (at.shape.inputs - self.low) / self.range
+        upper, lower = np.minimum(1.0 - u, trust), np.maximum(-u, -trust)
+        rows, room = self._walls(at.shape)
+        inside = room > 0.0
+        if inside.any():  # there the way out is a matter of cost: all at once may be too much
+            out = rows[inside]
+            matrix = matrix + KEEP_OUT_WEIGHT * out.T @ out
+            slope = slope - KEEP_OUT_WEIGHT * out.T @ room[inside]
+        bounds = np.concatenate([lower, room[~inside]])
+        made = _solved(matrix, slope, rows[~inside], bounds, upper)
+        return (
+            np.asarray(np.clip(u + np.clip(made, lower, upper), 0.0, 1.0)) * self.range + self.low
+        )
+
+    def improve(self, at: Posture, trust: float) -> tuple[Posture | None, float]:
+        """Make one step that pays; None where none does. Returns the trust of the next one."""
+        cost = self.cost(at.shape, at.error)
+        while trust > TRUST_MIN:
+            tensions = self.step(at, trust)
+            size = float(np.abs((tensions - at.shape.inputs) / self.range).max())
+            if size < STEP_DONE:
+                return None, trust
+            looked = self.look(at, tensions)
+            if looked is not None:
+                costs = [(self.cost(one.shape, one.error), one) for one in self.ways_on(looked)]
+                least, made = min(costs, key=lambda one: one[0])
+                if least < cost:
+                    return made, min(2.0 * trust, TRUST)
+                if self.task.model.remembers:  # what it did is known by now
+                    at.slopes = looked.slopes
+            trust = 0.5 * min(trust, size)
+        return None, trust
+
+    def ways_on(self, looked: Posture) -> tuple[Posture, ...]:
+        """Return a posture with its tip brought back, and as it is where regions may forbid it."""
+        corrected = self.corrected(looked)
+        return (corrected, looked) if self.keep_out else (corrected,)
+
+    def corrected(self, at: Posture) -> Posture:
+        """Bring the tip back to where it should be by least changes, as far as these do."""
+        for _ in range(CORRECTIONS_MAX):
+            if float(at.error @ at.error) < CORRECTED_M**2:
+                break
+            u = (at.shape.inputs - self.low) / self.range
+            matrix = TIP_WEIGHT * at.slopes.T @ at.slopes + DAMPING * np.eye(len(u))
+            slope = TIP_WEIGHT * at.slopes.T @ at.error
+            back = np.clip(_solved(matrix, slope, None, -u, 1.0 - u), -u, 1.0 - u)
+            made = self.look(at, at.shape.inputs + back * self.range)
+            if made is None or not made.error @ made.error < at.error @ at.error:
+                break
+            at = made
+        return at
+
+    def look(self, at: Posture, tensions: Floats) -> Posture | None:
+        """Solve for tensions; the slopes there, or those of before as the step has shown them."""
+        try:
+            shape = self.task.shape(tensions, at.shape.state)
+        except NoEquilibriumError:
+            return None
+        error = self.error(shape)
+        if not self.task.model.remembers:
+            return Posture(shape, error, self.slopes(shape))
+        share = (tensions - at.shape.inputs) / self.range
+        return Posture(shape, error, broyden(at.slopes, share, error - at.error))
+
+    def _walls(self, shape: Shape) -> tuple[Floats, Floats]:
+        """Return rows (r, m) and room (r,) [m]: rows @ step >= room is out; room > 0: inside."""
+        model, near = self.task.model, NEAR_SHARE * self.task.model.robot.length
+        rows: list[Floats] = []
+        room: list[float] = []
+        away = self.keep_out.distances(shape.positions) if self.keep_out else np.empty((0, 1))
+        if self.keep_out and away.min() < near:
+            past = self.task.past if model.remembers else None
+            moves = derivatives(model, shape.batch, model.inputs, _positions, past)[0]
+            for region, far in zip(self.keep_out.regions, away, strict=True):
+                nearest = np.argsort(far)[:POINTS_MAX]
+                for i in nearest[far[nearest] < near]:
+                    normal = _outward(region.solid.distance, shape.positions[i])
+                    rows.append(normal @ moves[i] * self.range)
+                    room.append(-float(far[i]))
+        return np.array(rows).reshape(-1, len(self.range)), np.array(room)
+
+
+def balanced(
+    balance: Balance,
+    shape: Shape,
+    steps: int,
+    give_up: Callable[[], bool] = lambda: False,
+    trust: float = TRUST,
+) -> Shape:
+    """
+    Return the best posture after up to so many programs from an equilibrium.
+
+    For a stiff tip also from more tension all over: friction may hold the arm where it is so that
+    every small change makes it softer, and a larger one stiffer.
+    """
+    found = []
+    for start in _beginnings(balance, balance.begin(shape)):
+        at, width = start, trust
+        for _ in range(steps):
+            if give_up():
+                break
+            made, width = balance.improve(at, width)
+            if made is None:
+                break
+            at = made
+        found.append((balance.cost(at.shape, at.error), at))
+        if give_up():
+            break
+    return min(found, key=lambda one: one[0])[1].shape
+
+
+def _beginnings(balance: Balance, at: Posture) -> Iterator[Posture]:
+    yield at
+    if balance.preferences.stiffness > 0.0:
+        for share in CO_CONTRACTIONS:
+            u = (at.shape.inputs - balance.low) / balance.range
+            tensions = balance.low + np.minimum(u * (1.0 + share) + share, 1.0) * balance.range
+            if (more := balance.look(at, tensions)) is not None:
+                yield balance.corrected(more)
+
+
+def broyden(slopes: Floats, step: Floats, change: Floats) -> Floats:
+    """
+    Return slopes (6, m) that agree with what a step (m,) changed (6,), and else change least.
+
+    J + (y - J s) sᵀ / (sᵀ s): Broyden 1965, Math. Comp. 19, 577.
+    """
+    size = float(step @ step)
+    if size < 1e-24:
+        return slopes
+    return np.asarray(slopes + np.outer(change - slopes @ step, step) / size)
+
+
+def _solved(
+    matrix: Floats, slope: Floats, rows: Floats | None, lower: Floats, upper: Floats
+) -> Floats:
+    """Return the step (m,) of one program; zero, which is always allowed, where it fails."""
+    import daqp  # not before: what solves no program does without
+
+    m = len(slope)
+    rows = np.empty((0, m)) if rows is None else rows
+    high = np.concatenate([upper, np.full(len(rows), 1e30)])
+    made, _, flag, _ = daqp.solve(matrix, slope, np.ascontiguousarray(rows), high, lower)
+    return np.asarray(made) if flag >= 1 else np.zeros(m)
+
+
+def _outward(distance: Callable[[Floats], Floats], point: Floats) -> Floats:
+    """Return the direction (3,) in which a point gets away from a solid, by differences."""
+    step = POINT_STEP_M * np.eye(3)
+    return np.asarray((distance(point + step) - distance(point - step)) / (2.0 * POINT_STEP_M))
+
+
+def _positions(batch: ShapeBatch) -> Floats:
+    """Return the ends of the cells (b, n, 3) [m]."""
+    return batch.positions
