@@ -6,7 +6,7 @@ forward.py       what it stands on: tensions to shapes, batches and sequences of
 shape.py         what it returns: `Shape`, batches of shapes, markers placed on them, `Reach`
 tip_task.py      what is asked of the tip, and from which state of friction
 inverse.py       a target of the tip to tensions within the limits
-redundancy.py    what the freedom of the tensions is used for, and the whole arm kept out of regions
+redundancy.py    what the freedom of the tensions is used for; the arm kept out of regions
 stiffness.py     how stiff the tip is
 pulls.py         wire pulls to tensions, with slack wires
 inputs.py        what a caller commands, by name or in order, checked
