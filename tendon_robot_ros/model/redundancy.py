@@ -69,7 +69,7 @@ class Preferences:
 
 
 @dataclass
-class Posture:
+class Linearised:
     """An equilibrium on the way, and what is known there."""
 
     shape: Shape
@@ -95,9 +95,9 @@ class Balance:
         limits = self.task.model.limits if self.limits is None else self.limits
         self.low, self.range = limits[:, 0], limits[:, 1] - limits[:, 0]
 
-    def begin(self, shape: Shape) -> Posture:
+    def begin(self, shape: Shape) -> Linearised:
         """Look at an equilibrium."""
-        return Posture(shape, self.error(shape), self.slopes(shape))
+        return Linearised(shape, self.error(shape), self.slopes(shape))
 
     def error(self, shape: Shape) -> Floats:
         """Return the weighted error of the tip (6,) [m]."""
@@ -156,7 +156,7 @@ class Balance:
             slope[j] = (self.log_stiffness(there) - base) / (step / width)
         return slope
 
-    def quadratic(self, at: Posture) -> tuple[Floats, Floats]:
+    def quadratic(self, at: Linearised) -> tuple[Floats, Floats]:
         """Return matrix (m, m) and slope (m,) of the cost of a step in shares of the range."""
         wants, u = self.preferences, (at.shape.inputs - self.low) / self.range
         diagonal = np.full(len(u), DAMPING + wants.low_tension + wants.smooth)
@@ -176,7 +176,7 @@ class Balance:
         matrix = TIP_WEIGHT * at.slopes.T @ at.slopes + np.diag(diagonal)
         return matrix, slope + TIP_WEIGHT * at.slopes.T @ at.error
 
-    def step(self, at: Posture, trust: float) -> Floats:
+    def step(self, at: Linearised, trust: float) -> Floats:
         """Return the tensions (m,) [N] of the program about a posture."""
         matrix, slope = self.quadratic(at)
         u = (at.shape.inputs - self.low) / self.range
@@ -193,7 +193,7 @@ class Balance:
             np.asarray(np.clip(u + np.clip(made, lower, upper), 0.0, 1.0)) * self.range + self.low
         )
 
-    def improve(self, at: Posture, trust: float) -> tuple[Posture | None, float]:
+    def improve(self, at: Linearised, trust: float) -> tuple[Linearised | None, float]:
         """Make one step that pays; None where none does. Returns the trust of the next one."""
         cost = self.cost(at.shape, at.error)
         while trust > TRUST_MIN:
@@ -212,12 +212,12 @@ class Balance:
             trust = 0.5 * min(trust, size)
         return None, trust
 
-    def ways_on(self, looked: Posture) -> tuple[Posture, ...]:
+    def ways_on(self, looked: Linearised) -> tuple[Linearised, ...]:
         """Return a posture with its tip brought back, and as it is where regions may forbid it."""
         corrected = self.corrected(looked)
         return (corrected, looked) if self.keep_out else (corrected,)
 
-    def corrected(self, at: Posture) -> Posture:
+    def corrected(self, at: Linearised) -> Linearised:
         """Bring the tip back to where it should be by least changes, as far as these do."""
         for _ in range(CORRECTIONS_MAX):
             if float(at.error @ at.error) < CORRECTED_M**2:
@@ -232,7 +232,7 @@ class Balance:
             at = made
         return at
 
-    def look(self, at: Posture, tensions: Floats) -> Posture | None:
+    def look(self, at: Linearised, tensions: Floats) -> Linearised | None:
         """Solve for tensions; the slopes there, or those of before as the step has shown them."""
         try:
             shape = self.task.shape(tensions, at.shape.state)
@@ -240,9 +240,9 @@ class Balance:
             return None
         error = self.error(shape)
         if not self.task.model.remembers:
-            return Posture(shape, error, self.slopes(shape))
+            return Linearised(shape, error, self.slopes(shape))
         share = (tensions - at.shape.inputs) / self.range
-        return Posture(shape, error, broyden(at.slopes, share, error - at.error))
+        return Linearised(shape, error, broyden(at.slopes, share, error - at.error))
 
     def _walls(self, shape: Shape) -> tuple[Floats, Floats]:
         """Return rows (r, m) and room (r,) [m]: rows @ step >= room is out; room > 0: inside."""
@@ -291,7 +291,7 @@ def balanced(
     return min(found, key=lambda one: one[0])[1].shape
 
 
-def _beginnings(balance: Balance, at: Posture) -> Iterator[Posture]:
+def _beginnings(balance: Balance, at: Linearised) -> Iterator[Linearised]:
     yield at
     if balance.preferences.stiffness > 0.0:
         for share in CO_CONTRACTIONS:
