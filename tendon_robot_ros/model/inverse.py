@@ -151,9 +151,29 @@ def reach(
     """
     target = tip_target(model, position, direction, position_weight, direction_weight)
     task = TipTask(model, target, model.arrays.fresh_memory() if memory is None else memory)
-    best: tuple[float, Floats, Floats] | None = None
     starts = min(starts, PULL_STARTS) if by_pulls else starts
-    for search, inputs, bend in _starts(task, guess, starts):
+    best = _searched(task, _starts(task, guess, starts), by_pulls, give_up)
+    if not by_pulls and preferences is None and not give_up():
+        best = _finished(task, relax or guess is None, *best)
+    made = judged(task, *best[1:], in_time=not give_up())
+    if preferences is None and not keep_out:
+        return made
+    limits = limits_by_pulls(model) if by_pulls else model.limits
+    here = None if guess is None else guess.inputs
+    wants = preferences or Preferences()
+    return _balanced(Balance(task, wants, keep_out, limits, here), made, by_pulls, give_up)
+
+
+def _searched(
+    task: TipTask,
+    starts: Iterator[tuple[Aim, Floats, Floats]],
+    by_pulls: bool,
+    give_up: Callable[[], bool],
+) -> tuple[float, Floats, Floats]:
+    """Return cost [m²], tensions and bends of the first start that meets the target, or the best."""
+    model = task.model
+    best: tuple[float, Floats, Floats] | None = None
+    for search, inputs, bend in starts:
         if by_pulls:
             cost, bends = aim_by_pulls(task, search, inputs, bend)
         else:
@@ -165,15 +185,7 @@ def reach(
     assert best is not None
     if not np.isfinite(best[0]):
         raise NoEquilibriumError('any start of the search', model.implicit_effects, np.inf)
-    if not by_pulls and preferences is None and not give_up():
-        best = _finished(task, relax or guess is None, *best)
-    made = judged(task, *best[1:], in_time=not give_up())
-    if preferences is None and not keep_out:
-        return made
-    limits = limits_by_pulls(model) if by_pulls else model.limits
-    here = None if guess is None else guess.inputs
-    wants = preferences or Preferences()
-    return _balanced(Balance(task, wants, keep_out, limits, here), made, by_pulls, give_up)
+    return best
 
 
 def _balanced(balance: Balance, made: Reach, by_pulls: bool, give_up: Callable[[], bool]) -> Reach:
