@@ -170,7 +170,7 @@ def _searched(
     by_pulls: bool,
     give_up: Callable[[], bool],
 ) -> tuple[float, Floats, Floats]:
-    """Return cost [m²], tensions and bends of the first start that meets the target, or the best."""
+    """Return cost [m²], tensions and bends of the first start that meets it, or of the best."""
     model = task.model
     best: tuple[float, Floats, Floats] | None = None
     for search, inputs, bend in starts:
