@@ -31,6 +31,15 @@ def test_the_story_of_a_hidden_effect_comes_true():
     assert '% gone)' in text
 
 
+def test_the_arm_finds_out_by_itself():
+    code, text = told('--investigate', '--hidden', 'tip_load', '--seed', '1')
+    assert code == 0, text
+    assert 'one name is left' in text
+    assert 'the controller uses it' in text
+    assert text.count('\nposture ') <= 6, 'half of the twelve that a person would record'
+    assert '% gone)' in text
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize('name', ['hinge_friction', 'backbone_stiffness', 'none', 'soft_cell'])
 def test_every_kind_of_story_comes_true(name):

@@ -81,3 +81,19 @@ def test_the_marker_that_is_off_most_is_named_as_of_now():
 def test_squares_of_the_grid_have_round_sizes(length, square):
     assert page_parts.round_length(length) == pytest.approx(square)
     assert f'a square of the grid: {1e3 * square:g} mm' in page_parts.legend(square)
+
+
+def test_the_news_of_an_investigation_are_kept_until_the_next_one_begins():
+    state = ViewState()
+    assert not state.can_investigate
+    state.hear_status(0.0, 'investigate', 0, 'free', {'code': 'waiting'})
+    assert state.can_investigate
+    first = {'kind': 'posture', 'number': 1, 'text': 'posture 1'}
+    round_ = {'kind': 'diagnosis', 'postures': 4, 'text': '  4 postures: <b>tip_load</b>'}
+    for news in (first, round_):
+        state.hear_investigation(json.dumps(news))
+    shown = page_parts.investigation(state.investigation)
+    assert '<td>&lt;b&gt;tip_load' in shown
+    state.hear_investigation(json.dumps(first))
+    assert state.investigation == [first]
+    assert page_parts.investigation([]) == ''

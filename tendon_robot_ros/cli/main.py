@@ -47,6 +47,7 @@ COMMANDS: dict[str, str] = {
     'monitor': 'tendon_robot_ros.ros.monitor.node',
     'viewer': 'tendon_robot_ros.ros.viewer.node',
     'live': 'tendon_robot_ros.ros.commands.live',
+    'investigate': 'tendon_robot_ros.ros.commands.investigate',
     'compare': 'tendon_robot_ros.cli.compare',
     'diagnose': 'tendon_robot_ros.cli.diagnose',
     'add': 'tendon_robot_ros.cli.add',

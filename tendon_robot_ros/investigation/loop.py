@@ -250,7 +250,7 @@ class Investigation:
         )
         measured = self._attempted(choice.inputs)
         if measured is not None:
-            self.record.take(choice.inputs, measured)
+            self.record.take(choice.inputs, measured, self.arm.position_noise)
 
     def _attempted(self, inputs: Floats) -> PostureMeasured | None:
         """Return what was measured; None after the last attempt."""
@@ -359,7 +359,7 @@ class Investigation:
                 break
             measured = self._attempted(row)
             if measured is not None:
-                check = with_posture(check, row, measured)
+                check = with_posture(check, row, measured, self.arm.position_noise)
                 self.tell(News('check', f'  fresh posture {len(check.postures)} measured'))
         return check if len(check.postures) else None
 

@@ -101,15 +101,10 @@ class Record:
             )
         return record
 
-    def take(self, inputs: Floats, measured: PostureMeasured) -> None:
-        """Append a posture and write it."""
-        self.dataset = with_posture(self.dataset, inputs, measured)
+    def take(self, inputs: Floats, measured: PostureMeasured, noise: float | None) -> None:
+        """Append a posture, measured with a noise [m] if that is known, and write it."""
+        self.dataset = with_posture(self.dataset, inputs, measured, noise)
         self.save()
-
-    def without_last(self) -> None:
-        """Forget the last posture."""
-        old = self.dataset
-        self.dataset = old._rows(np.arange(len(old.postures) - 1))
 
     def skip(self, inputs: Floats, reason: str) -> None:
         """Remember a posture that could not be measured."""
@@ -152,7 +147,9 @@ def empty_dataset(arm: MeasurableArm, name: str, trials: int) -> DataSet:
     )
 
 
-def with_posture(old: DataSet, inputs: Floats, measured: PostureMeasured) -> DataSet:
+def with_posture(
+    old: DataSet, inputs: Floats, measured: PostureMeasured, noise: float | None
+) -> DataSet:
     """Return a data set with one posture more; missing trials are nan."""
     trials = max(old.positions.shape[1], len(measured.positions))
     positions = _stacked([*old.positions, measured.positions], trials)
@@ -170,6 +167,7 @@ def with_posture(old: DataSet, inputs: Floats, measured: PostureMeasured) -> Dat
         positions=positions,
         trial_inputs=taken,
         trial_names=(),
+        position_noise=noise,
     )
 
 

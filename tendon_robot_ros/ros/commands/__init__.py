@@ -5,6 +5,7 @@ demo.py, live.py   whole demonstrations, with their processes
 director.py        takes the arm through postures for live
 follow.py          along a path
 go_to.py           to one place
+investigate.py     the robot chooses its own postures
 record.py          a recording of all that is said
 teleop.py          the keyboard
 robot_model.py     the arm for RViz and Foxglove

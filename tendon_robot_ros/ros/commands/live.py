@@ -8,6 +8,7 @@ Opens a page: two arms in two colours do not coincide; find out why by clicking.
   --reveal        say at the end what was hidden
   --headless      no page: the same story as text; exits with 0 only if it came true
   --postures N    of the tour that is recorded (default: 14)
+  --investigate   the arm chooses its postures by itself, until it knows (docs/investigate.md)
   --port N        of the page (default: 8080)
   --robot NAME    in config/robots (default: kato_10_1)
 """
@@ -33,13 +34,17 @@ from ...control.loading import load
 from ...effects import Catalogue, load_catalogue
 from ...model.model import Model
 from ...robot import Robot, dump_robot
+from ...robot.keep_out import KeepOut
 from ...simulation.rehearsal import STIFFNESS_SCATTER, Hidden, Story, draw, refined, reveal, tour
 from ..shared.files import read_robot
+from ..shared.running_arm import RunningArm
 from ..shared.runtime import NodeProcess, ros
+from . import investigate as investigation
 from .director import Director
 
 HELP = 'a mock robot that hides something: watch, diagnose, add, see the error fall'
 LOG = 'nodes.log'
+INVESTIGATION = ('--speed', '2', '--output')  # how the mock is investigated, and where
 TRACKER_NOISE_M = 0.0002  # [m] 1 sd of the mock's tracker
 
 
@@ -66,7 +71,7 @@ def main(arguments: Sequence[str]) -> int:
         stack.callback(director.destroy_node)
         _start(stack, space, folder, robot, hidden, seed, options)
         try:
-            code = _run(director, model, options, Story(hidden))
+            code = _run(director, model, options, Story(hidden), folder)
         except KeyboardInterrupt:
             code = 0
         except TendonRobotError as error:
@@ -83,13 +88,20 @@ def _last_words(folder: Path) -> list[str]:
     return text.strip().splitlines()[-12:]
 
 
-def _run(director: Director, model: Model, options: argparse.Namespace, story: Story) -> int:
+def _run(
+    director: Director, model: Model, options: argparse.Namespace, story: Story, folder: Path
+) -> int:
     if not options.headless:
         director.wait_until_up()
         print(f'open http://127.0.0.1:{options.port}   (Ctrl-C ends)', flush=True)
+        if options.investigate:
+            print(director.call('investigate/start'), flush=True)
         tour_forever(director, model, options.postures)
         return 0
-    play(director, model, story, options.postures)
+    if options.investigate:
+        investigate(director, story, folder)
+    else:
+        play(director, model, story, options.postures)
     print(story.end())
     return 1 if story.problem else 0
 
@@ -124,8 +136,12 @@ def _start(
     ]
     if not options.headless:
         nodes.append(('viewer', {'port': options.port}))
+    own = {'investigate': ['--wait', *INVESTIGATION, str(folder.resolve() / 'found')]}
+    if not options.headless:
+        nodes.append(('investigate', {}))
     for name, parameters in nodes:
-        stack.enter_context(NodeProcess(name, parameters, space, log))
+        process = NodeProcess(name, parameters, space, log, own=own.get(name, ()))
+        stack.enter_context(process)
 
 
 def _yaml(content: object) -> str:
@@ -158,6 +174,7 @@ def _options(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument('--seed', type=int)
     parser.add_argument('--reveal', action='store_true')
     parser.add_argument('--headless', action='store_true')
+    parser.add_argument('--investigate', action='store_true')
     parser.add_argument('--postures', type=int, default=14)
     parser.add_argument('--port', type=int, default=8080)
     parser.add_argument('--robot', default='kato_10_1')
@@ -230,6 +247,25 @@ def _add_and_look(director: Director, model: Model, story: Story) -> None:
         after.append(director.error())
     if after:
         story.before, story.after = _rms(before), _rms(after)
+
+
+def investigate(director: Director, story: Story, folder: Path) -> None:
+    """Let the arm find out by itself; fill in the story."""
+    director.wait_until_up()
+    parser = argparse.ArgumentParser()
+    investigation.add_arguments(parser)
+    args = parser.parse_args([*INVESTIGATION, str(folder / 'found')])
+    arm = RunningArm('controller', 'monitor', director.ending, director.get_namespace())
+    arm.speed = args.speed
+    try:
+        findings = investigation.Investigator(arm, args, KeepOut()).once(Path(args.output), False)
+    finally:
+        arm.destroy_node()
+    story.verdict = {} if findings.diagnosis is None else findings.diagnosis.to_json()
+    if findings.made is not None and findings.diagnosis is not None:
+        names = [effect.name for effect in findings.diagnosis.effects]
+        story.added = director.wait(lambda: director.uses(names), 60.0, 'the reload', strict=False)
+        story.before, story.after = findings.made.check.before, findings.made.check.after
 
 
 def tour_forever(director: Director, model: Model, postures: int) -> None:

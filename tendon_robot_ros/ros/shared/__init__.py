@@ -10,5 +10,6 @@ origin.py              who published a message
 senders.py             several publishers of a topic: whose messages count, who the others are
 runtime.py             running nodes so that they end safe; nodes as processes
 robot_client.py        who speaks to a running robot: waits, sends targets, reads statuses
+running_arm.py         the running robot as an investigation asks it
 files.py               files that come with the package
 """

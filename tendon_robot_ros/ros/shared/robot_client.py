@@ -70,7 +70,7 @@ class RobotClient(Node):
     ) -> None:
         """Connect."""
         super().__init__(name, namespace=namespace)
-        self._ending, self._controller, self.base = ending, controller, base
+        self.ending, self._controller, self.base = ending, controller, base
         self.statuses: dict[str, dict[str, str]] = {node: {} for node in (controller, *watched)}
         self._heard_at = 0.0  # [s] when the controller's status came
         self._poses = self.create_publisher(PoseStamped, f'{controller}/target_pose', COMMAND)
@@ -149,7 +149,7 @@ class RobotClient(Node):
 
     def spin_once(self, timeout: float) -> None:
         """Serve one message; raise KeyboardInterrupt when a signal came."""
-        if self._ending.signal:
+        if self.ending.signal:
             raise KeyboardInterrupt
         self._executor.spin_once(timeout_sec=timeout)
 

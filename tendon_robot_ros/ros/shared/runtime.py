@@ -241,6 +241,8 @@ class NodeProcess:
         Both for its topics and for the node.
     output : file, optional
         Where its messages go; default: where those of this process go.
+    extra, own : sequence of str
+        More of ROS, and of its own arguments.
 
     """
 
@@ -251,12 +253,13 @@ class NodeProcess:
         namespace: str = '/',
         output: IO[str] | None = None,
         extra: Sequence[str] = (),
+        own: Sequence[str] = (),
     ) -> None:
         """Start it; it gets SIGINT when this process dies, however that happens."""
         arguments = [*ros_arguments(parameters, namespace), *extra]
         self.name = name
         self.process = subprocess.Popen(
-            [sys.executable, '-m', 'tendon_robot_ros', name, *arguments],
+            [sys.executable, '-m', 'tendon_robot_ros', name, *own, *arguments],
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,

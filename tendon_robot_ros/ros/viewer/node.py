@@ -25,7 +25,7 @@ from std_srvs.srv import Trigger
 
 from ..shared.files import read_robot
 from ..shared.lifecycle import OK, Status
-from ..shared.messages import COMMAND, LATCHED, LISTEN, STATE
+from ..shared.messages import COMMAND, LATCHED, LATCHED_BY_MANY, LISTEN, STATE
 from ..shared.parameters import Parameters, RemoteText, Spec
 from ..shared.runtime import run
 from .page import LivePage
@@ -42,6 +42,7 @@ SPECS = (
     Spec('controller', 'controller', 'name of the controller node', read_only=True),
     Spec('driver', 'driver', 'name of the driver node', read_only=True),
     Spec('monitor', 'monitor', 'name of the monitor node', read_only=True),
+    Spec('investigate', 'investigate', 'name of the node that investigates', read_only=True),
     Spec('rate', 25.0, 'frames per second', 'Hz', 1.0, 60.0, read_only=True),
     Spec('robot_length', 0.208, 'length of the robot, for the camera', 'm', 1e-3, 100.0,
          read_only=True),
@@ -51,6 +52,7 @@ SERVICES = {
     'record': ('monitor',),
     'diagnose': ('monitor',),
     'add': ('monitor',),
+    'start': ('investigate',),
     'stop': ('controller', 'driver'),
     'reset': ('driver', 'controller'),
 }
@@ -64,7 +66,8 @@ class ViewerNode(Node):
         super().__init__('viewer')
         self.parameters = Parameters(self, SPECS)
         self.state = ViewState()
-        names = {key: self.parameters[key] for key in ('controller', 'driver', 'monitor')}
+        nodes = ('controller', 'driver', 'monitor', 'investigate')
+        names = {key: self.parameters[key] for key in nodes}
         host, token = self.parameters['host'], self.parameters['token']
         if not token and not _is_local(host):
             token = secrets.token_urlsafe(9)
@@ -118,6 +121,7 @@ class ViewerNode(Node):
         subscribe(String, f'{monitor}/progress', self._progress, STATE)
         subscribe(String, f'{monitor}/verdict', self._verdict, LATCHED)
         subscribe(Bool, 'tour', self._touring, LATCHED)
+        subscribe(String, f'{names["investigate"]}/progress', self._news, LATCHED_BY_MANY)
 
     def _cycle(self) -> None:
         """Take clicks, draw, and now and then update the panel."""
@@ -203,6 +207,9 @@ class ViewerNode(Node):
 
     def _verdict(self, message: String) -> None:
         self.state.hear_verdict(message.data)
+
+    def _news(self, message: String) -> None:
+        self.state.hear_investigation(message.data)
 
     def _touring(self, message: Bool) -> None:
         self.state.touring = message.data

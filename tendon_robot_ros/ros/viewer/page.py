@@ -20,6 +20,7 @@ BUTTONS: tuple[tuple[str, str, str, str | None], ...] = (
     ('record', '1  Record', 'every posture in which the arm stands still', 'orange'),
     ('diagnose', '2  Diagnose', 'which physical effect is missing?', 'blue'),
     ('add', '3  Add what was found', 'to the model of the running controller', 'green'),
+    ('start', 'Investigate', 'the arm chooses its postures by itself, until it knows', 'teal'),
     ('stop', 'STOP', 'release the arm; not a safety-rated stop', 'red'),
     ('reset', 'Reset', 'after a stop', None),
 )
@@ -96,6 +97,7 @@ class LivePage:
         low, high = state.limits
         self._html('bars', page_parts.bars(state.inputs, state.tensions, low, high))
         self._html('verdict', page_parts.verdict(state.verdict))
+        self._html('investigation', page_parts.investigation(state.investigation))
         self._html('guide', page_parts.guide(state.guide(), state.progress))
         label = f'1  Recording ({state.postures})' if state.recording else BUTTONS[0][1]
         if self._buttons['record'].label != label:
@@ -106,6 +108,7 @@ class LivePage:
             'record': state.can_record,
             'diagnose': state.can_diagnose,
             'add': state.can_add,
+            'start': state.can_investigate,
         }
         for name, on in ready.items():
             if self._buttons[name].disabled == on:
@@ -156,7 +159,8 @@ class LivePage:
         self._buttons: dict[str, Any] = {}
         for button in BUTTONS:
             self._add_button(*button)
-        self._boxes['verdict'] = gui.add_html('')
+        for name in ('investigation', 'verdict'):
+            self._boxes[name] = gui.add_html('')
         self._boxes['bars'] = gui.add_html('')
         self._tour: Any = gui.add_checkbox('tour through postures', True)
         self._tour.on_update(self._guarded('tour', lambda: bool(self._tour.value)))

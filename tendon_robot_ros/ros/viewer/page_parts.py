@@ -174,6 +174,25 @@ def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
     )
 
 
+def investigation(news: Sequence[Mapping[str, Any]]) -> str:
+    """Show where an investigation is: its diagnoses, and what it does now."""
+    if not news:
+        return ''
+    rows = ''.join(
+        f'<tr><td style="text-align:right">{one["postures"]}</td>'
+        f'<td>{escape(str(one["text"]).split(": ", 1)[-1])}</td></tr>'
+        for one in news
+        if one.get('kind') == 'diagnosis'
+    )
+    head = '<tr><th>postures</th><th>diagnosis</th></tr>' if rows else ''
+    return (
+        f'<div id="investigation" style="{STYLE}"><b>the arm finds out by itself</b>'
+        f'<p style="margin:2px 0">{escape(str(news[-1]["text"]))}</p>'
+        f'<table style="font-size:12px;text-align:left;border-spacing:6px 1px">{head}{rows}'
+        '</table></div>'
+    )
+
+
 def statuses(nodes: Mapping[str, tuple[str, str]]) -> str:
     """Show what every node says: name -> (level, sentence)."""
     colours = {'ok': GOOD, 'warn': '#b26b00', 'error': MEASURED, 'silent': ERROR}

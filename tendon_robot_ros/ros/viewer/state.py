@@ -35,6 +35,7 @@ class ViewState:
     marks: list[tuple[float, str]] = field(default_factory=list)
     verdict: dict[str, Any] = field(default_factory=dict)
     progress: str = ''
+    investigation: list[dict[str, Any]] = field(default_factory=list)  # its news, oldest first
     touring: bool = True
     held: bool = False  # somebody drags, or dragged, the target
     nodes: dict[str, tuple[float, str, str, dict[str, str]]] = field(default_factory=dict)
@@ -110,6 +111,19 @@ class ViewState:
     def hear_verdict(self, text: str) -> None:
         """Take the verdict of a diagnosis."""
         self.verdict = json.loads(text)
+
+    def hear_investigation(self, text: str) -> None:
+        """Take the news of an investigation; the first posture begins another one."""
+        news = json.loads(text)
+        if news['kind'] == 'posture' and news.get('number') == 1:
+            self.investigation.clear()
+        self.investigation.append(news)
+
+    @property
+    def can_investigate(self) -> bool:
+        """Whether somebody is there who does, and is free."""
+        values = self.nodes.get('investigate', (0.0, '', '', {}))[3]
+        return values.get('code') == 'waiting'
 
     def rolling(self, now: float) -> float:
         """Return the rolling error now [m]; nan when it is old."""
