@@ -11,6 +11,7 @@ wires carried.
 - `begun_ms`: from the cause until the first motor gets less current;
 - `rest_ms`: until the current of every motor is that of pretension;
 - `ended_ms`: until the process is gone that was asked to end;
+- `unheard`: publishers whose `false` after the trial was not heard;
 - `late`: trials with a motor above pretension after 100 ms;
 - `rise`: by how much a wire was tighter after the cause than at it [N].
 
@@ -57,25 +58,30 @@ class Stops:
         self.chain, self.user = chain, chain.user
         kinds = [(r, d) for r in ReliabilityPolicy for d in DurabilityPolicy]
         wanted = ('RELIABLE', 'BEST_EFFORT'), ('VOLATILE', 'TRANSIENT_LOCAL')
-        self.publishers = [
-            self.user.create_publisher(
+        self.publishers = {
+            f'{r.name} {d.name}': self.user.create_publisher(
                 Bool, 'stop', QoSProfile(depth=1, reliability=r, durability=d)
             )
             for r, d in kinds
             if r.name in wanted[0] and d.name in wanted[1]
-        ]
-        self.turn = 0
+        }
+        self.turn, self.unheard = -1, []  # kinds of publishers whose false was not heard at once
 
     def topic(self):
         self.turn += 1
+        publisher = list(self.publishers.values())[self.turn % 4]
         now = time.monotonic()
-        self.publishers[self.turn % 4].publish(Bool(data=True))
+        publisher.publish(Bool(data=True))
         return now
 
     def topic_off(self):
-        for publisher in self.publishers:
-            publisher.publish(Bool(data=False))
-        self.user.spin(0.1)
+        """Take it back, as often as it takes: of best effort a word may be lost."""
+        for _ in range(TRIES):
+            for publisher in self.publishers.values():
+                publisher.publish(Bool(data=False))
+            if self.user.until(lambda: self.user.call('driver/reset', 3.0), 1.0):
+                return
+            self.unheard.append(list(self.publishers)[self.turn % 4])
 
     def _service(self, name):
         client = self.user.ready(name)
@@ -230,7 +236,7 @@ def measure(args, rows):
                     skipped[kind] += 1
                 else:
                     rows.add({'kind': kind, 'number': number, **got})
-        return skipped, chain.died
+        return skipped, {'died': chain.died, 'unheard': stops.unheard}
     finally:
         load.end()
         chain.close()
@@ -317,7 +323,7 @@ def read_arguments():
 def main():
     args = read_arguments()
     begun, rows = os.getloadavg(), Rows(args.rows)
-    skipped, died = measure(args, rows)
+    skipped, other = measure(args, rows)
     found = {kind: summary(rows.of(kind)) for kind in args.kinds}
     result = {
         **machine(),
@@ -329,12 +335,12 @@ def main():
         'arm': args.arm,
         'command_timeout': args.command_timeout,
         'watchdog': args.watchdog or 'default',
-        'died': died,
+        **other,
         **{kind: {**figures, 'not held': skipped[kind]} for kind, figures in found.items()},
     }
     tell(result, args.json)
     print(table(found))
-    return 1 if died or any(figures['late'] for figures in found.values()) else 0
+    return 1 if other['died'] or any(figures['late'] for figures in found.values()) else 0
 
 
 if __name__ == '__main__':
