@@ -19,7 +19,7 @@ from tendon_robot_ros.common.rotations import quaternions, towards
 from tendon_robot_ros.control import Refusal, loading
 from tendon_robot_ros.control.checks import direction
 from tendon_robot_ros.control.loading import Loader
-from tendon_robot_ros.ros.driver import parameters as driver_setup
+from tendon_robot_ros.ros.driver import backend as driver_backend
 from tendon_robot_ros.ros.shared.files import read_mapping, read_robot
 from tendon_robot_ros.ros.shared.messages import quaternion
 from tendon_robot_ros.ros.shared.parameters import Spec
@@ -147,7 +147,7 @@ def test_a_configuration_that_cannot_be_read_says_why(text, words):
 def test_motors_without_a_configuration_of_theirs_say_what_is_missing(backend, mode, text):
     given = {'backend': backend, 'config': text, 'command_mode': mode}
     with pytest.raises(InputError) as told:
-        driver_setup.make(read_robot('kato_10_1'), given, None)
+        driver_backend.make(read_robot('kato_10_1'), given, None)
     words = rf'configuration of the motors for backend {backend}, got (none|that of the mock arm)'
     assert re.search(words, str(told.value))
     example = re.search(r'copy (config/\w+\.yaml), put in your motors', str(told.value)).group(1)

@@ -28,7 +28,7 @@ from ..shared.origin import Received
 from ..shared.parameters import Parameters
 from ..shared.runtime import asked_to_end, goes_first, run, when_asked_to_end
 from ..shared.senders import OtherPublishers, Senders, signature
-from . import parameters
+from . import backend, parameters
 from .mock_arm import MockTracker
 from .motor_loop import Cycle, MotorLoop
 
@@ -73,8 +73,8 @@ class DriverNode(ManagedNode):
         robot = read_robot(self.parameters['robot'])
         if self.parameters['backend'] == 'mock':
             self.status.say(WARN, 'starting', 'makes the mock arm; compiles it, once: a minute')
-        driver, tracker = parameters.make(robot, self.parameters, self)
-        supervisor = Supervisor(parameters.rules(robot, driver, self.parameters))
+        driver, tracker = backend.make(robot, self.parameters, self)
+        supervisor = Supervisor(backend.rules(robot, driver, self.parameters))
         if hasattr(driver, 'cancelled'):  # it may look long for the slack of its wires
             driver.cancelled = self._cancelled
         driver.open()
@@ -296,7 +296,7 @@ class DriverNode(ManagedNode):
         """Apply changed rates and times."""
         if self.bus is not None:
             bus = self.bus
-            made = parameters.rules(bus.driver.robot, bus.driver, self.parameters)
+            made = backend.rules(bus.driver.robot, bus.driver, self.parameters)
             bus.supervisor.rules = made
 
 
