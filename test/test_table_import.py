@@ -308,8 +308,18 @@ def test_an_arm_that_never_stands_still_is_refused(calm):
     moving = calm.copy()
     column = next(name for name in calm.columns if '[mm]' in name)
     moving[column] += 300.0 * np.sin(3.0 * calm['time_s'])
-    with pytest.raises(DataSetError, match='the arm is never slower than 20 mm/s for 1 s'):
+    with pytest.raises(DataSetError, match='the arm never stands still for 1 s at once'):
         import_table(moving, ARM)
+
+
+def test_a_recording_without_times_is_no_table_of_measurements(noisy):
+    with pytest.raises(DataSetError, match='rows follow each other like the frames of a recor'):
+        import_table(noisy.drop(columns='time_s'), ARM)
+
+
+def test_a_recording_that_is_too_short_says_how_long_it_is(calm):
+    with pytest.raises(DataSetError, match=r'never stands still for 1 s at once, in a recording'):
+        import_table(calm[:14], ARM)
 
 
 def test_a_mirrored_tracker_is_said(calm):

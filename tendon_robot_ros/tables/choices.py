@@ -87,11 +87,11 @@ def _choose_times(
         times[use.column] = unit
     if times and not all(time_column(table, times) for table in tables):
         lacking = next(table for table in tables if not time_column(table, times))
-        raise DataSetError(lacking.name, 'has no column of times', 'say --time COLUMN')
+        raise DataSetError(lacking.name, 'has no column of times', 'say --column time=COLUMN')
     if not times:
         assumed.append(
             'no column of times: every row is a measurement of the arm at rest '
-            '(a recording? name the column: --time COLUMN)'
+            '(a recording? name its column: --column time=COLUMN)'
         )
     return replace(recipe, time=times or None)
 

@@ -38,6 +38,7 @@ from .registration import (
 from .traces import make_traces
 
 OFFSET_STEP_M = 1e-3  # [m] of a derivative
+TRIALS_SHOWN = 6  # of those that were left out
 APART_RAD = 0.3  # [rad] between gravity as the robot says it and as the tracker does
 
 
@@ -278,8 +279,10 @@ def _columns_dropped(taken: Taken) -> list[str]:
 def _trials_dropped(pairs: Sequence[tuple[str, str]]) -> list[str]:
     if not pairs:
         return []
-    names = listed(f'posture {posture} trial {trial}' for posture, trial in pairs)
-    return [f'{names}: the other trials contradict (a slipped tendon?)']
+    names = [f'posture {posture} trial {trial}' for posture, trial in pairs]
+    more = len(names) - TRIALS_SHOWN
+    told = listed(names if more < 2 else [*names[:TRIALS_SHOWN], f'{more} more'])
+    return [f'{told}: the other trials contradict (a slipped tendon?)']
 
 
 def _markers_assumed(order: MarkerOrder, taken: Taken) -> list[str]:

@@ -22,6 +22,8 @@ IntArray = npt.NDArray[np.int64]
 JUMP_MAX_S = 0.3  # [s] a marker is taken for another one for a few frames
 JUMP_FROM = 10.0  # times the usual step from frame to frame
 JUMP_MIN_M = 2e-3  # [m]
+ROWS_MAX = 500  # without times; in more than that, rows that follow each other closely are frames
+FRAME_STEP_SHARE = 0.02  # of how far the arm moves: less from row to row is a recording
 
 
 def input_factor(unit_text: str, spool: WireSpool) -> float:
@@ -125,6 +127,7 @@ def _trace(told: RawTable, seen: RawTable, recipe: Recipe, delay: float | None) 
     positions[lost | ~np.isfinite(positions).all(axis=2)] = np.nan
     clocks = ''
     if recipe.time is None:
+        _refuse_recording(seen.name, positions)
         times = state_times = np.arange(len(told), dtype=float)
     else:
         state_times, times = _times(told, recipe), _times(seen, recipe)
@@ -139,6 +142,21 @@ def _trace(told: RawTable, seen: RawTable, recipe: Recipe, delay: float | None) 
     track = Track(times, positions, turned)
     recording = Recording(seen.name, state_times, [], (track,), (), [], None, None)
     return Traces(recording, inputs, int(lost.sum()), jumps, delay, clocks)
+
+
+def _refuse_recording(name: str, positions: FloatArray) -> None:
+    """Refuse rows without times that are no measurements but the frames of a moving arm."""
+    if len(positions) <= ROWS_MAX:
+        return
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
+    moved = np.nanmax(positions, axis=0) - np.nanmin(positions, axis=0)
+    if np.nanmedian(steps) < FRAME_STEP_SHARE * np.linalg.norm(moved, axis=1).max():
+        raise DataSetError(
+            name,
+            f'has no column of times, and its {len(positions):,} rows follow each other like the '
+            'frames of a recording',
+            'say --column time=COLUMN, or leave one row per measurement',
+        )
 
 
 def _delay(
