@@ -2,7 +2,7 @@
 Twenty-two mistakes that everybody makes, on two arms as they are built: what `diagnose` says.
 
 Right is the sentence that names the mistake; a wrong story is an effect that is named, or another
-mistake. Plants are of another discretisation than the model (simulated_cases.py).
+mistake. Plants are of another discretisation than the model (campaign/cases.py).
 """
 
 from __future__ import annotations
@@ -17,11 +17,14 @@ from pathlib import Path
 
 import numpy as np
 from machine import machine
-from simulated_cases import NAMING, Case, described, hidden_values, measured
+from planned import PLANS
 
+from tendon_robot_ros.campaign.cases import Case, simulated
+from tendon_robot_ros.campaign.judge import NAMING
+from tendon_robot_ros.campaign.plan import read_plan
 from tendon_robot_ros.data import DataSet
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.robot import Robot
+from tendon_robot_ros.effects import load_catalogue
 
 Make = Callable[[DataSet], DataSet]
 
@@ -206,11 +209,13 @@ def offsets_of(dataset: DataSet, factor: float) -> DataSet:
 
 def arm(name: str, weighed: bool, level: float, seed: int) -> DataSet:
     """Return measurements of an arm that is described as it is, with or without its weight."""
-    case = Case(name, 'gravity' if weighed else 'none', 1.0, seed, 0.0, False, level)
-    robot: Robot = described(case)
-    values = hidden_values(case.hidden, 3.0, seed, robot) if weighed else {}
-    dataset = measured(case, robot, values)[0][0]
-    return replace(dataset, robot=robot.with_effect('gravity', values)) if weighed else dataset
+    setup = read_plan(PLANS / 'diagnosis.yaml').setup
+    case = Case(name, 'gravity' if weighed else 'none', 3.0, seed, level=level)
+    noise = setup.noises[0][1]
+    made = simulated(case, setup.arm(name), setup.designs[0], noise, load_catalogue())
+    if not weighed:
+        return made.fit
+    return replace(made.fit, robot=made.robot.with_effect('gravity', made.values))
 
 
 def judge(robot: str, name: str, level: float, seed: int) -> Outcome:
