@@ -1,11 +1,16 @@
 """Campaigns: plans, tables that grow, workers that die, and figures counted from the rows."""
 
+import contextlib
+import json
 import os
 import signal
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import processes
 import pytest
 import yaml
 from source_tree import ROOT
@@ -266,3 +271,78 @@ def test_the_command_writes_table_and_page_and_goes_on(tmp_path, capsys, monkeyp
     assert 'Which size of an effect is seen' in (tmp_path / 'out' / 'campaign.html').read_text()
     assert main([*call, '--dry-run']) == 0
     assert '2 cases, 2 of them are there' in capsys.readouterr().out
+
+
+# -----------------------------------------------------------------------------
+# A cluster: a scheduler and workers of dask as they are, each a process.
+
+
+@pytest.fixture(scope='module')
+def cluster(tmp_path_factory):
+    pytest.importorskip('distributed')
+    folder = tmp_path_factory.mktemp('cluster')
+    told, dask = folder / 'scheduler.json', [sys.executable, '-m', 'dask']
+    scheduler = ['scheduler', '--port', '0', '--host', '127.0.0.1', '--no-dashboard']
+    worker = ['worker', '--nworkers', '2', '--nthreads', '1', '--no-dashboard']
+    kept = ['--local-directory', str(folder)]
+    with (folder / 'log.txt').open('w') as log:
+        both = [
+            processes.Process(
+                [*dask, *which, '--scheduler-file', str(told)],
+                cwd=folder,
+                stdout=log,
+                stderr=log,
+                env=os.environ
+                | {
+                    'PYTHONPATH': f'{ROOT}:{ROOT / "test"}',
+                    'DASK_TEMPORARY_DIRECTORY': str(folder),
+                },
+            )
+            for which in (scheduler, [*worker, *kept])
+        ]
+    end = time.monotonic() + 60.0
+    while not told.exists():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    yield json.loads(told.read_text())['address']
+    for process in reversed(both):
+        process.send_signal(signal.SIGTERM)  # it ends its own workers
+        with contextlib.suppress(processes.TimeoutExpired):
+            process.wait(10.0)
+        process.end()
+
+
+def slow(number):
+    time.sleep(0.1)
+    return os.getpid(), number
+
+
+def test_workers_of_a_cluster_that_are_killed_ten_times_lose_nothing(cluster):
+    dead, found, handed = set(), {}, []
+
+    def chunks():
+        while len(dead) < 10 or len(handed) < 20:
+            handed.append(len(handed))
+            yield handed[-1]
+
+    with Workers(cluster=cluster) as workers:
+        for index, (pid, number) in workers.run(slow, chunks()):
+            assert index not in found
+            found[index] = number
+            if pid not in dead and len(dead) < 10:  # a nanny starts it anew
+                dead.add(pid)
+                os.kill(pid, signal.SIGKILL)
+    assert len(dead) == 10
+    assert sorted(found.items()) == [(number, number) for number in handed]
+
+
+def test_a_cluster_says_the_same_bit_for_bit(cluster, rows, tmp_path):
+    with Workers(cluster=cluster, prepare=Preparation.here()) as workers:
+        assert without_time(run_plan(plan(), tmp_path / 'out', workers)) == without_time(rows)
+
+
+def test_a_scheduler_that_is_not_there_is_one_line(monkeypatch):
+    pytest.importorskip('distributed')
+    monkeypatch.setattr('tendon_robot_ros.common.workers.CONNECT_S', 0.2)
+    with pytest.raises(InputError, match=r'--cluster tcp://127.0.0.1:9: no scheduler answers'):
+        Workers(cluster='tcp://127.0.0.1:9')

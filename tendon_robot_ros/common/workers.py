@@ -200,6 +200,8 @@ class _Processes:
         self.busy: dict[Future[Any], _Slot] = {}
 
     def submit(self, work: Work, chunk: Any) -> Future[Any]:
+        if len(self.busy) == self.slots:  # at work on what was dropped because time was over
+            wait(self.busy, return_when=FIRST_COMPLETED)
         for future in [future for future in self.busy if future.done()]:
             self.free.append(self.busy.pop(future))
         slot = self.free.pop()
@@ -296,6 +298,11 @@ class _Cluster:
     def is_loss(self, error: BaseException) -> bool:
         if isinstance(error, self.killed):
             return True
+        if isinstance(error, ModuleNotFoundError) or 'deserialization' in str(error):
+            raise InputError(
+                f'--cluster {self.address}: its scheduler and workers do not have this package, '
+                'or another version of it; install the same on all machines'
+            ) from None
         if isinstance(error, (CancelledError, OSError)) or self.client.status != 'running':
             raise self._gone(error) from None
         return False

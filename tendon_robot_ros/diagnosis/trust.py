@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import time
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import islice
-from multiprocessing.pool import Pool
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ..common.workers import Workers
 from ..comparison.noise import Noise
 from ..comparison.predict import FreeParameter, Point, Predictor
 from ..comparison.statistics import chi2_isf
@@ -114,7 +109,6 @@ def noncentrality(freedom: int, alpha: float) -> float:
 # -----------------------------------------------------------------------------
 # How far to trust a diagnosis: its alarm rate and what it can see, on the user's own postures.
 
-THREADS = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
 Task = tuple[int, FreeParameter | None, float]  # seed, hidden parameter and its size
 
 
@@ -197,11 +191,10 @@ def assess(
     ]
     job = Job(dataset, robot, session.noise, tuple(files))
     start, quiet, loud = time.monotonic(), Tally(), Tally()
-    with _workers(workers) as spread:
-        quiet.collect(
-            spread(job.alarm, clean, start + 0.65 * seconds), len(clean), 'alarm rate', show
-        )
-        loud.collect(spread(job.alarm, sized, start + seconds), len(sized), 'sizes', show)
+    with Workers(workers) as spread:
+        early, late = start + 0.65 * seconds, start + seconds
+        quiet.collect(spread.run(job.alarm, clean, early), len(clean), 'alarm rate', show)
+        loud.collect(spread.run(job.alarm, sized, late), len(sized), 'sizes', show)
     low, high = wilson(quiet.hits, quiet.runs)
     return Trust(quiet.runs, quiet.hits, low, high, seen, loud.runs, loud.hits)
 
@@ -230,7 +223,7 @@ class Job:
         if simulated is None:
             return None
         session = Session(simulated, self.robot, catalogue, workers=1)
-        return is_alarming(gather(session)) if session.weigh({}) else None
+        return bool(is_alarming(gather(session))) if session.weigh({}) else None
 
 
 def measure_again(
@@ -258,68 +251,13 @@ class Tally:
     hits: int = 0
 
     def collect(
-        self, alarms: Iterable[bool | None], total: int, what: str, show: Progress
+        self, alarms: Iterable[tuple[int, object]], total: int, what: str, show: Progress
     ) -> None:
         """Count what comes; simulations without equilibrium do not count."""
-        for done, alarm in enumerate(alarms):
+        for done, (_, alarm) in enumerate(alarms):
             show(what, done + 1, total)
-            self.runs += alarm is not None
-            self.hits += bool(alarm)
-
-
-Spread = Callable[[Callable[[Task], bool | None], Sequence[Task], float], Iterator[bool | None]]
-
-
-@contextmanager
-def _workers(count: int) -> Iterator[Spread]:
-    """Give a map with a time to end; what is not done by then is dropped."""
-    if count == 1:
-        yield _one_by_one
-        return
-    with single_threaded(), multiprocessing.get_context('spawn').Pool(count) as pool:
-        yield _few_ahead(pool, count)
-
-
-def _one_by_one(
-    work: Callable[[Task], bool | None], tasks: Sequence[Task], end: float
-) -> Iterator[bool | None]:
-    for task in tasks:
-        yield work(task)
-        if time.monotonic() > end:
-            return
-
-
-def _few_ahead(pool: Pool, count: int) -> Spread:
-    """Hand out few tasks ahead, so that the next kind of task need not wait for the last."""
-
-    def spread(
-        work: Callable[[Task], bool | None], tasks: Sequence[Task], end: float
-    ) -> Iterator[bool | None]:
-        coming = iter(tasks)
-        waiting = deque(pool.apply_async(work, (task,)) for task in islice(coming, 2 * count))
-        while waiting:
-            try:
-                yield waiting.popleft().get(max(end - time.monotonic(), 0.001))
-            except multiprocessing.TimeoutError:
-                return
-            waiting.extend(pool.apply_async(work, (task,)) for task in islice(coming, 1))
-
-    return spread
-
-
-@contextmanager
-def single_threaded() -> Iterator[None]:
-    """Keep the linear algebra of processes started here to one thread each."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, '1'))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+            self.runs += isinstance(alarm, bool)
+            self.hits += alarm is True
 
 
 def wilson(hits: int, runs: int) -> tuple[float, float]:
