@@ -8,7 +8,7 @@ import simulated
 from simulated import CATALOGUE, NOISE, measured
 
 from tendon_robot_ros.comparison.noise import Whitener, input_slopes
-from tendon_robot_ros.comparison.predict import Predictor
+from tendon_robot_ros.comparison.predict import Predictor, free_parameters
 from tendon_robot_ros.diagnosis.add import fit_effects
 from tendon_robot_ros.diagnosis.fitter import Fitter
 from tendon_robot_ros.diagnosis.interval import intervals
@@ -46,6 +46,29 @@ def test_a_fit_finds_what_the_robot_hides(effect, values):
         spread = (value.high - value.low) / (2 * 1.96)
         assert abs(value.value - truth) < 4.0 * spread, key
     assert fit.probability(session.freedom) > 1e-3
+
+
+def test_tangents_are_what_small_changes_do():
+    """Of every effect that needs no history, on a settled arm without friction's kinks."""
+    smooth = simulated.robot(lacks=('tendon_friction', *simulated.SHAPING))
+    dataset = simulated.postures(smooth, [[0.6, 0.0], [0.2, 0.5], [1.2, 0.3]])
+    predictor = Predictor(dataset, smooth, CATALOGUE)
+    memoryless = [e for e in CATALOGUE if e.stage != 'memory' and e.needs != 'pulls']
+    assert len(memoryless) > 12
+    for effect in memoryless:
+        frees = free_parameters(effect, smooth)
+        point = {f: f.parameter.neutral + 0.3 * f.parameter.typical for f in frees}
+        predictor.markers(point)
+        found = predictor.tangent(point, frees, predictor.settled)
+        for free, moves in zip(frees, found.markers, strict=True):
+            h = 1e-3 * free.parameter.typical
+            up, down = (predictor.markers({**point, free: point[free] + s}) for s in (h, -h))
+            assert (
+                np.abs(moves - (up - down) / (2 * h)).max() < 1e-3 * np.abs(moves).max() + 1e-9
+            ), (
+                effect.name,
+                free.key,
+            )
 
 
 def test_a_large_effect_is_found_from_far_away():

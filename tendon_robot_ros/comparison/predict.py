@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,15 +13,17 @@ import numpy.typing as npt
 from ..common.errors import EffectError, TendonRobotError
 from ..data import DataSet, Part
 from ..effects import Catalogue, Effect, Parameter
-from ..model.forward import TOLERANCE
+from ..model.derivatives import follow
+from ..model.forward import TOLERANCE, ForwardModel
 from ..model.model import Model
-from ..model.shape import ShapeBatch
+from ..model.shape import FIELDS, ShapeBatch
 from ..robot import Robot
 
 Floats = npt.NDArray[np.float64]
 # No effects: every cell's own deviation where a tolerance declares it, one soft cell, a taper.
 CELLS, SOFT_CELL, TAPER = 'cell_stiffness', 'soft_cell', 'taper'
 STIFFNESS = (CELLS, SOFT_CELL, TAPER)
+TANGENT_STEP = 1e-5  # [1], of a parameter or of its typical size
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,14 @@ class SettledShapes:
     def of(self, rows: npt.NDArray[np.int64]) -> SettledShapes:
         """Return those of some postures."""
         return SettledShapes(self.tensions[rows], self.state[rows])
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """How q parameters move P settled postures with J markers."""
+
+    markers: Floats  # (q, P, J, 3) [m per unit]
+    states: Floats  # (q, P, 3n) [rad per unit]
 
 
 @dataclass(frozen=True)
@@ -192,6 +203,29 @@ class Predictor:
             self._first = settled
         return placed
 
+    def tangent(
+        self, point: Point, frees: Sequence[FreeParameter], settled: SettledShapes
+    ) -> Tangent | None:
+        """
+        Return how freed parameters move what settled at a point, without solving again.
+
+        By the implicit function theorem (`model.derivatives.follow`). None where only further
+        solutions tell: where friction remembers, and where wire pulls are commanded.
+        """
+        if self.dataset.input == 'displacement':
+            return None
+        P, n, q = len(settled.state), self.model.arrays.chain.n, len(frees)
+        moved = Tangent(np.empty((q, P, len(self.dataset.markers), 3)), np.empty((q, P, 3 * n)))
+        for part in self.parts:
+            there, count = settled.of(part.rows), len(part.rows)
+            self.set_parameters(point, part)
+            if self.model.remembers:
+                return None
+            moves = [_Freed(self, point, part, free, count) for free in frees]
+            found = follow(self.model, there.tensions, there.state, moves, self.see)
+            moved.markers[:, part.rows], moved.states[:, part.rows] = found
+        return moved
+
     def unsettled(self) -> tuple[str, ...]:
         """Name the postures without an equilibrium as described, each loaded from straight."""
         names = []
@@ -260,9 +294,16 @@ class Predictor:
         if self.model.remembers:
             return self._remembering(inputs)
         batch, changes = self.model.solve(inputs, None if near is None else near.state)
-        if near is not None and not (changes < TOLERANCE).all():
-            batch, changes = self.model.solve(inputs)
-        return batch if (changes < TOLERANCE).all() else None
+        far = np.flatnonzero(~(changes < TOLERANCE))
+        if near is None or not len(far):
+            return None if len(far) else batch
+        for b in far:  # once more, from straight
+            again, changes = self.model.solve(inputs[b : b + 1])
+            if not changes[0] < TOLERANCE:
+                return None
+            for name in FIELDS:
+                getattr(batch, name)[b] = getattr(again, name)[0]
+        return batch
 
     def _remembering(self, inputs: Floats) -> ShapeBatch | None:
         carry = self.dataset.path == 'sequence'
@@ -280,6 +321,48 @@ class Predictor:
             return pull_shapes(self.model, pulls, tensions, bends, memory)
         except TendonRobotError:
             return None
+
+
+class _Freed:
+    """A freed parameter that moves a little to both sides, as far as its bounds let it."""
+
+    def __init__(
+        self, predictor: Predictor, point: Point, part: Conditions, free: FreeParameter, count: int
+    ) -> None:
+        here, own = point.get(free, predictor.value(free)), free.parameter
+        step = TANGENT_STEP * max(abs(here), own.typical)
+        self.up = np.full(count, min(step, own.high - here))
+        self.down = np.full(count, max(-step, own.low - here))
+        arrays = predictor.model.arrays
+        self._moved: tuple[npt.NDArray[Any], ...] = (
+            arrays.values,
+            arrays.on,
+            arrays.cells,
+            arrays.gravity,
+            arrays.offset,
+        )
+        self._kept: dict[float, list[npt.NDArray[Any]]] = {}
+        for side in (0.0, float(self.up[0]), float(self.down[0])):
+            predictor.set_parameters({**point, free: here + side}, part)
+            self._kept[side] = [array.copy() for array in self._moved]
+        self._set(0.0)
+
+    def inputs(self, inputs: Floats, side: Floats) -> Floats:
+        """Return the input tensions (b, m) [N]: they stay."""
+        return inputs
+
+    def _set(self, side: float) -> None:
+        for array, kept in zip(self._moved, self._kept[side], strict=True):
+            array[:] = kept
+
+    @contextmanager
+    def made(self, model: ForwardModel, side: Floats) -> Iterator[None]:
+        """Let the parameter be on one side while the block runs."""
+        self._set(float(side[0]))
+        try:
+            yield
+        finally:
+            self._set(0.0)
 
 
 def stiffness_factors(free: FreeParameter, value: float, n: int) -> Floats:

@@ -10,7 +10,8 @@ evidence.py           fits of the base model and of every candidate; what remain
 candidates.py         effects that may be missing; which of them the postures test
 session.py            one diagnosis at work: noise, weights, and the fits that it asks for
 fit.py                a settled fit and what it tells
-fitter.py             the search that finds it: bounded Gauss-Newton
+fitter.py             fits: searches, sizes of imperfections and imperfections in turn
+search.py             the search for the best values: bounded Gauss-Newton
 interval.py           95 % intervals of fitted parameters
 indistinct.py         which effects the measurements cannot tell apart
 cells.py              cells whose stiffness scatters

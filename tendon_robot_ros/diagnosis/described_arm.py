@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import legendre
 
-from ..comparison.predict import FreeParameter, Point, Predictor
+from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes, Tangent
 from ..data import DataSet
 from ..effects import Catalogue, Parameter
 from ..robot import Robot
@@ -54,6 +54,14 @@ class DescribedArm(Predictor):
             return super().markers(effects, *args, **options)
         finally:
             arrays.offset[:], arrays.helix[:] = self._routes
+
+    def tangent(
+        self, point: Point, frees: Sequence[FreeParameter], settled: SettledShapes
+    ) -> Tangent | None:
+        """Return how effects move what settled; None where the arm itself moves as well."""
+        if any(free.effect in OF_THE_ARM for free in point):
+            return None
+        return super().tangent(point, frees, settled)
 
 
 def blocks_of_the_arm(robot: Robot) -> Iterator[Candidate]:

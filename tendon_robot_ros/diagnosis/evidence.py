@@ -36,6 +36,7 @@ class Evidence:
     best: Ranked | None = None
     rival: Pattern | None = None
     scale: float = 1.0  # chi² over freedom of the best, where nothing is adequate
+    base_chi2: float | None = None  # of the base with the best fit's imperfections, once known
 
     @cached_property
     def patterns(self) -> list[Pattern]:

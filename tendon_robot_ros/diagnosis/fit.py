@@ -151,15 +151,16 @@ class Fit:
 
         """
         total, weights = 0.0, []
-        inverse = covariance_of(self.jacobian, blind=0.0)
+        root, _ = covariance_root(self.jacobian)
         for p in np.unique(owners):
             rows = np.flatnonzero(owners == p)
-            j, r = self.jacobian[rows], self.residual[rows]
-            share, vectors = np.linalg.eigh(j @ inverse @ j.T)
+            r = self.residual[rows]
+            share, vectors = shares(self.jacobian[rows] @ root)
             only = share > 0.999  # nothing but the posture tells these
             share = np.clip(share, 0.0, 0.999)  # what the posture says of itself
-            left = (vectors.T @ r) / np.where(only, 1.0, 1.0 - share)
-            total += float(left @ left)
+            along = vectors.T @ r
+            left = along / np.where(only, 1.0, 1.0 - share)
+            total += float(r @ r - along @ along + left @ left)
             weights.append(1.0 / (1.0 - share) - (1.0 - share))
         w = np.concatenate(weights) if weights else np.zeros(0)
         if not w.sum() > 1e-9:
@@ -171,13 +172,34 @@ class Fit:
 
 def covariance_of(jacobian: Floats, blind: float = np.inf) -> Floats:
     """Inverse of the normal matrix, `blind` for columns that carry no information."""
-    scale = np.linalg.norm(jacobian, axis=0)
-    unseen = scale < 1e-9
-    scaled = jacobian / np.where(unseen, 1.0, scale)
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True)
-    made = inverse / np.outer(np.where(unseen, 1.0, scale), np.where(unseen, 1.0, scale))
+    root, unseen = covariance_root(jacobian)
+    made = root @ root.T
     made[unseen, unseen] = blind
     return np.asarray(made)
+
+
+def covariance_root(jacobian: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """Root R (q, d) of the inverse R R' of the normal matrix, and which columns tell nothing."""
+    scale = np.linalg.norm(jacobian, axis=0)
+    unseen = scale < 1e-9
+    scale = np.where(unseen, 1.0, scale)
+    values, vectors = np.linalg.eigh((jacobian / scale).T @ (jacobian / scale))
+    told = values > 1e-13 * values.max(initial=0.0)
+    root = vectors[:, told] / np.sqrt(values[told]) / scale[:, None]
+    root[unseen] = 0.0
+    return root, unseen
+
+
+def shares(rows: Floats) -> tuple[Floats, Floats]:
+    """Eigenvalues (d,) and vectors (n, d) of A A' for A (n, q), without those that are zero."""
+    n, q = rows.shape
+    if n <= q:
+        values, vectors = np.linalg.eigh(rows @ rows.T)
+        return values, vectors
+    values, vectors = np.linalg.eigh(rows.T @ rows)
+    told = values > 1e-15
+    values = values[told]
+    return values, rows @ (vectors[:, told] / np.sqrt(values))
 
 
 def with_imperfections(plain: Fit, random: RandomEffects, sizes: Floats, around: Members) -> Fit:

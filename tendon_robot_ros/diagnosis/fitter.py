@@ -1,18 +1,19 @@
-"""The search for the best values of freed parameters: bounded, globalised Gauss-Newton."""
+"""Fits of freed parameters and imperfections: searches, sizes and imperfections in turn."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from ..comparison.noise import Whitener
-from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
+from ..comparison.predict import FreeParameter, Point, Predictor
 from .as_built import Imperfections, Members
 from .fit import Fit, Nuisance, with_imperfections
 from .marginal import RandomEffects, Sizes
+from .search import Search
 from .split import SplitPredictor
 
 Floats = npt.NDArray[np.float64]
@@ -44,7 +45,7 @@ class Fitter:
     ) -> None:
         """Keep what all fits share; `columns` (N,) of the derivative are known already."""
         self.predictor, self.whitener = predictor, whitener
-        self.columns = dict(columns or {})
+        self.columns: Mapping[FreeParameter, Floats] = dict(columns or {})
         self.built = built  # None: the description is exact
         self.random = None if built is None else built.random
         self.sizes: Floats | None = None  # (K,) of the imperfections, for the fit that runs
@@ -82,7 +83,7 @@ class Fitter:
             search.begin(search.starts())
         search.run(turns)
         if self.random is None or sizes is not None:
-            return search.result()
+            return self._result(search)
         before = np.inf
         for _ in range(ROUNDS):
             estimated = self.estimate(search)
@@ -93,7 +94,20 @@ class Fitter:
                 break
             before = estimated.deviance
             search.run(turns)
-        return search.result()
+        return self._result(search)
+
+    def _result(self, search: Search) -> Fit:
+        """Freeze a search: the markers are those of the model alone."""
+        plain = search.result()
+        if self.built is None:
+            return plain
+        with self.built.split.as_described():
+            described = self.predictor.markers(search.point)
+        if described is not None:
+            plain = replace(plain, markers=described)
+        if self.random is None or self.sizes is None:
+            return plain
+        return with_imperfections(plain, self.random, self.sizes, self.built.split.around)
 
     def _begin(self, start: Fit | Point | None, sizes: Floats | None) -> None:
         """Take the sizes and imperfections to start from."""
@@ -178,195 +192,7 @@ class Fitter:
     def estimate(self, search: Search) -> Sizes:
         """Estimate the sizes of the imperfections where a search is."""
         assert self.random is not None
-        raw, slopes = search.raw, search.derivative()
+        raw, slopes = search.raw, search.derivative(near=True)
         n = len(self.random.columns)
         weights = np.append(np.full(search.count, 1e-9), 1.0 / search.spread**2)
         return self.random.estimate(raw[:n], slopes[:n], self.sizes, weights)
-
-
-class Search:
-    """One running fit: scaled parameters, damping, best point."""
-
-    def __init__(
-        self, fitter: Fitter, frees: tuple[FreeParameter, ...], nuisances: tuple[Nuisance, ...]
-    ) -> None:
-        """Scale the parameters by their typical sizes."""
-        self.fitter, self.frees, self.nuisances = fitter, frees, nuisances
-        self.all = frees + tuple(n.free for n in nuisances)
-        count = len(frees)
-        self.scale = np.array([f.parameter.typical for f in frees] + [n.spread for n in nuisances])
-        self.low = np.array(
-            [f.parameter.low for f in frees]
-            + [max(n.free.parameter.low, n.centre - 30.0 * n.spread) for n in nuisances]
-        )
-        self.high = np.array(
-            [f.parameter.high for f in frees]
-            + [min(n.free.parameter.high, n.centre + 30.0 * n.spread) for n in nuisances]
-        )
-        self.centre = np.array([n.centre for n in nuisances])
-        self.spread = np.array([n.spread for n in nuisances])
-        self.count = count
-        self.damping = 1e-3
-        self.slopes: Floats | None = None
-        self.raw: Floats  # whitened residual with prior rows at the best point
-        self.r: Floats  # the same, less what imperfections explain
-        self.settled: SettledShapes | None = None  # of the best point: neighbours start there
-
-    def described(self, free: FreeParameter) -> float:
-        """Value in the description, moved inside the bounds."""
-        value = self.fitter.predictor.value(free)
-        return float(np.clip(value, free.parameter.low, free.parameter.high))
-
-    def starts(self) -> list[Floats]:
-        """Points to start from: as described, and for one parameter a ladder of sizes."""
-        start = np.array([self.described(f) for f in self.frees] + list(self.centre))
-        catalogue = self.fitter.predictor.model.catalogue
-        starts = [start]
-        if any(catalogue[f.effect].always_on for f in self.frees):
-            starts = []  # its neutral value is no absence
-        if starts and self.count != 1:
-            return starts
-        for factor in (0.03, 0.1, 0.3, 1.0, 3.0):
-            for sign in (1.0, -1.0):
-                point = start.copy()
-                for i, free in enumerate(self.frees):
-                    size = sign * factor * free.parameter.typical
-                    if catalogue[free.effect].always_on:
-                        point[i] = abs(size)
-                    elif self.count == 1:
-                        point[i] += size
-                starts.append(np.clip(point, self.low, self.high))
-        return list({tuple(point.tolist()): point for point in starts}.values())
-
-    def run(self, turns: int) -> None:
-        """Improve until nothing is left to gain."""
-        for _ in range(turns):
-            if not self.improve():
-                break
-
-    def weigh_again(self) -> None:
-        """Take the residual again when the sizes of the imperfections have changed."""
-        self.r = self.fitter.lift(self.raw)
-        self.damping = 1e-3
-
-    def follow(self) -> bool:
-        """Go around the most likely imperfections; False where that changes nothing."""
-        predictor, point = self.fitter.predictor, self.point
-        n = self.fitter.whitener.size
-        raw = self.fitter.follow(self.raw[:n], lambda: predictor.markers(point, near=self.settled))
-        if raw is None:
-            return False
-        self.raw, self.slopes = np.concatenate([raw, self.raw[n:]]), None
-        self.weigh_again()
-        return True
-
-    @property
-    def point(self) -> Point:
-        """Values of now."""
-        return dict(zip(self.all, self.values.tolist(), strict=True))
-
-    def residual(self, values: Floats) -> tuple[Floats, Floats] | None:
-        """Whitened residual with prior rows, and the markers; None without equilibrium."""
-        point = dict(zip(self.all, values.tolist(), strict=True))
-        markers = self.fitter.predictor.markers(point, near=self.settled)
-        if markers is None:
-            return None
-        white = self.fitter.residual(markers)
-        prior = (values[self.count :] - self.centre) / self.spread
-        return np.concatenate([white, prior]), markers
-
-    def begin(self, starts: list[Floats]) -> None:
-        """Take the best of the starts."""
-        best = np.inf
-        for start in starts:
-            values = np.clip(start, self.low, self.high)
-            predicted = self.residual(values)
-            if predicted is None:
-                continue
-            lifted = self.fitter.lift(predicted[0])
-            cost = float(lifted @ lifted)
-            if cost < best:
-                best, self.values, (self.raw, self.markers) = cost, values, predicted
-                settled = self.fitter.predictor.settled
-        if not np.isfinite(best):
-            raise ArithmeticError('no start of the fit has an equilibrium')
-        self.settled = settled
-        self.r = self.fitter.lift(self.raw)
-
-    def derivative(self) -> Floats:
-        """Jacobian (N + nuisances, q) of the residual by differences of the settled model."""
-        if self.slopes is not None:
-            return self.slopes
-        columns = []
-        for i, scale in enumerate(self.scale):
-            if (known := self._known(i)) is not None:
-                columns.append(known)
-                continue
-            h = 1e-3 * scale
-            if self.values[i] + h > self.high[i]:
-                h = -h
-            column = None
-            for step in (h, -h, 0.1 * h):
-                moved = self.values.copy()
-                moved[i] += step
-                predicted = self.residual(moved)
-                if predicted is not None:
-                    column = (predicted[0] - self.raw) / step
-                    break
-            columns.append(np.zeros_like(self.raw) if column is None else column)
-        self.slopes = np.array(columns).T.reshape(len(self.raw), len(self.scale))
-        return self.slopes
-
-    def _known(self, i: int) -> Floats | None:
-        """Column of a nuisance that is known already; None where it must be taken."""
-        column = self.fitter.columns.get(self.all[i])
-        if column is None:
-            return None
-        prior = np.zeros(len(self.spread))
-        prior[i - self.count] = 1.0 / self.spread[i - self.count]
-        return np.concatenate([column, prior])
-
-    def improve(self) -> bool:
-        """Take one damped step within the bounds; False when there is nothing to gain."""
-        if not len(self.scale):
-            return False
-        scaled = self.fitter.lift(self.derivative()) * self.scale
-        gradient = scaled.T @ self.r
-        pressed = ((self.values <= self.low) & (gradient > 0.0)) | (
-            (self.values >= self.high) & (gradient < 0.0)
-        )
-        free = np.flatnonzero(~pressed & (np.abs(scaled).max(axis=0) > 0.0))
-        if not len(free):
-            return False
-        normal = scaled[:, free].T @ scaled[:, free]
-        cost = float(self.r @ self.r)
-        for _ in range(12):
-            damped = normal + self.damping * np.diag(np.diag(normal) + 1e-12)
-            step = np.zeros(len(self.scale))
-            step[free] = -np.linalg.solve(damped, gradient[free])
-            moved = np.clip(
-                self.values + np.clip(step, -30.0, 30.0) * self.scale, self.low, self.high
-            )
-            predicted = self.residual(moved)
-            lifted = None if predicted is None else self.fitter.lift(predicted[0])
-            new = np.inf if lifted is None else float(lifted @ lifted)
-            if predicted is not None and lifted is not None and new < cost:
-                self.values, (self.raw, self.markers), self.r = moved, predicted, lifted
-                self.settled = self.fitter.predictor.settled
-                self.slopes = None
-                self.damping = max(0.1 * self.damping, 1e-9)
-                return cost - new > 1e-3 + 1e-5 * new
-            self.damping *= 8.0
-        return False
-
-    def result(self) -> Fit:
-        """Freeze the fit."""
-        fitter, raw, slopes, markers = self.fitter, self.raw, self.derivative(), self.markers
-        if fitter.built is not None:
-            with fitter.built.split.as_described():
-                described = fitter.predictor.markers(self.point)
-            markers = markers if described is None else described
-        plain = Fit(self.frees, self.nuisances, self.values, raw, slopes, markers)
-        if fitter.built is None or fitter.random is None or fitter.sizes is None:
-            return plain
-        return with_imperfections(plain, fitter.random, fitter.sizes, fitter.built.split.around)

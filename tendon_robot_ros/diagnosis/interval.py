@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
+from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes, Tangent
 from ..comparison.statistics import normal_ppf
 from .fit import Fit
 from .fitter import Fitter
@@ -37,6 +38,12 @@ class Pinned(Predictor):
         predicted = self._inner.markers({**point, **self._pinned}, inputs, stiffness, near)
         self.settled = self._inner.settled
         return predicted
+
+    def tangent(
+        self, point: Point, frees: Sequence[FreeParameter], settled: SettledShapes
+    ) -> Tangent | None:
+        """Return how freed parameters move what settled; see `Predictor.tangent`."""
+        return self._inner.tangent({**point, **self._pinned}, frees, settled)
 
 
 def intervals(

@@ -108,9 +108,9 @@ class RandomEffects:
 
     def best(self, residual: Floats, sizes: Floats) -> Floats:
         """Return the most likely mixtures (r,), in units of their sd, at a residual (N,)."""
-        scaled = self.columns * self.spread(sizes)
-        normal = np.eye(scaled.shape[1]) + scaled.T @ scaled
-        return np.asarray(np.linalg.solve(normal, scaled.T @ residual))
+        s = self.spread(sizes)
+        normal = np.eye(len(s)) + s[:, None] * self.gram * s
+        return np.asarray(np.linalg.solve(normal, s * (self.columns.T @ residual)))
 
     def misfit(self, errors: Floats, sizes: Floats) -> float:
         """Return the chi² of errors (N,) that only noise and the remainder explain."""
@@ -204,6 +204,8 @@ class RandomEffects:
         for _ in range(SEARCH_STEPS_MAX):
             gradient, information, slower = work.slopes(v)
             step = _step(v - low, high - v, np.where(free, gradient, np.inf), information)
+            if -float(np.where(free, gradient, 0.0) @ step) < DEVIANCE_GAIN_MIN:
+                break
             for moved in (*(v + share * step for share in STEP_SHARES), slower):
                 new = np.where(free, np.clip(moved, low, high), 0.0)
                 found = work.deviance(new)
@@ -251,6 +253,22 @@ def _step(down: Floats, up: Floats, gradient: Floats, information: Floats) -> Fl
     return step
 
 
+@dataclass(frozen=True)
+class _Reduced:
+    """
+    What a set of variances makes of the small matrices, the remainder counted as noise: V = D + ..
+
+    o: columns of the other kinds, d: those of the remainder, k: parameters, and the residual.
+    """
+
+    own: Floats  # (o, o) X'D^-1 X
+    more: Floats  # (o, k + 1) X'D^-1 [parameters, residual]
+    inner: Floats  # (k + 1, k + 1) of these themselves
+    factor: Floats  # (o, o) inverse of the triangular root of 1 + S X'D^-1 X S, times S
+    shrunk: Floats  # (d,) 1 / (1 + gain)
+    log: float  # log |V|
+
+
 class _Work:
     """
     Deviance, gradient and information of the variances, from small matrices only.
@@ -262,47 +280,52 @@ class _Work:
     def __init__(
         self, random: RandomEffects, residual: Floats, slopes: Floats, weights: Floats | None
     ) -> None:
-        self.owners, self.precision = random.owners, 1.0 / random.plausible**2
-        self.proper = np.isfinite(random.plausible)
-        self.kinds = np.arange(len(random.kinds))[:, None] == random.owners[None]
+        self.precision, self.proper = 1.0 / random.plausible**2, np.isfinite(random.plausible)
+        last = [k for k, kind in enumerate(random.kinds) if kind.name == REMAINDER]
+        self.kind = last[0] if last else None
         known = np.linalg.norm(slopes, axis=0)
         slopes = slopes[:, known > 1e-9] / known[known > 1e-9]
         more = np.column_stack([slopes, residual])
-        self.count = len(random.owners)
-        self.gram = random.gram
-        self.cross = np.column_stack([random.gram, random.columns.T @ more])  # (r, r + k + 1)
+        is_last = np.isin(random.owners, last)
+        others, d = np.flatnonzero(~is_last), np.flatnonzero(is_last)
+        self.owners = random.owners[others]
+        self.kinds = np.asarray(np.arange(len(random.kinds))[:, None] == self.owners, float)
+        cross = random.columns.T @ more
+        self.more, self.more_last = cross[others], cross[d]
+        self.own = random.gram[np.ix_(others, others)]
+        self.own_last = random.gram[np.ix_(others, d)]
+        self.size2 = np.diag(random.gram)[d]  # (d,) squared lengths
         self.inner = more.T @ more
-        last = [k for k, kind in enumerate(random.kinds) if kind.name == REMAINDER]
-        self.last = np.flatnonzero(np.isin(random.owners, last))
-        self.kind = last[0] if last else 0
-        self.size2 = np.diag(random.gram)[self.last]  # (d,) squared lengths
-        self.along = self.cross[self.last] / np.sqrt(self.size2)[:, None]
-        self.others = np.flatnonzero(~np.isin(random.owners, last))
         k = slopes.shape[1]
         prior = np.full(k, 1e-9) if weights is None else weights[known > 1e-9]
-        self.ridge = prior / (1.0 if weights is None else known[known > 1e-9] ** 2)
+        self.ridge = np.diag(prior / (1.0 if weights is None else known[known > 1e-9] ** 2))
+        self._at: tuple[Floats, _Reduced] | None = None
 
-    def _eliminated(self, v: Floats, width: slice) -> tuple[Floats, Floats, Floats, float]:
-        """X'D^-1 [..], its part of the others, what eliminates them, and log |V|."""
-        gain = v[self.kind] * self.size2 if len(self.last) else np.zeros(0)
-        along = self.along * np.sqrt(gain / (1.0 + gain))[:, None]
-        log = float(np.log1p(gain).sum())
-        crossed = self.cross[:, width] - along[:, : self.count].T @ along[:, width]
-        s = np.sqrt(v)[self.owners[self.others]]
-        used = self.others[s > 0.0]
-        s = s[s > 0.0]
-        own = self.gram[np.ix_(used, used)] - along[:, used].T @ along[:, used]
-        factor = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * own * s)
-        log += float(2.0 * np.log(np.diag(factor)).sum())
-        half = np.linalg.inv(factor) @ (s[:, None] * crossed[used])
-        return crossed, half, along, log
+    def _reduced(self, v: Floats) -> _Reduced:
+        """Return what variances (K,) make of the matrices; kept until others are asked for."""
+        if self._at is not None and np.array_equal(self._at[0], v):
+            return self._at[1]
+        own, more, inner, log = self.own, self.more, self.inner, 0.0
+        shrunk = np.ones(len(self.size2))
+        if self.kind is not None and v[self.kind] > 0.0:
+            gain = v[self.kind] * self.size2
+            shrunk, log = 1.0 / (1.0 + gain), float(np.log1p(gain).sum())
+            taken = self.own_last * (v[self.kind] * shrunk)
+            own, more = own - taken @ self.own_last.T, more - taken @ self.more_last
+            inner = inner - (self.more_last.T * (v[self.kind] * shrunk)) @ self.more_last
+        s = np.sqrt(v)[self.owners]
+        root = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * own * s)
+        log += 2.0 * float(np.log(np.diag(root)).sum())
+        reduced = _Reduced(own, more, inner, np.linalg.inv(root) * s, shrunk, log)
+        self._at = (v.copy(), reduced)
+        return reduced
 
     def deviance(self, v: Floats) -> float:
         """-2 log likelihood with priors, at the best parameters."""
-        _, half, along, log = self._eliminated(v, slice(self.count, None))
-        more = along[:, self.count :]
-        chi2 = self._best(self.inner - more.T @ more - half.T @ half)[1]
-        return chi2 + log + prior_of(v * self.precision)
+        at = self._reduced(v)
+        half = at.factor @ at.more
+        chi2 = self._best(at.inner - half.T @ half)[1]
+        return chi2 + at.log + prior_of(v * self.precision)
 
     def slopes(self, v: Floats) -> tuple[Floats, Floats, Floats]:
         """
@@ -310,24 +333,48 @@ class _Work:
 
         The last is minorise-maximise of variance components: slow, but always a descent.
         """
-        crossed, half, along, _ = self._eliminated(v, slice(None))
-        m, more = self.count, along[:, self.count :]
-        w = crossed[:, :m] - half[:, :m].T @ half[:, :m]
-        c = crossed[:, m:] - half[:, :m].T @ half[:, m:]
-        best, _ = self._best(self.inner - more.T @ more - half[:, m:].T @ half[:, m:])
-        u = c[:, -1] - c[:, :-1] @ best
-        rise = self.kinds @ np.diag(w) + 2.0 * self.precision
-        found = self.kinds @ (u * u)
+        at, kinds = self._reduced(v), self.kinds
+        half, through = at.factor @ at.own, at.factor @ at.more
+        best, _ = self._best(at.inner - through.T @ through)
+        ahead = np.append(-best, 1.0)
+        w = at.own - half.T @ half
+        u = (at.more - half.T @ through) @ ahead
+        rise, found = kinds @ np.diag(w), kinds @ (u * u)
+        information = kinds @ (w * w) @ kinds.T
+        if self.kind is not None:
+            self._add_last(at, half, through @ ahead, ahead, rise, found, information)
+        rise += 2.0 * self.precision
         push = np.where(self.proper, 1.0 / np.maximum(v, 1e-300), 0.0)  # away from zero
-        information = self.kinds @ (w * w) @ self.kinds.T + np.diag(push**2)
+        information += np.diag(push**2)
         rise = np.maximum(rise, 1e-300)
         slower = (self.proper + np.sqrt(self.proper + 4.0 * rise * v**2 * found)) / (2.0 * rise)
         return rise - push - found, information, slower
+
+    def _add_last(
+        self,
+        at: _Reduced,
+        half: Floats,
+        through: Floats,
+        ahead: Floats,
+        rise: Floats,
+        found: Floats,
+        information: Floats,
+    ) -> None:
+        """Add what the columns of the remainder say: diagonal before the others are eliminated."""
+        crossed = self.own_last * at.shrunk  # (o, d)
+        mine, e, k = at.factor @ crossed, self.size2 * at.shrunk, self.kind
+        taken = (mine * mine).sum(axis=0)
+        u = at.shrunk * (self.more_last @ ahead) - mine.T @ through
+        rise[k], found[k] = (e - taken).sum(), u @ u
+        both = self.kinds @ np.square(crossed - half.T @ mine).sum(axis=1)
+        information[k] += both
+        information[:, k] += both
+        information[k, k] = (e * (e - 2.0 * taken)).sum() + np.square(mine @ mine.T).sum()
 
     def _best(self, m: Floats) -> tuple[Floats, float]:
         """Return the best linear parameters and chi² there."""
         normal, right = m[:-1, :-1], m[:-1, -1]
         if not len(right):
             return right, float(m[-1, -1])
-        best = np.linalg.solve(normal + np.diag(self.ridge), right)
+        best = np.linalg.solve(normal + self.ridge, right)
         return best, float(m[-1, -1] - right @ best)

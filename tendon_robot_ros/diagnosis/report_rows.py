@@ -47,7 +47,9 @@ def explained_share(evidence: Evidence, fit: Fit) -> float:
         fitter = evidence.session.fitters[0]
         sizes = best.fit.built.sizes.copy()
         sizes[-1] = 0.0
-        before, after = (_chi2_with(fitter, one, sizes) for one in (base, fit))
+        if evidence.base_chi2 is None:
+            evidence.base_chi2 = _chi2_with(fitter, base, sizes)
+        before, after = evidence.base_chi2, _chi2_with(fitter, fit, sizes)
     excess = before - base.freedom
     if excess <= 0.0:
         return 0.0

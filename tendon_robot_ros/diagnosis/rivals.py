@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ PLACES = 3  # at which a pattern is fitted: those where it promises most
 SOFTNESS = Parameter(
     'softness', '1', -1.5, 4.0, 0.0, 0.1
 )  # log of the bend over what it should be
+PATTERN_STEP = 0.02  # [1] of the softness of a cell, where only differences tell
 ROUNDS = 4  # of sizes of the imperfections and imperfections in turn
 
 
@@ -67,6 +68,7 @@ class Rivals:
         self.relief = CellRelief(fit, fitter.whitener)
         markers = fitter.predictor.markers(self.point)
         self.markers = fit.markers if markers is None else markers
+        self.settled = fitter.predictor.settled
         self.r = self.white(self.markers)
         self.prior = fit.chi2 - float(self.r @ self.r)
         self.extra = fit.rank
@@ -146,12 +148,7 @@ class Rivals:
         n = self.fitter.predictor.model.arrays.chain.n
         frees = [FreeParameter(SOFT_CELL, SOFTNESS, i) for i in range(n)]
         self._others_as_usual()
-        gains = []
-        for free in frees:
-            moved = self.fitter.predictor.markers({**self.point, free: 0.02})
-            gains.append(
-                -np.inf if moved is None else self._gain((self.markers - moved)[None] / 0.02)
-            )
+        gains = [self._gain(-moves) for moves in self._moved(frees)]
         fits = [(self._refit([frees[i]]), int(i)) for i in np.argsort(gains)[-PLACES:]]
         fit, i = min(fits, key=_deviance)
         if fit is None:
@@ -160,6 +157,21 @@ class Rivals:
         near = [row for row in fits if _deviance(row) < fit.deviance + SAME_CELL_WITHIN]
         alike = tuple(sorted(cell + 1 for _, cell in near))
         return Pattern('soft_cell', fit.deviance, fit.rank + 1, i + 1, size, 1, n, alike=alike)
+
+    def _moved(self, frees: Sequence[FreeParameter]) -> Iterator[Floats]:
+        """Yield what parameters that are zero do to the markers, (1, P, J, 3) per unit."""
+        predictor, near, step = self.fitter.predictor, self.settled, PATTERN_STEP
+        found = None if near is None else predictor.tangent(self.point, frees, near)
+        for i, free in enumerate(frees):
+            if found is not None:
+                yield found.markers[i : i + 1]
+                continue
+            moved = predictor.markers({**self.point, free: step}, near=near)
+            yield (
+                np.zeros_like(self.markers)[None]
+                if moved is None
+                else ((moved - self.markers)[None] / step)
+            )
 
     def taper(self) -> Pattern | None:
         """Stiffness that changes linearly from base to tip, mean and slope free."""
@@ -203,14 +215,14 @@ class Rivals:
         inputs, markers, r = self.fitter.predictor.inputs, self.markers, self.r
         gains = np.ones(len(inputs))
         for _ in range(6):
-            moved = self.fitter.predictor.markers(self.point, inputs * (gains + 1e-3)[:, None])
+            moved = self._driven(inputs * (gains + 1e-3)[:, None])
             if moved is None:
                 return None
             change = (moved - markers)[None] / 1e-3
             slopes = np.hstack([self._changes(change, p) for p in range(len(inputs))])
             step = np.linalg.lstsq(slopes, -r, rcond=1e-9)[0]
             trial = np.clip(gains + np.clip(step, -0.3, 0.3), 0.2, 3.0)
-            predicted = self.fitter.predictor.markers(self.point, inputs * trial[:, None])
+            predicted = self._driven(inputs * trial[:, None])
             if predicted is None:
                 break
             new = self.white(predicted)
@@ -222,13 +234,15 @@ class Rivals:
                 break
         return Pattern(
             'gain_per_posture',
-            self.deviance(
-                lambda: self.fitter.predictor.markers(self.point, inputs * gains[:, None])
-            ),
+            self.deviance(lambda: self._driven(inputs * gains[:, None])),
             self.extra + len(inputs),
             free=len(inputs),
             values=tuple((gains - 1.0).tolist()),
         )
+
+    def _driven(self, inputs: Floats) -> Floats | None:
+        """Predict the markers under other inputs (P, m)."""
+        return self.fitter.predictor.markers(self.point, inputs, near=self.settled)
 
     def rotation_per_posture(self) -> Pattern:
         """Every posture rotated about the base by its own small rotation vector."""
@@ -240,7 +254,7 @@ class Rivals:
         angles = np.linalg.norm(turns.reshape(-1, 3), axis=1)
 
         def predict() -> Floats | None:
-            markers = self.fitter.predictor.markers(self.point)
+            markers = self.fitter.predictor.markers(self.point, near=self.settled)
             return None if markers is None else markers + np.cross(turned, markers)
 
         return Pattern(

@@ -255,7 +255,7 @@ class Session:
         here = fitter.predictor.markers(point)
         if here is None:
             return False
-        raw = fitter.residual(here)
+        raw, near = fitter.residual(here), fitter.predictor.settled
         for free in larger.frees:
             if free in point:
                 continue
@@ -263,7 +263,7 @@ class Session:
             step = 0.05 * free.parameter.typical
             if value + step > free.parameter.high:
                 step = -step
-            moved = fitter.predictor.markers({**point, free: value + step})
+            moved = fitter.predictor.markers({**point, free: value + step}, near=near)
             if moved is None or self.catalogue[free.effect].always_on:
                 return True
             columns.append(self.whitener.white(here - moved)[:, None] / step)

@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..comparison.predict import CELLS, Point
-from ..model.shape import FIELDS, ShapeBatch
+from ..model.derivatives import shown
+from ..model.shape import ShapeBatch
 from .as_built import (
     ACROSS,
     GAIN,
@@ -98,14 +99,14 @@ def _differences(
     split: SplitPredictor, point: Point, kind: Kind, members: Iterable[int] | None = None
 ) -> Floats:
     """Return central differences (q, P, J, 3) of settled shapes by (some) members of a kind."""
-    at, moves = split.around, []
+    at, near, moves = split.around, split.settled, []
     here = at.get(kind.name, np.zeros(len(kind)))
     step = PLAUSIBLE_SIZES[kind.name][2]
     for i in range(len(kind)) if members is None else members:
         sides = []
         for side in (step, -step):
             split.around = {**at, kind.name: here + side * np.eye(len(kind))[i]}
-            sides.append(split.markers(point))
+            sides.append(split.markers(point, near=near))
         split.around = at
         up, down = sides
         if up is None or down is None:
@@ -220,16 +221,8 @@ class _Slopes:
 
     def _shown(self, inputs: Floats, state: Floats) -> _Seen:
         """Return what inputs (b, m) [N] and states (b, 3n) [rad] show, without solving."""
-        b, form, arrays = len(inputs), self.model.form, self.model.arrays
-        block = np.zeros(b * form.size)
-        fields = {name: form.rows(block, name, b) for name in FIELDS}
-        fields['inputs'][:], fields['state'][:] = inputs, state
-        arrays.part('shape').show_postures(
-            arrays.address, block, b, arrays.fresh_memory().ctypes.data, self.model.scratch
-        )
-        lengths, hinge = self.shapes.cell_length, self.shapes.hinge
-        batch = ShapeBatch(**fields, cell_length=lengths, hinge=hinge)
-        return _Seen(self.split.see(batch), fields['pulls'])
+        batch = shown(self.model, inputs, state)
+        return _Seen(self.split.see(batch), batch.pulls)
 
     def _by_state(self) -> _Seen:
         """Return the derivatives by every entry of the state, tensions constant: (P, u, ...)."""

@@ -30,7 +30,7 @@ from .add import changed_robot
 from .candidates import Candidate, candidates_of
 from .decide import P_SINGLE_MIN
 from .described_arm import OF_THE_ARM, DescribedArm, arm_with, blocks_of_the_arm
-from .fit import Fit, Nuisance, covariance_of
+from .fit import Fit, Nuisance, covariance_of, covariance_root, shares
 from .fitter import Fitter
 from .outliers import find_outliers
 from .setup_mistakes import find_mistake
@@ -296,14 +296,14 @@ def left_out_errors(
     Exact where the model is linear, the hat matrix H: (1 - H_gg)^-1 r_g (Cook and Weisberg 1982).
     Postures of the same group (P,) tell of each other and are left out together.
     """
-    owners, inverse = whitener.owners, covariance_of(jacobian, blind=0.0)
+    owners, (root, _) = whitener.owners, covariance_root(jacobian)
     errors = np.full(len(groups), np.nan)
     for group in np.unique(groups[owners]):
         rows = np.flatnonzero(groups[owners] == group)
-        own = jacobian[rows]
-        share, vectors = np.linalg.eigh(own @ inverse @ own.T)
+        share, vectors = shares(jacobian[rows] @ root)
+        along = vectors.T @ residual[rows]
         told = np.maximum(1.0 - share, TELLS_ITSELF)
-        left = vectors @ (vectors.T @ residual[rows] / told)
+        left = residual[rows] + vectors @ (along / told - along)
         for p in np.unique(owners[rows]):
             metres = np.linalg.solve(whitener.factors[p], left[owners[rows] == p])
             errors[p] = 3.0 * float(np.mean(metres**2))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from contextlib import AbstractContextManager, contextmanager
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -90,24 +90,70 @@ def derivatives(
 
     """
     seen = seen or (lambda batch: model.measured(batch.positions))
-    there = [_Move.of(model, shapes, column) for column in columns]
+    moves = [_Move.of(model, shapes, column) for column in columns]
+    if memory is not None or not model.remembers:
+        found, _ = follow(model, shapes.inputs, shapes.state, moves, seen, memory)
+        return np.moveaxis(found, 0, -1)
     slopes = []
-    past = model.arrays.fresh_memory() if memory is None else memory
-    whole = model.remembers and memory is None
-    ways = None if whole else _ways(model, shapes, there, past)
-    for q, move in enumerate(there):
+    for move in moves:
         sides = []
         for side in (move.up, move.down):
             with move.made(model, side):
-                if ways is None:
-                    moved = model.shapes(move.inputs(shapes, side), shapes.state)
-                else:
-                    state = shapes.state + side[:, None] * ways[:, q]
-                    moved = _shown(model, shapes, move.inputs(shapes, side), state, past)
-                sides.append(seen(moved))
-        width = (move.up - move.down).reshape(-1, *[1] * (sides[0].ndim - 1))
-        slopes.append((sides[0] - sides[1]) / width)
+                sides.append(seen(model.shapes(move.inputs(shapes.inputs, side), shapes.state)))
+        slopes.append(_per_unit(sides, move))
     return np.stack(slopes, axis=-1)
+
+
+class Move(Protocol):
+    """One quantity that moves, and how far up and down: (b,) each."""
+
+    up: Floats
+    down: Floats
+
+    def inputs(self, inputs: Floats, side: Floats) -> Floats:
+        """Return the input tensions (b, m) [N] of one side."""
+
+    def made(self, model: ForwardModel, side: Floats) -> AbstractContextManager[None]:
+        """Let the model be as on that side while a block runs."""
+
+
+def follow(
+    model: ForwardModel,
+    inputs: Floats,
+    states: Floats,
+    moves: Sequence[Move],
+    seen: Seen,
+    memory: Floats | None = None,
+) -> tuple[Floats, Floats]:
+    """
+    Return how equilibria follow quantities: what is seen (q, b, ...), and states (q, b, 3n).
+
+    Parameters
+    ----------
+    inputs, states : (b, m) [N], (b, 3n) [rad]
+        Equilibria of the model as it is now, each loaded from straight.
+    moves : (q,)
+    seen : callable
+        Shapes to an array (b, ...).
+    memory : optional
+        Friction memory of these shapes; without it nothing may remember. See `derivatives`.
+
+    """
+    past = model.arrays.fresh_memory() if memory is None else memory
+    ways, slopes = _ways(model, inputs, states, moves, past), []
+    for way, move in zip(ways, moves, strict=True):
+        sides = []
+        for side in (move.up, move.down):
+            with move.made(model, side):
+                state = states + side[:, None] * way
+                sides.append(seen(shown(model, move.inputs(inputs, side), state, past)))
+        slopes.append(_per_unit(sides, move))
+    return np.array(slopes), ways
+
+
+def _per_unit(sides: Sequence[Floats], move: Move) -> Floats:
+    width = (move.up - move.down).reshape(-1, *[1] * (sides[0].ndim - 1))
+    return np.asarray((sides[0] - sides[1]) / width)
 
 
 class _Move:
@@ -136,12 +182,12 @@ class _Move:
         up, down = min(step, parameters[name].high - here), max(-step, parameters[name].low - here)
         return cls(column, up * ones, down * ones, -1)
 
-    def inputs(self, shapes: ShapeBatch, side: Floats) -> Floats:
+    def inputs(self, inputs: Floats, side: Floats) -> Floats:
         """Return the input tensions (b, m) [N] of one side."""
-        inputs = shapes.inputs.copy()
+        moved = inputs.copy()
         if self.j >= 0:
-            inputs[:, self.j] += side
-        return inputs
+            moved[:, self.j] += side
+        return moved
 
     @contextmanager
     def made(self, model: ForwardModel, side: Floats) -> Iterator[None]:
@@ -164,37 +210,37 @@ def _section(column: Column) -> int | None:
     return column[2] if len(column) == 3 else None  # type: ignore[return-value]
 
 
-def _ways(model: ForwardModel, shapes: ShapeBatch, there: Sequence[_Move], past: Floats) -> Floats:
-    """Return how the states follow every quantity, (b, q, 3n) [rad per unit]."""
+def _ways(
+    model: ForwardModel, inputs: Floats, states: Floats, moves: Sequence[Move], past: Floats
+) -> Floats:
+    """Return how the states follow every quantity, (q, b, 3n) [rad per unit]."""
     arrays = model.arrays
     arrays.link()
-    part, (b, entries) = arrays.part('derivatives'), shapes.state.shape
-    with _twisting(model, there):
+    part, (b, entries) = arrays.part('derivatives'), states.shape
+    with _twisting(model, moves):
         count = entries if arrays.twists else entries // 3 * 2
-        states = np.ascontiguousarray(shapes.state)
-        changes, rows = np.empty((b, len(there), count)), np.empty((b, len(there), count))
+        inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
+        changes, rows = np.empty((b, len(moves), count)), np.empty((b, len(moves), count))
         sides = np.empty((2, b, count))
-        for q, move in enumerate(there):
+        for q, move in enumerate(moves):
             for out, side in zip(sides, (move.up, move.down), strict=True):
                 with move.made(model, side):
-                    inputs = move.inputs(shapes, side)
-                    part.residuals(arrays.address, inputs, states, past, model.scratch, out)
-            width = (move.up - move.down)[:, None]
-            changes[:, q] = (sides[0] - sides[1]) / width
-        inputs = np.ascontiguousarray(shapes.inputs)
+                    moved = move.inputs(inputs, side)
+                    part.residuals(arrays.address, moved, states, past, model.scratch, out)
+            changes[:, q] = (sides[0] - sides[1]) / (move.up - move.down)[:, None]
         part.responses(arrays.address, inputs, states, past, model.scratch, changes, rows)
-    ways = np.zeros((b, len(there), entries))
-    ways[..., :count] = rows
+    ways = np.zeros((len(moves), b, entries))
+    ways[..., :count] = rows.swapaxes(0, 1)
     return ways
 
 
 @contextmanager
-def _twisting(model: ForwardModel, there: Sequence[_Move]) -> Iterator[None]:
+def _twisting(model: ForwardModel, moves: Sequence[Move]) -> Iterator[None]:
     """Let cells twist, if only by nothing, while derivatives by their torsion are taken."""
     on = model.arrays.on.copy()
     try:
-        for move in there:
-            if not isinstance(move.column, str):
+        for move in moves:
+            if isinstance(move, _Move) and not isinstance(move.column, str):
                 effect = model.catalogue[move.column[0]]
                 if effect.stage == 'torsion':
                     model.arrays.act(effect.name)
@@ -203,18 +249,19 @@ def _twisting(model: ForwardModel, there: Sequence[_Move]) -> Iterator[None]:
         model.arrays.on[:] = on
 
 
-def _shown(
-    model: ForwardModel, shapes: ShapeBatch, inputs: Floats, state: Floats, past: Floats
+def shown(
+    model: ForwardModel, inputs: Floats, states: Floats, memory: Floats | None = None
 ) -> ShapeBatch:
     """Return what inputs (b, m) [N] and states (b, 3n) [rad] show, without solving."""
     b, form = len(inputs), model.form
     block = np.zeros(b * form.size)
     fields = {name: form.rows(block, name, b) for name in FIELDS}
-    fields['inputs'][:], fields['state'][:] = inputs, state
+    fields['inputs'][:], fields['state'][:] = inputs, states
+    past = model.arrays.fresh_memory() if memory is None else memory
     model.arrays.part('shape').show_postures(
         model.arrays.address, block, b, past.ctypes.data, model.scratch
     )
-    return ShapeBatch(**fields, cell_length=shapes.cell_length, hinge=shapes.hinge)
+    return ShapeBatch(**fields, cell_length=form.cell_length, hinge=form.hinge)
 
 
 def _tip(batch: ShapeBatch) -> Floats:

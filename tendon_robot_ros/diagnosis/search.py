@@ -1,0 +1,267 @@
+"""The search for the best values of freed parameters: bounded, globalised Gauss-Newton."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from ..comparison.noise import Whitener
+from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
+from .fit import Fit, Nuisance
+
+Floats = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+GAIN_LEAST, GAIN_LEAST_SHARE = 1e-3, 1e-5  # of chi², and of its size: a smaller gain ends a search
+PROMISED_SHARE = 0.3  # of that: what a step must promise to be tried
+NEAR_TYPICALS = 0.03  # typical sizes within which a Jacobian is good enough for the next step
+
+
+class Weighing(Protocol):
+    """What a search asks of the one who weighs its errors."""
+
+    predictor: Predictor
+    whitener: Whitener
+    columns: Mapping[FreeParameter, Floats]
+
+    def residual(self, markers: Floats) -> Floats:
+        """Whitened residual (N,) for predicted markers."""
+
+    def lift(self, rows: Floats) -> Floats:
+        """Take off whitened rows (N + nuisances, ...) what imperfections explain."""
+
+    def follow(self, raw: Floats, predict: Callable[[], Floats | None]) -> Floats | None:
+        """Go around the imperfections that are most likely; None where that changes nothing."""
+
+
+class Search:
+    """One running fit: scaled parameters, damping, best point."""
+
+    def __init__(
+        self, fitter: Weighing, frees: tuple[FreeParameter, ...], nuisances: tuple[Nuisance, ...]
+    ) -> None:
+        """Scale the parameters by their typical sizes."""
+        self.fitter, self.frees, self.nuisances = fitter, frees, nuisances
+        self.all = frees + tuple(n.free for n in nuisances)
+        count = len(frees)
+        self.scale = np.array([f.parameter.typical for f in frees] + [n.spread for n in nuisances])
+        self.low = np.array(
+            [f.parameter.low for f in frees]
+            + [max(n.free.parameter.low, n.centre - 30.0 * n.spread) for n in nuisances]
+        )
+        self.high = np.array(
+            [f.parameter.high for f in frees]
+            + [min(n.free.parameter.high, n.centre + 30.0 * n.spread) for n in nuisances]
+        )
+        self.centre = np.array([n.centre for n in nuisances])
+        self.spread = np.array([n.spread for n in nuisances])
+        self.count = count
+        self.damping = 1e-3
+        self.slopes: Floats | None = None  # Jacobian at the values `taken`
+        self.ways: Floats | None = None  # (q, P, 3n) how the states follow the values there
+        self.fresh = False  # whether it is of the best point
+        self.raw: Floats  # whitened residual with prior rows at the best point
+        self.r: Floats  # the same, less what imperfections explain
+        self.settled: SettledShapes | None = None  # of the best point: neighbours start there
+
+    def described(self, free: FreeParameter) -> float:
+        """Value in the description, moved inside the bounds."""
+        value = self.fitter.predictor.value(free)
+        return float(np.clip(value, free.parameter.low, free.parameter.high))
+
+    def starts(self) -> list[Floats]:
+        """Points to start from: as described, and for one parameter a ladder of sizes."""
+        start = np.array([self.described(f) for f in self.frees] + list(self.centre))
+        catalogue = self.fitter.predictor.model.catalogue
+        starts = [start]
+        if any(catalogue[f.effect].always_on for f in self.frees):
+            starts = []  # its neutral value is no absence
+        if starts and self.count != 1:
+            return starts
+        for factor in (0.03, 0.1, 0.3, 1.0, 3.0):
+            for sign in (1.0, -1.0):
+                point = start.copy()
+                for i, free in enumerate(self.frees):
+                    size = sign * factor * free.parameter.typical
+                    if catalogue[free.effect].always_on:
+                        point[i] = abs(size)
+                    elif self.count == 1:
+                        point[i] += size
+                starts.append(np.clip(point, self.low, self.high))
+        return list({tuple(point.tolist()): point for point in starts}.values())
+
+    def run(self, turns: int) -> None:
+        """Improve until nothing is left to gain."""
+        for _ in range(turns):
+            if not self.improve():
+                break
+
+    def weigh_again(self) -> None:
+        """Take the residual again when the sizes of the imperfections have changed."""
+        self.r = self.fitter.lift(self.raw)
+        self.damping = 1e-3
+
+    def follow(self) -> bool:
+        """Go around the most likely imperfections; False where that changes nothing."""
+        predictor, point = self.fitter.predictor, self.point
+        n = self.fitter.whitener.size
+        raw = self.fitter.follow(self.raw[:n], lambda: predictor.markers(point, near=self.settled))
+        if raw is None:
+            return False
+        self.raw, self.fresh = np.concatenate([raw, self.raw[n:]]), False
+        self.settled = self.fitter.predictor.settled
+        self.weigh_again()
+        return True
+
+    @property
+    def point(self) -> Point:
+        """Values of now."""
+        return dict(zip(self.all, self.values.tolist(), strict=True))
+
+    def residual(
+        self, values: Floats, near: SettledShapes | None = None
+    ) -> tuple[Floats, Floats] | None:
+        """Whitened residual with prior rows, and the markers; None without equilibrium."""
+        point = dict(zip(self.all, values.tolist(), strict=True))
+        markers = self.fitter.predictor.markers(point, near=near or self.settled)
+        if markers is None:
+            return None
+        white = self.fitter.residual(markers)
+        prior = (values[self.count :] - self.centre) / self.spread
+        return np.concatenate([white, prior]), markers
+
+    def begin(self, starts: list[Floats]) -> None:
+        """Take the best of the starts."""
+        best = np.inf
+        for start in starts:
+            values = np.clip(start, self.low, self.high)
+            predicted = self.residual(values)
+            if predicted is None:
+                continue
+            lifted = self.fitter.lift(predicted[0])
+            cost = float(lifted @ lifted)
+            if cost < best:
+                best, self.values, (self.raw, self.markers) = cost, values, predicted
+                settled = self.fitter.predictor.settled
+        if not np.isfinite(best):
+            raise ArithmeticError('no start of the fit has an equilibrium')
+        self.settled = settled
+        self.r = self.fitter.lift(self.raw)
+
+    def derivative(self, near: bool = False) -> Floats:
+        """Jacobian (N + nuisances, q) of the residual; `near`: one from near by will do."""
+        if self.slopes is None or not (near or self.fresh):
+            self.slopes, self.ways = self._slopes()
+            self.taken, self.fresh = self.values.copy(), True
+        return self.slopes
+
+    def _slopes(self) -> tuple[Floats, Floats | None]:
+        """Take the Jacobian, and how the states follow (q, P, 3n), where that is known."""
+        slopes, ways = np.zeros((len(self.raw), len(self.scale))), None
+        known = [self._known(i) for i in range(len(self.scale))]
+        asked = [i for i, column in enumerate(known) if column is None]
+        moved = None
+        if asked and self.settled is not None:
+            frees = [self.all[i] for i in asked]
+            moved = self.fitter.predictor.tangent(self.point, frees, self.settled)
+        if moved is not None and np.isfinite(moved.markers).all():
+            columns = self.fitter.whitener.white(moved.markers).T
+            n, ways = len(columns), np.zeros((len(known), *moved.states.shape[1:]))
+            slopes[:n, asked], ways[asked] = -columns, moved.states
+            for i in range(self.count, len(known)):
+                slopes[n + i - self.count, i] = 1.0 / self.spread[i - self.count]
+        for i, column in enumerate(known):
+            if column is not None:
+                slopes[:, i] = column
+            elif ways is None:
+                slopes[:, i] = self._difference(i)
+        return slopes, ways
+
+    def _difference(self, i: int) -> Floats:
+        """Column of the Jacobian by a difference of the settled model."""
+        h = 1e-3 * self.scale[i]
+        if self.values[i] + h > self.high[i]:
+            h = -h
+        for step in (h, -h, 0.1 * h):
+            moved = self.values.copy()
+            moved[i] += step
+            predicted = self.residual(moved)
+            if predicted is not None:
+                return np.asarray((predicted[0] - self.raw) / step)
+        return np.zeros_like(self.raw)
+
+    def _known(self, i: int) -> Floats | None:
+        """Column of a nuisance that is known already; None where it must be taken."""
+        column = self.fitter.columns.get(self.all[i])
+        if column is None:
+            return None
+        prior = np.zeros(len(self.spread))
+        prior[i - self.count] = 1.0 / self.spread[i - self.count]
+        return np.concatenate([column, prior])
+
+    def improve(self) -> bool:
+        """Take one damped step within the bounds; False when there is nothing to gain."""
+        if not len(self.scale):
+            return False
+        scaled = self.fitter.lift(self.derivative(near=True)) * self.scale
+        gradient = scaled.T @ self.r
+        pressed = ((self.values <= self.low) & (gradient > 0.0)) | (
+            (self.values >= self.high) & (gradient < 0.0)
+        )
+        free = np.flatnonzero(~pressed & (np.abs(scaled).max(axis=0) > 0.0))
+        if not len(free):
+            return False
+        normal = scaled.T @ scaled
+        cost = float(self.r @ self.r)
+        least = GAIN_LEAST + GAIN_LEAST_SHARE * cost
+        for _ in range(12):
+            moved = self._stepped(normal, gradient, free)
+            step = (moved - self.values) / self.scale
+            promised = -float(step @ (2.0 * gradient + normal @ step))
+            if promised < PROMISED_SHARE * least:
+                break
+            predicted = self.residual(moved, self._ahead(moved))
+            lifted = None if predicted is None else self.fitter.lift(predicted[0])
+            new = np.inf if lifted is None else float(lifted @ lifted)
+            if predicted is not None and lifted is not None and new < cost:
+                self.values, (self.raw, self.markers), self.r = moved, predicted, lifted
+                self.settled = self.fitter.predictor.settled
+                self._age()
+                self.damping = max(0.1 * self.damping, 1e-9)
+                return cost - new > least
+            if not self.fresh:
+                break
+            self.damping *= 8.0
+        if self.fresh:
+            return False
+        self.slopes = None  # it was too old
+        return self.improve()
+
+    def _stepped(self, normal: Floats, gradient: Floats, free: Indices) -> Floats:
+        """Return the values (q,) after a damped step of the free ones."""
+        part, step = normal[np.ix_(free, free)], np.zeros(len(self.scale))
+        damped = part + self.damping * np.diag(np.diag(part) + 1e-12)
+        step[free] = -np.linalg.solve(damped, gradient[free])
+        moved = self.values + np.clip(step, -30.0, 30.0) * self.scale
+        return np.asarray(np.clip(moved, self.low, self.high))
+
+    def _ahead(self, values: Floats) -> SettledShapes | None:
+        """Return where the postures are about to settle at other values."""
+        if self.settled is None or self.ways is None:
+            return self.settled
+        moved = np.tensordot(values - self.values, self.ways, 1)
+        return SettledShapes(self.settled.tensions, self.settled.state + moved)
+
+    def _age(self) -> None:
+        """Note that the Jacobian is of another point, and forget it where that is far."""
+        far = np.abs(self.values - self.taken) > NEAR_TYPICALS * self.scale
+        self.fresh = False
+        if far.any():
+            self.slopes = None
+
+    def result(self) -> Fit:
+        """Freeze the fit."""
+        raw, slopes = self.raw, self.derivative()
+        return Fit(self.frees, self.nuisances, self.values, raw, slopes, self.markers)
