@@ -5,15 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import planar, spatial, two_sections
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import InputError
+from tendon_robot_ros.common.workers import Workers
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import dump_robot
 from tendon_robot_ros.workspace.cubes import LOOKS, Cubes
 from tendon_robot_ros.workspace.grid import find_workspace, pairs_of
-from tendon_robot_ros.workspace.volume import find_volume, folds
+from tendon_robot_ros.workspace.sorting import folds
+from tendon_robot_ros.workspace.volume import find_volume
 
 FRICTION = {'tendon_friction': {'friction_coefficient': 0.3}}
 
@@ -146,6 +148,48 @@ def test_without_friction_the_tips_of_one_section_lie_on_the_arcs_of_all_bends()
     across = length * np.abs(np.sin(angles) @ weights)
     assert_allclose(np.hypot(*reached.tips[:, :2].T), across, atol=1e-9)
     assert volume.largest == pytest.approx(np.pi, abs=0.1)
+
+
+def test_a_volume_is_the_same_bit_for_bit_from_processes_and_after_an_interruption(tmp_path):
+    robot = two_sections(effects=FRICTION)
+    whole = find_volume(Model(robot), 9000, views=[1.0])
+
+    def stop(what, done, total):
+        if done > 5000:
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr('tendon_robot_ros.workspace.streamed.SAVED_EVERY_S', 0.0)
+        with pytest.raises(KeyboardInterrupt):
+            find_volume(Model(robot), 9000, views=[1.0], progress=stop, kept=tmp_path)
+    with pytest.raises(InputError, match='is of another robot or other options; delete it'):
+        find_volume(Model(robot), 9001, views=[1.0], kept=tmp_path)
+    seen = []
+    with Workers(2) as workers:
+        spread = find_volume(
+            Model(robot), 9000, views=[1.0], workers=workers, kept=tmp_path,
+            progress=lambda *told: seen.append(told),
+        )  # fmt: skip
+    assert seen[0][1] > 5000
+    assert_array_equal(spread.reached.tensions, whole.reached.tensions)
+    assert_array_equal(spread.views[1.0].looks, whole.views[1.0].looks)
+    assert spread.to_json() == whole.to_json()
+
+
+def test_arms_that_hardly_turn_are_not_looked_at_for_folds_and_none_of_them_folds():
+    random = np.random.default_rng(0)
+    bends = random.normal(0.0, 0.12, (4000, 12))
+    steps = np.stack([np.sin(np.cumsum(bends, axis=1)), np.zeros_like(bends),
+                      np.cos(np.cumsum(bends, axis=1))], axis=2) * 0.01  # fmt: skip
+    ends, thickness = np.cumsum(steps, axis=1), np.full(12, 0.012)
+    few = np.abs(bends).sum(axis=1) < 0.5 * np.pi
+    middles = ends - 0.5 * steps
+    gaps = np.linalg.norm(middles[:, :, None] - middles[:, None], axis=3)
+    far = np.abs(np.subtract.outer(np.arange(12), np.arange(12))) * 0.01 > 0.5 * np.pi * 0.024
+    touches = ((gaps < 0.024) & far).any(axis=(1, 2))
+    assert 0.05 < few.mean() < 0.95
+    assert not touches[few].any()
+    assert_array_equal(folds(ends, thickness, np.full(12, 0.01)), touches)
 
 
 def test_tips_on_a_curve_have_a_hull_and_no_area():

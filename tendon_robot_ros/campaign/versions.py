@@ -14,6 +14,7 @@ from pathlib import Path
 from ..common.errors import InputError
 from ..common.files import new_file
 from ..effects import Catalogue, load_catalogue
+from ..model import forward
 from ..model.compile import cache_folder, kernel_key
 
 PACKAGE = Path(__file__).parents[1]
@@ -105,9 +106,10 @@ class Preparation:
         return cls(tuple(versions(effects).items()), effects)
 
     def __call__(self) -> None:
-        """Refuse another version."""
+        """Refuse another version; keep to the one core that this worker has."""
         import platform
 
+        forward.THREADS = 1
         refuse_difference(
             f'worker on {platform.node()}', versions(self.effects), dict(self.versions)
         )

@@ -10,6 +10,8 @@ For arms in a plane --view sweeps the tensions of every pair of inputs in steps,
 at the pretension (Kato et al. 2015, section IV.B). Kept are the postures whose tip looks at a view
 angle, within --tolerance.
 
+After Ctrl-C or a lost computer the same command goes on; memory does not grow with the postures.
+
 OUTPUT holds postures.csv (a row per cube, or per kept posture: tensions [N], tip [m]),
 workspace.npz (all arrays) and workspace.html.
 
@@ -28,7 +30,7 @@ from ..common.errors import InputError
 from ..common.files import new_folder
 from ..common.words import columns
 from ..robot.routes import tendon_offsets
-from .options import add_json, add_robot, add_unit, emit, length, load_model, progress
+from .options import add_cluster, add_json, add_robot, add_unit, emit, length, load_model, progress
 
 if TYPE_CHECKING:
     from ..model.model import Model
@@ -65,6 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add('--output', metavar='DIR', help='folder for the results: CSV, npz and a page')
     add('--overwrite', action='store_true', help='replace results in that folder')
+    add_cluster(parser)
     add_unit(parser)
     add_json(parser)
 
@@ -72,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Sample or sweep, print, write."""
     folder = Path(args.output) if args.output else None
-    if folder and folder.exists() and any(folder.iterdir()) and not args.overwrite:
+    if folder and not args.overwrite and _finished(folder):
         raise InputError(f'{folder}: is not empty; use --overwrite or another --output')
     model = load_model(args)
     in_pairs = bool(args.view) and not tendon_offsets(model.robot)[..., 1].any()
@@ -89,6 +92,13 @@ def run(args: argparse.Namespace) -> int:
         lines.append(f'written: {", ".join(str(folder / name) for name in FILES)}')
     emit(args, content, '\n'.join(lines))
     return 0
+
+
+def _finished(folder: Path) -> bool:
+    """Tell whether a folder holds more than what an earlier run has left to go on from."""
+    from ..workspace.volume import KEPT
+
+    return folder.exists() and any(path.name not in KEPT for path in folder.iterdir())
 
 
 def _pairs(args: argparse.Namespace, model: Model) -> Found:
@@ -134,11 +144,20 @@ def text(workspace: Workspace) -> list[str]:
 
 def _all_tendons(args: argparse.Namespace, model: Model) -> Found:
     """Sample all tendons."""
+    from ..campaign.versions import Preparation, UserEffect
+    from ..common.workers import Workers
     from ..report.volume_page import summary, volume_page
-    from ..workspace.volume import find_volume, save_volume
+    from ..workspace.volume import KEPT, find_volume, save_volume
 
     low, high = model.robot.tension_limits
-    with progress() as show:
+    kept = Path(args.output) if args.output else None
+    if kept is not None:
+        kept.mkdir(parents=True, exist_ok=True)
+    prepare = Preparation.here(UserEffect.read(args.effect_file))
+    with (
+        progress(remaining=True) as show,
+        Workers(args.workers, args.cluster, prepare) as workers,
+    ):
         volume = find_volume(
             model,
             postures=100_000 if args.postures is None else args.postures,
@@ -150,11 +169,13 @@ def _all_tendons(args: argparse.Namespace, model: Model) -> Found:
             ),
             edge=None if args.cubes is None else length('--cubes', args.cubes, args.unit),
             progress=show,
+            workers=workers,
+            kept=kept,
         )
 
     def write(folder: Path) -> None:
         page = volume_page(volume)
-        with new_folder(folder, FILES) as draft:
+        with new_folder(folder, (*FILES, *KEPT)) as draft:
             save_volume(volume, draft, FILES[:2])
             page.write(draft / FILES[2])
 

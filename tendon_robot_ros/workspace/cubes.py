@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..robot import Robot
+from .sorting import keep_least
 
 Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
@@ -111,36 +113,53 @@ class Cubes:
         """Keep the posture of least tension in every cube, and where all of them look."""
         cells = np.floor(tips / self.edge + 1e-9).astype(np.int64) + self.half
         inside = ((cells >= 0) & (cells < self.side)).all(axis=1)
-        cells, tips = cells[inside], tips[inside]
+        if not inside.all():
+            cells, tips = cells[inside], tips[inside]
+            tensions, directions = tensions[inside], directions[inside]
         if not len(cells):
             return
-        flat = np.ravel_multi_index(tuple(cells.T), (self.side,) * 3)
-        self._open(np.unique(flat[self.rows[flat] < 0]))
         self.postures += len(cells)
         self.lows = np.minimum(self.lows, tips.min(axis=0))
         self.highs = np.maximum(self.highs, tips.max(axis=0))
-        rows = self.rows[flat]
-        np.bitwise_or.at(self.seen, rows, np.int64(1) << sphere_part(directions[inside], 1))
-        content = np.concatenate([tensions[inside], tips, directions[inside]], axis=1)
-        m = tensions.shape[1]
-        order = np.lexsort((tensions[inside].max(axis=1), rows))
-        first = order[np.unique(rows[order], return_index=True)[1]]  # the least of every row
-        old = self.best[rows[first], :m].max(axis=1)
-        better = first[~(old <= content[first, :m].max(axis=1))]
-        self.best[rows[better]] = content[better]
+        flat = (cells[:, 0] * self.side + cells[:, 1]) * self.side + cells[:, 2]
+        looks = np.int64(1) << sphere_part(directions, 1)
+        self._keep(flat, looks, np.concatenate([tensions, tips, directions], axis=1))
 
-    def _open(self, new: Numbers) -> None:
-        """Give cubes that were empty a row."""
-        end = self.used + len(new)
+    def _keep(self, flat: Numbers, looks: Numbers, content: Floats) -> None:
+        """Put postures, or the best ones of other cubes, into the cubes that they are in."""
+        end = self.used + len(flat)
         if end > len(self.where):
-            size = max(end, 2 * len(self.where), 1024)
-            self.where = np.resize(self.where, size)
-            self.seen = np.concatenate([self.seen, np.zeros(size - len(self.seen), np.int64)])
-            more = np.full((size - len(self.best), self.best.shape[1]), np.nan)
-            self.best = np.concatenate([self.best, more])
-        self.where[self.used : end] = new
-        self.rows[new] = np.arange(self.used, end)
-        self.used = end
+            more = max(end, 2 * len(self.where), 1024) - len(self.where)
+            self.where = np.concatenate([self.where, np.zeros(more, np.int64)])
+            self.seen = np.concatenate([self.seen, np.zeros(more, np.int64)])
+            self.best = np.concatenate([self.best, np.full((more, self.best.shape[1]), np.nan)])
+        m = len(self.robot.inputs)
+        self.used = keep_least(
+            flat, looks, content, m, self.rows, self.where, self.best, self.seen, self.used
+        )
+
+    def packed(self) -> dict[str, npt.NDArray[Any]]:
+        """Return what is known as arrays, without the empty cubes."""
+        return {
+            'where': self.where[: self.used],
+            'seen': self.seen[: self.used],
+            'best': self.best[: self.used],
+            'span': np.array([self.lows, self.highs]),
+            'postures': np.array(self.postures),
+        }
+
+    def merge(self, other: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Add what other cubes have packed; the order of several does not matter."""
+        self._keep(other['where'], other['seen'], other['best'])
+        self.lows = np.minimum(self.lows, other['span'][0])
+        self.highs = np.maximum(self.highs, other['span'][1])
+        self.postures += int(other['postures'])
+
+    def clear(self) -> None:
+        """Empty all cubes."""
+        self.rows[self.where[: self.used]] = -1
+        self.used = self.postures = 0
+        self.lows, self.highs = np.full(3, np.inf), np.full(3, -np.inf)
 
     def cells(self) -> Numbers:
         """Return the cubes (c, 3), counted from the base."""
@@ -151,20 +170,22 @@ class Cubes:
         """Return the tensions (c, m) [N] of cubes with few neighbours."""
         around = neighbours(self.cells(), bool(np.abs([self.lows[1], self.highs[1]]).max() < 1e-9))
         chosen = around <= np.median(around)
-        return self.best[: self.used][chosen, : len(self.robot.inputs)]
+        tensions = self.best[: self.used][chosen, : len(self.robot.inputs)]
+        return np.asarray(tensions[np.argsort(self.where[: self.used][chosen])])
 
     def reached(self) -> Reached:
         """Return what is known."""
-        m, best = len(self.robot.inputs), self.best[: self.used]
+        order = np.argsort(self.where[: self.used])
+        m, best = len(self.robot.inputs), self.best[: self.used][order]
         empty = not self.used
         return Reached(
             robot=self.robot,
             edge=self.edge,
-            cells=self.cells(),
+            cells=self.cells()[order],
             tensions=best[:, :m],
             tips=best[:, m : m + 3],
             directions=best[:, m + 3 :],
-            looks=np.bitwise_count(self.seen[: self.used]).astype(np.int64),
+            looks=np.bitwise_count(self.seen[: self.used][order]).astype(np.int64),
             lows=np.zeros(3) if empty else self.lows,
             highs=np.zeros(3) if empty else self.highs,
             postures=self.postures,

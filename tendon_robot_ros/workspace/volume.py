@@ -8,21 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ..common.errors import InputError
-from ..model.forward import TOLERANCE
+from ..common.workers import Workers
 from ..model.model import Model
 from ..robot import Robot
 from ..robot.routes import tendon_offsets
-from .cubes import LOOKS, Cubes, Floats, Reached, beyond, sphere_part
+from .cubes import Reached, beyond
 from .grid import POSTURES_MAX, Progress
+from .streamed import Sampling, Stream
 
-ROUND_MAX = 5_000  # postures that are solved at once, between two looks at the edge
 POSTURES_PER_CUBE = 10  # wanted: fewer, and cubes stay empty by chance
 CUBES_MAX = 100.0  # along the arm
-LOW_SHARE, HIGH_SHARE = 0.5, 0.1  # of the tensions are the lowest and the highest there are
-WALK_SHARE = 0.15  # of the range of tensions: a step from a posture at the edge (1 sd, at most)
+KEPT = ('unfinished-0.npz', 'unfinished-1.npz')  # with friction, without: not yet ended
 FRICTION = frozenset({'tendon_friction', 'hinge_friction', 'transmission_loss'})
 
 
@@ -75,6 +73,8 @@ def find_volume(
     edge: float | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    workers: Workers | None = None,
+    kept: Path | None = None,
 ) -> Volume:
     """
     Sample postures over all tendons and collect the tips in cubes.
@@ -99,6 +99,10 @@ def find_volume(
     seed : int
     progress : callable, optional
         Called with what is done, how many, of how many.
+    workers : Workers, optional
+        Processes, here or on a cluster; the result does not depend on them.
+    kept : Path, optional
+        Folder in which what is known is written every few seconds, and from which it goes on.
 
     Raises
     ------
@@ -113,12 +117,17 @@ def find_volume(
     plain = _without_friction(model)
     total = postures * (2 if plain else 1)
 
-    def walk(of: Model, begun: int) -> _Walk:
-        made = _Walk(of, edge, (low, high), views, tolerance, seed)
-        made.run(postures, lambda done: progress and progress('postures', begun + done, total))
-        return made
+    def sampling_of(of: Model) -> Sampling:
+        files = model.catalogue.files
+        return Sampling(of.robot, files, edge, (low, high), tuple(views), tolerance, seed)
 
-    found, other = walk(model, 0), walk(plain, postures) if plain else None
+    own = workers or Workers()
+    streams = [
+        Stream(sampling_of(each), postures, None if kept is None else kept / KEPT[i])
+        for i, each in enumerate([model, plain] if plain else [model])
+    ]
+    tallies = [stream.run(own, progress, i * postures, total) for i, stream in enumerate(streams)]
+    found = tallies[0]
     reached = found.all.reached()
     if not len(reached):
         raise InputError(f'{robot.name}: no posture of {postures:,} is one that the arm can have')
@@ -126,14 +135,14 @@ def find_volume(
         robot=robot,
         limits=(low, high),
         postures=postures,
-        unsolved=found.unsolved,
-        folded=found.folded,
+        unsolved=int(found.counts[1]),
+        folded=int(found.counts[2]),
         reached=reached,
-        late=found.late / len(reached),
-        largest=found.largest,
+        late=(len(reached) - streams[0].late) / len(reached),
+        largest=float(found.largest[0]),
         sphere=float(found.sphere.mean()),
-        views={view: cubes.reached() for view, cubes in found.views.items()},
-        frictionless=other.all.reached() if other else None,
+        views={view: cubes.reached() for view, cubes in zip(views, found.views, strict=True)},
+        frictionless=tallies[1].all.reached() if plain else None,
     )
 
 
@@ -182,109 +191,6 @@ def _without_friction(model: Model) -> Model | None:
         return None
     kept = {name: v for name, v in model.robot.effects.items() if name not in lossy}
     return Model(replace(model.robot, effects=kept), catalogue)
-
-
-class _Walk:
-    """Samples postures and counts what became of them."""
-
-    def __init__(
-        self,
-        model: Model,
-        edge: float,
-        limits: tuple[float, float],
-        views: Sequence[float],
-        tolerance: float,
-        seed: int,
-    ) -> None:
-        self.model, self.limits, self.tolerance = model, limits, tolerance
-        self.random = np.random.default_rng(seed)
-        self.all = Cubes(model.robot, edge)
-        self.views = {float(view): Cubes(model.robot, edge) for view in views}
-        self.thickness = np.linalg.norm(tendon_offsets(model.robot), axis=2).max(axis=1)  # (n,)
-        self.unsolved, self.folded, self.late, self.largest = 0, 0, 0, 0.0
-        self.sphere = np.zeros(36 * LOOKS, dtype=bool)  # finer than the looks
-
-    def run(self, postures: int, progress: Any) -> None:
-        """Sample so many postures, the second half from the edge of what is known."""
-        at_once = min(ROUND_MAX, max(postures // 20, 64))
-        done = 0
-        while done < postures:
-            count = min(at_once, postures - done)
-            spread = done < postures // 2 or not self.all.used
-            known = self.all.used
-            self.add(self.spread(count) if spread else self.onward(count))
-            if done + count > 0.9 * postures:
-                self.late += self.all.used - known
-            done += count
-            progress(done)
-
-    def spread(self, count: int) -> Floats:
-        """Random tensions (count, m) [N]: many tendons hold the lowest, some pull the highest."""
-        low, high = self.limits
-        shape = (count, len(self.model.inputs))
-        share = self.random.random(shape)
-        kind = self.random.random(shape)
-        share[kind < LOW_SHARE] = 0.0
-        share[kind > 1.0 - HIGH_SHARE] = 1.0
-        return low + (high - low) * share
-
-    def onward(self, count: int) -> Floats:
-        """Tensions (count, m) [N] a step away from those of postures at the edge."""
-        low, high = self.limits
-        start = self.all.edge_tensions()
-        rows = start[self.random.integers(len(start), size=count)]
-        size = WALK_SHARE * (high - low) * self.random.random((count, 1))
-        step = size * self.random.normal(size=rows.shape)
-        step[self.random.random(rows.shape) < LOW_SHARE] = 0.0
-        return np.asarray(np.clip(rows + step, low, high))
-
-    def add(self, tensions: Floats) -> None:
-        """Solve postures and put those that the arm can have where they belong."""
-        batch, changes = self.model.solve(tensions)
-        solved = changes < TOLERANCE
-        free = ~folds(batch.positions, self.thickness, self.all.lengths)
-        self.unsolved += int((~solved).sum())
-        self.folded += int((solved & ~free).sum())
-        good = solved & free
-        tips, along = batch.tip_position[good], batch.tip_direction[good]
-        self.all.add(batch.inputs[good], tips, along)
-        angle = np.arccos(np.clip(along[:, 2], -1.0, 1.0))
-        self.largest = max(self.largest, float(angle.max(initial=0.0)))
-        self.sphere[sphere_part(along, 6)] = True
-        for view, cubes in self.views.items():
-            rows = np.abs(angle - view) <= self.tolerance
-            cubes.add(batch.inputs[good][rows], tips[rows], along[rows])
-
-
-def folds(positions: Floats, thickness: Floats, lengths: Floats) -> npt.NDArray[np.bool_]:
-    """
-    Tell which arms (b,) run into themselves.
-
-    Two places of the backbone are nearer than the tendons beside them need, although the arm
-    between them is long enough to turn round; or a cell bends until its holes meet.
-
-    Parameters
-    ----------
-    positions : (b, n, 3) [m]
-        Ends of the cells.
-    thickness : (n,) [m]
-        Farthest tendon from the backbone, in every cell.
-    lengths : (n,) [m]
-        Of the cells.
-
-    """
-    b, n = positions.shape[:2]
-    base = np.zeros((b, 1, 3))
-    middles = 0.5 * (positions + np.concatenate([base, positions[:, :-1]], axis=1))
-    along = np.cumsum(lengths) - 0.5 * lengths
-    hit = np.zeros(b, dtype=bool)
-    for i in range(n):
-        apart = thickness[i] + thickness[i + 1 :]
-        far = along[i + 1 :] - along[i] > 0.5 * np.pi * apart
-        if far.any():
-            gap = np.linalg.norm(middles[:, i + 1 :][:, far] - middles[:, i, None], axis=2)
-            hit |= (gap < apart[far]).any(axis=1)
-    return hit
 
 
 # -----------------------------------------------------------------------------
