@@ -71,7 +71,7 @@ class Batches:
     start: Floats = field(repr=False)  # (e, m) [N] at the edge of what is known; none: random
 
 
-class Tally:
+class SortedTips:
     """What became of postures: cubes, and counts that do not grow."""
 
     def __init__(self, sampling: Sampling) -> None:
@@ -124,7 +124,7 @@ def sort_batches(chunk: Batches) -> tuple[Packed, float]:
     own = _worker(repr(sampling))
     if not own:
         own |= {'model': Model(sampling.robot, load_catalogue(sampling.files)),
-                'tally': Tally(sampling)}  # fmt: skip
+                'tally': SortedTips(sampling)}  # fmt: skip
     model, tally = own['model'], own['tally']
     tally.clear()
     for number, count in chunk.sizes:
@@ -156,7 +156,7 @@ def onward(random: np.random.Generator, count: int, chunk: Batches) -> Floats:
     return np.asarray(np.clip(rows + step, low, high))
 
 
-def _sort(model: Model, tally: Tally, tensions: Floats) -> None:
+def _sort(model: Model, tally: SortedTips, tensions: Floats) -> None:
     """Solve postures and put those that the arm can have where they belong."""
     sampling = tally.sampling
     thickness = np.linalg.norm(tendon_offsets(model.robot), axis=2).max(axis=1)  # (n,)
@@ -187,7 +187,7 @@ class Stream:
     sampling: Sampling
     postures: int
     kept: Path | None = None  # where it is written
-    tally: Tally = field(init=False)
+    tally: SortedTips = field(init=False)
     done: set[tuple[int, int]] = field(default_factory=set)  # (round, batch)
     start: Floats = field(init=False)  # (e, m) [N] that the round starts from
     late: int = 0  # cubes when the last tenth of the postures began
@@ -196,7 +196,7 @@ class Stream:
 
     def __post_init__(self) -> None:
         """Go on from what is kept."""
-        self.tally = Tally(self.sampling)
+        self.tally = SortedTips(self.sampling)
         self.start = np.zeros((0, len(self.sampling.robot.inputs)))
         if self.kept is not None and self.kept.is_file():
             self._load(self.kept)
@@ -209,7 +209,9 @@ class Stream:
         text = f'{dump_robot(self.sampling.robot)} {sampling} {self.postures} {digests}'
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
-    def run(self, workers: Workers, progress: Progress | None, begun: int, total: int) -> Tally:
+    def run(
+        self, workers: Workers, progress: Progress | None, begun: int, total: int
+    ) -> SortedTips:
         """Sample what is left."""
         sizes = self.sampling.rounds(self.postures)
         for number, size in enumerate(sizes):
