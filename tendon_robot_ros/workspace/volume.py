@@ -126,14 +126,23 @@ def find_volume(
         Stream(sampling_of(each), postures, None if kept is None else kept / KEPT[i])
         for i, each in enumerate([model, plain] if plain else [model])
     ]
-    tallies = [stream.run(own, progress, i * postures, total) for i, stream in enumerate(streams)]
-    found = tallies[0]
-    reached = found.all.reached()
+    for i, stream in enumerate(streams):
+        stream.run(own, progress, i * postures, total)
+    return _volume(streams)
+
+
+def _volume(streams: Sequence[Stream]) -> Volume:
+    """Return what was found, with friction and, where there is any, without."""
+    found, sampling = streams[0].tally, streams[0].sampling
+    reached, postures = found.all.reached(), streams[0].postures
     if not len(reached):
-        raise InputError(f'{robot.name}: no posture of {postures:,} is one that the arm can have')
+        raise InputError(
+            f'{sampling.robot.name}: no posture of {postures:,} is one that the arm can have'
+        )
+    views = zip(sampling.views, found.views, strict=True)
     return Volume(
-        robot=robot,
-        limits=(low, high),
+        robot=sampling.robot,
+        limits=sampling.limits,
         postures=postures,
         unsolved=int(found.counts[1]),
         folded=int(found.counts[2]),
@@ -141,8 +150,8 @@ def find_volume(
         late=(len(reached) - streams[0].late) / len(reached),
         largest=float(found.largest[0]),
         sphere=float(found.sphere.mean()),
-        views={view: cubes.reached() for view, cubes in zip(views, found.views, strict=True)},
-        frictionless=tallies[1].all.reached() if plain else None,
+        views={view: cubes.reached() for view, cubes in views},
+        frictionless=streams[1].tally.all.reached() if len(streams) > 1 else None,
     )
 
 
