@@ -1,10 +1,14 @@
 """Rotations in their three forms, and the colours that mean something."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from source_tree import ROOT, files
 
+from tendon_robot_ros.common import colours
 from tendon_robot_ros.common.colours import COLOURS, ERROR, MEASURED, PREDICTED, rgb
 from tendon_robot_ros.common.rotations import (
     about,
@@ -53,3 +57,44 @@ def test_no_model_has_the_colour_of_what_was_measured():
     assert MEASURED not in COLOURS and ERROR not in COLOURS
     assert COLOURS[0] == PREDICTED
     assert rgb(MEASURED) == (213, 94, 0)
+
+
+def contrast(one, other):
+    """Return the contrast of two colours as WCAG 2.2 computes it, 1 to 21."""
+    lights = []
+    for colour in (one, other):
+        shares = np.array(rgb(colour)) / 255.0
+        linear = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
+        lights.append(float(linear @ [0.2126, 0.7152, 0.0722]))
+    return (max(lights) + 0.05) / (min(lights) + 0.05)
+
+
+def test_contrast_is_that_of_the_standard():
+    assert contrast('#000000', '#ffffff') == pytest.approx(21.0)
+    assert contrast('#777777', '#ffffff') == pytest.approx(4.48, abs=0.01)
+
+
+def test_words_and_graphics_of_the_palette_stand_out():
+    text = (ROOT / 'tendon_robot_ros/report/page.css').read_text()
+    css = dict(re.findall(r'--(\w+): (#\w{6})', text))
+    words = {colours.INK, colours.ERROR, colours.FLOOR, colours.ORANGE, css['soft'],
+             *colours.KINDS.values()}  # fmt: skip
+    graphics = {MEASURED, colours.REST, colours.LEFT_OUT, *COLOURS, *colours.KINDS.values()}
+    for paper in ('#ffffff', css['tint']):
+        assert {c: contrast(c, paper) for c in words if contrast(c, paper) < 4.5} == {}
+        assert {c: contrast(c, paper) for c in graphics if contrast(c, paper) < 3.0} == {}
+
+
+def test_colours_stand_in_the_palette_only():
+    """A grid or a paper may be as faint as it likes; what tells something is in the palette."""
+    known = {value.lower() for value in vars(colours).values() if isinstance(value, str)}
+    wrong = []
+    for path in files('tendon_robot_ros/*.py'):
+        if path.match('common/colours.py'):
+            continue
+        wrong += [
+            f'{path}: {colour}'
+            for colour in re.findall(r'#[0-9a-fA-F]{6}\b', (ROOT / path).read_text())
+            if colour.lower() in known or contrast(colour, '#ffffff') > 1.9
+        ]
+    assert not wrong, '\n'.join(wrong)

@@ -71,12 +71,18 @@ def taken(page):
     return found
 
 
+def is_measured(pixels):
+    """Tell which pixels are of the translucent arm, in any light."""
+    red, green, blue = np.moveaxis(pixels, -1, 0)
+    return (red > green + 25) & (green > blue + 15)
+
+
 def places(browser, tmp_path, colour):
     """Return where (n, 2) [px] a colour is on the screen, the panel included."""
     browser.picture(tmp_path / 'shot.png')
     with Image.open(tmp_path / 'shot.png') as image:
         pixels = np.asarray(image.convert('RGB'), dtype=int)
-    near = np.abs(pixels - colour).max(axis=2) < 30
+    near = colour(pixels) if callable(colour) else np.abs(pixels - colour).max(axis=2) < 30
     y, x = np.nonzero(near)
     return np.array([x, y]).T
 
@@ -111,11 +117,30 @@ def test_a_desktop_and_a_phone_see_both_arms_from_base_to_tip(opened, tmp_path):
     browsers[0].until(lambda: page.clients == 2, 'both browsers')
     for browser, width in zip(browsers, (1200, 400), strict=True):
         assert browser.run('document.documentElement.scrollWidth') <= width
-        for colour in map(rgb, (MEASURED, PREDICTED)):
+        for colour in (is_measured, rgb(PREDICTED)):
             browser.until(
                 lambda b=browser, c=colour: spans(b, tmp_path, c), f'the arm at {width} px'
             )
     assert ERROR not in (MEASURED, PREDICTED)
+
+
+def test_arms_that_coincide_are_both_seen(opened, tmp_path):
+    """The measured one is wider, and what is inside it shines through."""
+    page, shown, (browser,) = opened()
+    shown.predicted = shown.measured
+    page.draw(shown)
+
+    def widths():
+        browser.picture(tmp_path / 'shot.png')
+        with Image.open(tmp_path / 'shot.png') as image:
+            pixels = np.asarray(image.convert('RGB'), dtype=int)
+        pixels = pixels[200:, : int(browser.run(PANEL)[0])]  # below the browser's own notice
+        blue = pixels[..., 2] > pixels[..., 0] + 10
+        inside = blue & (np.cumsum(is_measured(pixels), axis=1) > 0)
+        rows = is_measured(pixels).sum(axis=1) > 4
+        return rows.sum() > 85 and (inside.sum(axis=1)[rows] > 0).mean() > 0.8
+
+    browser.until(widths, 'the thin arm inside the wide one')
 
 
 def spans(browser, tmp_path, colour):

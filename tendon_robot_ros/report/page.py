@@ -11,7 +11,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from ..common.colours import INK, KINDS
+from ..common.colours import ERROR, INK, KINDS
 from ..common.errors import MissingExtraError
 from ..common.files import new_file
 
@@ -165,7 +165,7 @@ def _axes(layout: dict[str, Any]) -> str:
 def _with_defaults(layout: dict[str, Any], height: int) -> dict[str, Any]:
     axis = {
         'gridcolor': '#e6e9ed',
-        'linecolor': '#9aa3ad',
+        'linecolor': ERROR,
         'zerolinecolor': '#c3cad2',
         'automargin': True,
     }

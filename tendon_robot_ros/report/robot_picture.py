@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..common.colours import COLOURS
+from ..common.colours import COLOURS, ERROR, FLOOR
 from ..common.errors import NoEquilibriumError
 from ..model.model import Model
 from ..robot.estimates import bend_rates
@@ -61,7 +61,7 @@ def _postures(axes: Any, model: Model, spatial: bool) -> None:
     lengths = model.arrays.cells[:, 0]
     straight = np.zeros((len(lengths) + 1, 3))
     straight[1:, 2] = np.cumsum(lengths)
-    lines = [('straight', straight, '#999999')]
+    lines = [('straight', straight, FLOOR)]
     for j, (label, points) in enumerate(postures(model)):
         lines.append((label, points, COLOURS[j % len(COLOURS)]))
     for label, points, colour in lines:
@@ -87,7 +87,7 @@ def _cross_section(axes: Any, model: Model) -> None:
     places = (model.arrays.offset, model.arrays.cells[:, 6:])
     largest = 1e3 * max(float(np.abs(at).max()) for at in places)
     angle = np.linspace(0.0, 2.0 * np.pi, 100)
-    axes.plot(1.3 * largest * np.cos(angle), 1.3 * largest * np.sin(angle), color='#999999')
+    axes.plot(1.3 * largest * np.cos(angle), 1.3 * largest * np.sin(angle), color=FLOOR)
     for k, tendon in enumerate(robot.tendons):
         route = 1e3 * model.arrays.offset[: robot.tendon_cells[k], k]
         axes.plot(*route.T, '-', color=colours[tendon.section], linewidth=1.0)
@@ -96,7 +96,7 @@ def _cross_section(axes: Any, model: Model) -> None:
         axes.annotate(tendon.name, (x, y), xytext=(5, 5), textcoords='offset points', fontsize=8)
     beside = 1e3 * model.arrays.cells[:, 6:]
     if beside.any():
-        axes.plot(*beside.T, 'x', color='#555555', label='weight of the cells')
+        axes.plot(*beside.T, 'x', color=ERROR, label='weight of the cells')
     for name, colour in colours.items():
         axes.plot([], [], 'o', color=colour, label=f'ends in {name}')
     axes.set_aspect('equal')

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..common.colours import COLOURS, GOOD, MEASURED, PREDICTED
+from ..common.colours import COLOURS, GOOD, LEFT_OUT, MEASURED, PREDICTED, REST
 from ..data import DataSet
 from .measuring import Piece, StillMeasurements
 from .raw_table import FloatArray
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 SIZE_IN, DPI, FONT = (8.0, 12.5), 150, 14.0  # 1200 px wide; at 400 px a letter has 9 px
 POINTS_MAX = 4000  # of a line
-REST = '#b8c0c8'
-LEFT_OUT = '#b0006d'
 
 
 def draw(

@@ -19,7 +19,7 @@ from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 
-from ...common.colours import COLOURS
+from ...common.colours import COLOURS, ERROR
 from ...control.checks import direction
 from ...control.loading import load
 from ...effects import load_catalogue
@@ -215,9 +215,7 @@ def draw(
 
     figure, axes = plt.subplots(figsize=(7.0, 6.0), layout='constrained')
     straight = np.cumsum(np.full(model.robot.cells, 1e3 * model.robot.length / model.robot.cells))
-    axes.plot(
-        np.zeros(len(straight) + 1), [0.0, *straight], ':', color='#555555', label='straight'
-    )
+    axes.plot(np.zeros(len(straight) + 1), [0.0, *straight], ':', color=ERROR, label='straight')
     for posture, outcome, color in zip(postures, outcomes, COLOURS, strict=False):
         arm = 1e3 * np.vstack([np.zeros(3), model.shape(outcome.tensions).positions])
         label = f'{posture.name}: {1e3 * outcome.miss:.2f} mm'

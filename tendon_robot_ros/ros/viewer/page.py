@@ -10,20 +10,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.colours import ERROR, MEASURED, PREDICTED, rgb
+from ...common.colours import BAD, ERROR, GOOD, INK, MEASURED, ORANGE, PREDICTED, rgb
 from ...common.errors import DriverError, MissingExtraError
 from . import page_parts
 from .state import ViewState
+from .tube import tube_faces, tube_vertices
 
 Array = NDArray[np.float64]
-BUTTONS: tuple[tuple[str, str, str, str | None], ...] = (
-    ('record', '1  Record', 'every posture in which the arm stands still', 'orange'),
-    ('diagnose', '2  Diagnose', 'which physical effect is missing?', 'blue'),
-    ('add', '3  Add what was found', 'to the model of the running controller', 'green'),
-    ('start', 'Investigate', 'the arm chooses its postures by itself, until it knows', 'teal'),
-    ('stop', 'STOP', 'release the arm; not a safety-rated stop', 'red'),
-    ('reset', 'Reset', 'after a stop', None),
+BUTTONS: tuple[tuple[str, str, str, str], ...] = (  # name, label, hint, colour
+    ('record', '1  Record', 'every posture in which the arm stands still', ORANGE),
+    ('diagnose', '2  Diagnose', 'which physical effect is missing?', PREDICTED),
+    ('add', '3  Add what was found', 'to the model of the running controller', GOOD),
+    ('start', 'Investigate', 'the arm chooses its postures by itself, until it knows', INK),
+    ('stop', 'STOP', 'release the arm; not a safety-rated stop', BAD),
+    ('reset', 'Reset', 'after a stop', ERROR),
 )
+# of the robot's length: the measured arm is wide and translucent, the predicted one thin, so that
+# neither hides the other where they coincide
+MEASURED_WIDTH, PREDICTED_WIDTH = 0.034, 0.011
+MEASURED_OPACITY = 0.4
 
 
 class LivePage:
@@ -75,9 +80,11 @@ class LivePage:
     def draw(self, state: ViewState) -> None:
         """Move the arms."""
         with self._server.atomic():
-            for name, points in (('measured', state.measured), ('predicted', state.predicted)):
-                if points is not None and len(points):
-                    self._line(name, _chain(points))
+            if state.measured is not None and len(state.measured):
+                self._tube(_nodes(state.measured))
+            if state.predicted is not None and len(state.predicted):
+                nodes = _nodes(state.predicted)
+                self._line('predicted', np.stack([nodes[:-1], nodes[1:]], axis=1))
             errors = state.errors()
             if errors is not None and len(errors):
                 self._line('error', errors)
@@ -127,6 +134,7 @@ class LivePage:
         scene.add_grid('/grid', width=2.0 * size, height=2.0 * size, cell_size=self._square,
                        section_size=5.0 * self._square)  # fmt: skip
         self._lines: dict[str, Any] = {}
+        self._measured: Any = None  # the tube
         self._target = scene.add_transform_controls(
             '/target', scale=0.22 * size, disable_rotations=True, disable_sliders=True,
             line_width=3.0,
@@ -140,11 +148,24 @@ class LivePage:
         if line is not None and line.points.shape == points.shape:
             line.points = points
             return
-        colour = rgb({'measured': MEASURED, 'predicted': PREDICTED, 'error': ERROR}[name])
-        thickness = {'error': 0.004}.get(name, 0.02) * self._size
+        colour = rgb({'predicted': PREDICTED, 'error': ERROR}[name])
+        thickness = {'error': 0.004, 'predicted': PREDICTED_WIDTH}[name] * self._size
         self._lines[name] = self._server.scene.add_line_segments(
             f'/{name}', points, colour, thickness=thickness, thickness_units='world'
         )
+
+    def _tube(self, nodes: Array) -> None:
+        """Show the measured arm through nodes (n, 3) [m]: wide, and what is inside it is seen."""
+        if len(nodes) < 2:
+            return
+        vertices = tube_vertices(nodes, 0.5 * MEASURED_WIDTH * self._size)
+        if self._measured is not None and self._measured.vertices.shape == vertices.shape:
+            self._measured.vertices = vertices
+            return
+        self._measured = self._server.scene.add_mesh_simple(
+            '/measured', vertices, tube_faces(len(nodes)), color=rgb(MEASURED),
+            opacity=MEASURED_OPACITY, cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
 
     def _panel(self) -> None:
         gui = self._server.gui
@@ -166,8 +187,8 @@ class LivePage:
         self._tour.on_update(self._guarded('tour', lambda: bool(self._tour.value)))
         self._boxes['statuses'] = gui.add_html('')
 
-    def _add_button(self, name: str, label: str, hint: str, colour: Any) -> None:
-        button = self._server.gui.add_button(label, hint=hint, color=colour)
+    def _add_button(self, name: str, label: str, hint: str, colour: str) -> None:
+        button = self._server.gui.add_button(label, hint=hint, color=rgb(colour))
         button.on_click(self._guarded(name, lambda: None))
         self._buttons[name] = button
 
@@ -212,8 +233,6 @@ class LivePage:
             self._boxes[name].content = content
 
 
-def _chain(points: Array) -> Array:
-    """Return segments from the base through points (n, 3) that were seen."""
-    seen = points[np.isfinite(points).all(axis=1)]
-    nodes = np.vstack([np.zeros((1, 3)), seen])
-    return np.stack([nodes[:-1], nodes[1:]], axis=1)
+def _nodes(points: Array) -> Array:
+    """Return the base and the points (n, 3) that were seen."""
+    return np.vstack([np.zeros((1, 3)), points[np.isfinite(points).all(axis=1)]])

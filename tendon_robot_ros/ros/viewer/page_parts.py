@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
 
-from ...common.colours import ERROR, GOOD, INK, KINDS, MEASURED, PREDICTED
+from ...common.colours import (
+    BAD,
+    ERROR,
+    GOOD,
+    INK,
+    KINDS,
+    MEASURED,
+    PREDICTED,
+    WARN,
+    rgb,
+)
 from ...common.words import digits, mm
 
 WIDTH, HEIGHT, LEFT, BOTTOM = 360, 140, 40, 22  # [px] of the curve, and of its margins
 CURVE_SPAN_S = 120.0  # [s] that the curve shows
+USUAL_SHARE, PEAK = 0.95, 2.0  # peaks above twice what the error usually is are cut off
 STYLE = f'font-family:system-ui,sans-serif;font-size:13px;color:{INK};padding:2px 12px'
 
 
@@ -22,8 +34,8 @@ def legend(square: float) -> str:
     line = '<span style="display:inline-block;width:22px;border-top:{} {}"></span> {}'
     return (
         f'<div style="{STYLE}">'
-        + line.format('5px solid', MEASURED, 'measured &nbsp; ')
-        + line.format('5px solid', PREDICTED, 'predicted &nbsp; ')
+        + line.format('10px solid', f'rgba{(*rgb(MEASURED), 0.45)}', 'measured &nbsp; ')
+        + line.format('4px solid', PREDICTED, 'predicted &nbsp; ')
         + line.format('2px dashed', ERROR, 'error')
         + f'<br><span id="scale">a square of the grid: {1e3 * square:g} mm</span>'
         + '</div>'
@@ -32,10 +44,17 @@ def legend(square: float) -> str:
 
 def guide(next_step: str, progress: str) -> str:
     """Say what to do next, and below it what happened last."""
+    parts = re.search(r'(\d+)/(\d+)$', progress)
+    bar = (
+        f'<progress value="{parts[1]}" max="{parts[2]}" aria-label="{escape(progress)}" '
+        f'style="width:100%;accent-color:{PREDICTED}"></progress>'
+        if parts and parts[1] != parts[2]
+        else ''
+    )
     return (
         f'<div style="{STYLE}"><p id="guide" style="margin:2px 0;font-size:14px">'
         f'<b>{escape(next_step)}</b></p>'
-        f'<p id="progress" style="margin:2px 0;color:{ERROR}">{escape(progress)}</p></div>'
+        f'<p id="progress" style="margin:2px 0;color:{ERROR}">{escape(progress)}</p>{bar}</div>'
     )
 
 
@@ -67,18 +86,23 @@ def curve(
         Noise floor of the last diagnosis [m].
 
     """
-    top = 1.15 * max([1e3 * e for e in errors if np.isfinite(e)] + [0.5])  # [mm]
-    points = ' '.join(
-        f'{_x(now - t):.1f},{_y(1e3 * e, top):.1f}'
+    shown = [
+        (now - t, 1e3 * e)
         for t, e in zip(times, errors, strict=True)
         if now - t <= CURVE_SPAN_S and np.isfinite(e)
-    )
+    ]
+    sizes = [e for _, e in shown] or [0.0]
+    usual = PEAK * float(np.quantile(sizes, USUAL_SHARE))
+    top = max(1.15 * min(max(sizes), usual), 0.6)  # [mm]
+    points = ' '.join(f'{_x(age):.1f},{_y(min(e, top), top):.1f}' for age, e in shown)
+    cut = f', peaks up to {max(sizes):.2g} are cut off' if max(sizes) > top else ''
     line = f'<polyline points="{points}" fill="none" stroke="{MEASURED}" stroke-width="2"/>'
     recent = [(now - at, text) for at, text in marks if now - at <= CURVE_SPAN_S]
     parts = [*_axes(top, floor), line, *(_mark(age, text) for age, text in recent)]
     return (
-        f'<div style="{STYLE}">tip error [mm]<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
-        f'aria-label="tip error over time" style="width:100%;font-size:12px">'
+        f'<div style="{STYLE}">tip error [mm]{cut}<svg viewBox="0 0 {WIDTH} {HEIGHT}" '
+        f'role="img" aria-label="tip error of the last two minutes, now {sizes[-1]:.2g} mm" '
+        f'style="width:100%;font-size:12px">'
         f'{"".join(parts)}</svg></div>'
     )
 
@@ -98,8 +122,9 @@ def _axes(top: float, floor: float | None) -> list[str]:
         band = _y(0.0, top) - _y(min(1e3 * floor, top), top)
         parts.append(
             f'<rect x="{LEFT}" y="{_y(0.0, top) - band:.1f}" width="{WIDTH - LEFT}" '
-            f'height="{band:.1f}" fill="#78828c" opacity="0.25"/>'
-            f'<text x="{LEFT + 4}" y="{_y(0.0, top) - 4:.1f}" fill="#4b545e">repeatability</text>'
+            f'height="{band:.1f}" fill="{ERROR}" opacity="0.25"/>'
+            f'<text x="{LEFT + 4}" y="{_y(0.0, top) - 4:.1f}" fill="{INK}" '
+            'stroke="#fff" stroke-width="3" paint-order="stroke">repeatability</text>'
         )
     for value in _ticks(top):
         parts.append(
@@ -195,7 +220,7 @@ def investigation(news: Sequence[Mapping[str, Any]]) -> str:
 
 def statuses(nodes: Mapping[str, tuple[str, str]]) -> str:
     """Show what every node says: name -> (level, sentence)."""
-    colours = {'ok': GOOD, 'warn': '#b26b00', 'error': MEASURED, 'silent': ERROR}
+    colours = {'ok': GOOD, 'warn': WARN, 'error': BAD, 'silent': ERROR}
     signs = {'ok': '●', 'warn': '▲', 'error': '■', 'silent': '○'}
     rows = ''.join(
         f'<div><span style="color:{colours[level]}">{signs[level]}</span> <b>{escape(name)}</b> '
