@@ -74,7 +74,7 @@ def taken(page):
 def is_measured(pixels):
     """Tell which pixels are of the translucent arm, in any light."""
     red, green, blue = np.moveaxis(pixels, -1, 0)
-    return (red > green + 25) & (green > blue + 15)
+    return (red > green + 20) & (green > blue + 3)
 
 
 def places(browser, tmp_path, colour):
