@@ -10,7 +10,9 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import join, load_dataset
-from tendon_robot_ros.diagnosis.add import Addition
+from tendon_robot_ros.diagnosis.add import Addition, fit_effects
+from tendon_robot_ros.diagnosis.fitter import Fitter
+from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.staircase import Errors
 from tendon_robot_ros.effects import load_catalogue
 
@@ -57,3 +59,23 @@ def test_a_fit_that_makes_others_worse_is_not_written(tmp_path, monkeypatch, cap
     monkeypatch.setattr('tendon_robot_ros.cli.add.add_effects', lambda *args, **options: better)
     assert main(['add', 'gravity', '--data', str(data), '--output', str(new)]) == 0
     assert new.exists()
+
+
+def test_the_order_in_which_effects_are_named_does_not_matter(both, monkeypatch):
+    """Springs of the wires join first, and what has no equilibrium alone waits for the rest."""
+    session, joined = Session(both, both.robot, load_catalogue(), workers=1), []
+    assert session.weigh({})
+    plain = Fitter.fit
+
+    def fit(fitter, frees, start=None, **options):
+        names = list(dict.fromkeys(free.effect for free in frees))
+        joined.append(names)
+        if names[-1] == 'backbone_stiffness' and len(names) < 3:
+            raise ArithmeticError('no start of the fit has an equilibrium')
+        return plain(fitter, (), **options)
+
+    monkeypatch.setattr(Fitter, 'fit', fit)
+    fit_effects(session, ['backbone_stiffness', 'gravity', 'wire_spring'])
+    whole = ['wire_spring', 'gravity', 'backbone_stiffness']
+    ways = [['wire_spring'], ['wire_spring', 'backbone_stiffness'], whole[:2], whole]
+    assert joined == [*ways, *[['backbone_stiffness', 'gravity', 'wire_spring']] * 2]

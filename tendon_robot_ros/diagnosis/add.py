@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -274,22 +275,47 @@ def add_effect(dataset: DataSet, name: str, **options: Any) -> Addition:
 
 def fit_effects(session: Session, names: Sequence[str], start: Point | None = None) -> Fit:
     """Fit effects together, one joining after the other; weights are retaken twice at the fit."""
-    fit, together = None, None
-    for name in dict.fromkeys(names):
-        candidate = _candidate(session, name)
-        if start is None:
-            _refuse_untested(session, candidate, fit)
-        together = candidate if together is None else together.with_(candidate)
-        if start is None:
-            fit = _fit(session, together, fit)
-    if together is None:
+    own = [_candidate(session, name) for name in dict.fromkeys(names)]
+    if not own:
         raise InputError('add: expected the name of an effect, got none')
-    if fit is None:
-        fit = _fit(session, together, start)
+    fit = _joined(session, own) if start is None else _fit(session, _together(own), start)
     for _ in range(2):
         session.weigh(fit.point, fit.members)
-        fit = _fit(session, together, fit)
+        fit = _fit(session, _together(own), fit)
     return fit
+
+
+def _joined(session: Session, own: Sequence[Candidate]) -> Fit:
+    """
+    Fit effects, one joining after the other, in whatever order they are named.
+
+    Those of the wires come first: wires that give way have an equilibrium where stiff ones have
+    none. One that has no equilibrium without the others waits for them.
+    """
+    fit, inside, error = None, list[Candidate](), None
+    order = [effect.name for effect in session.catalogue]
+    waiting = sorted(own, key=lambda c: order.index(c.names[0]))
+    waiting.sort(key=lambda c: session.catalogue[c.names[0]].needs != 'pulls')
+    while waiting:
+        for candidate in waiting:
+            try:
+                _refuse_untested(session, candidate, fit)
+                fit = _fit(session, _together([*inside, candidate]), fit)
+            except NoEquilibriumError as problem:
+                error = error or problem
+                continue
+            inside.append(candidate)
+            waiting.remove(candidate)
+            break
+        else:
+            assert error is not None
+            raise error
+    assert fit is not None
+    return fit
+
+
+def _together(candidates: Sequence[Candidate]) -> Candidate:
+    return reduce(Candidate.with_, candidates)
 
 
 def _fit(session: Session, candidate: Candidate, start: Fit | Point | None) -> Fit:
