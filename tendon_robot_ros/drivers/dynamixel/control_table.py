@@ -77,6 +77,12 @@ HARDWARE_ERRORS = {
     0x20: ('overload', 'load above the maximum output for too long'),
 }
 
+
+def hardware_errors(status: int) -> list[tuple[str, str]]:
+    """Return code and words of every bit that is set in the hardware error status, address 70."""
+    return [told for bit, told in HARDWARE_ERRORS.items() if status & bit]
+
+
 BAUD_RATES = {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
 
 

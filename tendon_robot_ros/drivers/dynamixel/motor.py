@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from ..interface import Fault
 from .config import DynamixelConfig, WireConfig
 from .control_table import (
-    HARDWARE_ERRORS,
     POSITION_MAX_TICKS,
     REGISTERS,
     VOLT_PER_COUNT,
     ServoModel,
     decode,
+    hardware_errors,
 )
 
 STATE = (REGISTERS['present_current'].address, 10)  # current, velocity, position: 126 to 135
@@ -166,9 +166,8 @@ class Motor:
         """List what is wrong with it."""
         who = f'{port}: {self}'
         advice = 'torque is off; remove the cause, then reboot it'
-        for bit, (code, words) in HARDWARE_ERRORS.items():
-            if self.errors & bit:
-                yield Fault(code, f'{who}: {words}; {advice}', True, self.names)
+        for code, words in hardware_errors(self.errors):
+            yield Fault(code, f'{who}: {words}; {advice}', True, self.names)
         if self.restarted:
             words = 'it lost its power or its torque was switched off'
             advice = 'stays off until it is enabled again'

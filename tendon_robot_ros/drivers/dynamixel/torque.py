@@ -15,10 +15,10 @@ from .control_table import (
     CURRENT_MODE,
     CURRENT_POSITION_MODE,
     EXTENDED_MODE,
-    HARDWARE_ERRORS,
     REGISTERS,
     WATCHDOG_TRIPPED,
     WATCHDOG_UNIT_S,
+    hardware_errors,
 )
 from .motor import HEALTH, STATE, Motor
 
@@ -102,7 +102,7 @@ def torque_on(bus: Bus, motors: Iterable[Motor], mode: int, watchdog: int) -> No
     for motor in chosen:
         errors = bus.read(motor.identity, 'hardware_error_status')
         if errors:
-            words = ', '.join(text for bit, (_, text) in HARDWARE_ERRORS.items() if errors & bit)
+            words = ', '.join(text for _, text in hardware_errors(errors))
             raise DriverError(f'{bus.path}: {motor}: {words}; remove the cause, then reboot it')
         must_write(bus, motor, 'torque_enable', 0)
         must_write(bus, motor, 'bus_watchdog', 0)
