@@ -263,6 +263,19 @@ def test_after_a_lost_connection_it_begins_again_at_the_measured_state():
     assert decision.command == pytest.approx([1.0 + RATE * CYCLE] * 2)
 
 
+def test_a_hiccup_of_the_bus_during_a_stop_makes_no_tension_rise_again():
+    supervisor = started()
+    _, now = run(supervisor, 0.0, 1.0, np.array([3.0, 3.0]))
+    supervisor.latch.stop('stop', 'stop was called')
+    before, now = run(supervisor, now, 0.4 * STOP)
+    lost = reading((np.nan, 3.0), faults=[Fault('silent', 'no answer')])
+    supervisor.step(now + CYCLE, None, lost)
+    after = supervisor.step(now + 2 * CYCLE, None, reading((3.0, 3.0)))
+    assert np.all(after.command < before.command)
+    decision, _ = run(supervisor, now + 2 * CYCLE, 0.6 * STOP)
+    assert decision.command == pytest.approx([LOW, LOW])
+
+
 def test_in_pull_mode_a_tight_wire_pays_out():
     supervisor = started('pull', reading(pulls=(0.005, 0.005)))
     command = np.array([0.010, 0.0])

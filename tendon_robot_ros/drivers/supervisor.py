@@ -151,7 +151,9 @@ class Supervisor:
                 self._tripped.update(fault.inputs or self.rules.inputs)
                 self.latch.stop(HARDWARE, fault.message, lasting=True)
         if self._faulty and not reading.faults and self.state not in (OFF, LIMP):
-            self._output = self._measured(reading, self._output)
+            measured = self._measured(reading, self._output)
+            stopping = self._stop_rate > 0.0  # a hiccup of the bus makes no tension rise again
+            self._output = np.minimum(measured, self._output) if stopping else measured
         self._faulty = bool(reading.faults)
         return reasons
 
