@@ -3,7 +3,7 @@ Run the Dynamixel driver at 100 Hz for a long time while the emulated bus keeps 
 
     python benchmarks/soak_dynamixel.py [--minutes 30] [--seed 1] [--mode tension] [--json FILE]
 
-Supervisor, bus thread and driver are those of the driver node; servos run in another process.
+Supervisor, motor loop and driver are those of the driver node; servos run in another process.
 Targets: it follows at least half the time; no limit is ever passed; nothing crashes; no thread,
 file descriptor or memory is lost.
 """

@@ -65,11 +65,11 @@ def test_commands_and_stops_reach_the_motors_while_no_callback_is_served(context
 
         def followed():
             commands.publish(message)
-            return driver.bus.driver.read().tensions[0] > 1.5
+            return driver.loop.driver.read().tensions[0] > 1.5
 
         until(followed, 'the command at the motors')
         stops.publish(Bool(data=True))
-        until(lambda: driver.bus.supervisor.latch, 'the stop')
+        until(lambda: driver.loop.supervisor.latch, 'the stop')
     finally:
         driver.end(lambda seconds: None)
         driver.destroy_node()
@@ -105,7 +105,7 @@ def test_the_service_stop_answers_while_no_callback_is_served(context):
         driver.trigger_configure()
         driver.trigger_activate()
         assert call(executor, client).success
-        assert driver.bus.supervisor.latch.reasons == ['stop was called']
+        assert driver.loop.supervisor.latch.reasons == ['stop was called']
     finally:
         driver.end(lambda seconds: None)
         driver.destroy_node()

@@ -24,7 +24,7 @@ import numpy as np
 from ..common.errors import InputError
 from ..data import DataSet, Marker, save_dataset
 from ..data.dataset import INPUTS, PATHS
-from ..data.folder.tables import read_inputs
+from ..data.folder.measurement_files import read_inputs
 from ..effects import load_catalogue
 from ..robot import Robot, load_robot
 from ..simulation.imperfect import Workmanship

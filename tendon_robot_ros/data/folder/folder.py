@@ -16,7 +16,7 @@ from ...robot import Robot, dump_robot, load_robot
 from ..dataset import DataSet
 from ..markers import default_markers
 from .description import describe, dump_description, find_robot, read_fields, read_text
-from .tables import KEYS, ORIENTATION, POSITION, read_inputs, read_shapes
+from .measurement_files import KEYS, ORIENTATION, POSITION, read_inputs, read_shapes
 
 
 def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) -> DataSet:

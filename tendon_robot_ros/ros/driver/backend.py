@@ -141,4 +141,4 @@ class Ros2ControlLink:
             position = message.position[i] if i < len(message.position) else float('nan')
             effort = message.effort[i] if i < len(message.effort) else float('nan')
             heard[name] = now, position, effort
-        self._heard = heard  # the bus thread reads the old one or the new one, never half
+        self._heard = heard  # the motor thread reads the old one or the new one, never half

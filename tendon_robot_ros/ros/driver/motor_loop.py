@@ -56,7 +56,7 @@ class MotorLoop:
         self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._command: Array | None = None
         self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._run, name='bus', daemon=True)
+        self._thread = threading.Thread(target=self._run, name='motors', daemon=True)
         self._off: tuple[str, ...] = driver.inputs
         self._last: Reading | None = None
         self._cycles = 0
@@ -78,7 +78,7 @@ class MotorLoop:
     def call(self, function: Callable[[], T], timeout: float = 5.0) -> T:
         """Run a function in the thread; raise what it raises."""
         if not self._thread.is_alive():
-            raise DriverError(f'the bus thread has ended: {self.crashed or "closed"}')
+            raise DriverError(f'the motor thread has ended: {self.crashed or "closed"}')
         result: Future[T] = Future()
 
         def task() -> None:
@@ -91,7 +91,7 @@ class MotorLoop:
         try:
             return result.result(timeout)
         except TimeoutError:
-            raise DriverError(f'the bus did not answer within {timeout:g} s') from None
+            raise DriverError(f'the motors did not answer within {timeout:g} s') from None
 
     def look(self) -> None:
         """Wait until what the motors say from now on has been judged."""

@@ -45,7 +45,7 @@ INACTIVE, INACTIVE_REASON = 'inactive', 'the node is not active'
 
 
 class DriverNode(ManagedNode):
-    """ROS around a driver: the bus thread moves the motors, this thread hears and tells."""
+    """ROS around a driver: the motor thread moves the motors, this thread hears and tells."""
 
     def __init__(self) -> None:
         """Declare parameters; nothing is opened yet."""
@@ -53,7 +53,7 @@ class DriverNode(ManagedNode):
         self.parameters = Parameters(self, parameters.SPECS)
         self.parameters.watch({'mock_fault': self._inject}, self._retune)
         self.status = Status(self)
-        self.bus: MotorLoop | None = None
+        self.loop: MotorLoop | None = None
         self._tracker: MockTracker | None = None
         self._refusal: Refusal | None = None
         self._cycle: Cycle | None = None
@@ -78,54 +78,54 @@ class DriverNode(ManagedNode):
         if hasattr(driver, 'cancelled'):  # it may look long for the slack of its wires
             driver.cancelled = self._cancelled
         driver.open()
-        self.bus = MotorLoop(
+        self.loop = MotorLoop(
             driver, supervisor, 1.0 / self.parameters['rate'], self._report, self._hear
         )
         if isinstance(driver, MockDriver):
             self._tracker = MockTracker(self, driver, tracker, self.parameters)
         if self._stop_topic.says:
             self._stop_said(STOP_REASON)
-        self.bus.start()
+        self.loop.start()
         if goes_first():  # a mock arm computes: motors of another robot go before it
             mock = isinstance(driver, MockDriver)
             go_realtime(REALTIME_PRIORITY_MOCK if mock else REALTIME_PRIORITY)
 
     def activate(self) -> None:
         """Torque on, from the measured state."""
-        assert self.bus is not None
-        bus = self.bus
+        assert self.loop is not None
+        loop = self.loop
         self.status.say(WARN, 'starting', 'switches torque on; looks for slack first if told')
-        bus.call(lambda: bus.supervisor.latch.forget(INACTIVE))
-        bus.activate()
-        if silence := bus.driver.silence():
+        loop.call(lambda: loop.supervisor.latch.forget(INACTIVE))
+        loop.activate()
+        if silence := loop.driver.silence():
             self.get_logger().info(f'motors left in silence stop after {silence}')
 
     def _let_go(self) -> None:
         """Begin to release: the node is asked to end, `deactivate` comes when it can."""
-        if self.bus is not None:
-            self.bus.supervisor.latch.stop(INACTIVE, INACTIVE_REASON)
+        if self.loop is not None:
+            self.loop.supervisor.latch.stop(INACTIVE, INACTIVE_REASON)
 
     def deactivate(self) -> None:
         """Ramp to pretension, then torque off if so told."""
-        assert self.bus is not None
-        if self.bus.crashed is not None:  # the thread has already done what it could
+        assert self.loop is not None
+        if self.loop.crashed is not None:  # the thread has already done what it could
             return
-        if not self.bus.release(INACTIVE, INACTIVE_REASON, self._release_time()):
+        if not self.loop.release(INACTIVE, INACTIVE_REASON, self._release_time()):
             self.get_logger().error('the release did not end in time; torque off')
-            self.bus.call(self.bus.driver.disable)
+            self.loop.call(self.loop.driver.disable)
 
     def cleanup(self) -> None:
         """Close the port; torque stays as the release left it."""
         if self._tracker is not None:
             self._tracker.close()
-        if self.bus is not None:
-            self.bus.close()
-        self.bus = self._tracker = self._cycle = None
+        if self.loop is not None:
+            self.loop.close()
+        self.loop = self._tracker = self._cycle = None
 
     def running(self) -> bool:
-        """Go on unless the bus thread died."""
-        if self.bus is not None and self.bus.crashed is not None:
-            raise self.bus.crashed
+        """Go on unless the motor thread died."""
+        if self.loop is not None and self.loop.crashed is not None:
+            raise self.loop.crashed
         return super().running()
 
     def destroy_node(self) -> None:
@@ -139,12 +139,12 @@ class DriverNode(ManagedNode):
         self.status.say(ERROR, 'not_ready', message)
 
     def _release_time(self) -> float:
-        assert self.bus is not None
-        rules = self.bus.supervisor.rules
+        assert self.loop is not None
+        rules = self.loop.supervisor.rules
         return float(np.max(np.ptp(rules.limits, axis=1)) / rules.release_rate) + 1.0
 
     def _command(self, heard: Received[JointState]) -> None:
-        if self.bus is None:
+        if self.loop is None:
             return
         message = heard.message
         try:
@@ -157,29 +157,29 @@ class DriverNode(ManagedNode):
             )
             if not message.name:
                 if self._senders.counts(time.monotonic(), message.header.frame_id, heard):
-                    self.bus.let_go(NO_MORE)
+                    self.loop.let_go(NO_MORE)
                 return
-            tension = self.bus.driver.mode == 'tension'
+            tension = self.loop.driver.mode == 'tension'
             quantity, values = (
                 ('effort', message.effort) if tension else ('position', message.position)
             )
             ordered = by_name(
-                message.name, values, self.bus.driver.inputs, 'tendon_command', quantity
+                message.name, values, self.loop.driver.inputs, 'tendon_command', quantity
             )
             command = finite(ordered.tolist(), 'tendon_command')
             if self._senders.counts(time.monotonic(), message.header.frame_id, heard):
-                self.bus.put(command)
+                self.loop.put(command)
                 self._refusal = None
         except Refusal as refusal:
             self._refusal = refusal
 
     def _report(self, cycle: Cycle) -> None:
-        """Publish a state; runs in the bus thread."""
+        """Publish a state; runs in the motor thread."""
         self._cycle = cycle
-        assert self.bus is not None
+        assert self.loop is not None
         states = joint_state(
             self.get_clock().now().to_msg(),
-            self.bus.driver.inputs,
+            self.loop.driver.inputs,
             cycle.reading.pulls,
             cycle.reading.tensions,
         )
@@ -188,14 +188,14 @@ class DriverNode(ManagedNode):
 
     def _tell(self) -> None:
         """Publish the status."""
-        cycle, bus = self._cycle, self.bus
-        if bus is None:
+        cycle, loop = self._cycle, self.loop
+        if loop is None:
             self._stop_topic.poll()
-        if cycle is None or bus is None:
+        if cycle is None or loop is None:
             if self.phase == 'unconfigured' and not self.parameters['autostart']:
                 self.status.say(WARN, 'unconfigured', 'waits to be configured')
             return
-        decision, latched = cycle.decision, bus.supervisor.latch.reasons  # the latch is newer
+        decision, latched = cycle.decision, loop.supervisor.latch.reasons  # the latch is newer
         stopped = bool(latched)
         state = 'releasing' if stopped and decision.state == FOLLOWING else decision.state
         level = ERROR if stopped else OK if state == FOLLOWING else WARN
@@ -211,13 +211,13 @@ class DriverNode(ManagedNode):
             'state': state,
             'stopped': str(stopped).lower(),
             'reasons': '; '.join(decision.reasons),
-            'mode': bus.driver.mode,
+            'mode': loop.driver.mode,
             'tension_source': cycle.reading.source,
             'clipped': ', '.join(decision.clipped),
-            'torque_off': ', '.join(bus.off),
+            'torque_off': ', '.join(loop.off),
             'faults': ', '.join(fault.code for fault in cycle.reading.faults),
             **senders,
-            **bus.driver.describe(),
+            **loop.driver.describe(),
         }
         self.status.say(level, code, message, values)
 
@@ -234,47 +234,47 @@ class DriverNode(ManagedNode):
         return '; '.join(notes), {'follows': first, 'ignored': ignored, 'other_drivers': drivers}
 
     def _hear(self) -> None:
-        """Hear what cannot wait; runs in the bus thread before every cycle."""
+        """Hear what cannot wait; runs in the motor thread before every cycle."""
         self._stop_topic.poll()
         for heard in self._commands.take():
             self._command(heard)
-        if self._senders.died() and self.bus is not None:
-            self.bus.let_go('the sender of the commands has died')
+        if self._senders.died() and self.loop is not None:
+            self.loop.let_go('the sender of the commands has died')
 
     def _cancelled(self) -> bool:
-        """Whether to end a search for slack; asked in the bus thread."""
+        """Whether to end a search for slack; asked in the motor thread."""
         self._stop_topic.poll()
-        return asked_to_end() or (self.bus is not None and bool(self.bus.supervisor.latch))
+        return asked_to_end() or (self.loop is not None and bool(self.loop.supervisor.latch))
 
     def _stop_said(self, reason: str) -> None:
-        if self.bus is not None:
-            self.bus.supervisor.latch.stop('stop topic', reason, lasting=True)
+        if self.loop is not None:
+            self.loop.supervisor.latch.stop('stop topic', reason, lasting=True)
 
     def _stop_gone(self) -> None:
-        if self.bus is not None:
-            self.bus.supervisor.latch.cause_gone('stop topic')
+        if self.loop is not None:
+            self.loop.supervisor.latch.cause_gone('stop topic')
 
     def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self.bus is not None:
-            self.bus.supervisor.latch.stop('stop', 'stop was called')
+        if self.loop is not None:
+            self.loop.supervisor.latch.stop('stop', 'stop was called')
         response.success, response.message = True, 'releasing; call reset to go on'
         return response
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         done = 'waiting for commands' if self.phase == 'active' else 'activate it next'
-        return self._try(response, lambda bus: bus.reset(), done)
+        return self._try(response, lambda loop: loop.reset(), done)
 
     def _reboot(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._try(response, lambda bus: bus.reboot(), 'rebooted; call reset next')
+        return self._try(response, lambda loop: loop.reboot(), 'rebooted; call reset next')
 
     def _try(
         self, response: Trigger.Response, action: Callable[[MotorLoop], None], done: str
     ) -> Trigger.Response:
-        response.success, response.message = self.bus is not None, done
+        response.success, response.message = self.loop is not None, done
         try:
-            if self.bus is not None:
-                bus = self.bus
-                bus.call(lambda: action(bus))
+            if self.loop is not None:
+                loop = self.loop
+                loop.call(lambda: action(loop))
             else:
                 response.message = 'the driver is not configured'
         except TendonRobotError as error:
@@ -283,7 +283,7 @@ class DriverNode(ManagedNode):
 
     def _inject(self, text: str) -> None:
         """Inject a fault into the mock: CODE or CODE:INPUT,INPUT; empty clears."""
-        driver = None if self.bus is None else self.bus.driver
+        driver = None if self.loop is None else self.loop.driver
         if not isinstance(driver, MockDriver):
             raise Refusal('mock_fault', 'mock_fault: needs backend mock, configured')
         if not text:
@@ -294,10 +294,10 @@ class DriverNode(ManagedNode):
 
     def _retune(self) -> None:
         """Apply changed rates and times."""
-        if self.bus is not None:
-            bus = self.bus
-            made = backend.rules(bus.driver.robot, bus.driver, self.parameters)
-            bus.supervisor.rules = made
+        if self.loop is not None:
+            loop = self.loop
+            made = backend.rules(loop.driver.robot, loop.driver, self.parameters)
+            loop.supervisor.rules = made
 
 
 def main(arguments: Sequence[str]) -> int:
