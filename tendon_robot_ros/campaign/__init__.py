@@ -7,5 +7,6 @@ judge.py      a case, diagnosed, held against the truth: a row of the table
 table.py      the table of rows, in Parquet files that grow
 running.py    a plan on workers, going on where it was
 versions.py   the same package, effects and compiled kernel in every worker
+fleet.py      recordings and data sets of many robots over time, compared and diagnosed
 figures.py    power, confusion, intervals, false alarms and costs, counted from the table
 """

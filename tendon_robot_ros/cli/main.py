@@ -53,6 +53,7 @@ COMMANDS: dict[str, str] = {
     'add': 'tendon_robot_ros.cli.add',
     'remove': 'tendon_robot_ros.cli.remove',
     'improve': 'tendon_robot_ros.cli.improve',
+    'fleet': 'tendon_robot_ros.cli.fleet',
     'campaign': 'tendon_robot_ros.cli.campaign',
     'simulate': 'tendon_robot_ros.cli.simulate',
     'rehearse': 'tendon_robot_ros.cli.rehearse',

@@ -17,6 +17,7 @@ path_run.py           what was reached against what was asked
 paper_page.py         the page of the paper's experiments
 workspace_page.py     the page of a workspace
 volume_page.py        the tips of all tendons as text and page: cloud, hull, sections, friction
+fleet_page.py         many robots over time as text and page
 campaign_text.py      what a campaign found, in words; campaign_page.py is its page
 robot_picture.py      a picture of a robot
 """

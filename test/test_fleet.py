@@ -1,0 +1,97 @@
+"""Fleets: recordings and data sets of robots over time, and what changed when."""
+
+import json
+import os
+from dataclasses import replace
+
+import pytest
+import simulated
+
+from tendon_robot_ros.campaign.fleet import FleetRow, changes, found_below, when_of
+from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.data import save_dataset
+from tendon_robot_ros.diagnosis.decide import Verdict
+
+pytest.importorskip('pyarrow')
+ROBOT = replace(simulated.robot(), exact=True)
+
+
+def row(when='2026-01-01', lever=1.0, before=1e-3, **others):
+    content = {
+        'key': when, 'place': when, 'robot': 'arm', 'description': 'a', 'when': when,
+        'dated_by': 'name', 'postures': 5, 'trials': 3, 'markers': 4,
+        'verdict': Verdict.MISSING_EFFECT, 'effects': ('hinge_friction',), 'before': before,
+        'parameter': ('hinge_friction lever',), 'unit': ('m',), 'value': (lever,),
+        'low': (lever - 0.1,), 'high': (lever + 0.1,),
+    }  # fmt: skip
+    return FleetRow(**content | others)
+
+
+def texts(*rows):
+    return [change.text for change in changes(rows)]
+
+
+def test_what_stays_within_its_intervals_is_no_change():
+    assert texts(row(), row('2026-02-01', lever=1.15, before=1.4e-3)) == []
+
+
+def test_what_leaves_its_intervals_is_said_with_both_values():
+    (text,) = texts(row('2026-02-01', lever=1.5), row())
+    assert text == ('hinge_friction lever: 1.0 (0.90 to 1.1) before, now 1.5 (1.4 to 1.6) m'), (
+        'in the order of time'
+    )
+
+
+def test_another_verdict_description_and_error_are_said():
+    quiet = row(verdict=Verdict.ADEQUATE, effects=(), description='b', before=3e-4)
+    assert texts(quiet, row('2026-02-01')) == [
+        'another description',
+        'adequate before, now missing effect: hinge_friction',
+        'the error of the description went from 0.300 mm to 1.00 mm',
+    ]
+
+
+def test_robots_are_not_mixed():
+    assert texts(row(), row('2026-02-01', robot='other', verdict=Verdict.ADEQUATE)) == []
+
+
+def test_when_something_was_measured(tmp_path):
+    named = tmp_path / 'arm_20260314_a'
+    named.mkdir()
+    assert when_of(named) == ('2026-03-14', 'name')
+    other = tmp_path / 'arm_20269914'  # no date
+    other.mkdir()
+    (other / 'metadata.yaml').write_text(
+        'rosbag2_bagfile_information: {starting_time: {nanoseconds_since_epoch: 86400000000000}}'
+    )
+    assert when_of(other) == ('1970-01-02T00:00+00:00', 'recording')
+    (other / 'metadata.yaml').write_text('[]')
+    os.utime(other / 'metadata.yaml', (60.0, 60.0))
+    assert when_of(other) == ('1970-01-01T00:01+00:00', 'file')
+
+
+def test_the_command_diagnoses_what_is_new_and_names_what_cannot_be_read(tmp_path, capsys):
+    pytest.importorskip('plotly')
+    sets = {'2026-01-10': {}, '2026-05-20': {'hinge_friction': {'lever': 3e-4}}}
+    for name, hidden in sets.items():
+        save_dataset(simulated.measured(ROBOT, hidden, count=5, trials=3), tmp_path / 'in' / name)
+    (tmp_path / 'in' / 'broken').mkdir()
+    (tmp_path / 'in' / 'broken' / 'dataset.yaml').write_text('robot: none.yaml\n')
+    call = ['fleet', str(tmp_path / 'in'), '--output', str(tmp_path / 'out'), '--workers', '1']
+    assert main(call) == 0
+    printed = capsys.readouterr().out
+    assert '2026-05-20 (since 2026-01-10): adequate before, now missing effect: hinge_f' in printed
+    assert 'left out: broken: ' in printed
+    assert 'Errors over time' in (tmp_path / 'out' / 'fleet.html').read_text()
+    table = sorted((tmp_path / 'out' / 'table').iterdir())
+    assert main([*call, '--json', str(tmp_path / 'fleet.json')]) == 0
+    assert sorted((tmp_path / 'out' / 'table').iterdir()) == table, 'nothing was new'
+    assert len(json.loads((tmp_path / 'fleet.json').read_text())['changes']) >= 2
+
+
+def test_a_folder_without_measurements_is_one_line(tmp_path, capsys):
+    assert main(['fleet', str(tmp_path), '--output', str(tmp_path / 'out')]) == 1
+    assert 'no data set (dataset.yaml) and no recording' in capsys.readouterr().err
+    assert not (tmp_path / 'out').exists()
+    with pytest.raises(Exception, match='is no folder'):
+        found_below(tmp_path / 'none')
