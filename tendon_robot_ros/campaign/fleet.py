@@ -69,7 +69,7 @@ class FleetRow:
 
 
 @dataclass(frozen=True)
-class Measured:
+class ToDiagnose:
     """A recording or data set to diagnose; goes to a worker."""
 
     path: str
@@ -132,7 +132,9 @@ def run_fleet(
     inside = output.resolve()
     paths = [path for path in found_below(folder) if inside not in path.resolve().parents]
     todo = [
-        Measured(str(path.resolve()), str(path.relative_to(folder)), key_of(path, folder), effects)
+        ToDiagnose(
+            str(path.resolve()), str(path.relative_to(folder)), key_of(path, folder), effects
+        )
         for path in paths
     ]
     table = GrowingTable(output / TABLE, FleetRow)
@@ -178,7 +180,7 @@ def _iso(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec='minutes')
 
 
-def judge_measured(one: Measured) -> FleetRow:
+def judge_measured(one: ToDiagnose) -> FleetRow:
     """Read and diagnose a recording or data set, in a worker."""
     path = Path(one.path)
     when, dated_by = when_of(path)
@@ -190,7 +192,7 @@ def judge_measured(one: Measured) -> FleetRow:
         return _refused(one, when, dated_by, ' '.join(str(error).split()))
 
 
-def _diagnosed(one: Measured, dataset: DataSet, when: str, dated_by: str) -> FleetRow:
+def _diagnosed(one: ToDiagnose, dataset: DataSet, when: str, dated_by: str) -> FleetRow:
     found = diagnose(dataset, catalogue=catalogue_of(one.effects), workers=1)
     fitted: dict[str, Value] = {}
     candidates: list[CandidateRow | EffectFinding] = [*found.candidates, *found.effects]
@@ -228,12 +230,12 @@ def _diagnosed(one: Measured, dataset: DataSet, when: str, dated_by: str) -> Fle
     )
 
 
-def _refused(one: Measured, when: str, dated_by: str, problem: str) -> FleetRow:
+def _refused(one: ToDiagnose, when: str, dated_by: str, problem: str) -> FleetRow:
     return FleetRow(one.key, one.place, 'not read', '', when, dated_by, 0, 0, 0, ERROR,
                     problem=problem)  # fmt: skip
 
 
-def _lost(one: Measured, lost: LostWork) -> FleetRow:
+def _lost(one: ToDiagnose, lost: LostWork) -> FleetRow:
     when, dated_by = when_of(Path(one.path))
     return _refused(one, when, dated_by, f'{lost.workers} processes died over it')
 
