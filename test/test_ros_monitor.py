@@ -9,8 +9,9 @@ import pytest
 pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import WrenchStamped
 from ros_station import LATCHED, Station, last, values
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64, Float64MultiArray, String
 
 from tendon_robot_ros.robot import dump_robot
 from tendon_robot_ros.ros.shared.files import read_robot
@@ -39,7 +40,11 @@ class Watched(Station):
                 'config': f'plant: {{twin: true}}\n{TRACKER}\n',
             },
             'controller': {'model': 'kato_10_1'},
-            'monitor': {'folder': str(self.folder / 'recordings'), 'path': 'from_straight'},
+            'monitor': {
+                'folder': str(self.folder / 'recordings'),
+                'path': 'from_straight',
+                'force_rate': 5.0,
+            },
         }[name]
         with (self.folder / f'{name}.log').open('a') as log:
             self.started.append(NodeProcess(name, parameters, self.namespace, log))
@@ -76,6 +81,15 @@ def test_in_any_order_with_drop_outs_and_restarts_the_monitor_compares(space):
     refused = space.trigger('monitor/add')
     assert not refused.success
     assert 'call record, then diagnose' in refused.message
+    forces = space.hear(WrenchStamped, 'monitor/tip_force')
+    covariances = space.hear(Float64MultiArray, 'monitor/tip_force_covariance')
+    space.until(lambda: forces and covariances, 'the force at the tip')
+    assert last(forces).header.frame_id == 'kato_10_1_base'
+    spread = np.reshape(last(covariances).data, (3, 3))
+    assert (np.linalg.eigvalsh(spread) > 0.0).all()
+    force = last(forces).wrench.force
+    assert np.linalg.norm([force.x, force.y, force.z]) < 0.1, 'nothing touches it'
+    assert '0 of 30 postures' in space.trigger('monitor/learn').message
     driver.process.kill()
     space.until_code(space.monitor, 'no_tracker', 'not_compared')
     space.run('driver')

@@ -3,6 +3,10 @@ Watching a robot against its model, without ROS: compare, record what is still, 
 
 monitor.py       prediction beside measurement, and the postures worth recording
 measurement.py   what was measured lately, and when the arm stands still
+built_arm.py     one arm as it was built, learned posture by posture
+tip_force.py     the force at the tip, and whether something touches elsewhere
+drift.py         a sequential test: is the arm still what it was
+watch.py         learns the arm, then watches drift and force
 job.py           a diagnosis as a child process, and what came of it
 """
 

@@ -62,6 +62,7 @@ class Monitor:
     _shape: Shape | None = None
     _tips: deque[tuple[float, float]] = field(default_factory=deque)
     _last_kind: str = 'tension'
+    _stood: StillMeasurement | None = None  # the last posture that was handed out
 
     def __post_init__(self) -> None:
         """Begin with nothing heard."""
@@ -108,6 +109,19 @@ class Monitor:
         self._record(time, tensions, pulls, positions)
         error = positions[-1] - points[-1] if quiet is not None else np.full(3, np.nan)
         return Compared(positions, points, self._roll(time, error))
+
+    def stands(self) -> StillMeasurement | None:
+        """Return a posture in tensions at which the arm stands, each of them once."""
+        settled = self._windows['tension'].settled()
+        if settled is None or not np.isfinite(settled.inputs).all():
+            return None
+        last, least = self._stood, 2.0 * self._changes['tension']
+        if last is not None and np.abs(settled.inputs - last.inputs).max() < least:
+            return None
+        mean = self.states.mean(settled.begin, settled.end)
+        inputs = settled.inputs if mean is None else np.split(mean, 2)[0]
+        self._stood = replace(settled, inputs=inputs)
+        return self._stood
 
     def start_recording(self) -> None:
         """Begin a new recording."""

@@ -44,6 +44,11 @@ from .director import Director
 
 HELP = 'a mock robot that hides something: watch, diagnose, add, see the error fall'
 LOG = 'nodes.log'
+WATCHED: dict[str, object] = {
+    'path': 'from_straight',
+    'force_rate': 5.0,
+    'reference_postures': 20.0,
+}
 INVESTIGATION = ('--speed', '2', '--output')  # how the mock is investigated, and where
 TRACKER_NOISE_M = 0.0002  # [m] 1 sd of the mock's tracker
 
@@ -132,7 +137,7 @@ def _start(
     nodes: list[tuple[str, dict[str, object]]] = [
         ('driver', {'robot': model, 'config': _yaml(config)}),
         ('controller', {'model': model}),
-        ('monitor', {'folder': str(folder.resolve() / 'recordings'), 'path': 'from_straight'}),
+        ('monitor', {'folder': str(folder.resolve() / 'recordings'), **WATCHED}),
     ]
     if not options.headless:
         nodes.append(('viewer', {'port': options.port}))

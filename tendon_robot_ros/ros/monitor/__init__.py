@@ -3,5 +3,6 @@ The monitor node: model against measurement; monitoring/ decides.
 
 node.py         topics, services, what is published for every frame
 parameters.py   its parameters (docs/ros_interface.md)
+watching.py     drift and tip force: when they are asked, and what is published
 measured.py     what a tracker sends, as markers in the base frame
 """

@@ -3,7 +3,8 @@ Watch the model meet the measurement: compare, record, diagnose, add the effect.
 
 Topics: tendon_states and measured_shape, measured_tip or a topic per marker (subscribed); ~/error,
 ~/rolling_error, ~/marker_errors, ~/measured, ~/predicted, ~/progress, ~/verdict, ~/status
-(published). Services: ~/record, ~/diagnose, ~/add. Parameters and units: docs/live.md.
+(published). ~/tip_force, ~/tip_force_covariance and ~/drift where they are watched. Services:
+~/record, ~/diagnose, ~/add, ~/learn. Parameters and units: docs/live.md.
 """
 
 from __future__ import annotations
@@ -37,9 +38,11 @@ from ..shared.parameters import Parameters, RemoteText
 from ..shared.runtime import run
 from .measured import MarkerInput
 from .parameters import SPECS, parsed, settings
+from .watching import Watching
 
 HELP = 'compare the running robot with its model; record, diagnose, add what is missing'
 Array = NDArray[np.float64]
+BLIND_AFTER_S = 1.0  # [s] without the tracker, after which wire pulls tell the force
 
 
 class MonitorNode(Node):
@@ -59,10 +62,11 @@ class MonitorNode(Node):
         self._remote = RemoteText(self, self.parameters['controller'], 'model')
         publish = self.create_publisher
         self._output = MonitorOutput(self)
+        self.watching: Watching | None = None
         self._progress = publish(String, '~/progress', LATCHED)
         self._verdict = publish(String, '~/verdict', LATCHED)
         self.create_subscription(JointState, 'tendon_states', self._states, LISTEN)
-        for name in ('record', 'diagnose', 'add'):
+        for name in ('record', 'diagnose', 'add', 'learn'):
             self.create_service(Trigger, f'~/{name}', getattr(self, f'_{name}'))
         self.create_timer(0.1, self._cycle)
         self.create_timer(1.0, self._look_at_controller)
@@ -118,8 +122,11 @@ class MonitorNode(Node):
                 self._measured = MarkerInput(
                     self, self.parameters, self._base, self.monitor, self._frame
                 )
+                self.watching = Watching.wanted(self, self.parameters, self.monitor)
             else:
                 self.monitor.set_model(model)
+                if self.watching is not None:
+                    self.watching.set_model(model)
         except TendonRobotError as error:
             self._said = f'model: {error}'
         else:
@@ -154,10 +161,14 @@ class MonitorNode(Node):
             if np.isfinite(compared.rolling):
                 self._last_error = compared.rolling
             self._output.publish(self._base, compared)
+            if self.watching is not None:
+                self.watching.frame(at, compared.measured, self._base)
 
     def _cycle(self) -> None:
         """Take what the child says; tell how things are."""
         self._take_model()
+        if self.watching is not None and time.monotonic() - self._frame_at > BLIND_AFTER_S:
+            self.watching.blind(self._base)
         for news in self.work.news():
             if news['kind'] == 'verdict':
                 self._verdict.publish(String(data=json.dumps(news['content'])))
@@ -179,6 +190,8 @@ class MonitorNode(Node):
             return WARN, 'not_compared', self.monitor.problem
         if not time.monotonic() - self._frame_at < 1.0:
             return WARN, 'no_tracker', 'no measured_shape and no measured_tip for a second'
+        if self.watching is not None and self.watching.drifted:
+            return WARN, 'drifted', f'the arm is {self.watching.watch.text}'
         if not np.isfinite(self._last_error):
             return OK, 'comparing', 'the tip was not seen at rest yet'
         return OK, 'comparing', f'off by {1e3 * self._last_error:.2f} mm at the tip'
@@ -194,6 +207,7 @@ class MonitorNode(Node):
             'added': str(self.work.added),
             'model': '' if monitor is None else ', '.join(monitor.model.robot.effects),
             'error': f'{1e3 * self._last_error:.3f} mm',
+            **({} if self.watching is None else self.watching.values()),
         }
 
     def _tell_progress(self, text: str) -> None:
@@ -210,6 +224,15 @@ class MonitorNode(Node):
 
     def _add(self, request: object, response: Trigger.Response) -> Trigger.Response:
         return self._answer(response, lambda: self.work.add(self.parameters['partial']))
+
+    def _learn(self, request: object, response: Trigger.Response) -> Trigger.Response:
+        return self._answer(response, self._learn_anew)
+
+    def _learn_anew(self) -> str:
+        if self.watching is None:
+            raise InputError('nothing is watched: see the parameter reference_postures')
+        self.watching.watch.learn_anew()
+        return self.watching.watch.text
 
     def _begin_recording(self) -> str:
         self._require_monitor().start_recording()

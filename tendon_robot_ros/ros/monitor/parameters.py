@@ -8,6 +8,7 @@ import yaml
 
 from ...common.errors import InputError
 from ...monitoring import MonitorSettings
+from ...monitoring.watch import WatchSettings
 from ..shared.parameters import Parameters, Spec
 
 SPECS = (
@@ -57,6 +58,35 @@ SPECS = (
         choices=('sequence', 'from_straight'),
         read_only=True,
     ),
+    Spec(
+        'force_rate',
+        0.0,
+        'times a second that the force at the tip is estimated; 0: never',
+        'Hz',
+        0.0,
+        100.0,
+        True,
+    ),
+    Spec(
+        'reference_postures',
+        0.0,
+        'postures at which the arm is learned, free of any touch, before drift is watched; 0: not '
+        'watched',
+        '',
+        0.0,
+        10000.0,
+        True,
+    ),
+    Spec(
+        'alarm_postures',
+        20000.0,
+        'without a change no alarm before so many postures, on average',
+        '',
+        10.0,
+        1e9,
+        True,
+    ),
+    Spec('tracker_noise', 2e-4, '1 sd of a coordinate of a marker', 'm', 1e-7, 0.1, True),
     Spec('base_frame', '', 'frame of the base; empty: <robot>_base', read_only=True),
     Spec('frame_prefix', '', 'put before frame names', read_only=True),
     Spec('stamp_tolerance', 0.5, 'largest age, and largest lead, of a stamp', 's', 0.01, 60.0),
@@ -74,6 +104,15 @@ def settings(parameters: Parameters) -> MonitorSettings:
     """Return what the core is told."""
     names = ('still_time', 'still_speed', 'rolling', 'position_noise', 'setting_noise', 'path')
     return MonitorSettings(**{name: parameters[name] for name in names})
+
+
+def watched(parameters: Parameters) -> WatchSettings:
+    """Return how drift and force are watched."""
+    return WatchSettings(
+        int(parameters['reference_postures']) or 30,
+        parameters['alarm_postures'],
+        parameters['tracker_noise'],
+    )
 
 
 def parsed(parameters: Parameters, name: str, kind: type) -> Any:

@@ -16,7 +16,7 @@ from functools import partial
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped, PoseArray
+from geometry_msgs.msg import PointStamped, PoseArray, WrenchStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -116,6 +116,7 @@ class ViewerNode(Node):
         subscribe(JointState, 'tendon_states', self._states, LISTEN)
         subscribe(PoseArray, 'measured_shape', partial(self._shape, 'measured'), LISTEN)
         subscribe(PoseArray, f'{monitor}/predicted', partial(self._shape, 'predicted'), LISTEN)
+        subscribe(WrenchStamped, f'{monitor}/tip_force', self._force, LISTEN)
         subscribe(Float64, f'{monitor}/rolling_error', self._error, LISTEN)
         subscribe(Float64MultiArray, f'{monitor}/marker_errors', self._per_marker, LISTEN)
         subscribe(String, f'{monitor}/progress', self._progress, STATE)
@@ -195,6 +196,10 @@ class ViewerNode(Node):
         setattr(self.state, which, np.array(points).reshape(-1, 3))
         if which == 'measured' and not self._base:
             self._base = message.header.frame_id
+
+    def _force(self, message: WrenchStamped) -> None:
+        f = message.wrench.force
+        self.state.force, self.state.force_at = np.array([f.x, f.y, f.z]), time.monotonic()
 
     def _error(self, message: Float64) -> None:
         self.state.hear_error(time.monotonic(), message.data)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hmac
 import queue
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -88,6 +89,9 @@ class LivePage:
             errors = state.errors()
             if errors is not None and len(errors):
                 self._line('error', errors)
+            force = state.force_line(time.monotonic(), self._size)
+            if force is not None or 'force' in self._lines:
+                self._line('force', np.zeros((1, 2, 3)) if force is None else force)
             tip = None if state.measured is None else state.measured[-1]
             if tip is not None and np.isfinite(tip).all() and not state.held:
                 self._target.position = tuple(tip.tolist())
@@ -148,8 +152,8 @@ class LivePage:
         if line is not None and line.points.shape == points.shape:
             line.points = points
             return
-        colour = rgb({'predicted': PREDICTED, 'error': ERROR}[name])
-        thickness = {'error': 0.004, 'predicted': PREDICTED_WIDTH}[name] * self._size
+        colour = rgb({'predicted': PREDICTED, 'error': ERROR, 'force': GOOD}[name])
+        thickness = {'predicted': PREDICTED_WIDTH}.get(name, 0.004) * self._size
         self._lines[name] = self._server.scene.add_line_segments(
             f'/{name}', points, colour, thickness=thickness, thickness_units='world'
         )

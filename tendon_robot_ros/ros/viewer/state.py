@@ -15,6 +15,8 @@ from ...common.words import mm
 Array = NDArray[np.float64]
 SILENT_AFTER_S = 3.0  # [s] after which a node counts as gone
 CURVE_PERIOD_S = 0.2  # [s]
+FORCE_FRESH_S = 1.0  # [s] that a force is shown
+FORCE_SHARE, FORCE_HALF_N = 0.6, 0.01  # length of its arrow in the arm's; half of that at [N]
 POSTURES_ADVISED = 8  # postures for a good diagnosis
 RECORD_AGAIN_HINT = 'Click 1 to record again.'
 LEVEL_NAMES = {0: 'ok', 1: 'warn', 2: 'error', 3: 'silent'}
@@ -29,6 +31,8 @@ class ViewState:
     limits: tuple[float, float] = (0.0, 5.0)  # [N]
     measured: Array | None = None  # (J, 3) [m]
     predicted: Array | None = None
+    force: Array | None = None  # (3,) [N] at the tip
+    force_at: float = -np.inf
     marker_errors: tuple[float, ...] = ()  # (J,) [m]
     times: deque[float] = field(default_factory=lambda: deque(maxlen=700))
     rollings: deque[float] = field(default_factory=lambda: deque(maxlen=700))
@@ -137,6 +141,16 @@ class ViewState:
             return None
         unseen = ~np.isfinite(measured).all(axis=1)
         return np.stack([predicted, np.where(unseen[:, None], predicted, measured)], axis=1)
+
+    def force_line(self, now: float, size: float) -> Array | None:
+        """Return an arrow of the force as segments (1, 2, 3) [m]; None without a fresh one."""
+        if self.force is None or now - self.force_at > FORCE_FRESH_S or self.measured is None:
+            return None
+        tip, length = self.measured[-1], float(np.linalg.norm(self.force))
+        if not np.isfinite(tip).all() or length == 0.0:
+            return None
+        long = FORCE_SHARE * size * length / (length + FORCE_HALF_N)
+        return np.array([[tip, tip + long * self.force / length]])
 
     def per_marker(self) -> str:
         """Name the marker that is off most, now."""

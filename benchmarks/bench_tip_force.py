@@ -1,0 +1,156 @@
+"""
+The force at the tip from measured shape and tensions, on simulated arms as they are built.
+
+Error against the force that bends the straight arm by a quarter of its length, how often the 95 %
+intervals hold, how often a touch elsewhere is told, and the processor time of an update.
+
+example: python benchmarks/bench_tip_force.py --cases 60
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+
+from tendon_robot_ros.common.errors import NoEquilibriumError
+from tendon_robot_ros.data import default_markers
+from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.monitoring.built_arm import BuiltArm
+from tendon_robot_ros.monitoring.tip_force import TipForceObserver
+from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.simulation.imperfect import Workmanship
+from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.workspace.postures import default_postures
+
+NOISE_M = 2e-4
+ROBOTS = 'kato_10_1', 'spatial_3'
+
+
+def quarter_force(robot):
+    """Return the force [N] across the straight arm that moves its tip by a quarter of it."""
+    low = np.full(len(robot.inputs), robot.tension_limits[0])
+    straight = Model(robot).shape(low).tip_position
+    small, large = 1e-5, 100.0
+    for _ in range(40):
+        force = float(np.sqrt(small * large))
+        try:
+            tip = Model(robot.with_effect('tip_load', {'force_x': force})).shape(low).tip_position
+            bent = np.linalg.norm(tip - straight) > 0.25 * robot.length
+        except NoEquilibriumError:  # far too much
+            bent = True
+        small, large = (small, force) if bent else (force, large)
+    return small
+
+
+def watched(robot, seed, level, references):
+    """Return a plant maker, and the arm as it is known from free reference postures."""
+    markers = default_markers(robot)
+    arm = BuiltArm(robot, load_catalogue(), markers, NOISE_M, max(level, 0.3))
+    free = make_plant(robot, {}, seed=seed, work=Workmanship().times(level))
+    rows = np.clip(default_postures(robot, max(references, 1), 100 + seed), *robot.tension_limits)
+    seen = looked(free, rows, markers, np.random.default_rng([seed, 6]))
+    if references:
+        arm.fit(rows, seen)
+    return arm, markers
+
+
+def looked(plant, rows, markers, random):
+    """Return what a tracker sees of postures (P, J, 3) [m]."""
+    arcs = np.array([m.arc_length for m in markers])
+    offsets = np.array([m.offset for m in markers])
+    seen = plant.markers(rows, arcs, offsets)
+    return seen + random.normal(0.0, NOISE_M, seen.shape)
+
+
+def case(robot, full, seed, level, references, where='tip'):
+    """Return error over the quarter force, whether three intervals hold, time, cell named."""
+    random = np.random.default_rng([seed, 5])
+    direction = random.normal(size=3)
+    force = full * random.uniform(0.1, 1.0) * direction / np.linalg.norm(direction)
+    hidden = {
+        'tip_load': dict(zip(('force_x', 'force_y', 'force_z'), force.tolist(), strict=True))
+    }
+    if where != 'tip':
+        hidden = {'tether': {'cell': robot.cells // 2, 'force_x': float(full * (1 + seed % 3))}}
+    plant = make_plant(robot, hidden, seed=seed, work=Workmanship().times(level))
+    arm, markers = watched(robot, seed, level, references)
+    rows = np.clip(default_postures(robot, 8, seed), *robot.tension_limits)
+    tensions = rows[seed % 8]
+    try:
+        seen = looked(plant, tensions[None], markers, random)[0]
+    except NoEquilibriumError:
+        return None
+    observer = TipForceObserver(arm)
+    observer.update(tensions, seen)
+    begin = time.process_time()
+    found = observer.update(tensions, seen)
+    spent = time.process_time() - begin
+    if found is None:
+        return None
+    off = found.force - force
+    inside = np.abs(off) <= 1.96 * np.sqrt(np.diag(found.covariance))
+    along = np.linalg.eigh(found.covariance)[1]  # the best told direction first
+    return {
+        'error': float(np.linalg.norm(off)) / full,
+        'sorted': np.abs(along.T @ off) / full,
+        'holds': inside,
+        'ms': 1e3 * spent,
+        'cell': found.cell,
+    }
+
+
+def bench(name, count, level, references):
+    """Return the figures of a robot."""
+    robot = load_robot(f'config/robots/{name}.yaml')
+    full, half = quarter_force(robot), robot.cells // 2
+    both = {
+        where: [c for s in range(count) if (c := case(robot, full, s, level, references, where))]
+        for where in ('tip', 'side')
+    }
+    tips, sides = both['tip'], both['side']
+    errors = np.array([c['error'] for c in tips])
+    told = [c['cell'] is not None for c in sides]
+    near = [c['cell'] is not None and abs(c['cell'] - half) <= robot.cells // 6 for c in sides]
+    percent = lambda values: round(100 * float(np.mean(values)), 1)  # noqa: E731
+    return {
+        'robot': name,
+        'level': level,
+        'reference postures': references,
+        'quarter force [N]': full,
+        'solved': f'{len(tips)} of {count}',
+        'error, median [%]': round(100 * float(np.median(errors)), 2),
+        'error along its axes, best told first, median [%]': (
+            100 * np.median([c['sorted'] for c in tips], axis=0)
+        )
+        .round(2)
+        .tolist(),
+        'intervals hold [%]': percent([c['holds'] for c in tips]),
+        'false touch elsewhere [%]': percent([c['cell'] is not None for c in tips]),
+        'touch elsewhere told [%]': percent(told),
+        'within a sixth of the cells [%]': percent(near),
+        'update, median [ms of a processor]': round(float(np.median([c['ms'] for c in tips])), 2),
+    }
+
+
+def main():
+    """Print the figures, and write them as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--cases', type=int, default=60)
+    parser.add_argument('--json', type=Path)
+    args = parser.parse_args()
+    rows = []
+    for level, references in ((0.0, 20), (1.0, 0), (1.0, 20)):
+        for name in ROBOTS:
+            rows.append(bench(name, args.cases, level, references))
+            print(json.dumps(rows[-1], indent=1), flush=True)
+    if args.json:
+        args.json.write_text(json.dumps(rows, indent=1))
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,94 @@
+"""What is watched while the robot works: first its ways are learned, then drift and tip force."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from ..data import Marker
+from ..model.model import Model
+from .built_arm import BuiltArm
+from .drift import DriftAlarm, DriftState, described
+from .tip_force import TipForce, TipForceObserver
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class WatchSettings:
+    """How it watches."""
+
+    reference_postures: int = 30  # that the arm is learned from, while nothing touches it
+    alarm_postures: float = 20000.0  # without a change no alarm before, on average and at least
+    tracker_noise: float = 2e-4  # [m] 1 sd of a coordinate of a marker
+
+
+@dataclass
+class ArmWatch:
+    """Learns the arm at its first postures, then tells when it is no longer that."""
+
+    model: Model
+    markers: Sequence[Marker]
+    settings: WatchSettings = field(default_factory=WatchSettings)
+
+    def __post_init__(self) -> None:
+        """Begin to learn."""
+        self.learn_anew()
+
+    def learn_anew(self) -> None:
+        """Take the next postures as the reference."""
+        robot, catalogue = self.model.robot, self.model.catalogue
+        self._arm = BuiltArm(robot, catalogue, self.markers, self.settings.tracker_noise)
+        self._observer = TipForceObserver(self._arm)
+        self._references: list[tuple[Floats, Floats]] = []
+        self._learning: threading.Thread | None = None
+        self.alarm: DriftAlarm | None = None
+
+    @property
+    def state(self) -> DriftState | None:
+        """What the alarm knows; None while the arm is being learned."""
+        return None if self.alarm is None else self.alarm.state
+
+    @property
+    def text(self) -> str:
+        """How it is, in words."""
+        state = self.state
+        if state is None:
+            have, of = len(self._references), self.settings.reference_postures
+            return f'learning the arm: {have} of {of} postures'
+        if not state.alarm:
+            return 'as it was'
+        return f'no longer what the model says: looks like {described(state.suspects)}'
+
+    def stands(self, tensions: Floats, positions: Floats) -> DriftState | None:
+        """Take a posture at which the arm stands: tensions (m,) [N], markers (J, 3) [m]."""
+        if self.alarm is not None:
+            return self.alarm.update(tensions, positions)
+        if self._learning is None:
+            self._references.append((tensions, positions))
+            if len(self._references) >= self.settings.reference_postures:
+                self._learning = threading.Thread(target=self._learn, daemon=True)
+                self._learning.start()
+        return None
+
+    def wait(self) -> None:
+        """Wait until what is being learned is learned."""
+        if self._learning is not None:
+            self._learning.join()
+
+    def force(
+        self, tensions: Floats, positions: Floats | None, pulls: Floats | None = None
+    ) -> TipForce | None:
+        """Return what acts at the tip now; see `TipForceObserver.update`."""
+        if self._learning is not None and self.alarm is None:
+            return None  # the thread that learns uses the model
+        return self._observer.update(tensions, positions, pulls)
+
+    def _learn(self) -> None:
+        tensions, positions = (np.array(part) for part in zip(*self._references, strict=True))
+        self._arm.fit(tensions, positions)
+        self.alarm = DriftAlarm(self._arm, self.settings.alarm_postures)

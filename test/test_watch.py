@@ -1,0 +1,133 @@
+"""Watching an arm: the force at its tip, and the sequential test of drift."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from source_tree import ROOT
+
+from tendon_robot_ros.data import default_markers
+from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.monitoring.built_arm import BuiltArm
+from tendon_robot_ros.monitoring.drift import DriftAlarm, _Change, _ChangeBegun
+from tendon_robot_ros.monitoring.tip_force import TipForceObserver
+from tendon_robot_ros.monitoring.watch import ArmWatch, WatchSettings
+from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.simulation.imperfect import Workmanship
+from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.workspace.postures import default_postures
+
+ROBOT = load_robot(ROOT / 'config' / 'robots' / 'spatial_3.yaml')
+NOISE = 2e-4
+
+
+def looked(plant, rows, seed):
+    markers = default_markers(plant.robot)
+    arcs, offsets = (np.array([getattr(m, k) for m in markers]) for k in ('arc_length', 'offset'))
+    seen = plant.markers(rows, arcs, offsets)
+    return seen + np.random.default_rng(seed).normal(0.0, NOISE, seen.shape)
+
+
+def postures(count, seed):
+    return np.clip(default_postures(ROBOT, count, seed), *ROBOT.tension_limits)
+
+
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+def test_the_force_under_which_the_model_itself_was_bent_comes_back(sign):
+    force = sign * np.array([0.004, -0.002, 0.001])
+    loaded = Model(
+        ROBOT.with_effect('tip_load', dict(zip(('force_x', 'force_y', 'force_z'), force.tolist(),
+                                               strict=True))))  # fmt: skip
+    tensions = np.array([0.4, 0.2, 0.7])
+    shape = loaded.shape(tensions)
+    exact = replace(ROBOT, exact=True)
+    arm = BuiltArm(exact, load_catalogue(), default_markers(ROBOT), 1e-5)
+    found = TipForceObserver(arm).update(tensions, shape.positions)
+    assert found.force == pytest.approx(force, abs=2e-5)
+    assert found.cell is None
+    assert found.acts
+    free = TipForceObserver(arm).update(tensions, Model(ROBOT).shape(tensions).positions)
+    assert np.linalg.norm(free.force) < 2e-5
+
+
+def test_without_a_tracker_the_wire_pulls_tell_the_force():
+    force = np.array([0.006, 0.003, 0.0])
+    loaded = Model(ROBOT.with_effect('tip_load', {'force_x': 0.006, 'force_y': 0.003}))
+    tensions = np.array([0.4, 0.2, 0.7])
+    arm = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE)
+    found = TipForceObserver(arm).update(tensions, None, loaded.shape(tensions).pulls)
+    off = found.force - force
+    assert (np.abs(off) < 1.96 * np.sqrt(np.diag(found.covariance))).all()
+    assert np.linalg.norm(found.force[:2] - force[:2]) < 0.002
+
+
+def test_a_force_at_mid_arm_is_told_from_one_at_the_tip():
+    plant = make_plant(ROBOT, {'tether': {'cell': 8, 'force_x': 0.03}}, scatter=0.0)
+    tensions = np.array([0.4, 0.2, 0.7])
+    arm = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE, 0.1)
+    found = TipForceObserver(arm).update(tensions, looked(plant, tensions[None], 1)[0])
+    assert found.cell is not None
+    assert abs(found.cell - 8) <= 4
+
+
+@pytest.fixture(scope='module')
+def learned():
+    """Return an arm as it is built, and how often its watch may be made anew."""
+    plant = make_plant(ROBOT, {}, seed=4, work=Workmanship())
+    rows = postures(24, 7)
+    return plant, rows, looked(plant, rows, 2)
+
+
+def watching(learned):
+    watch = ArmWatch(Model(ROBOT), default_markers(ROBOT), WatchSettings(24, 20000.0, NOISE))
+    _, rows, seen = learned
+    assert watch.state is None
+    assert '0 of 24' in watch.text
+    for tensions, positions in zip(rows, seen, strict=True):
+        watch.stands(tensions, positions)
+    watch.wait()
+    return watch
+
+
+def test_an_arm_that_stays_as_it_is_raises_no_alarm(learned):
+    watch, rows = watching(learned), postures(40, 11)
+    for tensions, positions in zip(rows, looked(learned[0], rows, 3), strict=True):
+        assert not watch.stands(tensions, positions).alarm
+    assert watch.text == 'as it was'
+
+
+@pytest.mark.parametrize(
+    ('hidden', 'name'),
+    [({'tip_load': {'force_x': 0.004}}, 'tip_load'), ({}, 'the tracker')],
+    ids=['load', 'bump'],
+)
+def test_a_change_is_told_within_twenty_postures_and_named(learned, hidden, name):
+    watch, rows = watching(learned), postures(20, 12)
+    changed = make_plant(ROBOT, hidden, seed=4, work=Workmanship())
+    shift = 0.0 if hidden else np.array([0.0, 2e-3, 0.0])
+    for tensions, positions in zip(rows, looked(changed, rows, 5) + shift, strict=True):
+        state = watch.stands(tensions, positions)
+    assert state.alarm
+    likely = [s.name for s in state.suspects if s.probability > 0.1]
+    assert name in likely
+    assert name in watch.text
+    watch.learn_anew()
+    assert watch.state is None
+
+
+def test_the_evidence_for_a_change_that_did_not_happen_is_one_on_average():
+    """The mean of a likelihood ratio is 1 without a change: that is what an e-value is."""
+    arm = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE)
+    alarm = DriftAlarm(arm)
+    alarm._spread = np.array([0.5])
+    change, random, ratios = _Change('x', slice(0, 1), ('x',)), np.random.default_rng(0), []
+    for _ in range(4000):
+        begun = _ChangeBegun(0, 1)
+        signature = np.array([0.3, -0.2, 0.5])
+        for _ in range(5):
+            begun.told += signature @ signature
+            begun.seen += signature @ random.normal(size=3)
+        ratios.append(np.exp(alarm._log_ratio(begun, change)))
+    assert np.mean(ratios) == pytest.approx(1.0, abs=4 * np.std(ratios) / np.sqrt(len(ratios)))
+    assert alarm.threshold == 5000.0
