@@ -2,11 +2,13 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.ros.viewer import page_parts
 from tendon_robot_ros.ros.viewer.state import ViewState
+from tendon_robot_ros.ros.viewer.tube import SIDES, tube_faces, tube_vertices
 
 
 def said(state, **values):
@@ -97,3 +99,13 @@ def test_the_news_of_an_investigation_are_kept_until_the_next_one_begins():
     state.hear_investigation(json.dumps(first))
     assert state.investigation == [first]
     assert page_parts.investigation([]) == ''
+
+
+def test_a_tube_keeps_its_radius_around_a_bent_arm_and_does_not_turn():
+    angle = np.linspace(0.0, np.pi, 40)
+    nodes = 0.05 * np.c_[1.0 - np.cos(angle), np.zeros(40), np.sin(angle)]  # half a circle
+    rings = tube_vertices(nodes, 0.004).reshape(40, SIDES, 3)
+    np.testing.assert_allclose(np.linalg.norm(rings - nodes[:, None], axis=2), 0.004, rtol=1e-4)
+    np.testing.assert_allclose(np.abs(rings[..., 1] - rings[0, :, 1]).max(), 0.0, atol=1e-6)
+    faces = tube_faces(40)
+    assert faces.max() == 40 * SIDES - 1 and len(faces) == 2 * SIDES * 39

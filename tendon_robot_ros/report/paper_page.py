@@ -157,7 +157,16 @@ def _what(comparison: Comparison) -> str:
 # -----------------------------------------------------------------------------
 # The page that `paper` writes: every number and figure of section IV beside ours.
 
-ROW_COLUMNS = ('', 'what', 'published', 'ours', 'difference', 'range left open', 'met', 'why')
+ROW_COLUMNS = (
+    'section',
+    'what',
+    'published',
+    'ours',
+    'difference',
+    'range left open',
+    'met',
+    'why',
+)
 
 
 def paper_page(paper: Paper) -> Page:

@@ -80,8 +80,8 @@ def _directions(volume: Volume) -> list[str]:
     text += f' and looks into {_share(volume.sphere, 1.0)} of all directions'
     if len(volume.robot.sections) == 1:
         return [
-            f'{text}; one section: where the tip is nearly settles where it looks, so a view '
-            'angle is a ring around the base and no choice'
+            f'{text}. With one section the place of the tip nearly fixes where it looks: the '
+            'places of one view angle are a ring around the base'
         ]
     mean = float(volume.reached.looks.mean())
     return [f'{text}; from one cube into {digits(mean)} of {LOOKS} equal parts of them (mean)']
@@ -157,7 +157,7 @@ def _values(volume: Volume) -> tuple[Floats, str]:
 
 def _scene() -> dict[str, Any]:
     axes = {f'{axis}axis': {'title': {'text': f'{axis} [mm]'}} for axis in 'xyz'}
-    scene = {'aspectmode': 'data', 'camera': {'eye': {'x': 1.5, 'y': 1.5, 'z': 0.9}}, **axes}
+    scene = {'aspectmode': 'data', 'camera': {'eye': {'x': 1.8, 'y': 1.8, 'z': 0.9}}, **axes}
     legend = {'orientation': 'h', 'itemsizing': 'constant', 'y': 1.0, 'x': 0.0}
     return {'scene': scene, 'legend': legend, 'margin': {'l': 0, 'r': 0, 't': 0, 'b': 0}}
 

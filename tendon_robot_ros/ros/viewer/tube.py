@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,11 +30,11 @@ def tube_vertices(nodes: NDArray[np.float64], radius: float) -> Floats:
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     start = np.eye(3)[np.abs(along[0]).argmin()]
     angle = 2.0 * np.pi * np.arange(SIDES) / SIDES
-    rings = []
-    for place, axis in zip(nodes, along, strict=True):
+    across = np.empty(nodes.shape)
+    for i, axis in enumerate(along):
         start = start - axis * (start @ axis)
-        start = start / max(float(np.linalg.norm(start)), 1e-12)
-        across = np.cross(axis, start)
-        circle = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * across
-        rings.append(place + radius * circle)
-    return np.concatenate(rings).astype(np.float32)
+        start = start / max(math.sqrt(start @ start), 1e-12)
+        across[i] = start
+    up = np.cross(along, across)
+    circles = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * up[:, None]
+    return np.asarray(nodes[:, None] + radius * circles, dtype=np.float32).reshape(-1, 3)
