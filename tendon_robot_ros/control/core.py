@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from ..common.errors import DriverError, InputError, TendonRobotError
 from ..drivers.safety import CYCLE_MAX_S, StopLatch, approach, bounded
 from .checks import Refusal, check_inputs
+from .friction_state import Approach, FeltTensions
 from .jog import Jog, Twist, follow_twist, start_jog
 from .pull_path import Way
+from .rebalance import Rebalance
 from .seeking import TargetSearch, seek, solution_of
 from .solver import GiveUp, InPlace, Solver
 from .state import MeasuredState, Output, Settings, ShapeTracker, Target
@@ -55,6 +57,9 @@ class ControllerCore:
     refusals: dict[str, Refusal] = field(default_factory=dict)  # kind of message -> why the last
     latch: StopLatch = field(default_factory=StopLatch)
     loop: TipLoop = field(default_factory=TipLoop)
+    felt: FeltTensions = field(default_factory=FeltTensions)
+    balance: Rebalance = field(default_factory=Rebalance)
+    via: list[Array] = field(default_factory=list)  # (m,) [N] each, on the way to the solution
     playing: Playing | None = None  # a trajectory of the tendons; its end is held
     stepped: float = -np.inf  # [s] when it last did
     way: Way | None = None  # in pull mode
@@ -88,10 +93,26 @@ class ControllerCore:
             raise Refusal('no_driver', 'target refused: no tendon states; send it again later')
         seek(self, target)
 
-    def follow(self, target: Target, solution: Reach, in_time: bool = True) -> None:
+    def follow(self, target: Target, found: Approach, in_time: bool = True) -> None:
         """Go to where the tensions for a target are."""
-        self.target, self.solution, self.in_time = target, solution, in_time
+        self.target, self.solution, self.in_time = target, found.reach, in_time
+        self.via = list(found.via)
         self.jog = self.playing = None
+
+    def felt_tensions(self) -> Array:
+        """Return the tensions (m,) [N] that act: as commanded, where the measured ones agree."""
+        low, high = self.settings.limits(self.model).T
+        command = low if self.command is None else self.command
+        heard = self._heard
+        known = heard is not None and heard.observed and not self._silent
+        measured = np.maximum(heard.tensions, 0.0) if known and heard is not None else None
+        return self.felt.take(command, measured, high)
+
+    def tip_shift(self) -> Array:
+        """Return by how much (3,) [m] the measured tip is off the model, 0 in open loop."""
+        if self.settings.tip_gain == 0.0 or self.settings.pull_mode:
+            return np.zeros(3)
+        return self.loop.shift(self.stepped)
 
     def twist(self, now: float, twist: Twist) -> None:
         """Take a velocity of the tip; it ends by itself after `twist_timeout`."""
@@ -104,6 +125,7 @@ class ControllerCore:
         if self.jog is None:
             self.jog = Jog()
             self.target = self.solution = self.playing = None
+            self.via = []
             start_jog(self, self.jog)
         if self.jog is not None:
             self.jog.take(now, twist)
@@ -164,6 +186,8 @@ class ControllerCore:
             return not np.array_equal(self.commanded, self.playing.values[-1])
         if self.solution is None or self.command is None:
             return False
+        if self.via:
+            return True
         goal = self.loop.goal(self, self.solution.tensions)
         return not np.array_equal(self.command, goal)
 
@@ -197,6 +221,8 @@ class ControllerCore:
             return None  # still looking for the tensions of what was measured
         if not (self._lost or self.driver_stopped):
             self._advance(now, min(max(passed, 0.0), CYCLE_MAX_S))
+            if not (self.moving or self.jog or self.playing):
+                self.balance.step(self, now)
         if self.track.failing > self.settings.patience:
             self._drop()
             self._lost = True
@@ -207,7 +233,9 @@ class ControllerCore:
     def predict(self, now: float, take: Callable[[Shape], None]) -> None:
         """Give `take` the arm as the model sees it: at measured tensions where observable."""
         tensions = self.command
-        if self._heard is not None and self._heard.observed and self.fresh(now):
+        if self.command is not None and self.model.remembers:
+            tensions = self.felt_tensions()  # noise would have friction forget
+        elif self._heard is not None and self._heard.observed and self.fresh(now):
             tensions = np.maximum(self._heard.tensions, 0.0)
         if tensions is None or self.solver.busy('predict'):
             return
@@ -244,7 +272,7 @@ class ControllerCore:
         def work(give_up: GiveUp) -> Reach | None:
             if command is not None:
                 model.shape(command)
-            return None if solve is None else solve(give_up)
+            return None if solve is None else solve(give_up).reach
 
         def done(solution: Reach | None, error: TendonRobotError | None) -> None:
             if error is None:
@@ -256,6 +284,7 @@ class ControllerCore:
     def _use(self, model: Model, target: Target | None, solution: Reach | None) -> None:
         """Change the model: what was asked for, and what was accepted, goes on with it."""
         self.model, self.jog, self.track = model, None, ShapeTracker(model)
+        self.via = []
         self.loop.reset()
         if self.way is not None:
             self.way = self.way.anew()
@@ -281,17 +310,21 @@ class ControllerCore:
         if self.way is not None and self.playing is not None:
             play_pulls(self, self.way, self.playing, now)
             return
-        if self.way is not None:
-            self.command = self.way.advance(self, self._goal(now), step)
-            return
         goal = self._goal(now)
-        self.command = approach(self.command, goal, np.full_like(goal, step))
+        if self.way is not None:
+            self.command = self.way.advance(self, goal, step)
+        else:
+            self.command = approach(self.command, goal, np.full_like(goal, step))
+        if self.via and np.array_equal(self.command, goal):
+            self.via.pop(0)
 
     def _goal(self, now: float) -> Array:
         assert self.command is not None
         goal = self.command
         if self.playing is not None:
             goal = self.playing.at(now)
+        elif self.via and self.solution is not None:
+            goal = self.via[0]
         elif self.solution is not None:
             goal = self.loop.goal(self, self.solution.tensions)
         return bounded(goal, self.settings.limits(self.model))
@@ -359,6 +392,7 @@ class ControllerCore:
 
     def _drop(self) -> None:
         self.target = self.solution = self.search = self.jog = self.playing = None
+        self.via = []
         self.loop.reset()
 
     def _require_running(self) -> None:

@@ -14,7 +14,8 @@ from .seeking import solution_of
 from .state import Controller, Target
 
 if TYPE_CHECKING:
-    from ..model.shape import Reach, Shape
+    from ..model.shape import Shape
+    from .friction_state import Approach
 
 Array = NDArray[np.float64]
 LEAD_MAX_M = 0.002  # [m] how far the wanted tip may be ahead of the reachable one
@@ -115,12 +116,12 @@ def follow_twist(core: Jogger, jog: Jog, passed: float) -> bool:
     position, direction = jog.advance(jog.due, core.settings.hold_direction)
     jog.due = 0.0
 
-    def done(solution: Reach | None, error: TendonRobotError | None) -> None:
-        if solution is None:
+    def done(found: Approach | None, error: TendonRobotError | None) -> None:
+        if found is None:
             core.end_twist(jog, str(error))
         elif core.jog is jog:
-            core.solution = solution
-            jog.reached(solution.shape)
+            core.solution = found.reach
+            jog.reached(found.reach.shape)
 
     core.solver.post(
         'twist', solution_of(core, core.model, Target(position, direction), tracking=True), done

@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..common.errors import InputError, NoEquilibriumError, TendonRobotError
+from ..model.inverse import CLEARANCE_BINDS_M
+from ..model.shape import Reach
+from ..model.tip_task import TipTask, tip_target
 from .checks import Refusal
+from .friction_state import Approach, from_below, planned, straight
 from .solver import GiveUp
-from .state import STREAM_PERIOD_S, Controller, Target
+from .state import STREAM_PERIOD_S, Controller, Settings, Target
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from ..model.model import Model
-    from ..model.shape import Reach
+    from ..model.shape import Shape
+    from ..robot.keep_out import KeepOut
 
+Array = NDArray[np.float64]
 COLD_SEARCH_STARTS = 12  # of a cold search; a twist only goes on from where it is
 NEW_TARGET_BUDGET_S = 0.2  # [s] for a target that is none of a stream
 # [1] of the length, [rad] between two targets of a stream
 STREAM_STEP_SHARE, STREAM_TURN_RAD = 0.1, 0.3
+LEAD_SHARE_MAX = 0.1  # [1] of the length, by which targets are led
+WAY_STEP, WAY_STEP_MIN = 0.05, 0.005  # [1] of a way, between two looks at it
+WAY_NEAR_M = 2e-3  # [m] from a region: nearer, looks are as close as half of that
 
 
 class Seeker(Controller, Protocol):
@@ -30,7 +40,7 @@ class Seeker(Controller, Protocol):
     search: TargetSearch | None  # for a target that is not yet followed
     asked: TargetSearch | None  # the last one
 
-    def follow(self, target: Target, solution: Reach, in_time: bool = True) -> None:
+    def follow(self, target: Target, found: Approach, in_time: bool = True) -> None:
         """Go to where the tensions for a target are."""
 
 
@@ -56,6 +66,7 @@ class TargetSearch:
     budget: float
     stream: object
     streamed: bool = False  # it is not the first
+    velocity: Array | None = None  # (3,) [m/s] of a stream
 
     @classmethod
     def begin(cls, core: Seeker, target: Target, now: float) -> TargetSearch:
@@ -63,14 +74,19 @@ class TargetSearch:
         before = core.asked
         if before is None or not _goes_on(core, before, target, now):
             return cls(target, now, NEW_TARGET_BUDGET_S, object())
-        return cls(target, now, 0.5 * max(now - before.began, 0.01), before.stream, True)
+        passed, velocity = max(now - before.began, 0.01), None
+        if target.position is not None and before.target.position is not None:
+            velocity = (target.position - before.target.position) / passed
+            if before.velocity is not None:  # senders are not that regular
+                velocity = 0.5 * (velocity + before.velocity)
+        return cls(target, now, 0.5 * passed, before.stream, True, velocity)
 
 
 @dataclass(frozen=True)
 class SearchResult:
     """What a search found; the deadline may have ended it."""
 
-    reach: Reach | None
+    found: Approach | None
     problem: str
     in_time: bool
 
@@ -78,7 +94,7 @@ class SearchResult:
 def seek(core: Seeker, target: Target) -> None:
     """Look for the tensions of a target; until they are found the arm goes on as before."""
     search = core.search = core.asked = TargetSearch.begin(core, target, core.stepped)
-    solve = solution_of(core, core.model, target)
+    solve = solution_of(core, core.model, _ahead(core, search), search.streamed)
 
     def work(give_up: GiveUp) -> SearchResult:
         try:
@@ -94,28 +110,121 @@ def seek(core: Seeker, target: Target) -> None:
     core.solver.post('target', work, done, search.budget, urgent=True)
 
 
-def solution_of(
-    core: Controller, model: Model, target: Target, tracking: bool = False
-) -> Callable[[GiveUp], Reach]:
-    """Return how to find tensions for a target from where the arm is; tracking: only there."""
-    guess = core.track.last if core.solution is None else core.solution.shape
-    if guess is not None and len(guess.bend) != model.robot.cells:
-        guess = None
-    weight, by_pulls = core.settings.direction_weight or None, core.settings.pull_mode
+def _ahead(core: Seeker, search: TargetSearch) -> Target:
+    """Return where a stream of targets will be by the time that the arm has followed."""
+    target, lead = search.target, core.settings.look_ahead
+    if lead == 0.0 or search.velocity is None or target.position is None:
+        return target
+    step = lead * search.velocity
+    size, most = float(np.linalg.norm(step)), LEAD_SHARE_MAX * core.model.robot.length
+    return replace(target, position=target.position + step * min(1.0, most / max(size, 1e-12)))
 
-    def solve(give_up: GiveUp) -> Reach:
-        return model.reach(
-            position=target.position,
-            direction=target.direction,
+
+@dataclass(frozen=True)
+class _Question:
+    """What the solver is asked: it reads nothing that the commanding thread changes."""
+
+    model: Model
+    settings: Settings
+    target: Target  # without what the measured tip is off
+    guess: Shape | None
+    last: Shape | None  # the last shape, with what friction remembered
+    felt: Array  # (m,) [N] that act now
+    streamed: bool
+    tracking: bool
+
+    def reach(self, past: Shape | None, guess: Shape | None, give_up: GiveUp) -> Reach:
+        """Find tensions that are right when they are reached from a shape."""
+        near = self.tracking or self.streamed
+        return self.model.reach(
+            position=self.target.position,
+            direction=self.target.direction,
             guess=guess,
-            direction_weight=weight,
-            starts=0 if tracking else COLD_SEARCH_STARTS,
-            by_pulls=by_pulls,
-            relax=not tracking,
+            direction_weight=self.settings.direction_weight or None,
+            starts=0 if self.tracking else COLD_SEARCH_STARTS,
+            by_pulls=self.settings.pull_mode,
+            relax=not self.tracking,
+            memory=None if past is None else past.memory,
+            preferences=None if near else self.settings.preferences,
+            keep_out=self.settings.keep_out,
             give_up=give_up,
         )
 
-    return solve
+    def answer(self, give_up: GiveUp) -> Approach:
+        """Find tensions, and the way there."""
+        model, settings = self.model, self.settings
+        if not (model.remembers or settings.keep_out):
+            direct = self.reach(None, self.guess, give_up)
+            below = settings.approach == 'from_below' and not (self.streamed or self.tracking)
+            return from_below(model, direct) if below else straight(direct)
+        here = model.follow(self.last, self.felt)
+        past = here if model.remembers else None
+        direct = self.reach(past, self.guess or past, give_up)
+
+        def again(there: Shape, tensions: Array) -> Reach:
+            return self.reach(there if model.remembers else None, direct.shape, give_up)
+
+        kind = 'any' if self.streamed or self.tracking else settings.approach
+        found = planned(model, here, direct, kind, again, give_up)
+        if settings.keep_out:
+            weight = settings.direction_weight or None
+            asked = tip_target(model, self.target.position, self.target.direction, 1.0, weight)
+            task = TipTask(model, asked, here.memory)
+            found = cut_short(model, here, found, settings.keep_out, task)
+        return found
+
+
+def solution_of(
+    core: Controller, model: Model, target: Target, streamed: bool = False, tracking: bool = False
+) -> Callable[[GiveUp], Approach]:
+    """
+    Return how to find tensions for a target from where the arm is.
+
+    Parameters
+    ----------
+    streamed : bool
+        The target goes on from the one before: straight there.
+    tracking : bool
+        Search only near where the arm is.
+
+    """
+    guess = core.track.last if core.solution is None else core.solution.shape
+    guess, last = (
+        None if shape is None or len(shape.bend) != model.robot.cells else shape
+        for shape in (guess, core.track.last)
+    )
+    if target.position is not None:
+        target = replace(target, position=target.position - core.tip_shift())
+    felt = core.felt_tensions()
+    return _Question(model, core.settings, target, guess, last, felt, streamed, tracking).answer
+
+
+def cut_short(
+    model: Model, here: Shape, found: Approach, keep_out: KeepOut, task: TipTask
+) -> Approach:
+    """
+    Return a way up to where the arm would enter a region; `nearest`, with the region named.
+
+    An arm that is inside already may leave: what counts is how deep it goes beyond that.
+    """
+    allowed = min(keep_out.clearance(here.positions).distance, 0.0) - CLEARANCE_BINDS_M
+    shape = here
+    via: list[Array] = []
+    for tensions in (*found.via, found.reach.tensions):
+        begin, done, step = shape.inputs, 0.0, WAY_STEP
+        while done < 1.0:
+            done = min(done + step, 1.0)
+            new = model.follow(shape, begin + done * (tensions - begin))
+            near = keep_out.clearance(new.positions)
+            if near.distance < allowed:
+                position, direction = task.errors(shape)
+                kept = Reach(shape, position, direction, 'nearest', (), near.region)
+                return Approach(kept, np.array(via).reshape(-1, len(model.inputs)))
+            moved = float(np.linalg.norm(new.positions - shape.positions, axis=1).max())
+            room = 0.5 * max(near.distance, WAY_NEAR_M)  # no point of the arm goes further at once
+            step, shape = min(max(step * room / max(moved, 1e-9), WAY_STEP_MIN), WAY_STEP), new
+        via.append(tensions)
+    return found
 
 
 def _take(core: Seeker, search: TargetSearch, result: SearchResult) -> None:
@@ -125,10 +234,10 @@ def _take(core: Seeker, search: TargetSearch, result: SearchResult) -> None:
         return
     if newest is search:
         core.search = None
-    elif result.reach is None:
+    elif result.found is None:
         return  # of a stream: the next one may be better
-    if result.reach is not None:  # of a stream an older target, too, is on the way
-        core.follow(search.target, result.reach, result.in_time)
+    if result.found is not None:  # of a stream an older target, too, is on the way
+        core.follow(search.target, result.found, result.in_time)
         return
     code = 'no_equilibrium' if result.in_time else 'no_time'
     late = '' if result.in_time else f' (the search ended after {search.budget:.3g} s)'

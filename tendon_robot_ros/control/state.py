@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -12,11 +12,13 @@ from scipy.optimize import least_squares
 
 from ..common.errors import InputError, NoEquilibriumError
 from ..model.inverse import limits_by_pulls
+from ..robot.keep_out import KeepOut
 from .solver import GiveUp
 
 if TYPE_CHECKING:
     from ..drivers.safety import StopLatch
     from ..model.model import Model
+    from ..model.redundancy import Preferences
     from ..model.shape import Reach, Shape
     from .checks import Refusal
     from .solver import Solver
@@ -38,6 +40,10 @@ class Settings:
     pull_mode: bool = False
     tip_gain: float = 0.0  # [1/s] of the integral on the measured tip, 0: open loop
     resume: bool = False  # go to the old target when the driver comes back
+    approach: str = 'any'  # one of `friction_state.APPROACHES`
+    preferences: Preferences | None = None  # None: low tension, where that is easy
+    keep_out: KeepOut = field(default_factory=KeepOut)
+    look_ahead: float = 0.0  # [s] by which targets that follow each other are led
 
     def limits(self, model: Model) -> Array:
         """Return tension limits (m, 2) [N]; wires that are driven by their length may be slack."""
@@ -178,3 +184,9 @@ class Controller(Protocol):
 
     def fresh(self, now: float) -> bool:
         """Whether the driver was heard lately."""
+
+    def felt_tensions(self) -> Array:
+        """Return the tensions (m,) [N] that act."""
+
+    def tip_shift(self) -> Array:
+        """Return by how much (3,) [m] the measured tip is off the model."""

@@ -45,6 +45,7 @@ def controller_status(core: ControllerCore, now: float) -> ControllerStatus:
             f'{name} {tension:.3f} N'
             for name, tension in zip(core.model.inputs, core.command, strict=True)
         )
+    values.update(core.balance.values())
     if core.settings.tip_gain > 0.0:
         values.update(core.loop.values(now))
     return ControllerStatus(level, code, message, values)
@@ -97,6 +98,7 @@ def _arrived(solution: Reach, in_time: bool) -> tuple[str, str, str]:
         return OK, 'reached', f'at the target within {error}, as the model sees it'
     limits = ', '.join(solution.at_limit)
     limits = f'; at its limit: {limits}' if limits else ''
+    limits += f'; kept out of {solution.region}' if solution.region else ''
     if not in_time:
         return WARN, solution.status, f'as near as found in time, {error} from the target{limits}'
     return WARN, solution.status, f'as near as it can, {error} from the target{limits}'
@@ -110,4 +112,5 @@ def _solution(solution: Reach) -> dict[str, str]:
         'position_error': f'{1e3 * position:.3f} mm',
         'direction_error': f'{degrees(direction):.3f} deg',
         'at_limit': ', '.join(solution.at_limit),
+        'kept_out_of': solution.region,
     }

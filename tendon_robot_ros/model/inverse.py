@@ -156,12 +156,13 @@ def reach(
     if not by_pulls and preferences is None and not give_up():
         best = _finished(task, relax or guess is None, *best)
     made = judged(task, *best[1:], in_time=not give_up())
-    if preferences is None and not keep_out:
+    regions = keep_out or KeepOut()
+    if preferences is None and regions.clearance(made.shape.positions).distance >= 0.0:
         return made
     limits = limits_by_pulls(model) if by_pulls else model.limits
     here = None if guess is None else guess.inputs
     wants = preferences or Preferences()
-    return _balanced(Balance(task, wants, keep_out, limits, here), made, by_pulls, give_up)
+    return _balanced(Balance(task, wants, regions, limits, here), made, by_pulls, give_up)
 
 
 def _searched(
@@ -191,7 +192,7 @@ def _searched(
 def _balanced(balance: Balance, made: Reach, by_pulls: bool, give_up: Callable[[], bool]) -> Reach:
     """Use the freedom that is left as it is preferred, and keep the arm out of regions."""
     task, regions = balance.task, balance.keep_out
-    away = (regions or KeepOut()).clearance(made.shape.positions)
+    away = regions.clearance(made.shape.positions)
     if by_pulls and away.distance >= 0.0:
         return made  # wires of given lengths leave no freedom
     found, near = made, away

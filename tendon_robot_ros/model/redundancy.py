@@ -22,11 +22,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError, NoEquilibriumError
+from ..robot.keep_out import KeepOut
 from .derivatives import derivatives, tip_slopes
 from .stiffness import tip_stiffness
 
 if TYPE_CHECKING:
-    from ..robot.keep_out import KeepOut
     from .shape import Shape, ShapeBatch
     from .tip_task import TipTask
 
@@ -38,6 +38,7 @@ POINTS_MAX = 8  # of the arm that are held away from a region at once
 TRUST, TRUST_MIN = 0.15, 1e-4  # [1] of a tension's range
 STEP_DONE = 3e-5  # [1] of a tension's range: a step that is none
 CO_CONTRACTIONS = 0.1, 0.3  # [1] of the range, more on all tendons
+STEP_DAMPING = 0.01  # [1] of the largest slope, in one step of the tip
 DAMPING = 1e-4  # [1] keeps tensions where nothing speaks for a change
 SLOPE_SHARE = 2e-3  # [1] of a tension's range, for the slope of the stiffness
 CORRECTIONS_MAX, CORRECTED_M = 3, 2e-6  # after a step: how often, and from what error on [m]
@@ -84,7 +85,7 @@ class Balance:
 
     task: TipTask
     preferences: Preferences
-    keep_out: KeepOut | None = None
+    keep_out: KeepOut = field(default_factory=KeepOut)
     limits: Floats | None = None  # (m, 2) [N], default: the model's
     here: Floats | None = None  # (m,) [N] where the arm is, for smooth commands
     low: Floats = field(init=False)
@@ -335,3 +336,29 @@ def _outward(distance: Callable[[Floats], Floats], point: Floats) -> Floats:
 def _positions(batch: ShapeBatch) -> Floats:
     """Return the ends of the cells (b, n, 3) [m]."""
     return batch.positions
+
+
+def bounded_step(slopes: Floats, wanted: Floats, tensions: Floats, limits: Floats) -> Floats:
+    """
+    Return the tensions (m,) [N] within limits that move the tip as wanted by the least change.
+
+    Parameters
+    ----------
+    slopes : (3, m)
+        Motion of the tip [m] over the ranges of the tensions.
+    wanted : (3,) [m]
+    tensions : (m,) [N]
+        Where the step begins.
+    limits : (m, 2) [N]
+
+    """
+    low, width = limits[:, 0], limits[:, 1] - limits[:, 0]
+    u = (tensions - low) / width
+    size = float(np.linalg.norm(slopes, 2))
+    matrix = (
+        slopes.T @ slopes + (STEP_DAMPING * size) ** 2 * np.eye(len(u)) + 1e-12 * np.eye(len(u))
+    )
+    made = _solved(
+        matrix, -slopes.T @ wanted, None, np.maximum(-u, -TRUST), np.minimum(1.0 - u, TRUST)
+    )
+    return np.asarray(low + np.clip(u + made, 0.0, 1.0) * width)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 FORCES = ('tip_load', 'force_x'), ('tip_load', 'force_y'), ('tip_load', 'force_z')
 TAUT_ABOVE_N = 1e-6  # [N] a wire below is slack and holds no length
+RIGID_BELOW = 1e-12  # [m/N] compliance that is none
 LENGTH_RANK_SHARE = 1e-9  # of the largest singular value: wires that say the same
 
 
@@ -31,20 +32,21 @@ class TipStiffness:
         """
         Return the force per displacement along a direction [N/m], free to move across it.
 
-        1 / (uᵀ C u) with the compliance C and the unit vector u.
+        1 / (uᵀ C u) with the compliance C and the unit vector u; infinite where nothing gives way.
         """
         u = np.asarray(direction, dtype=float)
         size = float(np.linalg.norm(u))
         if u.shape != (3,) or not 1e-12 < size < np.inf:
             raise InputError(f'direction: expected three numbers, not all 0, got {direction!r}')
         u = u / size
-        return float(1.0 / (u @ self.compliance @ u))
+        gives = float(u @ self.compliance @ u)
+        return 1.0 / gives if abs(gives) > RIGID_BELOW else np.inf
 
     @property
     def softest(self) -> tuple[float, Floats]:
         """Stiffness [N/m] along the direction (3,) in which the tip gives way most."""
         values, vectors = np.linalg.eigh(0.5 * (self.compliance + self.compliance.T))
-        return float(1.0 / values[-1]), vectors[:, -1]
+        return 1.0 / max(float(values[-1]), RIGID_BELOW), vectors[:, -1]
 
 
 def tip_stiffness(model: ForwardModel, shape: Shape, wires_held: bool = False) -> TipStiffness:

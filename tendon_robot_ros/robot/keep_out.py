@@ -25,6 +25,7 @@ from ..common.yaml_reading import Reader, parse_yaml
 
 Floats = npt.NDArray[np.float64]
 FAR_M, TURN_MAX_RAD = 100.0, 2.0 * np.pi  # [m], [rad] beyond which a number is a slip of the pen
+TEXT_MAX = 20_000  # characters: read while the arm is commanded
 KINDS = 'plane', 'sphere', 'box'
 
 
@@ -149,6 +150,8 @@ def parse_keep_out(text: str, source: str = 'keep_out') -> KeepOut:
     InputError, RobotDescriptionError
 
     """
+    if len(text) > TEXT_MAX:
+        raise InputError(f'{source}: expected at most {TEXT_MAX} characters, got {len(text)}')
     try:
         content: Any = parse_yaml(text)
     except ValueError as error:

@@ -26,6 +26,7 @@ from ...control import ControllerCore, Refusal
 from ...control.solver import SOLVER, Worker
 from ...control.status import controller_status
 from ...model.model import Model
+from ...robot.keep_out import KeepOut
 from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic, hear_anybody
 from ..shared.lifecycle import LEVELS, ManagedNode, Status
 from ..shared.messages import COMMAND, JOINTS, LATCHED, LISTEN, joint_state
@@ -58,7 +59,13 @@ class ControllerNode(ManagedNode):
         self.status = Status(self)
         self.core: ControllerCore | None = None
         self._loading = ModelLoading(self.parameters)
-        self.parameters.watch({'model': self._loading.change}, self._retune)
+        checks: dict[str, Callable[[str], object]] = {
+            'model': self._loading.change,
+            'keep_out': self._fence,
+            'prefer_stiffness_along': parameters.direction_of,
+        }
+        self._keep_out = KeepOut()
+        self.parameters.watch(checks, self._retune)
         self._incoming: Incoming | None = None
         self._prediction: Prediction | None = None
         self._latency = self._told = self._asked = 0.0
@@ -95,7 +102,8 @@ class ControllerNode(ManagedNode):
         model = self._loading.result()
         self._loading.accept(model)
         self._solver = Worker(self._wake)
-        settings = parameters.settings(self.parameters)
+        self._fence(self.parameters['keep_out'])
+        settings = parameters.settings(self.parameters, self._keep_out)
         self.core = ControllerCore(model, settings, self._solver)
         self.core.driver_says(self._driver_stopped)
         if self._stop_topic.says:
@@ -334,7 +342,11 @@ class ControllerNode(ManagedNode):
     def _retune(self) -> None:
         """Apply changed parameters."""
         if self.core is not None:
-            self.core.settings = parameters.settings(self.parameters)
+            self.core.settings = parameters.settings(self.parameters, self._keep_out)
+
+    def _fence(self, text: str) -> None:
+        """Take keep-out regions; they are read once, when they are set."""
+        self._keep_out = parameters.keep_out_of(text)
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
+from ...common.errors import InputError
 from ...control import Settings
+from ...control.friction_state import APPROACHES
+from ...model.redundancy import Preferences
+from ...robot.keep_out import KeepOut, load_keep_out, parse_keep_out
 from ..shared.lifecycle import AUTOSTART
 from ..shared.parameters import COMMAND_MODE, Parameters, Spec
 
+REGIONS_MAX = 50  # every one is looked at on every way
+PREFERRED = 'low_tension', 'stiffness', 'slack', 'limit', 'smooth'
 SPECS = (
     Spec(
         'model',
@@ -65,11 +73,36 @@ SPECS = (
     Spec(
         'tip_gain',
         0.0,
-        'closed loop on measured_tip: share of the error removed per second; 0: open loop',
+        'closed loop on measured_tip: share of a lasting error removed per second; 0: open loop',
         '1/s',
         0.0,
         10.0,
     ),
+    Spec(
+        'approach',
+        'any',
+        'the last leg of the way to a target: any; from_below: with all tensions rising; model: '
+        'the way on which what friction was before matters least',
+        choices=APPROACHES,
+    ),
+    Spec(
+        'keep_out',
+        '',
+        'regions that no part of the arm may enter: the path of a YAML file, or its text',
+    ),
+    Spec('look_ahead', 0.0, 'by which a stream of targets is led', 's', 0.0, 0.5),
+    Spec('prefer_low_tension', 0.0, 'weight of little tension', '1', 0.0, 1e3),
+    Spec('prefer_stiffness', 0.0, 'weight of a tip that gives way little', '1', 0.0, 1e3),
+    Spec(
+        'prefer_stiffness_along',
+        '',
+        'direction of prefer_stiffness in the base frame, as "x y z"; empty: that in which the '
+        'tip is softest',
+    ),
+    Spec('prefer_slack', 0.0, 'weight of distance from the lowest tension', '1', 0.0, 1e3),
+    Spec('prefer_limit', 0.0, 'weight of distance from the highest tension', '1', 0.0, 1e3),
+    Spec('prefer_smooth', 0.0, 'weight of little change of the tensions', '1', 0.0, 1e3),
+    Spec('prefer_margin', 0.1, 'distance wanted, as a share of the range', '1', 0.001, 0.5),
     Spec('base_frame', '', 'frame of the base; empty: <robot>_base', read_only=True),
     Spec('tip_frame', '', 'frame of the tip; empty: <robot>_tip', read_only=True),
     Spec('frame_prefix', '', 'put before frame names', read_only=True),
@@ -83,7 +116,43 @@ SPECS = (
 )
 
 
-def settings(parameters: Parameters) -> Settings:
+def keep_out_of(text: str) -> KeepOut:
+    """Read regions from the path of a file, or from YAML text."""
+    path = not ('\n' in text or '{' in text or not text)
+    made = load_keep_out(text) if path else parse_keep_out(text)
+    if len(made.regions) > REGIONS_MAX:
+        raise InputError(
+            f'keep_out: expected at most {REGIONS_MAX} regions, got {len(made.regions)}'
+        )
+    return made
+
+
+def direction_of(text: str) -> tuple[float, float, float]:
+    """Read a direction; zeros where there is none."""
+    if not text.strip():
+        return 0.0, 0.0, 0.0
+    try:
+        x, y, z = (float(word) for word in text.replace(',', ' ').split())
+    except ValueError:
+        raise InputError(f'prefer_stiffness_along: expected "x y z", got {text!r}') from None
+    if not 1e-9 < math.hypot(x, y, z) < math.inf:
+        raise InputError(f'prefer_stiffness_along: expected some length, got {text!r}')
+    return x, y, z
+
+
+def preferences(parameters: Parameters) -> Preferences | None:
+    """Return what is preferred; None: all weights are 0."""
+    weights = {name: parameters[f'prefer_{name}'] for name in PREFERRED}
+    if not any(weights.values()):
+        return None
+    return Preferences(
+        **weights,
+        margin=parameters['prefer_margin'],
+        stiffness_direction=direction_of(parameters['prefer_stiffness_along']),
+    )
+
+
+def settings(parameters: Parameters, keep_out: KeepOut) -> Settings:
     """Return what the core is told."""
     return Settings(
         rate_limit=parameters['rate_limit'],
@@ -95,4 +164,8 @@ def settings(parameters: Parameters) -> Settings:
         pull_mode=parameters['command_mode'] == 'pull',
         tip_gain=parameters['tip_gain'],
         resume=parameters['resume'],
+        approach=parameters['approach'],
+        preferences=preferences(parameters),
+        keep_out=keep_out,
+        look_ahead=parameters['look_ahead'],
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,7 +101,7 @@ class Parameters:
         self._node = node
         self._specs = {spec.name: spec for spec in specs}
         self._values: dict[str, Any] = {}
-        self._hooks: dict[str, Callable[[Any], None]] = {}
+        self._hooks: dict[str, Callable[[Any], object]] = {}
         self._changed: Callable[[], None] | None = None
         for spec in specs:
             try:
@@ -115,7 +115,9 @@ class Parameters:
         """Return the value."""
         return self._values[name]
 
-    def watch(self, hooks: dict[str, Callable[[Any], None]], changed: Callable[[], None]) -> None:
+    def watch(
+        self, hooks: Mapping[str, Callable[[Any], object]], changed: Callable[[], None]
+    ) -> None:
         """
         Hear of changes at run time.
 
@@ -127,7 +129,7 @@ class Parameters:
             Called after any accepted change.
 
         """
-        self._hooks, self._changed = hooks, changed
+        self._hooks, self._changed = dict(hooks), changed
 
     def put_back(self, name: str, value: Any) -> None:
         """Set a parameter to a value it had, without asking the hooks."""

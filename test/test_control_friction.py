@@ -1,0 +1,197 @@
+"""Friction that remembers in the controller, ways on which it ends well, regions, preferences."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from tendon_robot_ros.control import ControllerCore, Settings, Target
+from tendon_robot_ros.control.friction_state import FeltTensions
+from tendon_robot_ros.control.status import controller_status
+from tendon_robot_ros.control.tip_loop import Mismatch, stability_margins
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.model.redundancy import Preferences
+from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
+from tendon_robot_ros.ros.shared.files import read_robot
+
+CYCLE = 0.005  # [s]
+TARGETS = ((0.9, 0.1, 0.1, 0.5), (0.1, 0.7, 0.4, 0.1), (0.3, 0.1, 0.1, 0.9), (0.1, 0.2, 0.8, 0.1))
+
+
+@cache
+def model(remembers=True):
+    robot = read_robot('kato_10_1')
+    if remembers:
+        robot = robot.with_effect('friction_memory', {'presliding_length': 2e-4})
+    return Model(robot)
+
+
+class Rig:
+    """A controller whose arm follows at once and remembers, with load cells that are noisy."""
+
+    def __init__(self, known=True, noise=0.0, pull=False, **settings):
+        self.core = ControllerCore(model(known), Settings(pull_mode=pull, **settings))
+        self.arm, self.noise, self.random = model(), noise, np.random.default_rng(1)
+        self.now, self.shape, self.worst, self.pull = (
+            0.0,
+            self.arm.shape(np.full(4, 0.1)),
+            np.inf,
+            pull,
+        )
+
+    def run(self, seconds):
+        for step in range(round(seconds / CYCLE)):
+            self.now += CYCLE
+            nothing = np.full(4, np.nan)
+            seen = self.shape.inputs + self.noise * self.random.normal(size=4)
+            self.core.measured(self.now, nothing if self.pull else seen, self.shape.pulls)
+            output = self.core.step(self.now)
+            if output is not None:
+                self.shape = self.arm.follow(self.shape, output.tensions)
+            if step % 6 == 0:
+                self.core.predict(self.now, lambda shape: None)
+
+    def go(self, tensions):
+        target = Target(model(False).shape(np.array(tensions)).tip_position)
+        self.core.aim(target)
+        self.run(1.2)
+        return float(np.linalg.norm(self.shape.tip_position - target.position))
+
+    def code(self):
+        return controller_status(self.core, self.now).code
+
+
+def missed(order=TARGETS, **settings):
+    rig = Rig(**settings)
+    rig.run(0.05)
+    return max(rig.go(tensions) for tensions in order)
+
+
+def test_the_tip_is_where_it_should_be_after_loading_and_unloading():
+    without = missed(known=False)
+    assert without > 2e-3
+    assert missed() < 0.05 * without
+    assert missed(noise=0.005) < 0.3 * without
+
+
+def test_also_where_wire_lengths_are_commanded():
+    order = TARGETS[:3]  # the fourth takes tensions that no lengths hold
+    assert missed(order, pull=True) < 0.01 * missed(order, known=False)
+
+
+@pytest.mark.parametrize('approach', ['from_below', 'model'])
+def test_another_approach_ends_at_the_same_place(approach):
+    assert missed(TARGETS[:2], approach=approach) < 2e-4
+
+
+def test_from_below_the_last_leg_pulls_every_tendon_that_pulls():
+    rig = Rig(known=False, approach='from_below')
+    rig.run(0.05)
+    target = Target(model(False).shape(np.array(TARGETS[0])).tip_position)
+    rig.core.aim(target)
+    rig.run(0.01)
+    assert len(rig.core.via) == 1 and rig.core.moving
+    assert np.all(rig.core.via[0] <= rig.core.solution.tensions)
+    rig.run(1.0)
+    assert not rig.core.via and not rig.core.moving
+    assert rig.core.command == pytest.approx(rig.core.solution.tensions)
+
+
+def test_noise_does_not_move_the_tensions_that_act():
+    felt, random = FeltTensions(), np.random.default_rng(2)
+    command, highest = np.full(4, 1.0), np.full(4, 5.0)
+    for _ in range(200):
+        first = felt.take(command, command + 0.01 * random.normal(size=4), highest)
+    seen = [felt.take(command, command + 0.01 * random.normal(size=4), highest) for _ in range(50)]
+    assert np.std(seen, axis=0).max() < 0.2 * 0.01
+    assert first == pytest.approx(command, abs=0.03)
+    stuck = np.array([0.5, 1.0, 1.0, 1.0])
+    assert felt.take(command, stuck, highest)[0] == pytest.approx(0.5, abs=0.06)
+
+
+def test_a_region_at_the_target_is_named_and_the_arm_stays_out():
+    tip = model(False).shape(np.array(TARGETS[0])).tip_position
+    room = KeepOut((Region('lamp', Sphere(tuple(tip), 0.01)),))
+    rig = Rig(known=False, keep_out=room)
+    rig.arm = model(False)
+    rig.run(0.05)
+    rig.go(TARGETS[0])
+    assert rig.code() == 'nearest'
+    status = controller_status(rig.core, rig.now)
+    assert status.values['kept_out_of'] == 'lamp' and 'kept out of lamp' in status.message
+    assert room.clearance(rig.shape.positions).distance > -2e-4
+
+
+def test_a_way_through_a_region_ends_before_it_and_names_it():
+    rig = Rig(known=False)
+    rig.arm = model(False)
+    rig.run(0.05)
+    found = []
+    for tensions in TARGETS[:2] + TARGETS[:1]:
+        rig.go(tensions)
+        found.append(rig.core.solution.shape)
+    half = model(False).shape(0.5 * (found[1].inputs + found[2].inputs)).tip_position
+    assert min(np.linalg.norm(half - shape.tip_position) for shape in found) > 0.02
+    room = KeepOut((Region('post', Sphere(tuple(half), 0.008)),))
+    rig.core.settings = Settings(keep_out=room)
+    rig.go(TARGETS[1])
+    assert rig.code() == 'nearest' and rig.core.solution.region == 'post'
+    assert room.clearance(rig.shape.positions).distance > -2e-4
+    assert rig.core.solution.position_error == pytest.approx(
+        np.linalg.norm(rig.shape.tip_position - rig.core.target.position), abs=1e-6
+    )
+
+
+def test_weights_changed_while_standing_move_tensions_and_not_the_tip():
+    rig = Rig(known=False)
+    rig.arm = model(False)
+    rig.run(0.05)
+    rig.go(TARGETS[0])
+    tip, tensions, away = rig.shape.tip_position, rig.shape.inputs, []
+    rig.core.settings = Settings(preferences=Preferences(low_tension=0.0, slack=1.0))
+    for _ in range(60):
+        rig.run(0.02)
+        away.append(np.linalg.norm(rig.shape.tip_position - tip))
+    assert tensions.min() < 0.2 and rig.shape.inputs.min() > 0.5
+    assert max(away) < 2e-4
+    assert 'N/m' in controller_status(rig.core, rig.now).values['tip_stiffness']
+
+
+# -----------------------------------------------------------------------------
+# What is learned from the measured tip.
+
+LIMITS = np.array([[0.1, 5.0]] * 3)
+
+
+def test_the_filter_learns_offset_and_slopes_of_a_linear_mismatch():
+    random = np.random.default_rng(3)
+    offset, slopes = np.array([0.02, 0.0, -0.01]), 0.03 * random.normal(size=(3, 3))
+    known = Mismatch.unknown(np.full(3, 1.0), LIMITS, 0.2)
+    for _ in range(300):
+        tensions = 1.0 + 0.8 * random.random(3)
+        left = offset + slopes @ ((tensions - 1.0) / 4.9)
+        known = known.moved(tensions).learned(left, 5.0, 0.02, 0.2)
+    assert known.moved(np.full(3, 1.0)).offset == pytest.approx(offset, abs=1e-4)
+    assert known.slopes == pytest.approx(slopes, abs=3e-3)
+    assert np.all(np.linalg.eigvalsh(known.spread) > 0.0)
+
+
+def test_standing_still_the_filter_learns_its_share_and_no_slope():
+    known = Mismatch.unknown(np.full(3, 1.0), LIMITS, 0.2)
+    for _ in range(500):
+        known = known.moved(np.full(3, 1.0)).learned(np.zeros(3), 5.0, 0.02, 0.2)
+    after = known.learned(np.array([1e-3, 0.0, 0.0]), 5.0, 0.02, 0.2)
+    assert after.offset[0] == pytest.approx(1e-3 * (1.0 - np.exp(-0.1)), rel=0.02)
+    assert np.abs(after.slopes).max() < 1e-9
+
+
+@pytest.mark.parametrize('samples', [0, 1, 3])
+def test_the_margin_of_the_gain_is_where_the_loop_begins_to_ring(samples):
+    gain, period = 5.0, 0.02
+    most, _ = stability_margins(gain, period, samples * period)
+    share = 1.0 - np.exp(-gain * period)
+    for factor, rings in ((0.97, False), (1.03, True)):
+        loop = np.zeros(samples + 2)  # z^n (z - 1) + k factor
+        loop[0], loop[1] = 1.0, -1.0
+        loop[-1] += share * most * factor
+        assert (np.abs(np.roots(loop)).max() > 1.0) == rings
