@@ -10,6 +10,11 @@ names under `calibration`; a picture shows lines and currents.
 For a board with load cells the weights hang still on the cell, and one line is fitted:
 
     calibrate serial board.yaml --robot arm.yaml --tendon left --weights 0.1 0.2 0.4
+
+Every day, and after the power was off: have any tendons crept? All are brought to the same tension
+and compared with the last time; the first time makes the reference, --renew another one.
+
+    calibrate dynamixel servos.yaml --robot arm.yaml --check --tension 1
 """
 
 from __future__ import annotations
@@ -35,7 +40,8 @@ if TYPE_CHECKING:
     from ..drivers.serial_board.calibration import CountsPoint
 
 NAME = 'calibrate'
-HELP = 'calibrate tension with known weights: motor current, or load cells'
+HELP = 'calibrate tension with known weights; --check: which tendon has crept'
+CHECK_SHARE = 0.2  # [1] of the highest tension
 MOTOR_UNITS = 'tendon: [intercept A, slope A/N] of current over tension'
 
 
@@ -44,8 +50,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('kind', choices=('dynamixel', 'serial'))
     parser.add_argument('config', help="the driver's configuration (YAML)")
     parser.add_argument('--robot', required=True, help='robot description (YAML)')
-    parser.add_argument('--tendon', required=True, help='the input whose motor is calibrated')
-    parser.add_argument('--weights', required=True, nargs='+', type=float, metavar='KG')
+    parser.add_argument('--tendon', help='the input whose motor is calibrated')
+    parser.add_argument('--weights', nargs='+', type=float, metavar='KG')
+    parser.add_argument('--check', action='store_true', help='only look which tendon has crept')
+    parser.add_argument(
+        '--tension', type=float, metavar='N', help='of the check (default: a fifth of the limit)'
+    )
+    parser.add_argument(
+        '--reference',
+        metavar='FILE',
+        default='tendons.yaml',
+        help='what the check compares with (default %(default)s)',
+    )
+    parser.add_argument('--renew', action='store_true', help='make this check the reference')
     parser.add_argument('--travel', type=float, default=20.0, metavar='MM')
     parser.add_argument('--speed', type=float, default=5.0, metavar='MM/S')
     parser.add_argument(
@@ -60,12 +77,50 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, fit, write, say what was found."""
+    if args.check:
+        return _check(args)
+    if args.tendon is None or args.weights is None:
+        raise InputError('calibrate: expected --tendon and --weights, or --check')
     if min(args.weights) <= 0.0 or max(args.weights) > 50.0:
         raise InputError(f'--weights: expected masses from 0 to 50 kg, got {args.weights}')
     try:
         return _calibrate_cell(args) if args.kind == 'serial' else _calibrate_motor(args)
     except ModuleNotFoundError as error:
         raise MissingExtraError(error.name or args.kind, args.kind) from None
+
+
+def _check(args: argparse.Namespace) -> int:
+    """Compare the tendons with the last time; 1 where one has crept."""
+    from ..drivers import make_driver
+    from ..drivers.tendon_check import changes, measure_reference, read_reference, save_reference
+
+    robot, path = load_robot(args.robot), Path(args.reference)
+    content = parse_yaml(Path(args.config).read_text(encoding='utf-8'))
+    if not isinstance(content, dict):
+        raise InputError(f'{args.config}: expected keys with values, got {content!r}')
+    before = read_reference(path) if path.exists() and not args.renew else None
+    tension = args.tension if before is None else before.tension
+    if before is not None and args.tension not in (None, before.tension):
+        raise InputError(f'--tension: {path} was made at {before.tension:g} N; or use --renew')
+    with make_driver(args.kind, robot, content, mode='tension', source=args.config) as driver:
+        if tension is None:
+            tension = CHECK_SHARE * float(driver.limits[:, 1].min())
+        print(f'pulling all tendons with {tension:g} N; keep hands away', file=sys.stderr)
+        if not args.yes:
+            input('press Enter when ready ')
+        now = measure_reference(driver, tension)
+    if before is None:
+        save_reference(path, now)
+        print(f'written: {path}; the next check compares with it')
+        return 0
+    found = changes(before, now)
+    said = [text for change in found if (text := change.said(tension))]
+    worst = max(abs(change.pull) for change in found)
+    print('\n'.join(said) or f'no tendon has crept (at most {1e3 * worst:.2f} mm)')
+    print(f'since {before.date}, at {tension:g} N')
+    if said:
+        print('mend what has slipped and calibrate it, or take it as it is: --check --renew')
+    return 1 if said else 0
 
 
 def _calibrate_cell(args: argparse.Namespace) -> int:

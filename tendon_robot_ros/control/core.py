@@ -108,11 +108,11 @@ class ControllerCore:
         measured = np.maximum(heard.tensions, 0.0) if known and heard is not None else None
         return self.felt.take(command, measured, high)
 
-    def tip_shift(self) -> Array:
-        """Return by how much (3,) [m] the measured tip is off the model, 0 in open loop."""
+    def tip_shift(self, place: Array) -> Array:
+        """Return by how much (3,) [m] the measured tip is off the model near a target (3,) [m]."""
         if self.settings.tip_gain == 0.0 or self.settings.pull_mode:
             return np.zeros(3)
-        return self.loop.shift(self.stepped)
+        return self.loop.shift(self.stepped, place, self.model.robot.length)
 
     def twist(self, now: float, twist: Twist) -> None:
         """Take a velocity of the tip; it ends by itself after `twist_timeout`."""

@@ -194,7 +194,7 @@ def solution_of(
         for shape in (guess, core.track.last)
     )
     if target.position is not None:
-        target = replace(target, position=target.position - core.tip_shift())
+        target = replace(target, position=target.position - core.tip_shift(target.position))
     felt = core.felt_tensions()
     return _Question(model, core.settings, target, guess, last, felt, streamed, tracking).answer
 

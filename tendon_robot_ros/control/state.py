@@ -188,5 +188,5 @@ class Controller(Protocol):
     def felt_tensions(self) -> Array:
         """Return the tensions (m,) [N] that act."""
 
-    def tip_shift(self) -> Array:
-        """Return by how much (3,) [m] the measured tip is off the model."""
+    def tip_shift(self, place: Array) -> Array:
+        """Return by how much (3,) [m] the measured tip is off the model near a target (3,) [m]."""

@@ -30,9 +30,15 @@ TRACKER_SILENT_S = 0.1  # [s] of the tracker
 TRACKER_LOST_S = 1.0  # [s] of silence after which the next target is gone to without correction
 TRACKER_JUMP_M = 0.02  # [m] between two measurements that no arm does
 JUMP_SETTLED_S = 0.2  # [s] without a jump after one, before the tracker is believed again
+WORSE_FACTOR, WORSE_SHARE = 2.0, 0.1  # [1] of the error at first, and of the arm's length
 OFFSET_MAX_SHARE = 0.4  # [1] of the arm's length: further off, the model is not of this arm
+MOVING_ABOVE_N = 0.25  # [N] from the goal: on the way to another target nothing is learned
+NEAR_SHARE = 0.05  # [1] of the arm's length: further off, what was learned is of another place
+FIRST_DOUBT = 0.5  # [1] variance of the offset at first: a third of it is believed at once
+STEP_SHARE = 0.5  # [1] of what the tip is off, in one step
+HALVINGS = 4  # of a step that would bring the tip no nearer
 TIP_NOISE_M = 3e-4  # [m] against which slopes are weighed
-SLOPE_DOUBT = 0.2  # [1] of the arm's length over a tension's range, standard deviation of D
+SLOPE_DOUBT = 0.05  # [1] of the arm's length over a tension's range, standard deviation of D
 SLOPE_FORGOTTEN_S = 2.0  # [s] in which it is as open again
 
 
@@ -55,7 +61,7 @@ class Mismatch:
     def unknown(cls, at: Array, limits: Array, length: float) -> Mismatch:
         """Begin with nothing known."""
         m, doubt = len(at), (SLOPE_DOUBT * length / TIP_NOISE_M) ** 2
-        spread = np.diag([1e4, *np.full(m, doubt)])
+        spread = np.diag([FIRST_DOUBT, *np.full(m, doubt)])
         return cls(at, limits[:, 1] - limits[:, 0], np.zeros(3), np.zeros((3, m)), spread)
 
     def moved(self, tensions: Array) -> Mismatch:
@@ -102,8 +108,9 @@ class TipLoop:
     Moves the goal of the tensions until the measured tip is at the target.
 
     Frozen while the tracker is silent for 0.1 s, when it jumps by more than 20 mm and for 0.2 s
-    after, and where the arm is further from its model than any of its kind. What was learned stays
-    for the target that stands; after a second of silence the next target does without.
+    after. What was learned stays for the target that stands; after a second of silence the next
+    target does without. The loop is left, for this target, where the tip gets no nearer or is
+    further from the model than any arm of its kind: tensions then are those of the model.
     """
 
     tensions: Array | None = None  # (m,) [N] the goal, None: that of the model
@@ -114,10 +121,15 @@ class TipLoop:
     _error: Array = field(default_factory=lambda: np.full(3, np.nan))  # [m]
     _solution: object = None  # for which `tensions` are
     _due: float = 0.0  # [s] since the filter last learned
+    _asked: object = None  # the target for which the loop runs
+    _began: float = np.inf  # [m] error at its beginning
+    _left: str = ''  # why it was left for this target
+    _place: Array | None = None  # (3,) [m] the target at which it did
 
     def reset(self) -> None:
         """Forget what was learned."""
         self.tensions, self.known, self._solution, self._due = None, None, None, 0.0
+        self._place = None
 
     def goal(self, core: Controller, solution: Array) -> Array:
         """Return the goal (m,) [N], within the limits."""
@@ -128,12 +140,20 @@ class TipLoop:
         low, high = core.settings.limits(core.model).T
         return np.clip(self.tensions, low, high)
 
-    def shift(self, now: float) -> Array:
-        """Return by how much (3,) [m] the tip is off the model; 0 once the tracker is lost."""
+    def shift(self, now: float, place: Array, length: float) -> Array:
+        """
+        Return by how much (3,) [m] the tip is off the model near a target (3,) [m].
+
+        0 where nothing was learned near there, and once the tracker is lost.
+        """
         lost = self._seen is None or now - self._seen[0] > TRACKER_LOST_S
-        if lost or self.known is None:
+        if lost or self.known is None or not self._near(place, length):
             return np.zeros(3)
         return self.known.offset
+
+    def _near(self, place: Array, length: float) -> bool:
+        away = np.inf if self._place is None else float(np.linalg.norm(place - self._place))
+        return away < NEAR_SHARE * length
 
     def take(self, now: float, core: Controller, position: Array) -> None:
         """Take a measured tip (3,) [m] in the base frame."""
@@ -170,11 +190,26 @@ class TipLoop:
         self._error = core.target.position - position
         if core.command is None or core.latch or core.driver_stopped or not core.fresh(now):
             return 'stopped'
-        off = 0.0 if self.known is None else float(np.linalg.norm(self.known.offset))
-        if off > OFFSET_MAX_SHARE * core.model.robot.length:
-            self.tensions = None
-            return 'too far from the model'
-        return ''
+        goal = self.goal(core, core.solution.tensions)
+        if np.abs(goal - core.command).max() > MOVING_ABOVE_N:
+            return 'moving'
+        return self._astray(core, float(np.linalg.norm(self._error)))
+
+    def _astray(self, core: Controller, error: float) -> str:
+        """Say why the loop is left for this target, and have the model's tensions again."""
+        length, target = core.model.robot.length, core.target
+        if target is not self._asked:
+            self._asked, self._began, self._left = target, error, ''
+        assert target is not None and target.position is not None
+        near = self.known is not None and self._near(target.position, length)
+        if self.known is not None and near and not self._left:
+            if float(np.linalg.norm(self.known.offset)) > OFFSET_MAX_SHARE * length:
+                self._left = 'too far from the model'
+            elif error > WORSE_FACTOR * self._began + WORSE_SHARE * length:
+                self._left = 'it got no nearer'
+            if self._left:
+                self.tensions = self.known = None
+        return self._left
 
     def _look(self, core: Controller, position: Array) -> None:
         """Have the solver compare the tip with the model's, and find where the goal is then."""
@@ -183,23 +218,26 @@ class TipLoop:
             return
         assert solution is not None and target is not None and target.position is not None
         applied, wanted, length = core.felt_tensions(), target.position, model.robot.length
+        assert core.command is not None
+        bias = applied - core.command  # what acts beyond the command, it does at the goal, too
         limits, gain, passed = core.settings.limits(model), core.settings.tip_gain, self._due
         goal, last, self._due = self.goal(core, solution.tensions), core.track.last, 0.0
         keep_out = core.settings.keep_out
-        known = self.known or Mismatch.unknown(applied, limits, length)
+        known = self.known if self._near(wanted, length) else None
+        known = known or Mismatch.unknown(applied, limits, length)
 
         def work(give_up: GiveUp) -> tuple[Mismatch, Array]:
             here = model.follow(last, applied)
             left = position - here.tip_position
             new = known.moved(applied).learned(left, gain, passed, length)
-            found = _next_goal(model, new, here, goal, wanted, limits)
+            found = _next_goal(model, new, here, goal, bias, wanted, limits)
             if keep_out and keep_out.clearance(model.follow(here, found).positions).distance < 0.0:
                 found = goal  # where it is the arm was allowed
             return new, found
 
         def done(found: tuple[Mismatch, Array] | None, error: TendonRobotError | None) -> None:
             if found is not None and core.model is model and core.target is not None:
-                self.known = found[0]
+                self.known, self._place = found[0], wanted
                 if core.solution is solution:
                     self.tensions, self._solution = found[1], solution
 
@@ -207,14 +245,33 @@ class TipLoop:
 
 
 def _next_goal(
-    model: Model, known: Mismatch, here: Shape, goal: Array, wanted: Array, limits: Array
+    model: Model,
+    known: Mismatch,
+    here: Shape,
+    goal: Array,
+    bias: Array,
+    wanted: Array,
+    limits: Array,
 ) -> Array:
     """Return the tensions (m,) [N] at which the tip is where it is wanted (3,) [m]."""
     past = here.memory if model.remembers else model.arrays.fresh_memory()
-    there = model.follow(here, goal)
+
+    def left(there: Shape) -> Array:
+        shift = known.slopes @ ((there.inputs - known.at) / known.range)
+        return np.asarray(wanted - there.tip_position - known.offset - shift)
+
+    there = model.follow(here, np.maximum(goal + bias, 0.0))
+    miss = left(there)
     slopes = tip_slopes(model, there, past)[:3] * known.range + known.slopes
-    reached = there.tip_position + known.offset + known.slopes @ ((goal - known.at) / known.range)
-    return bounded_step(slopes, wanted - reached, goal, limits)
+    step = bounded_step(slopes, STEP_SHARE * miss, goal, limits) - goal
+    for _ in range(HALVINGS):
+        new = goal + step
+        if np.linalg.norm(left(model.follow(here, np.maximum(new + bias, 0.0)))) < np.linalg.norm(
+            miss
+        ):
+            return new
+        step = 0.5 * step
+    return goal
 
 
 def stability_margins(gain: float, period: float, delay: float) -> tuple[float, float]:

@@ -6,6 +6,7 @@ hardware.py       `HardwareDriver`: what all drivers of real motors share
 ports.py          serial ports, and an odometer: how far motors have gone in searches for slack
 safety.py         the rules: limits, rates, the stop latch
 supervisor.py     keeps them, every cycle: what may reach the motors, the ramp to pretension
+tendon_check.py   which tendon has crept since the last time
 mock.py           a driver without hardware
 ros2_control.py   joints of ros2_control
 dynamixel/        Dynamixel servos

@@ -1,0 +1,219 @@
+"""
+The daily check: pulls and tensions at a reference posture against the last time.
+
+A tendon that creeps, a knot that slips or a zero that is lost leaves the wire pull at the same
+tension changed. All tendons are brought to the same few newtons and held still; the pulls and what
+the motors measure there are kept in a file beside the calibration, and the next check compares.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from ..common.errors import DriverError, InputError
+from ..common.yaml_reading import ConfigFields, parse_yaml
+from .interface import Driver
+
+Array = NDArray[np.float64]
+RAMP_S, CYCLE_S = 4.0, 0.01  # [s] to the reference tension; between two commands
+STILL_S, STILL_TIMEOUT_S = 1.0, 15.0  # [s] of standing still; to wait for it
+STILL_WITHIN_M = 5e-5  # [m] that a pull may change in `STILL_S`
+CREEP_M = 3e-4  # [m] below which nobody speaks of creep
+CHANGED_SHARE = 0.1  # [1] of the reference tension that a measured one may differ
+BOOT = Path('/proc/sys/kernel/random/boot_id')
+
+
+@dataclass(frozen=True)
+class TendonReference:
+    """What was measured at the reference posture."""
+
+    inputs: tuple[str, ...]
+    tension: float  # [N] commanded on every input
+    pulls: Array  # (m,) [m]
+    tensions: Array  # (m,) [N] as the motors or load cells measure them, nan where nothing does
+    date: str
+    boot: str = ''  # of this computer: another one means that the power was off
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return what is written."""
+        return {
+            'inputs': list(self.inputs),
+            'tension': self.tension,
+            'pulls': [round(float(value), 7) for value in self.pulls],
+            'tensions': [round(float(value), 5) for value in self.tensions],
+            'date': self.date,
+            'boot': self.boot,
+        }
+
+
+@dataclass(frozen=True)
+class TendonChange:
+    """What one tendon has done since the reference."""
+
+    name: str
+    pull: float  # [m] more wire wound up at the same tension: the tendon has become longer
+    tension: float  # [N] that is measured more at the same command
+
+    def said(self, reference: float) -> str:
+        """Say what has changed, '' where nothing has."""
+        words = []
+        if abs(self.pull) > CREEP_M:
+            longer = 'longer' if self.pull > 0.0 else 'shorter'
+            words.append(f'has crept: {1e3 * abs(self.pull):.2f} mm {longer}')
+        if abs(self.tension) > CHANGED_SHARE * reference:
+            more = 'more' if self.tension > 0.0 else 'less'
+            words.append(f'measures {abs(self.tension):.2f} N {more}')
+        return f'{self.name}: {"; ".join(words)}' if words else ''
+
+
+def measure_reference(
+    driver: Driver, tension: float, clock: Callable[[], float] = time.monotonic
+) -> TendonReference:
+    """
+    Bring all tendons slowly to a tension [N], wait until they stand, and read; then let go.
+
+    Raises
+    ------
+    DriverError
+        A fault, or the arm does not come to rest.
+
+    """
+    highest = float(driver.limits[:, 1].min())
+    lowest = float(driver.limits[:, 0].max())
+    if not lowest < tension <= highest:
+        raise InputError(
+            f'--tension: expected more than {lowest:g} and at most {highest:g} N, got {tension:g}'
+        )
+    driver.enable()
+    try:
+        begin = driver.read()
+        here = np.clip(np.nan_to_num(begin.tensions), lowest, highest)
+        goal = np.full(len(driver.inputs), tension)
+        _ramp(driver, here, goal, clock)
+        pulls, tensions = _still(driver, goal, clock)
+        _ramp(driver, goal, np.full(len(goal), lowest), clock)
+    finally:
+        driver.disable()
+    date = time.strftime('%Y-%m-%d %H:%M')
+    return TendonReference(driver.inputs, tension, pulls, tensions, date, boot_id())
+
+
+def changes(reference: TendonReference, now: TendonReference) -> list[TendonChange]:
+    """
+    Return what every tendon has done.
+
+    The pulls of all tendons together move with the arm's temperature and the posture: what is
+    common to all is taken off where there are three or more, by their median.
+    """
+    if now.inputs != reference.inputs:
+        raise InputError(
+            f'the reference holds {", ".join(reference.inputs)}, expected {", ".join(now.inputs)}'
+        )
+    pulls, tensions = now.pulls - reference.pulls, now.tensions - reference.tensions
+    if len(pulls) > 2:
+        pulls = pulls - np.median(pulls)
+    tensions = np.nan_to_num(tensions)
+    rows = zip(now.inputs, pulls.tolist(), tensions.tolist(), strict=True)
+    return [TendonChange(name, pull, change) for name, pull, change in rows]
+
+
+def read_reference(path: Path) -> TendonReference:
+    """Read a reference that `save_reference` has written; one line where it is not valid."""
+    try:
+        content = parse_yaml(path.read_text(encoding='utf-8'))
+    except (OSError, ValueError) as error:
+        raise InputError(f'{path}: cannot be read: {error}') from None
+    fields = ConfigFields(str(path), '', content)
+    fields.only('inputs', 'tension', 'pulls', 'tensions', 'date', 'boot')
+    names = fields.content.get('inputs')
+    if not isinstance(names, list) or not names:
+        raise fields.error('inputs', 'a list of names', names)
+    return TendonReference(
+        tuple(str(name) for name in names),
+        fields.number('tension', 0.0, 1e4, 'N'),
+        np.array(_numbers(fields, 'pulls', len(names))),
+        np.array(_numbers(fields, 'tensions', len(names))),
+        str(fields.content.get('date', '')),
+        str(fields.content.get('boot', '')),
+    )
+
+
+def save_reference(path: Path, reference: TendonReference) -> None:
+    """Write a reference."""
+    text = yaml.safe_dump(reference.to_mapping(), sort_keys=False, default_flow_style=None)
+    head = '# tendons at a reference posture, SI; written by calibrate --check\n'
+    path.write_text(head + text, encoding='utf-8')
+
+
+def due(path: Path) -> str:
+    """Say why the tendons are to be checked, '' where nothing asks for it."""
+    if not path.exists():
+        return f'{path}: no reference yet: make one with calibrate --check'
+    reference = read_reference(path)
+    if reference.boot and reference.boot != boot_id():
+        return (
+            f'the power was off since the tendons were looked at ({reference.date}): '
+            'calibrate --check says whether one has crept'
+        )
+    return ''
+
+
+def boot_id() -> str:
+    """Return what names this start of the computer, '' where nothing does."""
+    try:
+        return BOOT.read_text(encoding='utf-8').strip()
+    except OSError:
+        return ''
+
+
+def _numbers(fields: ConfigFields, key: str, count: int) -> list[float]:
+    """Return numbers that may be missing (nan)."""
+    values = fields.content.get(key)
+    if not isinstance(values, list) or len(values) != count:
+        raise fields.error(key, f'a list of {count} numbers', values)
+    if not all(isinstance(value, (int, float)) for value in values):
+        raise fields.error(key, f'a list of {count} numbers', values)
+    return [float(value) for value in values]
+
+
+def _ramp(driver: Driver, begin: Array, end: Array, clock: Callable[[], float]) -> None:
+    began = clock()
+    while (passed := clock() - began) < RAMP_S:
+        _cycle(driver, begin + passed / RAMP_S * (end - begin))
+    _cycle(driver, end)
+
+
+def _still(driver: Driver, goal: Array, clock: Callable[[], float]) -> tuple[Array, Array]:
+    """Hold until the pulls stand for a while; return their means and those of the tensions."""
+    began, rows = clock(), []
+    while clock() - began < STILL_TIMEOUT_S:
+        pulls, tensions = _cycle(driver, goal)
+        rows.append((clock(), pulls, tensions))
+        recent = [row for row in rows if row[0] > rows[-1][0] - STILL_S]
+        if rows[-1][0] - began < 2.0 * STILL_S:
+            continue
+        seen = np.array([row[1] for row in recent])
+        half = len(seen) // 2
+        if np.abs(seen[half:].mean(axis=0) - seen[:half].mean(axis=0)).max() < STILL_WITHIN_M:
+            return seen.mean(axis=0), np.array([row[2] for row in recent]).mean(axis=0)
+    raise DriverError(
+        f'the tendons do not come to rest at {goal[0]:g} N within {STILL_TIMEOUT_S:g} s; '
+        'is something holding the arm?'
+    )
+
+
+def _cycle(driver: Driver, command: Array) -> tuple[Array, Array]:
+    driver.write(command)
+    reading = driver.read()
+    if reading.faults:
+        raise DriverError(reading.faults[0].message)
+    time.sleep(CYCLE_S)
+    return reading.pulls, reading.tensions

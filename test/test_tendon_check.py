@@ -1,0 +1,99 @@
+"""The daily check of the tendons: what has crept is named, with its amount."""
+
+import emulated
+import numpy as np
+import pytest
+
+from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.common.errors import InputError, TendonRobotError
+from tendon_robot_ros.drivers import tendon_check
+from tendon_robot_ros.drivers.mock import MockConfig, MockDriver
+from tendon_robot_ros.drivers.tendon_check import (
+    TendonReference,
+    changes,
+    due,
+    measure_reference,
+    read_reference,
+    save_reference,
+)
+
+
+class Springs:
+    """Wires on springs; each may have become longer."""
+
+    def __init__(self):
+        self.crept = np.zeros(4)
+
+    def respond(self, tensions):
+        self.inputs = np.array(tensions)
+        self.pulls = 1e-3 * self.inputs + self.crept
+        return self
+
+    def respond_to_pulls(self, pulls):
+        raise NotImplementedError
+
+
+@pytest.fixture
+def driver(monkeypatch):
+    monkeypatch.setattr(tendon_check, 'RAMP_S', 0.1)
+    monkeypatch.setattr(tendon_check, 'STILL_S', 0.1)
+    noise = MockConfig(lag=0.005, tension_noise=0.01, pull_noise=2e-5)
+    made = MockDriver(emulated.robot(), Springs(), noise)
+    made.open()
+    yield made
+    made.close()
+
+
+def test_a_tendon_that_crept_is_named_with_its_amount(driver):
+    first = measure_reference(driver, 1.0)
+    assert first.pulls == pytest.approx(1e-3, abs=3e-5)
+    driver.plant.crept[1] = 1.2e-3
+    found = changes(first, measure_reference(driver, 1.0))
+    said = [change.said(1.0) for change in found]
+    assert [bool(text) for text in said] == [False, True, False, False]
+    assert found[1].pull == pytest.approx(1.2e-3, abs=1e-4)
+    assert said[1].startswith(f'{driver.inputs[1]}: has crept: 1.') and 'longer' in said[1]
+
+
+def test_what_all_tendons_do_is_no_creep_of_one():
+    pulls = np.full(4, 1e-3)
+    first = TendonReference(('a', 'b', 'c', 'd'), 1.0, pulls, np.full(4, 1.0), '')
+    now = TendonReference(first.inputs, 1.0, pulls + 2e-3, np.array([1, 1, 1, 1.3]), '')
+    assert [change.said(1.0) for change in changes(first, now)] == [
+        '',
+        '',
+        '',
+        'd: measures 0.30 N more',
+    ]
+
+
+def test_a_tension_out_of_the_limits_moves_nothing(driver):
+    with pytest.raises(InputError, match='--tension: expected more than'):
+        measure_reference(driver, 1e3)
+    assert driver.read().tensions == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_reference_reads_back_and_is_due_after_the_power_was_off(tmp_path, monkeypatch):
+    path = tmp_path / 'tendons.yaml'
+    assert 'no reference yet' in due(path)
+    values = np.array([1e-3, np.nan])
+    save_reference(path, TendonReference(('a', 'b'), 1.0, values * 0 + 1e-3, values, 'today', 'x'))
+    monkeypatch.setattr(tendon_check, 'boot_id', lambda: 'x')
+    assert due(path) == ''
+    monkeypatch.setattr(tendon_check, 'boot_id', lambda: 'y')
+    assert 'the power was off' in due(path)
+
+
+def test_a_reference_of_another_arm_and_a_broken_file_are_one_line(tmp_path):
+    one = TendonReference(('a',), 1.0, np.zeros(1), np.zeros(1), '')
+    with pytest.raises(InputError, match='the reference holds a, expected b'):
+        changes(one, TendonReference(('b',), 1.0, np.zeros(1), np.zeros(1), ''))
+    path = tmp_path / 'tendons.yaml'
+    path.write_text('{inputs: [a], tension: 1, pulls: [0, 0], tensions: [0]}')
+    with pytest.raises(TendonRobotError, match='pulls: expected a list of 1 numbers'):
+        read_reference(path)
+
+
+def test_without_check_tendon_and_weights_are_asked_for(tmp_path, capsys):
+    assert main(['calibrate', 'serial', 'none.yaml', '--robot', 'none.yaml']) != 0
+    assert '--tendon and --weights, or --check' in capsys.readouterr().err
