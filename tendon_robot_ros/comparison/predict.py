@@ -234,7 +234,7 @@ class Predictor:
             names += [
                 self.dataset.postures[row]
                 for row in part.rows.tolist()
-                if self._shapes(self.inputs[row : row + 1], None) is None
+                if self.shapes(self.inputs[row : row + 1], None) is None
             ]
         return tuple(names)
 
@@ -249,9 +249,9 @@ class Predictor:
         for part in self.parts:
             self.set_parameters(point, part, stiffness)
             there = None if near is None else near.of(part.rows)
-            yield part, self._shapes(inputs[part.rows], there)
+            yield part, self.shapes(inputs[part.rows], there)
 
-    def _shapes(self, inputs: Floats, near: SettledShapes | None) -> ShapeBatch | None:
+    def shapes(self, inputs: Floats, near: SettledShapes | None) -> ShapeBatch | None:
         """Shapes (b) of the model as it is set, under inputs (b, m); None without equilibrium."""
         if self.dataset.input == 'displacement':
             return self._shapes_at_pulls(inputs, near)

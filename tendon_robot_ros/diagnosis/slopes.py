@@ -8,14 +8,15 @@ the bends of the arm answer to each. Where wire pulls are commanded, tensions an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.predict import CELLS, Point
+from ..comparison.predict import CELLS, Point, SettledShapes
 from ..model.derivatives import shown
 from ..model.shape import ShapeBatch
 from .as_built import (
@@ -95,25 +96,31 @@ def _all_parts(split: SplitPredictor, parts: Sequence[Floats]) -> Floats:
     return moves
 
 
-def _differences(
-    split: SplitPredictor, point: Point, kind: Kind, members: Iterable[int] | None = None
-) -> Floats:
-    """Return central differences (q, P, J, 3) of settled shapes by (some) members of a kind."""
-    at, near, moves = split.around, split.settled, []
+def _differences(split: SplitPredictor, point: Point, kind: Kind) -> Floats:
+    """Return central differences (q, P, J, 3) of settled shapes by the members of a kind."""
+    near = split.settled
+
+    def settle() -> Floats | None:
+        return split.markers(point, near=near)
+
+    moves = np.zeros((len(kind), len(split.inputs), len(split.dataset.markers), 3))
+    for i in range(len(kind)):
+        moves[i] = _difference_by(split, kind, i, settle)
+    return moves
+
+
+def _difference_by(
+    split: SplitPredictor, kind: Kind, i: int, settle: Callable[[], Floats | None]
+) -> Floats | float:
+    """Return the central difference of what settles by one member; zero where nothing does."""
+    at, step, sides = split.around, PLAUSIBLE_SIZES[kind.name][2], []
     here = at.get(kind.name, np.zeros(len(kind)))
-    step = PLAUSIBLE_SIZES[kind.name][2]
-    for i in range(len(kind)) if members is None else members:
-        sides = []
-        for side in (step, -step):
-            split.around = {**at, kind.name: here + side * np.eye(len(kind))[i]}
-            sides.append(split.markers(point, near=near))
-        split.around = at
-        up, down = sides
-        if up is None or down is None:
-            moves.append(np.zeros((len(split.inputs), len(split.dataset.markers), 3)))
-        else:
-            moves.append((up - down) / (2.0 * step))
-    return np.array(moves)
+    for side in (step, -step):
+        split.around = {**at, kind.name: here + side * np.eye(len(kind))[i]}
+        sides.append(settle())
+    split.around = at
+    up, down = sides
+    return 0.0 if up is None or down is None else np.asarray((up - down) / (2.0 * step))
 
 
 def _mended(split: SplitPredictor, point: Point, kind: Kind, moves: Floats) -> Floats:
@@ -132,10 +139,28 @@ def _mended(split: SplitPredictor, point: Point, kind: Kind, moves: Floats) -> F
     least = ODD_SHARE * everywhere.max(initial=0.0) / 10.0
     odd = np.abs(sizes - usual) > ODD_SHARE * usual + least
     odd |= (sizes > ODD_FACTOR * everywhere + least) | (ODD_FACTOR * sizes < everywhere - least)
-    strange = np.flatnonzero(odd.any(axis=1))
-    if len(strange):
-        moves[strange] = _differences(split, point, kind, strange.tolist())
+    near = split.settled
+    assert near is not None
+    for i in np.flatnonzero(odd.any(axis=1)).tolist():
+        settle = partial(_settled_in, split, point, np.flatnonzero(odd[i]), near)
+        moves[i, odd[i]] = _difference_by(split, kind, i, settle)
     return moves
+
+
+def _settled_in(
+    split: SplitPredictor, point: Point, rows: npt.NDArray[np.intp], near: SettledShapes
+) -> Floats | None:
+    """Predict the markers (k, J, 3) of some postures; None where one has no equilibrium."""
+    placed, given = np.empty((len(rows), len(split.dataset.markers), 3)), split.given(split.inputs)
+    for part in split.parts:
+        own = np.flatnonzero(np.isin(rows, part.rows))
+        if len(own):
+            split.set_parameters(point, part)
+            shapes = split.shapes(given[rows[own]], near.of(rows[own]))
+            if shapes is None:
+                return None
+            placed[own] = split.see(shapes)
+    return placed
 
 
 def _usual(sizes: Floats) -> Floats:
