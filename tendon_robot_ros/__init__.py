@@ -5,7 +5,8 @@ What a notebook or a script needs has its name here, and is imported when it is 
 
     from tendon_robot_ros import load_robot, Model, load_dataset, compare, diagnose
 
-`docs/python.md` shows them at work. Other modules are for those who change the package.
+`docs/python.md` shows them at work. Other modules are for those who change the package:
+`CONTRIBUTING.md` tells the folders, and the first words of each folder its files.
 """
 
 from __future__ import annotations

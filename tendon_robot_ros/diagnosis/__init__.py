@@ -4,7 +4,7 @@ Which physical effect is missing, and how sure is that.
 Candidates are fitted to the data (session, fit), what was gathered is judged (evidence, diagnose),
 and comes out as a result that the reports read.
 
-decide.py             table of the verdicts (sentence, colour, advice) and their thresholds
+decide.py             table of the verdicts (sentence, colour, advice); thresholds, the alarm's too
 diagnose.py           `diagnose`: from the evidence to a verdict
 evidence.py           fits of the base model and of every candidate; what remains unexplained
 candidates.py         effects that may be missing; which of them the postures test

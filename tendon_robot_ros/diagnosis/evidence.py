@@ -101,13 +101,15 @@ def remainder_text(evidence: Evidence, chosen: Ranked | None, verdict: Verdict) 
     session = evidence.session
     fit = chosen.fit if chosen else evidence.base
     left, floor = rms(session.dataset.mean - fit.markers), session.whitener.floor()
+    is_noise = left < NOISE_WITHIN_FLOORS * floor
     text = f'What is left ({1e3 * left:.2f} mm) ' + (
         f'equals your repeatability ({1e3 * floor:.2f} mm).'
-        if left < NOISE_WITHIN_FLOORS * floor
+        if is_noise
         else f'is {left / floor:.1f} times your repeatability ({1e3 * floor:.2f} mm).'
     )
     if verdict is not Verdict.OUTSIDE_CATALOGUE:
-        return text
+        built = session.random is not None and not is_noise
+        return f'{text} How an arm is built accounts for that: see its scatter.' if built else text
     pattern = evidence.rival or best_pattern(evidence, chosen)
     return (
         f'{text} {pattern_text(evidence, pattern)}'
