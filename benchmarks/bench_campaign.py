@@ -1,0 +1,243 @@
+"""
+What spreading a campaign costs: workers at work, overhead, workers that are killed, memory.
+
+Cheap cases on purpose (an exact arm, few postures: a tenth of a second), where handing out weighs
+most. `at work` is how many workers compute at a time, the speed-up on an idle machine; processor
+time is that of all processes, the start of the workers included, against one process alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from machine import machine, tell
+
+from tendon_robot_ros.campaign.judge import CaseRow, compile_for
+from tendon_robot_ros.campaign.plan import CampaignPlan, plan_of
+from tendon_robot_ros.campaign.running import run_plan
+from tendon_robot_ros.campaign.versions import Preparation
+from tendon_robot_ros.common.workers import Workers
+
+ROBOT = Path(__file__).resolve().parents[1] / 'config' / 'robots' / 'kato_10_1_single.yaml'
+TICK = os.sysconf('SC_CLK_TCK')
+PAGE = os.sysconf('SC_PAGE_SIZE')
+
+
+class Watched(Workers):
+    """Workers whose time at work is counted."""
+
+    busy = 0.0  # [s]
+
+    def run(self, *arguments: Any, **options: Any) -> Iterator[tuple[int, Any]]:
+        for index, result in super().run(*arguments, **options):
+            self.busy += getattr(result, 'seconds', 0.0)
+            yield index, result
+
+
+def plan(cases: int) -> CampaignPlan:
+    """Return a plan of so many cheap cases."""
+    content = {
+        'robots': [str(ROBOT)],
+        'hidden': ['hinge_friction'],
+        'sizes': [1.0],
+        'seeds': cases // 2,
+        'clean': cases // 2,
+        'imperfections': [0],
+        'exact': True,
+        'designs': [{'postures': 5, 'trials': 3, 'markers': 5}],
+    }
+    return plan_of(content, 'bench')
+
+
+def children_of(pid: int) -> list[int]:
+    """List a process and all that it has started."""
+    parents = {}
+    for path in Path('/proc').glob('[0-9]*'):
+        with contextlib.suppress(OSError, IndexError):
+            fields = path.joinpath('stat').read_text().rpartition(')')[2].split()
+            parents[int(path.name)] = int(fields[1])
+    found = [pid]
+    for one in found:
+        found += [child for child, parent in parents.items() if parent == one]
+    return found
+
+
+def processor(pids: list[int]) -> float:
+    """Processor time [s] of processes that run, and of their children that have ended."""
+    total = 0.0
+    for pid in pids:
+        with contextlib.suppress(OSError):
+            fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
+            total += sum(map(int, fields[11:15])) / TICK
+    return total
+
+
+def spent(others: tuple[int, ...] = ()) -> float:
+    """Processor time [s] of this process, of its ended children, and of others with theirs."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    own = sum(one.ru_utime + one.ru_stime for one in used)
+    return own + sum(processor(children_of(pid)) for pid in others)
+
+
+def measured(
+    cases: int, count: int, cluster: str = '', others: tuple[int, ...] = ()
+) -> tuple[dict[str, float], list[CaseRow]]:
+    """Run the cheap campaign; what it took, and its rows."""
+    before, begun = spent(others), time.monotonic()
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Watched(count, cluster, Preparation.here()) as workers,
+    ):
+        ready = time.monotonic()
+        rows = run_plan(plan(cases), Path(folder) / 'out', workers)
+        wall = time.monotonic() - ready
+    used = spent(others) - before
+    figures = {
+        'cases per second': cases / (time.monotonic() - begun),
+        'at work': workers.busy / wall,
+        'processor seconds': used,
+    }
+    return figures, [replace(row, seconds=0.0) for row in rows]
+
+
+@contextmanager
+def dask(count: int) -> Iterator[tuple[str, tuple[int, ...]]]:
+    """Start a scheduler and workers as processes; give the address and the process ids."""
+    with tempfile.TemporaryDirectory() as folder:
+        told, log = Path(folder) / 'scheduler.json', (Path(folder) / 'log').open('w')
+        base = [sys.executable, '-m', 'dask']
+        ends = ['--scheduler-file', str(told)]
+        calls = (
+            ['scheduler', '--host', '127.0.0.1', '--port', '0', '--no-dashboard'],
+            ['worker', '--nworkers', str(count), '--nthreads', '1', '--no-dashboard'],
+        )
+        settings: dict[str, Any] = {'cwd': folder, 'stdout': log, 'stderr': log}
+        started = [subprocess.Popen([*base, *call, *ends], **settings) for call in calls]
+        try:
+            while not told.exists():
+                time.sleep(0.05)
+            yield json.loads(told.read_text())['address'], tuple(one.pid for one in started)
+        finally:
+            for one in reversed(started):
+                one.terminate()
+                one.wait()
+
+
+@contextmanager
+def killing(times: int, find: Callable[[], list[int]]) -> Iterator[list[int]]:
+    """Kill a worker every second, so many times in all."""
+    dead: list[int] = []
+    stop = threading.Event()
+
+    def kill() -> None:
+        while len(dead) < times and not stop.wait(1.0):
+            for pid in [pid for pid in find() if pid not in dead][:1]:
+                dead.append(pid)
+                os.kill(pid, signal.SIGKILL)
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    try:
+        yield dead
+    finally:
+        stop.set()
+        thread.join()
+
+
+def spawned(pid: int) -> list[int]:
+    """List the worker processes below a process: those that were spawned."""
+    found = []
+    for one in children_of(pid)[1:]:
+        with contextlib.suppress(OSError):
+            line = Path(f'/proc/{one}/cmdline').read_bytes()
+            found += [one] if b'spawn_main' in line else []
+    return found
+
+
+def spreading(cases: int) -> dict[str, Any]:
+    """Measure one and two workers one after the other, twice, and a scheduler with two."""
+    figures: dict[str, Any] = {'load average': os.getloadavg()[0]}
+    alone, rows = measured(cases, 1)
+    figures['in this process'] = alone
+    for count in (2, 2):
+        figures[f'{count} workers'], found = measured(cases, count)
+        assert found == rows
+    with dask(2) as (address, pids):
+        measured(cases // 4, 2, address, pids)  # the workers load the kernel
+        figures['dask, 2 workers'], found = measured(cases, 2, address, pids)
+        assert found == rows
+    return figures
+
+
+def killed(cases: int, times: int) -> dict[str, Any]:
+    """Kill workers during a campaign: rows that are missing or differ from those of one alone."""
+    _, rows = measured(cases, 1)
+    figures = {}
+    with killing(times, lambda: spawned(os.getpid())) as dead:
+        found = measured(cases, 2)[1]
+    figures['processes'] = {'killed': len(dead), 'rows that differ': differing(rows, found)}
+    with dask(2) as (address, pids), killing(times, lambda: spawned(pids[1])) as dead:
+        found = measured(cases, 2, address, pids)[1]
+    figures['dask'] = {'killed': len(dead), 'rows that differ': differing(rows, found)}
+    return figures
+
+
+def differing(one: list[CaseRow], other: list[CaseRow]) -> int:
+    """Count rows that are missing or another."""
+    known = {row.key: row for row in other}
+    return sum(known.get(row.key) != row for row in one)
+
+
+def memory(cases: int) -> dict[str, float]:
+    """Diagnose so many in this process; what it has in memory [MB] at every tenth of them."""
+    found: dict[str, float] = {}
+
+    def look(what: str, done: int, total: int) -> None:
+        if done * 10 // total > len(found):
+            pages = int(Path('/proc/self/statm').read_text().split()[1])
+            found[f'{done:,}'] = round(pages * PAGE / 1e6, 1)
+            print(f'{done:,}: {found[f"{done:,}"]} MB', file=sys.stderr, flush=True)
+
+    with tempfile.TemporaryDirectory() as folder, Workers() as workers:
+        run_plan(plan(cases), Path(folder) / 'out', workers, look)
+    return found
+
+
+def main() -> int:
+    """Measure what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--cases', type=int, default=400)
+    parser.add_argument('--kills', type=int, default=10)
+    parser.add_argument('--memory', type=int, default=10_000, help='diagnoses')
+    parser.add_argument('--only', choices=('spreading', 'killed', 'memory'))
+    parser.add_argument('--json', type=Path)
+    options = parser.parse_args()
+    compile_for(plan(2).setup)
+    measured(4, 1)
+    asked: dict[str, Callable[[], Any]] = {
+        'spreading': lambda: spreading(options.cases),
+        'killed': lambda: killed(options.cases, options.kills),
+        'memory': lambda: memory(options.memory),
+    }
+    figures = {name: ask() for name, ask in asked.items() if options.only in (None, name)}
+    tell({'machine': machine(), **figures}, options.json)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
