@@ -23,7 +23,7 @@ from tendon_robot_ros.campaign.running import run_plan
 from tendon_robot_ros.campaign.table import GrowingTable
 from tendon_robot_ros.campaign.versions import Preparation, UserEffect, catalogue_of
 from tendon_robot_ros.cli.main import main
-from tendon_robot_ros.common.errors import InputError
+from tendon_robot_ros.common.errors import ClusterLostError, InputError
 from tendon_robot_ros.common.workers import LostWork, Workers
 from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.effects import load_catalogue
@@ -304,7 +304,7 @@ def cluster(tmp_path_factory):
     while not told.exists():
         assert time.monotonic() < end
         time.sleep(0.05)
-    yield json.loads(told.read_text())['address']
+    yield json.loads(told.read_text())['address'], both[0]
     for process in reversed(both):
         process.send_signal(signal.SIGTERM)  # it ends its own workers
         with contextlib.suppress(processes.TimeoutExpired):
@@ -325,7 +325,7 @@ def test_workers_of_a_cluster_that_are_killed_ten_times_lose_nothing(cluster):
             handed.append(len(handed))
             yield handed[-1]
 
-    with Workers(cluster=cluster) as workers:
+    with Workers(cluster=cluster[0]) as workers:
         for index, (pid, number) in workers.run(slow, chunks()):
             assert index not in found
             found[index] = number
@@ -337,7 +337,7 @@ def test_workers_of_a_cluster_that_are_killed_ten_times_lose_nothing(cluster):
 
 
 def test_a_cluster_says_the_same_bit_for_bit(cluster, rows, tmp_path):
-    with Workers(cluster=cluster, prepare=Preparation.here()) as workers:
+    with Workers(cluster=cluster[0], prepare=Preparation.here()) as workers:
         assert without_time(run_plan(plan(), tmp_path / 'out', workers)) == without_time(rows)
 
 
@@ -346,3 +346,18 @@ def test_a_scheduler_that_is_not_there_is_one_line(monkeypatch):
     monkeypatch.setattr('tendon_robot_ros.common.workers.CONNECT_S', 0.2)
     with pytest.raises(InputError, match=r'--cluster tcp://127.0.0.1:9: no scheduler answers'):
         Workers(cluster='tcp://127.0.0.1:9')
+
+
+def test_a_scheduler_that_dies_is_one_line_and_what_was_finished_has_come(cluster):
+    address, scheduler = cluster
+    found = []
+
+    def take(workers):
+        for index, _ in workers.run(slow, range(10_000)):
+            found.append(index)
+            scheduler.kill()
+
+    gone = r'the scheduler is gone .* then the same command'
+    with Workers(cluster=address) as workers, pytest.raises(ClusterLostError, match=gone):
+        take(workers)
+    assert found

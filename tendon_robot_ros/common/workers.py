@@ -9,6 +9,7 @@ whatever the number of workers gives every chunk seeds of its own (`numpy.random
 from __future__ import annotations
 
 import contextlib
+import logging
 import multiprocessing
 import os
 import signal
@@ -268,6 +269,8 @@ class _Cluster:
         except ImportError:
             raise MissingExtraError('distributed', 'cluster') from None
         self.address, self.looked = address, 0.0
+        for part in ('client', 'utils'):  # one line says what else would be a traceback
+            logging.getLogger(f'distributed.{part}').setLevel(logging.CRITICAL)
         self.killed: type[BaseException] = distributed.KilledWorker
         try:  # certificates, and all else, are those of dask's own settings
             self.client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)

@@ -74,7 +74,9 @@ def interval_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
 def smallest_text(power: Power) -> str:
     """Say from which size on an effect is named in four of five cases."""
     if power.smallest is None:
-        return f'not at {digits(power.sizes[-1])} times the typical size'
+        rate = power.right[-1]
+        size = digits(power.sizes[-1])
+        return f'in {rate.hits} of {rate.runs} cases at {size} times the typical size'
     if power.smallest == power.sizes[0]:
         return f'from {digits(power.sizes[0])} times the typical size on, or less'
     return f'from {digits(power.smallest)} times the typical size on'
