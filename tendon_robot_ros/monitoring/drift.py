@@ -28,6 +28,9 @@ from .built_arm import BuiltArm
 Floats = npt.NDArray[np.float64]
 BEGIN_EVERY = 4  # postures between two at which a change may begin
 BEGINNINGS_KEPT = 8
+# by which the covariance of what is predicted is widened: the same posture always has the same
+# error of the model, and the noise of a tracker is no perfect Gaussian
+WIDENED = 4.0
 STEP_SHARE = 0.1  # of a typical size, of a difference
 CHANGES = {CELLS: 0.1, GAIN: 0.03, POSITION: 2e-3, ROTATION: 0.01}  # 1 sd of a change
 TRACKER = 'the tracker'
@@ -114,8 +117,8 @@ class DriftAlarm:
         columns, shown = expected.columns[rows], shown[rows]
         innovation = measured[rows] - expected.markers[rows]
         covariance = columns @ arm.covariance @ columns.T + arm.scatter(rows)
-        inverse = np.linalg.inv(covariance)
-        gain = arm.covariance @ columns.T @ inverse
+        gain = arm.covariance @ columns.T @ np.linalg.inv(covariance)
+        inverse = np.linalg.inv(WIDENED * covariance)
         if self._count % BEGIN_EVERY == 0:
             self._beginnings.append(_ChangeBegun(len(arm.mean), len(self._spread)))
             del self._beginnings[:-BEGINNINGS_KEPT]

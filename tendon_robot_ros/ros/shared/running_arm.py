@@ -32,6 +32,7 @@ MOVE_PATIENCE_S = 15.0  # [s] besides the time of a move
 MOVE_MIN_S = 0.4  # [s]
 SETTING_NOISE = 0.002  # [1] relative 1 sd of a measured input, as in the monitor
 SLACK_SHARE = 0.01  # of the length, that a slack wire is let out beyond its way
+OFF_SHARE, OFF_LIMIT_SHARE = 0.5, 0.02  # of what is asked, of the limit: off by more is broken
 RELEASE_S = 10.0  # [s] that letting go may take
 
 
@@ -77,6 +78,7 @@ class RunningArm(Pilot):
         self.create_subscription(PoseArray, f'{monitor}/measured', self._hear_frame, STATE)
         self.create_subscription(JointState, 'tendon_states', self._hear_states, LISTEN)
         self._own: Model | None = None
+        self.input = 'tension'
         self._variances: list[float] = []  # [m²] of the means so far
 
     def begin(self) -> None:
@@ -137,8 +139,13 @@ class RunningArm(Pilot):
                 self._go(self._rest())
             self._go(self._command(inputs))
             stood.append(self._stand())
+        if self.input == 'tension':
+            for one in stood:
+                self._refuse_slack(inputs, one.inputs)
         self._variances += [one.spread**2 / one.frames for one in stood]
-        taken = np.array([np.where(np.isnan(inputs), np.nan, one.inputs) for one in stood])
+        least = 0.0 if self.input == 'tension' else -np.inf  # a cell near none reads below it, too
+        read = [np.maximum(one.inputs, least) for one in stood]
+        taken = np.array([np.where(np.isnan(inputs), np.nan, one) for one in read])
         return PostureMeasured(np.array([one.positions for one in stood]), taken)
 
     def release(self) -> None:
@@ -238,6 +245,17 @@ class RunningArm(Pilot):
             raise BrokenMeasurementError(f'the tracker saw nothing for {STAND_TIMEOUT_S:g} s')
         raise BrokenMeasurementError(f'the arm did not stand within {STAND_TIMEOUT_S:g} s')
 
+    def _refuse_slack(self, asked: Array, measured: Array) -> None:
+        """Raise where motors do not pull what is asked: a slipped tendon, a motor that sticks."""
+        high = self.robot.tension_limits[1]
+        off = np.abs(measured - asked) - OFF_SHARE * asked
+        worst = int(np.argmax(off))
+        if off[worst] > OFF_LIMIT_SHARE * high:
+            raise BrokenMeasurementError(
+                f'{self.robot.inputs[worst]} pulls {measured[worst]:.2f} N instead of '
+                f'{asked[worst]:.2f} N: did its tendon slip, or does its motor stick?'
+            )
+
     def _own_half(self, state: Array) -> Array:
         """Return the tensions, or the wire pulls, of a state."""
         return np.split(state, 2)[0 if self.input == 'tension' else 1]
@@ -264,4 +282,6 @@ class RunningArm(Pilot):
         except Refusal:
             return
         self._kinds.add('tension' if np.isfinite(tensions).all() else 'displacement')
-        self._states.put(seconds(message.header.stamp), np.concatenate([tensions, pulls]))
+        state = np.concatenate([tensions, pulls])
+        if np.isfinite(self._own_half(state)).all():  # a reading may be missing now and then
+            self._states.put(seconds(message.header.stamp), state)
