@@ -87,7 +87,15 @@ def test_what_reach_finds_gives_that_tip(capsys):
         ),
         *('--direction', ','.join(map(repr, target.tip_direction.tolist()))),
     )
-    assert list(found) == ['tensions', 'pulls', 'tip', 'error', 'status']
+    assert list(found) == [
+        'tensions',
+        'pulls',
+        'tip',
+        'error',
+        'status',
+        'region',
+        'tip_stiffness',
+    ]
     assert found['status'] == 'reached'
     assert found['error']['position'] < 1e-5 and found['error']['direction'] < 1e-3
     tensions = ','.join(f'{name}={value!r}' for name, value in found['tensions'].items())

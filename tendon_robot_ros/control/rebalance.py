@@ -3,34 +3,42 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import TendonRobotError
-from ..model.inverse import judged
-from ..model.redundancy import Balance
+from ..model.inverse import CLEARANCE_BINDS_M, judged
+from ..model.redundancy import Balance, balanced
 from ..model.tip_task import TipTask, tip_target
 
 if TYPE_CHECKING:
-    from ..model.shape import Reach
+    from ..model.model import Model
+    from ..model.redundancy import Preferences
+    from ..model.shape import Reach, Shape
     from ..model.stiffness import TipStiffness
     from .solver import GiveUp
-    from .state import Controller
+    from .state import Controller, Target
 
 Array = NDArray[np.float64]
+NEAR_SHARE = 0.05  # [1] of a step: as good as there
 STEP_N = 0.2  # [N] between two postures on the way: the tip leaves its place by micrometres
+PROGRAMS_MAX, BUDGET_S = 40, 0.5  # to find where the walk leads, and their time [s]
+CLOSED_STEP_N, CLOSED_PERIOD_S = 0.02, 0.1  # [N], [s] of a step where the loop is closed
 STIFFNESS_PERIOD_S = 0.5  # [s] between two looks at the stiffness
 
 
 @dataclass
 class Rebalance:
-    """Walks along postures with the same tip, one program after another, until none pays."""
+    """Walks along postures with the same tip to the one that is preferred."""
 
     stiffness: TipStiffness | None = None
-    _done: tuple[Any, ...] = ()  # solution and preferences for which nothing pays any more
+    _walk: tuple[Target, Preferences, Model] | None = None  # for which the two below are
+    _aim: Array | None = None  # (m,) [N] where it leads
+    _over: bool = False
     _looked: float = -np.inf  # [s]
+    _stepped: float = -np.inf  # [s]
 
     def step(self, core: Controller, now: float) -> None:
         """Have the solver look for the next posture, and at the stiffness now and then."""
@@ -38,34 +46,56 @@ class Rebalance:
             self._looked = now
             self._look(core)
         wants, solution, target = core.settings.preferences, core.solution, core.target
-        closed = core.settings.tip_gain > 0.0
         if wants is None or solution is None or target is None or core.settings.pull_mode:
+            return  # wires of given lengths leave no freedom
+        period = CLOSED_PERIOD_S if core.settings.tip_gain > 0.0 else 0.0  # the loop keeps up
+        if core.solver.busy('balance') or now - self._stepped < period:
             return
-        if closed or self._done == (solution, wants) or core.solver.busy('balance'):
-            return
+        if not self._is_for(core, target, wants):
+            self._walk = (target, wants, core.model)
+            self._aim, self._over = None, False
+        if not self._over:
+            self._stepped = now
+            self._ask(core, target, wants, solution)
+
+    def _is_for(self, core: Controller, target: Target, wants: Preferences) -> bool:
+        walk = self._walk
+        if walk is None or walk[0] is not target or walk[2] is not core.model:
+            return False
+        return walk[1] == wants
+
+    def _ask(self, core: Controller, target: Target, wants: Preferences, solution: Reach) -> None:
+        """Have the solver look for the next posture."""
         model, last, felt = core.model, core.track.last, core.felt_tensions()
         weight, keep_out = core.settings.direction_weight or None, core.settings.keep_out
-        asked = tip_target(model, target.position, target.direction, 1.0, weight)
+        position, command = target.position, core.command
+        if position is not None:
+            position = position - core.tip_shift(position)
+        asked = tip_target(model, position, target.direction, 1.0, weight)
+        longest = CLOSED_STEP_N if core.settings.tip_gain > 0.0 else STEP_N
+        aim, walk = self._aim, self._walk
+        assert command is not None
 
-        def work(give_up: GiveUp) -> Reach | None:
+        def work(give_up: GiveUp) -> tuple[Array, Reach | None]:
             past = model.arrays.fresh_memory()
             if model.remembers:
                 past = model.follow(last, felt).memory
-            task = TipTask(model, asked, past)
-            balance = Balance(task, wants, keep_out)
-            trust = STEP_N / float(balance.range.max())
-            made, _ = balance.improve(balance.begin(solution.shape), trust)
-            return None if made is None else judged(task, made.shape.inputs, made.shape.state)
+            balance = Balance(TipTask(model, asked, past), wants, keep_out)
+            here = balance.task.shape(command, solution.shape.state)
+            wanted = aim
+            if wanted is None:
+                wanted = balanced(balance, here, PROGRAMS_MAX, give_up).inputs
+            return wanted, _nearer(balance, here, wanted, longest)
 
-        def done(found: Reach | None, error: TendonRobotError | None) -> None:
-            if core.solution is not solution or core.model is not model:
+        def done(found: tuple[Array, Reach | None] | None, error: TendonRobotError | None) -> None:
+            if core.solution is not solution or self._walk is not walk:
                 return
-            if found is None:
-                self._done = (solution, wants)
+            if found is None or found[1] is None:
+                self._over = True
             else:
-                core.solution = found
+                self._aim, core.solution = found
 
-        core.solver.post('balance', work, done)
+        core.solver.post('balance', work, done, BUDGET_S)
 
     def _look(self, core: Controller) -> None:
         model, last = core.model, core.track.last
@@ -88,3 +118,21 @@ class Rebalance:
             'tip_stiffness': ', '.join(f'{value:.3g}' for value in axes) + ' N/m along x, y, z',
             'tip_softest': f'{softest:.3g} N/m along ({", ".join(f"{x:.2f}" for x in towards)})',
         }
+
+
+def _nearer(balance: Balance, here: Shape, wanted: Array, longest: float) -> Reach | None:
+    """Return the next posture on the way to tensions (m,) [N], with the tip where it was."""
+    way = wanted - here.inputs
+    size = float(np.abs(way).max())
+    if size < longest * NEAR_SHARE:
+        return None
+    at = balance.begin(here)
+    next_one = balance.look(at, here.inputs + min(1.0, longest / size) * way)
+    if next_one is None:
+        return None
+    made = balance.corrected(next_one)
+    if np.abs(wanted - made.shape.inputs).max() > size - NEAR_SHARE * min(longest, size):
+        return None  # there is no way on along which the tip stays
+    found = judged(balance.task, made.shape.inputs, made.shape.state)
+    near = balance.keep_out.clearance(made.shape.positions).distance
+    return found if near > -CLEARANCE_BINDS_M else None

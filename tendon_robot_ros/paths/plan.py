@@ -15,6 +15,7 @@ from .path import TipPath
 if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Shape
+    from ..robot.keep_out import KeepOut
 
 Array = NDArray[np.float64]
 DETOUR_SHARE_MAX = 0.002  # of the largest change: a straight line may leave a command by so much
@@ -49,6 +50,8 @@ class Plan:
         How far the tip is from the path half way between the tensions of two samples.
     asked : float
         Duration [s] as it was given.
+    regions : tuple of str
+        That keep the arm away from its path, in the order of the way.
 
     """
 
@@ -58,6 +61,7 @@ class Plan:
     direction_errors: Array
     detours: Array
     asked: float
+    regions: tuple[str, ...] = ()
 
     @property
     def duration(self) -> float:
@@ -103,10 +107,13 @@ class Plan:
         return (
             f'{len(bad)} of {len(far)} samples on the way to {span} are out of reach, '
             f'by up to {1e3 * miss:.1f} mm and {np.degrees(turn):.1f}°'
+            + (f'; kept out of {", ".join(self.regions)}' if self.regions else '')
         )
 
 
-def plan(model: Model, path: TipPath, pace: Pace, start: Shape) -> Plan:
+def plan(
+    model: Model, path: TipPath, pace: Pace, start: Shape, keep_out: KeepOut | None = None
+) -> Plan:
     """
     Find the tensions along a path, from where the arm is, and stretch its times.
 
@@ -119,13 +126,18 @@ def plan(model: Model, path: TipPath, pace: Pace, start: Shape) -> Plan:
     pace : Pace
         What is not exceeded.
     start : Shape
-        Where the arm is.
+        Where the arm is; where friction remembers, the way begins with what it remembers there.
+    keep_out : KeepOut, optional
+        Regions that no part of the arm may enter.
 
     """
     shapes, shape = [], start
     for position, direction in zip(path.positions, path.directions, strict=True):
         view = None if np.isnan(direction).any() else direction
-        solution = model.reach(position, view, guess=shape, relax=True)
+        past = shape.memory if model.remembers else None
+        solution = model.reach(
+            position, view, guess=shape, relax=True, memory=past, keep_out=keep_out
+        )
         shapes.append(solution)
         shape = solution.shape
     tensions = np.array([one.tensions for one in shapes])
@@ -144,13 +156,19 @@ def plan(model: Model, path: TipPath, pace: Pace, start: Shape) -> Plan:
         np.array([one.direction_error for one in shapes]),
         _detours(model, path, tensions),
         float(path.times[-1]),
+        tuple(dict.fromkeys(one.region for one in shapes if one.region)),
     )
 
 
 def _detours(model: Model, path: TipPath, tensions: Array) -> Array:
     if len(tensions) < 2:
         return np.zeros(0)
-    between = model.shapes(0.5 * (tensions[:-1] + tensions[1:])).tip_position
+    halfway = 0.5 * (tensions[:-1] + tensions[1:])
+    if model.remembers:  # each from where it was, not from straight
+        way = np.stack([tensions[:-1], halfway], axis=1).reshape(-1, tensions.shape[1])
+        between = model.sequence(way).tip_position[1::2]
+    else:
+        between = model.shapes(halfway).tip_position
     middle = 0.5 * (path.positions[:-1] + path.positions[1:])
     return np.asarray(np.linalg.norm(between - middle, axis=1))
 

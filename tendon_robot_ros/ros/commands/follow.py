@@ -30,6 +30,7 @@ from ...paths.path import TipPath, set_points, tip_path
 from ...paths.plan import Pace, Plan, plan, retreat, stretched, thinned
 from ...paths.run import PathRun
 from ...report.path_run import draw_run, lines
+from ...robot.keep_out import load_keep_out
 from ..controller.incoming import POINTS_MAX
 from ..shared.robot_client import Pilot, add_controller
 from ..shared.runtime import ros
@@ -61,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ):
         text = f'at most so many {text} (default: {value:.3g})'
         add(f'--{name}', type=float, default=value, metavar='LIMIT', help=text)
+    add('--keep-out', metavar='YAML', help='regions that no part of the arm may enter')
     add('--picture', default='follow.png', metavar='PNG', help='(default: follow.png)')
     add_controller(parser)
 
@@ -109,7 +111,8 @@ def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) 
         path = path.backwards()
     model = pilot.model()
     start = model.shape(_tensions(pilot, model.limits))
-    planned = plan(model, path, pace, start)
+    regions = load_keep_out(options.keep_out) if options.keep_out else None
+    planned = plan(model, path, pace, start, regions)
     print(_outlook(path, planned, rows.times is not None))
     if problem := planned.out_of_reach():
         if not (options.anyway or options.plan):
