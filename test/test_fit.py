@@ -48,13 +48,19 @@ def test_a_fit_finds_what_the_robot_hides(effect, values):
     assert fit.probability(session.freedom) > 1e-3
 
 
-def test_tangents_are_what_small_changes_do():
+@pytest.mark.parametrize('kind', ['tension', 'displacement'])
+def test_tangents_are_what_small_changes_do(kind):
     """Of every effect that needs no history, on a settled arm without friction's kinks."""
     smooth = simulated.robot(lacks=('tendon_friction', *simulated.SHAPING))
-    dataset = simulated.postures(smooth, [[0.6, 0.0], [0.2, 0.5], [1.2, 0.3]])
+    given = {
+        'tension': [[0.6, 0.0], [0.2, 0.5], [1.2, 0.3]],
+        'displacement': [[4e-3, np.nan], [2e-3, np.nan], [np.nan, 3e-3]],
+    }
+    dataset = simulated.postures(smooth, given[kind], input=kind)
     predictor = Predictor(dataset, smooth, CATALOGUE)
-    memoryless = [e for e in CATALOGUE if e.stage != 'memory' and e.needs != 'pulls']
-    assert len(memoryless) > 12
+    memoryless = [e for e in CATALOGUE if e.stage != 'memory']
+    memoryless = [e for e in memoryless if kind == 'displacement' or e.needs != 'pulls']
+    checked = set()
     for effect in memoryless:
         frees = free_parameters(effect, smooth)
         point = {f: f.parameter.neutral + 0.3 * f.parameter.typical for f in frees}
@@ -63,12 +69,12 @@ def test_tangents_are_what_small_changes_do():
         for free, moves in zip(frees, found.markers, strict=True):
             h = 1e-3 * free.parameter.typical
             up, down = (predictor.markers({**point, free: point[free] + s}) for s in (h, -h))
-            assert (
-                np.abs(moves - (up - down) / (2 * h)).max() < 1e-3 * np.abs(moves).max() + 1e-9
-            ), (
-                effect.name,
-                free.key,
-            )
+            if up is None or down is None:
+                continue  # a wire can let go within the difference
+            checked.add(effect.name)
+            off, settled_within = np.abs(moves - (up - down) / (2 * h)).max(), 1e-10 / h
+            assert off < 1e-3 * np.abs(moves).max() + settled_within, (effect.name, free.key)
+    assert len(checked) > 12
 
 
 def test_a_large_effect_is_found_from_far_away():

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,11 +12,12 @@ import numpy.typing as npt
 from ..common.errors import EffectError, TendonRobotError
 from ..data import DataSet, Part
 from ..effects import Catalogue, Effect, Parameter
-from ..model.derivatives import follow
-from ..model.forward import TOLERANCE, ForwardModel
+from ..model.derivatives import Move, follow
+from ..model.forward import TOLERANCE
 from ..model.model import Model
 from ..model.shape import FIELDS, ShapeBatch
 from ..robot import Robot
+from .tangent import Freed, Pulled, Tangent, held
 
 Floats = npt.NDArray[np.float64]
 # No effects: every cell's own deviation where a tolerance declares it, one soft cell, a taper.
@@ -74,14 +74,6 @@ class SettledShapes:
     def of(self, rows: npt.NDArray[np.int64]) -> SettledShapes:
         """Return those of some postures."""
         return SettledShapes(self.tensions[rows], self.state[rows])
-
-
-@dataclass(frozen=True)
-class Tangent:
-    """How q parameters move P settled postures with J markers."""
-
-    markers: Floats  # (q, P, J, 3) [m per unit]
-    states: Floats  # (q, P, 3n) [rad per unit]
 
 
 @dataclass(frozen=True)
@@ -209,22 +201,47 @@ class Predictor:
         """
         Return how freed parameters move what settled at a point, without solving again.
 
-        By the implicit function theorem (`model.derivatives.follow`). None where only further
-        solutions tell: where friction remembers, and where wire pulls are commanded.
+        By the implicit function theorem (`model.derivatives.follow`); where wire pulls are
+        commanded, tensions answer so that taut wires keep theirs. None where friction remembers:
+        only further solutions tell.
         """
-        if self.dataset.input == 'displacement':
-            return None
         P, n, q = len(settled.state), self.model.arrays.chain.n, len(frees)
-        moved = Tangent(np.empty((q, P, len(self.dataset.markers), 3)), np.empty((q, P, 3 * n)))
+        moved = Tangent(
+            np.empty((q, P, len(self.dataset.markers), 3)),
+            np.empty((q, P, 3 * n)),
+            np.zeros((q, *settled.tensions.shape)),
+        )
         for part in self.parts:
             there, count = settled.of(part.rows), len(part.rows)
             self.set_parameters(point, part)
             if self.model.remembers:
                 return None
-            moves = [_Freed(self, point, part, free, count) for free in frees]
-            found = follow(self.model, there.tensions, there.state, moves, self.see)
-            moved.markers[:, part.rows], moved.states[:, part.rows] = found
+            moves: list[Move] = [self._freed(point, part, free) for free in frees]
+            if self.dataset.input == 'displacement':
+                moves += [Pulled(j, there.tensions[:, j]) for j in range(len(self.model.inputs))]
+            seen, states = follow(self.model, there.tensions, there.state, moves, self._shown)
+            if self.dataset.input == 'displacement':
+                seen, states, answers = held(there.tensions, seen, states, q)
+                moved.tensions[:, part.rows] = answers
+            m = there.tensions.shape[1]
+            moved.markers[:, part.rows] = seen[..., m:].reshape(q, count, -1, 3)
+            moved.states[:, part.rows] = states
         return moved
+
+    def _freed(self, point: Point, part: Conditions, free: FreeParameter) -> Freed:
+        """Return a parameter that is ready to move a little to both sides."""
+        here, own = point.get(free, self.value(free)), free.parameter
+        step = TANGENT_STEP * max(abs(here), own.typical)
+        ends = (max(-step, own.low - here), min(step, own.high - here))
+
+        def set_to(side: float) -> None:
+            self.set_parameters({**point, free: here + side}, part)
+
+        return Freed(self.model.arrays, ends, len(part.rows), set_to)
+
+    def _shown(self, shapes: ShapeBatch) -> Floats:
+        """Return wire pulls and markers (b, m + 3 J) [m] of shapes."""
+        return np.hstack([shapes.pulls, self.see(shapes).reshape(len(shapes), -1)])
 
     def unsettled(self) -> tuple[str, ...]:
         """Name the postures without an equilibrium as described, each loaded from straight."""
@@ -321,48 +338,6 @@ class Predictor:
             return pull_shapes(self.model, pulls, tensions, bends, memory)
         except TendonRobotError:
             return None
-
-
-class _Freed:
-    """A freed parameter that moves a little to both sides, as far as its bounds let it."""
-
-    def __init__(
-        self, predictor: Predictor, point: Point, part: Conditions, free: FreeParameter, count: int
-    ) -> None:
-        here, own = point.get(free, predictor.value(free)), free.parameter
-        step = TANGENT_STEP * max(abs(here), own.typical)
-        self.up = np.full(count, min(step, own.high - here))
-        self.down = np.full(count, max(-step, own.low - here))
-        arrays = predictor.model.arrays
-        self._moved: tuple[npt.NDArray[Any], ...] = (
-            arrays.values,
-            arrays.on,
-            arrays.cells,
-            arrays.gravity,
-            arrays.offset,
-        )
-        self._kept: dict[float, list[npt.NDArray[Any]]] = {}
-        for side in (0.0, float(self.up[0]), float(self.down[0])):
-            predictor.set_parameters({**point, free: here + side}, part)
-            self._kept[side] = [array.copy() for array in self._moved]
-        self._set(0.0)
-
-    def inputs(self, inputs: Floats, side: Floats) -> Floats:
-        """Return the input tensions (b, m) [N]: they stay."""
-        return inputs
-
-    def _set(self, side: float) -> None:
-        for array, kept in zip(self._moved, self._kept[side], strict=True):
-            array[:] = kept
-
-    @contextmanager
-    def made(self, model: ForwardModel, side: Floats) -> Iterator[None]:
-        """Let the parameter be on one side while the block runs."""
-        self._set(float(side[0]))
-        try:
-            yield
-        finally:
-            self._set(0.0)
 
 
 def stiffness_factors(free: FreeParameter, value: float, n: int) -> Floats:

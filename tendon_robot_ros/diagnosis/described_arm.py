@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import legendre
 
-from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes, Tangent
+from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
+from ..comparison.tangent import Tangent
 from ..data import DataSet
 from ..effects import Catalogue, Parameter
 from ..robot import Robot

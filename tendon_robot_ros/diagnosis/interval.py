@@ -8,8 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes, Tangent
+from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
 from ..comparison.statistics import normal_ppf
+from ..comparison.tangent import Tangent
 from .fit import Fit
 from .fitter import Fitter
 

@@ -14,6 +14,7 @@ from .fit import Fit, Nuisance
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
+Ways = tuple[Floats, ...]  # states (q, P, 3n) and tensions (q, P, m), per unit
 GAIN_LEAST, GAIN_LEAST_SHARE = 1e-3, 1e-5  # of chi², and of its size: a smaller gain ends a search
 PROMISED_SHARE = 0.3  # of that: what a step must promise to be tried
 NEAR_TYPICALS = 0.03  # typical sizes within which a Jacobian is good enough for the next step
@@ -60,7 +61,7 @@ class Search:
         self.count = count
         self.damping = 1e-3
         self.slopes: Floats | None = None  # Jacobian at the values `taken`
-        self.ways: Floats | None = None  # (q, P, 3n) how the states follow the values there
+        self.ways: Ways | None = None  # how states and tensions follow the values there
         self.fresh = False  # whether it is of the best point
         self.raw: Floats  # whitened residual with prior rows at the best point
         self.r: Floats  # the same, less what imperfections explain
@@ -157,9 +158,10 @@ class Search:
             self.taken, self.fresh = self.values.copy(), True
         return self.slopes
 
-    def _slopes(self) -> tuple[Floats, Floats | None]:
+    def _slopes(self) -> tuple[Floats, Ways | None]:
         """Take the Jacobian, and how the states follow (q, P, 3n), where that is known."""
-        slopes, ways = np.zeros((len(self.raw), len(self.scale))), None
+        slopes = np.zeros((len(self.raw), len(self.scale)))
+        ways: Ways | None = None
         known = [self._known(i) for i in range(len(self.scale))]
         asked = [i for i, column in enumerate(known) if column is None]
         moved = None
@@ -168,8 +170,11 @@ class Search:
             moved = self.fitter.predictor.tangent(self.point, frees, self.settled)
         if moved is not None and np.isfinite(moved.markers).all():
             columns = self.fitter.whitener.white(moved.markers).T
-            n, ways = len(columns), np.zeros((len(known), *moved.states.shape[1:]))
-            slopes[:n, asked], ways[asked] = -columns, moved.states
+            n, followed = len(columns), (moved.states, moved.tensions)
+            ways = tuple(np.zeros((len(known), *one.shape[1:])) for one in followed)
+            for way, one in zip(ways, followed, strict=True):
+                way[asked] = one
+            slopes[:n, asked] = -columns
             for i in range(self.count, len(known)):
                 slopes[n + i - self.count, i] = 1.0 / self.spread[i - self.count]
         for i, column in enumerate(known):
@@ -251,8 +256,11 @@ class Search:
         """Return where the postures are about to settle at other values."""
         if self.settled is None or self.ways is None:
             return self.settled
-        moved = np.tensordot(values - self.values, self.ways, 1)
-        return SettledShapes(self.settled.tensions, self.settled.state + moved)
+        move = values - self.values
+        states, tensions = (np.tensordot(move, way, 1) for way in self.ways)
+        return SettledShapes(
+            np.maximum(self.settled.tensions + tensions, 0.0), self.settled.state + states
+        )
 
     def _age(self) -> None:
         """Note that the Jacobian is of another point, and forget it where that is far."""

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..comparison.predict import CELLS, Point, SettledShapes
+from ..comparison.tangent import TAUT_FROM_N
 from ..model.derivatives import shown
 from ..model.shape import ShapeBatch
 from .as_built import (
@@ -41,7 +42,6 @@ ODD_SHARE = 0.3  # [1] that the slope of a cell may differ from those of its nei
 ODD_FACTOR = 2.5  # [1] by which it may differ from that in other postures
 NEIGHBOURS = 3  # cells on either side
 STEP = 1e-6  # [1], [rad]: of differences of what is settled already
-TAUT_FROM_N = 1e-6  # [N] tension of a wire that holds its length
 
 
 def imperfections(
