@@ -6,7 +6,7 @@ those at the edge. Tips are collected in cubes: how much space they fill, their 
 looks, what friction takes and adds. --view collects the tips at an angle between the tip's
 direction and the base's as well.
 
-For arms in a plane --view sweeps the tensions of every pair of inputs in steps, the other inputs
+For arms in a plane --view goes through the tensions of every pair of inputs in steps, the others
 at the pretension (Kato et al. 2015, section IV.B). Kept are the postures whose tip looks at a view
 angle, within --tolerance.
 
