@@ -49,6 +49,12 @@ def _row(rows: Sequence[CaseRow]) -> list[str]:
 def summary(rows: Sequence[CaseRow]) -> list[str]:
     """Return the table by hidden effect and the rates."""
     told = [f'{name}: {rate}' for name, rate in rates(rows).items() if rate.runs]
+    named = [max(len(row.group), 1) for row in rows if row.right and row.effects]
+    if named:
+        told.append(f'members of a class that is right, mean: {np.mean(named):.1f}')
+    if rows:
+        told.append(f'a diagnosis, median: {np.median([row.seconds for row in rows]):.2g} s of '
+                    'processor time')  # fmt: skip
     problems = collections.Counter(row.problem for row in rows if row.problem)
     worst = [f'{count} x {problem}' for problem, count in problems.most_common(3)]
     fitted = [[FITTED_COLUMNS, *interval_rows(rows)]] if any(r.truth for r in rows) else []
