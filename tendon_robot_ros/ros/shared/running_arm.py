@@ -27,6 +27,7 @@ from .runtime import Ending
 
 Array = NDArray[np.float64]
 STILL_TIME_S, STILL_SPEED = 0.6, 0.002  # [s], [m/s] as of the monitor
+KIND_LISTEN_S = 1.0  # [s] to hear whether tensions are measured
 STAND_TIMEOUT_S = 20.0  # [s] for an arm to stand and be seen
 MOVE_PATIENCE_S = 15.0  # [s] besides the time of a move
 MOVE_MIN_S = 0.4  # [s]
@@ -113,6 +114,7 @@ class RunningArm(Pilot):
             10.0,
             f'{self._monitor}/measured and tendon_states: does the tracker see the arm?',
         )
+        self.spin(KIND_LISTEN_S)  # a reading of a cell may be missing now and then
         self.input = 'tension' if 'tension' in self._kinds else 'displacement'
 
     @property
@@ -283,5 +285,5 @@ class RunningArm(Pilot):
             return
         self._kinds.add('tension' if np.isfinite(tensions).all() else 'displacement')
         state = np.concatenate([tensions, pulls])
-        if np.isfinite(self._own_half(state)).all():  # a reading may be missing now and then
+        if np.isfinite(self._own_half(state)).all():
             self._states.put(seconds(message.header.stamp), state)
