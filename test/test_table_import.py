@@ -252,7 +252,7 @@ def test_the_delay_of_a_clock_of_its_own_is_found_said_and_written(noisy, delay)
     tensions = tensions[max(0, round(-25 * delay)) :]
     found = import_table([tensions, markers], ARM, {'up': 'y'})
     assert found.recipe.delay == (pytest.approx(delay, abs=0.02),)
-    way = 'before' if delay < 0.0 else 'behind'
+    way = 'before' if delay < 0.0 else 'after'
     assert f's {way} that of the inputs: then' in found.text()
     given = import_table([tensions, markers], ARM, {'up': 'y', 'delay': delay})
     assert given.recipe.delay == (delay,)
@@ -265,7 +265,7 @@ def test_clocks_that_nothing_tells_apart_are_said_and_not_guessed(noisy):
     markers = noisy[[name for name in noisy.columns if '[N]' not in name]][25 * 31 :]
     found = import_table([tensions, markers], ARM, {'up': 'y'})
     text = found.text()
-    assert 'does not tell by how much one clock is behind' in text and 'say --delay' in text
+    assert 'does not tell by how much one begins later' in text and 'say --delay' in text
     assert found.recipe.delay == (0.0,)
     with pytest.raises(DataSetError, match='2 delays are given for 1 recordings'):
         import_table([tensions, markers], ARM, {'up': 'y', 'delay': [0.0, 1.0]})

@@ -85,7 +85,7 @@ def _add_still(group: argparse._ArgumentGroup) -> None:
     add('--rest', metavar='X', help=what)
     what = 'sequence: every posture was reached from the one before'
     add('--path', choices=('from_straight', 'sequence'), help=what)
-    what = "the tracker's clock is behind by this, in a file of its own (default: found)"
+    what = "the tracker's own file begins so much after that of the inputs (default: found)"
     add('--delay', type=float, metavar='S', help=what)
 
 

@@ -1,4 +1,4 @@
-"""How far the tracker's clock is behind that of the inputs, from what both recorded."""
+"""By how much the tracker's file begins later than that of the inputs, from what both recorded."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MATCH_MIN = 0.3  # of the motion that the inputs explain
 class ClockDelay:
     """A delay at which the motion of the markers goes with the inputs best."""
 
-    seconds: float  # that the tracker's clock is behind
+    seconds: float  # that the markers' first row was taken after that of the inputs
     match: float  # of the markers' motion that the inputs explain there, 0 to 1
     next_best: float  # the same at the next best delay
 

@@ -63,7 +63,9 @@ class StillMeasurements:
     rule: Rule
     same: float  # [N] or [m] inputs that differ by less are those of one posture
     rest: float  # [N] or [m] below, the arm rests; 0: it never does
-    delays: tuple[float, ...]  # [s] of the tracker's clock in each recording; () of one clock
+    delays: tuple[
+        float, ...
+    ]  # [s] that the tracker's file begins later in each recording; () of one file
     dropped: tuple[str, ...]
     assumed: tuple[str, ...]
 

@@ -74,7 +74,9 @@ class Recipe:
     offset: Vector | None = None  # [m] of all markers, where columns are guessed
     places: tuple[float, ...] = ()  # [m] arc lengths from base to tip, where columns are guessed
     up: str | None = None  # axis of the tracker
-    delay: tuple[float, ...] | None = None  # [s] that the tracker's clock is behind, by recording
+    delay: tuple[float, ...] | None = (
+        None  # [s] that the tracker's file begins later, by recording
+    )
     speed: float | None = None  # [m/s] slower is still
     duration: float = 1.0  # [s] at least so long
     change: float | None = None  # [N] or [m] of an input, while the arm stands still

@@ -66,7 +66,7 @@ class Traces:
     inputs: FloatArray  # (T, m) [N] or [m] at `recording.state_times`
     zeros: int  # marker readings of exactly 0, 0, 0: not seen
     jumps: IntArray  # (J,) frames in which a marker was elsewhere for a moment
-    delay: float | None = None  # [s] that the tracker's clock is behind; None: there is one clock
+    delay: float | None = None  # [s] that the tracker's file begins later; None: there is one file
     clocks: str = ''  # how the delay is known, where there are two clocks
 
 
@@ -162,18 +162,18 @@ def _refuse_recording(name: str, positions: FloatArray) -> None:
 def _delay(
     state_times: FloatArray, inputs: FloatArray, times: FloatArray, positions: FloatArray
 ) -> tuple[float, str]:
-    """Return how far the tracker's clock is behind [s], and how that is known."""
+    """Return by how much the tracker's file begins later [s], and how that is known."""
     found = find_delay(state_times, inputs, times, positions)
     if not found.is_clear:
         return 0.0, (
-            'both files begin together: what moves in them does not tell by how much one clock is '
-            f'behind ({100 * found.match:.0f} % go with the inputs at {found.seconds:.2f} s, '
+            'both files begin together: what moves in them does not tell by how much one begins '
+            f'later ({100 * found.match:.0f} % go with the inputs at {found.seconds:.2f} s, '
             f'{100 * found.next_best:.0f} % at another delay); if you know it, say --delay'
         )
     delay = round(found.seconds, 3)
-    way = 'behind' if delay >= 0.0 else 'before'
+    way = 'after' if delay >= 0.0 else 'before'
     return delay, (
-        f"the tracker's clock is {abs(delay):.2f} s {way} that of the inputs: then "
+        f"the tracker's file begins {abs(delay):.2f} s {way} that of the inputs: then "
         f'{100 * found.match:.0f} % of what the markers move goes with the inputs, at no other '
         f'delay more than {100 * found.next_best:.0f} %'
     )
