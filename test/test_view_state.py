@@ -109,3 +109,17 @@ def test_a_tube_keeps_its_radius_around_a_bent_arm_and_does_not_turn():
     np.testing.assert_allclose(np.abs(rings[..., 1] - rings[0, :, 1]).max(), 0.0, atol=1e-6)
     faces = tube_faces(40)
     assert faces.max() == 40 * SIDES - 1 and len(faces) == 2 * SIDES * 39
+
+
+def test_peaks_of_the_curve_are_cut_and_that_is_said():
+    times = list(np.linspace(0.0, 100.0, 500))
+    errors = [0.004 + (0.04 if i % 50 < 5 else 0.0) for i in range(500)]  # moves: a tenth
+    drawn = page_parts.curve(times, errors, 100.0, [], 6e-4)
+    assert 'peaks up to 44 are cut off' in drawn and '>10</text>' not in drawn
+    assert 'now 4 mm' in drawn
+    assert 'cut off' not in page_parts.curve(times, [0.004] * 500, 100.0, [], None)
+
+
+def test_the_progress_of_a_diagnosis_is_a_bar_until_it_is_done():
+    assert 'value="7" max="23"' in page_parts.guide('wait', 'comparing effects 7/23')
+    assert '<progress' not in page_parts.guide('wait', 'comparing effects 23/23')

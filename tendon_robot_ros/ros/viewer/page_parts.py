@@ -25,7 +25,7 @@ from ...common.words import digits, mm
 
 WIDTH, HEIGHT, LEFT, BOTTOM = 360, 140, 40, 22  # [px] of the curve, and of its margins
 CURVE_SPAN_S = 120.0  # [s] that the curve shows
-USUAL_SHARE, PEAK = 0.95, 2.0  # peaks above twice what the error usually is are cut off
+USUAL_SHARE, PEAK = 0.75, 2.0  # of the time, times: the arm moves now and then; such peaks are cut
 STYLE = f'font-family:system-ui,sans-serif;font-size:13px;color:{INK};padding:2px 12px'
 
 
