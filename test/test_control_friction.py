@@ -159,6 +159,22 @@ def test_weights_changed_while_standing_move_tensions_and_not_the_tip():
     assert rig.shape.inputs.min() > 0.3
 
 
+def test_the_tip_stiffens_twice_while_it_stands_and_is_kept():
+    rig = Rig(known=False)
+    rig.arm = model(False)
+    rig.run(0.05)
+    rig.go(TARGETS[2])
+    tip, away = rig.shape.tip_position, []
+    before = model(False).tip_stiffness(rig.shape).along([1, 0, 0])
+    wants = Preferences(low_tension=0.1, stiffness=0.1, stiffness_direction=(1.0, 0.0, 0.0))
+    rig.core.settings = Settings(preferences=wants)
+    for _ in range(100):
+        rig.run(0.02)
+        away.append(np.linalg.norm(rig.shape.tip_position - tip))
+    assert model(False).tip_stiffness(rig.shape).along([1, 0, 0]) > 2.0 * before > 0.0
+    assert max(away) < 2e-4
+
+
 # -----------------------------------------------------------------------------
 # What is learned from the measured tip.
 
