@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 from sensor_msgs.msg import JointState
@@ -20,6 +21,7 @@ from ...common.processes import REALTIME_PRIORITY, REALTIME_PRIORITY_MOCK, go_re
 from ...control.checks import Refusal, by_name, check_stamp, finite
 from ...drivers.mock import MockDriver
 from ...drivers.supervisor import FOLLOWING, LIMP, OFF, RELEASED, Supervisor
+from ...drivers.tendon_check import due
 from ..shared.files import read_robot
 from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic
 from ..shared.lifecycle import ERROR, OK, WARN, ManagedNode, Status
@@ -56,6 +58,7 @@ class DriverNode(ManagedNode):
         self.loop: MotorLoop | None = None
         self._tracker: MockTracker | None = None
         self._refusal: Refusal | None = None
+        self._check_due = ''  # why the tendons are to be checked
         self._cycle: Cycle | None = None
         self._signature, self._senders = signature(self), Senders()
         self._states = self.create_publisher(JointState, 'tendon_states', STATE)
@@ -71,6 +74,10 @@ class DriverNode(ManagedNode):
     def configure(self) -> None:
         """Read the robot, open the port, begin to read."""
         robot = read_robot(self.parameters['robot'])
+        reference = self.parameters['tendon_reference']
+        self._check_due = due(Path(reference)) if reference else ''
+        if self._check_due:
+            self.get_logger().warning(self._check_due)
         if self.parameters['backend'] == 'mock':
             self.status.say(WARN, 'starting', 'makes the mock arm; compiles it, once: a minute')
         driver, tracker = backend.make(robot, self.parameters, self)
@@ -209,6 +216,7 @@ class DriverNode(ManagedNode):
             level, message = max(level, WARN), f'{message}; {beside}'
         values = {
             'state': state,
+            'tendon_check': self._check_due,
             'stopped': str(stopped).lower(),
             'reasons': '; '.join(decision.reasons),
             'mode': loop.driver.mode,

@@ -85,6 +85,13 @@ SPECS = (
     ),
     Spec('frame_prefix', '', 'put before frame names (backend mock: its tracker)', read_only=True),
     Spec('base_frame', '', 'frame of the base; empty: <robot>_base', read_only=True),
+    Spec(
+        'tendon_reference',
+        '',
+        'file of calibrate --check; after the power was off the status asks for the check; '
+        'empty: nobody asks',
+        read_only=True,
+    ),
     Spec('mock_fault', '', 'backend mock: fault to inject, as overload:NAME,NAME; empty: none'),
     AUTOSTART,
 )
