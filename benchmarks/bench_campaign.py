@@ -34,6 +34,7 @@ from tendon_robot_ros.campaign.versions import Preparation
 from tendon_robot_ros.common.workers import Workers
 
 ROBOT = Path(__file__).resolve().parents[1] / 'config' / 'robots' / 'kato_10_1_single.yaml'
+STARTED_S = 3.0  # [s] of processor time, after which a worker is at work
 TICK = os.sysconf('SC_CLK_TCK')
 PAGE = os.sysconf('SC_PAGE_SIZE')
 
@@ -160,12 +161,12 @@ def killing(times: int, find: Callable[[], list[int]]) -> Iterator[list[int]]:
 
 
 def spawned(pid: int) -> list[int]:
-    """List the worker processes below a process: those that were spawned."""
+    """List the workers below a process that are past their start, in which a nanny gives up."""
     found = []
     for one in children_of(pid)[1:]:
         with contextlib.suppress(OSError):
             line = Path(f'/proc/{one}/cmdline').read_bytes()
-            found += [one] if b'spawn_main' in line else []
+            found += [one] if b'spawn_main' in line and processor([one]) > STARTED_S else []
     return found
 
 

@@ -23,7 +23,7 @@ from tendon_robot_ros.campaign.running import run_plan
 from tendon_robot_ros.campaign.table import GrowingTable
 from tendon_robot_ros.campaign.versions import Preparation, UserEffect, catalogue_of
 from tendon_robot_ros.cli.main import main
-from tendon_robot_ros.common.errors import ClusterLostError, InputError
+from tendon_robot_ros.common.errors import ClusterLostError, InputError, MissingExtraError
 from tendon_robot_ros.common.workers import LostWork, Workers
 from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.effects import load_catalogue
@@ -339,6 +339,12 @@ def test_workers_of_a_cluster_that_are_killed_ten_times_lose_nothing(cluster):
 def test_a_cluster_says_the_same_bit_for_bit(cluster, rows, tmp_path):
     with Workers(cluster=cluster[0], prepare=Preparation.here()) as workers:
         assert without_time(run_plan(plan(), tmp_path / 'out', workers)) == without_time(rows)
+
+
+def test_without_dask_a_cluster_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'distributed', None)
+    with pytest.raises(MissingExtraError, match=r'tendon_robot_ros\[cluster\]'):
+        Workers(cluster='tcp://127.0.0.1:9')
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(monkeypatch):

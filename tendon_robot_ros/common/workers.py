@@ -31,6 +31,7 @@ AHEAD = 2  # chunks that wait at a scheduler for each of its threads
 CONNECT_S = 10.0  # [s] in which a scheduler answers
 IDLE_S = 5.0  # [s] between two looks at how many workers a scheduler has
 
+_LOG = logging.getLogger(__name__)
 Work = Callable[[Any], Any]
 Prepare = Callable[[], None]
 Spread = Callable[[Work, Iterable[Any]], Iterator[tuple[int, Any]]]
@@ -288,8 +289,11 @@ class _Cluster:
         if time.monotonic() > self.looked + IDLE_S:
             self.looked = time.monotonic()
             with contextlib.suppress(OSError, RuntimeError):
-                self.threads = max(1, sum(self.client.nthreads().values()))
-        return AHEAD * self.threads
+                threads = sum(self.client.nthreads().values())
+                if not threads and self.threads:
+                    _LOG.warning('%s has no workers; waiting for some to come', self.address)
+                self.threads = threads
+        return AHEAD * max(self.threads, 1)
 
     def submit(self, work: Work, chunk: Any) -> Future[Any]:
         try:
