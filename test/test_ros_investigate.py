@@ -111,7 +111,6 @@ def kinds(*all_):
 @pytest.mark.parametrize(
     'made',
     kinds(
-        ('dynamixel', 'pull', (pytest.mark.slow,)),
         ('serial', 'tension', ()),
         ('serial', 'pull', ()),
     ),
