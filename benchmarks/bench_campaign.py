@@ -130,7 +130,7 @@ def dask(count: int) -> Iterator[tuple[str, tuple[int, ...]]]:
         settings: dict[str, Any] = {'cwd': folder, 'stdout': log, 'stderr': log}
         started = [subprocess.Popen([*base, *call, *ends], **settings) for call in calls]
         try:
-            while not told.exists():
+            while not (told.exists() and told.read_text().rstrip().endswith('}')):  # written whole
                 time.sleep(0.05)
             yield json.loads(told.read_text())['address'], tuple(one.pid for one in started)
         finally:

@@ -301,7 +301,7 @@ def cluster(tmp_path_factory):
             for which in (scheduler, [*worker, *kept])
         ]
     end = time.monotonic() + 60.0
-    while not told.exists():
+    while not (told.exists() and told.read_text().rstrip().endswith('}')):  # written whole
         assert time.monotonic() < end
         time.sleep(0.05)
     yield json.loads(told.read_text())['address'], both[0]
