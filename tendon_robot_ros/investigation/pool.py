@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -31,8 +31,17 @@ class Room:
     margin: float = 0.0  # [m]
 
     def keeps(self, points: Floats) -> bool:
-        """Tell whether points (n, 3) [m] of an arm are clear of all regions."""
-        return self.regions.clearance(points).distance >= self.margin
+        """
+        Tell whether an arm keeps clear on a way (w, n, 3) [m] of its points, base first.
+
+        The model may be off the more the farther from the base; between two steps of the way a
+        point goes at most half of what it moved.
+        """
+        if not self.regions:
+            return True
+        off = self.margin * np.linspace(0.0, 1.0, points.shape[1])
+        moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=0, initial=0.0)
+        return bool((self.regions.distances(points) >= off + 0.5 * moved).all())
 
 
 def pool(
@@ -100,11 +109,7 @@ def _pulls_gently(model: Model, pulls: Floats, most: float) -> bool:
 
 
 def _stays(model: Model, row: Floats, input: str, room: Room, start: Floats | None) -> bool:
-    """
-    Tell whether the arm keeps out on its straight way to a posture.
-
-    What it may do between two points that are looked at is at most half of what it moved.
-    """
+    """Tell whether the arm keeps out on its straight way to a posture."""
     begin = model.limits[:, 0] if input == 'tension' else np.where(np.isnan(row), np.nan, 0.0)
     if start is not None:
         begin = start
@@ -115,5 +120,4 @@ def _stays(model: Model, row: Floats, input: str, room: Room, start: Floats | No
     except (NoEquilibriumError, InputError):
         return False
     points = np.concatenate([np.zeros((len(way), 1, 3)), shapes.positions], axis=1)
-    moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(initial=0.0)
-    return replace(room, margin=room.margin + 0.5 * float(moved)).keeps(points.reshape(-1, 3))
+    return room.keeps(points)
