@@ -51,7 +51,7 @@ def test_a_missing_effect_is_named_added_and_shown(capsys, folder):
         'tracker 0.0075° (0.0026° to 0.022°)',
         'these measurements do not tell: stiffness of the cells, kinks at rest, kinks across the '
         'plane',
-        'cannot be told apart from: nothing (next best, backbone_stiffness, is 420 times less '
+        'cannot be told apart from: nothing (next best, transmission_loss, is 420 times less '
         'likely; section_stiffness does the same with more parameters)',
         'not tested by these postures: friction_memory (every posture loaded from straight); '
         'torsion (these postures hardly show it); gravity (set to zero); tendon_elongation, '
