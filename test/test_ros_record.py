@@ -1,5 +1,6 @@
 """A running robot is recorded; the recording is compared, diagnosed, drawn and replayed."""
 
+import math
 import re
 import signal
 import sys
@@ -138,10 +139,13 @@ def test_it_goes_through_compare_and_diagnose(station, folder):
     done = finish(station, begin(folder, 'diagnose', 'run/run.mcap', ros=False))
     assert done.returncode == 0, done.stderr
     said = re.search(
-        r'CONSISTENT WITH tendon_stiffness: per_tendon = ([\d.]+) ± ([\d.]+)', done.stdout
+        r'CONSISTENT WITH tendon_stiffness: per_tendon = ([\d.]+) '
+        r'(?:± ([\d.]+)|.*\(95 %: ([\d.]+) to ([\d.]+)\))',
+        done.stdout,
     )
     assert said, done.stdout
-    value, doubt = map(float, said.groups())
+    value, half, low, high = (float(number or 'nan') for number in said.groups())
+    doubt = 0.5 * (high - low) if math.isnan(half) else half
     assert abs(value - 1e3 * HIDDEN[1]['per_tendon']) < 1.5 * doubt  # 95 %: so 99.7 %
     assert doubt < 0.25 * value  # it says something
 
