@@ -130,6 +130,23 @@ def named_at(heard, node, key, name):
     return math.inf
 
 
+def assert_named_soon(robot, heard):
+    """All name who commands besides within `NAMED_S` of its first command."""
+
+    def of_the_second():
+        return [stamp(m) for _, m in robot.commands if '/second' in m.header.frame_id]
+
+    robot.until(of_the_second, 'a command of the second')
+    for node, key, name in (
+        ('controller', 'other_controllers', '/second'),
+        ('driver', 'ignored', '/second'),
+        ('second', 'other_controllers', '/controller'),
+    ):
+        wanted = f'{robot.namespace}/{node}', key, name
+        robot.until(lambda wanted=wanted: named_at(heard, *wanted) < math.inf, wanted)
+        assert named_at(heard, *wanted) - of_the_second()[0] < NAMED_S
+
+
 @pytest.mark.ros
 def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
     robot.run('driver')
@@ -137,7 +154,7 @@ def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
     robot.until_code(robot.controller, 'holding', timeout=120.0)
     robot.go_to_point(0.06, 0.17)
     second = robot.hear(DiagnosticStatus, 'second/status', LATCHED)
-    heard, own = robot.hear(DiagnosticArray, '/diagnostics', EVERY), robot.namespace
+    heard = robot.hear(DiagnosticArray, '/diagnostics', EVERY)
     intruder = robot.run('controller', extra=('-r', '__node:=second'))
     robot.until_code(second, 'driver_stopped', timeout=120.0)
     assert f'it follows {robot.namespace}/controller (process' in last(second).message
@@ -150,20 +167,7 @@ def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
         lambda: values(last(second))['other_controllers'] == f'{robot.namespace}/controller',
         'the second to say so',
     )
-
-    def of_the_second():
-        return [stamp(m) for _, m in robot.commands if '/second' in m.header.frame_id]
-
-    robot.until(of_the_second, 'a command of the second')
-    commanded = of_the_second()[0]
-    for node, key, name in (
-        ('controller', 'other_controllers', '/second'),
-        ('driver', 'ignored', '/second'),
-        ('second', 'other_controllers', '/controller'),
-    ):
-        wanted = f'{own}/{node}', key, name
-        robot.until(lambda wanted=wanted: named_at(heard, *wanted) < math.inf, wanted)
-        assert named_at(heard, *wanted) - commanded < NAMED_S
+    assert_named_soon(robot, heard)
     robot.send('second/target_point', point(-0.06, 0.17))
     robot.spin(0.5)
     assert robot.tip() == pytest.approx([0.06, 0.0, 0.17], abs=1e-3)
