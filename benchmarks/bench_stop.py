@@ -38,7 +38,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
 SOON = 0.1  # [s]
-LEAST = {'tension': 0.8, 'pull': 0.006}  # [N], [m] before a stop
+LEAST = {'tension': 0.8, 'pull': 0.003}  # [N], [m] before a stop
 BEFORE = 0.1  # [s] of the trace before the cause
 AFTER = 0.45  # [s] of the trace after the cause
 ENDED = 2.0  # [s] that a process may take to end
