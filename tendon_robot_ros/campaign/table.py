@@ -11,28 +11,11 @@ from pathlib import Path
 from types import UnionType
 from typing import Any
 
-from ..common.errors import DataSetError, MissingExtraError
+from ..common.dataframes import arrow
+from ..common.errors import DataSetError
 from ..common.files import new_file
 
 PARTS_MAX = 64  # files, before they become one
-
-
-def arrow() -> Any:
-    """
-    Return pyarrow with its Parquet.
-
-    Raises
-    ------
-    MissingExtraError
-        It is not installed.
-
-    """
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise MissingExtraError('pyarrow', 'tables') from None
-    return pyarrow
 
 
 class GrowingTable[T]:

@@ -1,7 +1,8 @@
-"""Tables of pandas, for those who have it: everything here works without."""
+"""Tables of pandas and Parquet, for those who have them: everything else works without."""
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,20 +10,22 @@ from .errors import MissingExtraError
 
 
 def pandas() -> Any:
-    """
-    Return the package pandas.
+    """Return the package pandas; MissingExtraError where it is not installed."""
+    return _of_the_tables('pandas')
 
-    Raises
-    ------
-    MissingExtraError
-        It is not installed.
 
-    """
+def arrow() -> Any:
+    """Return pyarrow with its Parquet; MissingExtraError where it is not installed."""
+    _of_the_tables('pyarrow.parquet')
+    return _of_the_tables('pyarrow')
+
+
+def _of_the_tables(name: str) -> Any:
+    """Import a package of the extra `tables`."""
     try:
-        import pandas as package
+        return importlib.import_module(name)
     except ImportError:
-        raise MissingExtraError('pandas', 'tables') from None
-    return package
+        raise MissingExtraError(name.split('.')[0], 'tables') from None
 
 
 def make_frame(columns: Mapping[str, Any], units: Mapping[str, str]) -> Any:
