@@ -12,7 +12,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParametersAtomically
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -133,6 +133,11 @@ class Station:
         return self.call(
             SetParametersAtomically, f'{node}/set_parameters_atomically', request
         ).result
+
+    def text(self, node, name):
+        """Return a parameter that is a text."""
+        request = GetParameters.Request(names=[name])
+        return self.call(GetParameters, f'{node}/get_parameters', request).values[0].string_value
 
     def go_to_point(self, x, z):
         self.go(point(x, z), 'controller/target_point')

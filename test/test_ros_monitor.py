@@ -20,7 +20,14 @@ from tendon_robot_ros.ros.shared.runtime import NodeProcess
 pytestmark = pytest.mark.ros
 LOADED = 120.0  # [s] a busy machine may need to load the model
 TRACKER = 'tracker: {rate: 30.0, noise: 1.0e-4, missing: 0.1, lost: 0.1}'
-SOFT = read_robot('kato_10_1').with_effect('backbone_stiffness', {'relative_change': 0.1})
+ROBOT = read_robot('kato_10_1')
+SOFT = ROBOT.with_effect('backbone_stiffness', {'relative_change': 0.1})
+INTERVAL = {'value': 0.0, 'low': -0.2, 'high': 0.2, 'unit': '1'}
+FITTED = ROBOT.with_effect(
+    'backbone_stiffness',
+    {'relative_change': 0.0},
+    {'parameters': {'relative_change': INTERVAL}},
+)
 
 
 class Watched(Station):
@@ -33,7 +40,7 @@ class Watched(Station):
         self.rolling = self.hear(Float64, 'monitor/rolling_error')
         self.verdicts = self.hear(String, 'monitor/verdict', LATCHED)
 
-    def run(self, name):
+    def run(self, name, **more):
         parameters = {
             'driver': {
                 'robot': dump_robot(SOFT),
@@ -45,7 +52,7 @@ class Watched(Station):
                 'path': 'from_straight',
                 'force_rate': 5.0,
             },
-        }[name]
+        }[name] | more
         with (self.folder / f'{name}.log').open('a') as log:
             self.started.append(NodeProcess(name, parameters, self.namespace, log))
         return self.started[-1]
@@ -98,6 +105,42 @@ def test_in_any_order_with_drop_outs_and_restarts_the_monitor_compares(space):
     space.spin(1.0)
     space.rolling.clear()
     space.until(lambda: space.rolling, 'errors without a controller')
+
+
+def test_a_stiffer_arm_is_followed_within_the_interval_and_undo_gives_the_old_model_back(space):
+    """The arm is 10 % stiffer than its description, whose interval is 20 % to both sides."""
+    said = space.hear(String, 'monitor/adaptation', LATCHED)
+    space.run('driver', config='plant: {twin: true}\ntracker: {rate: 60.0, noise: 1.0e-4}\n')
+    space.run('controller', model=dump_robot(FITTED))
+    space.run('monitor', adapt=True, still_time=0.3, force_rate=0.0)
+    space.comparing()
+    refused = space.trigger('monitor/undo')
+    assert not refused.success
+    assert 'nothing was changed' in refused.message
+
+    def told():
+        return json.loads(last(said).data) if said else {'changes': 0}
+
+    for x, z in [(0.1, 0.1), (-0.08, 0.14), (0.05, 0.18), (-0.12, 0.08), (0.12, 0.06)] * 3:
+        space.go_to_point(x, z)
+        if told()['changes']:
+            break
+    space.until(lambda: told()['changes'] == 1, 'a change')
+    error = float(values(last(space.monitor))['error'].split()[0])
+    (change,) = told()['last']['parameters']
+    assert change['before'] == 0.0
+    assert 0.05 < change['after'] <= 0.1, 'a quarter of the interval at most'
+    in_use = space.text('controller', 'model')
+    assert read_robot(in_use).effects['backbone_stiffness']['relative_change'] == pytest.approx(
+        change['after'], rel=1e-4
+    )
+    space.until(lambda: float(values(last(space.monitor))['error'].split()[0]) < 0.4 * error,
+                'a smaller error at the tip')  # fmt: skip
+    assert space.trigger('monitor/undo').success
+    space.until(lambda: space.text('controller', 'model') == dump_robot(FITTED), 'the old model')
+    space.until(lambda: values(last(space.monitor))['adapt'] == 'false', 'that nothing follows')
+    log = (space.folder / 'recordings' / 'adaptation.jsonl').read_text().splitlines()
+    assert [json.loads(line)['what'] for line in log] == ['changed', 'undone']
 
 
 @pytest.mark.slow

@@ -97,10 +97,14 @@ class BuiltArm:
         """Know nothing of so many imperfections but their prior."""
         self.mean, self.covariance = np.zeros(count), np.eye(count)
 
+    def rest(self, rows: npt.NDArray[np.bool_]) -> Floats:
+        """Covariance of seen coordinates under a remainder of 1 m sd at the tip [1]."""
+        return np.asarray(self._rest[np.ix_(rows, rows)])
+
     def scatter(self, rows: npt.NDArray[np.bool_]) -> Floats:
         """Covariance [m²] of seen coordinates that is new in every posture."""
-        rest = self.remainder**2 * self._rest[np.ix_(rows, rows)]
-        return np.asarray(rest + self.noise**2 * np.eye(int(rows.sum())))
+        noise = self.noise**2 * np.eye(int(rows.sum()))
+        return np.asarray(self.remainder**2 * self.rest(rows) + noise)
 
     def fit(self, tensions: Floats, positions: Floats) -> float:
         """

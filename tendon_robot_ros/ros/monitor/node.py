@@ -3,8 +3,8 @@ Watch the model meet the measurement: compare, record, diagnose, add the effect.
 
 Topics: tendon_states and measured_shape, measured_tip or a topic per marker (subscribed); ~/error,
 ~/rolling_error, ~/marker_errors, ~/measured, ~/predicted, ~/progress, ~/verdict, ~/status
-(published). ~/tip_force, ~/tip_force_covariance and ~/drift where they are watched. Services:
-~/record, ~/diagnose, ~/add, ~/learn. Parameters and units: docs/live.md.
+(published). ~/tip_force, ~/tip_force_covariance, ~/drift, ~/adaptation where asked. Services:
+~/record, ~/diagnose, ~/add, ~/learn, ~/undo. Parameters and units: docs/ros_interface.md.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from ...control import Refusal
 from ...control.checks import by_name
 from ...control.loading import Loader
 from ...data import save_dataset
+from ...model.model import Model
 from ...monitoring import Monitor
 from ...monitoring.job import Work
 from ...monitoring.monitor import Compared, read_markers
@@ -36,6 +37,7 @@ from ..shared.lifecycle import ERROR, OK, WARN, Status
 from ..shared.messages import LATCHED, LISTEN, STATE, pose_array, seconds
 from ..shared.parameters import Parameters, RemoteText
 from ..shared.runtime import run
+from .adapting import Adapting
 from .measured import MarkerInput
 from .parameters import SPECS, parsed, settings
 from .watching import Watching
@@ -63,10 +65,11 @@ class MonitorNode(Node):
         publish = self.create_publisher
         self._output = MonitorOutput(self)
         self.watching: Watching | None = None
+        self.adapting: Adapting | None = None
         self._progress = publish(String, '~/progress', LATCHED)
         self._verdict = publish(String, '~/verdict', LATCHED)
         self.create_subscription(JointState, 'tendon_states', self._states, LISTEN)
-        for name in ('record', 'diagnose', 'add', 'learn'):
+        for name in ('record', 'diagnose', 'add', 'learn', 'undo'):
             self.create_service(Trigger, f'~/{name}', getattr(self, f'_{name}'))
         self.create_timer(0.1, self._cycle)
         self.create_timer(1.0, self._look_at_controller)
@@ -123,15 +126,23 @@ class MonitorNode(Node):
                     self, self.parameters, self._base, self.monitor, self._frame
                 )
                 self.watching = Watching.wanted(self, self.parameters, self.monitor)
+                self.adapting = Adapting(
+                    self, self.parameters, self.monitor, self._loading, self._remote.put
+                )
             else:
-                self.monitor.set_model(model)
-                if self.watching is not None:
-                    self.watching.set_model(model)
+                self._change_model(self.monitor, model)
         except TendonRobotError as error:
             self._said = f'model: {error}'
         else:
             self._in_use, self._said = self._loading, ''
             self.get_logger().info(f'comparing with {", ".join(model.robot.effects) or "PCCA"}')
+
+    def _change_model(self, monitor: Monitor, model: Model) -> None:
+        """Compare with another description; the arm is still watched where it only followed."""
+        monitor.set_model(model)
+        anew = self.adapting is None or self.adapting.set_model(model, self._loading)
+        if anew and self.watching is not None:
+            self.watching.set_model(model)
 
     def _states(self, message: JointState) -> None:
         if self.monitor is None:
@@ -161,8 +172,11 @@ class MonitorNode(Node):
             if np.isfinite(compared.rolling):
                 self._last_error = compared.rolling
             self._output.publish(self._base, compared)
+            stood = self.monitor.stands()
+            if stood is not None and self.adapting is not None:
+                self.adapting.stands(stood)
             if self.watching is not None:
-                self.watching.frame(at, compared.measured, self._base)
+                self.watching.frame(at, compared.measured, self._base, stood)
 
     def _cycle(self) -> None:
         """Take what the child says; tell how things are."""
@@ -208,6 +222,7 @@ class MonitorNode(Node):
             'model': '' if monitor is None else ', '.join(monitor.model.robot.effects),
             'error': f'{1e3 * self._last_error:.3f} mm',
             **({} if self.watching is None else self.watching.values()),
+            **({} if self.adapting is None else self.adapting.values()),
         }
 
     def _tell_progress(self, text: str) -> None:
@@ -227,6 +242,14 @@ class MonitorNode(Node):
 
     def _learn(self, request: object, response: Trigger.Response) -> Trigger.Response:
         return self._answer(response, self._learn_anew)
+
+    def _undo(self, request: object, response: Trigger.Response) -> Trigger.Response:
+        return self._answer(response, self._take_back)
+
+    def _take_back(self) -> str:
+        self._require_monitor()
+        assert self.adapting is not None
+        return self.adapting.undo()
 
     def _learn_anew(self) -> str:
         if self.watching is None:

@@ -86,6 +86,11 @@ SPECS = (
         1e9,
         True,
     ),
+    Spec(
+        'adapt',
+        False,
+        'parameters of the added effects follow the arm slowly, within their intervals',
+    ),
     Spec('tracker_noise', 2e-4, '1 sd of a coordinate of a marker', 'm', 1e-7, 0.1, True),
     Spec('base_frame', '', 'frame of the base; empty: <robot>_base', read_only=True),
     Spec('frame_prefix', '', 'put before frame names', read_only=True),

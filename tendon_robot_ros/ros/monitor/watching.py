@@ -13,7 +13,7 @@ from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, Header, String
 
 from ...model.model import Model
-from ...monitoring import Monitor
+from ...monitoring import Monitor, StillMeasurement
 from ...monitoring.tip_force import TipForce
 from ...monitoring.watch import ArmWatch
 from ..shared.messages import LATCHED, STATE
@@ -50,7 +50,7 @@ class Watching:
         return None
 
     def set_model(self, model: Model) -> None:
-        """ArmWatch with another description from now on."""
+        """Learn the arm anew, with another description."""
         self.watch = ArmWatch(model, self.watch.markers, self.watch.settings)
 
     @property
@@ -68,9 +68,11 @@ class Watching:
             said['touched_at_cell'] = str(self.force.cell or '')
         return said
 
-    def frame(self, at: float, positions: Array, base: str) -> None:
-        """Take a frame of the tracker."""
-        if self._drift and (stood := self._monitor.stands()) is not None:
+    def frame(
+        self, at: float, positions: Array, base: str, stood: StillMeasurement | None
+    ) -> None:
+        """Take a frame of the tracker, and the posture if the arm has come to stand."""
+        if self._drift and stood is not None:
             self.watch.stands(stood.inputs, stood.positions)
             self._tell()
         state = self._monitor.states.at(at)
