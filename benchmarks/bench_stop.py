@@ -15,8 +15,9 @@ wires carried.
 - `late`: trials with a motor above pretension after 100 ms;
 - `rise`: by how much a wire was tighter after the cause than at it [N].
 
-Motors whose port is gone get no command: they wait for their watchdog, then have no current. It is
-short where the driver runs in real time: not under `nice`. The wires pull springs: the model of
+Motors whose port is gone get no command: they wait for their watchdog, then have no current, in
+pull mode they hold (docs/dynamixel.md): no figure then but `rise`. The watchdog is short where the
+driver runs in real time: not under `nice`. The wires pull springs: the model of
 the mock arm (`--arm plant`) holds up the emulated servos now and then, which no motor does. A run
 that was broken off goes on with the `--resume FILE` that it was given. One at a time: several
 chains in real time on two cores are in each other's way.
@@ -38,13 +39,15 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
 SOON = 0.1  # [s]
-LEAST = {'tension': 0.8, 'pull': 0.003}  # [N], [m] before a stop
+LEAST = {'tension': 0.8, 'pull': 0.0045}  # [N], [m] before a stop
 BEFORE = 0.1  # [s] of the trace before the cause
 AFTER = 0.45  # [s] of the trace after the cause
 ENDED = 2.0  # [s] that a process may take to end
 TRIES = 3
 ARMS = 'kato_10_1', 'spatial_3', 'spatial_6'
-SETTLE = 0.3  # [s]
+SETTLE = 0.3  # [s] in which it must have stood still before a stop
+STILL = {'tension': 0.05, 'pull': 2e-4}  # [N], [m]
+SETTLED = 5.0  # [s] that it may take to stand still
 FALLEN = 0.97  # of the current before: the release has begun
 SEEN = 0.02  # [s] at least so often
 NEAR = 0.03  # [N], four counts of current: at pretension
@@ -191,11 +194,22 @@ def judge(trace, cause, scale):
     }
 
 
+def settled(user, within):
+    """Wait until the arm stands: with wire lengths that takes longer than with tensions."""
+    end = time.monotonic() + SETTLED
+    while time.monotonic() < end:
+        before = user.values()
+        user.spin(SETTLE)
+        if np.abs(np.subtract(user.values(), before)).max() < within:
+            return True
+    return False
+
+
 def trial(chain, stops, kind, scale, number):
     """Bend the arm, stop it, look; return the figures or None."""
     stop, undo = KINDS[kind]
     held = chain.up(chain.targets[number % len(chain.targets)], LEAST[chain.mode])
-    chain.user.spin(SETTLE)
+    held = held and settled(chain.user, STILL[chain.mode])
     cause = stop(stops)
     sent, ended = time.monotonic() - cause, np.nan
     if kind in ENDS:
@@ -272,19 +286,19 @@ class Rows:
         return [row for row in self.rows if row['kind'] == kind]
 
 
-def summary(rows):
+def summary(rows, holds=False):
     if not rows:
         return {'trials': 0, 'late': 0}
     columns = {key: np.array([row[key] for row in rows]) for key in FIGURES}
     figures = {'trials': len(rows), 'highest': round(float(columns['from'].max()), 2)}
-    for key in ('sent_ms', 'begun_ms', 'rest_ms', 'ended_ms'):
+    for key in ('sent_ms',) if holds else ('sent_ms', 'begun_ms', 'rest_ms', 'ended_ms'):
         values = columns[key][~np.isnan(columns[key])]
         if len(values):
             p50, p99, worst = np.percentile(values, [50, 99, 100], method='higher')
             figures |= {
                 key: {'p50': round(p50, 1), 'p99': round(p99, 1), 'worst': round(worst, 1)}
             }
-    figures['late'] = int(np.sum(columns['rest_ms'] > 1e3 * SOON))
+    figures['late'] = 0 if holds else int(np.sum(columns['rest_ms'] > 1e3 * SOON))
     figures['rise'] = round(float(columns['rise'].max()), 3)
     return figures
 
@@ -293,7 +307,7 @@ def table(found):
     """Return the figures as a short table: at pretension after so many milliseconds."""
     lines = [f'{"what stops":27s} trials   half    p99  worst  late']
     for kind, figures in found.items():
-        if figures['trials']:
+        if 'rest_ms' in figures:
             rest = '{p50:7.1f}{p99:7.1f}{worst:7.1f}'.format(**figures['rest_ms'])
             lines.append(f'{kind:27s}{figures["trials"]:7d}{rest}{figures["late"]:6d}')
     return '\n'.join(lines)
@@ -324,7 +338,8 @@ def main():
     args = read_arguments()
     begun, rows = os.getloadavg(), Rows(args.rows)
     skipped, other = measure(args, rows)
-    found = {kind: summary(rows.of(kind)) for kind in args.kinds}
+    holds = {'pulled port'} if args.mode == 'pull' else ()
+    found = {kind: summary(rows.of(kind), kind in holds) for kind in args.kinds}
     result = {
         **machine(),
         'load_average': [round(begun[0], 1), round(os.getloadavg()[1], 1)],

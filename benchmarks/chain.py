@@ -122,9 +122,9 @@ class Load:
 class User(Node):
     """What a person has beside the robot: statuses, states, targets, services."""
 
-    def __init__(self, namespace, base):
+    def __init__(self, namespace, base, mode):
         super().__init__('user', namespace=namespace)
-        self.base = base  # frame of the targets
+        self.base, self.mode = base, mode  # frame of the targets
         self.said = {'driver': None, 'controller': None}
         self.state = None
         self.heard = 0  # commands of the controller
@@ -143,6 +143,12 @@ class User(Node):
 
     def _states(self, message):
         self.state = message
+
+    def values(self):
+        """Return the measured tensions [N] or wire pulls [m], none before the first."""
+        if self.state is None:
+            return []
+        return self.state.effort if self.mode == 'tension' else self.state.position
 
     def code(self, name):
         said = self.said[name]
@@ -230,7 +236,7 @@ class Chain:
         self._off_since = time.monotonic()
         self.died = []  # nodes that ended although nobody had told them to
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        self.user = User(self.space, f'{self.robot.stem}_base')
+        self.user = User(self.space, f'{self.robot.stem}_base', mode)
         for name in self._given:
             self.start(name)
 
@@ -290,10 +296,9 @@ class Chain:
         return False
 
     def _works(self, least):
-        state = self.user.state
-        if state is None or self.user.code('driver') != 'following':
+        if self.user.code('driver') != 'following':
             return False
-        values = state.effort if self.mode == 'tension' else state.position
+        values = self.user.values()
         return bool(values) and max(v if math.isfinite(v) else 0.0 for v in values) > least
 
     def close(self):

@@ -101,7 +101,7 @@ def test_no_sequence_of_inputs_breaks_limits_or_rates(mode, weak, first, sequenc
     limits, rate = supervisor.rules.limits, supervisor.rules.rates[0]
     fall = max(rate, (HIGH - LOW) / STOP) if mode == 'tension' else rate
     before, faulty = supervisor.step(0.0, None, reading()).command, False
-    now, strongest = 0.0, np.inf
+    now, weakening = 0.0, 0.0
     for passed, command, state, event in sequence:
         disturb(supervisor, event)
         now += passed
@@ -109,9 +109,10 @@ def test_no_sequence_of_inputs_breaks_limits_or_rates(mode, weak, first, sequenc
         decision = supervisor.step(now, asked, state)
         out = decision.command
         assert np.all(np.isfinite(out))
-        begins_again = (faulty and not state.faults) or decision.strongest > strongest
-        strongest = decision.strongest
-        assert strongest == np.inf or (LOW <= strongest <= HIGH and giving)
+        begins_again = (faulty and not state.faults) or decision.weakening < weakening
+        assert decision.weakening >= weakening or decision.state == 'following'
+        weakening = decision.weakening
+        assert weakening == 0.0 or (0.0 < weakening <= 1.0 and giving)
         if not begins_again:
             assert np.all(out - before <= rate * CYCLE_MAX_S * (1 + 1e-9))
             assert np.all(before - out <= fall * CYCLE_MAX_S * (1 + 1e-9))
@@ -301,24 +302,24 @@ def test_in_pull_mode_a_stop_weakens_the_motors_and_the_wire_stays_on_its_spool(
     supervisor = weak()
     bent = np.array([0.010, -0.008])
     decision, now = run(supervisor, 0.0, 0.1, bent)
-    assert decision.strongest == np.inf
+    assert decision.weakening == 0.0
     assert decision.command == pytest.approx(bent)
     supervisor.latch.stop('stop', 'stop was called')
     decision, now = run(supervisor, now, 0.5 * STOP)
-    assert decision.strongest == pytest.approx(0.5 * (LOW + HIGH))  # the ramp is a straight line
+    assert decision.weakening == pytest.approx(0.5)  # the ramp is a straight line
     decision, now = run(supervisor, now, 0.5 * STOP)
-    assert decision.strongest == LOW
+    assert decision.weakening == pytest.approx(1.0)
     assert decision.command[0] == pytest.approx(0.010 - 0.01 * STOP)  # at the release rate
     assert -0.01 * STOP < decision.command[1] + 0.008 - 0.02 * STOP <= 0.0  # nothing pulls there
     decision, now = run(supervisor, now, 2.0)
-    assert (decision.state, decision.strongest) == ('released', LOW)
+    assert (decision.state, decision.weakening) == ('released', 1.0)
     assert decision.command == pytest.approx([0.0, 0.0])
 
 
 def test_silence_in_pull_mode_does_not_weaken_the_motors():
     decision, _ = run(weak(), 0.0, 0.3)
     assert decision.state == 'releasing'
-    assert decision.strongest == np.inf
+    assert decision.weakening == 0.0
 
 
 def test_after_such_a_stop_the_motors_go_on_from_where_the_arm_has_moved_them():
@@ -329,7 +330,7 @@ def test_after_such_a_stop_the_motors_go_on_from_where_the_arm_has_moved_them():
     _, now = run(supervisor, now, STOP, None, moved)
     supervisor.reset()
     decision = supervisor.step(now + CYCLE, np.array([0.010, 0.0]), moved)
-    assert decision.strongest == np.inf
+    assert decision.weakening == 0.0
     assert decision.command[0] == pytest.approx(0.002 + 0.02 * CYCLE)
 
 

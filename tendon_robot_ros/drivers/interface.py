@@ -151,11 +151,20 @@ class Driver(abc.ABC):
     def write(self, command: Array) -> None:
         """Command every input, shape (m,) [N] or [m], kept within limits and rates."""
 
-    def weaken(self, strongest: float) -> None:
+    def weaken(self, share: float, least: float) -> None:
         """
-        Take what a motor may hold a wire with [N], in pull mode, from the next command on.
+        Take how far the motors give way in pull mode, from the next command on.
 
         Without `gives_way` nothing comes of it.
+
+        Parameters
+        ----------
+        share : float
+            0: a motor holds up to its limit; 1: no wire with more than `least`; between them a
+            share of the way from what it carried when the share was last 0.
+        least : float
+            [N]
+
         """
         return
 

@@ -197,8 +197,8 @@ class Decision:
         Why it does not follow, one sentence each.
     clipped : tuple of str
         Inputs whose command was outside the limits.
-    strongest : float
-        What a motor may pull [N], below its own limit after a stop in pull mode.
+    weakening : float
+        How far motors give way after a stop in pull mode: 0 not at all, 1 to `give_way`.
 
     """
 
@@ -207,4 +207,4 @@ class Decision:
     state: str
     reasons: tuple[str, ...] = ()
     clipped: tuple[str, ...] = ()
-    strongest: float = np.inf
+    weakening: float = 0.0

@@ -37,7 +37,7 @@ class Supervisor:
     _faulty: bool = False
     _let_go: str = ''  # why the sender of the commands wants no more of them
     _stop_rate: float = 0.0  # of the release since a stop was asked for, 0 before that
-    _strongest: float = np.inf  # [N] what motors may pull, less after a stop in pull mode
+    _weakening: float = 0.0  # share by which motors have given way, after a stop in pull mode
 
     def __post_init__(self) -> None:
         """Start at rest, off."""
@@ -63,7 +63,7 @@ class Supervisor:
         self._output = self._measured(reading, np.zeros(len(self.rules.inputs)))
         self._asked, self._asked_at, self._now = None, now, now
         self._clipped, self._let_go, self._stop_rate = (), '', 0.0
-        self._strongest = np.inf
+        self._weakening = 0.0
         self.state = FOLLOWING
 
     def reset(self) -> None:
@@ -111,8 +111,8 @@ class Supervisor:
             reasons.append(f'no command for {self.rules.command_timeout:g} s')
         if not reasons:
             self.state, self._stop_rate = FOLLOWING, 0.0
-            if self._strongest < np.inf:  # the arm has moved the motors
-                self._output, self._strongest = self._measured(reading, self._output), np.inf
+            if self._weakening > 0.0:  # the arm has moved the motors
+                self._output, self._weakening = self._measured(reading, self._output), 0.0
             goal = self._output if self._asked is None else self._asked
             self._move(goal, self.rules.rates * passed, reading)
         else:
@@ -128,7 +128,7 @@ class Supervisor:
             self.state,
             tuple(dict.fromkeys(reasons)),
             self._clipped,
-            self._strongest,
+            self._weakening,
         )
 
     def _accept(self, command: Array | None) -> None:
@@ -166,7 +166,7 @@ class Supervisor:
             if self.rules.give_way is None:
                 rate = self._stopping(rate)
             else:
-                self._give_way(self.rules.give_way, passed)
+                self._give_way(passed)
         step = np.full(len(self.rules.inputs), rate * passed)
         self._move(self.rules.rest, step, reading)
         arrived = np.allclose(self._output, self.rules.rest, atol=1e-12)
@@ -175,16 +175,15 @@ class Supervisor:
         if arrived or held:
             self.state = LIMP if self.rules.release_to == 'limp' else RELEASED
 
-    def _give_way(self, least: float, passed: float) -> None:
+    def _give_way(self, passed: float) -> None:
         """
         Weaken the motors in `stop_time`; the arm takes from them the wire that it was bent by.
 
         Paid out faster than the arm takes it, wire would leave the spool. What the bend has drawn
         out is wound again: there is no strength behind it.
         """
-        high, time = self.rules.tension_limits[1], self.rules.stop_time
-        fall = (high - least) * passed / time if time > 0.0 else np.inf
-        self._strongest = max(least, min(self._strongest, high) - fall)
+        time = self.rules.stop_time
+        self._weakening = min(1.0, self._weakening + (passed / time if time > 0.0 else 1.0))
         rates = np.maximum(self.rules.rates - self.rules.release_rate, 0.0)  # that comes on top
         wound = np.minimum(self.rules.rest, self._output + rates * passed)
         self._output = np.maximum(self._output, wound)

@@ -121,7 +121,7 @@ class DynamixelDriver(PortDriver):
         self._turn = 0
         observable = config.allow_coarse or mode == 'tension'
         self.gives_way = self._operating == CURRENT_POSITION_MODE
-        self._strongest, self._weak_until = np.inf, -np.inf  # [N], monotonic [s]
+        self._weak_until = -np.inf  # monotonic [s]
         self._observable = np.array([observable or not w.resolution.coarse for w in config.wires])
 
     def open(self) -> None:
@@ -130,6 +130,11 @@ class DynamixelDriver(PortDriver):
         if self._latency is not None:
             self.bus.answer_time = self.config.answer_time + 2e-3 * self._latency
         super().open()
+
+    def enable(self) -> None:
+        """Torque on where the motors are, as strong as they may be."""
+        self.weaken(0.0, 0.0)
+        super().enable()
 
     def _shake_hands(self) -> None:
         shake_hands(self.bus, self.config, self.motors)
@@ -212,20 +217,23 @@ class DynamixelDriver(PortDriver):
         except PortLostError:
             pass  # read() says so and tries to get it back
 
-    def weaken(self, strongest: float) -> None:
-        """Let no motor hold a wire with more than a tension [N]; inf: its limit."""
-        self._strongest = strongest
+    def weaken(self, share: float, least: float) -> None:
+        """Let motors hold less, from what they carry (share 0: their limit) to `least` [N] (1)."""
+        if not self.gives_way:
+            return
+        if share > 0.0 or any(motor.weakened is not None for motor in self.motors.values()):
+            self._weak_until = time.monotonic() + STRENGTH_REPEATED_S
+        for motor in self.motors.values():
+            motor.weaken(share, least)
 
     def _send_strength(self) -> None:
         """Send what the motors may hold while it is less than usual, and for a while after."""
-        now = time.monotonic()
-        if self.gives_way and np.isfinite(self._strongest):
-            self._weak_until = now + STRENGTH_REPEATED_S
-        if now < self._weak_until:
+        weak = any(motor.weakened is not None for motor in self.motors.values())
+        if weak or time.monotonic() < self._weak_until:
             motors = [motor for motor in self.motors.values() if motor.wanted]
-            goals = {motor.identity: motor.strength(self._strongest) for motor in motors}
             bounds = {motor.identity: motor.current_bounds for motor in motors}
-            self.bus.send_goals('goal_current', goals, bounds)
+            most = {identity: high for identity, (_, high) in bounds.items()}
+            self.bus.send_goals('goal_current', most, bounds)
 
     def read(self) -> Reading:
         """Read every motor; look after errors, watchdogs and what was lost."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ..interface import Fault
 from .config import DynamixelConfig, WireConfig
@@ -19,6 +20,9 @@ from .control_table import (
 
 STATE = (REGISTERS['present_current'].address, 10)  # current, velocity, position: 126 to 135
 HEALTH = (REGISTERS['present_input_voltage'].address, 3)  # voltage and temperature: 144 to 146
+LATELY = 5  # readings of which the largest current is what a motor carries
+CARRIED_MARGIN = 0.1  # of that, and counts: a reading is rounded, rippled and a cycle old
+CARRIED_MARGIN_COUNTS = 3
 
 
 @dataclass
@@ -69,6 +73,9 @@ class Motor:
     temperature: float | None = None
     hottest: float = math.inf
     guided: tuple[int, tuple[int, int]] | None = None  # while the driver itself moves it
+    weakened: int | None = None  # [counts] what it may hold since a stop in pull mode
+    _carried: int = 0  # [counts] what it may have held when that began
+    _lately: deque[int] = field(default_factory=lambda: deque(maxlen=LATELY))
 
     @property
     def model(self) -> ServoModel:
@@ -90,6 +97,7 @@ class Motor:
         self.current = decode(current, data[0:2])
         self.velocity = decode(velocity, data[2:6])
         self.ticks = decode(REGISTERS['present_position'], data[6:10])
+        self._lately.append(abs(self.current))
 
     @property
     def strongest(self) -> int:
@@ -104,7 +112,9 @@ class Motor:
     @property
     def current_bounds(self) -> tuple[int, int]:
         """Goal currents it may be given [counts]: in tension mode only those that wind."""
-        most = self.strongest if self.guided is None else min(self.guided[0], self.strongest)
+        most = self.strongest if self.weakened is None else self.weakened
+        if self.guided is not None:
+            most = min(self.guided[0], most)
         if self.mode == 'tension' and self.guided is None and self.wires[0].spool.direction < 0:
             return -most, 0
         return 0, most
@@ -155,12 +165,28 @@ class Motor:
         way = sum(w.share * w.spool.ticks(c) for w, c in zip(self.wires, commands, strict=True))
         return round(zero + way)
 
-    def strength(self, tension: float) -> int:
-        """Return the current at which it holds no wire with more than a tension [N], in counts."""
-        if math.isinf(tension):
-            return self.strongest
-        amperes = min(wire.calibration.current(tension) for wire in self.wires)
-        return max(0, round(amperes / self.model.current_unit))
+    def weaken(self, share: float, least: float) -> None:
+        """
+        Let it hold less, by a share of the way from what it carries to a tension.
+
+        Parameters
+        ----------
+        share : float
+            0: its limit again; 1: no more current than for `least`.
+        least : float
+            Tension of a wire [N].
+
+        """
+        if share <= 0.0:
+            self.weakened = None
+            return
+        amperes = min(wire.calibration.current(least) for wire in self.wires)
+        end = min(max(0, round(amperes / self.model.current_unit)), self.strongest)
+        if self.weakened is None:
+            lately = max(self._lately, default=self.strongest)
+            carried = math.ceil(lately * (1.0 + CARRIED_MARGIN)) + CARRIED_MARGIN_COUNTS
+            self._carried = min(max(carried, end), self.strongest)
+        self.weakened = round(end + max(0.0, 1.0 - share) * (self._carried - end))
 
     def faults(self, port: str) -> Iterator[Fault]:
         """List what is wrong with it."""

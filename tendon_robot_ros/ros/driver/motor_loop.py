@@ -185,7 +185,7 @@ class MotorLoop:
         self._report(Cycle(self._last, decision, time.monotonic() - began, stopped))
 
     def _write(self, decision: Decision) -> None:
-        self.driver.weaken(decision.strongest)
+        self.driver.weaken(decision.weakening, self.supervisor.rules.give_way or 0.0)
         self.driver.write(decision.command)
 
     def _torque(self, decision: Decision) -> bool:
