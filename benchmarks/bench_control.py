@@ -23,8 +23,8 @@ from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.redundancy import Balance, Preferences
 from tendon_robot_ros.model.tip_task import TipTask, tip_target
 from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.simulation.hidden import with_elastic_slip
 from tendon_robot_ros.simulation.imperfect import Workmanship
-from tendon_robot_ros.simulation.laws import with_elastic_slip
 from tendon_robot_ros.simulation.plant import make_plant
 
 CYCLE, LAG = 0.005, 0.02  # [s]

@@ -27,7 +27,7 @@ from tendon_robot_ros.investigation.loop import Investigation
 from tendon_robot_ros.investigation.simulated_arm import SimulatedArm
 from tendon_robot_ros.investigation.stopping import names_of, widest
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.robot.size import natural_sizes
+from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.simulation.imperfect import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant

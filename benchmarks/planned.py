@@ -17,7 +17,7 @@ from tendon_robot_ros.campaign.running import run_plan
 from tendon_robot_ros.campaign.versions import Preparation
 from tendon_robot_ros.cli.campaign import shown
 from tendon_robot_ros.common.workers import Workers
-from tendon_robot_ros.report.campaign_text import summary
+from tendon_robot_ros.report.campaign_page import summary
 
 PLANS = Path(__file__).parent / 'plans'
 

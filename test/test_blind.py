@@ -10,7 +10,7 @@ from simulated import CATALOGUE, measured
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import add_effects
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.robot.size import natural_sizes
+from tendon_robot_ros.robot.estimates import natural_sizes
 
 pytestmark = pytest.mark.blind
 CONFUSION = Confusion()

@@ -9,7 +9,7 @@ from arms import GRAVITY, TYPICAL, planar, spatial, turned, two_sections
 
 from tendon_robot_ros.effects import BUILT_IN, STAGES, load_catalogue
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.robot.size import natural_sizes
+from tendon_robot_ros.robot.estimates import natural_sizes
 
 CATALOGUE = load_catalogue().sized(natural_sizes(two_sections()))
 EFFECTS = [effect.name for effect in CATALOGUE]

@@ -23,7 +23,7 @@ from tendon_robot_ros.diagnosis.described_arm import (
 from tendon_robot_ros.diagnosis.improve import falls
 from tendon_robot_ros.diagnosis.improvement import total
 from tendon_robot_ros.diagnosis.stepwise import Stepwise, left_out_errors
-from tendon_robot_ros.report.improvement_text import lines
+from tendon_robot_ros.report.improvement_page import improvement_lines
 from tendon_robot_ros.robot import dump_robot, parse_robot
 
 ROBOT = simulated.robot()
@@ -60,7 +60,7 @@ def test_both_hidden_effects_are_found_and_then_it_stops(arm):
         for key, value in values.items():
             half = value.high - value.low
             assert value.low - half <= HIDDEN[name][key] <= value.high + half, (name, key)
-    said = '\n'.join(lines(found))
+    said = '\n'.join(improvement_lines(found))
     assert 'It stops there: what remains is noise (p = ' in said
     assert repr(found).startswith('<Improvement by tip_load, hinge_friction: left out 15')
 
@@ -117,7 +117,7 @@ def test_a_stiffness_that_changes_along_the_arm_is_found_and_written():
     assert [step.joined for step in found.steps[1 : found.taken + 1]] == ['bending_stiffness']
     change = np.array(found.robot.sections[0].bending_stiffness) / stiff
     assert np.abs(np.log(change[1:-1])).max() < 0.1
-    assert '% at the middle' in '\n'.join(lines(found))
+    assert '% at the middle' in '\n'.join(improvement_lines(found))
 
 
 def test_what_moved_of_the_arm_is_what_the_description_says():

@@ -13,9 +13,9 @@ from tendon_robot_ros.diagnosis.decide import FALSE_DISCOVERY_RATE
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.local_tests import Place, faults_among, faults_of
 from tendon_robot_ros.diagnosis.session import Session
+from tendon_robot_ros.report.arm_text import marks, of_inputs, where_wrong
 from tendon_robot_ros.report.comparison_page import add_shapes
 from tendon_robot_ros.report.diagnosis_page import pictures_of
-from tendon_robot_ros.report.local_text import marks, of_inputs, where_wrong
 from tendon_robot_ros.report.page import Page
 
 ROBOT = simulated.robot()

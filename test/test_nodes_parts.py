@@ -21,10 +21,9 @@ from tendon_robot_ros.control.checks import direction
 from tendon_robot_ros.control.loading import Loader
 from tendon_robot_ros.ros.driver import backend as driver_backend
 from tendon_robot_ros.ros.shared.files import read_mapping, read_robot
-from tendon_robot_ros.ros.shared.messages import quaternion
+from tendon_robot_ros.ros.shared.messages import Frames, matrix, quaternion
 from tendon_robot_ros.ros.shared.parameters import Spec
 from tendon_robot_ros.ros.shared.runtime import _yaml
-from tendon_robot_ros.ros.shared.tf_frames import Frames, matrix
 
 parts = st.floats(-1.0, 1.0)
 

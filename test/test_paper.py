@@ -8,7 +8,7 @@ from source_tree import ROOT
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.paper import displacement, motion, prototype, tension
+from tendon_robot_ros.paper import displacement, experiments, motion, tension
 from tendon_robot_ros.paper import robots as play
 from tendon_robot_ros.paper.experiments import Row
 from tendon_robot_ros.paper.robots import at_view, pcca, with_cells
@@ -119,6 +119,6 @@ def test_more_cells_keep_length_and_bending_of_a_section():
 
 
 def test_at_90_degrees_the_models_differ_as_published_at_equal_tension():
-    gap, _ = prototype.gap(kato('2_1'))
+    gap, _ = experiments.gap(kato('2_1'))
     assert gap.tension == pytest.approx(7.6e-3, rel=0.15)
     assert gap.pull < gap.tension

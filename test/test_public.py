@@ -135,7 +135,7 @@ def test_linear_algebra_runs_in_one_thread_unless_the_user_says_otherwise():
 def test_numpy_imported_first_makes_no_diagnosis_slow():
     code = (
         'import numpy, threadpoolctl\n'
-        'from tendon_robot_ros.common.threads import one_thread\n'
+        'from tendon_robot_ros.common.processes import one_thread\n'
         'blas = lambda: {p["num_threads"] for p in threadpoolctl.threadpool_info()\n'
         '                if p["user_api"] == "blas"}\n'
         'threadpoolctl.threadpool_limits(2, "blas")\n'

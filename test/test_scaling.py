@@ -17,7 +17,7 @@ from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
-from tendon_robot_ros.robot.size import natural_sizes
+from tendon_robot_ros.robot.estimates import natural_sizes
 
 SCALES = ((0.1, 1.0), (10.0, 1.0), (1.0, 1e3), (10.0, 1e3))  # of lengths, of stiffness
 UNITS = {  # unit -> powers of length and force

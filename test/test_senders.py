@@ -19,8 +19,7 @@ from ros_station import Station, last, point, stamp, start, values
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.ros.shared.messages import LATCHED
-from tendon_robot_ros.ros.shared.origin import Received
-from tendon_robot_ros.ros.shared.senders import GONE_AFTER_S, Senders, signature
+from tendon_robot_ros.ros.shared.senders import GONE_AFTER_S, Received, Senders, signature
 
 NAMED_S = 0.5  # [s] after which all name another who commands
 EVERY = QoSProfile(depth=1000)

@@ -7,8 +7,8 @@ import pytest
 
 from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.ros.viewer import page_parts
+from tendon_robot_ros.ros.viewer.page_parts import SIDES, tube_faces, tube_vertices
 from tendon_robot_ros.ros.viewer.state import ViewState
-from tendon_robot_ros.ros.viewer.tube import SIDES, tube_faces, tube_vertices
 
 
 def said(state, **values):

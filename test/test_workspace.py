@@ -12,9 +12,8 @@ from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.common.workers import Workers
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import dump_robot
-from tendon_robot_ros.workspace.cubes import LOOKS, Cubes
+from tendon_robot_ros.workspace.cubes import LOOKS, Cubes, folds
 from tendon_robot_ros.workspace.grid import find_workspace, pairs_of
-from tendon_robot_ros.workspace.sorting import folds
 from tendon_robot_ros.workspace.volume import find_volume
 
 FRICTION = {'tendon_friction': {'friction_coefficient': 0.3}}

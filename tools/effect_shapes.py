@@ -10,7 +10,7 @@ from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.robot.size import natural_sizes
+from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.workspace.postures import default_postures
 
 ROOT = Path(__file__).resolve().parents[1]

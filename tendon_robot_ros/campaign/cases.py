@@ -17,7 +17,7 @@ from ..diagnosis.slopes import imperfections
 from ..diagnosis.split import SplitPredictor
 from ..effects import Catalogue
 from ..robot import Robot
-from ..robot.size import natural_sizes
+from ..robot.estimates import natural_sizes
 from ..simulation.hidden import CAUSES
 from ..simulation.imperfect import Built, Workmanship
 from ..simulation.measurements import SimulatedNoise, simulate

@@ -3,5 +3,4 @@ The command line: one module per command, chosen in main.py.
 
 main.py           the list of commands, and how one is run
 options.py        arguments that several commands share, and where results go
-data_options.py   arguments of commands that take measurements or write a description
 """

@@ -18,16 +18,20 @@ import argparse
 
 from ..diagnosis.add import add_effects
 from ..report.addition_text import NOT_WRITTEN, addition_lines
-from .data_options import (
+from .options import (
+    REFUSED_EXIT_CODE,
     add_data,
+    add_effect_files,
+    add_json,
     add_overwrite,
+    effects_of,
+    emit,
     load_check,
     load_measurements,
     next_step,
     refuse_existing,
     write_description,
 )
-from .options import REFUSED_EXIT_CODE, add_effect_files, add_json, effects_of, emit
 
 HELP = 'add a physical effect to a robot description, fitted on measurements'
 

@@ -48,8 +48,7 @@ def run(args: argparse.Namespace) -> int:
     from ..campaign.running import rows_of, run_plan
     from ..campaign.versions import Preparation
     from ..common.workers import Workers
-    from ..report.campaign_page import campaign_page
-    from ..report.campaign_text import power_lines, summary
+    from ..report.campaign_page import campaign_page, power_lines, summary
 
     plan, folder = read_plan(args.plan, args.effect_file), Path(args.output)
     if args.dry_run:

@@ -24,8 +24,7 @@ from ..comparison.statistics import ERRORS
 from ..data import DataSet
 from ..report.comparison_text import sentences, table
 from ..robot import Robot, load_robot
-from .data_options import add_data, load_measurements
-from .options import add_effect_files, add_json, effects_of, emit
+from .options import add_data, add_effect_files, add_json, effects_of, emit, load_measurements
 
 HELP = 'compare models with measurements'
 

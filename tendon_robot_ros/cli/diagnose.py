@@ -28,16 +28,21 @@ from ..diagnosis.session import Progress
 from ..effects import Catalogue
 from ..report import addition_text
 from ..report.diagnosis_text import lines, trust_lines
-from .data_options import (
+from .options import (
+    REFUSED_EXIT_CODE,
     add_data,
+    add_effect_files,
+    add_json,
     add_overwrite,
+    effects_of,
+    emit,
     load_check,
     load_measurements,
     next_step,
+    progress,
     refuse_existing,
     write_description,
 )
-from .options import REFUSED_EXIT_CODE, add_effect_files, add_json, effects_of, emit, progress
 
 HELP = 'name the physical effect that a model lacks'
 

@@ -20,8 +20,7 @@ from ..common.errors import InputError
 from ..common.words import listed
 from ..paper.slip import SlipFriction, read_slip_angles, slip_friction, with_friction
 from ..robot import load_robot
-from .data_options import add_overwrite, next_step, refuse_existing, write_description
-from .options import add_json, emit
+from .options import add_json, add_overwrite, emit, next_step, refuse_existing, write_description
 
 HELP = 'friction coefficient from slip angles, into a robot description'
 

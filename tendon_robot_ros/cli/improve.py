@@ -18,17 +18,22 @@ import argparse
 
 from ..common.errors import InputError
 from ..diagnosis.improve import improve
-from ..report.improvement_text import NOT_WRITTEN, lines
-from .data_options import (
+from ..report.improvement_page import NOT_WRITTEN, improvement_lines
+from .options import (
+    REFUSED_EXIT_CODE,
     add_data,
+    add_effect_files,
+    add_json,
     add_overwrite,
+    effects_of,
+    emit,
     load_check,
     load_measurements,
     next_step,
+    progress,
     refuse_existing,
     write_description,
 )
-from .options import REFUSED_EXIT_CODE, add_effect_files, add_json, effects_of, emit, progress
 
 HELP = 'add effects one by one while the error on left-out postures falls'
 
@@ -57,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     catalogue = effects_of(args)
     with progress(remaining=True) as show:
         found = improve(dataset, None, catalogue, check, args.workers, show)
-    report_lines = lines(found)
+    report_lines = improvement_lines(found)
     if found.taken:
         write_description(found.robot, args.output)
         report_lines.append(next_step(args.output))

@@ -14,7 +14,7 @@ import numpy as np
 from ..common.errors import InputError
 from ..common.files import refuse_ending
 from ..data.recording.reader import Moves, Places, read_moves
-from ..paths.run import PathRun
+from ..paths.path import PathRun
 from ..report.path_run import draw_run
 
 HELP = 'draw a recording: tip, targets, commands'

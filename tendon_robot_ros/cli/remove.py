@@ -13,7 +13,7 @@ import argparse
 
 from ..diagnosis.add import restore
 from ..robot import load_robot
-from .data_options import add_overwrite, refuse_existing, write_description
+from .options import add_overwrite, refuse_existing, write_description
 
 HELP = 'take an effect out of a robot description'
 

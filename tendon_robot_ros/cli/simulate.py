@@ -32,8 +32,7 @@ from ..simulation.measurements import SimulatedNoise, simulate
 from ..simulation.plant import Plant, make_plant
 from ..simulation.raw_table import raw_table, write_table
 from ..workspace.postures import default_postures
-from .data_options import refuse_existing
-from .options import add_effect_files, named_numbers, numbers, vector
+from .options import add_effect_files, named_numbers, numbers, refuse_existing, vector
 
 NOISE_SCALES = {'position': 1e3}  # typed in mm
 POSITION_NOISE_MIN_MM = 0.001

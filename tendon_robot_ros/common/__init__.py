@@ -4,9 +4,8 @@ What every part uses, and what knows nothing of robots.
 errors.py         every error that a user can meet: one line that says what to do
 files.py          files and folders that are there whole, or not at all
 yaml_reading.py   checked reading of YAML; every refusal names file, key, expectation and value
-threads.py        linear algebra in one thread
 workers.py        chunks of independent work: here, in processes, on a cluster
-processes.py      children that end with who started them; who goes before other work
+processes.py      children that end with who started them; who goes first; one thread
 rotations.py      rotation matrices, rotation vectors and quaternions
 units.py          units as people write them, to SI
 words.py          numbers as people read them: millimetres, degrees, names in a list

@@ -1,4 +1,4 @@
-"""Child processes that end with the process that started them, however it ends (Linux)."""
+"""Children that end with who started them (Linux); who goes first; one thread for matrices."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from threadpoolctl import threadpool_limits
 
 PARENT = 'TENDON_ROBOT_ROS_PARENT'
 PR_SET_PDEATHSIG = 1
@@ -85,3 +88,15 @@ def go_with_others() -> None:
     """Take back what was inherited from a process that goes first."""
     if os.getpriority(os.PRIO_PROCESS, 0) < 0:
         os.setpriority(os.PRIO_PROCESS, 0, 0)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """
+    Keep the linear algebra of numpy and scipy to one thread, also where they came first.
+
+    Who imports numpy before this package has as many threads as cores, and a diagnosis takes
+    ten times as long. Works as a decorator as well.
+    """
+    with threadpool_limits(limits=1, user_api='blas'):
+        yield

@@ -23,8 +23,7 @@ from functools import lru_cache
 from typing import Any, Protocol, Self
 
 from .errors import ClusterLostError, InputError, MissingExtraError
-from .processes import end_with_parent
-from .threads import one_thread
+from .processes import end_with_parent, one_thread
 
 LOSSES_MAX = 8  # workers that may die over a chunk before it counts as the chunk's fault
 AHEAD = 2  # chunks that wait at a scheduler for each of its threads

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from ..common.dataframes import make_frame
 from ..common.errors import DataSetError, InputError
 from ..robot import Robot
-from .dataframes import FrameArrays, frame_columns, read_frame
+from .dataframes import FrameArrays, check_units, frame_columns, read_frame
 from .markers import Marker, Vector, place_markers
-from .unit_checks import check_units
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

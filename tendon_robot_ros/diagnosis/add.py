@@ -12,7 +12,7 @@ import numpy as np
 
 from ..common.dataframes import make_frame
 from ..common.errors import InputError, NoEquilibriumError
-from ..common.threads import one_thread
+from ..common.processes import one_thread
 from ..comparison.predict import FreeParameter, Point
 from ..data import DataSet
 from ..effects import Catalogue, load_catalogue

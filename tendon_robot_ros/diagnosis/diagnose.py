@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from ..common.errors import NoEquilibriumError
-from ..common.threads import one_thread
+from ..common.processes import one_thread
 from ..comparison.noise import rms
 from ..data import DataSet
 from ..effects import Catalogue, load_catalogue

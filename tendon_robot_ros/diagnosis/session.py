@@ -15,7 +15,7 @@ from ..comparison.predict import FreeParameter, Point, Predictor
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
-from ..robot.size import natural_sizes
+from ..robot.estimates import natural_sizes
 from .as_built import Imperfections, Members
 from .candidates import Candidate, Ranked, candidates_of, gain_p_value, is_tested, nuisances_of
 from .cells import cell_slopes

@@ -25,7 +25,7 @@ from ..comparison.statistics import chi2_sf, f_sf, minimum
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
-from ..robot.size import natural_sizes
+from ..robot.estimates import natural_sizes
 from .add import changed_robot
 from .candidates import Candidate, candidates_of
 from .decide import P_SINGLE_MIN

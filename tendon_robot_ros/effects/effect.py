@@ -31,8 +31,8 @@ class Parameter:
     typical : float
         A size that matters, used to scale and start fits.
     of : str
-        The size of the robot that these four count in, a key of `robot.size.natural_sizes`; ''
-        where they are the same for every robot.
+        The size of the robot that these four count in, a key of
+        `robot.estimates.natural_sizes`; '' where they are the same for every robot.
     per_section : bool
         Whether every section has a value of its own.
     per_tendon : bool

@@ -31,7 +31,7 @@ from ..diagnosis.slopes import imperfections
 from ..diagnosis.split import SplitPredictor
 from ..effects import Catalogue
 from ..robot import Robot
-from ..robot.size import natural_sizes
+from ..robot.estimates import natural_sizes
 
 Floats = npt.NDArray[np.float64]
 STEP_SHARES = (0.3, 0.03)  # of a typical size, that a parameter moves for its derivative

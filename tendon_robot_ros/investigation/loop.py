@@ -29,8 +29,8 @@ from ..effects import Catalogue, Effect, load_catalogue
 from ..model.model import Model
 from ..report.diagnosis_page import with_effects
 from ..robot import Robot
+from ..robot.estimates import natural_sizes
 from ..robot.keep_out import KeepOut
-from ..robot.size import natural_sizes
 from .arm import BrokenMeasurementError, MeasurableArm, PostureMeasured, checked
 from .choice import Choice, OpenQuestion, choose
 from .goal import Goal

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from ..common.errors import NoEquilibriumError
 from ..effects import STAGES, Catalogue, load_catalogue
 from ..robot import Robot
-from ..robot.size import natural_sizes
+from ..robot.estimates import natural_sizes
 from .compile import KernelArrays
 from .inputs import TensionsLike, tension_rows, tensions_of
 from .shape import FIELDS, ResultLayout, Shape, ShapeBatch

@@ -22,7 +22,7 @@ from ..diagnosis.slopes import imperfections
 from ..diagnosis.split import SplitPredictor
 from ..effects import Catalogue
 from ..robot import Robot
-from ..robot.size import natural_sizes
+from ..robot.estimates import natural_sizes
 
 Floats = npt.NDArray[np.float64]
 REMAINDER_SHARES = (0.0, 0.0005, 0.001, 0.002, 0.004, 0.008, 0.016)  # of the length, at the tip

@@ -1,7 +1,6 @@
 """
 Paths of the tip.
 
-path.py   a path between given rows, smooth or straight, sampled finely
+path.py   a path between given rows, smooth or straight, sampled finely; what was reached along it
 plan.py   when the tip is where: stretched until speeds and tension rates are kept
-run.py    what was reached against what was asked
 """

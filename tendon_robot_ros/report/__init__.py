@@ -5,12 +5,10 @@ page.py               a page that opens without a network; page.css and page.js 
 numbers.py            fitted values and arrays as people and figures need them
 comparison_text.py    a comparison in words; comparison_page.py is its page
 diagnosis_text.py     a diagnosis in words, and how far to trust it
-arm_text.py           an arm as it is built, and left-out readings, in words
-local_text.py         where the best model is still wrong, in words and as marks on pictures
+arm_text.py           in words: an arm as built, readings left out, where the model is still wrong
 diagnosis_page.py     the page of a diagnosis, with pictures
 addition_text.py      what was added, in words
-improvement_text.py   how an error fell step by step, in words
-improvement_page.py   the page of that, with the curve
+improvement_page.py   how an error fell step by step, as text and page
 error_plots.py        errors per cell, posture and angle; heat maps and moments
 shape_plots.py        shapes, measured and predicted
 path_run.py           what was reached against what was asked
@@ -18,6 +16,6 @@ paper_page.py         the page of the paper's experiments
 workspace_page.py     the page of a workspace
 volume_page.py        the tips of all tendons as text and page: cloud, hull, sections, friction
 fleet_page.py         many robots over time as text and page
-campaign_text.py      what a campaign found, in words; campaign_page.py is its page
+campaign_page.py      what a campaign found, as text and page
 robot_picture.py      a picture of a robot
 """

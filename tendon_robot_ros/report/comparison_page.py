@@ -8,8 +8,8 @@ from pathlib import Path
 from ..common.words import capital, mm
 from ..comparison.result import Comparison, ModelErrors
 from . import comparison_text as say
+from .arm_text import Fault
 from .error_plots import Step, angles, per_marker, per_posture, staircase, tip_boxes
-from .local_text import Fault
 from .page import Page
 from .shape_plots import chosen_postures, shape_figures, shape_key
 

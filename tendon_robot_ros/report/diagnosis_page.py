@@ -20,10 +20,10 @@ from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from ..robot.description import EffectValues
 from . import addition_text, diagnosis_text
+from .arm_text import Fault, where_wrong
 from .comparison_page import add_shapes
 from .diagnosis_text import next_measurement, trust_lines
 from .error_plots import Step, heat_maps, moments, per_marker, per_posture, staircase
-from .local_text import Fault, where_wrong
 from .numbers import quantities
 from .page import Page
 

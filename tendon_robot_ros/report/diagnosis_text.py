@@ -11,8 +11,7 @@ import numpy as np
 from ..common.words import commands, digits, listed, mm
 from ..diagnosis.decide import P_SINGLE_MIN, SEPARABLE_FROM_SD, Verdict
 from ..diagnosis.result import Diagnosis, EffectFinding, NextMeasurement
-from .arm_text import as_built, left_out
-from .local_text import where_wrong
+from .arm_text import as_built, left_out, where_wrong
 from .numbers import described_quantity, quantities, short_quantities
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..common.colours import COLOURS, FLOOR, INK, MEASURED, PREDICTED
 from ..common.files import new_file
 from ..common.words import columns
-from ..paths.run import PathRun
+from ..paths.path import PathRun
 
 ROWS_PRINTED_MAX = 30  # rows of a table for a person
 

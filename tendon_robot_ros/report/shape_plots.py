@@ -13,8 +13,8 @@ from ..common.colours import FLOOR, MEASURED, WARN, look
 from ..common.words import capital, mm
 from ..comparison.result import Comparison, Floats
 from ..model.plot import bending_azimuth, views_of
+from .arm_text import Fault, marks, of_inputs
 from .comparison_text import posture_name
-from .local_text import Fault, marks, of_inputs
 from .numbers import mm_list, plain
 from .page import Figure, symbol
 

@@ -3,9 +3,9 @@ The description of a robot: sections, tendons, limits, and the effects of its mo
 
 description.py   YAML to frozen, validated dataclasses and back (docs/robot_file.md)
 routes.py        where the tendons run: offsets in every cell, winding about the axis
-estimates.py     what it means in the hand: bend per newton, sag, stiffness from a rod or a sag
+estimates.py     what it means in the hand: bend per newton, sag, stiffness from a rod or a sag;
+                 what is large and what is small for a robot
 keep_out.py      regions that no part of the arm may enter: planes, spheres, boxes
-size.py          what is large and what is small for a robot
 urdf.py          the same robot as a URDF with its joints, for RViz and TF
 
 A new key of the description is read and written in description.py.

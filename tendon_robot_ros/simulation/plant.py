@@ -16,11 +16,10 @@ from ..model.pulls import pull_shapes
 from ..model.shape import Shape, ShapeBatch, bends_in, twists_in
 from ..robot import Robot, Section
 from ..robot.description import XY, EffectValues
+from ..robot.estimates import natural_sizes
 from ..robot.routes import helix_angles
-from ..robot.size import natural_sizes
-from .hidden import Damage, Hidden, hide
+from .hidden import Damage, Hidden, hide, plant_catalogue
 from .imperfect import Built, Workmanship
-from .laws import plant_catalogue
 
 Floats = npt.NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from ..effects import Catalogue
 from ..model.model import Model
 from ..robot import Robot
 from ..robot.description import EffectValues
-from ..robot.size import natural_sizes
+from ..robot.estimates import natural_sizes
 from ..workspace.postures import default_postures
 from .hidden import CAUSES, chosen
 

@@ -2,7 +2,8 @@
 A laboratory's tables to a data set: units, still segments, marker order, the tracker's frame.
 
 importing.py      `import_table`: the whole way
-imported.py       what it gives: a data set, how it came about, `save`, `plot` and `text`
+imported.py       what it gives: a data set, how it came about, `save`, `plot`, and in words what
+                  was taken and why
 reading.py        a file to named columns; refuses what is no table
 formats.py        OptiTrack's CSV export and .c3d
 raw_table.py      named columns of numbers, as they were found; a DataFrame as well
@@ -15,7 +16,6 @@ measuring.py      where the arm stood still: cleaned, named by posture and trial
 marker_order.py   which marker is where on the arm
 registration.py   how the tracker's frame lies in the base's, with the model's help
                   (of a live tracker: ros/monitor/measured.py)
-account.py        the table of what was taken and why
 picture.py        raw traces, what was cut out, markers on the arm
 """
 

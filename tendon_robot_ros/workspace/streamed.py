@@ -27,9 +27,8 @@ from ..model import forward
 from ..model.model import Model
 from ..robot import Robot, dump_robot
 from ..robot.routes import tendon_offsets
-from .cubes import LOOKS, Cubes, Floats, sphere_part
+from .cubes import LOOKS, Cubes, Floats, folds, sphere_part
 from .grid import Progress
-from .sorting import folds
 
 BATCH = 2_000  # postures that are solved at once
 CHUNK_S = 2.0  # [s] of work in a chunk

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ...common.errors import DataSetError
 from ...robot import Robot
+from ..dataframes import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
 from ..dataset import FloatArray, listing
-from ..unit_checks import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
 from .csv_file import CsvFile, IntArray, Table
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from ...common.errors import DataSetError
 from ...common.files import new_file
 from ...robot import Robot, load_robot, parse_robot
+from ..dataframes import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
 from ..dataset import (
     DataSet,
     FloatArray,
@@ -18,7 +19,6 @@ from ..dataset import (
 )
 from ..folder.description import Description, describe, read_fields
 from ..markers import Marker, default_markers
-from ..unit_checks import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
 from .reader import Recording, Topics, read_bag
 from .still_segments import ArmMotion, Rule, Segment, assemble, find_segments, motion
 from .writer import DESCRIPTION, ROBOT

@@ -26,9 +26,8 @@ from ...common.files import refuse_ending
 from ...control.trajectory import Playing
 from ...data.folder.path_file import TendonRows, TipRows, read_path
 from ...data.recording.reader import is_bag, read_moves
-from ...paths.path import TipPath, set_points, tip_path
+from ...paths.path import PathRun, TipPath, set_points, tip_path
 from ...paths.plan import Pace, Plan, plan, retreat, stretched, thinned
-from ...paths.run import PathRun
 from ...report.path_run import draw_run, lines
 from ...robot.keep_out import load_keep_out
 from ..controller.incoming import POINTS_MAX

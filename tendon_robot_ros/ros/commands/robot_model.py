@@ -22,10 +22,9 @@ from ...common.errors import TendonRobotError
 from ...robot import Robot
 from ...robot.urdf import joint_angles, joint_names, transforms, urdf
 from ..shared.files import read_robot
-from ..shared.messages import LATCHED, LISTEN, STATE, joint_state, quaternion
+from ..shared.messages import LATCHED, LISTEN, STATE, joint_state, matrix, quaternion
 from ..shared.parameters import Parameters, RemoteText, Spec
 from ..shared.runtime import run
-from ..shared.tf_frames import matrix
 
 HELP = 'show RViz and Foxglove the robot: URDF, joints, frames'
 SPECS = (

@@ -16,9 +16,8 @@ from ...control import Refusal, Target, Twist
 from ...control.checks import by_name, check_frame, check_stamp, direction, finite, position
 from ...control.trajectory import Playing, checked
 from ...model.model import Model
-from ..shared.messages import seconds
+from ..shared.messages import Frames, seconds
 from ..shared.parameters import Parameters
-from ..shared.tf_frames import Frames
 
 Array = NDArray[np.float64]
 POINTS_MAX = 500  # of a trajectory: more would hold up the commands while they are read

@@ -30,10 +30,9 @@ from ...robot.keep_out import KeepOut
 from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic, hear_anybody
 from ..shared.lifecycle import LEVELS, ManagedNode, Status
 from ..shared.messages import COMMAND, JOINTS, LATCHED, LISTEN, joint_state
-from ..shared.origin import Received
 from ..shared.parameters import Parameters
 from ..shared.runtime import goes_first, run
-from ..shared.senders import OtherPublishers, Senders, signature
+from ..shared.senders import OtherPublishers, Received, Senders, signature
 from . import parameters
 from .incoming import Incoming
 from .model import ModelLoading, Prediction

@@ -26,10 +26,9 @@ from ..shared.files import read_robot
 from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic
 from ..shared.lifecycle import ERROR, OK, WARN, ManagedNode, Status
 from ..shared.messages import JOINTS, STATE, joint_state, seconds
-from ..shared.origin import Received
 from ..shared.parameters import Parameters
 from ..shared.runtime import asked_to_end, goes_first, run, when_asked_to_end
-from ..shared.senders import OtherPublishers, Senders, signature
+from ..shared.senders import OtherPublishers, Received, Senders, signature
 from . import backend, parameters
 from .mock_arm import MockTracker
 from .motor_loop import Cycle, MotorLoop

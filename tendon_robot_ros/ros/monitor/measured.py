@@ -14,9 +14,8 @@ from std_msgs.msg import Header
 from ...common.errors import InputError
 from ...control.checks import Refusal, check_stamp
 from ...monitoring import Monitor
-from ..shared.messages import LISTEN, seconds
+from ..shared.messages import LISTEN, Frames, matrix, seconds
 from ..shared.parameters import Parameters
-from ..shared.tf_frames import Frames, matrix
 from .parameters import parsed
 
 Array = NDArray[np.float64]

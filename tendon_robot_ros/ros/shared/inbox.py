@@ -20,7 +20,7 @@ from rclpy.type_support import check_is_valid_msg_type, check_is_valid_srv_type
 from std_msgs.msg import Bool, String
 
 from .messages import COMMAND, COMMAND_ALL, LATCHED_BY_MANY, LISTEN, LISTEN_ALL
-from .origin import UNKNOWN, Received, Taker
+from .senders import UNTOLD, Received, Taker
 
 
 class Inbox[M]:
@@ -275,7 +275,7 @@ class StopTopic:
         self._looked = time.monotonic()
         known = self._node.get_publishers_info_by_topic('stop')
         there = {bytes(one.endpoint_gid) for one in known}
-        self._last = {who: word for who, word in self._last.items() if who in there | {UNKNOWN}}
+        self._last = {who: word for who, word in self._last.items() if who in there | {UNTOLD}}
         if not any(word.message.data for word in self._last.values()):
             self.says = False
             self._gone()

@@ -1,20 +1,25 @@
-"""ROS messages to arrays and back, and the quality of service of every topic."""
+"""ROS messages to arrays and back, their frames, and the quality of service of every topic."""
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion
 from numpy.typing import NDArray
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.time import Time as ClockTime
 from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ...common.colours import rgb
-from ...common.rotations import quaternions
+from ...common.rotations import from_quaternion, quaternions
+from ...control.checks import Refusal, check_frame
 
 Array = NDArray[np.float64]
 
@@ -128,3 +133,43 @@ LATCHED = _keep(1, latched=True)
 COMMAND_ALL, LISTEN_ALL = _keep(50), _keep(50, reliable=False)
 # what several publishers keep for who comes later: the last words of all of them
 LATCHED_BY_MANY = _keep(50, latched=True)
+
+
+class Frames:
+    """Brings positions and directions into the base frame."""
+
+    def __init__(self, node: Node, base: str) -> None:
+        """Listen to TF where tf2_ros is installed (the wheels of rclpy do not have it)."""
+        self.base = base
+        self._buffer: Any = None
+        if importlib.util.find_spec('tf2_ros') is not None:
+            from tf2_ros import Buffer, TransformListener
+
+            self._buffer = Buffer()
+            self._listener = TransformListener(self._buffer, node)
+
+    def to_base(self, frame: str, what: str) -> tuple[Array, Array]:
+        """
+        Return rotation (3, 3) and shift (3,) [m] from a frame to the base frame.
+
+        Raises
+        ------
+        Refusal
+            No transform between the two is known.
+
+        """
+        if frame == self.base:
+            return np.eye(3), np.zeros(3)
+        try:
+            transform = self._buffer.lookup_transform(self.base, frame, ClockTime()).transform
+        except Exception:  # no buffer, or whatever tf2 raises: no transform
+            check_frame(frame, [self.base], what)
+            raise Refusal('frame', f'{what}: frame {frame!r} is not usable') from None
+        return matrix(transform.rotation), np.array(
+            [transform.translation.x, transform.translation.y, transform.translation.z]
+        )
+
+
+def matrix(message: Quaternion) -> Array:
+    """Return the rotation matrix (3, 3) of a quaternion message."""
+    return from_quaternion((message.x, message.y, message.z, message.w))

@@ -4,6 +4,5 @@ The live page in the browser.
 node.py         topics and parameters of the viewer
 state.py        what the page shows, gathered from the topics
 page.py         scene and panel, by viser
-tube.py         an arm as a tube around its centreline
-page_parts.py   bars, curves and tables of the page
+page_parts.py   bars, curves and tables of the page; an arm as a tube
 """

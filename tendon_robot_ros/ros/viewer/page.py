@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from ...common.colours import BAD, ERROR, GOOD, INK, MEASURED, ORANGE, PREDICTED, rgb
 from ...common.errors import DriverError, MissingExtraError
 from . import page_parts
+from .page_parts import tube_faces, tube_vertices
 from .state import ViewState
-from .tube import tube_faces, tube_vertices
 
 Array = NDArray[np.float64]
 BUTTONS: tuple[tuple[str, str, str, str], ...] = (  # name, label, hint, colour

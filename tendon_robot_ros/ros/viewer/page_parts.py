@@ -1,4 +1,4 @@
-"""Pieces of the live page as HTML and SVG: bars, the curve of the error, tables."""
+"""Pieces of the live page: bars, curves and tables as HTML and SVG; an arm as a tube."""
 
 from __future__ import annotations
 
@@ -9,20 +9,13 @@ from html import escape
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ...common.colours import (
-    BAD,
-    ERROR,
-    GOOD,
-    INK,
-    KINDS,
-    MEASURED,
-    PREDICTED,
-    WARN,
-    rgb,
-)
+from ...common.colours import BAD, ERROR, GOOD, INK, KINDS, MEASURED, PREDICTED, WARN, rgb
 from ...common.words import digits, mm
 
+Floats = NDArray[np.float32]
+SIDES = 12  # of the cross-section of an arm drawn as a tube
 WIDTH, HEIGHT, LEFT, BOTTOM = 360, 140, 40, 22  # [px] of the curve, and of its margins
 CURVE_SPAN_S = 120.0  # [s] that the curve shows
 USUAL_SHARE, PEAK = 0.75, 2.0  # of the time, times: the arm moves now and then; such peaks are cut
@@ -240,3 +233,32 @@ def _ticks(top: float) -> list[float]:
     step = 10.0 ** np.floor(np.log10(top / 2.0))
     step *= next(f for f in (1, 2, 5, 10) if top / (f * step) <= 4.5)
     return [round(i * step, 6) for i in range(int(top / step) + 1)]
+
+
+def tube_faces(nodes: int) -> NDArray[np.uint32]:
+    """Return the triangles (2 SIDES (nodes - 1), 3) between the rings around so many nodes."""
+    ring, side = np.meshgrid(np.arange(nodes - 1), np.arange(SIDES), indexing='ij')
+    a = ring * SIDES + side
+    b = ring * SIDES + (side + 1) % SIDES
+    quads = np.stack([a, b, b + SIDES, a, b + SIDES, a + SIDES], axis=-1)
+    return quads.reshape(-1, 3).astype(np.uint32)
+
+
+def tube_vertices(nodes: NDArray[np.float64], radius: float) -> Floats:
+    """
+    Return rings (n SIDES, 3) of a radius around nodes (n, 3), n > 1, all in the same unit.
+
+    The rings do not turn against each other: each begins where the one before points, squared.
+    """
+    along = np.gradient(nodes, axis=0)
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    start = np.eye(3)[np.abs(along[0]).argmin()]
+    angle = 2.0 * np.pi * np.arange(SIDES) / SIDES
+    across = np.empty(nodes.shape)
+    for i, axis in enumerate(along):
+        start = start - axis * (start @ axis)
+        start = start / max(math.sqrt(start @ start), 1e-12)
+        across[i] = start
+    up = np.cross(along, across)
+    circles = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * up[:, None]
+    return np.asarray(nodes[:, None] + radius * circles, dtype=np.float32).reshape(-1, 3)
