@@ -19,7 +19,7 @@ from tendon_robot_ros.campaign.cases import Case, Chance, Design, hidden_values,
 from tendon_robot_ros.campaign.figures import Rate, coverage, powers
 from tendon_robot_ros.campaign.judge import CaseRow
 from tendon_robot_ros.campaign.plan import plan_of, read_plan
-from tendon_robot_ros.campaign.running import run_plan
+from tendon_robot_ros.campaign.running import earlier_rows, run_plan
 from tendon_robot_ros.campaign.table import GrowingTable
 from tendon_robot_ros.campaign.versions import Preparation, UserEffect, catalogue_of
 from tendon_robot_ros.cli.main import main
@@ -89,6 +89,11 @@ def test_a_folder_of_other_settings_is_refused(rows, tmp_path):
         (folder / 'campaign.json').write_text(other)
         with pytest.raises(InputError, match=r'numpy is 1\.0 there and .* here; use another'):
             run_plan(plan(), folder, workers)
+        assert earlier_rows(folder) == []
+        run_plan(plan(seeds=0, clean=2), folder, workers, accept_change=True)
+        assert len(run_plan(plan(seeds=0, clean=2), folder, workers)) == 2  # it is theirs now
+    (line,) = earlier_rows(folder)
+    assert line.startswith('the first 1 rows were judged by other versions: numpy is 1.0 there')
 
 
 @pytest.mark.parametrize(
@@ -277,13 +282,13 @@ def test_the_command_writes_table_and_page_and_goes_on(tmp_path, capsys, monkeyp
 # A cluster: a scheduler and workers of dask as they are, each a process.
 
 
-@pytest.fixture(scope='module')
-def cluster(tmp_path_factory):
-    pytest.importorskip('distributed')
-    folder = tmp_path_factory.mktemp('cluster')
+@contextlib.contextmanager
+def started(folder, workers, protocol='tcp', **environment):
+    """Start a scheduler and workers as a user does; yield the address and the scheduler."""
     told, dask = folder / 'scheduler.json', [sys.executable, '-m', 'dask']
     scheduler = ['scheduler', '--port', '0', '--host', '127.0.0.1', '--no-dashboard']
-    worker = ['worker', '--nworkers', '2', '--nthreads', '1', '--no-dashboard']
+    scheduler += ['--protocol', protocol]
+    worker = ['worker', '--nworkers', str(workers), '--nthreads', '1', '--no-dashboard']
     kept = ['--local-directory', str(folder)]
     with (folder / 'log.txt').open('w') as log:
         both = [
@@ -296,6 +301,7 @@ def cluster(tmp_path_factory):
                 | {
                     'PYTHONPATH': f'{ROOT}:{ROOT / "test"}',
                     'DASK_TEMPORARY_DIRECTORY': str(folder),
+                    **environment,
                 },
             )
             for which in (scheduler, [*worker, *kept])
@@ -310,6 +316,13 @@ def cluster(tmp_path_factory):
         with contextlib.suppress(processes.TimeoutExpired):
             process.wait(10.0)
         process.end()
+
+
+@pytest.fixture(scope='module')
+def cluster(tmp_path_factory):
+    pytest.importorskip('distributed')
+    with started(tmp_path_factory.mktemp('cluster'), workers=2) as both:
+        yield both
 
 
 def slow(number):
@@ -339,6 +352,26 @@ def test_workers_of_a_cluster_that_are_killed_ten_times_lose_nothing(cluster):
 def test_a_cluster_says_the_same_bit_for_bit(cluster, rows, tmp_path):
     with Workers(cluster=cluster[0], prepare=Preparation.here()) as workers:
         assert without_time(run_plan(plan(), tmp_path / 'out', workers)) == without_time(rows)
+
+
+def test_certificates_of_dasks_own_settings_are_respected(tmp_path):
+    pytest.importorskip('distributed')
+    import dask.config
+
+    key, certificate = str(tmp_path / 'key.pem'), str(tmp_path / 'certificate.pem')
+    made = ['openssl', 'req', '-x509', '-newkey', 'rsa:2048', '-nodes', '-days', '1']
+    processes.run([*made, '-subj', '/CN=test', '-keyout', key, '-out', certificate])
+    one = {'cert': certificate, 'key': key}
+    tls = {'ca-file': certificate, 'scheduler': one, 'worker': one, 'client': one}
+    settings = {'distributed': {'comm': {'require-encryption': True, 'tls': tls}}}
+    (tmp_path / 'distributed.yaml').write_text(yaml.safe_dump(settings))
+    with started(tmp_path, 1, 'tls', DASK_CONFIG=str(tmp_path)) as (address, _):
+        assert address.startswith('tls://')
+        with pytest.raises(InputError, match=r'tls://.*client.cert and key; dask names no cert'):
+            Workers(cluster=address)
+        mine = {'distributed.comm.tls.ca-file': certificate, 'distributed.comm.tls.client': one}
+        with dask.config.set(mine), Workers(cluster=address) as workers:
+            assert [number for _, (_, number) in workers.run(slow, [7])] == [7]
 
 
 def test_without_dask_a_cluster_says_what_to_install(monkeypatch):

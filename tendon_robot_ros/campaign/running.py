@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ..common.errors import InputError
 from ..common.files import new_file
@@ -15,7 +16,7 @@ from .cases import Case
 from .judge import CaseRow, Chunk, judge_chunk, lost
 from .plan import CampaignPlan
 from .table import GrowingTable
-from .versions import refuse_difference, versions
+from .versions import differences, refuse_difference, versions
 
 CHUNK_S = 2.0  # [s] of work in a chunk: handing one out costs some milliseconds
 CHUNK_MAX = 256  # cases in one
@@ -59,7 +60,11 @@ def timed_chunk(chunk: Chunk) -> Timed:
 
 
 def run_plan(
-    plan: CampaignPlan, folder: Path, workers: Workers, progress: Progress | None = None
+    plan: CampaignPlan,
+    folder: Path,
+    workers: Workers,
+    progress: Progress | None = None,
+    accept_change: bool = False,
 ) -> list[CaseRow]:
     """
     Judge the cases of a plan that are not in the table yet.
@@ -72,6 +77,8 @@ def run_plan(
     workers : Workers
     progress : callable, optional
         Called with (what, done, total) of the cases that were left.
+    accept_change : bool
+        Go on where other versions began; `earlier_rows` then says so.
 
     Returns
     -------
@@ -86,7 +93,7 @@ def run_plan(
         The scheduler is gone; what was finished is in the table.
 
     """
-    claim(folder, plan)
+    claim(folder, plan, accept_change)
     table = GrowingTable(folder / ROWS, CaseRow)
     known = table.keys()
     todo = [case for case in plan.cases if case.key not in known]
@@ -132,44 +139,63 @@ def _judged(plan: CampaignPlan, todo: Sequence[Case], workers: Workers) -> Itera
         yield result.rows
 
 
-def claim(folder: Path, plan: CampaignPlan) -> None:
+def claim(folder: Path, plan: CampaignPlan, accept_change: bool = False) -> None:
     """Make the folder that of a plan, or refuse it."""
     path = folder / CONTENT
     ours = {'versions': versions(plan.setup.effects), 'contents': plan.contents}
+    earlier: list[dict[str, Any]] = []
     if path.is_file():
         theirs = read_content(folder)
-        refuse_difference(
-            f'{folder}: was run with other versions',
-            theirs['versions'],
-            ours['versions'],
-            'use another --output',
-        )
-        changed = [
-            name
-            for name, digest in ours['contents'].items()
-            if theirs['contents'].get(name, digest) != digest
-        ]
-        if changed:
-            raise InputError(
-                f'{folder}: was run with another {", ".join(changed)}; use another --output'
+        _refuse_other_contents(folder, theirs['contents'], ours['contents'])
+        earlier = theirs['earlier']
+        if not accept_change:
+            refuse_difference(
+                f'{folder}: was run with other versions',
+                theirs['versions'],
+                ours['versions'],
+                'use another --output, or --accept-change, which keeps the rows that are there',
             )
+        elif differences(theirs['versions'], ours['versions']):
+            rows = len(GrowingTable(folder / ROWS, CaseRow).keys())
+            earlier = [*earlier, {'rows': rows, 'versions': theirs['versions']}]
         ours['contents'] = {**theirs['contents'], **ours['contents']}
     elif folder.exists() and any(folder.iterdir()):
         raise InputError(f'{folder}: is not empty and no campaign; use another --output')
     folder.mkdir(parents=True, exist_ok=True)
     with new_file(path) as draft:
-        draft.write_text(json.dumps(ours, indent=1) + '\n', encoding='utf-8')
+        text = json.dumps({**ours, 'earlier': earlier}, indent=1)
+        draft.write_text(text + '\n', encoding='utf-8')
 
 
-def read_content(folder: Path) -> dict[str, dict[str, str]]:
-    """Return what a folder was run with."""
+def _refuse_other_contents(folder: Path, theirs: dict[str, str], ours: dict[str, str]) -> None:
+    """Refuse what is called as before and is something else."""
+    changed = [name for name, digest in ours.items() if theirs.get(name, digest) != digest]
+    if changed:
+        raise InputError(
+            f'{folder}: was run with another {", ".join(changed)}; use another --output'
+        )
+
+
+def read_content(folder: Path) -> dict[str, Any]:
+    """Return what a folder was run with: versions, contents, and earlier versions."""
     try:
-        content: dict[str, dict[str, str]] = json.loads((folder / CONTENT).read_text())
-        return {key: dict(content[key]) for key in ('versions', 'contents')}
+        content = json.loads((folder / CONTENT).read_text())
+        plain = {key: dict(content[key]) for key in ('versions', 'contents')}
+        return {**plain, 'earlier': list(content.get('earlier', ()))}
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             f'{folder / CONTENT}: cannot be read ({error}); use another --output'
         ) from None
+
+
+def earlier_rows(folder: Path) -> list[str]:
+    """Say which rows of a table come from other versions than the last, a line per change."""
+    content = read_content(folder)
+    return [
+        f'the first {one["rows"]:,} rows were judged by other versions: '
+        + '; '.join(differences(one['versions'], content['versions']))
+        for one in content['earlier']
+    ]
 
 
 def rows_of(plan: CampaignPlan, folder: Path) -> list[CaseRow]:

@@ -19,6 +19,9 @@ from ..model.compile import cache_folder, kernel_key
 
 PACKAGE = Path(__file__).parents[1]
 LIBRARIES = ('numpy', 'scipy', 'numba')
+# folders on whose code a row depends; what prints and what moves motors is not among them
+PARTS = ('common', 'robot', 'effects', 'model', 'data', 'comparison', 'diagnosis', 'simulation',
+         'workspace', 'campaign')  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -51,19 +54,22 @@ def catalogue_of(effects: tuple[UserEffect, ...]) -> Catalogue:
 
 
 @cache
-def _sources() -> str:
-    """Digest of the code of this package: its version stands still between releases."""
-    digest = hashlib.sha256()
-    for path in sorted(PACKAGE.rglob('*.py')):
-        digest.update(path.relative_to(PACKAGE).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
+def _sources() -> dict[str, str]:
+    """Digest of the code of every part: the package's version stands still between releases."""
+    found = {}
+    for part in PARTS:
+        digest = hashlib.sha256()
+        for path in sorted((PACKAGE / part).rglob('*.py')):
+            digest.update(path.relative_to(PACKAGE).as_posix().encode() + path.read_bytes())
+        found[f'{PACKAGE.name}/{part}'] = digest.hexdigest()[:8]
+    return found
 
 
 def versions(effects: tuple[UserEffect, ...] = ()) -> dict[str, str]:
     """Return what results depend on, by name."""
     libraries = {name: str(importlib.import_module(name).__version__) for name in LIBRARIES}
     return {
-        'tendon_robot_ros': _sources(),
+        **_sources(),
         'catalogue of effects': catalogue_of(effects).digest,
         **libraries,
     }
@@ -84,13 +90,18 @@ def refuse_difference(
         One line with what differs.
 
     """
-    apart = [
-        f'{name} is {theirs.get(name)} there and {version} here'
+    apart = differences(theirs, ours)
+    if apart:
+        raise InputError(f'{where}: {"; ".join(apart)}; {remedy}')
+
+
+def differences(theirs: Mapping[str, str], ours: Mapping[str, str]) -> list[str]:
+    """Say which versions differ."""
+    return [
+        f'{name} is {theirs.get(name, "not")} there and {version} here'
         for name, version in ours.items()
         if theirs.get(name) != version
     ]
-    if apart:
-        raise InputError(f'{where}: {"; ".join(apart)}; {remedy}')
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('plan', metavar='PLAN', help='what to simulate (YAML)')
     add('--output', metavar='DIR', required=True, help='folder of the table and the page')
     add('--dry-run', action='store_true', help='count the cases, and say what is there already')
+    add('--accept-change', action='store_true',
+        help='go on in a folder that other versions have begun; what is there stays')  # fmt: skip
     add_cluster(parser)
     add_json(parser)
     add_effect_files(parser)
@@ -45,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     from ..campaign.figures import to_json
     from ..campaign.judge import compile_for
     from ..campaign.plan import read_plan
-    from ..campaign.running import rows_of, run_plan
+    from ..campaign.running import earlier_rows, rows_of, run_plan
     from ..campaign.versions import Preparation
     from ..common.workers import Workers
     from ..report.campaign_page import campaign_page, power_lines, summary
@@ -60,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     page = folder / PAGE
     try:
         with Workers(args.workers, args.cluster, prepare) as workers, shown() as show:
-            rows = run_plan(plan, folder, workers, show)
+            rows = run_plan(plan, folder, workers, show, args.accept_change)
     except KeyboardInterrupt:
         rows = rows_of(plan, folder)
         print(
@@ -69,8 +71,9 @@ def run(args: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return 130
-    campaign_page(rows, f'Campaign: {Path(args.plan).stem}', len(plan.cases)).write(page)
-    lines = [*summary(rows), *power_lines(rows), f'written: {folder}/table, {page}']
+    title, mixed = f'Campaign: {Path(args.plan).stem}', earlier_rows(folder)
+    campaign_page(rows, title, len(plan.cases), mixed).write(page)
+    lines = [*summary(rows), *power_lines(rows), *mixed, f'written: {folder}/table, {page}']
     emit(args, to_json(rows), '\n'.join(lines))
     return 0
 

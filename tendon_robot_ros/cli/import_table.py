@@ -85,7 +85,7 @@ def _add_still(group: argparse._ArgumentGroup) -> None:
     add('--rest', metavar='X', help=what)
     what = 'sequence: every posture was reached from the one before'
     add('--path', choices=('from_straight', 'sequence'), help=what)
-    what = "the tracker's own file begins so much after that of the inputs (default: found)"
+    what = "the tracker's file begins so much after that of the inputs (default: found)"
     add('--delay', type=float, metavar='S', help=what)
 
 
@@ -94,8 +94,8 @@ def run(args: argparse.Namespace) -> int:
     from ..effects import load_catalogue
 
     recipe = load_recipe(args.recipe) if args.recipe else Recipe()
-    if args.raw:  # another recording: its trials are others
-        recipe = replace(recipe, leave_out=None)
+    if args.raw:  # another recording: its trials are others, and its clocks began at other times
+        recipe = replace(recipe, leave_out=None, delay=None, drift=None)
     robot_path = args.robot or recipe.robot
     if robot_path is None:
         raise InputError('--robot: describe the arm with new-robot, then name its file')

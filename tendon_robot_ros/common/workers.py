@@ -262,6 +262,22 @@ def _begin(parent: int) -> None:
 # A cluster: whatever has started workers and a scheduler of dask, as its settings say.
 
 
+def _check_certificates(address: str) -> None:
+    """Refuse TLS without certificates, for which dask itself would wait and then fail late."""
+    from distributed.security import Security
+
+    if not address.startswith('tls://'):
+        return
+    where = 'distributed.comm.tls in ~/.config/dask/distributed.yaml: ca-file, client.cert and key'
+    try:
+        if Security().get_connection_args('client').get('ssl_context') is not None:
+            return
+        problem = 'names no certificates'
+    except OSError as error:
+        problem = f'names certificates that cannot be read ({error})'
+    raise InputError(f'--cluster {address}: {where}; dask {problem} there')
+
+
 class _Cluster:
     def __init__(self, address: str) -> None:
         try:
@@ -272,6 +288,7 @@ class _Cluster:
         for part in ('client', 'utils'):  # one line says what else would be a traceback
             logging.getLogger(f'distributed.{part}').setLevel(logging.CRITICAL)
         self.killed: type[BaseException] = distributed.KilledWorker
+        _check_certificates(address)
         try:  # certificates, and all else, are those of dask's own settings
             self.client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:

@@ -119,11 +119,15 @@ NAMED = (
 CAPTION = 'bars: 95 % intervals of the rates; a size of 1 is the typical one of the catalogue'
 
 
-def campaign_page(rows: Sequence[CaseRow], title: str, total: int) -> Page:
-    """Return the page of the rows that are there, of so many cases in all."""
+def campaign_page(
+    rows: Sequence[CaseRow], title: str, total: int, mixed: Sequence[str] = ()
+) -> Page:
+    """Return the page of the rows that are there, of so many cases; `mixed` warns of others."""
     page = Page(title, f'{len(rows):,} of {total:,} cases')
     told = [f'{name}: {rate}' for name, rate in rates(rows).items() if rate.runs]
     page.box(told, 'verdict', 'In short, with 95 % intervals')
+    if mixed:
+        page.box(mixed, 'warn', 'Rows of several versions')
     page.heading('Which size of an effect is seen')
     page.text(NAMED)
     curves = grouped_powers(powers(rows))

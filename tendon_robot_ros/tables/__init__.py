@@ -11,7 +11,7 @@ columns.py        what a column is, by its name
 recipe.py         import.yaml: every choice written out
 choices.py        the columns and units that a recipe leaves open
 traces.py         columns to inputs and markers over time, in SI units
-clocks.py         by how much the tracker's file begins later than that of the inputs
+clocks.py         how the clock of the tracker's file runs against that of the inputs
 measuring.py      where the arm stood still: cleaned, named by posture and trial
 marker_order.py   which marker is where on the arm
 registration.py   how the tracker's frame lies in the base's, with the model's help

@@ -1,67 +1,121 @@
-"""By how much the tracker's file begins later than that of the inputs, from what both recorded."""
+"""How the clock of the tracker's file runs against that of the inputs, from what both recorded."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from .raw_table import FloatArray
 
 STEP_S = 0.02  # [s] of the grid on which motions are compared
+SEARCH_STEP_S = 0.1  # [s] of that on which the speed of the clock is searched
 POINTS_MAX = 1 << 17  # of the grid; a longer recording is compared on a coarser one
 PATTERNS_MAX = 6  # motions of the markers that are compared, the largest first
 CLEAR_SHARE = 0.85  # of the best match; another delay that comes nearer leaves it open
 MATCH_MIN = 0.3  # of the motion that the inputs explain
+DRIFT_MAX = 0.01  # no clock is worse; a wrong number of frames a second may be
+DRIFTED_BETWEEN_S = 1.0  # [s] from one trial of the search to the next, at the end of the record
+EVEN_WITHIN_S = 0.05  # [s] at the end of the record: then the clocks run alike
 
 
 @dataclass(frozen=True)
-class ClockDelay:
-    """A delay at which the motion of the markers goes with the inputs best."""
+class ClockFit:
+    """The clock with which the motion of the markers goes with the inputs best."""
 
-    seconds: float  # that the markers' first row was taken after that of the inputs
+    delay: float  # [s] that the markers' first row was taken after that of the inputs
+    drift: float  # [s/s] that the markers' clock loses: inputs' time = delay + (1 + drift) time
     match: float  # of the markers' motion that the inputs explain there, 0 to 1
-    next_best: float  # the same at the next best delay
+    next_best: float  # the same at the next best delay or drift
 
     @property
     def is_clear(self) -> bool:
-        """Whether no other delay comes near."""
+        """Whether no other clock comes near."""
         return self.match >= MATCH_MIN and self.next_best < CLEAR_SHARE * self.match
 
 
-def find_delay(
+def find_clock(
     state_times: FloatArray, inputs: FloatArray, times: FloatArray, positions: FloatArray
-) -> ClockDelay:
+) -> ClockFit:
     """
-    Find by how much to delay the markers so that they move when the inputs do.
+    Find how to delay and stretch the markers' times so that they move when the inputs do.
 
     The share of the markers' variance that a linear function of the inputs explains, for all
     delays at once: correlations of whitened inputs with the markers' principal motions, by FFT.
-    Overlap counts: postures that repeat match less, moved by one round.
+    Overlap counts: postures that repeat match less, moved by one round. That for a row of speeds
+    of the clock, coarsely, and around the best one finely.
 
     Parameters
     ----------
     state_times, times : (T,) and (F,) [s]
-        Each by its own clock.
+        Each by its own clock, from 0.
     inputs : (T, m) [N] or [m]
     positions : (F, J, 3) [m]
         NaN where a marker was not seen.
 
     """
-    span = max(state_times[-1] - state_times[0], times[-1] - times[0])
-    step = max(STEP_S, float(span) / POINTS_MAX)
-    given = _whitened(_on_grid(state_times, inputs, step))
-    moved = _patterns(_on_grid(times, positions.reshape(len(times), -1), step))
-    count = 1 << int(len(given) + len(moved) - 1).bit_length()
-    one, other = np.fft.rfft(given, count, axis=0), np.fft.rfft(moved, count, axis=0)
-    match = np.zeros(count)
-    for column in one.T:
-        match += (np.fft.irfft(column[:, None] * other.conj(), count, axis=0) ** 2).sum(axis=1)
-    match = np.roll(match, len(moved) - 1)[: len(given) + len(moved) - 1]
+    span = float(times[-1])
+    longest = max(float(state_times[-1]), span)
+    motions = (state_times, inputs, times, positions.reshape(len(times), -1))
+    count = int(DRIFT_MAX * span / DRIFTED_BETWEEN_S)
+    drifts = np.linspace(-DRIFT_MAX, DRIFT_MAX, 2 * count + 1) if count else np.zeros(1)
+    search = _Comparison(*motions, max(SEARCH_STEP_S, longest / POINTS_MAX))
+    matches = np.array([search.matches(drift).max() for drift in drifts.tolist()])
+    rough = int(matches.argmax())
+    fine = _Comparison(*motions, max(STEP_S, longest / POINTS_MAX))
+    drift, wide = float(drifts[rough]), DRIFTED_BETWEEN_S / max(span, 1.0)
+    drift = float(
+        minimize_scalar(
+            lambda rate: -fine.matches(float(rate)).max(),
+            bounds=(max(drift - wide, -DRIFT_MAX), min(drift + wide, DRIFT_MAX)),
+            method='bounded',
+            options={'xatol': 0.1 * EVEN_WITHIN_S / max(span, 1.0)},
+        ).x
+    )
+    if abs(drift) * span < EVEN_WITHIN_S:
+        drift = 0.0
+    match = fine.matches(drift)
     best = int(match.argmax())
     place = best + _vertex(match[max(best - 1, 0) : best + 2])
-    delay = (place - (len(moved) - 1)) * step + float(state_times[0] - times[0])
-    return ClockDelay(delay, float(match[best]), _next_best(match, best))
+    other = max(_next_best(match, best), _next_best(matches, rough))
+    return ClockFit((place - fine.before(drift)) * fine.step, drift, float(match[best]), other)
+
+
+class _Comparison:
+    """Inputs and motions of the markers on one grid; the markers' clock may be stretched."""
+
+    def __init__(
+        self,
+        state_times: FloatArray,
+        inputs: FloatArray,
+        times: FloatArray,
+        coordinates: FloatArray,
+        step: float,
+    ) -> None:
+        self.step = step
+        self._moved = _patterns(_on_grid(times, coordinates, step))
+        given = _whitened(_on_grid(state_times, inputs, step))
+        longest = len(given) + int(len(self._moved) * (1.0 + DRIFT_MAX)) + 1
+        self._given, self._count = len(given), 1 << longest.bit_length()
+        self._spectrum = np.fft.rfft(given, self._count, axis=0)
+
+    def before(self, drift: float) -> int:
+        """Return how many steps before that of the inputs the markers' grid may begin."""
+        return int((len(self._moved) - 1) * (1.0 + drift))
+
+    def matches(self, drift: float) -> FloatArray:
+        """Return the share of the motion explained, for all delays from `before` steps early."""
+        before = self.before(drift)
+        old = np.arange(len(self._moved), dtype=float)
+        new = np.minimum(np.arange(before + 1) / (1.0 + drift), old[-1])
+        moved = np.column_stack([np.interp(new, old, column) for column in self._moved.T])
+        other = np.fft.rfft(moved / np.sqrt(1.0 + drift), self._count, axis=0).conj()
+        match = np.zeros(self._count)
+        for column in self._spectrum.T:
+            match += (np.fft.irfft(column[:, None] * other, self._count, axis=0) ** 2).sum(axis=1)
+        found: FloatArray = np.roll(match, before)[: self._given + before]
+        return found
 
 
 def _on_grid(times: FloatArray, values: FloatArray, step: float) -> FloatArray:

@@ -118,6 +118,7 @@ def _written_out(
         same=measured.same,
         rest=measured.rest,
         delay=measured.delays or None,
+        drift=measured.drifts if any(measured.drifts) else None,
         frame=FrameChoice(frame.method, rotation_vector(frame.rotation), (x, y, z)),
         leave_out=left_out,
     )

@@ -63,9 +63,8 @@ class StillMeasurements:
     rule: Rule
     same: float  # [N] or [m] inputs that differ by less are those of one posture
     rest: float  # [N] or [m] below, the arm rests; 0: it never does
-    delays: tuple[
-        float, ...
-    ]  # [s] that the tracker's file begins later in each recording; () of one file
+    delays: tuple[float, ...]  # [s] that the tracker's file begins later, by recording; () of one
+    drifts: tuple[float, ...]  # [s/s] that its clock loses
     dropped: tuple[str, ...]
     assumed: tuple[str, ...]
 
@@ -114,6 +113,7 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
         same,
         rest,
         tuple(one.delay for one in traces if one.delay is not None),
+        tuple(one.drift for one in traces if one.delay is not None),
         tuple(dropped),
         tuple(assumed),
     )

@@ -18,8 +18,8 @@ from ..data.markers import Vector
 from .columns import ColumnUse
 
 KEYS = ('sources', 'robot', 'time', 'inputs', 'zero', 'spool', 'positions', 'markers', 'offset',
-        'places', 'up', 'delay', 'still', 'same', 'rest', 'path', 'frame',
-        'leave_out')  # fmt: skip
+        'places', 'up', 'delay', 'drift', 'still', 'same', 'rest', 'path',
+        'frame', 'leave_out')  # fmt: skip
 UPS = ('x', 'y', 'z', '-x', '-y', '-z')
 METHODS = ('model', 'level', 'straight', 'base')
 HEAD = """\
@@ -74,9 +74,8 @@ class Recipe:
     offset: Vector | None = None  # [m] of all markers, where columns are guessed
     places: tuple[float, ...] = ()  # [m] arc lengths from base to tip, where columns are guessed
     up: str | None = None  # axis of the tracker
-    delay: tuple[float, ...] | None = (
-        None  # [s] that the tracker's file begins later, by recording
-    )
+    delay: tuple[float, ...] | None = None  # [s] that the tracker's file begins later, of each
+    drift: tuple[float, ...] | None = None  # [s/s] that its clock loses, of each
     speed: float | None = None  # [m/s] slower is still
     duration: float = 1.0  # [s] at least so long
     change: float | None = None  # [N] or [m] of an input, while the arm stands still
@@ -165,6 +164,7 @@ def read_recipe(content: Any, source: str = 'recipe', folder: Path | None = None
         places=_numbers(top, 'places'),
         up=top.choice('up', UPS) if top.has('up') else None,
         delay=_numbers(top, 'delay') or None,
+        drift=_drifts(top),
         speed=still.some('speed', 1e-6, 10.0, 'm/s'),
         duration=still.some('duration', 1e-3, 1e4, 's') or 1.0,
         change=still.some('change', 1e-9, 1e4, 'N or m'),
@@ -234,6 +234,15 @@ def _numbers(top: RecipeFields, key: str) -> tuple[float, ...]:
     return found if isinstance(found, tuple) else (found,)
 
 
+def _drifts(top: RecipeFields) -> tuple[float, ...] | None:
+    drifts = _numbers(top, 'drift') or None
+    if drifts and not top.has('delay'):
+        raise top.error('drift', 'delay beside it: clocks are known by both, or found', drifts)
+    if drifts and max(map(abs, drifts)) > 0.1:
+        raise top.error('drift', 'seconds that the clock loses per second, within 0.1', drifts)
+    return drifts
+
+
 def _frame(top: RecipeFields) -> FrameChoice:
     frame = top.child('frame', optional=True)
     frame.only('method', 'rotation', 'shift')
@@ -271,6 +280,7 @@ def dump_recipe(recipe: Recipe, folder: Path) -> str:
         'markers': [_plain_marker(marker) for marker in recipe.markers or ()],
         'up': recipe.up,
         'delay': list(recipe.delay) if recipe.delay else None,
+        'drift': list(recipe.drift) if recipe.drift else None,
         'still': {
             'speed': recipe.speed, 'duration': recipe.duration, 'change': recipe.change
         } if recipe.time else None,

@@ -14,7 +14,7 @@ from ..common.units import UNITS, find_unit
 from ..data.dataset import listing
 from ..data.recording.reader import Recording, Track
 from .choices import Taken, time_column
-from .clocks import find_delay
+from .clocks import find_clock
 from .raw_table import FloatArray, RawTable
 from .recipe import Recipe, WireSpool
 
@@ -67,7 +67,8 @@ class Traces:
     zeros: int  # marker readings of exactly 0, 0, 0: not seen
     jumps: IntArray  # (J,) frames in which a marker was elsewhere for a moment
     delay: float | None = None  # [s] that the tracker's file begins later; None: there is one file
-    clocks: str = ''  # how the delay is known, where there are two clocks
+    drift: float = 0.0  # [s/s] that the tracker's clock loses
+    clocks: str = ''  # how these are known, where there are two clocks
 
 
 def make_traces(tables: Sequence[RawTable], taken: Taken) -> list[Traces]:
@@ -97,23 +98,34 @@ def make_traces(tables: Sequence[RawTable], taken: Taken) -> list[Traces]:
             f'{len(told)} tables hold inputs and {len(seen)} markers',
             'name one of each per recording',
         )
-    delays = recipe.delay or (None,) * len(told)
-    if len(delays) == 1:
-        delays *= len(told)
-    if len(delays) != len(told):
+    delays = _for_each('delay', recipe.delay, told)
+    drifts = _for_each('drift', recipe.drift, told)
+    pairs = zip(told, seen, zip(delays, drifts, strict=True), strict=True)
+    return [_trace(a, b, recipe, clock) for a, b, clock in pairs]
+
+
+def _for_each(
+    what: str, given: Sequence[float] | None, told: Sequence[RawTable]
+) -> Sequence[float | None]:
+    """Return what is given of the clocks, a number for each recording."""
+    if not given:
+        return (None,) * len(told)
+    if len(given) not in (1, len(told)):
         raise DataSetError(
-            tables[0].name,
-            f'{len(delays)} delays are given for {len(told)} recordings',
-            'give one delay, or one for each',
+            told[0].name,
+            f'{len(given)} {what}s are given for {len(told)} recordings',
+            f'give one {what}, or one for each',
         )
-    return [_trace(a, b, recipe, d) for a, b, d in zip(told, seen, delays, strict=True)]
+    return tuple(given) * (len(told) if len(given) == 1 else 1)
 
 
 def _holds(table: RawTable, columns: Sequence[str]) -> bool:
     return all(c in table.columns or c in table.texts for c in columns)
 
 
-def _trace(told: RawTable, seen: RawTable, recipe: Recipe, delay: float | None) -> Traces:
+def _trace(
+    told: RawTable, seen: RawTable, recipe: Recipe, clock: tuple[float | None, float | None]
+) -> Traces:
     uses = (recipe.inputs or {}).values()
     inputs = np.column_stack(
         [told.numbers(use.column) * input_factor(use.unit, recipe.spool) for use in uses]
@@ -125,7 +137,7 @@ def _trace(told: RawTable, seen: RawTable, recipe: Recipe, delay: float | None) 
             positions[:, j, axis] = seen.numbers(column) * factor
     lost = (positions == 0.0).all(axis=2)
     positions[lost | ~np.isfinite(positions).all(axis=2)] = np.nan
-    clocks = ''
+    clocks, delay, drift = '', clock[0], clock[1] or 0.0
     if recipe.time is None:
         _refuse_recording(seen.name, positions)
         times = state_times = np.arange(len(told), dtype=float)
@@ -133,15 +145,15 @@ def _trace(told: RawTable, seen: RawTable, recipe: Recipe, delay: float | None) 
         state_times, times = _times(told, recipe), _times(seen, recipe)
         if told is not seen:  # clocks of their own
             if delay is None:
-                delay, clocks = _delay(state_times, inputs, times, positions)
-            times = times + delay
+                delay, drift, clocks = _clock(state_times, inputs, times, positions)
+            times = delay + (1.0 + drift) * times
         else:
             delay = None
     jumps = _cut_jumps(positions, times) if recipe.time else np.zeros(positions.shape[1], int)
     turned = np.broadcast_to(np.nan, (*positions.shape[:2], 4))
     track = Track(times, positions, turned)
     recording = Recording(seen.name, state_times, [], (track,), (), [], None, None)
-    return Traces(recording, inputs, int(lost.sum()), jumps, delay, clocks)
+    return Traces(recording, inputs, int(lost.sum()), jumps, delay, drift, clocks)
 
 
 def _refuse_recording(name: str, positions: FloatArray) -> None:
@@ -159,24 +171,29 @@ def _refuse_recording(name: str, positions: FloatArray) -> None:
         )
 
 
-def _delay(
+def _clock(
     state_times: FloatArray, inputs: FloatArray, times: FloatArray, positions: FloatArray
-) -> tuple[float, str]:
-    """Return by how much the tracker's file begins later [s], and how that is known."""
-    found = find_delay(state_times, inputs, times, positions)
+) -> tuple[float, float, str]:
+    """Return delay [s] and drift [s/s] of the tracker's clock, and how they are known."""
+    found = find_clock(state_times, inputs, times, positions)
     if not found.is_clear:
-        return 0.0, (
+        why = (
             'both files begin together: what moves in them does not tell by how much one begins '
-            f'later ({100 * found.match:.0f} % go with the inputs at {found.seconds:.2f} s, '
+            f'later ({100 * found.match:.0f} % go with the inputs at {found.delay:.2f} s, '
             f'{100 * found.next_best:.0f} % at another delay); if you know it, say --delay'
         )
-    delay = round(found.seconds, 3)
+        return 0.0, 0.0, why
+    delay, drift = round(found.delay, 3), round(found.drift, 7)
     way = 'after' if delay >= 0.0 else 'before'
-    return delay, (
-        f"the tracker's file begins {abs(delay):.2f} s {way} that of the inputs: then "
-        f'{100 * found.match:.0f} % of what the markers move goes with the inputs, at no other '
-        f'delay more than {100 * found.next_best:.0f} %'
+    speed = 'fast' if drift < 0.0 else 'slow'
+    off = f'{abs(drift) * times[-1]:.2f} s at its end, {1e6 * abs(drift):.0f} in a million'
+    how = (
+        f"the tracker's file begins {abs(delay):.2f} s {way} that of the inputs"
+        + (f', and its clock is {speed} ({off})' if drift else '')
+        + f': then {100 * found.match:.0f} % of what the markers move goes with the inputs, '
+        f'at no other delay more than {100 * found.next_best:.0f} %'
     )
+    return delay, drift, how
 
 
 def _cut_jumps(positions: FloatArray, times: FloatArray) -> IntArray:
