@@ -1,10 +1,11 @@
 """
 From target to command, between processes over DDS, and from start to the first command.
 
-The sender streams the points of a small circle at 200 Hz and waits for the command that belongs to
-each; controller and mock driver run as in use, each in its own process. The rate limit is lifted
-so that a target changes the command at once; the model tells which target a command is for.
-Prints JSON. Run alone: two cores are just enough for the three processes.
+The sender streams targets and waits for the command that belongs to each; controller and mock
+driver run as in use, each in its own process. The rate limit is lifted so that a target changes
+the command at once; the model tells which target a command is for. A planar arm gets the points of
+a small circle at 200 Hz; `--robot spatial_6` a path round its base at 20 Hz, and tips all over its
+workspace at 2 Hz. Prints JSON. Run alone: two cores are just enough for the three processes.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import os
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,22 +31,36 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
+from tendon_robot_ros.model.forward import TOLERANCE
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.ros.shared.files import read_robot
 from tendon_robot_ros.ros.shared.messages import COMMAND
 from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
-RATE, LIMIT_MS, START_LIMIT_S = 200.0, 5.0, 5.0
+START_LIMIT_S = 5.0
 ROBOT = 'kato_10_1'
-POINTS = 40  # of the circle: a command is told from others up to 0.2 s late
+LARGEST_N = 4.0  # [N] of the tensions whose tips are targets all over the workspace
+RANDOM_TARGETS = 200
+NEAR_M = 1e-4  # [m] of a tip and the target that it is for
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Targets that come round again: a command is told from others up to one round late."""
+
+    points: np.ndarray  # (K, 3) [m]
+    rate: float  # [Hz]
+    limit: float  # [ms] of 99 % from target to command
 
 
 class Sender(Node):
     """Sends targets and hears commands."""
 
-    def __init__(self, namespace: str) -> None:
+    def __init__(self, namespace: str, robot: str = ROBOT) -> None:
         super().__init__('bench', namespace=namespace)
+        self.frame, self.stream = f'{robot}_base', circle()
         self.changes: list[tuple[float, list[float]]] = []  # commands unlike the one before
+        self.released = 0  # commands without tendons: the driver lets go
         self.first: float | None = None
         self.last: list[float] = []
         self._points = self.create_publisher(PointStamped, 'controller/target_point', COMMAND)
@@ -55,7 +71,9 @@ class Sender(Node):
     def _hear(self, message: JointState) -> None:
         now, command = time.monotonic(), message.effort.tolist()
         self.first = self.first or now
-        if command != self.last:
+        if not command:
+            self.released += 1
+        elif command != self.last:
             self.changes.append((now, command))
         self.last = command
 
@@ -65,19 +83,38 @@ class Sender(Node):
             self.executor_.spin_once(timeout_sec=left)
 
     def send(self, step: int) -> float:
-        """Send a point of the circle; return when."""
+        """Send a target of the stream; return when."""
         message = PointStamped()
-        message.header.frame_id = f'{ROBOT}_base'
-        message.point.x, message.point.z = circle(step)
+        message.header.frame_id = self.frame
+        place = self.stream.points[step % len(self.stream.points)]
+        message.point.x, message.point.y, message.point.z = place.tolist()
         now = time.monotonic()
         self._points.publish(message)
         return now
 
 
-def circle(step: int) -> tuple[float, float]:
-    """Return x and z of a target [m]."""
-    angle = 2.0 * np.pi * step / POINTS
-    return 0.06 + 0.005 * float(np.cos(angle)), 0.17 + 0.005 * float(np.sin(angle))
+def circle(count: int = 40) -> Stream:
+    """Return a small circle in the plane of the paper's arm."""
+    angle = 2.0 * np.pi * np.arange(count) / count
+    x, z = 0.06 + 0.005 * np.cos(angle), 0.17 + 0.005 * np.sin(angle)
+    return Stream(np.stack([x, np.zeros(count), z], axis=1), 200.0, 5.0)
+
+
+def round_the_base(model: Model, count: int = 60) -> Stream:
+    """Return the tips of a bend that goes round the base in three seconds."""
+    angle = 2.0 * np.pi * np.arange(count) / count
+    places = np.array([tendon.end for tendon in model.robot.tendons])
+    own = np.arctan2(places[:, 1], places[:, 0])
+    tensions = model.limits[:, 0] + 0.8 + 0.6 * np.cos(angle[:, None] - own)
+    return Stream(model.shapes(tensions).tip_position, 20.0, 10.0)
+
+
+def all_over(model: Model, count: int) -> Stream:
+    """Return the tips of random tensions."""
+    low, high = model.limits.T
+    share = np.random.default_rng(1).random((count, len(low)))
+    shapes, changes = model.solve(low + share * (np.minimum(high, LARGEST_N) - low))
+    return Stream(shapes.tip_position[changes < TOLERANCE], 2.0, 10.0)
 
 
 def first_command(sender: Sender, namespace: str, model: str, quiet) -> tuple[NodeProcess, float]:
@@ -93,39 +130,49 @@ def first_command(sender: Sender, namespace: str, model: str, quiet) -> tuple[No
     return controller, (sender.first or np.inf) - began
 
 
-def latencies(sender: Sender, count: int) -> dict[str, object]:
+def latencies(
+    sender: Sender, count: int, stream: Stream | None = None, robot: str = ROBOT
+) -> dict[str, object]:
     """Stream targets; return percentiles of the time until their command."""
+    stream = sender.stream = stream or circle()
     sender.spin(time.monotonic() + 1.0)
-    sender.send(0.0)
+    sender.send(-1)
     sender.spin(time.monotonic() + 0.5)
     sender.changes.clear()
-    sent, due = [], time.monotonic()
+    sender.released, sent, due = 0, [], time.monotonic()
     for step in range(count):
         sent.append(sender.send(step))
-        due += 1.0 / RATE
+        due += 1.0 / stream.rate
         sender.spin(due)
     sender.spin(time.monotonic() + 0.5)
-    model = Model(read_robot(ROBOT))
-    points = np.array([circle(step) for step in range(POINTS)])
-    taken: dict[int, float] = {}
-    for at, command in sender.changes:
-        away = np.linalg.norm(points - model.shape(command).tip_position[[0, 2]], axis=1)
-        if away.min() > 1e-4:
-            continue  # still on its way: the rate limit held it
-        point = int(np.argmin(away))
-        earlier = [step for step in range(point, count, POINTS) if sent[step] < at]
-        if earlier and at - sent[earlier[-1]] < POINTS / RATE:
-            taken.setdefault(earlier[-1], at - sent[earlier[-1]])
-    p50, p90, p99, worst = np.percentile(1e3 * np.array(list(taken.values())), [50, 90, 99, 100])
+    taken = list(_answers(sender, np.array(sent), Model(read_robot(robot))).values())
+    p50, p90, p99, worst = np.percentile(1e3 * np.array(taken), [50, 90, 99, 100])
     return {
+        'rate_hz': stream.rate,
         'targets': count,
         'answered': len(taken),
+        'released': sender.released,
         'p50_ms': round(p50, 2),
         'p90_ms': round(p90, 2),
         'p99_ms': round(p99, 2),
         'max_ms': round(worst, 2),
-        'limit_p99_ms': LIMIT_MS,
+        'limit_p99_ms': stream.limit,
     }
+
+
+def _answers(sender: Sender, sent: np.ndarray, model: Model) -> dict[int, float]:
+    """Return the time [s] until the first command of every target that got one."""
+    points, rate = sender.stream.points, sender.stream.rate
+    taken: dict[int, float] = {}
+    for at, command in sender.changes:
+        away = np.linalg.norm(points - model.shape(command).tip_position, axis=1)
+        if away.min() > NEAR_M:
+            continue  # still on its way: the rate limit held it
+        point = int(np.argmin(away))
+        earlier = [step for step in range(point, len(sent), len(points)) if sent[step] < at]
+        if earlier and at - sent[earlier[-1]] < len(points) / rate:
+            taken.setdefault(earlier[-1], at - sent[earlier[-1]])
+    return taken
 
 
 def main() -> dict[str, object]:
@@ -133,27 +180,35 @@ def main() -> dict[str, object]:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--targets', type=int, default=4000)
     parser.add_argument('--cold', action='store_true', help='also start with an empty cache')
-    parser.add_argument('--model', default=ROBOT)
+    parser.add_argument('--robot', default=ROBOT)
+    parser.add_argument('--model', help='of the controller; default: that of the robot')
     parser.add_argument('--json', type=Path)
     options = parser.parse_args()
-    namespace = f'/bench_{os.getpid()}'
-    result: dict[str, object] = {**machine(), 'rate_hz': RATE, 'model': options.model}
+    namespace, robot = f'/bench_{os.getpid()}', options.robot
+    model = options.model or robot
+    result: dict[str, object] = {**machine(), 'robot': robot, 'model': model}
     rclpy.init()
-    sender = Sender(namespace)
+    sender = Sender(namespace, robot)
     with (
         open(os.devnull, 'w') as quiet,
-        NodeProcess('driver', {'robot': ROBOT, 'config': 'mock_twin'}, namespace, quiet),
+        NodeProcess('driver', {'robot': robot, 'config': 'mock_twin'}, namespace, quiet),
     ):
-        controller, _ = first_command(sender, namespace, options.model, quiet)
+        controller, _ = first_command(sender, namespace, model, quiet)
         controller.end()
-        controller, warm = first_command(sender, namespace, options.model, quiet)
+        controller, warm = first_command(sender, namespace, model, quiet)
         result |= {'start_warm_s': round(warm, 2), 'limit_start_warm_s': START_LIMIT_S}
-        result |= latencies(sender, options.targets)
+        if robot == ROBOT:
+            result |= latencies(sender, options.targets)
+        else:
+            own = Model(read_robot(robot))
+            result['path'] = latencies(sender, options.targets, round_the_base(own), robot)
+            count = min(options.targets, RANDOM_TARGETS)
+            result['all over'] = latencies(sender, count, all_over(own, count), robot)
         controller.end()
         if options.cold:
             with tempfile.TemporaryDirectory() as cache:
                 os.environ['NUMBA_CACHE_DIR'] = str(Path(cache).resolve())
-                controller, cold = first_command(sender, namespace, options.model, quiet)
+                controller, cold = first_command(sender, namespace, model, quiet)
                 controller.end()
             result['start_cold_s'] = round(cold, 1)
     sender.destroy_node()

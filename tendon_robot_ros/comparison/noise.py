@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -149,11 +151,15 @@ def _restricted_likelihood(
 
 class Whitener:
     """
-    Covariance of the marker means, a block per posture, and its inverse root.
+    Covariance of the marker means, a block per posture, and a root of its inverse.
 
     (position noise + trial noise) / trials + setting noise, which the trials of a posture share.
     Errors of a model may come on top, no smaller for more trials: `accuracy` [m] of a posture,
     growing along the arm, and `rough` [m, 1 sd per coordinate] of every marker of it.
+
+    Noise of m inputs adds G'G of m rows to a diagonal D. With G D^-1/2 = B and B B' = V L V' the
+    symmetric root of (1 + B'B)^-1 is 1 - B'V f(L) V'B, f(l) = 1 / (1 + l + sqrt(1 + l)): nothing
+    of the size of the markers is factored. Where `accuracy` is asked for, blocks are dense.
     """
 
     def __init__(
@@ -164,44 +170,93 @@ class Whitener:
         accuracy: float = 0.0,
         rough: float = 0.0,
     ) -> None:
-        """Factor the blocks."""
-        self.rows = [np.flatnonzero(np.repeat(counts > 0, 3)) for counts in dataset.counts]
-        self.factors, self.variance = [], []
+        """Find the roots; `slopes` are those of `input_slopes`."""
+        P = len(dataset.counts)
+        self._seen = np.repeat(dataset.counts > 0, 3, axis=1)  # (P, 3 J)
+        counts = np.repeat(np.maximum(dataset.counts, 1), 3, axis=1)
+        share = noise.setting**2 + noise.trial**2 / np.maximum(dataset.trials, 1)
+        driven = np.sqrt(share)[:, None, None] * slopes.reshape(P, slopes.shape[1], -1)
+        own = noise.position**2 / counts
+        total = own + (driven**2).sum(axis=1)
+        self.variance = [one[seen] for one, seen in zip(total, self._seen, strict=True)]
+        self._scale = np.where(self._seen, 1.0 / np.sqrt(own + rough**2), 0.0)  # (P, 3 J)
+        scaled = driven * self._scale[:, None]
+        values, vectors = np.linalg.eigh(scaled @ scaled.swapaxes(1, 2))
+        values = np.maximum(values, 0.0)[..., None]  # (P, m, 1)
+        shrunk = 1.0 / np.sqrt(1.0 + values + np.sqrt(1.0 + values))
+        self._along = shrunk * (vectors.swapaxes(1, 2) @ scaled)  # (P, m, 3 J)
+        self._logs = np.log1p(values).sum(axis=(1, 2)) - 2.0 * np.log(
+            self._scale, out=np.zeros_like(self._scale), where=self._seen
+        ).sum(axis=1)
+        self._dense: list[Floats] | None = None
+        if accuracy:
+            self._take_dense(dataset, accuracy, own + rough**2, driven)
+
+    def _take_dense(self, dataset: DataSet, accuracy: float, own: Floats, driven: Floats) -> None:
+        """Factor blocks in which errors are shared along the arm."""
+        self._dense = []
         for p, rows in enumerate(self.rows):
-            counts = np.repeat(np.maximum(dataset.counts[p], 1), 3)[rows]
-            g = slopes[p].reshape(len(slopes[p]), -1)[:, rows]
-            share = noise.setting**2 + noise.trial**2 / max(int(dataset.trials[p]), 1)
-            block = np.diag(noise.position**2 / counts) + share * (g.T @ g)
-            self.variance.append(np.diag(block).copy())
-            if accuracy:
-                block += common_error(dataset, rows, accuracy)
-            block += rough**2 * np.eye(len(rows))
-            self.factors.append(
-                np.linalg.inv(np.linalg.cholesky(block)) if len(rows) else np.zeros((0, 0))
-            )
-        self.size = sum(len(rows) for rows in self.rows)
+            g = driven[p][:, rows]
+            block = np.diag(own[p, rows]) + g.T @ g + common_error(dataset, rows, accuracy)
+            root = np.linalg.inv(np.linalg.cholesky(block)) if len(rows) else block
+            self._logs[p] = -2.0 * float(np.log(np.diag(root)).sum())
+            self._dense.append(root)
+
+    @property
+    def rows(self) -> list[npt.NDArray[np.intp]]:
+        """What was seen of each posture: indices of (marker, coordinate)."""
+        return [np.flatnonzero(seen) for seen in self._seen]
+
+    @property
+    def size(self) -> int:
+        """Number N of whitened values."""
+        return int(self._seen.sum())
+
+    def root(self, p: int) -> Floats:
+        """Return W (n, n) for what was seen of a posture: W'W is the covariance's inverse."""
+        if self._dense is not None:
+            return self._dense[p]
+        rows = np.flatnonzero(self._seen[p])
+        along = self._along[p][:, rows]
+        return np.asarray((np.eye(len(rows)) - along.T @ along) * self._scale[p, rows])
+
+    def without(self, postures: Sequence[int] | npt.NDArray[np.int64]) -> Whitener:
+        """Return weights that do not see some postures."""
+        made, held = copy(self), list(postures)
+        made._seen, made._scale = self._seen.copy(), self._scale.copy()
+        made._along, made._logs = self._along.copy(), self._logs.copy()
+        made._seen[held], made._scale[held] = False, 0.0
+        made._along[held], made._logs[held] = 0.0, 0.0
+        if self._dense is not None:
+            nothing = np.zeros((0, 0))
+            made._dense = [nothing if p in held else one for p, one in enumerate(self._dense)]
+        return made
 
     def white(self, difference: Floats) -> Floats:
         """Whiten differences (..., P, J, 3) [m] into (..., N)."""
-        lead = difference.shape[:-3]
-        flat = difference.reshape(*lead, difference.shape[-3], -1)
-        return np.concatenate(
-            [
-                flat[..., p, rows] @ factor.T
-                for p, (rows, factor) in enumerate(zip(self.rows, self.factors, strict=True))
-            ],
-            axis=-1,
-        )
+        lead, (P, n) = difference.shape[:-3], self._seen.shape
+        flat = difference.reshape(-1, P, n).swapaxes(0, 1)  # (P, q, 3 J)
+        if self._dense is not None:
+            own = zip(flat, self.rows, self._dense, strict=True)
+            blocks = [one[:, rows] @ root.T for one, rows, root in own]
+            return np.concatenate(blocks, axis=1).reshape(*lead, -1)
+        complete = self._seen.all()
+        scaled = (flat if complete else np.where(self._seen[:, None], flat, 0.0)) * self._scale[
+            :, None
+        ]
+        white = scaled - (scaled @ self._along.swapaxes(1, 2)) @ self._along
+        rows = white.swapaxes(0, 1).reshape(-1, P * n)
+        return (rows if complete else rows[:, self._seen.reshape(-1)]).reshape(*lead, -1)
 
     @property
     def owners(self) -> npt.NDArray[np.int64]:
         """Posture (N,) that each whitened value belongs to."""
-        return np.repeat(np.arange(len(self.rows)), [len(rows) for rows in self.rows])
+        return np.repeat(np.arange(len(self._seen)), self._seen.sum(axis=1))
 
     @property
     def log_determinant(self) -> float:
         """Logarithm of the determinant of the covariance."""
-        return -2.0 * sum(float(np.log(np.diag(factor)).sum()) for factor in self.factors)
+        return float(self._logs.sum())
 
     def floor(self) -> float:
         """Return the expected rms [m] of the distance for a perfect model, setting noise too."""

@@ -19,6 +19,8 @@ as_built.py           imperfections of an arm, and what no model reaches
 split.py              the model of an arm whose cells are each a little off
 slopes.py             how imperfections move the markers
 marginal.py           the likelihood in which they are random
+likelihood.py         its value and slopes, from small matrices
+factors.py            factors of positive definite matrices
 arm_report.py         how much an arm scatters, and what is out of line
 local_tests.py        where the best model is still wrong: cell, posture, tendon, direction
 outliers.py           readings and trials that the others contradict

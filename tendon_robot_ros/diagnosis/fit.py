@@ -12,9 +12,12 @@ import numpy.typing as npt
 from ..comparison.predict import FreeParameter
 from ..comparison.statistics import chi2_sf, f_sf
 from .as_built import Kind, Members
+from .factors import root_inverse
 from .marginal import RandomEffects, Sizes
 
 Floats = npt.NDArray[np.float64]
+SHARE_MAX = 0.999  # [1] of a value that its own posture tells: beyond, nothing else does
+CONDITION_MAX = 1e10  # [1] of normal matrices that are inverted by their triangular root
 
 
 @dataclass(frozen=True)
@@ -111,7 +114,11 @@ class Fit:
     @cached_property
     def covariance(self) -> Floats:
         """Covariance (q, q) of the values; infinite diagonal where nothing determines them."""
-        return covariance_of(self.jacobian)
+        return _covariance(*self._root, blind=np.inf)
+
+    @cached_property
+    def _root(self) -> tuple[Floats, npt.NDArray[np.bool_]]:
+        return covariance_root(self.jacobian)
 
     @property
     def prior_z(self) -> dict[str, float]:
@@ -150,29 +157,52 @@ class Fit:
             postures bend the parameters to themselves.
 
         """
-        total, weights = 0.0, []
-        root, _ = covariance_root(self.jacobian)
-        for p in np.unique(owners):
-            rows = np.flatnonzero(owners == p)
-            r = self.residual[rows]
-            share, vectors = shares(self.jacobian[rows] @ root)
-            only = share > 0.999  # nothing but the posture tells these
-            share = np.clip(share, 0.0, 0.999)  # what the posture says of itself
-            along = vectors.T @ r
-            left = along / np.where(only, 1.0, 1.0 - share)
-            total += float(r @ r - along @ along + left @ left)
-            weights.append(1.0 / (1.0 - share) - (1.0 - share))
-        w = np.concatenate(weights) if weights else np.zeros(0)
-        if not w.sum() > 1e-9:
+        tells = self.jacobian[: len(owners)] @ self._root[0]
+        left_out = [(0.0, 0.0, 0.0)] + [
+            left_out_alone(self.residual[: len(owners)][owners == p], tells[owners == p])
+            for p in np.unique(owners)
+        ]
+        total, weight, weight2 = (float(sum(column)) for column in zip(*left_out, strict=True))
+        if not weight > 1e-9:
             return total, 1.0
-        spread = float((w * w).sum() / w.sum())  # Satterthwaite: a scaled chi²
+        spread = weight2 / weight  # Satterthwaite: a scaled chi²
         excess = total - float(self.residual[: len(owners)] @ self.residual[: len(owners)])
-        return total, chi2_sf(excess / spread, float(w.sum()) / spread)
+        return total, chi2_sf(excess / spread, weight / spread)
+
+
+def left_out_alone(residual: Floats, tells: Floats) -> tuple[float, float, float]:
+    """
+    Leave out a posture with n values, H = A A' of what a fit knows from them, A (n, q).
+
+    Returns chi² of (1 - H)^-1 r, and the sums of the weights w that the eigenvalues of
+    (1 - H)^-1 - (1 - H) give it, and of their squares. What nothing else tells counts as it is.
+    """
+    if len(tells) <= tells.shape[1]:
+        rest = np.eye(len(tells)) - tells @ tells.T
+        try:
+            root_inverse(rest - (1.0 - SHARE_MAX) * np.eye(len(rest)))  # nothing tells it alone
+            root = root_inverse(rest)
+            grown = root.T @ root
+            left, more = grown @ residual, grown - rest
+            return float(left @ left), float(np.trace(more)), float((more * more).sum())
+        except np.linalg.LinAlgError:
+            pass
+    share, vectors = shares(tells)
+    only = share > SHARE_MAX
+    share = np.clip(share, 0.0, SHARE_MAX)
+    along = vectors.T @ residual
+    left = along / np.where(only, 1.0, 1.0 - share)
+    w = 1.0 / (1.0 - share) - (1.0 - share)
+    chi2 = residual @ residual - along @ along + left @ left
+    return float(chi2), float(w.sum()), float((w * w).sum())
 
 
 def covariance_of(jacobian: Floats, blind: float = np.inf) -> Floats:
     """Inverse of the normal matrix, `blind` for columns that carry no information."""
-    root, unseen = covariance_root(jacobian)
+    return _covariance(*covariance_root(jacobian), blind)
+
+
+def _covariance(root: Floats, unseen: npt.NDArray[np.bool_], blind: float) -> Floats:
     made = root @ root.T
     made[unseen, unseen] = blind
     return np.asarray(made)
@@ -182,12 +212,20 @@ def covariance_root(jacobian: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
     """Root R (q, d) of the inverse R R' of the normal matrix, and which columns tell nothing."""
     scale = np.linalg.norm(jacobian, axis=0)
     unseen = scale < 1e-9
-    scale = np.where(unseen, 1.0, scale)
-    values, vectors = np.linalg.eigh((jacobian / scale).T @ (jacobian / scale))
+    seen = jacobian[:, ~unseen] / scale[~unseen]
+    normal = seen.T @ seen
+    root = np.zeros((len(scale), len(normal)))
+    try:
+        upper = root_inverse(normal).T
+        if (upper * upper).sum() * len(normal) < CONDITION_MAX:
+            root[~unseen] = upper / scale[~unseen, None]
+            return root, unseen
+    except np.linalg.LinAlgError:
+        pass
+    values, vectors = np.linalg.eigh(normal)
     told = values > 1e-13 * values.max(initial=0.0)
-    root = vectors[:, told] / np.sqrt(values[told]) / scale[:, None]
-    root[unseen] = 0.0
-    return root, unseen
+    root[~unseen] = vectors / np.sqrt(np.where(told, values, 1.0)) / scale[~unseen, None]
+    return root[:, told], unseen
 
 
 def shares(rows: Floats) -> tuple[Floats, Floats]:

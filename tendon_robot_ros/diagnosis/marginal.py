@@ -16,6 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from .as_built import KINDS_WITH_FEW_MEMBERS, REMAINDER, Kind, Members
+from .factors import root_inverse
+from .likelihood import Columns, Likelihood, prior_of
 
 Floats = npt.NDArray[np.float64]
 SEARCH_STEPS_MAX = 25  # of the search for the standard deviations
@@ -74,6 +76,7 @@ class RandomEffects:
         self.columns = np.hstack([c @ mix for c, mix in zip(own, self.mixtures, strict=True)])
         self.owners = np.repeat(np.arange(len(kinds)), [mix.shape[1] for mix in self.mixtures])
         self.few = np.array([kind.name in KINDS_WITH_FEW_MEMBERS for kind in kinds])
+        self._root: tuple[bytes, Floats] = b'', np.zeros((0, 0))  # the last one, and its sizes
 
     @property
     def start(self) -> Floats:
@@ -91,6 +94,32 @@ class RandomEffects:
         """Orthonormal basis (N, d) of the columns, and the columns in it (d, r)."""
         basis, triangle = np.linalg.qr(self.columns)
         return basis, triangle
+
+    @cached_property
+    def _last(self) -> tuple[Floats, Floats]:
+        """Columns (d, N) of the last kind, and their squared lengths (d,)."""
+        own = np.ascontiguousarray(self.columns[:, self.owners == len(self.kinds) - 1].T)
+        return own, (own * own).sum(axis=1)
+
+    @cached_property
+    def parts(self) -> Columns:
+        """What the likelihood takes of the columns, whatever their sizes are."""
+        last = [k for k, kind in enumerate(self.kinds) if kind.name == REMAINDER]
+        is_last = np.isin(self.owners, last)
+        others, d = np.flatnonzero(~is_last), np.flatnonzero(is_last)
+        owners = self.owners[others]
+        return Columns(
+            self.columns,
+            self.plausible,
+            last[0] if last else None,
+            others,
+            d,
+            owners,
+            np.asarray(np.arange(len(self.kinds))[:, None] == owners, float),
+            self.gram[np.ix_(others, others)],
+            self.gram[np.ix_(others, d)],
+            np.diag(self.gram)[d],
+        )
 
     def spread(self, sizes: Floats) -> Floats:
         """Return the standard deviation (r,) of every mixture."""
@@ -114,11 +143,9 @@ class RandomEffects:
 
     def misfit(self, errors: Floats, sizes: Floats) -> float:
         """Return the chi² of errors (N,) that only noise and the remainder explain."""
-        k = len(self.kinds) - 1
-        own = self.columns[:, self.owners == k]
-        length2 = (own * own).sum(axis=0)
-        gain = sizes[k] ** 2 * length2
-        along = (own.T @ errors) ** 2 / np.maximum(length2, 1e-300)
+        own, length2 = self._last
+        gain = sizes[-1] ** 2 * length2
+        along = (own @ errors) ** 2 / np.maximum(length2, 1e-300)
         return float(errors @ errors - (along * gain / (1.0 + gain)).sum())
 
     def cost(self, members: Members, sizes: Floats) -> float:
@@ -142,9 +169,12 @@ class RandomEffects:
 
     def root(self, sizes: Floats) -> Floats:
         """Return A (d, d), by which `lift` whitens."""
-        scaled = self._basis[1] * self.spread(sizes)
-        factor = np.linalg.cholesky(np.eye(len(scaled)) + scaled @ scaled.T)
-        return np.asarray(np.linalg.inv(factor) - np.eye(len(factor)))
+        key = sizes.tobytes()
+        if self._root[0] != key:
+            scaled = self._basis[1] * self.spread(sizes)
+            inverse = root_inverse(np.eye(len(scaled)) + scaled @ scaled.T)
+            self._root = key, inverse - np.eye(len(inverse))
+        return self._root[1]
 
     def lift(self, root: Floats, rows: Floats) -> Floats:
         """Take off rows (N, ...) what imperfections explain: W with W'W = V^-1."""
@@ -153,7 +183,9 @@ class RandomEffects:
 
     def intervals(self, sizes: Floats) -> tuple[Floats, Floats]:
         """Return 95 % intervals (K,) of the sizes, from the curvature of the likelihood."""
-        work = _Work(self, np.zeros(len(self.columns)), np.zeros((len(self.columns), 0)), None)
+        work = Likelihood(
+            self.parts, np.zeros(len(self.columns)), np.zeros((len(self.columns), 0)), None
+        )
         least = 1e-3 * np.where(np.isfinite(self.plausible), self.plausible, 1e-3)
         v = np.maximum(sizes, least) ** 2
         information = work.slopes(v)[1] * np.outer(v, v)
@@ -191,7 +223,7 @@ class RandomEffects:
             Whether kinds with few members are as large as is plausible, else as the data say.
 
         """
-        work = _Work(self, residual, slopes, weights)
+        work = Likelihood(self.parts, residual, slopes, weights)
         sizes = self.start if start is None else np.asarray(start, dtype=float)
         usual = np.where(np.isfinite(self.plausible), self.plausible, 0.0)
         fixed = self.few & told
@@ -217,12 +249,6 @@ class RandomEffects:
             if gain < DEVIANCE_GAIN_MIN:
                 break
         return Sizes(np.sqrt(v), cost)
-
-
-def prior_of(share: Floats) -> float:
-    """Return -2 log (s exp(-s²/p²)) of all kinds from shares (s/p)², up to a constant."""
-    proper = share[share > 0.0]
-    return float(2.0 * share.sum() - np.log(proper).sum())
 
 
 def _mixture(columns: Floats, plausible: float) -> Floats:
@@ -251,130 +277,3 @@ def _step(down: Floats, up: Floats, gradient: Floats, information: Floats) -> Fl
             break
         moving &= ~gone
     return step
-
-
-@dataclass(frozen=True)
-class _Reduced:
-    """
-    What a set of variances makes of the small matrices, the remainder counted as noise: V = D + ..
-
-    o: columns of the other kinds, d: those of the remainder, k: parameters, and the residual.
-    """
-
-    own: Floats  # (o, o) X'D^-1 X
-    more: Floats  # (o, k + 1) X'D^-1 [parameters, residual]
-    inner: Floats  # (k + 1, k + 1) of these themselves
-    factor: Floats  # (o, o) inverse of the triangular root of 1 + S X'D^-1 X S, times S
-    shrunk: Floats  # (d,) 1 / (1 + gain)
-    log: float  # log |V|
-
-
-class _Work:
-    """
-    Deviance, gradient and information of the variances, from small matrices only.
-
-    The columns of the remainder are independent of each other: they count as noise of their own
-    (V = D + B S B'), only the others are eliminated.
-    """
-
-    def __init__(
-        self, random: RandomEffects, residual: Floats, slopes: Floats, weights: Floats | None
-    ) -> None:
-        self.precision, self.proper = 1.0 / random.plausible**2, np.isfinite(random.plausible)
-        last = [k for k, kind in enumerate(random.kinds) if kind.name == REMAINDER]
-        self.kind = last[0] if last else None
-        known = np.linalg.norm(slopes, axis=0)
-        slopes = slopes[:, known > 1e-9] / known[known > 1e-9]
-        more = np.column_stack([slopes, residual])
-        is_last = np.isin(random.owners, last)
-        others, d = np.flatnonzero(~is_last), np.flatnonzero(is_last)
-        self.owners = random.owners[others]
-        self.kinds = np.asarray(np.arange(len(random.kinds))[:, None] == self.owners, float)
-        cross = random.columns.T @ more
-        self.more, self.more_last = cross[others], cross[d]
-        self.own = random.gram[np.ix_(others, others)]
-        self.own_last = random.gram[np.ix_(others, d)]
-        self.size2 = np.diag(random.gram)[d]  # (d,) squared lengths
-        self.inner = more.T @ more
-        k = slopes.shape[1]
-        prior = np.full(k, 1e-9) if weights is None else weights[known > 1e-9]
-        self.ridge = np.diag(prior / (1.0 if weights is None else known[known > 1e-9] ** 2))
-        self._at: tuple[Floats, _Reduced] | None = None
-
-    def _reduced(self, v: Floats) -> _Reduced:
-        """Return what variances (K,) make of the matrices; kept until others are asked for."""
-        if self._at is not None and np.array_equal(self._at[0], v):
-            return self._at[1]
-        own, more, inner, log = self.own, self.more, self.inner, 0.0
-        shrunk = np.ones(len(self.size2))
-        if self.kind is not None and v[self.kind] > 0.0:
-            gain = v[self.kind] * self.size2
-            shrunk, log = 1.0 / (1.0 + gain), float(np.log1p(gain).sum())
-            taken = self.own_last * (v[self.kind] * shrunk)
-            own, more = own - taken @ self.own_last.T, more - taken @ self.more_last
-            inner = inner - (self.more_last.T * (v[self.kind] * shrunk)) @ self.more_last
-        s = np.sqrt(v)[self.owners]
-        root = np.linalg.cholesky(np.eye(len(s)) + s[:, None] * own * s)
-        log += 2.0 * float(np.log(np.diag(root)).sum())
-        reduced = _Reduced(own, more, inner, np.linalg.inv(root) * s, shrunk, log)
-        self._at = (v.copy(), reduced)
-        return reduced
-
-    def deviance(self, v: Floats) -> float:
-        """-2 log likelihood with priors, at the best parameters."""
-        at = self._reduced(v)
-        half = at.factor @ at.more
-        chi2 = self._best(at.inner - half.T @ half)[1]
-        return chi2 + at.log + prior_of(v * self.precision)
-
-    def slopes(self, v: Floats) -> tuple[Floats, Floats, Floats]:
-        """
-        Return gradient (K,), expected information (K, K) and a step that cannot fail.
-
-        The last is minorise-maximise of variance components: slow, but always a descent.
-        """
-        at, kinds = self._reduced(v), self.kinds
-        half, through = at.factor @ at.own, at.factor @ at.more
-        best, _ = self._best(at.inner - through.T @ through)
-        ahead = np.append(-best, 1.0)
-        w = at.own - half.T @ half
-        u = (at.more - half.T @ through) @ ahead
-        rise, found = kinds @ np.diag(w), kinds @ (u * u)
-        information = kinds @ (w * w) @ kinds.T
-        if self.kind is not None:
-            self._add_last(at, half, through @ ahead, ahead, rise, found, information)
-        rise += 2.0 * self.precision
-        push = np.where(self.proper, 1.0 / np.maximum(v, 1e-300), 0.0)  # away from zero
-        information += np.diag(push**2)
-        rise = np.maximum(rise, 1e-300)
-        slower = (self.proper + np.sqrt(self.proper + 4.0 * rise * v**2 * found)) / (2.0 * rise)
-        return rise - push - found, information, slower
-
-    def _add_last(
-        self,
-        at: _Reduced,
-        half: Floats,
-        through: Floats,
-        ahead: Floats,
-        rise: Floats,
-        found: Floats,
-        information: Floats,
-    ) -> None:
-        """Add what the columns of the remainder say: diagonal before the others are eliminated."""
-        crossed = self.own_last * at.shrunk  # (o, d)
-        mine, e, k = at.factor @ crossed, self.size2 * at.shrunk, self.kind
-        taken = (mine * mine).sum(axis=0)
-        u = at.shrunk * (self.more_last @ ahead) - mine.T @ through
-        rise[k], found[k] = (e - taken).sum(), u @ u
-        both = self.kinds @ np.square(crossed - half.T @ mine).sum(axis=1)
-        information[k] += both
-        information[:, k] += both
-        information[k, k] = (e * (e - 2.0 * taken)).sum() + np.square(mine @ mine.T).sum()
-
-    def _best(self, m: Floats) -> tuple[Floats, float]:
-        """Return the best linear parameters and chi² there."""
-        normal, right = m[:-1, :-1], m[:-1, -1]
-        if not len(right):
-            return right, float(m[-1, -1])
-        best = np.linalg.solve(normal + self.ridge, right)
-        return best, float(m[-1, -1] - right @ best)

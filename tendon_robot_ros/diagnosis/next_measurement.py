@@ -155,7 +155,7 @@ def _separation(
     p: int,
 ) -> float:
     """Sum over the pairs of the capped squared distance that refitting leaves at a posture."""
-    rows, factor = whitener.rows[p], whitener.factors[p]
+    rows, factor = whitener.rows[p], whitener.root(p)
     white = [factor @ markers[p].reshape(-1)[rows] for markers in predictions]
     give = []
     for ranked, slopes in zip(group, sloped, strict=True):

@@ -271,11 +271,11 @@ class Stepwise:
 
     def _whitener(self, size: float, smooth: float, rough: float, held: Held) -> Whitener:
         sizes = (size * float(np.exp(smooth)), size * float(np.exp(rough)))
-        return _without(Whitener(self.dataset, self.noise, self.slopes, *sizes), held)
+        return Whitener(self.dataset, self.noise, self.slopes, *sizes).without(held)
 
     def chance(self, state: State, held: Held = ()) -> float:
         """Return the chance that noise alone leaves so much unexplained, of postures not held."""
-        white = _without(self.plain, held).white(self.measured - state.fit.markers)
+        white = self.plain.without(held).white(self.measured - state.fit.markers)
         chi2, freedom = float(white @ white), max(len(white) - len(state.fit.frees), 1)
         if not np.isfinite(self.noise.freedom):
             return chi2_sf(chi2, freedom)
@@ -305,7 +305,7 @@ def left_out_errors(
         told = np.maximum(1.0 - share, TELLS_ITSELF)
         left = residual[rows] + vectors @ (along / told - along)
         for p in np.unique(owners[rows]):
-            metres = np.linalg.solve(whitener.factors[p], left[owners[rows] == p])
+            metres = np.linalg.solve(whitener.root(p), left[owners[rows] == p])
             errors[p] = 3.0 * float(np.mean(metres**2))
     return errors
 
@@ -323,15 +323,6 @@ def _pressed(fit: Fit) -> npt.NDArray[np.bool_]:
     return np.asarray(
         ((fit.values <= low) & (slope > 0.0)) | ((fit.values >= high) & (slope < 0.0))
     )
-
-
-def _without(whitener: Whitener, held: Held) -> Whitener:
-    """Return weights that do not see some postures."""
-    made = copy(whitener)
-    made.rows, made.factors = list(whitener.rows), list(whitener.factors)
-    for p in held:
-        made.rows[p], made.factors[p] = np.zeros(0, dtype=np.int64), np.zeros((0, 0))
-    return made
 
 
 def _noise(dataset: DataSet, slopes: Floats) -> Noise:

@@ -143,10 +143,7 @@ class _LinearDesign:
         self.size = len(slopes)
         whitener = Whitener(dataset, self.question.noise, input_slopes(predictor, point))
         columns = np.array(slopes).reshape(len(slopes), len(here), -1)
-        return [
-            factor @ columns[:, p, rows].T
-            for p, (rows, factor) in enumerate(zip(whitener.rows, whitener.factors, strict=True))
-        ]
+        return [whitener.root(p) @ columns[:, p, rows].T for p, rows in enumerate(whitener.rows)]
 
     def gain(self, precision: Floats, rows: Floats) -> float:
         """Information [nat] about the effects that a posture adds to a precision."""

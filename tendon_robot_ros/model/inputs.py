@@ -94,7 +94,7 @@ def finite(name: str, values: object, size: int) -> Floats:
         array = np.array(values, dtype=float).reshape(-1)
     except (TypeError, ValueError):
         raise InputError(f'{name}: expected {size} numbers, got {values!r}') from None
-    if array.shape != (size,) or not np.isfinite(array).all():
+    if array.shape != (size,) or not all(map(math.isfinite, array.tolist())):
         raise InputError(f'{name}: expected {size} finite numbers, got {np.asarray(values)}')
     return array
 

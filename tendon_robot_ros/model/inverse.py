@@ -156,6 +156,8 @@ def reach(
     if not by_pulls and preferences is None and not give_up():
         best = _finished(task, relax or guess is None, *best)
     made = judged(task, *best[1:], in_time=not give_up())
+    if preferences is None and not keep_out:
+        return made
     regions = keep_out or KeepOut()
     if preferences is None and regions.clearance(made.shape.positions).distance >= 0.0:
         return made
@@ -181,7 +183,7 @@ def _searched(
             cost, bends = search(inputs, bend, model.limits)
         if best is None or cost < best[0]:
             best = (cost, inputs, bends)
-        if cost - _preferred(model, inputs) < COST_REACHED_M2 or give_up():
+        if _met(model, cost, inputs) or give_up():
             break
     assert best is not None
     if not np.isfinite(best[0]):
@@ -234,7 +236,7 @@ def _finished(
 ) -> tuple[float, Floats, Floats]:
     """Go to the least error from the best that was found or, with it met, to low tension."""
     model = task.model
-    if cost - _preferred(model, inputs) > COST_REACHED_M2:
+    if not _met(model, cost, inputs):
         if model.sticks:  # no search for an equilibrium has gone on from there
             cost, bend = _aim(task, GAIN_MIN, inputs, bend, model.limits)
         return cost, inputs, bend
@@ -247,7 +249,7 @@ def _finished(
         bends = bend
         for preference in (*RELAXING_WEIGHTS, LOW_TENSION_WEIGHT):
             new, bends = _aim(task, GAIN_MIN, less, bends, model.limits, preference)
-    if new < cost and new - _preferred(model, less) < COST_REACHED_M2:
+    if new < cost and _met(model, new, less):
         return new, less, bends
     return cost, inputs, bend
 
@@ -262,17 +264,17 @@ def _starts(
     shapes of the library whose tips are nearest, those of low tension first: from much tension
     against much tension there is often no way down.
     """
-    model = task.model
+    model, sticks = task.model, task.model.sticks
     near = partial(_aim, task, GAIN_MIN if guess is None else TRACKING_GAIN_MIN)
     seek = partial(_seek, task, SEEKING_WIDTHS[0])
     if guess is not None:
-        inputs = np.clip(guess.inputs, *model.limits.T)
-        if model.sticks:
+        inputs = np.minimum(np.maximum(guess.inputs, model.limits[:, 0]), model.limits[:, 1])
+        if sticks:
             yield partial(near, far=FAR_M2), inputs.copy(), guess.state
             near = seek
-        if count or not model.sticks:
+        if count or not sticks:
             yield near, inputs, guess.state
-    near = seek if model.sticks else partial(_aim, task, GAIN_MIN)
+    near = seek if sticks else partial(_aim, task, GAIN_MIN)
     if count:
         yield near, model.limits[:, 0].copy(), np.zeros(3 * model.robot.cells)
         for row in islice(_rows_near(model, task.target), count):
@@ -301,9 +303,12 @@ def _rows_near(model: ForwardModel, target: Floats) -> Iterator[int]:
         away = np.minimum(away, ((places - places[row]) ** 2).sum(axis=1))
 
 
-def _preferred(model: ForwardModel, inputs: Floats) -> float:
-    """Share of the cost [m²] that only says how much tension there is."""
-    return float(0.5 * ((LOW_TENSION_WEIGHT * (inputs - model.limits[:, 0])) ** 2).sum())
+def _met(model: ForwardModel, cost: float, inputs: Floats) -> bool:
+    """Tell whether a cost [m²] meets the target but for what says how much tension there is."""
+    if cost < COST_REACHED_M2:
+        return True
+    above = inputs - model.limits[:, 0]
+    return cost - 0.5 * LOW_TENSION_WEIGHT**2 * float(above @ above) < COST_REACHED_M2
 
 
 def _aim(
@@ -371,10 +376,10 @@ def judged(task: TipTask, inputs: Floats, bend: Floats, in_time: bool = True) ->
     model = task.model
     shape = task.shape(inputs, bend)
     position, direction = task.errors(shape)
-    top = model.limits[:, 1]
+    top = model.limits[:, 1].tolist()
     at_limit = tuple(
         name
-        for name, value, high in zip(model.inputs, inputs, top, strict=True)
+        for name, value, high in zip(model.inputs, inputs.tolist(), top, strict=True)
         if value >= high - 1e-9
     )
     status = 'reached'

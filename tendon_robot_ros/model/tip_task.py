@@ -34,11 +34,11 @@ class TipTask:
 
     def errors(self, shape: Shape) -> tuple[float, float]:
         """Return how far the tip is from where it should be, [m] and [rad]; 0: not asked."""
-        target = self.target
-        position = math.dist(shape.tip_position, target[:3]) if target[6] else 0.0
-        if not target[7]:
+        x, y, z, bx, by, bz, weight, direction_weight = self.target.tolist()
+        position = math.dist(shape.tip_position.tolist(), (x, y, z)) if weight else 0.0
+        if not direction_weight:
             return position, 0.0
-        (ax, ay, az), (bx, by, bz) = shape.tip_direction.tolist(), target[3:6].tolist()
+        ax, ay, az = shape.tip_direction.tolist()
         across = math.hypot(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
         return position, math.atan2(across, ax * bx + ay * by + az * bz)
 
@@ -58,7 +58,7 @@ def tip_target(
         target[:3], target[6] = finite('position', position, 3), position_weight
     if direction is not None:
         along = finite('direction', direction, 3)
-        size = float(np.linalg.norm(along))
+        size = math.sqrt(along @ along)
         if size < 1e-9:
             raise InputError(f'direction: expected a vector of some length, got {along}')
         weight = 0.2 * model.robot.length if direction_weight is None else direction_weight

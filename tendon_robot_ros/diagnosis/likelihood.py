@@ -1,0 +1,160 @@
+"""
+The likelihood of variances from small matrices: its value, gradient and expected information.
+
+V = 1 + B S B' as in `marginal`; everything happens in the space of the columns (Woodbury), so that
+N does not matter once their products are taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from .factors import root_inverse
+
+Floats = npt.NDArray[np.float64]
+
+
+def prior_of(share: Floats) -> float:
+    """Return -2 log (s exp(-s²/p²)) of all kinds from shares (s/p)², up to a constant."""
+    proper = share[share > 0.0]
+    return float(2.0 * share.sum() - np.log(proper).sum())
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Products of the columns of all kinds: those of the remainder (d) and the others (o)."""
+
+    all: Floats  # (N, o + d)
+    plausible: Floats  # (K,) sizes of the kinds; infinite: the prior is flat
+    kind: int | None  # the remainder's
+    others: npt.NDArray[np.intp]  # (o,) columns
+    last: npt.NDArray[np.intp]  # (d,)
+    owners: npt.NDArray[np.int64]  # (o,) kinds
+    kinds: Floats  # (K, o) 1 where a column is of the kind
+    own: Floats  # (o, o) normal matrix
+    own_last: Floats  # (o, d)
+    size2: Floats  # (d,) squared lengths
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """
+    What a set of variances makes of the small matrices, the remainder counted as noise: V = D + ..
+
+    o: columns of the other kinds, d: those of the remainder, k: parameters, and the residual.
+    """
+
+    own: Floats  # (o, o) X'D^-1 X
+    more: Floats  # (o, k + 1) X'D^-1 [parameters, residual]
+    inner: Floats  # (k + 1, k + 1) of these themselves
+    factor: Floats  # (o, o) inverse of the triangular root of 1 + S X'D^-1 X S, times S
+    shrunk: Floats  # (d,) 1 / (1 + gain)
+    log: float  # log |V|
+
+
+class Likelihood:
+    """
+    Deviance, gradient and information of the variances, from small matrices only.
+
+    The columns of the remainder are independent of each other: they count as noise of their own
+    (V = D + B S B'), only the others are eliminated.
+    """
+
+    def __init__(
+        self, columns: Columns, residual: Floats, slopes: Floats, weights: Floats | None
+    ) -> None:
+        """Take products of a residual (N,) and its slopes (N, k), whose priors weigh (k,)."""
+        self.precision, self.proper = 1.0 / columns.plausible**2, np.isfinite(columns.plausible)
+        self.kind, self.owners, self.kinds = columns.kind, columns.owners, columns.kinds
+        self.own, self.own_last, self.size2 = columns.own, columns.own_last, columns.size2
+        known = np.linalg.norm(slopes, axis=0)
+        slopes = slopes[:, known > 1e-9] / known[known > 1e-9]
+        more = np.column_stack([slopes, residual])
+        cross = columns.all.T @ more
+        self.more, self.more_last = cross[columns.others], cross[columns.last]
+        self.inner = more.T @ more
+        k = slopes.shape[1]
+        prior = np.full(k, 1e-9) if weights is None else weights[known > 1e-9]
+        self.ridge = np.diag(prior / (1.0 if weights is None else known[known > 1e-9] ** 2))
+        self._at: tuple[Floats, _Reduced] | None = None
+
+    def _reduced(self, v: Floats) -> _Reduced:
+        """Return what variances (K,) make of the matrices; kept until others are asked for."""
+        if self._at is not None and np.array_equal(self._at[0], v):
+            return self._at[1]
+        own, more, inner, log = self.own, self.more, self.inner, 0.0
+        shrunk = np.ones(len(self.size2))
+        if self.kind is not None and v[self.kind] > 0.0:
+            gain = v[self.kind] * self.size2
+            shrunk, log = 1.0 / (1.0 + gain), float(np.log1p(gain).sum())
+            taken = self.own_last * (v[self.kind] * shrunk)
+            own, more = own - taken @ self.own_last.T, more - taken @ self.more_last
+            inner = inner - (self.more_last.T * (v[self.kind] * shrunk)) @ self.more_last
+        s = np.sqrt(v)[self.owners]
+        root = root_inverse(np.eye(len(s)) + s[:, None] * own * s)
+        log -= 2.0 * float(np.log(np.diag(root)).sum())
+        reduced = _Reduced(own, more, inner, root * s, shrunk, log)
+        self._at = (v.copy(), reduced)
+        return reduced
+
+    def deviance(self, v: Floats) -> float:
+        """-2 log likelihood with priors, at the best parameters."""
+        at = self._reduced(v)
+        half = at.factor @ at.more
+        chi2 = self._best(at.inner - half.T @ half)[1]
+        return chi2 + at.log + prior_of(v * self.precision)
+
+    def slopes(self, v: Floats) -> tuple[Floats, Floats, Floats]:
+        """
+        Return gradient (K,), expected information (K, K) and a step that cannot fail.
+
+        The last is minorise-maximise of variance components: slow, but always a descent.
+        """
+        at, kinds = self._reduced(v), self.kinds
+        half, through = at.factor @ at.own, at.factor @ at.more
+        best, _ = self._best(at.inner - through.T @ through)
+        ahead = np.append(-best, 1.0)
+        w = at.own - half.T @ half
+        u = (at.more - half.T @ through) @ ahead
+        rise, found = kinds @ np.diag(w), kinds @ (u * u)
+        information = kinds @ (w * w) @ kinds.T
+        if self.kind is not None:
+            self._add_last(at, half, through @ ahead, ahead, rise, found, information)
+        rise += 2.0 * self.precision
+        push = np.where(self.proper, 1.0 / np.maximum(v, 1e-300), 0.0)  # away from zero
+        information += np.diag(push**2)
+        rise = np.maximum(rise, 1e-300)
+        slower = (self.proper + np.sqrt(self.proper + 4.0 * rise * v**2 * found)) / (2.0 * rise)
+        return rise - push - found, information, slower
+
+    def _add_last(
+        self,
+        at: _Reduced,
+        half: Floats,
+        through: Floats,
+        ahead: Floats,
+        rise: Floats,
+        found: Floats,
+        information: Floats,
+    ) -> None:
+        """Add what the columns of the remainder say: diagonal before the others are eliminated."""
+        crossed = self.own_last * at.shrunk  # (o, d)
+        mine, e, k = at.factor @ crossed, self.size2 * at.shrunk, self.kind
+        taken = (mine * mine).sum(axis=0)
+        u = at.shrunk * (self.more_last @ ahead) - mine.T @ through
+        rise[k], found[k] = (e - taken).sum(), u @ u
+        both = self.kinds @ np.square(crossed - half.T @ mine).sum(axis=1)
+        information[k] += both
+        information[:, k] += both
+        information[k, k] = (e * (e - 2.0 * taken)).sum() + np.square(mine @ mine.T).sum()
+
+    def _best(self, m: Floats) -> tuple[Floats, float]:
+        """Return the best linear parameters and chi² there."""
+        normal, right = m[:-1, :-1], m[:-1, -1]
+        if not len(right):
+            return right, float(m[-1, -1])
+        best = np.linalg.solve(normal + self.ridge, right)
+        return best, float(m[-1, -1] - right @ best)
