@@ -7,7 +7,7 @@ the tip that the description does not know. The table: tracker turned by 30° an
 mm, gaps, markers in no order, a trial that slips. Then new-robot, import-table and diagnose as
 typed.
 
-usage: python benchmarks/bench_trial.py [--seed N] [--folder DIR] [--json FILE]
+usage: python benchmarks/bench_trial.py [--seed N] [--noise F] [--plate] [--folder D] [--json FILE]
 """
 
 import argparse
@@ -50,7 +50,7 @@ def rod_of(rng):
     )
 
 
-def rows_of(rod, rng):
+def rows_of(rod, rng, noise=1.0):
     """Return the rows of the table: time [s], tensions [N], markers [mm], sorted by name."""
     cosine, sine = np.cos(np.radians(30.0)), np.sin(np.radians(30.0))
     up_is_y = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -60,14 +60,16 @@ def rows_of(rod, rng):
 
     def frames(places, tensions, count):
         for _ in range(count):
-            seen = places @ turn.T + [0.12, 0.05, -0.15] + 1e-4 * rng.normal(size=places.shape)
+            seen = places @ turn.T + [0.12, 0.05, -0.15]
+            seen += 1e-4 * noise * rng.normal(size=places.shape)
             if rng.random() < 0.03:
                 seen[rng.integers(len(seen))] = np.nan
             read = tensions * gains + 0.01 * rng.normal(size=3)
             rows.append([len(rows) / RATE_HZ, *read, *(1e3 * seen[order]).ravel()])
 
     def hold(places, tensions, seconds):
-        settled = places + 5e-5 * rng.normal(size=places.shape)  # an arm never comes back exactly
+        # an arm never comes back exactly
+        settled = places + 5e-5 * noise * rng.normal(size=places.shape)
         frames(settled, tensions, int(seconds * RATE_HZ))
 
     rest = np.full(3, REST)
@@ -98,10 +100,9 @@ def write(path, rows):
         table.writerows([f'{v:.4f}' if np.isfinite(v) else 'NaN' for v in row] for row in rows)
 
 
-def walk(folder):
+def walk(folder, answers):
     """Type the commands of docs/from_mocap_to_verdict.md; return what they print and seconds."""
     program = [sys.executable, '-m', 'tendon_robot_ros']
-    answers = '\n'.join(map(str, ANSWERS))
     calls = {
         'new-robot': ['--output', 'arm.yaml'],
         'import-table': ['raw.csv', '--robot', 'arm.yaml', '--up', 'y', '--output', 'run'],
@@ -120,6 +121,10 @@ def main():
     """Make the table, walk, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--noise', type=float, default=1.0, help='of the tracker, times 0.1 mm')
+    parser.add_argument(
+        '--plate', action='store_true', help='describe the holes of the base plate'
+    )
     parser.add_argument('--folder', help='keep everything there')
     parser.add_argument('--json', help='write the figures')
     args = parser.parse_args()
@@ -127,8 +132,9 @@ def main():
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(args.folder or temporary)
         folder.mkdir(parents=True, exist_ok=True)
-        write(folder / 'raw.csv', rows_of(rod_of(rng), rng))
-        verdict, seconds = walk(folder)
+        write(folder / 'raw.csv', rows_of(rod_of(rng), rng, args.noise))
+        answers = '\n'.join(map(str, (*ANSWERS, 'yes' if args.plate else 'no')))
+        verdict, seconds = walk(folder, answers)
     named = {effect['name']: effect['parameters'] for effect in verdict['effects']}
     result = {'verdict': verdict['verdict'], 'named': named, 'true force_y [N]': -TIP_MASS * G,
               'seconds': seconds, 'machine': machine()}  # fmt: skip

@@ -127,6 +127,12 @@ def test_new_robot_takes_answers_from_a_pipe_and_draws(monkeypatch, tmp_path, ca
     assert 'written: my_arm.yaml' in printed
     assert 'bends section_1 by 42.4° (without friction)' in printed  # 4 · 0.005 / 0.027 rad
     assert 'weighs 1 g; level, it sags by 2.8 mm at the tip' in printed
+    assert new_robot(monkeypatch, tmp_path, f'{answers}\n\nyes\n', '--output', 'plate.yaml') == 0
+    plate = load_robot(tmp_path / 'plate.yaml')
+    assert [s.name for s in plate.sections] == ['plate', *(s.name for s in robot.sections)]
+    assert plate.length == pytest.approx(robot.length, abs=2e-6)
+    tips = [Model(one).shape([3.0] + 8 * [0.1]).tip_position for one in (robot, plate)]
+    assert np.hypot(*tips[1][:2]) != pytest.approx(np.hypot(*tips[0][:2]), rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,8 @@ NAME = 'new-robot'
 HELP = 'ask about a robot, write its description and draw it'
 
 GRAVITY_ALONG_Z = {'up': -9.81, 'down': 9.81, 'horizontal': 9.81}
+# a cell that is stiff and has no length: behind it lies the first eyelet (docs/robot_file.md)
+PLATE = {'name': 'plate', 'cells': 1, 'cell_length': 1e-6, 'bending_stiffness': 1000.0}
 FILE_HEAD = '# Written by new-robot. In m and N; +z points along the straight arm.\n'
 
 
@@ -112,7 +114,10 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
     content |= _ask_weight(questions, count * cells * length, content['effects'])
     content |= _ask_tolerances(questions, known, friction)
     _ask_guides(questions, content['effects'])
-    return content | _ask_down(questions, content.get('gravity', (0.0, 0.0, 0.0)))
+    content |= _ask_down(questions, content.get('gravity', (0.0, 0.0, 0.0)))
+    if 'eyelet_wrap' in content['effects'] and _ask_plate(questions):
+        content['sections'].insert(0, dict(PLATE))
+    return content
 
 
 def _ask_weight(
@@ -151,6 +156,12 @@ def _ask_guides(questions: Questions, effects: dict[str, Any]) -> None:
         effects['straight_tendon'] = {'fraction': 1.0}
         if 'tendon_friction' in effects:
             effects |= {'eyelet_wrap': {'fraction': 1.0}, 'tendon_travel': {'fraction': 1.0}}
+
+
+def _ask_plate(questions: Questions) -> bool:
+    """Ask whether friction begins below the first cell."""
+    answer = questions.choice('The base plate has holes in which tendons rub', ('no', 'yes'))
+    return answer == 'yes'
 
 
 def _ask_down(questions: Questions, gravity: Sequence[float]) -> dict[str, list[float]]:
