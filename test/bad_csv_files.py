@@ -32,7 +32,7 @@ BAD = {
         'inputs',
         INPUTS.replace('right', 'middle'),
         "inputs.csv, row 1: column 'middle' is unknown",
-        'rename it to one of posture, trial, left, right',
+        'rename it to one of posture, trial, left, right, visit, previous',
     ),
     'tendon without column': (
         'inputs',

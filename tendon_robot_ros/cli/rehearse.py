@@ -18,7 +18,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..data.dataset import INPUTS, PATHS
+from ..data.dataset import INPUTS, LOADINGS
 from ..effects import load_catalogue
 from ..investigation.goal import add_goal, goal_of
 from ..investigation.loop import Investigation
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--seed', type=int, default=0, help='another seed: another robot, other noise')
     add('--noise', default='', metavar='NAME=VALUE,...', help='as of simulate')
     add('--input', choices=INPUTS, default='tension', help='what the motors set')
-    add('--path', choices=PATHS, default='from_straight', help='how postures are reached')
+    add('--path', choices=LOADINGS, default='from_straight', help='how postures are reached')
     add('--lost', type=float, default=0.0, metavar='SHARE', help='of measurements that break')
     add_goal(parser, TRIALS)
     add_folder(parser)

@@ -78,7 +78,8 @@ def _add_measuring(parser: argparse.ArgumentParser) -> None:
     add('--noise', default='', metavar='NAME=VALUE,...', help=noise)
     add('--undeclared', action='store_true', help='do not write the noise into dataset.yaml')
     add('--input', choices=INPUTS, default='tension', help='what the motors set')
-    add('--path', choices=PATHS, default='from_straight', help='how postures are reached')
+    reached = 'how postures are reached (visits: trials in a random order, none from straight)'
+    add('--path', choices=PATHS, default='from_straight', help=reached)
     markers = 'so many, evenly spaced, or at these arc lengths [mm] (default: one per cell)'
     add('--markers', metavar='N|S,S,...', help=markers)
 
@@ -157,7 +158,7 @@ def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:
         commands = read_inputs(Path(args.postures), robot, args.input)
         inputs, names = commands.by_posture(), commands.postures
     else:
-        count = args.count or (12 if args.path == 'from_straight' else 20)
+        count = args.count or (20 if args.path == 'sequence' else 12)
         inputs = default_postures(
             robot, max(count // (1 + which), 1), which, args.input, args.path
         )

@@ -55,6 +55,12 @@ def commands(inputs: Mapping[str, float | None], kind: str = 'tension') -> str:
     return ', '.join(parts) or 'nothing pulled'
 
 
+def listing(names: Iterable[str]) -> str:
+    """List names in a message; a long list is cut in the middle."""
+    known = list(names)
+    return ', '.join(known if len(known) <= 12 else [*known[:6], '...', *known[-3:]]) or 'none'
+
+
 def listed(names: Iterable[str], last: str = 'and') -> str:
     """Join names: 'a, b and c'."""
     *first, end = list(names) or ['nothing']

@@ -34,9 +34,14 @@ def equilibria(predictor: Predictor) -> ShapeBatch:
 
     """
     parts = []
-    for part in predictor.parts:
-        predictor.set_parameters({}, part)
-        parts.append(_shapes(predictor.dataset, predictor.model, predictor.inputs[part.rows]))
+    for part, shapes in predictor.settle({}, predictor.inputs):
+        if shapes is None:
+            _shapes(predictor.dataset, predictor.model, predictor.inputs[part.rows])  # says where
+            raise NoEquilibriumError(
+                f'a posture of {predictor.dataset.name}', predictor.model.implicit_effects, np.inf
+            )
+        rows = predictor.last_visits(part)
+        parts.append(replace(shapes, **{name: getattr(shapes, name)[rows] for name in FIELDS}))
     order = np.argsort(np.concatenate([part.rows for part in predictor.parts]))
     fields = {
         name: np.concatenate([getattr(batch, name) for batch in parts])[order] for name in FIELDS
@@ -45,7 +50,7 @@ def equilibria(predictor: Predictor) -> ShapeBatch:
 
 
 def _shapes(dataset: DataSet, model: Model, inputs: Floats) -> ShapeBatch:
-    carry = model.remembers and dataset.path == 'sequence'
+    carry = model.remembers and dataset.path != 'from_straight'
     if dataset.input == 'displacement':
         memory = model.arrays.fresh_memory() if carry else None
         return pull_shapes(model, inputs, memory=memory)

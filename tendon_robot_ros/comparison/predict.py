@@ -9,14 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import EffectError, TendonRobotError
-from ..data import DataSet, Part
+from ..common.errors import TendonRobotError
+from ..data import DataSet
+from ..data.visits import Visits
 from ..effects import Catalogue, Effect, Parameter
 from ..model.derivatives import Move, follow
 from ..model.forward import TOLERANCE
 from ..model.model import Model
 from ..model.shape import FIELDS, ShapeBatch
 from ..robot import Robot
+from .conditions import Conditions, known_values
 from .tangent import Freed, Pulled, Tangent, held
 
 Floats = npt.NDArray[np.float64]
@@ -76,45 +78,6 @@ class SettledShapes:
         return SettledShapes(self.tensions[rows], self.state[rows])
 
 
-@dataclass(frozen=True)
-class Conditions:
-    """What acts on the arm in some of the postures."""
-
-    rows: npt.NDArray[np.int64]
-    gravity: Floats  # (3,) [m/s²]
-    known: Mapping[tuple[str, str], float]  # (effect, parameter) -> value, whatever is freed
-
-
-def known_values(part: Part, catalogue: Catalogue) -> dict[tuple[str, str], float]:
-    """
-    Return the parameters of the effects that a data set calls known; unnamed ones are neutral.
-
-    Raises
-    ------
-    EffectError
-        An effect or parameter is not in the catalogue, or a value is out of its bounds.
-
-    """
-    settled: dict[tuple[str, str], float] = {}
-    for name, values in part.known.items():
-        where = f'{part.name}: known'
-        if name not in catalogue:
-            raise EffectError(f'{where}: unknown effect {name!r}; known: {catalogue.names}')
-        parameters = {p.name: p for p in catalogue[name].parameters}
-        for key, value in values.items():
-            if key not in parameters:
-                expected = ', '.join(parameters)
-                raise EffectError(f'{where}: {name}: expected one of {expected}, got {key!r}')
-            low, high = parameters[key].described_bounds
-            if not low <= value <= high:
-                raise EffectError(
-                    f'{where}: {name}.{key}: expected a number from {low:g} to {high:g} '
-                    f'[{parameters[key].unit}], got {value:g}'
-                )
-        settled |= {(name, key): values.get(key, p.neutral) for key, p in parameters.items()}
-    return settled
-
-
 class Predictor:
     """A model whose parameters move; one per thread."""
 
@@ -146,6 +109,7 @@ class Predictor:
             arrays.cells.copy(),
         )
         self.inputs = mean_inputs(dataset)
+        self.visits = None if dataset.visits is None else dataset.visits.seen(dataset.trial_mask)
         self.settled: SettledShapes | None = None  # of the last prediction
         self._first: SettledShapes | None = None
 
@@ -188,8 +152,11 @@ class Predictor:
         for part, shapes in self.settle(point, inputs, stiffness, near):
             if shapes is None:
                 return None
-            settled.tensions[part.rows], settled.state[part.rows] = shapes.inputs, shapes.state
-            placed[part.rows] = self.see(shapes)
+            rows = self.last_visits(part)
+            settled.tensions[part.rows] = shapes.inputs[rows]
+            settled.state[part.rows] = shapes.state[rows]
+            shown, visits = self.see(shapes), self._walk(part)
+            placed[part.rows] = shown if visits is None else visits.mean(shown)
         self.settled = settled
         if self._first is None:  # later ones would make results depend on the order
             self._first = settled
@@ -262,11 +229,36 @@ class Predictor:
         stiffness: Floats | None = None,
         near: SettledShapes | None = None,
     ) -> Iterator[tuple[Conditions, ShapeBatch | None]]:
-        """Yield each part of the postures and its shapes, the model as it is set there."""
+        """
+        Yield each part of the postures and its shapes, the model as it is set there.
+
+        Where friction remembers and postures differ by the way there, of every visit.
+        """
         for part in self.parts:
             self.set_parameters(point, part, stiffness)
             there = None if near is None else near.of(part.rows)
-            yield part, self.shapes(inputs[part.rows], there)
+            yield part, self._visited(inputs[part.rows], there, self._walk(part))
+
+    def _walk(self, part: Conditions) -> Visits | None:
+        """Return the visits to the postures of a part; None where the way does not count."""
+        remembered = self.visits is not None and self.model.remembers
+        return self.visits.among(part.rows) if remembered and self.visits else None
+
+    def last_visits(self, part: Conditions) -> npt.NDArray[np.int64] | slice:
+        """Return which of the settled shapes of a part stand for its postures."""
+        visits = self._walk(part)
+        return slice(None) if visits is None else visits.last
+
+    def _visited(
+        self, inputs: Floats, near: SettledShapes | None, visits: Visits | None
+    ) -> ShapeBatch | None:
+        if visits is None:
+            return self.shapes(inputs, near)
+        legs = []
+        for leg in visits.legs():
+            rows = visits.rows[leg]
+            legs.append(self.shapes(inputs[rows], None if near is None else near.of(rows)))
+        return together(legs)
 
     def shapes(self, inputs: Floats, near: SettledShapes | None) -> ShapeBatch | None:
         """Shapes (b) of the model as it is set, under inputs (b, m); None without equilibrium."""
@@ -323,7 +315,7 @@ class Predictor:
         return batch
 
     def _remembering(self, inputs: Floats) -> ShapeBatch | None:
-        carry = self.dataset.path == 'sequence'
+        carry = self.dataset.path != 'from_straight'
         batch, changes = self.model.solve(inputs, carry=carry)
         return batch if (changes < TOLERANCE).all() else None
 
@@ -331,13 +323,22 @@ class Predictor:
         """Shapes under wire pulls; None where there are none."""
         from ..model.pulls import pull_shapes
 
-        carry = self.model.remembers and self.dataset.path == 'sequence'
+        carry = self.model.remembers and self.dataset.path != 'from_straight'
         memory = self.model.arrays.fresh_memory() if carry else None
         tensions, bends = (None, None) if near is None else (near.tensions, near.state)
         try:
             return pull_shapes(self.model, pulls, tensions, bends, memory)
         except TendonRobotError:
             return None
+
+
+def together(batches: Sequence[ShapeBatch | None]) -> ShapeBatch | None:
+    """Return shapes one after the other; None where one part of them has no equilibrium."""
+    found = [batch for batch in batches if batch is not None]
+    if len(found) < len(batches):
+        return None
+    fields = {name: np.concatenate([getattr(one, name) for one in found]) for name in FIELDS}
+    return replace(found[0], **fields)
 
 
 def stiffness_factors(free: FreeParameter, value: float, n: int) -> Floats:

@@ -2,8 +2,9 @@
 Measurements: `DataSet`, and where it comes from.
 
 dataset.py      measured postures as frozen arrays; a missing value is nan (SI units)
-joining.py      several data sets of one robot as one
+joining.py      several data sets of one robot as one; one, apart by where the arm came from
 markers.py      tracked points of the arm
+visits.py       settled visits in any order: what differs by where the arm came from
 dataframes.py   the same as a tidy table of pandas, and back; what cannot be metres and newtons
 folder/         a data set as a folder of plain files, read strictly and written whole
 recording/      recordings of ROS 2, read and written without ROS

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from ..common.dataframes import make_frame
 from ..common.errors import DataSetError, InputError
+from ..common.words import listing
 from ..robot import Robot
 from .dataframes import FrameArrays, check_units, frame_columns, read_frame
 from .markers import Marker, Vector, place_markers
+from .visits import Visits
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -23,13 +25,8 @@ IntArray = NDArray[np.int64]
 Known = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 
 INPUTS = ('tension', 'displacement')
-PATHS = ('from_straight', 'sequence')
-
-
-def listing(names: Iterable[str]) -> str:
-    """List names in a message; a long list is cut in the middle."""
-    known = list(names)
-    return ', '.join(known if len(known) <= 12 else [*known[:6], '...', *known[-3:]]) or 'none'
+LOADINGS = ('from_straight', 'sequence')  # every trial of a posture has the same history
+PATHS = (*LOADINGS, 'visits')
 
 
 @dataclass(frozen=True)
@@ -47,8 +44,9 @@ class DataSet:
     Postures of a robot, what was commanded and where its markers were.
 
     P postures, Q trials, J markers, m inputs. In a `sequence` every trial replays all postures in
-    order, so a posture without any measurement may stand between others; `from_straight` each
-    posture has at least one. The trials of a posture need not be the first ones: use `mask`.
+    order, so a posture without any measurement may stand between others, as among `visits`;
+    `from_straight` each posture has at least one. The trials of a posture need not be the first
+    ones: use `mask`.
     """
 
     name: str  # the folder, as the user wrote it
@@ -61,7 +59,8 @@ class DataSet:
     trial_inputs: FloatArray | None = None  # (P, Q, m) where they were measured per trial
     trial_names: tuple[str, ...] = ()  # (Q,), by default '0' to 'Q-1'
     input: str = 'tension'  # or 'displacement'
-    path: str = 'from_straight'  # or 'sequence'
+    path: str = 'from_straight'  # or 'sequence' or 'visits'
+    visits: Visits | None = None  # how the arm came to its postures, where it is of `visits`
     gravity: Vector | None = None  # [m/s²], base frame; None = the file does not say
     position_noise: float | None = None  # [m], 1 sd per coordinate
     setting_noise: float = 0.0  # [1], relative 1 sd per tendon, shared by a posture's trials
@@ -76,14 +75,16 @@ class DataSet:
         """Make the arrays read-only and refuse shapes that do not fit each other."""
         P, m, J = len(self.postures), len(self.robot.inputs), len(self.markers)
         Q = np.shape(self.positions)[1] if np.ndim(self.positions) == 4 else 0
+        if (self.path == 'visits') != (self.visits is not None):
+            raise DataSetError(
+                f'{self.name}: path: {self.path}',
+                f'there is {"no" if self.visits is None else "an"} order of visits',
+                'a folder has it in inputs.csv, column visit or previous, with path: visits',
+            )
         if not self.trial_names:
             object.__setattr__(self, 'trial_names', tuple(str(q) for q in range(Q)))
-        shapes = {
-            'inputs': (P, m),
-            'positions': (P, Q, J, 3),
-            'orientations': (P, Q, J, 4),
-            'trial_inputs': (P, Q, m),
-        }
+        shapes = {'inputs': (P, m), 'positions': (P, Q, J, 3), 'orientations': (P, Q, J, 4)}
+        shapes['trial_inputs'] = (P, Q, m)
         for key, shape in shapes.items():
             if getattr(self, key) is None:
                 continue
@@ -307,8 +308,8 @@ class DataSet:
         """
         Return the data set with these postures only, in the order of the file.
 
-        A sequence keeps the postures in between, because the arm remembers them, but without
-        their measurements.
+        A sequence keeps the postures in between, and visits keep all, because the arm remembers
+        them, but without their measurements.
 
         Raises
         ------
@@ -324,7 +325,8 @@ class DataSet:
         chosen = np.array([posture in wanted for posture in self.postures])
         if self.path == 'from_straight':
             return self._rows(np.flatnonzero(chosen))
-        part = self._rows(np.arange(np.flatnonzero(chosen)[-1] + 1))
+        end = len(chosen) if self.visits else int(np.flatnonzero(chosen)[-1]) + 1
+        part = self._rows(np.arange(end))
         hidden = ~chosen[: len(part.postures), None, None, None]
         seen = part.orientations
         return replace(
@@ -350,30 +352,25 @@ class DataSet:
             There are fewer than two measured postures, or the share is not between 0 and 1.
 
         """
-        measured = [name for name, n in zip(self.postures, self.trials, strict=True) if n]
-        if len(measured) < 2 or not 0.0 < share < 1.0:
+        of = self.visits.commands if self.visits else self.postures  # all visits of a command
+        seen = zip(of, self.postures, self.trials, strict=True)
+        measured = {name: command for command, name, n in seen if n}
+        commands = list(dict.fromkeys(measured.values()))
+        if len(commands) < 2 or not 0.0 < share < 1.0:
             raise InputError(
                 f'{self.name}: cannot hold out a share of {share:g} of '
-                f'{len(measured)} measured postures; both parts need at least one'
+                f'{len(commands)} measured postures; both parts need at least one'
             )
-        size = min(max(round(share * len(measured)), 1), len(measured) - 1)
-        drawn = np.random.default_rng(seed).permutation(len(measured))[:size]
-        check = {measured[i] for i in drawn}
+        size = min(max(round(share * len(commands)), 1), len(commands) - 1)
+        drawn = np.random.default_rng(seed).permutation(len(commands))[:size]
+        check = {name for name, command in measured.items() if commands.index(command) in drawn}
         return self.select(set(measured) - check), self.select(check)
 
     def _rows(self, rows: NDArray[np.intp]) -> DataSet:
-        def part(array: FloatArray | None) -> FloatArray | None:
-            return None if array is None else array[rows]
-
-        return replace(
-            self,
-            postures=tuple(self.postures[i] for i in rows),
-            inputs=self.inputs[rows],
-            part=None if self.part is None else self.part[rows],
-            positions=self.positions[rows],
-            orientations=part(self.orientations),
-            trial_inputs=part(self.trial_inputs),
-        )
+        arrays = ('inputs', 'part', 'positions', 'orientations', 'trial_inputs')
+        present = {key: getattr(self, key) for key in arrays if getattr(self, key) is not None}
+        kept: dict[str, Any] = {key: array[rows] for key, array in present.items()}
+        return replace(self, postures=tuple(self.postures[i] for i in rows), **kept)
 
 
 def _checked(

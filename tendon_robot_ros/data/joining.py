@@ -1,4 +1,4 @@
-"""Several data sets of one robot as one: what differs between them is known of each."""
+"""Several data sets of one robot as one; postures apart by where the arm came from."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import DataSetError
-from .dataset import DataSet, FloatArray, IntArray, Part
+from .dataset import BoolArray, DataSet, FloatArray, IntArray, Part
+from .visits import Split, joined
 
 ALIKE = ('markers', 'input', 'path', 'input_names')  # what data sets must have in common
 NOISES = ('position_noise', 'setting_noise', 'trial_noise', 'accuracy')
@@ -36,6 +37,7 @@ def join(datasets: Sequence[DataSet]) -> DataSet:
     names = _short_names(datasets)
     trials = max((d.trial_names for d in datasets), key=len)
     parts, part = _divided(names, datasets)
+    visits = [dataset.visits for dataset in datasets if dataset.visits is not None]
     noises: dict[str, Any] = {key: _largest([getattr(d, key) for d in datasets]) for key in NOISES}
     return replace(
         first,
@@ -54,6 +56,7 @@ def join(datasets: Sequence[DataSet]) -> DataSet:
         known={},
         parts=parts,
         part=part,
+        visits=joined(visits) if visits else None,
         **noises,
     )
 
@@ -116,3 +119,27 @@ def _trial_inputs(datasets: Sequence[DataSet], trials: int) -> FloatArray | None
 
 def _largest(values: Sequence[float | None]) -> float | None:
     return max((value for value in values if value is not None), default=None)
+
+
+def divide(dataset: DataSet, split: Split, own: BoolArray) -> DataSet:
+    """Return the postures apart by where the arm came from; `own` (P, Q) are their trials."""
+    inputs = dataset.inputs[split.command]
+
+    def part(array: FloatArray | None, other: FloatArray | float = np.nan) -> FloatArray | None:
+        if array is None:
+            return None
+        wide = own.reshape(*own.shape, *(1,) * (array.ndim - 2))
+        return np.where(wide, array[split.command], other)
+
+    positions = part(dataset.positions)
+    assert positions is not None
+    return replace(
+        dataset,
+        postures=split.postures,
+        inputs=inputs,
+        positions=positions,
+        orientations=part(dataset.orientations),
+        trial_inputs=part(dataset.trial_inputs, inputs[:, None]),
+        path='visits',
+        visits=split.visits,
+    )

@@ -38,10 +38,9 @@ def why_untested(effect: Effect, dataset: DataSet, robot: Robot) -> str:
 
 
 def _memory(dataset: DataSet) -> str:
-    if dataset.path != 'sequence':
+    if dataset.path == 'from_straight':
         return 'every posture loaded from straight'
-    steps = np.diff(np.nan_to_num(dataset.inputs), axis=0)
-    return 'these postures hardly show it' if (steps < 0.0).any() else 'no unloading'
+    return 'these postures hardly show it' if unloads(dataset) else 'no unloading'
 
 
 # -----------------------------------------------------------------------------
@@ -166,9 +165,11 @@ def _moved(value: float, free: FreeParameter) -> float:
 
 
 def unloads(dataset: DataSet) -> bool:
-    """Tell whether a sequence ever lets an input go."""
-    steps = np.diff(np.nan_to_num(dataset.inputs), axis=0)
-    return dataset.path == 'sequence' and bool((steps < 0.0).any())
+    """Tell whether an input is ever let go between a posture and the next one."""
+    inputs, visits = np.nan_to_num(dataset.inputs), dataset.visits
+    ways = [slice(None)] if visits is None else [visits.rows[leg] for leg in visits.legs()]
+    let_go = any((np.diff(inputs[way], axis=0) < 0.0).any() for way in ways)
+    return dataset.path != 'from_straight' and let_go
 
 
 def gain_p_value(base: Fit, fit: Fit, described: Sequence[float]) -> float:

@@ -50,7 +50,7 @@ def _conditions(session: Session, group: Sequence[Ranked]):  # type: ignore[no-u
     if names & session.catalogue.needing('gravity') and np.linalg.norm(gravity) > 0.0:
         yield (-gravity).tolist(), None, grid
     history = names & session.catalogue.needing('history')
-    if session.dataset.path == 'sequence' and history:
+    if session.dataset.path != 'from_straight' and history:
         yield None, grid[np.argmax(grid.sum(axis=1))], grid
 
 
@@ -89,7 +89,10 @@ def _posture_set(
         inputs=inputs,
         positions=np.zeros(shape),
         orientations=None,
-        path='from_straight' if after is None else old.path,
+        path='from_straight' if after is None else 'sequence',
+        visits=None,
+        parts=(),
+        part=None,
         trial_inputs=None,
         trial_names=('0',),
         gravity=old.gravity if gravity is None else (gravity[0], gravity[1], gravity[2]),

@@ -91,9 +91,9 @@ class Session:
             return
         dataset, names = self.dataset, self.predictor.unsettled()
         few = 0 < len(names) <= UNSETTLED_SHARE_MAX * len(dataset.postures)
-        if not few or dataset.path == 'sequence':
+        if not few or dataset.path != 'from_straight':
             effects = self.predictor.model.implicit_effects
-            where = listed(f'posture {name}' for name in names) or 'a posture of the sequence'
+            where = listed(f'posture {name}' for name in names) or 'a posture on the way'
             raise NoEquilibriumError(f'{where} of {dataset.name}', effects, np.inf)
         self.unsettled = names
         self._measured_by(dataset.select(set(dataset.postures) - set(names)))

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from ..comparison.conditions import Conditions
 from ..comparison.predict import (
     CELLS,
-    Conditions,
     FreeParameter,
     Point,
     Predictor,

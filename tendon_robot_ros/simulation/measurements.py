@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 from ..common.errors import InputError
 from ..data import DataSet, Marker, default_markers
+from ..data.joining import divide
+from ..data.visits import Split, split_by_order
 from .plant import Plant
 
 Floats = npt.NDArray[np.float64]
@@ -86,25 +88,55 @@ def simulate(
     rows = _rows(plant, inputs, trials)
     random = np.random.default_rng(seed)
     made = tuple(markers or default_markers(robot))
-    inputs_used = rows * _factors(random, noise, trials, rows.shape)  # (Q, P, m)
-    seen = _seen(plant, inputs_used, made, path == 'sequence', input == 'displacement')
-    positions = seen.swapaxes(0, 1)
+    names = tuple(postures) or tuple(map(str, range(len(rows))))
+    displacement, visits = input == 'displacement', None
+    if path == 'visits':
+        visits = _order(random, names, trials)
+        used = rows[visits.command[visits.posture]] * _visit_factors(random, noise, visits, rows)
+        seen = _seen(plant, used[None], made, True, displacement)[0]  # (V, J, 3)
+        positions = np.empty((len(rows), trials, *seen.shape[1:]))
+        positions[visits.command[visits.posture], visits.visits.trials] = seen
+    else:
+        inputs_used = rows * _factors(random, noise, trials, rows.shape)  # (Q, P, m)
+        seen = _seen(plant, inputs_used, made, path == 'sequence', displacement)
+        positions = seen.swapaxes(0, 1)
     positions = positions + random.normal(0.0, noise.position, positions.shape)
     known = declare and noise.position > 0.0
-    return DataSet(
+    dataset = DataSet(
         name=f'simulated {robot.name}',
         robot=robot,
         markers=made,
-        postures=tuple(postures) or tuple(map(str, range(len(rows)))),
+        postures=names,
         inputs=rows,
         positions=positions,
         input=input,
-        path=path,
+        path='sequence' if visits else path,
         gravity=robot.gravity,
         position_noise=noise.position if known else None,
         setting_noise=noise.setting if declare else 0.0,
         trial_noise=noise.trial if declare else 0.0,
     )
+    if visits is None:
+        return dataset
+    own = np.zeros((len(visits.postures), trials), dtype=bool)
+    own[visits.posture, visits.visits.trials] = True
+    return divide(dataset, visits, own)
+
+
+def _order(random: np.random.Generator, names: Sequence[str], trials: int) -> Split:
+    """Visit every posture as many times as there are trials, in a random order."""
+    order = random.permutation(np.repeat(np.arange(len(names)), trials))
+    trial = np.array([int((order[:v] == command).sum()) for v, command in enumerate(order)])
+    return split_by_order(names, order, trial, np.ones(len(order), dtype=bool))
+
+
+def _visit_factors(
+    random: np.random.Generator, noise: SimulatedNoise, split: Split, rows: Floats
+) -> Floats:
+    """Factors (V, m) on what was set; never below zero."""
+    setting = noise.setting * random.normal(size=(len(split.postures), rows.shape[1]))
+    trial = noise.trial * random.normal(size=(len(split.posture), rows.shape[1]))
+    return np.maximum((1.0 + setting[split.posture]) * (1.0 + trial), 0.0)
 
 
 def _rows(plant: Plant, inputs: npt.ArrayLike, trials: int) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..common.errors import DataSetError, InputError
 from ..common.units import UNITS, find_unit
-from ..data.dataset import listing
+from ..common.words import listing
 from ..robot import Robot
 from .columns import (
     ColumnUse,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from ..common.errors import DataSetError
 from ..common.units import Unit, find_unit, split_name
-from ..data.dataset import listing
+from ..common.words import listing
 from .raw_table import RawTable
 
 WORDS = re.compile(r'[^\W\d_]+|\d+')

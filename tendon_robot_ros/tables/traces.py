@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ..common.dataframes import pandas
 from ..common.errors import DataSetError, InputError
 from ..common.units import UNITS, find_unit
-from ..data.dataset import listing
+from ..common.words import listing
 from ..data.recording.reader import Recording, Track
 from .choices import Taken, time_column
 from .clocks import find_clock

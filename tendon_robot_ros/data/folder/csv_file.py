@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.errors import DataSetError, short
-from ..dataset import FloatArray, listing
+from ...common.words import listing
+from ..dataset import FloatArray
 
 IntArray = NDArray[np.int64]
 
@@ -32,14 +33,13 @@ class Table:
             f'{key} {self.labels[key][self.codes[key][row]]!r}' for key in keys or self.labels
         )
 
-    def repeated(self) -> tuple[int, int] | None:
+    def repeated(self, keys: Sequence[str]) -> tuple[int, int] | None:
         """Return the first row whose names stood in an earlier row, and that row."""
-        if not self.codes:
+        if not keys:
             return None
-        sizes = [len(labels) for labels in self.labels.values()]
-        index = np.zeros(len(next(iter(self.codes.values()))), dtype=np.int64)
-        for codes, size in zip(self.codes.values(), sizes, strict=True):
-            index = index * size + codes
+        index = np.zeros(len(self.codes[keys[0]]), dtype=np.int64)
+        for key in keys:
+            index = index * len(self.labels[key]) + self.codes[key]
         order = np.argsort(index, kind='stable')
         same = np.flatnonzero(index[order][1:] == index[order][:-1])
         if not len(same):
@@ -122,14 +122,17 @@ class CsvFile:
         """Build the error for a row, counted from 1 for the header."""
         return DataSetError(f'{self.path}, row {row}', problem, remedy)
 
-    def read(self, names: Sequence[str], numbers: Sequence[str]) -> Table:
+    def read(
+        self, names: Sequence[str], numbers: Sequence[str], remarks: Sequence[str] = ()
+    ) -> Table:
         """
         Read the rows below the header.
 
         Parameters
         ----------
-        names, numbers : sequence of str
-            Columns to read as names and as numbers: together all that the file has.
+        names, numbers, remarks : sequence of str
+            Columns to read as names, as numbers, and as names that may be empty and do not tell
+            rows apart: together all that the file has.
 
         Raises
         ------
@@ -138,8 +141,9 @@ class CsvFile:
             names stand in two rows.
 
         """
-        labels = {key: Labels() for key in names}
-        codes: dict[str, list[IntArray]] = {key: [] for key in names}
+        texts = (*names, *remarks)
+        labels = {key: Labels() for key in texts}
+        codes: dict[str, list[IntArray]] = {key: [] for key in texts}
         values: dict[str, list[FloatArray]] = {key: [] for key in numbers}
         dtype = np.dtype([(key, float if key in numbers else object) for key in self.header])
         row = 2
@@ -150,7 +154,7 @@ class CsvFile:
                     block = _parse(lines, dtype)
                     if block is None:
                         block = self._parse_exactly(lines, row, dtype)
-                    for key in names:
+                    for key in texts:
                         cells = block[key].tolist()
                         codes[key].append(np.array([*map(labels[key].__getitem__, cells)]))
                     for key in numbers:
@@ -165,18 +169,20 @@ class CsvFile:
             {key: tuple(label.index) for key, label in labels.items()},
             {key: np.concatenate(parts) for key, parts in values.items()},
         )
-        self._check_names(table)
+        self._check_names(table, names)
         return table
 
-    def _check_names(self, table: Table) -> None:
-        for key, labels in table.labels.items():
-            if '' in labels:
-                empty = table.codes[key] == labels.index('')
+    def _check_names(self, table: Table, names: Sequence[str]) -> None:
+        for key in names:
+            if '' in table.labels[key]:
+                empty = table.codes[key] == table.labels[key].index('')
                 raise self.error(int(empty.argmax()) + 2, f'{key} is empty', f'write a {key}')
-        if repeated := table.repeated():
+        if repeated := table.repeated(names):
             row, first = repeated
             raise self.error(
-                row + 2, f'{table.name(row)} stands in row {first + 2} too', 'remove one of them'
+                row + 2,
+                f'{table.name(row, *names)} stands in row {first + 2} too',
+                'remove one of them',
             )
 
     def _header(self, line: str, required: Sequence[str], known: Sequence[str]) -> list[str]:

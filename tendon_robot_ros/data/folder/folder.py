@@ -14,9 +14,20 @@ from ...common.errors import DataSetError
 from ...common.files import new_folder
 from ...robot import Robot, dump_robot, load_robot
 from ..dataset import DataSet
+from ..joining import divide
 from ..markers import default_markers
+from ..visits import Visits, split_by_order, split_by_origin
 from .description import describe, dump_description, find_robot, read_fields, read_text
-from .measurement_files import KEYS, ORIENTATION, POSITION, read_inputs, read_shapes
+from .measurement_files import (
+    KEYS,
+    ORIENTATION,
+    ORIGIN,
+    POSITION,
+    VISIT,
+    Commands,
+    read_inputs,
+    read_shapes,
+)
 
 
 def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) -> DataSet:
@@ -48,15 +59,16 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
     description = describe(fields, robot)
     markers = description.markers or default_markers(robot)
     names = tuple(marker.name for marker in markers)
-    commands = read_inputs(folder / 'inputs.csv', robot, description.input)
-    sequence = description.path == 'sequence'
-    shapes = read_shapes(folder / 'shapes.csv', robot, names, commands, sequence)
+    visits = description.path == 'visits'
+    commands = read_inputs(folder / 'inputs.csv', robot, description.input, visits)
+    between = description.path != 'from_straight'
+    shapes = read_shapes(folder / 'shapes.csv', robot, names, commands, between)
     seen = np.isfinite(shapes.positions[..., 0]).any(axis=(0, 1))
     if description.markers and not seen.all():
         problem = f'{names[int(seen.argmin())]!r} was never seen in shapes.csv'
         raise DataSetError(f'{path}: markers', problem, 'correct the name or remove the marker')
     turned = shapes.orientations
-    return DataSet(
+    dataset = DataSet(
         name=str(folder),
         robot=robot,
         robot_path=Path(robot.source),
@@ -68,7 +80,7 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
         positions=shapes.positions[:, :, seen],
         orientations=None if turned is None else turned[:, :, seen],
         input=description.input,
-        path=description.path,
+        path='sequence' if visits else description.path,
         gravity=description.gravity,
         accuracy=description.accuracy,
         known=description.known,
@@ -76,6 +88,25 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
         setting_noise=description.setting_noise,
         trial_noise=description.trial_noise,
     )
+    return _by_history(dataset, commands) if visits else dataset
+
+
+def _by_history(dataset: DataSet, commands: Commands) -> DataSet:
+    """Return the trials of each posture apart by where the arm came from."""
+    code, known = commands.table.codes['posture'], commands.trials is not None
+    trial = commands.table.translate('trial', dataset.trial_names) if known else None
+    seen = dataset.trial_mask
+    measured = seen.any(axis=1)[code] if trial is None else seen[code, trial]
+    if commands.origin is not None:
+        split = split_by_origin(dataset.postures, code, commands.origin, measured)
+    else:
+        assert commands.visit is not None and trial is not None
+        order = np.argsort(commands.visit)
+        trial = trial[order]
+        split = split_by_order(dataset.postures, code[order], trial, measured[order])
+    own = np.zeros((len(split.postures), len(dataset.trial_names)), dtype=bool)
+    own[split.posture, slice(None) if trial is None else trial] = True
+    return divide(dataset, split, own)
 
 
 # -----------------------------------------------------------------------------
@@ -161,6 +192,9 @@ def _cells(values: Iterable[float]) -> list[object]:
 
 
 def _input_rows(dataset: DataSet) -> Iterator[Iterable[object]]:
+    if dataset.visits is not None:
+        yield from _visit_rows(dataset, dataset.visits)
+        return
     if dataset.trial_inputs is None:
         yield ('posture', *dataset.input_names)
         for posture, values in zip(dataset.postures, dataset.inputs.tolist(), strict=True):
@@ -178,10 +212,31 @@ def _input_rows(dataset: DataSet) -> Iterator[Iterable[object]]:
                 )
 
 
+def _visit_rows(dataset: DataSet, visits: Visits) -> Iterator[Iterable[object]]:
+    """Yield the visits in their order, or of every trial the command before."""
+    names, inputs = dataset.trial_names, dataset.inputs_by_trial
+    if visits.in_one_go and (visits.trials >= 0).all():
+        yield ('posture', 'trial', VISIT, *dataset.input_names)
+        for v in np.lexsort((visits.trials, visits.rows)).tolist():
+            p, q = visits.rows[v], visits.trials[v]
+            values = inputs[p, q] if dataset.trial_mask[p, q] else dataset.inputs[p]
+            yield (visits.commands[p], names[q], v, *_cells(values.tolist()))
+        return
+    once = len(set(visits.commands)) == len(visits.commands)
+    yield ('posture', *(() if once else ('trial',)), ORIGIN, *dataset.input_names)
+    for p, (command, origin) in enumerate(zip(visits.commands, visits.origins, strict=True)):
+        trials = [0] if once else np.flatnonzero(dataset.trial_mask[p]).tolist()
+        for q in trials:
+            values = dataset.inputs[p] if once else inputs[p, q]
+            name = () if once else (names[q],)
+            yield (command, *name, origin, *_cells(values.tolist()))
+
+
 def _shape_rows(dataset: DataSet) -> Iterator[Iterable[object]]:
     turned = dataset.orientations
     yield (*KEYS, *POSITION, *(ORIENTATION if turned is not None else ()))
-    for p, posture in enumerate(dataset.postures):
+    visits = dataset.visits
+    for p, posture in enumerate(dataset.postures if visits is None else visits.commands):
         positions = dataset.positions[p].tolist()
         quaternions = [] if turned is None else turned[p].tolist()
         for q, trial in enumerate(dataset.trial_names):

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.errors import DataSetError
+from ...common.words import listing
 from ...robot import Robot
 from ..dataframes import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
-from ..dataset import FloatArray, listing
+from ..dataset import FloatArray
+from ..visits import STRAIGHT
 from .csv_file import CsvFile, IntArray, Table
 
 
@@ -22,6 +24,8 @@ class Commands:
     file: CsvFile
     table: Table
     values: FloatArray  # (R, m) [N] or [m], NaN = slack
+    visit: IntArray | None = None  # (R,) when each row was visited; None: the file does not say
+    origin: IntArray | None = None  # (R,) index of the posture before, `STRAIGHT` for none
 
     @property
     def postures(self) -> tuple[str, ...]:
@@ -62,15 +66,23 @@ class Commands:
         return np.where(pulled > 0, total / np.maximum(pulled, 1), np.nan)
 
     def by_trial(self, trials: tuple[str, ...]) -> FloatArray | None:
-        """Return the values of every trial, (P, Q, m), None where the file has none."""
+        """
+        Return the values of every trial, (P, Q, m), None where the file has none.
+
+        Visits need a row per trial: where all of a posture are the same, none was measured.
+        """
         if self.trials is None:
             return None
+        if self.visit is not None or self.origin is not None:
+            first = self.values[np.unique(self.table.codes['posture'], return_index=True)[1]]
+            if np.array_equal(first[self.table.codes['posture']], self.values, equal_nan=True):
+                return None
         values = np.full((len(self.postures), len(trials), self.values.shape[1]), np.nan)
         values[self.table.codes['posture'], self.table.translate('trial', trials)] = self.values
         return values
 
 
-def read_inputs(path: Path, robot: Robot, kind: str) -> Commands:
+def read_inputs(path: Path, robot: Robot, kind: str, visits: bool = False) -> Commands:
     """
     Read and check inputs.csv.
 
@@ -82,6 +94,8 @@ def read_inputs(path: Path, robot: Robot, kind: str) -> Commands:
         Says which columns there must be, and which tensions can be.
     kind : str
         'tension' [N] or 'displacement' [m].
+    visits : bool
+        A column says in which order, or from where, the arm came.
 
     Raises
     ------
@@ -89,13 +103,63 @@ def read_inputs(path: Path, robot: Robot, kind: str) -> Commands:
         With row and remedy.
 
     """
-    required, known = ('posture', *robot.inputs), ('posture', 'trial', *robot.inputs)
+    required, known = ('posture', *robot.inputs), ('posture', 'trial', *robot.inputs, *HISTORY)
     file = CsvFile(path, required, known, 'write the value that was set')
+    _check_history(file, visits)
     names = ('posture', 'trial') if 'trial' in file.header else ('posture',)
-    table = file.read(names, robot.inputs)
+    numbers = (*robot.inputs, *([VISIT] if VISIT in file.header else []))
+    table = file.read(names, numbers, [ORIGIN] if ORIGIN in file.header else [])
     values = np.stack([table.numbers[name] for name in robot.inputs], axis=1)
     _check(file, values, robot, kind)
-    return Commands(file, table, values)
+    return Commands(file, table, values, _visits(file, table), _origins(file, table))
+
+
+VISIT, ORIGIN = HISTORY = ('visit', 'previous')  # columns that tell how the arm came to a posture
+
+
+def _check_history(file: CsvFile, visits: bool) -> None:
+    """Refuse columns of a history that dataset.yaml does not speak of, and the reverse."""
+    there = [name for name in HISTORY if name in file.header]
+    if there and not visits:
+        remedy = 'write path: visits in dataset.yaml, or remove the column'
+        raise file.error(1, f'column {there[0]!r} tells of visits', remedy)
+    if visits and len(there) != 1:
+        problem = 'visit and previous both' if there else 'neither visit nor previous'
+        remedy = 'write visit (its number in the order of visits) or previous (posture before)'
+        raise file.error(1, f'with path: visits there is {problem}', remedy)
+    if VISIT in there and 'trial' not in file.header:
+        raise file.error(1, "visits are counted, but column 'trial' is missing", 'add it')
+
+
+def _visits(file: CsvFile, table: Table) -> IntArray | None:
+    if VISIT not in table.numbers:
+        return None
+    visit = table.numbers[VISIT]
+    whole = np.isfinite(visit) & (visit == np.round(visit)) & (np.abs(visit) < 2**53)
+    if not whole.all():
+        raise file.error(int(whole.argmin()) + 2, 'visit is no whole number', 'count the visits')
+    first = np.unique(visit, return_index=True)[1]
+    if len(first) < len(visit):
+        row = int(np.setdiff1d(np.arange(len(visit)), first)[0])
+        remedy = 'give every visit its own number'
+        raise file.error(row + 2, f'visit {visit[row]:.0f} stands twice', remedy)
+    return np.asarray(visit, dtype=np.int64)
+
+
+def _origins(file: CsvFile, table: Table) -> IntArray | None:
+    if ORIGIN not in table.labels:
+        return None
+    postures, names = table.labels['posture'], table.labels[ORIGIN]
+    origin = table.translate(ORIGIN, postures)
+    unknown = (origin < 0) & np.array([name != '' for name in names])[table.codes[ORIGIN]]
+    if unknown.any():
+        row = int(unknown.argmax())
+        raise file.error(
+            row + 2,
+            f'previous is {names[table.codes[ORIGIN][row]]!r}, which no row describes',
+            f'use one of {listing(postures)}, or leave it empty: from the straight arm',
+        )
+    return np.where(origin < 0, STRAIGHT, origin)
 
 
 def _check(file: CsvFile, values: FloatArray, robot: Robot, kind: str) -> None:

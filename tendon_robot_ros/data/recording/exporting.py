@@ -72,6 +72,9 @@ def export_bag(
 
     """
     need_rosbags()
+    if dataset.visits is not None:
+        problem = 'a recording does not hold in which order postures were visited'
+        raise DataSetError(dataset.name, problem, 'keep it as a folder')
     path = Path(path)
     if path.suffix != '.mcap':
         with new_folder(path) as new:

@@ -10,13 +10,10 @@ import numpy as np
 
 from ...common.errors import DataSetError
 from ...common.files import new_file
+from ...common.words import listing
 from ...robot import Robot, load_robot, parse_robot
 from ..dataframes import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
-from ..dataset import (
-    DataSet,
-    FloatArray,
-    listing,
-)
+from ..dataset import DataSet, FloatArray
 from ..folder.description import Description, describe, read_fields
 from ..markers import Marker, default_markers
 from .reader import Recording, Topics, read_bag

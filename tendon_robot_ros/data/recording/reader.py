@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from ...common.errors import DataSetError
-from ..dataset import FloatArray, listing
+from ...common.words import listing
+from ..dataset import FloatArray
 from .writer import (
     DESCRIPTION,
     JOINT_STATE,

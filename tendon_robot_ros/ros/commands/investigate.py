@@ -26,7 +26,7 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 from ...common.errors import InputError, TendonRobotError
-from ...data.dataset import PATHS
+from ...data.dataset import LOADINGS
 from ...investigation.goal import add_goal, goal_of
 from ...investigation.loop import Findings, Investigation, News
 from ...investigation.record import BETTER
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add_goal(parser, TRIALS)
     add_folder(parser)
-    add('--path', choices=PATHS, default=PATHS[0],
+    add('--path', choices=LOADINGS, default=LOADINGS[0],
         help='let go before every posture, or go from one to the next')  # fmt: skip
     add('--speed', type=float, default=0.2, metavar='X',
         help='of an input, in largest tensions per second (default: 0.2)')  # fmt: skip

@@ -1,0 +1,165 @@
+"""Settled visits in any order: read, predicted and diagnosed by where the arm came from."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+from arms import planar
+from small_dataset import write
+
+from tendon_robot_ros.common.errors import DataSetError
+from tendon_robot_ros.comparison.compare import compare
+from tendon_robot_ros.comparison.predict import Predictor
+from tendon_robot_ros.data import join, load_dataset, save_dataset
+from tendon_robot_ros.data.recording.exporting import export_bag
+from tendon_robot_ros.diagnosis.candidates import why_untested
+from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
+from tendon_robot_ros.simulation.plant import make_plant
+
+VISITS = 'path: visits\n'
+ORDER = """\
+posture,trial,visit,left,right
+0,0,3,0.5,0.0
+1,0,7,1.0,0.25
+0,1,9,0.5,0.0
+1,1,12,1.0,0.25
+0,2,13,0.5,0.0
+"""
+ORIGIN = 'posture,previous,left,right\n0,1,0.5,0.0\n1,,1.0,0.25\n'
+FRICTION = {'tendon_friction': {'friction_coefficient': 0.4}}
+MEMORY = {'friction_memory': {'presliding_length': 2e-4}}
+ROBOT = replace(planar(6, FRICTION), gravity=(0.0, 0.0, 0.0), exact=True)
+INPUTS = np.array([[0.0, 1.0], [1.4, 0.2], [0.3, 1.8], [2.2, 0.0], [1.0, 0.9]])
+EXACT = SimulatedNoise(0.0, 0.0, 0.0)
+
+
+def visited(robot=ROBOT, hidden=None, noise=None, trials=4, seed=1):
+    """Return visits in a random order of a robot without imperfections."""
+    plant = make_plant(robot, hidden, refine=1, scatter=0.0, capstan=False)
+    return simulate(plant, INPUTS, noise=noise, trials=trials, path='visits', seed=seed)
+
+
+def test_trials_are_apart_by_the_visit_before(tmp_path):
+    data = load_dataset(write(tmp_path / 'small', dataset=VISITS, inputs=ORDER))
+    assert data.postures == ('0 after the straight arm', '0 after 1', '1 after 0')
+    assert data.trials.tolist() == [1, 1, 1]
+    assert data.visits.rows.tolist() == [0, 2, 1, 2, 1]
+    assert data.visits.counts.tolist() == [True, True, True, False, False]
+    assert data.trial_inputs is None
+    assert data.groups[0] == data.groups[1] != data.groups[2]
+
+
+def test_a_previous_posture_is_gone_to_from_the_straight_arm(tmp_path):
+    data = load_dataset(write(tmp_path / 'small', dataset=VISITS, inputs=ORIGIN))
+    assert data.postures == ('0 after 1', '1 after the straight arm')
+    assert data.trials.tolist() == [2, 1]
+    assert data.visits.rows.tolist() == [1, 0, 1]
+    assert data.visits.fresh.tolist() == [True, False, True]
+    assert data.visits.origins == ('1', '')
+
+
+REFUSED = {
+    'not declared': (ORDER, '', "row 1: column 'visit' tells of visits; write path: visits"),
+    'no column': ('posture,left,right\n0,1,0\n', VISITS, 'there is neither visit nor previous'),
+    'no trial': ('posture,visit,left,right\n0,1,1,0\n', VISITS, "column 'trial' is missing"),
+    'twice': (ORDER.replace(',12,', ',9,'), VISITS, 'row 5: visit 9 stands twice'),
+    'half': (ORDER.replace(',12,', ',1.5,'), VISITS, 'row 5: visit is no whole number'),
+    'unknown': (ORIGIN.replace('0,1,', '0,bent,'), VISITS, "row 2: previous is 'bent', which no"),
+}
+
+
+@pytest.mark.parametrize(('inputs', 'dataset', 'message'), REFUSED.values(), ids=REFUSED)
+def test_a_history_that_does_not_fit_is_refused_with_its_row(tmp_path, inputs, dataset, message):
+    with pytest.raises(DataSetError) as error:
+        load_dataset(write(tmp_path / 'small', inputs=inputs, dataset=dataset))
+    assert message in str(error.value)
+
+
+def test_a_folder_holds_the_same_visits_and_a_recording_does_not(tmp_path):
+    ordered = visited()
+    come_from = load_dataset(write(tmp_path / 'small', dataset=VISITS, inputs=ORIGIN))
+    for name, data in {'order': ordered, 'origin': come_from}.items():
+        again = load_dataset(save_dataset(data, tmp_path / name))
+        assert again.postures == data.postures
+        np.testing.assert_array_equal(again.positions, data.positions)
+        for key in ('rows', 'fresh', 'counts', 'trials'):
+            np.testing.assert_array_equal(getattr(again.visits, key), getattr(data.visits, key))
+    pytest.importorskip('rosbags')
+    with pytest.raises(DataSetError, match='does not hold in which order'):
+        export_bag(ordered, tmp_path / 'visits.mcap')
+
+
+def test_chosen_visits_keep_the_way_and_held_out_ones_the_whole_command():
+    data = visited()
+    chosen = data.select(data.postures[:1])
+    assert chosen.postures == data.postures and (chosen.trials > 0).sum() == 1
+    fit, check = data.hold_out(0.4, seed=2)
+    commands = [set(np.array(d.visits.commands)[d.trials > 0]) for d in (fit, check)]
+    assert not commands[0] & commands[1] and len(commands[0] | commands[1]) == len(INPUTS)
+
+
+def test_without_memory_the_ways_coincide_and_with_it_they_are_a_friction_band_apart():
+    """Each visit is what the model says of that way; its mean is that of the posture."""
+    remembers = ROBOT.with_effect('friction_memory', MEMORY['friction_memory'])
+    for robot, apart in ((ROBOT, False), (remembers, True)):
+        data = visited(robot, noise=EXACT)
+        shown = Predictor(data, robot, simulated.CATALOGUE).markers({})
+        np.testing.assert_allclose(shown, data.mean, atol=1e-12)
+        ways = data.visits.rows
+        model = Model(robot)
+        walked = model.sequence(data.inputs[ways]) if apart else model.shapes(data.inputs[ways])
+        place = walked.markers(data.arc_lengths, data.offsets)
+        np.testing.assert_allclose(
+            data.positions[ways, data.visits.trials], place, rtol=0, atol=1e-12
+        )
+        for command in range(len(INPUTS)):
+            tips = data.mean[data.groups == data.groups[command], -1]
+            assert (np.ptp(tips, axis=0).max() > 1e-3) == apart
+
+
+def test_two_sides_differ_by_the_friction_band_in_closed_form():
+    """One cell, one tendon, long slides: tension behind the eyelet is T r or T / r."""
+    mu, tension = 0.4, 0.6
+    robot = replace(
+        planar(2, FRICTION | {'friction_memory': {'presliding_length': 1e-6}}), exact=True
+    )
+    up = Model(robot).sequence([[0.0, 0.1], [0.0, tension]]).tendon_tensions[1, -1, 1]
+    down = Model(robot).sequence([[0.0, 1.2], [0.0, tension]])
+    bend, behind = down.bend[1, 0, 0], down.tendon_tensions[1, -1, 1]
+    b = mu * np.sin(bend / 2)
+    assert behind == pytest.approx(tension * (1 + b) / (1 - b), rel=1e-9)
+    assert up < tension < behind
+
+
+def test_pulled_wires_are_visited_as_well():
+    robot = ROBOT.with_effect('friction_memory', MEMORY['friction_memory'])
+    pulls = Model(robot).shapes(INPUTS[:3]).pulls
+    plant = make_plant(robot, refine=1, scatter=0.0, capstan=False)
+    data = simulate(
+        plant, pulls, noise=EXACT, trials=2, path='visits', input='displacement', seed=4
+    )
+    shown = Predictor(data, robot, simulated.CATALOGUE).markers({})
+    np.testing.assert_allclose(shown, data.mean, atol=1e-6)
+
+
+def test_joined_visits_are_predicted_part_by_part():
+    robot = ROBOT.with_effect('friction_memory', MEMORY['friction_memory'])
+    both = join(
+        [visited(robot, noise=EXACT), replace(visited(robot, seed=5, noise=EXACT), name='b')]
+    )
+    shown = Predictor(both, robot, simulated.CATALOGUE).markers({})
+    np.testing.assert_allclose(shown, both.mean, atol=1e-12)
+
+
+def test_hidden_memory_is_named_where_there_is_some_and_only_there():
+    data = visited(hidden=MEMORY)
+    assert not why_untested(simulated.CATALOGUE['friction_memory'], data, ROBOT).startswith('ev')
+    found = diagnose(data)
+    assert [effect.name for effect in found.effects] == ['friction_memory']
+    length = found.effects[0].parameters['presliding_length']
+    assert length.low < 2e-4 < length.high
+    assert diagnose(visited()).effects == ()
+    assert compare(data).models[0].rms > compare(visited()).models[0].rms
