@@ -88,20 +88,15 @@ def simulate(
     rows = _rows(plant, inputs, trials)
     random = np.random.default_rng(seed)
     made = tuple(markers or default_markers(robot))
-    names = tuple(postures) or tuple(map(str, range(len(rows))))
-    displacement, visits = input == 'displacement', None
-    if path == 'visits':
-        visits = _order(random, names, trials)
+    names, pulls = tuple(postures or map(str, range(len(rows)))), input == 'displacement'
+    visits = _order(random, names, trials) if path == 'visits' else None
+    if visits is not None:
         used = rows[visits.command[visits.posture]] * _visit_factors(random, noise, visits, rows)
-        seen = _seen(plant, used[None], made, True, displacement)[0]  # (V, J, 3)
-        positions = np.empty((len(rows), trials, *seen.shape[1:]))
-        positions[visits.command[visits.posture], visits.visits.trials] = seen
+        positions = _placed(visits, _seen(plant, used[None], made, True, pulls))
     else:
-        inputs_used = rows * _factors(random, noise, trials, rows.shape)  # (Q, P, m)
-        seen = _seen(plant, inputs_used, made, path == 'sequence', displacement)
-        positions = seen.swapaxes(0, 1)
+        used = rows * _factors(random, noise, trials, rows.shape)  # (Q, P, m)
+        positions = _seen(plant, used, made, path == 'sequence', pulls).swapaxes(0, 1)
     positions = positions + random.normal(0.0, noise.position, positions.shape)
-    known = declare and noise.position > 0.0
     dataset = DataSet(
         name=f'simulated {robot.name}',
         robot=robot,
@@ -112,15 +107,11 @@ def simulate(
         input=input,
         path='sequence' if visits else path,
         gravity=robot.gravity,
-        position_noise=noise.position if known else None,
+        position_noise=noise.position or None if declare else None,
         setting_noise=noise.setting if declare else 0.0,
         trial_noise=noise.trial if declare else 0.0,
     )
-    if visits is None:
-        return dataset
-    own = np.zeros((len(visits.postures), trials), dtype=bool)
-    own[visits.posture, visits.visits.trials] = True
-    return divide(dataset, visits, own)
+    return dataset if visits is None else divide(dataset, visits, _own(visits))
 
 
 def _order(random: np.random.Generator, names: Sequence[str], trials: int) -> Split:
@@ -128,6 +119,21 @@ def _order(random: np.random.Generator, names: Sequence[str], trials: int) -> Sp
     order = random.permutation(np.repeat(np.arange(len(names)), trials))
     trial = np.array([int((order[:v] == command).sum()) for v, command in enumerate(order)])
     return split_by_order(names, order, trial, np.ones(len(order), dtype=bool))
+
+
+def _own(split: Split) -> npt.NDArray[np.bool_]:
+    """Tell which trials (P, Q) each posture has."""
+    own = np.zeros((len(split.postures), int(split.visits.trials.max()) + 1), dtype=bool)
+    own[split.posture, split.visits.trials] = True
+    return own
+
+
+def _placed(split: Split, seen: Floats) -> Floats:
+    """Return markers (1, V, J, 3) of the visits by command and trial, (C, Q, J, 3)."""
+    command, trial = split.command[split.posture], split.visits.trials
+    places = np.empty((int(command.max()) + 1, int(trial.max()) + 1, *seen.shape[2:]))
+    places[command, trial] = seen[0]
+    return places
 
 
 def _visit_factors(

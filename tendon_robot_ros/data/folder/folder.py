@@ -29,6 +29,8 @@ from .measurement_files import (
     read_shapes,
 )
 
+TAKEN = ('markers', 'path')  # fields of a description that are taken one by one
+
 
 def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) -> DataSet:
     """
@@ -79,14 +81,8 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
         trial_inputs=commands.by_trial(shapes.trials),
         positions=shapes.positions[:, :, seen],
         orientations=None if turned is None else turned[:, :, seen],
-        input=description.input,
         path='sequence' if visits else description.path,
-        gravity=description.gravity,
-        accuracy=description.accuracy,
-        known=description.known,
-        position_noise=description.position_noise,
-        setting_noise=description.setting_noise,
-        trial_noise=description.trial_noise,
+        **{key: value for key, value in vars(description).items() if key not in TAKEN},
     )
     return _by_history(dataset, commands) if visits else dataset
 
