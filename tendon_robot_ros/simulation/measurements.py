@@ -85,8 +85,7 @@ def simulate(
 
     """
     noise, robot = noise or SimulatedNoise(), plant.robot
-    rows = _rows(plant, inputs, trials)
-    random = np.random.default_rng(seed)
+    rows, random = _rows(plant, inputs, trials), np.random.default_rng(seed)
     made = tuple(markers or default_markers(robot))
     names, pulls = tuple(postures or map(str, range(len(rows)))), input == 'displacement'
     visits = _order(random, names, trials) if path == 'visits' else None
