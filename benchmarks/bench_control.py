@@ -17,7 +17,7 @@ import numpy as np
 from machine import machine, tell
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
-from tendon_robot_ros.control import ControllerCore, Settings, Target, tip_loop
+from tendon_robot_ros.control import ControllerCore, Settings, Target, mismatch
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.redundancy import Balance, Preferences
@@ -224,9 +224,10 @@ def bench_path(gain, lead):
     """Follow circles at 100 mm/s under an unknown load."""
     centre, radius, speed = np.array([0.05, 0.0, 0.17]), 0.02, 0.1
     made = {}
-    doubt = tip_loop.SLOPE_DOUBT
+    doubts = mismatch.SLOPE_DOUBT, mismatch.SLOPE_DOUBT_LEAST
     for kind in ('open', 'fixed', 'learned', 'learned_ahead'):
-        tip_loop.SLOPE_DOUBT = 1e-6 if kind == 'fixed' else doubt
+        none = (1e-9, 1e-6) if kind == 'fixed' else doubts
+        mismatch.SLOPE_DOUBT, mismatch.SLOPE_DOUBT_LEAST = none
         closed = 0.0 if kind == 'open' else gain
         rig = Rig(tip_gain=closed, look_ahead=lead if kind == 'learned_ahead' else 0.0)
         rig.go(centre + [radius, 0.0, 0.0])
@@ -245,7 +246,7 @@ def bench_path(gain, lead):
         rig.run(3.0, send)
         away = np.linalg.norm(np.array(rig.tips[first:]) - np.array(wanted), axis=1)[200:]
         made[f'{kind}_rms_mm'] = round(1e3 * float(np.sqrt((away**2).mean())), 3)
-    tip_loop.SLOPE_DOUBT = doubt
+    mismatch.SLOPE_DOUBT, mismatch.SLOPE_DOUBT_LEAST = doubts
     made['path_error_share'] = round(made['learned_ahead_rms_mm'] / made['fixed_rms_mm'], 3)
     return made
 

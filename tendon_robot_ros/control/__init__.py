@@ -9,7 +9,9 @@ pull_path.py    the way of an arm that is driven by wire lengths
 checks.py       refusals of what comes in, each with a code and a sentence
 jog.py          moving the tip with a velocity
 trajectory.py   trajectories of tensions or wire pulls
-tip_loop.py      what the measured tip tells of the model's error, and its correction
+tip_loop.py      tensions that take off what the measured tip is away from its target
+mismatch.py      the model's error near the tensions that act, learned from the measured tip
+model_change.py  another model while the arm is controlled
 friction_state.py  tensions that act, and ways on which friction ends where it helps
 rebalance.py     the freedom of the tensions while the arm stands; how stiff the tip is
 status.py       how the controller is, as level, code and sentence

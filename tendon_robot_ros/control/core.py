@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.errors import DriverError, InputError, TendonRobotError
+from ..common.errors import DriverError, TendonRobotError
 from ..drivers.safety import CYCLE_MAX_S, StopLatch, approach, bounded
-from .checks import Refusal, check_inputs
+from .checks import Refusal
 from .friction_state import Approach, FeltTensions
 from .jog import Jog, Twist, follow_twist, start_jog
+from .model_change import change_model
 from .pull_path import Way
 from .rebalance import Rebalance
-from .seeking import TargetSearch, seek, solution_of
+from .seeking import TargetSearch, seek
 from .solver import GiveUp, InPlace, Solver
 from .state import MeasuredState, Output, Settings, ShapeTracker, Target
 from .tip_loop import TipLoop
@@ -48,6 +49,7 @@ class ControllerCore:
     settings: Settings = field(default_factory=Settings)
     solver: Solver = field(default_factory=InPlace)
     target: Target | None = None
+    wanted: Array | None = None  # (3,) [m] its position, led where it moves
     solution: Reach | None = None
     in_time: bool = True  # whether the search for it came to its end
     search: TargetSearch | None = None  # for a target that is not yet followed
@@ -93,16 +95,19 @@ class ControllerCore:
             raise Refusal('no_driver', 'target refused: no tendon states; send it again later')
         seek(self, target)
 
-    def follow(self, target: Target, found: Approach, in_time: bool = True) -> None:
-        """Go to where the tensions for a target are."""
+    def follow(
+        self, target: Target, found: Approach, in_time: bool = True, led: Target | None = None
+    ) -> None:
+        """Go to where the tensions for a target are, or for one that leads it."""
         self.target, self.solution, self.in_time = target, found.reach, in_time
+        self.wanted = target.position if led is None else led.position
         self.via = list(found.via)
         self.jog = self.playing = None
 
     def felt_tensions(self) -> Array:
         """Return the tensions (m,) [N] that act: as commanded, where the measured ones agree."""
         low, high = self.settings.limits(self.model).T
-        command = low if self.command is None else self.command
+        command = low if self.command is None else self.felt.followed(self.command)
         heard = self._heard
         known = heard is not None and heard.observed and not self._silent
         measured = np.maximum(heard.tensions, 0.0) if known and heard is not None else None
@@ -113,6 +118,11 @@ class ControllerCore:
         if self.settings.tip_gain == 0.0 or self.settings.pull_mode:
             return np.zeros(3)
         return self.loop.shift(self.stepped, place, self.model.robot.length)
+
+    @property
+    def streaming(self) -> bool:
+        """Whether targets follow each other closely."""
+        return self.asked is not None and self.asked.streamed
 
     def twist(self, now: float, twist: Twist) -> None:
         """Take a velocity of the tip; it ends by itself after `twist_timeout`."""
@@ -255,49 +265,8 @@ class ControllerCore:
     def set_model(
         self, model: Model, on_done: Callable[[TendonRobotError | None], None] = raised
     ) -> None:
-        """
-        Change the model; tensions then move to its solution at `rate_limit`.
-
-        `on_done` hears None, or why the old one stays: an InputError for other inputs, a
-        NoEquilibriumError when it finds none at the present tensions or for the target.
-        """
-        try:
-            check_inputs(model.inputs, self.model.inputs)
-        except InputError as error:
-            on_done(error)
-            return
-        command, target = self.command, self.target
-        solve = None if target is None else solution_of(self, model, target)
-
-        def work(give_up: GiveUp) -> Reach | None:
-            if command is not None:
-                model.shape(command)
-            return None if solve is None else solve(give_up).reach
-
-        def done(solution: Reach | None, error: TendonRobotError | None) -> None:
-            if error is None:
-                self._use(model, target, solution)
-            on_done(error)
-
-        self.solver.post('model', work, done)
-
-    def _use(self, model: Model, target: Target | None, solution: Reach | None) -> None:
-        """Change the model: what was asked for, and what was accepted, goes on with it."""
-        self.model, self.jog, self.track = model, None, ShapeTracker(model)
-        self.via = []
-        self.loop.reset()
-        if self.way is not None:
-            self.way = self.way.anew()
-        if self.playing is not None and not self.settings.pull_mode:
-            values = bounded(self.playing.values, self.settings.limits(model))
-            self.playing = replace(self.playing, values=values)
-        searched = self.search.target if self.search is not None else None
-        if target is self.target:
-            self.solution = solution
-        elif searched is None:
-            searched = self.target  # it came meanwhile
-        if searched is not None:
-            seek(self, searched)
+        """Change the model while controlling; see `model_change.change_model`."""
+        change_model(self, model, on_done)
 
     def _advance(self, now: float, passed: float) -> None:
         """Move the command towards where the target or the twist wants it, at the rate limit."""
@@ -314,7 +283,10 @@ class ControllerCore:
         if self.way is not None:
             self.command = self.way.advance(self, goal, step)
         else:
+            if self.solution is not None and not self.via:
+                step = self.loop.step(self, goal, step, passed)
             self.command = approach(self.command, goal, np.full_like(goal, step))
+        self.felt.sent(now, self.command, self.settings.drive_lag)
         if self.via and np.array_equal(self.command, goal):
             self.via.pop(0)
 
@@ -388,6 +360,7 @@ class ControllerCore:
 
     def _begin(self, tensions: Array, pulls: Array | None) -> None:
         self.command, self._lost = tensions, False
+        self.felt.begin()
         self.way = None if pulls is None else Way(pulls)
 
     def _drop(self) -> None:

@@ -26,7 +26,7 @@ Solve = Callable[['Shape', Array], 'Reach']
 APPROACHES = 'any', 'from_below', 'model'
 NOISES = 4.0  # [1] standard deviations of a measured tension that say nothing
 NOISE_SHARES = 2e-4, 1e-2  # [1] of the highest tension: least and largest noise
-NOISE_SAMPLES = 50.0  # over which the noise is averaged
+NOISE_SAMPLES, MEAN_SAMPLES = 50.0, 100.0  # over which noise and what differs are averaged
 RELEASE_SHARE = 0.3  # [1] of a tension above the lowest, that `from_below` pulls at last
 RELEASES = 0.1, 0.3, -0.1  # [1] tried by `model`; negative: the last leg lets go
 OVERSHOOT_MAX = 0.1  # [1] of the step of the tip, on a way that `model` chooses
@@ -41,7 +41,26 @@ class FeltTensions:
 
     bias: Array | None = None
     _last: tuple[Array, Array] | None = None  # commanded, measured
-    _variance: Array | None = None  # (m,) [N²] of what is measured while nothing is asked
+    _variance: Array | None = None  # (m,) [N²] of what is measured beside what is asked
+    _mean: Array | None = None  # (m,) [N] by which the measured ones differ
+    _followed: tuple[float, Array] | None = None  # [s], (m,) [N]
+
+    def sent(self, now: float, command: Array, lag: float) -> None:
+        """Take a command (m,) [N] to a drive that follows with a lag [s] of first order."""
+        if lag == 0.0 or self._followed is None:
+            self._followed = now, command
+            return
+        before, followed = self._followed
+        share = 1.0 - np.exp(-max(now - before, 0.0) / lag)
+        self._followed = now, followed + share * (command - followed)
+
+    def followed(self, command: Array) -> Array:
+        """Return what (m,) [N] the drive has followed by now, of what was sent."""
+        return command if self._followed is None else self._followed[1]
+
+    def begin(self) -> None:
+        """Forget what was sent: the arm is where it is measured."""
+        self._followed = None
 
     def take(self, command: Array, measured: Array | None, highest: Array) -> Array:
         """
@@ -58,21 +77,25 @@ class FeltTensions:
         bias = np.zeros_like(command) if self.bias is None else self.bias
         if measured is not None:
             width = NOISES * self._noise(command, measured, highest)
-            bias = np.clip(bias, measured - command - width, measured - command + width)
+            differs = measured - command
+            mean = differs if self._mean is None else self._mean
+            self._mean = mean = mean + (differs - mean) / MEAN_SAMPLES
+            narrow = width / np.sqrt(8.0 * MEAN_SAMPLES)  # two deviations of the mean
+            bias = np.clip(bias, mean - narrow, mean + narrow)
+            bias = np.clip(bias, differs - width, differs + width)
         self.bias = bias
         return np.asarray(np.maximum(command + bias, 0.0))
 
     def _noise(self, command: Array, measured: Array, highest: Array) -> Array:
-        """Return the noise (m,) [N], from what differs while the command stands still."""
+        """Return the noise (m,) [N], from how what is measured changes beside the command."""
         least, most = (share * highest for share in NOISE_SHARES)
         before, self._last = self._last, (command.copy(), measured.copy())
         if self._variance is None:
             self._variance = least**2
-        if before is not None and np.array_equal(before[0], command):
-            seen = 0.5 * (measured - before[1]) ** 2
-            if seen.any():  # the same message twice says nothing
-                seen = np.minimum(seen, NOISES**2 * self._variance)  # a jump is no noise
-                self._variance = self._variance + (seen - self._variance) / NOISE_SAMPLES
+        if before is not None and not np.array_equal(measured, before[1]):
+            seen = 0.5 * (measured - before[1] - (command - before[0])) ** 2
+            seen = np.minimum(seen, NOISES**2 * self._variance)  # a jump is no noise
+            self._variance = self._variance + (seen - self._variance) / NOISE_SAMPLES
         return np.clip(np.sqrt(self._variance), least, most)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from ..common.errors import TendonRobotError
 from ..model.inverse import CLEARANCE_BINDS_M, judged
 from ..model.redundancy import Balance, balanced
 from ..model.tip_task import TipTask, tip_target
+from .state import Controller
 
 if TYPE_CHECKING:
     from ..model.model import Model
@@ -19,14 +20,20 @@ if TYPE_CHECKING:
     from ..model.shape import Reach, Shape
     from ..model.stiffness import TipStiffness
     from .solver import GiveUp
-    from .state import Controller, Target
+    from .state import Target
+    from .tip_loop import TipLoop
 
 Array = NDArray[np.float64]
 NEAR_SHARE = 0.05  # [1] of a step: as good as there
 STEP_N = 0.2  # [N] between two postures on the way: the tip leaves its place by micrometres
 PROGRAMS_MAX, BUDGET_S = 40, 0.5  # to find where the walk leads, and their time [s]
-CLOSED_STEP_N, CLOSED_PERIOD_S = 0.02, 0.1  # [N], [s] of a step where the loop is closed
 STIFFNESS_PERIOD_S = 0.5  # [s] between two looks at the stiffness
+
+
+class Standing(Controller, Protocol):
+    """A controller whose arm may stand at a target that the tip is held at."""
+
+    loop: TipLoop
 
 
 @dataclass
@@ -38,9 +45,8 @@ class Rebalance:
     _aim: Array | None = None  # (m,) [N] where it leads
     _over: bool = False
     _looked: float = -np.inf  # [s]
-    _stepped: float = -np.inf  # [s]
 
-    def step(self, core: Controller, now: float) -> None:
+    def step(self, core: Standing, now: float) -> None:
         """Have the solver look for the next posture, and at the stiffness now and then."""
         if now - self._looked > STIFFNESS_PERIOD_S and not core.solver.busy('stiffness'):
             self._looked = now
@@ -48,23 +54,22 @@ class Rebalance:
         wants, solution, target = core.settings.preferences, core.solution, core.target
         if wants is None or solution is None or target is None or core.settings.pull_mode:
             return  # wires of given lengths leave no freedom
-        period = CLOSED_PERIOD_S if core.settings.tip_gain > 0.0 else 0.0  # the loop keeps up
-        if core.solver.busy('balance') or now - self._stepped < period:
+        if core.solver.busy('balance'):
             return
         if not self._is_for(core, target, wants):
             self._walk = (target, wants, core.model)
             self._aim, self._over = None, False
+            core.loop.towards = None
         if not self._over:
-            self._stepped = now
             self._ask(core, target, wants, solution)
 
-    def _is_for(self, core: Controller, target: Target, wants: Preferences) -> bool:
+    def _is_for(self, core: Standing, target: Target, wants: Preferences) -> bool:
         walk = self._walk
         if walk is None or walk[0] is not target or walk[2] is not core.model:
             return False
         return walk[1] == wants
 
-    def _ask(self, core: Controller, target: Target, wants: Preferences, solution: Reach) -> None:
+    def _ask(self, core: Standing, target: Target, wants: Preferences, solution: Reach) -> None:
         """Have the solver look for the next posture."""
         model, last, felt = core.model, core.track.last, core.felt_tensions()
         weight, keep_out = core.settings.direction_weight or None, core.settings.keep_out
@@ -72,8 +77,7 @@ class Rebalance:
         if position is not None:
             position = position - core.tip_shift(position)
         asked = tip_target(model, position, target.direction, 1.0, weight)
-        longest = CLOSED_STEP_N if core.settings.tip_gain > 0.0 else STEP_N
-        aim, walk = self._aim, self._walk
+        aim, walk, closed = self._aim, self._walk, core.settings.tip_gain > 0.0
         assert command is not None
 
         def work(give_up: GiveUp) -> tuple[Array, Reach | None]:
@@ -85,19 +89,21 @@ class Rebalance:
             wanted = aim
             if wanted is None:
                 wanted = balanced(balance, here, PROGRAMS_MAX, give_up).inputs
-            return wanted, _nearer(balance, here, wanted, longest)
+            return wanted, None if closed else _nearer(balance, here, wanted, STEP_N)
 
         def done(found: tuple[Array, Reach | None] | None, error: TendonRobotError | None) -> None:
             if core.solution is not solution or self._walk is not walk:
                 return
             if found is None or found[1] is None:
                 self._over = True
+                if closed and found is not None:
+                    core.loop.towards = found[0]  # it goes there as far as the tip allows
             else:
                 self._aim, core.solution = found
 
         core.solver.post('balance', work, done, BUDGET_S)
 
-    def _look(self, core: Controller) -> None:
+    def _look(self, core: Standing) -> None:
         model, last = core.model, core.track.last
         if last is None or len(last.bend) != model.robot.cells:
             return

@@ -40,8 +40,10 @@ class Seeker(Controller, Protocol):
     search: TargetSearch | None  # for a target that is not yet followed
     asked: TargetSearch | None  # the last one
 
-    def follow(self, target: Target, found: Approach, in_time: bool = True) -> None:
-        """Go to where the tensions for a target are."""
+    def follow(
+        self, target: Target, found: Approach, in_time: bool = True, led: Target | None = None
+    ) -> None:
+        """Go to where the tensions for a target are, or for one that leads it."""
 
 
 @dataclass(frozen=True)
@@ -237,7 +239,7 @@ def _take(core: Seeker, search: TargetSearch, result: SearchResult) -> None:
     elif result.found is None:
         return  # of a stream: the next one may be better
     if result.found is not None:  # of a stream an older target, too, is on the way
-        core.follow(search.target, result.found, result.in_time)
+        core.follow(search.target, result.found, result.in_time, _ahead(core, search))
         return
     code = 'no_equilibrium' if result.in_time else 'no_time'
     late = '' if result.in_time else f' (the search ended after {search.budget:.3g} s)'

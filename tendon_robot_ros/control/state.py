@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ..model.redundancy import Preferences
     from ..model.shape import Reach, Shape
     from .checks import Refusal
+    from .friction_state import FeltTensions
     from .solver import Solver
 
 Array = NDArray[np.float64]
@@ -44,6 +45,8 @@ class Settings:
     preferences: Preferences | None = None  # None: low tension, where that is easy
     keep_out: KeepOut = field(default_factory=KeepOut)
     look_ahead: float = 0.0  # [s] by which targets that follow each other are led
+    drive_lag: float = 0.0  # [s] of first order, with which tensions follow the command
+    tracker_delay: float = 0.0  # [s] from what a tracker sees to when it is heard
 
     def limits(self, model: Model) -> Array:
         """Return tension limits (m, 2) [N]; wires that are driven by their length may be slack."""
@@ -174,7 +177,9 @@ class Controller(Protocol):
     settings: Settings
     solver: Solver
     target: Target | None
+    wanted: Array | None  # (3,) [m]
     solution: Reach | None
+    felt: FeltTensions
     command: Array | None  # (m,) [N]
     driver_stopped: str
     refusals: dict[str, Refusal]
@@ -190,3 +195,7 @@ class Controller(Protocol):
 
     def tip_shift(self, place: Array) -> Array:
         """Return by how much (3,) [m] the measured tip is off the model near a target (3,) [m]."""
+
+    @property
+    def streaming(self) -> bool:
+        """Whether targets follow each other closely."""

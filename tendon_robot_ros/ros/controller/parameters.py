@@ -91,6 +91,8 @@ SPECS = (
         'regions that no part of the arm may enter: the path of a YAML file, or its text',
     ),
     Spec('look_ahead', 0.0, 'by which a stream of targets is led', 's', 0.0, 0.5),
+    Spec('drive_lag', 0.0, 'of first order, of tensions behind their commands', 's', 0.0, 0.5),
+    Spec('tracker_delay', 0.0, 'from what the tracker sees to measured_tip', 's', 0.0, 0.5),
     Spec('prefer_low_tension', 0.0, 'weight of little tension', '1', 0.0, 1e3),
     Spec('prefer_stiffness', 0.0, 'weight of a tip that gives way little', '1', 0.0, 1e3),
     Spec(
@@ -168,4 +170,6 @@ def settings(parameters: Parameters, keep_out: KeepOut) -> Settings:
         preferences=preferences(parameters),
         keep_out=keep_out,
         look_ahead=parameters['look_ahead'],
+        drive_lag=parameters['drive_lag'],
+        tracker_delay=parameters['tracker_delay'],
     )
