@@ -188,7 +188,7 @@ class DriftAlarm:
                 step = -step
             moved = whole.markers({free: value + step}, inputs)
             columns.append(np.zeros(here.size) if moved is None else (moved - here).ravel() / step)
-        return np.column_stack([*columns, built / self._unit])
+        return np.column_stack([*columns, built / self.arm.plausible])
 
     def _list_changes(self, whole: Predictor) -> None:
         """List what may change: effects, single cells, gains, the tracker's frame."""
@@ -220,12 +220,6 @@ class DriftAlarm:
             place = slice(tracker[0], tracker[-1] + 1)
             self._changes.append(_Change(TRACKER, place, _frame_keys(len(tracker))))
         self._spread = np.array(spread)
-
-    @property
-    def _unit(self) -> Floats:
-        """Prior sd (q,) that the columns of the arm are in."""
-        sizes = [kind.plausible * np.ones(len(kind)) for kind in self.arm.kinds]
-        return self.arm.level * np.concatenate(sizes) if sizes else np.ones(0)
 
 
 def _frame_keys(count: int) -> tuple[str, ...]:

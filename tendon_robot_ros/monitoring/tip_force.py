@@ -6,8 +6,11 @@ the tip. What the arm as built does by itself is as known as `BuiltArm` knows it
 shift what is expected, and what is not known of them is noise that all markers share. Without a
 tracker, wire pulls take the place of the markers.
 
-    r = y - f(T; F) - B b,   V = B P B' + remainder + noise,
+    r = y - f(T, b; F),   V = B P B' + remainder + noise,
     F += (J' V^-1 J)^-1 J' V^-1 r   (Gauss-Newton)
+
+Along the line from tip to base a force hardly bends the arm, and f is not linear there: mean and
+covariance are those of the posterior, summed up along that axis.
 
 A force at another cell joins where it lowers r' V^-1 r by more than chance does.
 """
@@ -29,7 +32,12 @@ EFFECT = 'tip_load'
 ROUNDS_MAX = 12  # of Gauss-Newton
 SETTLED_SD = 0.05  # sd of the force that the last step may move it
 STEP_SHARE = 0.02  # of a typical force, of a difference
-PRIOR_SHARE = 10.0  # of a typical force: 1 sd of a direction that nothing tells
+PRIOR_SHARE = 5.0  # of a typical force: 1 sd a priori; so much bends the arm by a quarter
+STEP_LENGTHS = 1.0, 0.5, 0.2, 0.05, 0.01  # of a step, tried until the cost is lower
+SHIFTED_SD = 0.5  # of the worst axis, that its mean may lie off the middle of the sum
+SAME_SHARE = 0.02  # of the length: an arm that moved by less has the same noise
+LINEAR_SHARE = 0.01  # of the prior: an axis that is told better is linear
+SPREAD_SD, SPREAD_POINTS = 3.0, 9  # where the posterior is summed up along the worst axis
 FALSE_CONTACT_PROBABILITY = 1e-4
 ODD_PROBABILITY = 0.05  # of what is left, below which a force elsewhere is looked for
 PULL_ERROR = 0.02, 1e-4  # [1] of a wire pull, and [m]: what a model of it may be off
@@ -71,9 +79,14 @@ class TipForceObserver:
         self._described = np.array([arm.whole.value(free) for free in self._frees])
         self._typical = self._frees[0].parameter.typical
         self._last = np.zeros(3)
+        self.kept: _KeptWhitening | None = None  # of the last estimate
 
     def update(
-        self, tensions: Floats, positions: Floats | None, pulls: Floats | None = None
+        self,
+        tensions: Floats,
+        positions: Floats | None,
+        pulls: Floats | None = None,
+        frames: int = 1,
     ) -> TipForce | None:
         """
         Estimate the force.
@@ -86,6 +99,8 @@ class TipForceObserver:
             As measured, nan where a marker was not seen; without any the pulls are taken.
         pulls : (m,) [m], optional
             As measured, from the straight arm on.
+        frames : int
+            Frames of the tracker of which the positions are the mean.
 
         Returns
         -------
@@ -97,9 +112,9 @@ class TipForceObserver:
         measured = positions if markers else pulls
         if measured is None or not np.isfinite(measured).any():
             return None
+        seen = _Measured(inputs, measured.ravel(), markers, frames)
         for start in (self._last, np.zeros(3)):
-            task = _Fit(self, inputs, measured.ravel(), markers, start)
-            found = task.solve()
+            found = _Fit(self, seen).solve(start)
             if found is not None:
                 self._last = found.force
                 return found
@@ -111,12 +126,11 @@ class TipForceObserver:
         return dict(zip(self._frees, values, strict=True))
 
     def shown(self, force: Floats, inputs: Floats, markers: bool) -> Floats | None:
-        """Markers (3 J,) [m], or wire pulls (m,) [m], that the model has under a force."""
-        whole = self.arm.whole
-        ((_, shapes),) = whole.settle(self.point(force), inputs)
+        """Markers (3 J,) [m], or wire pulls (m,) [m], that are expected under a force."""
+        shapes = self.arm.shapes(inputs, self.point(force))
         if shapes is None:
             return None
-        return whole.see(shapes).ravel() if markers else np.array(shapes.pulls[0])
+        return self.arm.split.see(shapes).ravel() if markers else np.array(shapes.pulls[0])
 
     @property
     def step(self) -> float:
@@ -129,61 +143,104 @@ class TipForceObserver:
         return PRIOR_SHARE * self._typical
 
 
+@dataclass(frozen=True)
+class _Measured:
+    """What was measured."""
+
+    inputs: Floats  # (1, m) [N]
+    measured: Floats  # (3 J,) of markers or (m,) of wire pulls [m]
+    markers: bool
+    frames: int
+
+    @property
+    def rows(self) -> npt.NDArray[np.bool_]:
+        """What of it is known."""
+        return np.isfinite(self.measured)
+
+
 class _Fit:
-    """One estimate: what was measured, and the noise around the force where it began."""
+    """One estimate."""
 
-    def __init__(
-        self,
-        observer: TipForceObserver,
-        inputs: Floats,
-        measured: Floats,
-        markers: bool,
-        start: Floats,
-    ) -> None:
-        self.observer, self.inputs, self.markers, self.start = observer, inputs, markers, start
-        self.rows = np.isfinite(measured)
-        self.measured = measured
-        self.shift: Floats | float = 0.0
+    def __init__(self, observer: TipForceObserver, seen: _Measured) -> None:
+        self.observer, self.seen, self.rows = observer, seen, seen.rows
+        self.prior = observer.prior**-2 * np.eye(3)
+        self.factor: Floats = np.zeros((0, 0))
 
-    def solve(self) -> TipForce | None:
+    def solve(self, start: Floats) -> TipForce | None:
         """Return the force; None where a model has no equilibrium."""
-        force, observer = self.start.copy(), self.observer
-        prior = observer.prior**-2 * np.eye(3)
-        factor = self._whitening(force)
-        if factor is None:
+        force, here = start.copy(), self._shown(start)
+        factor = None if here is None else self._whitening(force, here)
+        if here is None or factor is None:
             return None
+        self.factor = factor
+        white = np.asarray(factor @ (self.seen.measured - here)[self.rows])
+        columns: Floats = np.zeros((0, 3))
         for _ in range(ROUNDS_MAX):
-            here = self._shown(force)
-            slopes = None if here is None else self._slopes(force, here)
-            if here is None or slopes is None:
+            slopes = self._slopes(force, white)
+            if slopes is None:
                 return None
-            white = factor @ (self.measured - self.shift - here)[self.rows]
-            columns = factor @ slopes[self.rows]
-            normal = columns.T @ columns + prior
-            step = np.linalg.solve(normal, columns.T @ white - prior @ force)
-            moved = self._stepped(force, step)
-            if moved is None:
-                return None
-            left = float((moved - force) @ normal @ (moved - force))
-            force = moved
-            if left < SETTLED_SD**2:
+            columns = slopes
+            normal = columns.T @ columns + self.prior
+            step = np.linalg.solve(normal, columns.T @ white - self.prior @ force)
+            if step @ normal @ step < SETTLED_SD**2:
                 break
-        white = white - columns @ step
+            moved = self._lower(force, step, white)
+            if moved is None:
+                break
+            force, white = moved
         freedom, chi2 = max(int(self.rows.sum()) - 3, 1), float(white @ white)
-        wider = max(chi2 / freedom, 1.0) if self.markers else 1.0
+        wider = max(chi2 / freedom, 1.0) if self.seen.markers else 1.0
         cell, contact = self._elsewhere(force, white, columns, factor)
-        return TipForce(force, wider * np.linalg.inv(normal), chi2, freedom, cell, contact)
+        mean, covariance = self._spread(force, columns, normal, wider)
+        return TipForce(mean, covariance, chi2, freedom, cell, contact)
+
+    def _spread(
+        self, force: Floats, columns: Floats, normal: Floats, wider: float
+    ) -> tuple[Floats, Floats]:
+        """
+        Return mean [N] and covariance [N²] of the force.
+
+        Along the axis that is told worst the model is far from linear: there the posterior is
+        summed up, the other two axes at their best (their estimate is linear).
+        """
+        values, axes = np.linalg.eigh(wider * np.linalg.inv(normal))
+        told, worst, sd = axes[:, :2], axes[:, 2], float(np.sqrt(values[2]))
+        if sd < LINEAR_SHARE * self.observer.prior:
+            return force, np.asarray(axes * values @ axes.T)
+        best = np.linalg.pinv(columns @ told)
+        for _ in range(2):  # once more around where it was
+            places, logs = [], []
+            for share in np.linspace(-SPREAD_SD, SPREAD_SD, SPREAD_POINTS):
+                place = force + share * sd * worst
+                white = self._white(place)
+                if white is None:
+                    continue
+                aside = best @ white
+                left = white - columns @ (told @ aside)
+                place = place + told @ aside
+                places.append(place)
+                logs.append(-0.5 * (left @ left / wider + place @ self.prior @ place))
+            if not places:
+                return force, np.asarray(axes * values @ axes.T)
+            weights = np.exp(np.array(logs) - max(logs))
+            weights /= weights.sum()
+            before, force = force, weights @ np.array(places)
+            if abs(worst @ (force - before)) < SHIFTED_SD * sd:
+                break
+        off = np.array(places) - force
+        around = off.T @ (weights[:, None] * off)
+        return force, around + (told * values[:2]) @ told.T
 
     def _elsewhere(
         self, force: Floats, white: Floats, columns: Floats, factor: Floats
     ) -> tuple[int | None, Floats | None]:
         """Return the cell where a further force explains what is left, and the force [N]."""
         freedom = max(len(white) - 3, 1)
-        if not self.markers or white @ white < chi2_isf(ODD_PROBABILITY, freedom):
+        if not self.seen.markers or white @ white < chi2_isf(ODD_PROBABILITY, freedom):
             return None, None
         observer = self.observer
         split = observer.arm.split
-        split.inputs = self.inputs
+        split.inputs = self.seen.inputs
         pushed = pushes(split, observer.point(force), observer.step)
         if pushed is None:
             return None, None
@@ -199,40 +256,75 @@ class _Fit:
                 found, least = (i + 1, solved), gain
         return found
 
-    def _shown(self, force: Floats) -> Floats | None:
-        return self.observer.shown(force, self.inputs, self.markers)
+    def _white(self, force: Floats) -> Floats | None:
+        """Return the whitened residual under a force."""
+        here = self._shown(force)
+        return None if here is None else self.factor @ (self.seen.measured - here)[self.rows]
 
-    def _slopes(self, force: Floats, here: Floats) -> Floats | None:
-        step, columns = self.observer.step, []
-        for axis in np.eye(3):
-            moved = self._shown(force + step * axis)
-            if moved is None:
-                return None
-            columns.append((moved - here) / step)
-        return np.array(columns).T
+    def _cost(self, force: Floats, white: Floats) -> float:
+        return float(white @ white + force @ self.prior @ force)
 
-    def _stepped(self, force: Floats, step: Floats) -> Floats | None:
-        """Return the force after a step, a shorter one where there is no equilibrium."""
-        for share in (1.0, 0.5, 0.2, 0.05):
+    def _lower(self, force: Floats, step: Floats, white: Floats) -> tuple[Floats, Floats] | None:
+        """Return the force and residual after a step, shortened until the cost is lower."""
+        before = self._cost(force, white)
+        for share in STEP_LENGTHS:
             moved: Floats = force + share * step
-            if self._shown(moved) is not None:
-                return moved
+            there = self._white(moved)
+            if there is not None and self._cost(moved, there) < before:
+                return moved, there
         return None
 
-    def _whitening(self, force: Floats) -> Floats | None:
-        """Inverse root of the covariance of what is seen; None without equilibrium."""
-        arm = self.observer.arm
-        if not self.markers:
-            here = self._shown(force)
-            if here is None:
+    def _shown(self, force: Floats) -> Floats | None:
+        return self.observer.shown(force, self.seen.inputs, self.seen.markers)
+
+    def _slopes(self, force: Floats, white: Floats) -> Floats | None:
+        """Return how the force moves what is seen (r, 3) [1/N], whitened."""
+        step, columns = self.observer.step, []
+        for axis in np.eye(3):
+            for side in (step, -step):
+                moved = self._white(force + side * axis)
+                if moved is not None:
+                    columns.append((white - moved) / side)
+                    break
+            else:
                 return None
+        return np.array(columns).T
+
+    def _whitening(self, force: Floats, here: Floats) -> Floats | None:
+        """Inverse root of the covariance of what is seen; the last one where little moved."""
+        observer, seen = self.observer, self.seen
+        if not seen.markers:
             share, least = PULL_ERROR
-            sd = np.sqrt(self.observer.pull_noise**2 + (share * here) ** 2 + least**2)
+            sd = np.sqrt(observer.pull_noise**2 + (share * here) ** 2 + least**2)
             return np.asarray(np.diag(1.0 / sd[self.rows]))
-        expected = arm.expected(self.inputs[0], self.observer.point(force))
+        arm, kept = observer.arm, observer.kept
+        if kept is not None and kept.serves(arm, seen, here):
+            return kept.factor
+        expected = arm.expected(seen.inputs[0], observer.point(force))
         if expected is None:
             return None
-        self.shift = expected.columns @ arm.mean
         columns = expected.columns[self.rows]
-        covariance = columns @ arm.covariance @ columns.T + arm.scatter(self.rows)
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+        scatter = arm.scatter(self.rows, seen.frames)
+        covariance = columns @ arm.covariance @ columns.T + scatter
+        factor = np.linalg.inv(np.linalg.cholesky(covariance))
+        observer.kept = _KeptWhitening(factor, arm.covariance, seen, here)
+        return np.asarray(factor)
+
+
+@dataclass(frozen=True)
+class _KeptWhitening:
+    """A factor, and where it was taken."""
+
+    factor: Floats
+    known: Floats  # covariance of the imperfections
+    seen: _Measured
+    here: Floats  # (3 J,) [m]
+
+    def serves(self, arm: BuiltArm, seen: _Measured, here: Floats) -> bool:
+        """Whether it is good enough elsewhere."""
+        return (
+            arm.covariance is self.known
+            and seen.frames == self.seen.frames
+            and np.array_equal(seen.rows, self.seen.rows)
+            and bool(np.abs(here - self.here).max() < SAME_SHARE * arm.robot.length)
+        )

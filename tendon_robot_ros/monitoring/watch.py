@@ -81,12 +81,16 @@ class ArmWatch:
             self._learning.join()
 
     def force(
-        self, tensions: Floats, positions: Floats | None, pulls: Floats | None = None
+        self,
+        tensions: Floats,
+        positions: Floats | None,
+        pulls: Floats | None = None,
+        frames: int = 1,
     ) -> TipForce | None:
         """Return what acts at the tip now; see `TipForceObserver.update`."""
         if self._learning is not None and self.alarm is None:
             return None  # the thread that learns uses the model
-        return self._observer.update(tensions, positions, pulls)
+        return self._observer.update(tensions, positions, pulls, frames)
 
     def _learn(self) -> None:
         tensions, positions = (np.array(part) for part in zip(*self._references, strict=True))

@@ -14,6 +14,7 @@ from std_msgs.msg import Float64MultiArray, Header, String
 
 from ...model.model import Model
 from ...monitoring import Monitor, StillMeasurement
+from ...monitoring.measurement import mean
 from ...monitoring.tip_force import TipForce
 from ...monitoring.watch import ArmWatch
 from ..shared.messages import LATCHED, STATE
@@ -21,6 +22,7 @@ from ..shared.parameters import Parameters
 from .parameters import watched
 
 Array = NDArray[np.float64]
+SAME_TENSION_SHARE = 0.01  # of the largest: frames under tensions that differ by less are averaged
 
 
 class Watching:
@@ -34,6 +36,7 @@ class Watching:
         rate = parameters['force_rate']
         self._period = 1.0 / rate if rate > 0.0 else np.inf
         self._due, self.force = 0.0, None
+        self._frames: list[tuple[Array, Array]] = []  # since the force was published
         publish = node.create_publisher
         self._wrench = publish(WrenchStamped, '~/tip_force', STATE)
         self._covariance = publish(Float64MultiArray, '~/tip_force_covariance', STATE)
@@ -76,9 +79,12 @@ class Watching:
             self.watch.stands(stood.inputs, stood.positions)
             self._tell()
         state = self._monitor.states.at(at)
-        if state is not None and self._is_due():
-            tensions, _ = np.split(state, 2)
-            self._publish(base, tensions, positions, None)
+        if state is None or not np.isfinite(self._period):
+            return
+        tensions, _ = np.split(state, 2)
+        self._frames.append((tensions, positions))
+        if self._is_due():
+            self._publish(base, tensions, *self._average(tensions), None)
 
     def blind(self, base: str) -> None:
         """Without the tracker: wire pulls and tensions tell the force where both are measured."""
@@ -86,7 +92,7 @@ class Watching:
         state = states.at(states.newest)
         if state is not None and self._is_due():
             tensions, pulls = np.split(state, 2)
-            self._publish(base, tensions, None, pulls)
+            self._publish(base, tensions, None, 1, pulls)
 
     def _is_due(self) -> bool:
         now = time.monotonic()
@@ -95,12 +101,24 @@ class Watching:
         self._due = now + self._period
         return bool(np.isfinite(self._period))
 
+    def _average(self, tensions: Array) -> tuple[Array, int]:
+        """Return the mean markers (J, 3) [m] since the last time under the same tensions."""
+        least = SAME_TENSION_SHARE * self._monitor.model.robot.tension_limits[1]
+        same = [y for t, y in self._frames if not np.abs(t - tensions).max() > least]
+        self._frames.clear()
+        return mean(np.array(same)), len(same)
+
     def _publish(
-        self, base: str, tensions: Array, positions: Array | None, pulls: Array | None
+        self,
+        base: str,
+        tensions: Array,
+        positions: Array | None,
+        frames: int,
+        pulls: Array | None,
     ) -> None:
         if not np.isfinite(tensions).all():
             return
-        self.force = self.watch.force(tensions, positions, pulls)
+        self.force = self.watch.force(tensions, positions, pulls, frames)
         if self.force is None:
             return
         header = Header(frame_id=base, stamp=self._node.get_clock().now().to_msg())
