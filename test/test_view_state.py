@@ -123,3 +123,14 @@ def test_peaks_of_the_curve_are_cut_and_that_is_said():
 def test_the_progress_of_a_diagnosis_is_a_bar_until_it_is_done():
     assert 'value="7" max="23"' in page_parts.guide('wait', 'comparing effects 7/23')
     assert '<progress' not in page_parts.guide('wait', 'comparing effects 23/23')
+
+
+def test_the_scene_is_told_in_words_as_well():
+    seen = np.array([[0.0, 0.0, 0.1], [0.012, 0.0, 0.18], [np.nan] * 3])
+    words = page_parts.scene(seen, seen + [0.003, 0.004, 0.0])
+    assert words.startswith('<div role="img" aria-label="Scene in space: ')
+    assert 'measured arm: tip at x 12, y 0, z 180 mm; predicted arm: tip at x 15, y 4' in words
+    assert '; 5.0 mm apart"' in words
+    assert 'measured arm: not there yet; predicted arm: not there yet"' in page_parts.scene(
+        None, None
+    )

@@ -10,6 +10,7 @@ from ..campaign.fleet import FleetRow, changes, histories, tracked, words_of
 from ..campaign.judge import ERROR
 from ..common.colours import FLOOR, MEASURED, PREDICTED
 from ..common.words import columns, mm
+from .numbers import scale_of
 from .page import Figure, Page
 
 COLUMNS = ('robot', 'when', 'measurements', 'verdict', 'error', 'with it', 'noise floor')
@@ -19,11 +20,17 @@ NO_CHANGE = 'Nothing changed from one recording to the next.'
 def fleet_rows(rows: Sequence[FleetRow]) -> list[list[str]]:
     """Return a row per recording that could be read."""
     return [
-        [row.robot, row.when, row.place, words_of(row), mm(row.before), mm(row.after),
+        [row.robot, when_text(row), row.place, words_of(row), mm(row.before), mm(row.after),
          mm(row.floor)]
         for row in rows
         if row.verdict != ERROR
     ]  # fmt: skip
+
+
+def when_text(row: FleetRow) -> str:
+    """Say when something was measured, and how that is known where nobody wrote it down."""
+    when = row.when.removesuffix('+00:00').replace('T', ' ')
+    return f'{when} (its files)' if row.dated_by == 'file' else when
 
 
 def change_lines(rows: Sequence[FleetRow]) -> list[str]:
@@ -46,7 +53,9 @@ def fleet_text(rows: Sequence[FleetRow]) -> list[str]:
 def fleet_page(rows: Sequence[FleetRow], title: str) -> Page:
     """Return the page: what changed, and a history per robot."""
     own = histories(rows)
-    page = Page(title, f'{sum(map(len, own.values()))} recordings of {len(own)} robots')
+    page = Page(
+        title, f'{_count(sum(map(len, own.values())), "recording")} of {_count(len(own), "robot")}'
+    )
     page.box(change_lines(rows) or [NO_CHANGE], 'verdict', 'What changed when')
     if problems(rows):
         page.box(problems(rows), 'warn', 'Left out')
@@ -55,6 +64,10 @@ def fleet_page(rows: Sequence[FleetRow], title: str) -> Page:
         page.figures([error_figure(history), *map_parameters(history)], 'two')
         page.table(COLUMNS[1:], [row[1:] for row in fleet_rows(history)], left=[0, 1, 2])
     return page
+
+
+def _count(number: int, what: str) -> str:
+    return f'{number} {what}{"" if number == 1 else "s"}'
 
 
 def error_figure(history: Sequence[FleetRow]) -> Figure:
@@ -90,22 +103,24 @@ def map_parameters(history: Sequence[FleetRow]) -> list[Figure]:
         found = [(row, row.fitted(name)) for row in history]
         told = [(row, values) for row, values in found if values is not None]
         unit = next(row.unit[row.parameter.index(name)] for row, _ in told)
+        largest = max(max(map(abs, values)) for _, values in told)
+        factor, unit = scale_of(unit, largest, name.rpartition(' ')[2])
         data = [
             {
                 'x': [row.when for row, _ in told],
-                'y': [value for _, (value, _, _) in told],
+                'y': [factor * value for _, (value, _, _) in told],
                 'mode': 'lines+markers',
                 'line': {'color': PREDICTED},
                 'error_y': {
                     'type': 'data',
                     'symmetric': False,
-                    'array': [max(high - value, 0.0) for _, (value, _, high) in told],
-                    'arrayminus': [max(value - low, 0.0) for _, (value, low, _) in told],
+                    'array': [factor * max(high - value, 0.0) for _, (value, _, high) in told],
+                    'arrayminus': [factor * max(value - low, 0.0) for _, (value, low, _) in told],
                     'thickness': 1,
                 },
             }
         ]
-        layout = {'xaxis': {'type': 'date'}, 'yaxis': {'title': {'text': f'[{unit}]'}}}
+        layout = {'xaxis': {'type': 'date'}, 'yaxis': {'title': {'text': f'[{unit or 1}]'}}}
         caption = '95 % intervals, fitted alone or with what was named beside it'
         figures.append(Figure(data, layout, name, caption, 320))
     return figures

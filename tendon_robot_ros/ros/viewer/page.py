@@ -99,6 +99,7 @@ class LivePage:
     def tell(self, state: ViewState, now: float) -> None:
         """Update the panel; only what changed is sent."""
         times = list(state.times)
+        self._html('scene', page_parts.scene(state.measured, state.predicted))
         self._html('statuses', page_parts.statuses(state.statuses(now)))
         self._html('error', page_parts.big_error(state.rolling(now), state.per_marker()))
         self._html(
@@ -179,7 +180,7 @@ class LivePage:
             panel.dock_right()
         gui.set_panel_label('tendon robot, live')
         self._boxes: dict[str, Any] = {'legend': gui.add_html(page_parts.legend(self._square))}
-        for name in ('error', 'curve', 'guide'):
+        for name in ('scene', 'error', 'curve', 'guide'):
             self._boxes[name] = gui.add_html('')
         self._buttons: dict[str, Any] = {}
         for button in BUTTONS:

@@ -19,6 +19,7 @@ SIDES = 12  # of the cross-section of an arm drawn as a tube
 WIDTH, HEIGHT, LEFT, BOTTOM = 360, 140, 40, 22  # [px] of the curve, and of its margins
 CURVE_SPAN_S = 120.0  # [s] that the curve shows
 USUAL_SHARE, PEAK = 0.75, 2.0  # of the time, times: the arm moves now and then; such peaks are cut
+HIDDEN = 'position:absolute;width:1px;height:1px;overflow:hidden;clip-path:inset(50%)'
 STYLE = f'font-family:system-ui,sans-serif;font-size:13px;color:{INK};padding:2px 12px'
 
 
@@ -33,6 +34,33 @@ def legend(square: float) -> str:
         + f'<br><span id="scale">a square of the grid: {1e3 * square:g} mm</span>'
         + '</div>'
     )
+
+
+def scene(measured: NDArray[np.float64] | None, predicted: NDArray[np.float64] | None) -> str:
+    """Say in words what the scene draws of the arms (J, 3) [m], for who does not see it."""
+    tips = [None if arm is None else _last_seen(arm) for arm in (measured, predicted)]
+    said = 'Scene in space: the arm stands on a grid, its base at the origin, z up'
+    for tip, who in zip(tips, ('measured', 'predicted'), strict=True):
+        where = (
+            'not there yet'
+            if tip is None
+            else 'tip at '
+            + ', '.join(
+                f'{axis} {1e3 * value:.0f}'
+                for axis, value in zip('xyz', tip.tolist(), strict=True)
+            )
+            + ' mm'
+        )
+        said += f'; {who} arm: {where}'
+    if tips[0] is not None and tips[1] is not None:
+        said += f'; {mm(float(np.linalg.norm(tips[0] - tips[1])), 2)} apart'
+    return f'<div role="img" aria-label="{escape(said)}" style="{HIDDEN}"></div>'
+
+
+def _last_seen(arm: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return the last point (3,) of an arm (J, 3) that is known."""
+    seen = arm[np.isfinite(arm).all(axis=1)]
+    return seen[-1] if len(seen) else None
 
 
 def guide(next_step: str, progress: str) -> str:
