@@ -219,3 +219,19 @@ def test_stretching_tendons_are_added_to_wire_pulls():
     made = add_effects(fit, ['tendon_elongation'], check=check)
     assert made.values['tendon_elongation']['compliance'].value == pytest.approx(2e-3, rel=0.15)
     assert made.check.gone > 0.9
+
+
+def test_a_declared_accuracy_weighs_where_the_effects_are_not_the_whole_story():
+    """What is left is no noise: neither the error on postures left out nor the file gets worse."""
+    hidden = HINGES | {'pre_curvature': {'angle_x': 0.0, 'angle_y': 0.02}}
+    dataset = measured(ROBOT, hidden)
+    alone = add_effects(dataset, ['hinge_friction'])
+    weighed = add_effects(replace(dataset, accuracy=2e-3), ['hinge_friction'])
+    assert alone.more_at_work and weighed.more_at_work and alone.accuracy is None
+    assert weighed.check.after <= alone.check.after
+    if weighed.accuracy is not None:
+        assert weighed.robot.fitted['hinge_friction']['weighed_by_accuracy'] == 2e-3
+    right = add_effects(replace(measured(ROBOT, HINGES), accuracy=2e-3), ['hinge_friction'])
+    assert right.accuracy is None and right.probability == pytest.approx(
+        add_effects(measured(ROBOT, HINGES), ['hinge_friction']).probability
+    )

@@ -9,7 +9,9 @@ import yaml
 from simulated import CATALOGUE
 
 from tendon_robot_ros.comparison.predict import Predictor, free_parameters
+from tendon_robot_ros.comparison.statistics import chi2_isf
 from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.diagnosis.as_built import Kind
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
 from tendon_robot_ros.diagnosis.outliers import find_outliers
@@ -126,3 +128,35 @@ def test_readings_that_the_other_trials_contradict_are_found_and_no_others():
     assert np.argwhere(found.trials).tolist() == [[8, 1]]
     assert found.readings.sum() < 12
     assert np.isnan(found.without(changed).positions[8, 1]).all()
+
+
+def scattered(members, size, draws, seed=0):
+    """Return the random effects of one kind that shows far beyond the noise, and residuals."""
+    kinds = [Kind('cell_stiffness', '1', 0.03, tuple(map(str, range(members))))]
+    random = RandomEffects(1e4 * np.eye(2 * members)[:, :members], np.zeros(members, int), kinds)
+    off = np.random.default_rng(seed).normal(0.0, size, (draws, members))
+    return random, off, off @ (1e4 * np.eye(2 * members)[:members])
+
+
+@pytest.mark.parametrize('size', [0.01, 0.03, 0.09])
+def test_a_scatter_that_shows_is_told_as_the_sd_of_so_many_normal_deviates(size):
+    """Closed form: n s² / sigma² is chi² of n degrees of freedom, whatever is plausible."""
+    random, off, residuals = scattered(12, size, 200)
+    held = 0
+    for own, residual in zip(off, residuals, strict=True):
+        found = random.estimate(residual, np.zeros((24, 0)), told=False).values
+        rms = np.sqrt(np.mean(own**2))
+        assert found == pytest.approx([rms], rel=0.03)
+        low, high = (float(end[0]) for end in random.intervals(found))
+        assert low == pytest.approx(found[0] * np.sqrt(12 / chi2_isf(0.025, 12)), rel=0.01)
+        assert high == pytest.approx(found[0] * np.sqrt(12 / chi2_isf(0.975, 12)), rel=0.01)
+        held += low <= size <= high
+    assert 0.90 <= held / 200 <= 0.99
+
+
+def test_a_scatter_that_does_not_show_may_be_none():
+    random, _, _ = scattered(3, 0.0, 1)
+    for slope in (1e-2, 1.0):  # what is plausible moves nothing by more than 0.03 sd
+        random = RandomEffects(slope * np.eye(6)[:, :3], np.zeros(3, int), random.kinds)
+        low, high = random.intervals(np.array([1e-3]))
+        assert low[0] == 0.0 and high[0] >= 0.03

@@ -40,6 +40,7 @@ class Addition:
     moved: dict[str, float] = field(default_factory=dict)  # tolerance -> declared sd it moved
     more_at_work: str = ''  # what the file says when the effects are not the whole story
     beside: bool = False  # whether tolerances that moved and imperfections are written, too
+    accuracy: float | None = None  # [m] declared, that weighed; None: repeatability alone did
 
     @property
     def helps(self) -> bool:
@@ -108,6 +109,8 @@ def with_origin(made: Addition, before: Robot) -> Robot:
             origin['replaces'] = _listed(before.effects[name])
         if made.moved:
             origin['tolerances_moved'] = {key: _short(z) for key, z in made.moved.items()}
+        if made.accuracy:
+            origin['weighed_by_accuracy'] = made.accuracy
         if made.more_at_work:
             origin['more_at_work'] = made.more_at_work
         robot = robot.with_effect(name, robot.effects[name], origin)
@@ -220,9 +223,13 @@ def add_effects(
     dataset = session.dataset
     fit = fit_effects(session, names, _point(session, names, start))
     probability = fit.probability(session.freedom)
-    scale = 1.0 if probability > P_SINGLE_MIN else max(1.0, fit.chi2 / max(fit.freedom, 1))
+    written = _written(session, fit)
+    if probability <= P_SINGLE_MIN and session.accuracy:
+        fit, written = _by_accuracy(session, names, fit, written)
+    own = fit.probability(session.freedom) if session.use_accuracy else probability
+    scale = 1.0 if own > P_SINGLE_MIN else max(1.0, fit.chi2 / max(fit.freedom, 1))
     values = values_with_intervals(session.fitters[0], fit, scale)
-    changed, after, beside = _written(session, fit)
+    changed, after, beside = written
     fitted = errors_on(dataset, described, changed, session.catalogue, 'fitted')
     on_check = (
         replace(fitted, kind='left out', after=after)
@@ -230,11 +237,38 @@ def add_effects(
         else errors_on(check, described, changed, session.catalogue, 'check')
     )
     more = more_at_work(fitted, probability) if partial or probability <= P_SINGLE_MIN else ''
-    made = Addition(changed, values, fitted, on_check, probability, fit.prior_z, more, beside)
+    by = session.accuracy if session.use_accuracy else None
+    made = Addition(changed, values, fitted, on_check, probability, fit.prior_z, more, beside, by)
     return replace(made, robot=with_origin(made, described))
 
 
-def _written(session: Session, fit: Fit) -> tuple[Robot, float, bool]:
+Written = tuple[Robot, float, bool]  # description, its error [m] on postures left out, beside
+
+
+def _by_accuracy(
+    session: Session, names: Sequence[str], fit: Fit, written: Written
+) -> tuple[Fit, Written]:
+    """
+    Fit effects that are not the whole story again, weighed by the declared accuracy.
+
+    Repeatability alone lets the postures that were measured most often, and the markers that
+    move least, decide about a model that is wrong by far more. The error on postures left out
+    never rises by it.
+    """
+    session.use_accuracy = True
+    try:
+        again = fit_effects(session, names, fit.point) if session.weigh(fit.point) else fit
+        found = _written(session, again)
+    except NoEquilibriumError:
+        found = (written[0], np.inf, False)
+    if found[1] <= written[1]:
+        return again, found
+    session.use_accuracy = False
+    session.weigh(fit.point, fit.members)
+    return fit, written
+
+
+def _written(session: Session, fit: Fit) -> Written:
     """
     Return the description to write, its error [m] on postures left out, and what it holds.
 

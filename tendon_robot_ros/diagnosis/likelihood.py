@@ -64,10 +64,20 @@ class Likelihood:
     """
 
     def __init__(
-        self, columns: Columns, residual: Floats, slopes: Floats, weights: Floats | None
+        self,
+        columns: Columns,
+        residual: Floats,
+        slopes: Floats,
+        weights: Floats | None,
+        prior: bool = True,
     ) -> None:
-        """Take products of a residual (N,) and its slopes (N, k), whose priors weigh (k,)."""
-        self.precision, self.proper = 1.0 / columns.plausible**2, np.isfinite(columns.plausible)
+        """
+        Take products of a residual (N,) and its slopes (N, k), whose priors weigh (k,).
+
+        Sizes have a prior, or (`prior` false) the data alone say them.
+        """
+        self.precision = float(prior) / columns.plausible**2
+        self.proper = np.isfinite(columns.plausible) & prior
         self.kind, self.owners, self.kinds = columns.kind, columns.owners, columns.kinds
         self.own, self.own_last, self.size2 = columns.own, columns.own_last, columns.size2
         known = np.linalg.norm(slopes, axis=0)
@@ -77,8 +87,8 @@ class Likelihood:
         self.more, self.more_last = cross[columns.others], cross[columns.last]
         self.inner = more.T @ more
         k = slopes.shape[1]
-        prior = np.full(k, 1e-9) if weights is None else weights[known > 1e-9]
-        self.ridge = np.diag(prior / (1.0 if weights is None else known[known > 1e-9] ** 2))
+        given = np.full(k, 1e-9) if weights is None else weights[known > 1e-9]
+        self.ridge = np.diag(given / (1.0 if weights is None else known[known > 1e-9] ** 2))
         self._at: tuple[Floats, _Reduced] | None = None
 
     def _reduced(self, v: Floats) -> _Reduced:

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from ..comparison.statistics import chi2_isf
 from .as_built import KINDS_WITH_FEW_MEMBERS, REMAINDER, Kind, Members
 from .factors import root_inverse
 from .likelihood import Columns, Likelihood, prior_of
@@ -23,6 +24,7 @@ Floats = npt.NDArray[np.float64]
 SEARCH_STEPS_MAX = 25  # of the search for the standard deviations
 DEVIANCE_GAIN_MIN = 0.02  # gain in -2 log likelihood at which it ends
 LEAST_SHARE = 0.01  # of the plausible size, that members may have of a kind without any
+FREEDOM_MIN = 0.32  # deviations that tell a size, from which it is surely not zero
 SIZE_MAX = 5.0  # [1] of the plausible sizes: what is larger is no imperfection
 START_SHARE = 0.5  # of the plausible sizes, where it begins
 UNSEEN_MOVE = 0.01  # sd of the noise that a plausible imperfection may do and count as unseen
@@ -182,18 +184,24 @@ class RandomEffects:
         return np.asarray(rows + basis @ (root @ (basis.T @ rows)))
 
     def intervals(self, sizes: Floats) -> tuple[Floats, Floats]:
-        """Return 95 % intervals (K,) of the sizes, from the curvature of the likelihood."""
-        work = Likelihood(
-            self.parts, np.zeros(len(self.columns)), np.zeros((len(self.columns), 0)), None
-        )
+        """
+        Return 95 % intervals (K,) of the sizes, by the likelihood alone.
+
+        A variance is told as by so many deviations as give it its uncertainty (Satterthwaite
+        1946): few members leave much more room above than below.
+        """
+        rows = len(self.columns)
+        work = Likelihood(self.parts, np.zeros(rows), np.zeros((rows, 0)), None, prior=False)
         least = 1e-3 * np.where(np.isfinite(self.plausible), self.plausible, 1e-3)
         v = np.maximum(sizes, least) ** 2
         information = work.slopes(v)[1] * np.outer(v, v)
-        sd = np.sqrt(2.0 * np.diag(np.linalg.pinv(information, hermitian=True)))  # of log v
-        reach = np.exp(np.minimum(0.5 * 1.96 * sd, 5.0))
-        return np.where(sd < 2.5, np.sqrt(v) / reach, 0.0), np.minimum(
-            np.sqrt(v) * reach, np.maximum(3.0 * self.plausible, 2.0 * sizes)
-        )
+        of_log = 2.0 * np.diag(np.linalg.pinv(information, hermitian=True))  # variance of log v
+        shown = np.diag(information) > FREEDOM_MIN**2  # else nothing tells it
+        freedom = np.where(shown, 2.0 / np.maximum(of_log, 1e-12), 0.0).clip(FREEDOM_MIN, 1e6)
+        chi2 = np.array([[chi2_isf(p, f) for f in freedom] for p in (0.025, 0.975)])
+        low, high = np.sqrt(v * freedom / chi2)
+        most = np.maximum(3.0 * self.plausible, 2.0 * sizes)
+        return np.where(freedom > FREEDOM_MIN, low, 0.0), np.minimum(high, most)
 
     def estimate(
         self,
@@ -220,10 +228,11 @@ class RandomEffects:
         remainder : bool
             Whether there may be one.
         told : bool
-            Whether kinds with few members are as large as is plausible, else as the data say.
+            Whether sizes have a prior, and kinds with few members are as large as is plausible;
+            else the data alone say it.
 
         """
-        work = Likelihood(self.parts, residual, slopes, weights)
+        work = Likelihood(self.parts, residual, slopes, weights, prior=told)
         sizes = self.start if start is None else np.asarray(start, dtype=float)
         usual = np.where(np.isfinite(self.plausible), self.plausible, 0.0)
         fixed = self.few & told

@@ -47,6 +47,8 @@ def warnings(made: Addition) -> list[str]:
         moves = ', '.join(f'{name} by {digits(z)} sd' for name, z in made.moved.items())
         where = 'in the file, too' if made.beside else 'not in the file'
         sentences.append(f'declared tolerances moved in the fit: {moves} ({where})')
+    if made.accuracy:
+        sentences.append(f'weighed by the declared accuracy of {mm(made.accuracy, 2)}')
     if made.more_at_work:
         sentences.append(f'note: {made.more_at_work}')
     if made.check.after > made.check.before:
