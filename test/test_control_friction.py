@@ -1,5 +1,6 @@
 """Friction that remembers in the controller, ways on which it ends well, regions, preferences."""
 
+import re
 from functools import cache
 
 import numpy as np
@@ -9,6 +10,7 @@ from tendon_robot_ros.control import ControllerCore, Settings, Target
 from tendon_robot_ros.control.friction_state import FeltTensions
 from tendon_robot_ros.control.mismatch import STEP_SHARE, Mismatch, stability_margins
 from tendon_robot_ros.control.status import controller_status
+from tendon_robot_ros.control.trajectory import Playing
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.redundancy import Preferences
 from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
@@ -140,6 +142,29 @@ def test_a_way_through_a_region_ends_before_it_and_names_it():
     assert rig.core.solution.position_error == pytest.approx(
         np.linalg.norm(rig.shape.tip_position - rig.core.target.position), abs=1e-6
     )
+
+
+@pytest.mark.parametrize('pull', [False, True])
+def test_a_played_trajectory_that_would_enter_is_refused_with_its_time(pull):
+    arm = model(False)
+    ends = [arm.shape(np.array(tensions)) for tensions in ((0.5, 0.1, 0.1, 0.1), TARGETS[1])]
+    room = KeepOut((Region('post', Sphere(tuple(ends[1].tip_position), 0.01)),))
+    rig = Rig(known=False, pull=pull, keep_out=room)
+    rig.arm = arm
+    rig.run(0.05)
+    values = np.array([end.pulls if pull else end.inputs for end in ends])
+    rig.core.play(rig.now, Playing(np.array([1.0, 2.0]), values))
+    assert rig.code() == 'refused_keep_out' and rig.core.playing is None
+    said = str(rig.core.refusals.pop('target'))
+    time = float(re.search(r'at (.*?) s the arm would enter post', said)[1])
+    touches = [
+        room.clearance((arm.pull_shape(at) if pull else arm.shape(at)).positions).distance < 0.0
+        for at in values[0] + np.linspace(0.0, 1.0, 101)[:, None] * (values[1] - values[0])
+    ]
+    assert time == pytest.approx(1.0 + 0.01 * touches.index(True), abs=0.05)
+    rig.core.play(rig.now, Playing(np.array([0.5]), values[:1]))
+    rig.run(0.7)
+    assert rig.code() == 'played'
 
 
 def test_weights_changed_while_standing_move_tensions_and_not_the_tip():

@@ -8,6 +8,7 @@ seeking.py      posts the search for a pose's tensions (made by model/inverse.py
 pull_path.py    the way of an arm that is driven by wire lengths
 checks.py       refusals of what comes in, each with a code and a sentence
 jog.py          moving the tip with a velocity
+keeping_out.py  whether the arm would enter a region on its way
 trajectory.py   trajectories of tensions or wire pulls
 tip_loop.py      tensions that take off what the measured tip is away from its target
 mismatch.py      the model's error near the tensions that act, learned from the measured tip

@@ -21,7 +21,7 @@ from .seeking import TargetSearch, seek
 from .solver import GiveUp, InPlace, Solver
 from .state import MeasuredState, Output, Settings, ShapeTracker, Target
 from .tip_loop import TipLoop
-from .trajectory import Playing, play_pulls
+from .trajectory import Playing, look_and_play, play_pulls
 
 if TYPE_CHECKING:
     from ..model.model import Model
@@ -63,6 +63,7 @@ class ControllerCore:
     balance: Rebalance = field(default_factory=Rebalance)
     via: list[Array] = field(default_factory=list)  # (m,) [N] each, on the way to the solution
     playing: Playing | None = None  # a trajectory of the tendons; its end is held
+    looked: Playing | None = None  # a trajectory that may enter a region, while nobody knows
     stepped: float = -np.inf  # [s] when it last did
     way: Way | None = None  # in pull mode
     jog: Jog | None = None  # while a twist moves the tip
@@ -93,6 +94,7 @@ class ControllerCore:
         self._require_running()
         if self._silent and not self.settings.resume:
             raise Refusal('no_driver', 'target refused: no tendon states; send it again later')
+        self.looked = None
         seek(self, target)
 
     def follow(
@@ -131,7 +133,7 @@ class ControllerCore:
             raise Refusal('no_driver', 'twist refused: no tendon states yet')
         if self.jog is None and not twist.moves:
             return  # a joystick at rest takes no target away
-        self.search = None
+        self.search = self.looked = None
         if self.jog is None:
             self.jog = Jog()
             self.target = self.solution = self.playing = None
@@ -147,10 +149,20 @@ class ControllerCore:
             self.refusals['target'] = Refusal('no_equilibrium', f'twist ended: {problem}')
 
     def play(self, now: float, trajectory: Playing | None) -> None:
-        """Play a trajectory of the tendons; None ends the one that plays and holds."""
+        """
+        Play a trajectory of the tendons; None ends the one that plays and holds.
+
+        Where there are regions to keep out of, the solver looks at the whole of it first.
+        """
         self._require_running()
         if self.command is None:
             raise Refusal('no_driver', 'tendon_trajectory refused: no tendon states yet')
+        if trajectory is not None and self.settings.keep_out:
+            look_and_play(self, trajectory, lambda seen: self._play(max(now, self.stepped), seen))
+        else:
+            self._play(now, trajectory)
+
+    def _play(self, now: float, trajectory: Playing | None) -> None:
         self._drop()
         self.playing = None if trajectory is None else trajectory.begin(now, self.commanded)
 
@@ -364,7 +376,7 @@ class ControllerCore:
         self.way = None if pulls is None else Way(pulls)
 
     def _drop(self) -> None:
-        self.target = self.solution = self.search = self.jog = self.playing = None
+        self.target = self.solution = self.search = self.jog = self.playing = self.looked = None
         self.via = []
         self.loop.reset()
 

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import InputError, NoEquilibriumError, TendonRobotError
-from ..model.inverse import CLEARANCE_BINDS_M
 from ..model.shape import Reach
 from ..model.tip_task import TipTask, tip_target
 from .checks import Refusal
 from .friction_state import Approach, from_below, planned, straight
+from .keeping_out import cut_short
 from .solver import GiveUp
 from .state import STREAM_PERIOD_S, Controller, Settings, Target
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from ..model.model import Model
     from ..model.shape import Shape
-    from ..robot.keep_out import KeepOut
 
 Array = NDArray[np.float64]
 COLD_SEARCH_STARTS = 12  # of a cold search; a twist only goes on from where it is
@@ -30,8 +29,6 @@ NEW_TARGET_BUDGET_S = 0.2  # [s] for a target that is none of a stream
 # [1] of the length, [rad] between two targets of a stream
 STREAM_STEP_SHARE, STREAM_TURN_RAD = 0.1, 0.3
 LEAD_SHARE_MAX = 0.1  # [1] of the length, by which targets are led
-WAY_STEP, WAY_STEP_MIN = 0.05, 0.005  # [1] of a way, between two looks at it
-WAY_NEAR_M = 2e-3  # [m] from a region: nearer, looks are as close as half of that
 
 
 class Seeker(Controller, Protocol):
@@ -199,34 +196,6 @@ def solution_of(
         target = replace(target, position=target.position - core.tip_shift(target.position))
     felt = core.felt_tensions()
     return _Question(model, core.settings, target, guess, last, felt, streamed, tracking).answer
-
-
-def cut_short(
-    model: Model, here: Shape, found: Approach, keep_out: KeepOut, task: TipTask
-) -> Approach:
-    """
-    Return a way up to where the arm would enter a region; `nearest`, with the region named.
-
-    An arm that is inside already may leave: what counts is how deep it goes beyond that.
-    """
-    allowed = min(keep_out.clearance(here.positions).distance, 0.0) - CLEARANCE_BINDS_M
-    shape = here
-    via: list[Array] = []
-    for tensions in (*found.via, found.reach.tensions):
-        begin, done, step = shape.inputs, 0.0, WAY_STEP
-        while done < 1.0:
-            done = min(done + step, 1.0)
-            new = model.follow(shape, begin + done * (tensions - begin))
-            near = keep_out.clearance(new.positions)
-            if near.distance < allowed:
-                position, direction = task.errors(shape)
-                kept = Reach(shape, position, direction, 'nearest', (), near.region)
-                return Approach(kept, np.array(via).reshape(-1, len(model.inputs)))
-            moved = float(np.linalg.norm(new.positions - shape.positions, axis=1).max())
-            room = 0.5 * max(near.distance, WAY_NEAR_M)  # no point of the arm goes further at once
-            step, shape = min(max(step * room / max(moved, 1e-9), WAY_STEP_MIN), WAY_STEP), new
-        via.append(tensions)
-    return found
 
 
 def _take(core: Seeker, search: TargetSearch, result: SearchResult) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from ..common.errors import TendonRobotError
 from ..drivers.safety import bounded
 from .checks import Refusal
+from .keeping_out import entered
 from .solver import GiveUp
 from .state import Controller, MeasuredState
 
@@ -25,6 +27,11 @@ class Player(Controller, Protocol):
     """A controller that may play a trajectory."""
 
     playing: Playing | None
+    looked: Playing | None  # whether it keeps out of the regions
+
+    @property
+    def commanded(self) -> Array | None:
+        """What was commanded last, (m,) [N], or [m] in pull mode."""
 
 
 @dataclass
@@ -60,6 +67,31 @@ class Playing:
     def progress(self, now: float) -> str:
         """Say how far it is."""
         return f'{min(now - self.began, self.times[-1]):.2f} of {self.times[-1]:.2f} s'
+
+
+def look_and_play(core: Player, trajectory: Playing, play: Callable[[Playing], None]) -> None:
+    """Have the solver look whether a trajectory keeps out of the regions; then play it."""
+    model, last, felt = core.model, core.track.last, core.felt_tensions()
+    settings, command = core.settings, core.commanded
+    looked = core.looked = trajectory
+
+    def work(give_up: GiveUp) -> Refusal | None:
+        here = model.follow(last, felt) if last is None or not settings.pull_mode else last
+        way = trajectory.begin(0.0, command)
+        return entered(model, here, way.times, way.values, settings.keep_out, settings.pull_mode)
+
+    def done(refusal: Refusal | None, error: TendonRobotError | None) -> None:
+        if core.looked is not looked:
+            return  # something else is wanted by now
+        core.looked = None
+        if error is not None:
+            refusal = Refusal('no_equilibrium', f'tendon_trajectory: {error}; nothing was played')
+        if refusal is None:
+            play(trajectory)
+        else:
+            core.refusals['target'] = refusal
+
+    core.solver.post('trajectory', work, done)
 
 
 def play_pulls(core: Player, way: Way, playing: Playing, now: float) -> None:
