@@ -19,7 +19,7 @@ from ..model.model import Model
 from ..model.shape import FIELDS, ShapeBatch
 from ..robot import Robot
 from .conditions import Conditions, known_values
-from .tangent import Freed, Pulled, Tangent, held
+from .tangent import Freed, Pulled, Shifted, Tangent, held
 
 Floats = npt.NDArray[np.float64]
 # No effects: every cell's own deviation where a tolerance declares it, one soft cell, a taper.
@@ -36,6 +36,10 @@ class FreeParameter:
     parameter: Parameter
     column: int | None = None  # index of the section, tendon or cell whose value it is
     label: str = ''  # the name of the section or tendon
+
+    def __hash__(self) -> int:
+        """Hash what tells one from another: it is looked up all the time."""
+        return hash((self.effect, self.parameter.name, self.column))
 
     @property
     def key(self) -> str:
@@ -185,26 +189,35 @@ class Predictor:
                 return None
             moves: list[Move] = [self._freed(point, part, free) for free in frees]
             if self.dataset.input == 'displacement':
-                moves += [Pulled(j, there.tensions[:, j]) for j in range(len(self.model.inputs))]
-            seen, states = follow(self.model, there.tensions, there.state, moves, self._shown)
-            if self.dataset.input == 'displacement':
+                m = there.tensions.shape[1]
+                moves += [Pulled(j, there.tensions[:, j]) for j in range(m)]
+                seen, states = follow(self.model, there.tensions, there.state, moves, self._shown)
                 seen, states, answers = held(there.tensions, seen, states, q)
-                moved.tensions[:, part.rows] = answers
-            m = there.tensions.shape[1]
-            moved.markers[:, part.rows] = seen[..., m:].reshape(q, count, -1, 3)
+                moved.tensions[:, part.rows], seen = answers, seen[..., m:]
+            else:
+                seen, states = follow(self.model, there.tensions, there.state, moves, self.see)
+            moved.markers[:, part.rows] = seen.reshape(q, count, -1, 3)
             moved.states[:, part.rows] = states
         return moved
 
-    def _freed(self, point: Point, part: Conditions, free: FreeParameter) -> Freed:
-        """Return a parameter that is ready to move a little to both sides."""
-        here, own = point.get(free, self.value(free)), free.parameter
+    def _freed(self, point: Point, part: Conditions, free: FreeParameter) -> Freed | Shifted:
+        """Return a parameter that is ready to move a little; the model is at the point."""
+        here, own, count = point.get(free, self.value(free)), free.parameter, len(part.rows)
         step = TANGENT_STEP * max(abs(here), own.typical)
         ends = (max(-step, own.low - here), min(step, own.high - here))
+        if free.effect in self.model.catalogue and (free.effect, own.name) not in part.known:
+            return Shifted(
+                self.model.arrays, ends, count, free.effect, own.name, self.columns(free)
+            )
 
         def set_to(side: float) -> None:
             self.set_parameters({**point, free: here + side}, part)
 
-        return Freed(self.model.arrays, ends, len(part.rows), set_to)
+        return Freed(self.model.arrays, ends, count, set_to)
+
+    def columns(self, free: FreeParameter) -> slice:
+        """Return the sections or tendons whose values a free parameter is."""
+        return slice(None) if free.column is None else slice(free.column, free.column + 1)
 
     def _shown(self, shapes: ShapeBatch) -> Floats:
         """Return wire pulls and markers (b, m + 3 J) [m] of shapes."""

@@ -64,6 +64,39 @@ class Freed:
             array[:] = kept
 
 
+class Shifted:
+    """The same of a parameter of an effect, that the model's arrays hold as it is now."""
+
+    def __init__(
+        self,
+        arrays: KernelArrays,
+        ends: tuple[float, float],
+        count: int,
+        effect: str,
+        parameter: str,
+        columns: slice,
+    ) -> None:
+        """Note where its values lie, and how far it moves in `count` postures."""
+        self.down, self.up = (np.full(count, end) for end in ends)
+        self._arrays, self._effect = arrays, effect
+        self._values = arrays.values[arrays.layout.rows[effect, parameter], columns]
+        self._here = self._values.copy()
+
+    def inputs(self, inputs: Floats, side: Floats) -> Floats:
+        """Return the input tensions (b, m) [N]: they stay."""
+        return inputs
+
+    @contextmanager
+    def made(self, model: ForwardModel, side: Floats) -> Iterator[None]:
+        """Let the parameter be on one side, its effect on, while the block runs."""
+        self._arrays.act(self._effect)
+        self._values[:] = self._here + side[0]
+        try:
+            yield
+        finally:
+            self._values[:] = self._here
+
+
 class Pulled:
     """An input tension that moves a little to both sides, never below zero."""
 

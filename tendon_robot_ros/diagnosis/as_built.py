@@ -72,8 +72,9 @@ class Imperfections:
         """Return what members do to the markers (P, J, 3) [m] by these slopes."""
         if not members:
             return 0.0
-        sizes = [members.get(kind.name, np.zeros(len(kind))) for kind in self.kinds]
-        return np.asarray(np.tensordot(np.concatenate(sizes), self.moves, 1))
+        own = [kind for kind in self.kinds if kind.name != REMAINDER]  # it is the last
+        sizes = np.concatenate([members.get(kind.name, np.zeros(len(kind))) for kind in own])
+        return np.asarray(np.tensordot(sizes, self.moves[: len(sizes)], 1))
 
 
 def remainders(predictor: Predictor) -> Floats:

@@ -49,7 +49,6 @@ class Fitter:
         self.built = built  # None: the description is exact
         self.random = None if built is None else built.random
         self.sizes: Floats | None = None  # (K,) of the imperfections, for the fit that runs
-        self._root: Floats | None = None
         self.nuisances = tuple(nuisances)
         self.measured = predictor.dataset.mean  # less what imperfections do beyond slopes
         if built is not None:
@@ -124,7 +123,7 @@ class Fitter:
     def take(self, sizes: Floats) -> None:
         """Take sizes (K,) of the imperfections: their share is then no error any more."""
         assert self.random is not None
-        self.sizes, self._root = sizes, self.random.root(sizes)
+        self.sizes = sizes
 
     def go_around(self, members: Members) -> None:
         """Take imperfections as linear around members."""
@@ -144,10 +143,10 @@ class Fitter:
 
     def lift(self, rows: Floats) -> Floats:
         """Take off whitened rows (N + nuisances, ...) what imperfections of that size explain."""
-        if self.random is None or self._root is None:
+        if self.random is None or self.sizes is None:
             return rows
-        n = len(self.random.columns)
-        return np.concatenate([self.random.lift(self._root, rows[:n]), rows[n:]])
+        n, root = len(self.random.columns), self.random.root(self.sizes)
+        return np.concatenate([self.random.lift(root, rows[:n]), rows[n:]])
 
     def follow(self, raw: Floats, predict: Callable[[], Floats | None]) -> Floats | None:
         """

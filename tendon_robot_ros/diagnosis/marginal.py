@@ -28,6 +28,7 @@ FREEDOM_MIN = 0.32  # deviations that tell a size, from which it is surely not z
 SIZE_MAX = 5.0  # [1] of the plausible sizes: what is larger is no imperfection
 START_SHARE = 0.5  # of the plausible sizes, where it begins
 UNSEEN_MOVE = 0.01  # sd of the noise that a plausible imperfection may do and count as unseen
+ROOTS_KEPT = 4  # of the sizes that were asked for last
 STEP_SHARES = (
     1.0,
     0.2,
@@ -78,7 +79,7 @@ class RandomEffects:
         self.columns = np.hstack([c @ mix for c, mix in zip(own, self.mixtures, strict=True)])
         self.owners = np.repeat(np.arange(len(kinds)), [mix.shape[1] for mix in self.mixtures])
         self.few = np.array([kind.name in KINDS_WITH_FEW_MEMBERS for kind in kinds])
-        self._root: tuple[bytes, Floats] = b'', np.zeros((0, 0))  # the last one, and its sizes
+        self._roots: dict[bytes, Floats] = {}  # of the last sizes
 
     @property
     def start(self) -> Floats:
@@ -139,9 +140,12 @@ class RandomEffects:
 
     def best(self, residual: Floats, sizes: Floats) -> Floats:
         """Return the most likely mixtures (r,), in units of their sd, at a residual (N,)."""
-        s = self.spread(sizes)
-        normal = np.eye(len(s)) + s[:, None] * self.gram * s
-        return np.asarray(np.linalg.solve(normal, s * (self.columns.T @ residual)))
+        basis, triangle = self._basis
+        inverse = self.root(sizes)
+        along = basis.T @ residual
+        along += inverse @ along
+        along += inverse.T @ along
+        return np.asarray(self.spread(sizes) * (triangle.T @ along))
 
     def misfit(self, errors: Floats, sizes: Floats) -> float:
         """Return the chi² of errors (N,) that only noise and the remainder explain."""
@@ -161,9 +165,7 @@ class RandomEffects:
 
     def log_determinant(self, sizes: Floats) -> float:
         """Return log |V|."""
-        s = self.spread(sizes)
-        inner = np.eye(len(s)) + s[:, None] * self.gram * s
-        return float(2.0 * np.log(np.diag(np.linalg.cholesky(inner))).sum())
+        return float(-2.0 * np.log1p(np.diag(self.root(sizes))).sum())
 
     def prior(self, sizes: Floats) -> float:
         """Return -2 log of the priors of the sizes, up to a constant."""
@@ -172,11 +174,13 @@ class RandomEffects:
     def root(self, sizes: Floats) -> Floats:
         """Return A (d, d), by which `lift` whitens."""
         key = sizes.tobytes()
-        if self._root[0] != key:
+        found = self._roots.get(key)
+        if found is None:
             scaled = self._basis[1] * self.spread(sizes)
             inverse = root_inverse(np.eye(len(scaled)) + scaled @ scaled.T)
-            self._root = key, inverse - np.eye(len(inverse))
-        return self._root[1]
+            found = inverse - np.eye(len(inverse))
+            self._roots = dict([*self._roots.items()][1 - ROOTS_KEPT :]) | {key: found}
+        return found
 
     def lift(self, root: Floats, rows: Floats) -> Floats:
         """Take off rows (N, ...) what imperfections explain: W with W'W = V^-1."""

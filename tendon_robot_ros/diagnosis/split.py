@@ -57,6 +57,7 @@ class SplitPredictor(Predictor):
             predictor.model.catalogue,
         )
         self.around: Members = {}
+        self._spread: dict[FreeParameter, tuple[FreeParameter, ...]] = {}
         ends = np.cumsum([section.cells for section in self.whole.sections])
         self._spans = [
             slice(end - s.cells, end) for end, s in zip(ends, self.whole.sections, strict=True)
@@ -145,8 +146,11 @@ class SplitPredictor(Predictor):
     def see(self, shapes: ShapeBatch) -> Floats:
         """Return where the tracker, its frame a little off, sees the markers (b, J, 3) [m]."""
         placed, off = super().see(shapes), self.around
-        turn, shift = off.get(ROTATION, np.zeros(3)), off.get(POSITION, np.zeros(3))
-        return np.asarray(placed + np.cross(turn, placed) + shift)
+        if ROTATION in off:
+            x, y, z = off[ROTATION].tolist()
+            across = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # p @ it: turn x p
+            placed = placed + (placed.reshape(-1, 3) @ across).reshape(placed.shape)
+        return placed + off[POSITION] if POSITION in off else placed
 
     @property
     def pushable(self) -> bool:
@@ -173,8 +177,17 @@ class SplitPredictor(Predictor):
         """Return a free parameter of one section as those of its cells."""
         if free.column is None or not free.parameter.per_section:
             return (free,)
-        span = self._spans[free.column]
-        return tuple(replace(free, column=i) for i in range(span.start, span.stop))
+        if free not in self._spread:
+            span = self._spans[free.column]
+            own = tuple(replace(free, column=i) for i in range(span.start, span.stop))
+            self._spread[free] = own
+        return self._spread[free]
+
+    def columns(self, free: FreeParameter) -> slice:
+        """Return the cells or tendons whose values a free parameter is; see `Predictor`."""
+        if free.column is None or not free.parameter.per_section:
+            return super().columns(free)
+        return self._spans[free.column]
 
 
 def split_robot(robot: Robot, catalogue: Catalogue) -> Robot:

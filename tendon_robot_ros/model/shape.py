@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -85,25 +85,28 @@ class ResultLayout:
 
 def place_markers(shapes: ShapeBatch, arc_length: Floats, offset: Floats) -> Floats:
     """Positions (b, j, 3) [m] of markers; see `ShapeBatch.markers`."""
-    ends = np.cumsum(shapes.cell_length)
-    if np.any(arc_length > ends[-1] + 1e-9) or np.any(arc_length < 0.0):
-        raise InputError(
-            f'markers: expected arc lengths from 0 to {ends[-1]:g} m (the tip), '
-            f'got {arc_length.max():g} m'
-        )
-    cells = np.minimum(np.searchsorted(ends + 1e-9, arc_length), len(ends) - 1)
-    into = arc_length - (ends - shapes.cell_length)[cells]
-    share = np.clip(into / shapes.cell_length[cells], 0.0, 1.0)
-    at_end = np.abs(share - 1.0) * shapes.cell_length[cells] < 1e-9
-    if at_end.all():
+    cells, share, at_end = _places(shapes.cell_length.tobytes(), arc_length.tobytes())
+    if at_end:
         points = shapes.positions[:, cells]
         if not offset.any():
             return points
         frames = shapes.frames[:, cells]
     else:
         frames, points = _inside(shapes, cells, share)
-    placed: Floats = points + np.einsum('bjrc,jc->bjr', frames, offset)
-    return placed
+    return np.asarray(points + np.einsum('bjrc,jc->bjr', frames, offset))
+
+
+@lru_cache(maxsize=64)
+def _places(cell_lengths: bytes, arc_lengths: bytes) -> tuple[npt.NDArray[np.intp], Floats, bool]:
+    """Cells (j,) that arc lengths lie in, the share of the way through, and if all are ends."""
+    lengths, along = np.frombuffer(cell_lengths), np.frombuffer(arc_lengths)
+    ends = np.cumsum(lengths)
+    if np.any(along > ends[-1] + 1e-9) or np.any(along < 0.0):
+        tip, got = f'{ends[-1]:g} m (the tip)', f'{along.max():g} m'
+        raise InputError(f'markers: expected arc lengths from 0 to {tip}, got {got}')
+    cells = np.minimum(np.searchsorted(ends + 1e-9, along), len(ends) - 1)
+    share = np.clip((along - (ends - lengths)[cells]) / lengths[cells], 0.0, 1.0)
+    return cells, share, bool((np.abs(share - 1.0) * lengths[cells] < 1e-9).all())
 
 
 def _inside(
@@ -394,7 +397,5 @@ def _numbers(values: Floats) -> str:
 
 
 def _tip_text(shape: Shape) -> str:
-    return (
-        f'tip at ({_numbers(1e3 * shape.tip_position)}) mm towards '
-        f'({_numbers(shape.tip_direction)})'
-    )
+    place, along = _numbers(1e3 * shape.tip_position), _numbers(shape.tip_direction)
+    return f'tip at ({place}) mm towards ({along})'
