@@ -155,6 +155,22 @@ def test_a_wire_that_is_paid_out_further_than_the_arm_takes_it_is_slack():
     np.testing.assert_allclose(tensions, [2.0, 0.0], rtol=0.02)
 
 
+def test_a_slack_wire_pulls_no_motor_however_friction_skews_the_arm():
+    compliance = np.array([[2.0, -1.0], [-6.0, 4.0]]) * 1e-3  # [m/N]
+    arm = ElasticArm(lambda tensions: compliance @ tensions, 2, highest=10.0)
+    servos = [Servo(MODELS['XL330-M077'], i) for i in (1, 2)]
+    rig = Rig(servos, [Wire(1, 0.013), Wire(2, 0.013)], arm)
+    servos[0].motion.angle, servos[1].motion.angle = 0.25, -2.0
+    write(servos[0], 'torque_enable', 1)  # it holds; the other one is limp
+    for _ in range(300):
+        rig.advance(0.001)
+    assert rig.wound[1] == pytest.approx(-0.026)
+    pull, stiffness = arm.resistance(1)
+    assert pull < 0.0
+    assert stiffness == pytest.approx(1e3 / (4.1 - 6.0 * 1.0 / 2.1), rel=1e-3)  # Schur complement
+    np.testing.assert_allclose(rig.tensions, [rig.wound[0] / 2.1e-3, 0.0], rtol=0.02)
+
+
 @pytest.mark.parametrize('stiffness', [1e2, 1e4, 1e6])
 def test_a_motor_winds_a_spring_as_far_as_its_current_less_friction_and_not_a_step_further(
     stiffness,

@@ -14,9 +14,10 @@ pytest.importorskip('rclpy')
 pytest.importorskip('rosbags')
 
 from control_rig import ROBOTS
-from ros_station import INPUTS, Station, start
+from ros_station import INPUTS, Station, last, start
 from rosbags.highlevel import AnyReader
 
+from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.data.recording.importing import import_bag
 from tendon_robot_ros.robot import dump_robot, load_robot
 
@@ -43,10 +44,9 @@ def station(tmp_path_factory):
         station.close()
 
 
-def begin(folder, *arguments, ros=True):
-    program = [sys.executable, '-m', 'tendon_robot_ros', *arguments]
+def begin(folder, *arguments):
     return processes.Process(
-        program + (['--ros-args', '-r', f'__ns:={SPACE}'] if ros else []),
+        [*processes.package(*arguments), '--ros-args', '-r', f'__ns:={SPACE}'],
         cwd=folder,
         stdout=processes.PIPE,
         stderr=processes.PIPE,
@@ -83,7 +83,7 @@ def tour(folder):
     for i in range(6):
         tensions = np.full(4, 0.2)
         tensions[[i % 2, 2 + i // 2 % 2]] = random.uniform(0.5, 1.3, 2)
-        for wait in (0.6, 4.0):
+        for wait in (0.6, 2.2):
             passed += wait
             rows.append(','.join(f'{value:.4f}' for value in [passed, *tensions]))
     (folder / 'tour.csv').write_text('\n'.join(rows) + '\n')
@@ -130,54 +130,63 @@ def test_what_stood_still_is_a_measurement_with_its_noise(folder):
     assert 1.4e-5 < found.position_noise < 1e-4  # 0.2 mm in 10 to 200 frames: at most 3 s at 50 Hz
 
 
-def test_it_goes_through_compare_and_diagnose(station, folder):
-    done = finish(station, begin(folder, 'compare', 'run', ros=False))
-    assert done.returncode == 0, done.stderr
-    assert 'still segments: ' in done.stderr
-    assert 'kato_10_1 (FKM)' in done.stdout
-    assert 'Ask why: ' in done.stdout
-    done = finish(station, begin(folder, 'diagnose', 'run/run.mcap', ros=False))
-    assert done.returncode == 0, done.stderr
+def test_it_goes_through_compare_and_diagnose(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    code, done = main(['compare', 'run']), capsys.readouterr()
+    assert code == 0, done.err
+    assert 'still segments: ' in done.err
+    assert 'kato_10_1 (FKM)' in done.out
+    assert 'Ask why: ' in done.out
+    code, done = main(['diagnose', 'run/run.mcap']), capsys.readouterr()
+    assert code == 0, done.err
     said = re.search(
         r'CONSISTENT WITH tendon_stiffness: per_tendon = ([\d.]+) '
         r'(?:± ([\d.]+)|.*\(95 %: ([\d.]+) to ([\d.]+)\))',
-        done.stdout,
+        done.out,
     )
-    assert said, done.stdout
+    assert said, done.out
     value, half, low, high = (float(number or 'nan') for number in said.groups())
     doubt = 0.5 * (high - low) if math.isnan(half) else half
     assert abs(value - 1e3 * HIDDEN[1]['per_tendon']) < 1.5 * doubt  # 95 %: so 99.7 %
     assert doubt < 0.25 * value  # it says something
 
 
-def test_it_is_drawn(station, folder):
-    done = finish(station, begin(folder, 'plot', 'run', ros=False))
-    assert (done.returncode, done.stderr) == (0, '')
+def test_it_is_drawn(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    code, done = main(['plot', 'run']), capsys.readouterr()
+    assert (code, done.err) == (0, '')
     assert (folder / 'run.png').stat().st_size > 20_000
 
 
-def test_its_commands_are_replayed(station, folder):
-    station.go_to_point(0.0, 0.2)
-    done = finish(station, begin(folder, 'follow', 'run', '--commands'))
-    assert (done.returncode, done.stderr) == (0, '')
-    last_row = (folder / 'tour.csv').read_text().splitlines()[-1].split(',')[1:]
-    station.spin(0.2)
-    effort = station.commands[-1][1].effort
-    assert list(effort) == pytest.approx(list(map(float, last_row)), abs=1e-6)
+@pytest.fixture(scope='module')
+def short(station, tmp_path_factory):
+    """Give a folder with the recording of two targets, and the last command of it."""
+    folder = tmp_path_factory.mktemp('short')
 
-
-def test_its_targets_are_replayed(station, tmp_path):
     def act():
         station.go_to_point(0.06, 0.17)
         station.spin(1.0)
         station.go_to_point(-0.05, 0.18)
 
-    assert recorded(station, tmp_path, 'targets', act).returncode == 0
+    assert recorded(station, folder, 'targets', act).returncode == 0
+    return folder, list(last(station.commands).effort)
+
+
+def test_its_commands_are_replayed(station, short):
+    folder, ended = short
+    station.go_to_point(0.0, 0.2)
+    assert list(last(station.commands).effort) != pytest.approx(ended, abs=1e-2)
+    done = finish(station, begin(folder, 'follow', 'targets', '--commands'))
+    assert (done.returncode, done.stderr) == (0, '')
+    station.spin(0.2)
+    assert list(last(station.commands).effort) == pytest.approx(ended, abs=1e-6)
+
+
+def test_its_targets_are_replayed(station, short):
+    folder, _ = short
     station.go_to_point(0.0, 0.2)
     began = time.monotonic()
-    done = finish(station, begin(tmp_path, 'follow', 'targets.mcap', '--picture', 'a.png'))
-    assert 'targets.mcap: is not there' in done.stderr
-    done = finish(station, begin(tmp_path, 'follow', 'targets'))
+    done = finish(station, begin(folder, 'follow', 'targets'))
     assert (done.returncode, done.stderr) == (0, '')
     assert '60.0, 0.0, 170.0' in done.stdout
     assert '-50.0, 0.0, 180.0' in done.stdout
@@ -186,6 +195,12 @@ def test_its_targets_are_replayed(station, tmp_path):
     )
     for target in ((0.06, 0.17), (-0.05, 0.18)):
         assert np.linalg.norm(places - target, axis=1).min() < 0.03
+
+
+def test_a_recording_that_is_not_there_is_said(station, tmp_path):
+    done = finish(station, begin(tmp_path, 'follow', 'targets.mcap', '--picture', 'a.png'))
+    assert done.returncode == 1
+    assert 'targets.mcap: is not there' in done.stderr
 
 
 def test_where_nothing_runs_it_says_so(tmp_path):

@@ -195,7 +195,7 @@ class ElasticArm:
         self._map[np.ix_(loose, taut)] = follows
         self._map[loose, loose] = -1.0
         alone = np.diag(self._compliance).copy()
-        alone[loose] -= np.sum(follows * self._compliance[np.ix_(loose, taut)], axis=1)
+        alone[loose] -= np.sum(follows * self._compliance[np.ix_(taut, loose)].T, axis=1)
         alone[taut] = 1.0 / np.diag(inverse)
         self._stiffness: list[float] = (1.0 / alone).tolist()
 

@@ -142,7 +142,7 @@ def _draw_side(axes: Any, run: PathRun, axis: int) -> None:
     axes.set(xlabel=f'{"xy"[axis]} [mm]', ylabel='z [mm]')
     axes.set_aspect('equal', adjustable='datalim')
     if axis == 0:
-        axes.legend(fontsize='small', loc='best')
+        axes.legend(fontsize='small', loc='lower right')
 
 
 def _tip_colour(run: PathRun) -> str:
@@ -157,7 +157,7 @@ def _draw_errors(axes: Any, run: PathRun) -> None:
     if not len(run.asked):
         axes.plot(run.tip_times, 1e3 * run.tips, linewidth=1.0, label=['x', 'y', 'z'])
         axes.set_ylabel('tip [mm]')
-        axes.legend(fontsize='small', ncols=3)
+        axes.legend(fontsize='small', ncols=3, loc='upper right')
         return
     errors, _ = run.errors(run.tip_times)
     axes.plot(
@@ -171,7 +171,7 @@ def _draw_errors(axes: Any, run: PathRun) -> None:
     if len(at) <= ROWS_DRAWN_MAX:
         axes.plot(run.row_times, 1e3 * at, 'x', color=COLOURS[2], label='at the rows')
     axes.set(ylabel='error of the tip [mm]', ylim=(0.0, None))
-    axes.legend(fontsize='small')
+    axes.legend(fontsize='small', loc='upper right')
 
 
 def _draw_commands(axes: Any, run: PathRun) -> None:
@@ -183,4 +183,4 @@ def _draw_commands(axes: Any, run: PathRun) -> None:
             axes.plot(run.row_times, scale * run.wanted[:, i], 'o', color=colour, ms=4,
                       fillstyle='none')  # fmt: skip
     axes.set(xlabel='time [s]', ylabel='wire pull [mm]' if run.pull else 'tension [N]')
-    axes.legend(fontsize='small', ncols=2)
+    axes.legend(fontsize='small', ncols=2, loc='upper right')
