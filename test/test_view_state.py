@@ -96,8 +96,20 @@ def test_the_news_of_an_investigation_are_kept_until_the_next_one_begins():
         state.hear_investigation(json.dumps(news))
     shown = page_parts.investigation(state.investigation)
     assert '<td>&lt;b&gt;tip_load' in shown
+    assert 'just wait' in state.guide()
+    end = {'kind': 'end', 'names': ['tip_load'], 'text': '5 postures: no posture separates it'}
+    state.hear_investigation(json.dumps(end))
+    assert 'over after 5 postures: no posture separates it' in state.guide()
+    assert 'record' not in state.guide()
+    sent = {'kind': 'sent', 'taken': True, 'text': 'the controller uses it'}
+    state.hear_investigation(json.dumps(sent))
+    assert 'The model now has tip_load' in state.guide()
+    state.verdict = {'guide': 'something older'}
     state.hear_investigation(json.dumps(first))
     assert state.investigation == [first]
+    assert 'just wait' in state.guide()
+    state.hear_investigation(json.dumps({'kind': 'failed', 'text': 'it was stopped'}))
+    assert 'it was stopped. Click Investigate' in state.guide()
     assert page_parts.investigation([]) == ''
 
 

@@ -9,7 +9,7 @@ from source_tree import ROOT
 from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.monitoring.built_arm import BuiltArm
+from tendon_robot_ros.monitoring.built_arm import BuiltArm, widening
 from tendon_robot_ros.monitoring.drift import DriftAlarm, _Change, _ChangeBegun
 from tendon_robot_ros.monitoring.tip_force import TipForceObserver
 from tendon_robot_ros.monitoring.watch import ArmWatch, WatchSettings
@@ -114,6 +114,37 @@ def test_a_change_is_told_within_twenty_postures_and_named(learned, hidden, name
     assert name in watch.text
     watch.learn_anew()
     assert watch.state is None
+
+
+@pytest.mark.parametrize(
+    ('variance', 'shared', 'low', 'high'),
+    [(1.0, 0.0, 1.0, 1.3), (4.0, 0.0, 3.8, 5.2), (1.0, 0.5, 3.0, 6.5)],
+    ids=['as expected', 'four times the variance', 'half of it the same for ten postures'],
+)
+def test_innovations_that_vary_more_or_hang_together_widen(variance, shared, low, high):
+    """Of a variance v with a share r in common, eight in a row have v (1 + 7 r) of each."""
+    random, told = np.random.default_rng(3), 50.0 * np.eye(4)
+    own, common = random.normal(size=(320, 4)), np.repeat(random.normal(size=(32, 4)), 10, axis=0)
+    scores = np.sqrt(50.0 * variance) * (np.sqrt(1 - shared) * own + np.sqrt(shared) * common)
+    assert low < widening([(score, told) for score in scores]) < high
+
+
+def test_a_force_along_a_straight_arm_is_told_only_as_far_as_it_shows():
+    """Frames that are averaged narrow what shows; along the arm the interval stays wide."""
+    tensions, force = np.full(3, ROBOT.tension_limits[0]), 0.006
+    loaded = Model(ROBOT.with_effect('tip_load', {'force_x': force, 'force_z': -force}))
+    arm = BuiltArm(replace(ROBOT, exact=True), load_catalogue(), default_markers(ROBOT), NOISE)
+    exact = loaded.shape(tensions).positions
+    random, spreads = np.random.default_rng(8), []
+    for frames in (1, 25):
+        seen = exact + random.normal(0.0, NOISE / np.sqrt(frames), exact.shape)
+        found = TipForceObserver(arm).update(tensions, seen, None, frames)
+        sd = np.sqrt(np.diag(found.covariance))
+        off = np.abs(found.force - [force, 0.0, -force])
+        assert (off < 4.0 * sd).all()
+        assert sd[2] > 3.0 * sd[1], 'along the arm it hardly shows'
+        spreads.append(sd)
+    assert spreads[1][1] == pytest.approx(spreads[0][1] / 5.0, rel=0.2)
 
 
 def test_the_evidence_for_a_change_that_did_not_happen_is_one_on_average():

@@ -189,7 +189,7 @@ class Adaptation:
         return {one.name: (value, sd) for one, value, sd in self._values()}
 
     def stands(
-        self, tensions: Floats, positions: Floats, change: bool = True
+        self, tensions: Floats, positions: Floats, change: bool = True, frames: int = 1
     ) -> ModelChange | None:
         """
         Take a posture at which the arm stands; return what was changed in `robot`, if anything.
@@ -200,9 +200,11 @@ class Adaptation:
         positions : (J, 3) [m], nan where a marker was not seen
         change : bool
             Whether the description may follow; the estimate does in any case.
+        frames : int
+            Of which the positions are the mean.
 
         """
-        if self.problem or not self._learn(tensions, positions):
+        if self.problem or not self._learn(tensions, positions, frames):
             return None
         self._recent.append((tensions, positions))
         self.postures += 1
@@ -232,7 +234,7 @@ class Adaptation:
     def _point(self) -> dict[FreeParameter, float]:
         return {one.free: value for one, value, _ in self._values()}
 
-    def _learn(self, tensions: Floats, positions: Floats) -> bool:
+    def _learn(self, tensions: Floats, positions: Floats, frames: int) -> bool:
         """Take a posture into the estimate; return whether the model has it."""
         measured, point, arm = positions.ravel(), self._point(), self._arm
         rows = np.isfinite(measured)
@@ -247,7 +249,7 @@ class Adaptation:
             self._estimate = self._begun(expected.columns.shape[1])
         known = columns[:, own.shape[1] :] @ self._estimate.mean[own.shape[1] :]
         off = measured[rows] - expected.markers[rows] - known
-        noise, rest = arm.noise**2 * np.eye(len(off)), arm.rest(rows)
+        noise, rest = arm.noise**2 / frames * np.eye(len(off)), arm.rest(rows)
         chi2 = self._estimate.fits(off, columns, noise, rest)
         self._odd = self._odd + 1 if chi2 > chi2_isf(ODD_PROBABILITY, len(off)) else 0
         if not self._odd:

@@ -4,21 +4,24 @@ One arm as it was built, learned posture by posture while nothing touches it.
 Its imperfections b (cells, kinks, gains, the tracker's frame; prior: plausible sizes) are
 estimated by an extended Kalman filter: y = f(T, b) + remainder + noise, around those that are
 known, for the references once more around those that were found. What no imperfection explains,
-another one in every posture and smooth along the arm, has a size that the predictions of the
-reference postures tell best. Tip force and drift alarm stand on it.
+another one in every posture and smooth along the arm, and the noise of the tensions as read have
+the sizes with which the filter predicts the reference postures best. How much more than it
+expects its innovations vary where imperfections show, over one posture and over several in a row,
+is measured there, too (batch means). Tip force and drift alarm stand on it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 
 from ..comparison.predict import Point, Predictor
 from ..data import DataSet, Marker
-from ..diagnosis.as_built import remainders
+from ..diagnosis.as_built import GAIN, remainders
 from ..diagnosis.slopes import imperfections
 from ..diagnosis.split import SplitPredictor
 from ..effects import Catalogue
@@ -27,8 +30,10 @@ from ..robot import Robot
 from ..robot.estimates import natural_sizes
 
 Floats = npt.NDArray[np.float64]
-ROUNDS = 2  # of learning from references, the second around what the first found
-REMAINDER_SHARES = (0.0, 0.0005, 0.001, 0.002, 0.004, 0.008, 0.016)  # of the length, at the tip
+REMAINDER_SHARES = (0.0, 0.0003, 0.001, 0.003, 0.01)  # of the length, at the tip
+SETTING_SIZES = (0.0, 0.0005, 0.001, 0.002, 0.005)  # relative 1 sd of a tension as read
+BATCHES = 1, 4, 8  # postures in a row whose innovations are added up
+UPPER_SD = 2.33  # of the mean of batches: 99 %
 
 
 @dataclass(frozen=True)
@@ -79,9 +84,13 @@ class BuiltArm:
         rest = remainders(Predictor(one, robot, self.catalogue)).reshape(-1, 3 * J)
         self._rest = rest.T @ rest  # (3 J, 3 J) of a remainder of 1 m sd at the tip
         self.remainder = 0.0  # [m] 1 sd at the tip
+        self.setting = 0.0  # 1 sd of a tension as read, in plausible gains
+        self.widening = 1.0  # by which variances are larger than expected
         self.kinds = self.split.kinds() if self.level > 0.0 else ()
         usual = [np.full(len(kind), self.level * kind.plausible) for kind in self.kinds]
         self.plausible = np.concatenate(usual) if usual else np.zeros(0)  # (q,) 1 sd, each a unit
+        names = np.repeat([kind.name for kind in self.kinds], [len(kind) for kind in self.kinds])
+        self._gains = np.flatnonzero(names == GAIN)
         self._members: dict[str, Floats] | None = None
         self.forget()
 
@@ -116,12 +125,25 @@ class BuiltArm:
         """Covariance of seen coordinates under a remainder of 1 m sd at the tip [1]."""
         return np.asarray(self._rest[np.ix_(rows, rows)])
 
-    def scatter(self, rows: npt.NDArray[np.bool_], frames: int = 1) -> Floats:
-        """Covariance [m²] of seen coordinates, the mean of frames, new in every posture."""
-        noise = self.noise**2 / frames * np.eye(int(rows.sum()))
-        return np.asarray(self.remainder**2 * self.rest(rows) + noise)
+    def scatter(self, rows: npt.NDArray[np.bool_], columns: Floats, frames: int = 1) -> Floats:
+        """
+        Covariance (r, r) [m²] of seen coordinates that is new in every posture.
 
-    def fit(self, tensions: Floats, positions: Floats) -> float:
+        Parameters
+        ----------
+        rows : (3 J,) of bool
+            What is seen.
+        columns : (3 J, q) [m]
+            As of `Expected`: a tension that is read wrongly is as a gain that is off.
+        frames : int
+            Of which the coordinates are the mean.
+
+        """
+        read = self.setting * columns[rows][:, self._gains]
+        noise = self.noise**2 / frames * np.eye(int(rows.sum()))
+        return np.asarray(self.remainder**2 * self.rest(rows) + read @ read.T + noise)
+
+    def fit(self, tensions: Floats, positions: Floats, frames: int = 1) -> float:
         """
         Learn from reference postures, once more for every size of the remainder; keep the best.
 
@@ -129,6 +151,8 @@ class BuiltArm:
         ----------
         tensions : (P, m) [N]
         positions : (P, J, 3) [m]
+        frames : int
+            Of which each position is the mean.
 
         Returns
         -------
@@ -137,23 +161,33 @@ class BuiltArm:
 
         """
         self.forget()
-        for _ in range(ROUNDS):
-            base, best, found = self._linear(tensions, positions), -np.inf, 0.0
-            for share in REMAINDER_SHARES:
-                self.remainder = share * self.robot.length
-                likelihood = self._learn_all(base)
-                if likelihood > best:
-                    best, found = likelihood, self.remainder
-            self.remainder = found
-            self._learn_all(base)
-        return found
+        base, best, sizes = self._linear(tensions, positions), -np.inf, (0.0, 0.0)
+        for share, setting in product(REMAINDER_SHARES, SETTING_SIZES):
+            self._vary(share, setting)
+            likelihood = self._learn_all(base, frames)
+            if likelihood > best:
+                best, sizes = likelihood, (share, setting)
+        self._vary(*sizes)
+        self._learn_all(base, frames)
+        base = self._linear(tensions, positions)  # once more, around what was found
+        scores = list[tuple[Floats, Floats]]()
+        self._learn_all(base, frames, scores)
+        self.widening = widening(scores[len(scores) // 3 :])
+        return self.remainder
 
-    def learn(self, expected: Expected, measured: Floats) -> float:
+    def _vary(self, share: float, setting: float) -> None:
+        """Set the sizes of the remainder [of the length] and of the noise of the tensions [1]."""
+        self.remainder = share * self.robot.length
+        usual = self.plausible[self._gains]
+        self.setting = setting / float(usual[0]) if len(usual) else 0.0
+
+    def learn(self, expected: Expected, measured: Floats, frames: int = 1) -> float:
         """Take a posture (3 J,) [m] into what is known; return its predictive log likelihood."""
         rows = np.isfinite(measured)
         columns = expected.columns[rows]
         off = measured[rows] - expected.markers[rows]
-        spread = columns @ self.covariance @ columns.T + self.scatter(rows)
+        scatter = self.scatter(rows, expected.columns, frames)
+        spread = columns @ self.covariance @ columns.T + scatter
         root = np.linalg.cholesky(spread)
         white = np.linalg.solve(root, off)
         gain = np.linalg.solve(root, columns @ self.covariance)  # (rows, q), whitened
@@ -168,12 +202,32 @@ class BuiltArm:
             (e.markers - e.columns @ self.mean, e.columns, y) for e, y in seen if e is not None
         ]
 
-    def _learn_all(self, base: Sequence[tuple[Floats, ...]]) -> float:
+    def _learn_all(
+        self,
+        base: Sequence[tuple[Floats, ...]],
+        frames: int,
+        scores: list[tuple[Floats, Floats]] | None = None,
+    ) -> float:
         total = 0.0
         self.forget()
         for markers, columns, measured in base:
-            total += self.learn(Expected(markers + columns @ self.mean, columns), measured)
+            expected = Expected(markers + columns @ self.mean, columns)
+            if scores is not None:
+                scores.append(self.score(expected, measured, frames))
+            total += self.learn(expected, measured, frames)
         return total
+
+    def score(
+        self, expected: Expected, measured: Floats, frames: int = 1
+    ) -> tuple[Floats, Floats]:
+        """Return C' S^-1 nu (q,) of a posture (3 J,) [m], and what is expected of its square."""
+        rows = np.isfinite(measured)
+        columns = expected.columns[rows]
+        scatter = self.scatter(rows, expected.columns, frames)
+        spread = columns @ self.covariance @ columns.T + scatter
+        weighted = np.linalg.solve(spread, columns)
+        off = measured[rows] - expected.markers[rows]
+        return weighted.T @ off, columns.T @ weighted
 
     def _columns(self, inputs: Floats, point: Point) -> Floats | None:
         """Return what each imperfection of a plausible size does (3 J, q) [m]."""
@@ -191,3 +245,28 @@ class BuiltArm:
         ends = np.cumsum([len(kind) for kind in self.kinds])[:-1]
         own = np.split(mean * self.plausible, ends) if self.kinds else []
         return {kind.name: values for kind, values in zip(self.kinds, own, strict=True)}
+
+
+def widening(scores: Sequence[tuple[Floats, Floats]]) -> float:
+    """
+    Return by how much the variance of innovations exceeds what is expected of it, 1 at least.
+
+    Batch means: for scores d = sum C' S^-1 nu and their covariance V = sum C' S^-1 C over so many
+    postures in a row, d' (V + 1)^-1 d against its mean, tr V (V + 1)^-1. Innovations that hang
+    together make it larger for longer batches. The largest upper bound (99 %) counts.
+    """
+    worst = 1.0
+    for length in BATCHES:
+        ratios = []
+        for i in range(0, len(scores) - length + 1, length):
+            batch = scores[i : i + length]
+            seen = np.sum([d for d, _ in batch], axis=0)
+            told = np.sum([v for _, v in batch], axis=0)
+            both = np.linalg.solve(told + np.eye(len(seen)), np.column_stack([seen, told]))
+            mean = float(np.trace(both[:, 1:]))
+            if mean > 0.0:
+                ratios.append(float(seen @ both[:, 0]) / mean)
+        if len(ratios) > 2:
+            upper = np.mean(ratios) + UPPER_SD * np.std(ratios, ddof=1) / np.sqrt(len(ratios))
+            worst = max(worst, float(upper))
+    return worst

@@ -28,9 +28,6 @@ from .built_arm import BuiltArm
 Floats = npt.NDArray[np.float64]
 BEGIN_EVERY = 4  # postures between two at which a change may begin
 BEGINNINGS_KEPT = 8
-# by which the covariance of what is predicted is widened: the same posture always has the same
-# error of the model, and the noise of a tracker is no perfect Gaussian
-WIDENED = 4.0
 STEP_SHARE = 0.1  # of a typical size, of a difference
 CHANGES = {CELLS: 0.1, GAIN: 0.03, POSITION: 2e-3, ROTATION: 0.01}  # 1 sd of a change
 TRACKER = 'the tracker'
@@ -96,7 +93,7 @@ class DriftAlarm:
         self._count = 0
         self.state = DriftState(False, 0.0, 0)
 
-    def update(self, tensions: Floats, positions: Floats) -> DriftState:
+    def update(self, tensions: Floats, positions: Floats, frames: int = 1) -> DriftState:
         """
         Take a posture at which the arm stands.
 
@@ -104,6 +101,8 @@ class DriftAlarm:
         ----------
         tensions : (m,) [N]
         positions : (J, 3) [m], nan where a marker was not seen
+        frames : int
+            Of which the positions are the mean.
 
         """
         arm, measured = self.arm, positions.ravel()
@@ -116,9 +115,11 @@ class DriftAlarm:
             return self.state
         columns, shown = expected.columns[rows], shown[rows]
         innovation = measured[rows] - expected.markers[rows]
-        covariance = columns @ arm.covariance @ columns.T + arm.scatter(rows)
+        covariance = columns @ arm.covariance @ columns.T + arm.scatter(
+            rows, expected.columns, frames
+        )
         gain = arm.covariance @ columns.T @ np.linalg.inv(covariance)
-        inverse = np.linalg.inv(WIDENED * covariance)
+        inverse = np.linalg.inv(arm.widening * covariance)
         if self._count % BEGIN_EVERY == 0:
             self._beginnings.append(_ChangeBegun(len(arm.mean), len(self._spread)))
             del self._beginnings[:-BEGINNINGS_KEPT]
@@ -130,7 +131,7 @@ class DriftAlarm:
             begun.seen += weighted.T @ innovation
             begun.followed += gain @ signature
             begun.postures += 1
-        arm.learn(expected, measured)
+        arm.learn(expected, measured, frames)
         self.state = self._judged()
         return self.state
 

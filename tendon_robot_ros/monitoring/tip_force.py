@@ -304,7 +304,7 @@ class _Fit:
         if expected is None:
             return None
         columns = expected.columns[self.rows]
-        scatter = arm.scatter(self.rows, seen.frames)
+        scatter = arm.scatter(self.rows, expected.columns, seen.frames)
         covariance = columns @ arm.covariance @ columns.T + scatter
         factor = np.linalg.inv(np.linalg.cholesky(covariance))
         observer.kept = _KeptWhitening(factor, arm.covariance, seen, here)

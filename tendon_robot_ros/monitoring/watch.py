@@ -45,6 +45,7 @@ class ArmWatch:
         self._arm = BuiltArm(robot, catalogue, self.markers, self.settings.tracker_noise)
         self._observer = TipForceObserver(self._arm)
         self._references: list[tuple[Floats, Floats]] = []
+        self._frames = 1  # of which a reference is the mean, at least
         self._learning: threading.Thread | None = None
         self.alarm: DriftAlarm | None = None
 
@@ -64,10 +65,11 @@ class ArmWatch:
             return 'as it was'
         return f'no longer what the model says: looks like {described(state.suspects)}'
 
-    def stands(self, tensions: Floats, positions: Floats) -> DriftState | None:
-        """Take a posture at which the arm stands: tensions (m,) [N], markers (J, 3) [m]."""
+    def stands(self, tensions: Floats, positions: Floats, frames: int = 1) -> DriftState | None:
+        """Take a posture at which the arm stands: (m,) [N], the mean of frames (J, 3) [m]."""
         if self.alarm is not None:
-            return self.alarm.update(tensions, positions)
+            return self.alarm.update(tensions, positions, frames)
+        self._frames = frames if not self._references else min(frames, self._frames)
         if self._learning is None:
             self._references.append((tensions, positions))
             if len(self._references) >= self.settings.reference_postures:
@@ -94,5 +96,5 @@ class ArmWatch:
 
     def _learn(self) -> None:
         tensions, positions = (np.array(part) for part in zip(*self._references, strict=True))
-        self._arm.fit(tensions, positions)
+        self._arm.fit(tensions, positions, self._frames)
         self.alarm = DriftAlarm(self._arm, self.settings.alarm_postures)

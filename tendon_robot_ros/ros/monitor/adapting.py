@@ -53,7 +53,7 @@ class Adapting:
         change = self._parameters['adapt']
         if self._waiting or not (change or self._parameters['reference_postures']):
             return
-        made = self._adaptation.stands(stood.inputs, stood.positions, change)
+        made = self._adaptation.stands(stood.inputs, stood.positions, change, stood.frames)
         if made is not None:
             self._tell('changed', made)
             self._put(self._adaptation.robot)

@@ -76,7 +76,7 @@ class Watching:
     ) -> None:
         """Take a frame of the tracker, and the posture if the arm has come to stand."""
         if self._drift and stood is not None:
-            self.watch.stands(stood.inputs, stood.positions)
+            self.watch.stands(stood.inputs, stood.positions, stood.frames)
             self._tell()
         state = self._monitor.states.at(at)
         if state is None or not np.isfinite(self._period):

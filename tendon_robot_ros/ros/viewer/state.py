@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.words import mm
+from ...common.words import listed, mm
 
 Array = NDArray[np.float64]
 SILENT_AFTER_S = 3.0  # [s] after which a node counts as gone
@@ -121,6 +121,7 @@ class ViewState:
         news = json.loads(text)
         if news['kind'] == 'posture' and news.get('number') == 1:
             self.investigation.clear()
+            self.verdict = {}  # of an earlier recording
         self.investigation.append(news)
 
     @property
@@ -182,6 +183,8 @@ class ViewState:
             return f'{self.postures} postures are recorded. Click 2: which effect is missing?'
         if self.can_add:
             return str(self.verdict.get('guide', 'Click 3: the model gets the effect.'))
+        if self.investigation and not self.verdict:
+            return self._investigation_guide()
         if self.marks:
             return (
                 f'The model now has {self.marks[-1][1]}. The two arms should coincide; what is '
@@ -198,3 +201,18 @@ class ViewState:
             'The measured arm is not where the model predicts it? Some physical effect is missing '
             'in the model. Find it: click 1 to record some postures.'
         )
+
+    def _investigation_guide(self) -> str:
+        """Say how the investigation is, and what to do when it is over."""
+        last, ends = self.investigation[-1], [n for n in self.investigation if n['kind'] == 'end']
+        if last['kind'] == 'failed':
+            return f'The investigation ended: {last["text"]}. Click Investigate to begin again.'
+        if not ends:
+            return 'The arm chooses its postures by itself: just wait. STOP ends it.'
+        if any(news['kind'] == 'sent' and news['taken'] for news in self.investigation):
+            return (
+                f'The model now has {listed(ends[-1]["names"])}. The two arms should coincide; '
+                'what is left of the error is noise.'
+            )
+        after = 'Its report is in the folder of the investigation.'
+        return f'The investigation is over after {ends[-1]["text"].strip()}. {after}'
