@@ -1,5 +1,7 @@
 """What a folder may look like, and what is read from it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from measurements import LETTERS, TENTACLE, blind
@@ -7,7 +9,8 @@ from numpy.testing import assert_array_equal
 from small_dataset import INPUTS, ROBOT, SHAPES, write
 
 from tendon_robot_ros.common.errors import DataSetError, RobotDescriptionError
-from tendon_robot_ros.data import Marker, default_markers, load_dataset
+from tendon_robot_ros.data import Marker, default_markers, load_dataset, save_dataset
+from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot, parse_robot
 
 
@@ -95,6 +98,68 @@ def test_a_group_of_tendons_has_one_column(tmp_path):
     inputs = 'posture,both,right\n0,0.5,0\n1,1,0\n'
     data = load_dataset(write(tmp_path / 'small', robot=robot, inputs=inputs))
     assert data.input_names == ('both', 'right')
+
+
+DRUM = ROBOT.replace('section: bending}\n- {', 'section: bending, drum: m1}\n- {').replace(
+    'section: bending}\nten', 'section: bending, drum: m1, winding: -1}\nten'
+)
+PULLS = 'input: displacement\n'
+
+
+def test_what_a_drum_winds_of_one_wire_it_pays_out_of_the_other(tmp_path):
+    inputs = 'posture,m1\n0,0.001\n1,-0.0005\n'
+    data = load_dataset(write(tmp_path / 'small', robot=DRUM, dataset=PULLS, inputs=inputs))
+    assert data.input_names == ('left', 'right')
+    assert_array_equal(data.inputs, [[0.001, -0.001], [-0.0005, 0.0005]])
+    again = load_dataset(save_dataset(data, tmp_path / 'again'))
+    assert_array_equal(again.inputs, data.inputs)
+    assert again.robot.drums == {'m1': {'left': 1, 'right': -1}}
+    apart = 'posture,left,right\n0,0.001,\n1,0.0005,0.0005\n'
+    data = load_dataset(write(tmp_path / 'small', robot=DRUM, dataset=PULLS, inputs=apart))
+    assert_array_equal(data.inputs, [[0.001, np.nan], [0.0005, 0.0005]])
+
+
+def test_a_drum_is_commanded_by_name_where_pulls_are(tmp_path):
+    robot = replace(parse_robot(DRUM), exact=True)
+    turned = Model(robot).pull_shape({'m1': 0.0006})
+    wires = Model(robot).pull_shape([0.0006, -0.0006])
+    assert turned.tip_position == pytest.approx(wires.tip_position, abs=1e-15)
+    opposite = Model(robot).pull_shape({'m1': -0.0006})
+    assert opposite.tip_position[0] == pytest.approx(-turned.tip_position[0], rel=1e-6)
+
+
+WRONG_DRUMS = {
+    'both': (
+        'posture,m1,left\n0,0,0\n',
+        PULLS,
+        "drum 'm1' and its wire 'left' both have a column",
+    ),
+    'half': ('posture,left\n0,0\n', PULLS, "'right' is missing; add it to the header, or with in"),
+    'slack': ('posture,m1\n0,\n1,0\n', PULLS, 'row 2: m1 is empty; a drum is never slack'),
+    'tension': ('posture,m1\n0,0\n', '', "column 'm1' is unknown"),
+}
+
+
+@pytest.mark.parametrize(('inputs', 'dataset', 'message'), WRONG_DRUMS.values(), ids=WRONG_DRUMS)
+def test_columns_of_drums_that_do_not_fit_are_refused(tmp_path, inputs, dataset, message):
+    with pytest.raises(DataSetError) as error:
+        load_dataset(write(tmp_path / 'small', robot=DRUM, dataset=dataset, inputs=inputs))
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ('change', 'message'),
+    [
+        (('drum: m1, winding', 'winding'), 'expected the drum that winds the wire, too'),
+        (('winding: -1', 'winding: 0'), 'expected 1, or -1 for a wire'),
+        (('drum: m1, winding: -1', 'drum: m1, group: a'), 'expected a drum or a group, not both'),
+        (('drum: m1', 'drum: left'), 'expected drums with names of their own'),
+    ],
+)
+def test_drums_that_make_no_sense_are_refused(change, message):
+    with pytest.raises(RobotDescriptionError) as error:
+        parse_robot(DRUM.replace(*change))
+    assert message in str(error.value)
 
 
 def test_names_of_trials_are_sorted_if_they_are_numbers(tmp_path):

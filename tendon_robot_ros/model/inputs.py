@@ -60,7 +60,7 @@ def tension_rows(robot: Robot, tensions: npt.ArrayLike) -> Floats:
 
 def wire_pulls(robot: Robot, pulls: TensionsLike) -> Floats:
     """
-    Return wire pulls (m,) [m], NaN for slack; names left out are slack.
+    Return wire pulls (m,) [m], NaN for slack; names left out are slack, drums wind their wires.
 
     Raises
     ------
@@ -68,7 +68,8 @@ def wire_pulls(robot: Robot, pulls: TensionsLike) -> Floats:
         Unknown names, or values that are no lengths.
 
     """
-    ordered = _ordered('pulls', robot, pulls, np.nan)
+    by_wire = robot.wound(pulls) if isinstance(pulls, Mapping) else pulls
+    ordered = _ordered('pulls', robot, by_wire, np.nan)
     try:
         values = np.array(ordered, dtype=float).reshape(-1)
     except (TypeError, ValueError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -58,6 +59,8 @@ class Tendon:
     end: XY  # [m] where it ends
     section: str
     group: str | None = None
+    drum: str | None = None  # that winds its wire, where it winds others, too
+    winding: int = 1  # or -1: the wire is paid out while the drum is turned
     helix: float = 0.0  # [rad/m], from x to y
     offsets: tuple[XY, ...] = ()  # (cells of the tendon, 2) [m] at mid-cell
 
@@ -98,6 +101,23 @@ class Robot:
             tuple(k for k, t in enumerate(self.tendons) if (t.group or t.name) == name)
             for name in self.inputs
         )
+
+    @cached_property
+    def drums(self) -> dict[str, dict[str, int]]:
+        """Drums, the inputs whose wires they wind, and which way."""
+        found: dict[str, dict[str, int]] = {}
+        for tendon in self.tendons:
+            if tendon.drum is not None:
+                found.setdefault(tendon.drum, {})[tendon.name] = tendon.winding
+        return found
+
+    def wound(self, pulls: Mapping[str, float]) -> dict[str, float]:
+        """Return wire pulls [m] by input, those of a drum on each of its wires."""
+        wires: dict[str, float] = {}
+        for name, pull in pulls.items():
+            own = self.drums.get(name, {name: 1})
+            wires |= {wire: winding * pull for wire, winding in own.items()}
+        return wires
 
     @cached_property
     def cells(self) -> int:
@@ -199,6 +219,10 @@ def _robot(top: Reader) -> Robot:
     for tendon in tendons:
         if tendon.name in groups:
             raise top.error('tendons', 'group names that are not tendon names', tendon.name)
+    names = groups | {tendon.name for tendon in tendons}
+    for tendon in tendons:
+        if tendon.drum in names:
+            raise top.error('tendons', 'drums with names of their own', tendon.drum)
     return Robot(
         name=top.name('name'),
         sections=sections,
@@ -246,7 +270,14 @@ def _mass_offset(item: Reader, cells: int) -> tuple[XY, ...]:
 
 
 def _tendon(item: Reader, sections: tuple[Section, ...]) -> Tendon:
-    item.only('name', 'offset', 'section', 'group')
+    item.only('name', 'offset', 'section', 'group', 'drum', 'winding')
+    if item.has('winding') and not item.has('drum'):
+        raise item.error('winding', 'the drum that winds the wire, too', item.content['winding'])
+    if item.has('drum') and item.has('group'):
+        raise item.error('drum', 'a drum or a group, not both', item.content['drum'])
+    winding = item.whole('winding', -1, 1) if item.has('winding') else 1
+    if winding == 0:
+        raise item.error('winding', '1, or -1 for a wire that is wound the other way', winding)
     names = tuple(section.name for section in sections)
     ending = item.choice('section', names)
     runs_through = sections[: names.index(ending) + 1]
@@ -257,6 +288,8 @@ def _tendon(item: Reader, sections: tuple[Section, ...]) -> Tendon:
         end=end,
         section=ending,
         group=item.name('group') if item.has('group') else None,
+        drum=item.name('drum') if item.has('drum') else None,
+        winding=winding,
         helix=helix,
         offsets=offsets,
     )
@@ -352,4 +385,8 @@ def _plain_tendon(tendon: Tendon) -> dict[str, Any]:
         if tendon.helix:
             offset['helix'] = tendon.helix
     plain = {'name': tendon.name, 'offset': offset, 'section': tendon.section}
+    if tendon.drum is not None:
+        plain['drum'] = tendon.drum
+        if tendon.winding != 1:
+            plain['winding'] = tendon.winding
     return plain if tendon.group is None else {**plain, 'group': tendon.group}

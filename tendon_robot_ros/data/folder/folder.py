@@ -18,12 +18,11 @@ from ..joining import divide
 from ..markers import default_markers
 from ..visits import Visits, split_by_order, split_by_origin
 from .description import describe, dump_description, find_robot, read_fields, read_text
+from .input_columns import ORIGIN, VISIT
 from .measurement_files import (
     KEYS,
     ORIENTATION,
-    ORIGIN,
     POSITION,
-    VISIT,
     Commands,
     read_inputs,
     read_shapes,

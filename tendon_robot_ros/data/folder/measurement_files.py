@@ -13,8 +13,17 @@ from ...common.words import listing
 from ...robot import Robot
 from ..dataframes import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
 from ..dataset import FloatArray
-from ..visits import STRAIGHT
 from .csv_file import CsvFile, IntArray, Table
+from .input_columns import (
+    HISTORY,
+    ORIGIN,
+    VISIT,
+    check_drums,
+    check_history,
+    origins,
+    visits_of,
+    wound,
+)
 
 
 @dataclass(frozen=True)
@@ -103,63 +112,19 @@ def read_inputs(path: Path, robot: Robot, kind: str, visits: bool = False) -> Co
         With row and remedy.
 
     """
-    required, known = ('posture', *robot.inputs), ('posture', 'trial', *robot.inputs, *HISTORY)
+    wires = {wire for wound in robot.drums.values() for wire in wound}
+    required = ('posture', *(name for name in robot.inputs if name not in wires))
+    drums = tuple(robot.drums) if kind == 'displacement' else ()
+    known = ('posture', 'trial', *robot.inputs, *drums, *HISTORY)
     file = CsvFile(path, required, known, 'write the value that was set')
-    _check_history(file, visits)
+    check_history(file, visits)
+    check_drums(file, robot)
     names = ('posture', 'trial') if 'trial' in file.header else ('posture',)
-    numbers = (*robot.inputs, *([VISIT] if VISIT in file.header else []))
+    numbers = [name for name in (*robot.inputs, *drums, VISIT) if name in file.header]
     table = file.read(names, numbers, [ORIGIN] if ORIGIN in file.header else [])
-    values = np.stack([table.numbers[name] for name in robot.inputs], axis=1)
+    values = wound(file, table, robot)
     _check(file, values, robot, kind)
-    return Commands(file, table, values, _visits(file, table), _origins(file, table))
-
-
-VISIT, ORIGIN = HISTORY = ('visit', 'previous')  # columns that tell how the arm came to a posture
-
-
-def _check_history(file: CsvFile, visits: bool) -> None:
-    """Refuse columns of a history that dataset.yaml does not speak of, and the reverse."""
-    there = [name for name in HISTORY if name in file.header]
-    if there and not visits:
-        remedy = 'write path: visits in dataset.yaml, or remove the column'
-        raise file.error(1, f'column {there[0]!r} tells of visits', remedy)
-    if visits and len(there) != 1:
-        problem = 'visit and previous both' if there else 'neither visit nor previous'
-        remedy = 'write visit (its number in the order of visits) or previous (posture before)'
-        raise file.error(1, f'with path: visits there is {problem}', remedy)
-    if VISIT in there and 'trial' not in file.header:
-        raise file.error(1, "visits are counted, but column 'trial' is missing", 'add it')
-
-
-def _visits(file: CsvFile, table: Table) -> IntArray | None:
-    if VISIT not in table.numbers:
-        return None
-    visit = table.numbers[VISIT]
-    whole = np.isfinite(visit) & (visit == np.round(visit)) & (np.abs(visit) < 2**53)
-    if not whole.all():
-        raise file.error(int(whole.argmin()) + 2, 'visit is no whole number', 'count the visits')
-    first = np.unique(visit, return_index=True)[1]
-    if len(first) < len(visit):
-        row = int(np.setdiff1d(np.arange(len(visit)), first)[0])
-        remedy = 'give every visit its own number'
-        raise file.error(row + 2, f'visit {visit[row]:.0f} stands twice', remedy)
-    return np.asarray(visit, dtype=np.int64)
-
-
-def _origins(file: CsvFile, table: Table) -> IntArray | None:
-    if ORIGIN not in table.labels:
-        return None
-    postures, names = table.labels['posture'], table.labels[ORIGIN]
-    origin = table.translate(ORIGIN, postures)
-    unknown = (origin < 0) & np.array([name != '' for name in names])[table.codes[ORIGIN]]
-    if unknown.any():
-        row = int(unknown.argmax())
-        raise file.error(
-            row + 2,
-            f'previous is {names[table.codes[ORIGIN][row]]!r}, which no row describes',
-            f'use one of {listing(postures)}, or leave it empty: from the straight arm',
-        )
-    return np.where(origin < 0, STRAIGHT, origin)
+    return Commands(file, table, values, visits_of(file, table), origins(file, table))
 
 
 def _check(file: CsvFile, values: FloatArray, robot: Robot, kind: str) -> None:
