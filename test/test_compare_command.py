@@ -11,6 +11,7 @@ from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.comparison.saved import from_json, load_comparison, to_json
 from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.report.comparison_text import kind
 
 
 @pytest.fixture(scope='module')
@@ -73,3 +74,11 @@ def test_robots_of_one_name_are_named_by_their_files(tmp_path, capsys):
     assert 'do not differ (paired t over 12 postures, p = 1' in out
     assert main(['compare', str(blind('b') / 'fit'), '--model', models[0], models[0]]) == 1
     assert 'expected different files' in capsys.readouterr().err
+
+
+def test_a_model_with_friction_is_called_fkm_whatever_else_it_has():
+    assert [kind(effects) for effects in ((), ('gravity',), ('tendon_friction',))] == [
+        'PCCA', 'PCCA + gravity', 'FKM'
+    ]  # fmt: skip
+    assert kind(('gravity', 'tendon_friction')) == 'FKM + gravity'
+    assert kind(('gravity', 'tendon_friction', 'torsion')) == 'FKM + 2 effects'

@@ -56,12 +56,11 @@ def kind(effects: tuple[str, ...]) -> str:
     """Say which model a list of effects makes, in the words of the paper."""
     if not effects:
         return 'PCCA'
-    if effects[0] != 'tendon_friction':
-        return 'PCCA + ' + (effects[0] if len(effects) == 1 else f'{len(effects)} effects')
-    more = effects[1:]
-    return 'FKM' + (
-        '' if not more else f' + {more[0] if len(more) == 1 else f"{len(more)} effects"}'
-    )
+    more = [name for name in effects if name != 'tendon_friction']
+    base = 'PCCA' if len(more) == len(effects) else 'FKM'
+    if not more:
+        return base
+    return f'{base} + {more[0] if len(more) == 1 else f"{len(more)} effects"}'
 
 
 def interval(value: Estimate) -> str:

@@ -1,7 +1,8 @@
 """
 Where the tip can be, and which postures are worth a look.
 
-volume.py          all places that the tip reaches, over all tendons; what friction takes
+volume.py          all places that the tip reaches, over all tendons; what friction takes; where an
+                   unfinished one goes on
 streamed.py        the postures for it in chunks of bounded memory, on many processors
 cubes.py           those places as cubes of space, and where the tip looks in each;
                    arms that run into themselves
