@@ -60,13 +60,15 @@ class Fitter:
         start: Fit | Point | None = None,
         turns: int = 25,
         sizes: Floats | None = None,
+        hopeless: float = np.inf,
     ) -> Fit:
         """
         Fit free parameters, and the nuisances that they do not claim, from the described values.
 
         `start` spares the search for a start. Imperfections and their sizes (K,) are estimated
         with the parameters, in turn, from where they start; where sizes are given they stay, and
-        imperfections are linear around where the fitter is.
+        imperfections are linear around where the fitter is. A fit whose deviance is `hopeless`
+        in the second round stays as it is.
         """
         claimed = {(free.effect, free.parameter.name) for free in frees}
         nuisances = tuple(
@@ -84,12 +86,13 @@ class Fitter:
         if self.random is None or sizes is not None:
             return self._result(search)
         before = np.inf
-        for _ in range(ROUNDS):
+        for turn in range(ROUNDS):
             estimated = self.estimate(search)
             self.take(estimated.values)
             search.weigh_again()
             moved = search.follow()
-            if not moved and abs(before - estimated.deviance) < DEVIANCE_SETTLED:
+            astray = turn > 0 and estimated.deviance > hopeless
+            if astray or (not moved and abs(before - estimated.deviance) < DEVIANCE_SETTLED):
                 break
             before = estimated.deviance
             search.run(turns)

@@ -12,6 +12,7 @@ from ..comparison.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point
 from ..comparison.statistics import chi2_sf
 from ..effects import Parameter
 from .cells import CellRelief
+from .decide import NEAR_SCORE
 from .fit import Fit
 from .fitter import Fitter
 from .slopes import pushes
@@ -187,7 +188,8 @@ class Rivals:
     def _refit(self, frees: Sequence[FreeParameter]) -> Fit | None:
         """Fit parameters of a pattern together with those of the fit; None: no equilibrium."""
         try:
-            return self.fitter.fit((*self.fit.frees, *frees), self.fit)
+            hopeless = self.fit.deviance + NEAR_SCORE  # it contains the fit: it went astray
+            return self.fitter.fit((*self.fit.frees, *frees), self.fit, hopeless=hopeless)
         except (ArithmeticError, np.linalg.LinAlgError):
             return None
         finally:

@@ -93,6 +93,8 @@ SEEKING_WEIGHT = 1e-4  # [m/N] and where bends and tensions are found at once
 SEEKING_WIDTHS, SEEKING_SHRINK, SEEKING_STEPS_MAX = (1e3, 1e2), 0.5, 60
 FAR_M2 = 5e-5  # [m²] cost of a tip that no search for an equilibrium improves: 1 cm
 STEPS_MAX = 60
+# Where tendons stick a search that does not arrive soon stands at a kink: another start is quicker
+STICKING_STEPS_MAX = 12
 BALANCE_STEPS_MAX, OUTSIDE_STARTS = 40, 3  # programs after a search, other beginnings
 CLEARANCE_BINDS_M = 1e-4  # [m] from a region: it is what keeps the arm from its target
 
@@ -266,6 +268,8 @@ def _starts(
     """
     model, sticks = task.model, task.model.sticks
     near = partial(_aim, task, GAIN_MIN if guess is None else TRACKING_GAIN_MIN)
+    if sticks:
+        near = partial(near, most=STICKING_STEPS_MAX)
     seek = partial(_seek, task, SEEKING_WIDTHS[0])
     if guess is not None:
         inputs = np.minimum(np.maximum(guess.inputs, model.limits[:, 0]), model.limits[:, 1])
@@ -319,12 +323,13 @@ def _aim(
     limits: Floats,
     preference: float = LOW_TENSION_WEIGHT,
     far: float = np.inf,
+    most: int = STEPS_MAX,
 ) -> tuple[float, Floats]:
     """
     Improve inputs in place; return the cost [m²] and the bends of the equilibrium.
 
-    Once the tip is there, a step that gains less than `enough` of the cost is the last. What
-    costs more than `far` stays as it is.
+    Once the tip is there, a step that gains less than `enough` of the cost is the last, else the
+    one after so many. What costs more than `far` stays as it is.
     """
     model, bends = task.model, np.array([bend, bend])
     cost = model.arrays.part('inverse').aim(
@@ -335,7 +340,7 @@ def _aim(
         np.ascontiguousarray(limits[:, 0]),
         np.ascontiguousarray(limits[:, 1]),
         preference,
-        STEPS_MAX,
+        most,
         enough,
         far,
         task.past,
@@ -368,7 +373,9 @@ def _seek(
         task.past,
         model.scratch,
     )
-    return _aim(task, TRACKING_GAIN_MIN, inputs, bends[0], limits, far=FAR_M2)
+    return _aim(
+        task, TRACKING_GAIN_MIN, inputs, bends[0], limits, far=FAR_M2, most=STICKING_STEPS_MAX
+    )
 
 
 def judged(task: TipTask, inputs: Floats, bend: Floats, in_time: bool = True) -> Reach:
