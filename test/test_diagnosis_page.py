@@ -16,6 +16,7 @@ from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import Addition
 from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.diagnosis.missing_moment import blocks_of, missing_moment
+from tendon_robot_ros.diagnosis.prediction_errors import Errors
 from tendon_robot_ros.diagnosis.result import (
     CandidateRow,
     Diagnosis,
@@ -23,7 +24,6 @@ from tendon_robot_ros.diagnosis.result import (
     NextMeasurement,
     Value,
 )
-from tendon_robot_ros.diagnosis.staircase import Errors
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.report.diagnosis_page import (
     diagnosis_page,

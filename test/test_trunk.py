@@ -12,8 +12,8 @@ from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import join, load_dataset
 from tendon_robot_ros.diagnosis.add import Addition, fit_effects
 from tendon_robot_ros.diagnosis.fitter import Fitter
+from tendon_robot_ros.diagnosis.prediction_errors import Errors
 from tendon_robot_ros.diagnosis.session import Session
-from tendon_robot_ros.diagnosis.staircase import Errors
 from tendon_robot_ros.effects import load_catalogue
 
 TRUNK = ROOT / 'data' / 'trunk'

@@ -5,7 +5,7 @@ Candidates are fitted to the data (session, fit), what was gathered is judged (e
 and comes out as a result that the reports read.
 
 decide.py             table of the verdicts (sentence, colour, advice); thresholds, the alarm's too
-diagnose.py           `diagnose`: from the evidence to a verdict
+diagnose.py           `diagnose`: from the evidence to a verdict; what cannot be told apart
 evidence.py           fits of the base model and of every candidate; what remains unexplained
 candidates.py         effects that may be missing; which of them the postures test
 session.py            one diagnosis at work: noise, weights, and the fits that it asks for
@@ -13,7 +13,6 @@ fit.py                a settled fit and what it tells
 fitter.py             fits: searches, sizes of imperfections and imperfections in turn
 search.py             the search for the best values: bounded Gauss-Newton
 interval.py           95 % intervals of fitted parameters
-indistinct.py         which effects the measurements cannot tell apart
 cells.py              cells whose stiffness scatters
 as_built.py           imperfections of an arm, and what no model reaches
 split.py              the model of an arm whose cells are each a little off
@@ -32,11 +31,11 @@ report_rows.py        from fits to the rows and numbers of a result
 next_measurement.py   the posture that would separate what the present ones cannot
 missing_moment.py     which moment the model lacks where: what the pictures show
 add.py                write effects into a description, and undo it
-written.py            what was found of an arm as built, in its description
+into_description.py   what was found of an arm as built, in its description
 improve.py            effects join while the error on left-out postures falls
 stepwise.py           the search for the one that joins next
 described_arm.py      what may change of the arm itself: stiffness along it, routes of tendons
 improvement.py        `Improvement`: a better description, and how the error fell
-staircase.py          the error before, after, and left out
+prediction_errors.py  the error before, after, and left out
 trust.py              how far to trust a diagnosis on the user's own postures
 """

@@ -20,12 +20,12 @@ from ..robot import Robot
 from .candidates import Candidate, is_tested, why_untested
 from .decide import LEFT_OUT_SHARE_MAX, P_SINGLE_MIN
 from .fit import Fit
+from .into_description import with_members, with_tolerances, with_values
 from .outliers import find_outliers
+from .prediction_errors import Errors, errors_on, left_out
 from .report_rows import values_with_intervals
 from .result import EffectFinding, Value
 from .session import Session
-from .staircase import Errors, errors_on, left_out
-from .written import with_members, with_tolerances, with_values
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,11 @@ from .decide import (
     P_SINGLE_MIN,
     PLAIN_WITHIN_FLOORS,
     POSTURES_MIN,
+    SAME_WITHIN_CHI2,
     STRAY_SD_MAX,
     Verdict,
 )
 from .evidence import Evidence, best_rival, gather, is_alarming, outside_by_itself, remainder_text
-from .indistinct import indistinct
 from .next_measurement import propose
 from .outliers import find_outliers
 from .report_rows import details_of, finding, rows_of
@@ -278,3 +278,34 @@ def _cannot_judge(session: Session, lacking: str) -> Diagnosis:
         (),
         {'needed': lacking},
     )
+
+
+def indistinct(session: Session, ranked: Sequence[Ranked], gate: float) -> list[Ranked]:
+    """
+    Return the adequate candidates that cannot be told apart, the best first.
+
+    Within chi² + 2 k of 9.21 of the best; a larger candidate that contains a smaller one of the
+    class drops out; among ties the first of the catalogue is best.
+    """
+    adequate = [r for r in ranked if r.probability > gate]
+    top = min(r.score for r in adequate)
+    near = [r for r in adequate if r.score <= top + APART_FROM_SCORE]
+    kept = [
+        r
+        for r in near
+        if not any(small is not r and contains(session, r, small) for small in near)
+    ]
+    best = session.best(kept)
+    return sorted(kept, key=lambda r: r is not best)
+
+
+def contains(session: Session, large: Ranked, small: Ranked) -> bool:
+    """Tell whether the larger candidate can predict just what the smaller one predicts here."""
+    if small.candidate.names[0] in session.catalogue[large.candidate.names[0]].contains:
+        return True
+    if set(small.candidate.names) < set(large.candidate.names):
+        return True
+    if large.fit.rank <= small.fit.rank:
+        return False
+    mimic = session.mimic(small.fit.markers, large.candidate.frees, large.fit.point, small.fit)
+    return mimic.chi2 < SAME_WITHIN_CHI2

@@ -26,10 +26,10 @@ from .decide import P_SINGLE_MIN
 from .described_arm import route_changes, stiffness_change
 from .improvement import Improvement, ImprovementStep, total
 from .local_tests import local_faults
+from .prediction_errors import Errors, predict
 from .report_rows import values_of
 from .slopes import imperfections
 from .split import SplitPredictor
-from .staircase import Errors, predict
 from .stepwise import POSTURES_MIN, STEPS_MAX, State, Stepwise
 
 Floats = npt.NDArray[np.float64]

@@ -33,8 +33,8 @@ from .described_arm import OF_THE_ARM, DescribedArm, arm_with, blocks_of_the_arm
 from .fit import Fit, Nuisance, covariance_of, covariance_root, shares
 from .fitter import Fitter
 from .outliers import find_outliers
+from .prediction_errors import predict
 from .setup_mistakes import find_mistake
-from .staircase import predict
 
 Floats = npt.NDArray[np.float64]
 Held = Sequence[int] | npt.NDArray[np.int64]

@@ -1,24 +1,24 @@
-"""What an addition says in words: the values, and the staircase of errors."""
+"""What an addition says in words: the values, and the table of errors."""
 
 from __future__ import annotations
 
 from ..common.words import columns, digits, mm
 from ..diagnosis.add import Addition
-from ..diagnosis.staircase import Errors
+from ..diagnosis.prediction_errors import Errors
 from .numbers import quantities
 
 NOT_WRITTEN = 'Nothing was written: the error on postures that were not used would rise.'
 
 
 def addition_lines(made: Addition) -> list[str]:
-    """Return values, staircase, tolerances and warnings."""
+    """Return values, errors, tolerances and warnings."""
     lines = [f'{name}: {quantities(values)}' for name, values in made.values.items()]
-    lines.append(staircase(made))
+    lines.append(error_table(made))
     lines += warnings(made)
     return lines
 
 
-def staircase(made: Addition) -> str:
+def error_table(made: Addition) -> str:
     """Return the table of errors before, after, and of a perfect model."""
     rows = [['error (rms)', 'before', 'after', 'noise floor', 'gone']]
     return columns(rows + [_row(errors) for errors in (made.fitted, made.check)])

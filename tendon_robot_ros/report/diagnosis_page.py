@@ -14,8 +14,8 @@ from ..data import DataSet
 from ..diagnosis.add import Addition
 from ..diagnosis.decide import Verdict
 from ..diagnosis.missing_moment import MissingMoment, missing_moment
+from ..diagnosis.prediction_errors import Errors
 from ..diagnosis.result import CandidateRow, Diagnosis
-from ..diagnosis.staircase import Errors
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from ..robot.description import EffectValues

@@ -1,4 +1,4 @@
-"""The staircase of an added effect: error before, after, and the noise floor."""
+"""Errors of an added effect: before, after, on postures left out, and the noise floor."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..effects import Catalogue
 from ..robot import Robot
 from .fit import Fit
 from .fitter import Fitter
-from .written import written_members
+from .into_description import written_members
 
 Floats = npt.NDArray[np.float64]
 FOLDS = 6  # groups of postures that are left out in turn
