@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tendon_robot_ros.control import ControllerCore, Settings, Target
-from tendon_robot_ros.control.friction_state import FeltTensions
+from tendon_robot_ros.control.friction_state import FeltTensions, forgetting
 from tendon_robot_ros.control.mismatch import STEP_SHARE, Mismatch, stability_margins
 from tendon_robot_ros.control.status import controller_status
 from tendon_robot_ros.control.trajectory import Playing
@@ -86,17 +86,40 @@ def test_another_approach_ends_at_the_same_place(approach):
     assert missed(TARGETS[:2], approach=approach) < 2e-4
 
 
-def test_from_below_the_last_leg_pulls_every_tendon_that_pulls():
+def test_from_below_the_last_leg_pulls_every_tendon_from_its_lowest():
     rig = Rig(known=False, approach='from_below')
     rig.run(0.05)
     target = Target(model(False).shape(np.array(TARGETS[0])).tip_position)
     rig.core.aim(target)
     rig.run(0.01)
-    assert len(rig.core.via) == 1 and rig.core.moving
-    assert np.all(rig.core.via[0] <= rig.core.solution.tensions)
+    assert len(rig.core.via) == 2 and rig.core.moving
+    assert rig.core.via[1] == pytest.approx(model().limits[:, 0])
+    assert np.all(rig.core.via[1] <= rig.core.solution.tensions)
     rig.run(1.0)
     assert not rig.core.via and not rig.core.moving
     assert rig.core.command == pytest.approx(rig.core.solution.tensions)
+
+
+@pytest.mark.parametrize('name', ['kato_10_1', 'spatial_3'])
+def test_from_below_friction_forgets_the_way_though_nobody_knows_its_law(name):
+    known = Model(read_robot(name))
+    arm = Model(known.robot.with_effect('friction_memory', {'presliding_length': 3e-4}))
+    low, high = known.limits.T
+    goals = low + 0.12 * (high - low) * np.random.default_rng(4).random((5, len(low)))
+    away = []
+    for ways in ((), forgetting(known)):
+        ends = [went(arm, low, (before, *ways, goals[0])) for before in goals[1:]]
+        away.append(np.std(ends, axis=0).max())
+    assert away[0] > 1e-3 and away[1] < 0.1 * away[0]
+
+
+def went(arm, begin, ways):
+    """Return where the tip is after a way in small steps."""
+    shape = arm.shape(begin)
+    for tensions in ways:
+        for step in np.linspace(shape.inputs, tensions, 21)[1:]:
+            shape = arm.follow(shape, step)
+    return shape.tip_position
 
 
 def test_noise_does_not_move_the_tensions_that_act():

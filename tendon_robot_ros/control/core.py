@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 HELD_SILENT_S = 1.0  # [s] for which the last command is held after the driver fell silent
+FOLLOWED_SHARE, FOLLOWED_TIMEOUT_S = 0.004, 0.5  # [1] of the range, [s] until a way turns
 
 
 def raised(error: TendonRobotError | None) -> None:
@@ -70,6 +71,7 @@ class ControllerCore:
     _heard: MeasuredState | None = None
     _lost: bool = True  # where the arm is
     _silent: bool = True
+    _commanded: tuple[float, Array] | None = None  # [s] since when, (m,) [N], on a way
     _syncing: object | None = None  # while the solver looks where the arm is
     track: ShapeTracker = field(init=False)
 
@@ -152,7 +154,7 @@ class ControllerCore:
         """
         Play a trajectory of the tendons; None ends the one that plays and holds.
 
-        Where there are regions to keep out of, the solver looks at the whole of it first.
+        With regions to keep out of, the solver looks at the whole of it first.
         """
         self._require_running()
         if self.command is None:
@@ -299,8 +301,19 @@ class ControllerCore:
                 step = self.loop.step(self, goal, step, passed)
             self.command = approach(self.command, goal, np.full_like(goal, step))
         self.felt.sent(now, self.command, self.settings.drive_lag)
-        if self.via and np.array_equal(self.command, goal):
+        if self.via and np.array_equal(self.command, goal) and self._follows(now):
             self.via.pop(0)
+
+    def _follows(self, now: float) -> bool:
+        """Whether the arm is where the command is, or has been given the time."""
+        assert self.command is not None
+        if self._commanded is None or not np.array_equal(self._commanded[1], self.command):
+            self._commanded = now, self.command
+        low, high = self.settings.limits(self.model).T
+        if (heard := self._heard) is None or not heard.observed or self.way is not None:
+            return True
+        near = np.abs(heard.tensions - self.command) < FOLLOWED_SHARE * (high - low)
+        return bool(near.all()) or now - self._commanded[0] > FOLLOWED_TIMEOUT_S
 
     def _goal(self, now: float) -> Array:
         assert self.command is not None

@@ -27,7 +27,10 @@ APPROACHES = 'any', 'from_below', 'model'
 NOISES = 4.0  # [1] standard deviations of a measured tension that say nothing
 NOISE_SHARES = 2e-4, 1e-2  # [1] of the highest tension: least and largest noise
 NOISE_SAMPLES, MEAN_SAMPLES = 50.0, 100.0  # over which noise and what differs are averaged
-RELEASE_SHARE = 0.3  # [1] of a tension above the lowest, that `from_below` pulls at last
+OVER_BANDS = 80.0  # [1] of the friction band, by which the bend of `from_below` moves wires
+BAND_SHARE = 0.036  # [1] of the largest radius: the friction band where nobody knows it
+OVER_MAX_RAD = 4.0  # [rad] of bend, for that
+OVER_LEAST, OVER_RUNGS = 0.005, 24  # [1] of a tension's range; sizes that are tried
 RELEASES = 0.1, 0.3, -0.1  # [1] tried by `model`; negative: the last leg lets go
 OVERSHOOT_MAX = 0.1  # [1] of the step of the tip, on a way that `model` chooses
 FORGOTTEN = 0.0, -1.0  # [1] what friction might be instead, of the state that is
@@ -126,8 +129,8 @@ def planned(
     direct : Reach
         Tensions for the target, in a straight line from there.
     kind : str
-        One of `APPROACHES`: straight; with all tensions rising at last; or that of some ways on
-        which what friction was before matters least.
+        One of `APPROACHES`: straight; from straight, after friction has forgotten; or that of
+        some ways on which what friction was before matters least.
     solve : callable
         From a shape and tensions (m,) [N] to begin with to tensions for the target.
     give_up : callable
@@ -136,7 +139,7 @@ def planned(
     """
     best = straight(direct)
     if kind == 'from_below':
-        return _released(model, here, direct, RELEASE_SHARE, solve) or best
+        return _by(model, here, forgetting(model), direct, solve) or best
     if kind == 'any' or not model.remembers:
         return best
     least = _doubt(model, here, best) - AS_GOOD_M
@@ -154,20 +157,61 @@ def planned(
     return best
 
 
-def from_below(model: Model, direct: Reach, share: float = RELEASE_SHARE) -> Approach:
-    """Return the way that lets go of a share of the tensions first; nothing is solved anew."""
-    low, high = model.limits.T
-    via = np.clip(low + (1.0 - share) * (direct.tensions - low), low, high)
-    return Approach(direct, via[None])
+def from_below(model: Model, direct: Reach) -> Approach:
+    """Return the way by which friction forgets; nothing is solved anew."""
+    return Approach(direct, forgetting(model))
+
+
+def forgetting(model: Model) -> Array:
+    """
+    Return tensions (2, m) [N] after which friction knows nothing of what was before.
+
+    The tendons on one side pull until the whole arm bends there, then all are at their lowest: at
+    every eyelet every tendon has slipped that way and back, whatever its law of slip. The bend is
+    as large as takes the wire nearest to the middle often through its friction band. The side is
+    that of the tendon for which all others slip most.
+    """
+    side, least = _side(model)
+    (low, high), radius = model.limits.T, max(float(np.hypot(*t.end)) for t in model.robot.tendons)
+    band = BAND_SHARE * radius
+    if model.remembers:
+        band = float(model.arrays.get('friction_memory', 'presliding_length', None))
+    wanted, width = min(OVER_BANDS * band / least, OVER_MAX_RAD), float((high - low).max())
+    shape = straight = model.shape(low)
+    for more in np.geomspace(OVER_LEAST * width, width, OVER_RUNGS):
+        try:
+            shape = model.shape(np.clip(low + more * side, low, high), shape.state)
+        except NoEquilibriumError:
+            break
+        if np.linalg.norm(shape.bend - straight.bend, axis=1).sum() >= wanted:
+            break
+    return np.array([shape.inputs, low])
+
+
+def _side(model: Model) -> tuple[Array, float]:
+    """Return the share (m,) by which inputs pull to one side, and the least arm [m] of a wire."""
+    ends = np.array([tendon.end for tendon in model.robot.tendons])
+    arms = [ends @ (end / np.hypot(*end)) for end in ends if np.hypot(*end) > 0.0]
+    along = max(arms, key=lambda arm: float(np.abs(arm).min()))
+    pulls = np.array([along[list(members)].mean() for members in model.robot.input_tendons])
+    return np.maximum(pulls, 0.0) / np.abs(along).max(), float(np.abs(along).min())
 
 
 def _released(
     model: Model, here: Shape, direct: Reach, share: float, solve: Solve
 ) -> Approach | None:
     """Return the way that comes from tensions lower by a share, and tensions right from there."""
-    via = from_below(model, direct, share).via
+    low, high = model.limits.T
+    via = np.clip(low + (1.0 - share) * (direct.tensions - low), low, high)
+    return _by(model, here, via[None], direct, solve)
+
+
+def _by(model: Model, here: Shape, via: Array, direct: Reach, solve: Solve) -> Approach | None:
+    """Return the way by tensions (v, m) [N], and tensions that are right from there."""
     try:
-        return Approach(solve(model.follow(here, via[0]), direct.tensions), via)
+        for tensions in via:
+            here = model.follow(here, tensions)
+        return Approach(solve(here, direct.tensions), via)
     except NoEquilibriumError:
         return None
 

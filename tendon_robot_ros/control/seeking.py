@@ -149,19 +149,27 @@ class _Question:
             give_up=give_up,
         )
 
+    @property
+    def _below(self) -> bool:
+        return self.settings.approach == 'from_below' and not (self.streamed or self.tracking)
+
+    def _guess(self) -> Shape | None:
+        """Return where to begin; the same place is always found by the same tensions."""
+        return None if self._below else self.guess
+
     def answer(self, give_up: GiveUp) -> Approach:
         """Find tensions, and the way there."""
         model, settings = self.model, self.settings
         if not (model.remembers or settings.keep_out):
-            direct = self.reach(None, self.guess, give_up)
-            below = settings.approach == 'from_below' and not (self.streamed or self.tracking)
-            return from_below(model, direct) if below else straight(direct)
+            direct = self.reach(None, self._guess(), give_up)
+            return from_below(model, direct) if self._below else straight(direct)
         here = model.follow(self.last, self.felt)
         past = here if model.remembers else None
-        direct = self.reach(past, self.guess or past, give_up)
+        direct = self.reach(past, self._guess() or past, give_up)
 
         def again(there: Shape, tensions: Array) -> Reach:
-            return self.reach(there if model.remembers else None, direct.shape, give_up)
+            guess = there if self._below else direct.shape
+            return self.reach(there if model.remembers else None, guess, give_up)
 
         kind = 'any' if self.streamed or self.tracking else settings.approach
         found = planned(model, here, direct, kind, again, give_up)

@@ -81,8 +81,8 @@ SPECS = (
     Spec(
         'approach',
         'any',
-        'the last leg of the way to a target: any; from_below: with all tensions rising; model: '
-        'the way on which what friction was before matters least',
+        'the last leg of the way to a target: any; from_below: from straight, friction has '
+        'forgotten; model: the way on which what friction was before matters least',
         choices=APPROACHES,
     ),
     Spec(
