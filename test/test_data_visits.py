@@ -10,6 +10,7 @@ from small_dataset import write
 
 from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.comparison.compare import compare
+from tendon_robot_ros.comparison.noise import estimate_noise, input_slopes
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import join, load_dataset, save_dataset
 from tendon_robot_ros.data.recording.exporting import export_bag
@@ -152,6 +153,15 @@ def test_joined_visits_are_predicted_part_by_part():
     )
     shown = Predictor(both, robot, simulated.CATALOGUE).markers({})
     np.testing.assert_allclose(shown, both.mean, atol=1e-12)
+
+
+def test_declared_noise_counts_where_earlier_visits_move_the_arm():
+    data = visited(hidden=MEMORY)
+    predictor = Predictor(data, ROBOT, simulated.CATALOGUE)
+    slopes = input_slopes(predictor, {})
+    assert estimate_noise(data, slopes).source == 'declared'
+    undeclared = replace(data, position_noise=None)
+    assert estimate_noise(undeclared, slopes).trial > data.trial_noise
 
 
 def test_hidden_memory_is_named_where_there_is_some_and_only_there():

@@ -77,9 +77,16 @@ def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
     """
     Estimate the noise from deviations within postures only (REML), else take what is declared.
 
-    Model error is the same in all trials of a posture, so it cannot leak in. None: neither trials
-    nor a declared `position_noise`.
+    Model error is the same in all trials of a posture, so it cannot leak in. Of visits it can:
+    what was before the command before differs, and what is declared counts first. None: neither
+    trials nor a declared `position_noise`.
     """
+    declared = None
+    if dataset.position_noise is not None:
+        trial, setting = dataset.trial_noise, dataset.setting_noise
+        declared = Noise(dataset.position_noise, trial, setting, np.inf, 'declared')
+    if declared is not None and dataset.visits is not None:
+        return declared
     total, parts = 0.0, []
     for p in range(len(dataset.postures)):
         seen = dataset.trial_mask[p]
@@ -98,11 +105,7 @@ def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
         parts.append((trials - 1, s, along, moves.shape[1] - len(s), rest))
         total += (trials - 1) * moves.shape[1]
     if total < TRIAL_DOF_MIN:
-        if dataset.position_noise is None:
-            return None
-        return Noise(
-            dataset.position_noise, dataset.trial_noise, dataset.setting_noise, np.inf, 'declared'
-        )
+        return declared
     position, trial = _restricted_likelihood(parts)
     return Noise(position, trial, dataset.setting_noise, total, 'trials')
 
