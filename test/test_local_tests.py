@@ -11,7 +11,7 @@ from simulated import CATALOGUE, measure, measured, postures
 from tendon_robot_ros.comparison.statistics import false_discovery_control
 from tendon_robot_ros.diagnosis.decide import FALSE_DISCOVERY_RATE
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.local_tests import Place, faults_among, faults_of
+from tendon_robot_ros.diagnosis.local_tests import Place, PlaceColumns, faults_among, faults_of
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.report.arm_text import marks, of_inputs, where_wrong
 from tendon_robot_ros.report.comparison_page import add_shapes
@@ -47,6 +47,15 @@ def test_the_false_discovery_rate_is_that_of_scipy():
         np.testing.assert_allclose(false_discovery_control(p), stats.false_discovery_control(p))
 
 
+def test_columns_of_places_are_whole_or_those_of_one_posture(design):
+    _, columns, _, _ = design
+    dense = np.stack([columns[i] for i in range(len(columns.column))], axis=1)
+    assert not dense[columns.owners != 3][:, columns.posture == 3].any()
+    vectors = np.random.default_rng(5).normal(size=(len(dense), 4))
+    np.testing.assert_allclose(columns.products(vectors), dense.T @ vectors, atol=1e-12)
+    np.testing.assert_allclose(columns.squares(), (dense**2).sum(axis=0), rtol=1e-12)
+
+
 @pytest.fixture(scope='module')
 def design():
     """Return places, their columns and a Jacobian like those of a fit, with rows of priors."""
@@ -56,25 +65,28 @@ def design():
     bend = rng.uniform(0.3, 1.5, postures)
     soft = np.concatenate([b * along for b in bend])
     places = [Place('cell_stiffness', f'cell {i + 1}', '1') for i in range(cells)]
-    columns = [*soft.T]
     for p in range(postures):
         places += [Place('cell_kink', f'cell {i + 1} towards x', 'rad', p) for i in range(cells)]
-        columns += [*np.kron(np.eye(postures)[p][:, None], along).T]
-    columns = np.array(columns).T
+    columns = PlaceColumns(
+        np.hstack([soft, np.tile(along, (postures, 1))]),
+        np.repeat(np.arange(postures), markers),
+        np.concatenate([np.arange(cells), np.tile(np.arange(cells) + cells, postures)]),
+        np.repeat(np.arange(-1, postures), cells),
+    )
     effect = np.repeat(bend**2, markers)[:, None] * np.tile(along[:, -1:], (postures, 1))
     scatter = 0.05 * soft
-    priors = np.zeros((cells, columns.shape[1]))
     jacobian = np.block([[effect, scatter], [np.zeros((cells, 1)), np.eye(cells)]])
-    return places, np.vstack([columns, priors]), jacobian, scatter
+    return places, columns, jacobian, scatter
 
 
 def fitted(design, rng, fault=0.0):
     """Return the residual of a fit of random scatter, an effect and noise."""
-    _, columns, jacobian, scatter = design
+    places, columns, jacobian, scatter = design
     n, members = scatter.shape
-    raw = np.concatenate(
-        [scatter @ rng.normal(size=members) + rng.normal(size=n), np.zeros(members)]
-    ) + columns @ np.broadcast_to(fault, columns.shape[1])
+    raw = scatter @ rng.normal(size=members) + rng.normal(size=n)
+    sizes = np.broadcast_to(fault, len(places))
+    raw = raw + sum(sizes[i] * columns[i] for i in np.flatnonzero(sizes))
+    raw = np.concatenate([raw, np.zeros(members)])
     return raw - jacobian @ np.linalg.lstsq(jacobian, raw, rcond=None)[0]
 
 

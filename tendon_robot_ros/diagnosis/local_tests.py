@@ -13,8 +13,8 @@ strongest place explains is taken off before the next one is named.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -106,9 +106,7 @@ def local_faults(
 
     """
     places, columns = _places(kinds, moves, whitener)
-    padded = np.zeros((len(fit.residual), len(places)))
-    padded[: len(columns)] = columns
-    return faults_among(places, padded, fit.residual, fit.jacobian, freedom)
+    return faults_among(places, columns, fit.residual, fit.jacobian, freedom)
 
 
 def faults_of(session: Session, fit: Fit) -> list[dict[str, Any]]:
@@ -124,7 +122,7 @@ def faults_of(session: Session, fit: Fit) -> list[dict[str, Any]]:
 
 def faults_among(
     places: Sequence[Place],
-    columns: Floats,
+    columns: PlaceColumns,
     residual: Floats,
     jacobian: Floats,
     freedom: float = np.inf,
@@ -135,11 +133,11 @@ def faults_among(
     Parameters
     ----------
     places : (M,)
-    columns : (N, M)
-        What a unit of each does to the whitened prediction.
-    residual : (N,)
+    columns : PlaceColumns
+        What a unit of each of M does to the N whitened predictions.
+    residual : (N + priors,)
         Measured minus predicted, whitened, rows of priors last.
-    jacobian : (N, q)
+    jacobian : (N + priors, q)
         Of the residual by all that may give way.
     freedom : float
         Degrees of freedom behind the noise.
@@ -176,26 +174,67 @@ def faults_among(
     return sorted(faults, key=lambda fault: -abs(fault.z))
 
 
+@dataclass(frozen=True)
+class PlaceColumns:
+    """
+    What a unit of each of M places does to N values: a column of K, or its rows in one posture.
+
+    That of one posture is not written out: there are as many of them as columns and postures.
+    """
+
+    whole: Floats  # (N, K)
+    owners: npt.NDArray[np.int64]  # posture (N,) of each value
+    column: npt.NDArray[np.int64]  # (M,) which of the K
+    posture: npt.NDArray[np.int64]  # (M,) in which posture; -1: in all
+
+    def __getitem__(self, i: int) -> Floats:
+        """Return the column (N,) of a place."""
+        p, own = self.posture[i], self.whole[:, self.column[i]]
+        return own if p < 0 else np.where(self.owners == p, own, 0.0)
+
+    def products(self, vectors: Floats) -> Floats:
+        """Return the products (M, d) of all columns with vectors (N, d)."""
+        return self._products(self.whole, vectors)
+
+    def squares(self) -> Floats:
+        """Return the squared lengths (M,) of all columns."""
+        return self._products(np.square(self.whole), np.ones((len(self.whole), 1)))[:, 0]
+
+    def _products(self, whole: Floats, vectors: Floats) -> Floats:
+        made = np.empty((len(self.column), vectors.shape[1]))
+        for p in np.unique(self.posture):
+            own, rows = self.posture == p, slice(None) if p < 0 else self.owners == p
+            made[own] = (whole[rows].T @ vectors[rows])[self.column[own]]
+        return made
+
+
 class _Tests:
     """The columns of places and a residual, without what a fit can do about them."""
 
     def __init__(
-        self, places: Sequence[Place], columns: Floats, residual: Floats, jacobian: Floats
+        self, places: Sequence[Place], columns: PlaceColumns, residual: Floats, jacobian: Floats
     ) -> None:
-        basis = _basis(jacobian)
-        self.columns = columns - basis @ (basis.T @ columns)
-        self.residual = residual - basis @ (basis.T @ residual)
-        self.least = LOCAL_SHARE_MIN * np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+        n, self.columns = len(columns.whole), columns
+        self._basis = _basis(jacobian)
+        self._told = columns.products(self._basis[:n])  # (M, q): what the fit can do
+        self.residual = residual - self._basis @ (self._basis.T @ residual)
+        squares = columns.squares()
+        self._squares = squares - np.square(self._told).sum(axis=1)
+        self._along = columns.products(self.residual[:n, None])[:, 0]
+        self.least = LOCAL_SHARE_MIN * np.maximum(np.sqrt(squares), 1e-12)
         self.families = [(place.kind, place.posture) for place in places]
 
     def beside(self, chosen: Sequence[int]) -> tuple[Floats, Floats]:
         """Return z (M,), nan where nothing tells it, and lengths (M,) beside chosen places."""
-        basis = _basis(self.columns[:, list(chosen)])
-        left = self.columns - basis @ (basis.T @ self.columns)
-        length = np.linalg.norm(left, axis=0)
+        n, picked = len(self.columns.whole), np.zeros((len(self.residual), len(chosen)))
+        for k, i in enumerate(chosen):
+            picked[:n, k] = self.columns[i]
+        basis = _basis(picked - self._basis @ self._told[list(chosen)].T)
+        cross = self.columns.products(basis[:n])
+        length = np.sqrt(np.maximum(self._squares - np.square(cross).sum(axis=1), 0.0))
         told = length > self.least
         z = np.full(len(length), np.nan)
-        z[told] = left[:, told].T @ self.residual / length[told]
+        z[told] = (self._along - cross @ (basis.T @ self.residual))[told] / length[told]
         return z, length
 
     def rivals(self, i: int, z: Floats) -> list[int]:
@@ -239,25 +278,19 @@ def _basis(jacobian: Floats) -> Floats:
 
 def _places(
     kinds: Sequence[Kind], moves: Floats, whitener: Whitener
-) -> tuple[list[Place], Floats]:
-    """List what may be wrong, and what a unit of it does to the whitened markers (N, M)."""
+) -> tuple[list[Place], PlaceColumns]:
+    """List what may be wrong, and what a unit of it does to the whitened markers."""
     named = [(kind, member) for kind in kinds for member in kind.members]
-    places, columns = [], []
-    for (kind, member), column in zip(named, whitener.white(moves), strict=True):
-        if kind.name not in IN_CELLS + IN_INPUTS:
-            continue
-        place = Place(kind.name, member, kind.unit)
-        for one, rows in _once_and_everywhere(place, whitener.owners):
-            places.append(one)
-            columns.append(np.where(rows, column, 0.0))
-    return places, np.array(columns).reshape(len(places), whitener.size).T
-
-
-def _once_and_everywhere(
-    place: Place, owners: npt.NDArray[np.int64]
-) -> Iterator[tuple[Place, npt.NDArray[np.bool_]]]:
-    """Yield a place in all postures and, where that can happen, in each: with its rows (N,)."""
-    yield place, np.ones(len(owners), dtype=bool)
-    if place.kind in ONCE:
-        for p in np.unique(owners).tolist():
-            yield replace(place, posture=p), owners == p
+    tested = np.array([kind.name in IN_CELLS + IN_INPUTS for kind, _ in named], dtype=bool)
+    postures = np.unique(whitener.owners).tolist()
+    places, column, posture = [], [], []
+    for i, k in enumerate(np.flatnonzero(tested).tolist()):
+        kind, member = named[k]
+        once = postures if kind.name in ONCE else []
+        places += [Place(kind.name, member, kind.unit, p) for p in (None, *once)]
+        column += [i] * (1 + len(once))
+        posture += [-1, *once]
+    whole = whitener.white(moves[tested]).T
+    return places, PlaceColumns(
+        whole, whitener.owners, np.array(column, dtype=int), np.array(posture, dtype=int)
+    )
