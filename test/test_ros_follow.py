@@ -8,6 +8,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from documents import environment
 from ros_station import INPUTS, Station, last, start, values
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -152,10 +153,15 @@ def test_a_long_trajectory_does_not_stall_the_commands(station):
 
 def test_without_a_controller_it_says_what_to_look_for(tmp_path):
     (tmp_path / 'path.csv').write_text(PATH)
-    done = processes.run(
-        [sys.executable, '-m', 'tendon_robot_ros', 'follow', 'path.csv', '--controller', 'none'],
-        cwd=tmp_path,
-        timeout=60,
+    less_patient = (
+        'from functools import partialmethod\n'
+        'from tendon_robot_ros.cli.main import main\n'
+        'from tendon_robot_ros.ros.shared.robot_client import Pilot\n'
+        'Pilot.connect = partialmethod(Pilot.connect, 3.0)\n'
+        'raise SystemExit(main(["follow", "path.csv", "--controller", "none"]))\n'
     )
+    command = [sys.executable, '-c', less_patient]
+    done = processes.run(command, cwd=tmp_path, env=environment(), timeout=60)
     assert done.returncode == 1
+    assert 'waited 3 s in vain for ' in done.stderr
     assert 'are driver and controller running, in this namespace and ROS_DOMAIN_ID?' in done.stderr
