@@ -4,6 +4,7 @@ import json
 import os
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import simulated
 
@@ -11,6 +12,7 @@ from tendon_robot_ros.campaign.fleet import FleetRow, changes, found_below, when
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.data import save_dataset
 from tendon_robot_ros.diagnosis.decide import Verdict
+from tendon_robot_ros.report.fleet_page import fleet_page, fleet_rows, map_parameters
 
 pytest.importorskip('pyarrow')
 ROBOT = replace(simulated.robot(), exact=True)
@@ -95,3 +97,18 @@ def test_a_folder_without_measurements_is_one_line(tmp_path, capsys):
     assert not (tmp_path / 'out').exists()
     with pytest.raises(Exception, match='is no folder'):
         found_below(tmp_path / 'none')
+
+
+def test_the_page_has_units_that_suit_and_says_how_dates_are_known():
+    rows = [row(lever=2e-4, low=(1e-4,), high=(3e-4,)),
+            row('2026-02-01T08:00+00:00', lever=2.1e-4, low=(1e-4,), high=(3e-4,),
+                dated_by='file')]  # fmt: skip
+    (figure,) = map_parameters(rows)
+    assert figure.layout['yaxis']['title']['text'] == '[mm]'
+    np.testing.assert_allclose(figure.data[0]['y'], [0.2, 0.21])
+    np.testing.assert_allclose(figure.data[0]['error_y']['array'], [0.1, 0.09])
+    assert [cells[1] for cells in fleet_rows(rows)] == [
+        '2026-01-01',
+        '2026-02-01 08:00 (its files)',
+    ]
+    assert '2 recordings of 1 robot<' in fleet_page(rows, 'Fleet').html()
