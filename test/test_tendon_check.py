@@ -1,8 +1,14 @@
 """The daily check of the tendons: what has crept is named, with its amount."""
 
+import re
+from dataclasses import replace
+
 import emulated
+import emulated_board
 import numpy as np
 import pytest
+import yaml
+from emulated_board import needs_compiler
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import InputError, TendonRobotError
@@ -92,6 +98,36 @@ def test_a_reference_of_another_arm_and_a_broken_file_are_one_line(tmp_path):
     path.write_text('{inputs: [a], tension: 1, pulls: [0, 0], tensions: [0]}')
     with pytest.raises(TendonRobotError, match='pulls: expected a list of 1 numbers'):
         read_reference(path)
+
+
+@pytest.mark.parametrize('kind', ['dynamixel', pytest.param('serial', marks=needs_compiler)])
+def test_check_alone_finds_robot_and_driver_in_the_folder_and_names_what_crept(
+    kind, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(tendon_check, 'RAMP_S', 0.5)
+    (tmp_path / 'arm.yaml').write_text(emulated.ROBOT)
+    with emulated.line() if kind == 'dynamixel' else emulated_board.board() as line:
+        made = emulated.config(line.port) if kind == 'dynamixel' else emulated_board.config(line)
+        (tmp_path / f'{kind}.yaml').write_text(yaml.safe_dump(made))
+        assert main(['calibrate', '--check', '--yes']) == 0
+        assert 'written: tendons.yaml' in capsys.readouterr().out
+        reference = read_reference(tmp_path / 'tendons.yaml')
+        pulls = reference.pulls - [0.0, 1e-3, 0.0, 0.0]  # what it was before it became longer
+        save_reference(tmp_path / 'tendons.yaml', replace(reference, pulls=pulls))
+        assert main(['calibrate', '--check', '--yes']) == 1
+    assert re.match(
+        rf'{reference.inputs[1]}: has crept: 1\.\d+ mm longer', capsys.readouterr().out
+    )
+
+
+def test_a_folder_with_two_robots_is_asked_about(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name in ('one.yaml', 'two.yaml'):
+        (tmp_path / name).write_text(emulated.ROBOT)
+    assert main(['calibrate', '--check']) != 0
+    said = capsys.readouterr().err
+    assert 'got 2 of them (one.yaml, two.yaml): --robot FILE' in said
 
 
 def test_without_check_tendon_and_weights_are_asked_for(tmp_path, capsys):

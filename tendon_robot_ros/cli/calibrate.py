@@ -15,6 +15,8 @@ Every day, and after the power was off: have any tendons crept? All are brought 
 and compared with the last time; the first time makes the reference, --renew another one.
 
     calibrate dynamixel servos.yaml --robot arm.yaml --check --tension 1
+
+In a folder with one robot description and one driver's configuration `calibrate --check` will do.
 """
 
 from __future__ import annotations
@@ -41,15 +43,16 @@ if TYPE_CHECKING:
 
 NAME = 'calibrate'
 HELP = 'calibrate tension with known weights; --check: which tendon has crept'
+KINDS = {'dynamixel': 'motors', 'serial': 'tendons'}  # and what such a configuration has
 CHECK_SHARE = 0.2  # [1] of the highest tension
 MOTOR_UNITS = 'tendon: [intercept A, slope A/N] of current over tension'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('kind', choices=('dynamixel', 'serial'))
-    parser.add_argument('config', help="the driver's configuration (YAML)")
-    parser.add_argument('--robot', required=True, help='robot description (YAML)')
+    parser.add_argument('kind', nargs='?', choices=tuple(KINDS))
+    parser.add_argument('config', nargs='?', help="the driver's configuration (YAML)")
+    parser.add_argument('--robot', help='robot description (YAML)')
     parser.add_argument('--tendon', help='the input whose motor is calibrated')
     parser.add_argument('--weights', nargs='+', type=float, metavar='KG')
     parser.add_argument('--check', action='store_true', help='only look which tendon has crept')
@@ -78,7 +81,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure, fit, write, say what was found."""
     if args.check:
+        _find_files(args)
         return _check(args)
+    if None in (args.kind, args.config, args.robot):
+        raise InputError(
+            'calibrate: expected dynamixel or serial, a configuration, and --robot; or --check'
+        )
     if args.tendon is None or args.weights is None:
         raise InputError('calibrate: expected --tendon and --weights, or --check')
     if min(args.weights) <= 0.0 or max(args.weights) > 50.0:
@@ -87,6 +95,41 @@ def run(args: argparse.Namespace) -> int:
         return _calibrate_cell(args) if args.kind == 'serial' else _calibrate_motor(args)
     except ModuleNotFoundError as error:
         raise MissingExtraError(error.name or args.kind, args.kind) from None
+
+
+def _find_files(args: argparse.Namespace) -> None:
+    """Set what was not said from the files in this folder: they must be the only ones."""
+    if args.robot is not None and args.config is not None and args.kind is not None:
+        return
+    contents: dict[str, dict[str, Any]] = {}
+    for path in sorted(Path().glob('*.yaml')):
+        try:
+            content = parse_yaml(path.read_text(encoding='utf-8'))
+        except (OSError, ValueError):
+            continue
+        if isinstance(content, dict):
+            contents[str(path)] = content
+    if args.robot is None:
+        robots = [name for name, content in contents.items() if 'sections' in content]
+        args.robot = _only(robots, 'a robot description', '--robot FILE')
+    if args.config is None:
+        drivers = {
+            name: kind
+            for name, content in contents.items()
+            for kind, key in KINDS.items()
+            if key in content and 'port' in content and args.kind in (None, kind)
+        }
+        args.config = _only(
+            list(drivers), "a driver's configuration", 'dynamixel CONFIG, or serial CONFIG'
+        )
+        args.kind = drivers[args.config]
+
+
+def _only(names: list[str], what: str, said: str) -> str:
+    if len(names) != 1:
+        found = f'{len(names)} of them ({", ".join(names)})' if names else 'none'
+        raise InputError(f'calibrate --check: expected {what} in this folder, got {found}: {said}')
+    return names[0]
 
 
 def _check(args: argparse.Namespace) -> int:
