@@ -133,40 +133,46 @@ def bench(name, count, level, references):
         for where in ('tip', 'side')
     }
     tips, sides = both['tip'], both['side']
-    errors = np.array([c['error'] for c in tips])
-    told = [c['cell'] is not None for c in sides]
     near = [c['cell'] is not None and abs(c['cell'] - half) <= robot.cells // 6 for c in sides]
-    told_axes = np.array([1.96 * c['sd'] < 0.03 for c in tips])
-    own = np.array([c['sorted'] for c in tips])[told_axes]
-    percent = lambda values: round(100 * float(np.mean(values)), 1)  # noqa: E731
     return {
         'robot': name,
         'level': level,
         'reference postures': references,
         'quarter force [N]': full,
         'solved': f'{len(tips)} of {count}',
-        'error, median [%]': round(100 * float(np.median(errors)), 2),
-        'error along its axes, best told first, median [%]': (
-            100 * np.median([c['sorted'] for c in tips], axis=0)
-        )
-        .round(2)
-        .tolist(),
-        'bound along its axes, median [%]': (
-            100 * np.nanmedian([c['bound'] for c in tips], axis=0)
-        )
-        .round(2)
-        .tolist(),
-        'axes that are told to 3 % (1.96 sd) [%]': percent(told_axes),
-        'error along these: median, nine in ten below [%]': [
-            round(100 * float(np.quantile(own, q)), 2) for q in (0.5, 0.9)
-        ],
+        'error, median [%]': round(100 * float(np.median([c['error'] for c in tips])), 2),
+        **along_axes(tips),
         'ellipsoids of 95 % hold [%]': percent([c['ellipsoid'] for c in tips]),
         'intervals hold [%]': percent([c['holds'] for c in tips]),
         'false touch elsewhere [%]': percent([c['cell'] is not None for c in tips]),
-        'touch elsewhere told [%]': percent(told),
+        'touch elsewhere told [%]': percent([c['cell'] is not None for c in sides]),
         'within a sixth of the cells [%]': percent(near),
         'update, median [ms of a processor]': round(float(np.median([c['ms'] for c in tips])), 2),
     }
+
+
+def along_axes(tips):
+    """Return the figures along the axes of the covariance, best told first."""
+    told = np.array([1.96 * c['sd'] < 0.03 for c in tips])
+    errors, bounds = (100 * np.array([c[key] for c in tips]) for key in ('sorted', 'bound'))
+    return {
+        'error along its axes, best told first, median [%]': medians(errors),
+        'bound along its axes, median [%]': medians(bounds),
+        'axes that are told to 3 % (1.96 sd) [%]': percent(told),
+        'error along these: median, nine in ten below [%]': [
+            round(float(np.quantile(errors[told], q)), 2) for q in (0.5, 0.9)
+        ],
+    }
+
+
+def medians(rows):
+    """Return the median of every column."""
+    return np.nanmedian(rows, axis=0).round(2).tolist()
+
+
+def percent(values):
+    """Return how many are true, in hundred."""
+    return round(100 * float(np.mean(values)), 1)
 
 
 def main():
