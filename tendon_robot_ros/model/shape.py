@@ -102,8 +102,10 @@ def _places(cell_lengths: bytes, arc_lengths: bytes) -> tuple[npt.NDArray[np.int
     lengths, along = np.frombuffer(cell_lengths), np.frombuffer(arc_lengths)
     ends = np.cumsum(lengths)
     if np.any(along > ends[-1] + 1e-9) or np.any(along < 0.0):
-        tip, got = f'{ends[-1]:g} m (the tip)', f'{along.max():g} m'
-        raise InputError(f'markers: expected arc lengths from 0 to {tip}, got {got}')
+        raise InputError(
+            f'markers: expected arc lengths from 0 to {ends[-1]:g} m (the tip), '
+            f'got {along.max():g} m'
+        )
     cells = np.minimum(np.searchsorted(ends + 1e-9, along), len(ends) - 1)
     share = np.clip((along - (ends - lengths)[cells]) / lengths[cells], 0.0, 1.0)
     return cells, share, bool((np.abs(share - 1.0) * lengths[cells] < 1e-9).all())
