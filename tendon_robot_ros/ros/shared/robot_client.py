@@ -167,10 +167,15 @@ class Pilot(RobotClient):
     """One connection to a controller; what was heard since `clear` is kept."""
 
     def __init__(
-        self, name: str, controller: str, ending: Ending, namespace: str | None = None
+        self,
+        name: str,
+        controller: str,
+        ending: Ending,
+        namespace: str | None = None,
+        watched: Sequence[str] = (),
     ) -> None:
         """Connect."""
-        super().__init__(name, ending, namespace, controller=controller)
+        super().__init__(name, ending, namespace, controller=controller, watched=watched)
         self.inputs: tuple[str, ...] = ()
         self.pull = False
         self._since = time.monotonic() + 3600.0  # until `clear`

@@ -26,6 +26,8 @@ from .robot_client import Pilot
 from .runtime import Ending
 
 Array = NDArray[np.float64]
+DRIVER = 'driver'  # name of the node whose status says how tensions are told
+BY_GEARS = 'current'  # tensions that motors tell by their current: gear friction hides them
 STILL_TIME_S, STILL_SPEED = 0.6, 0.002  # [s], [m/s] as of the monitor
 KIND_LISTEN_S = 1.0  # [s] to hear whether tensions are measured
 STAND_TIMEOUT_S = 20.0  # [s] for an arm to stand and be seen
@@ -34,6 +36,11 @@ MOVE_MIN_S = 0.4  # [s]
 SETTING_NOISE = 0.002  # [1] relative 1 sd of a measured input, as in the monitor
 SLACK_SHARE = 0.01  # of the length, that a slack wire is let out beyond its way
 OFF_SHARE, OFF_LIMIT_SHARE = 0.5, 0.02  # of what is asked, of the limit: off by more is broken
+SLIP_HINT = 'did its tendon slip, or does its motor stick?'
+GEARS_HINT = (
+    'the friction of its gears hides so little: start driver and controller with command_mode '
+    'pull, then postures are wire lengths'
+)
 RELEASE_S = 10.0  # [s] that letting go may take
 
 
@@ -46,7 +53,8 @@ class RunningArm(Pilot):
     A `MeasurableArm` of a running controller, driver and monitor.
 
     Where the driver measures tensions, postures are tensions, whatever it commands; else wire
-    lengths. Every posture is reached from the released arm (`from_straight`), or one after the
+    lengths, also where it commands lengths and tells tensions by the current of geared motors.
+    Every posture is reached from the released arm (`from_straight`), or one after the
     other (`sequence`).
 
     Parameters
@@ -71,7 +79,7 @@ class RunningArm(Pilot):
         speed: float = 0.2,
     ) -> None:
         """Connect."""
-        super().__init__('investigate', controller, ending, namespace)
+        super().__init__('investigate', controller, ending, namespace, (DRIVER,))
         self.path, self.stop_asked = path, False
         self._monitor, self.speed = monitor, speed
         self._frames: list[tuple[float, Array]] = []
@@ -115,7 +123,8 @@ class RunningArm(Pilot):
             f'{self._monitor}/measured and tendon_states: does the tracker see the arm?',
         )
         self.spin(KIND_LISTEN_S)  # a reading of a cell may be missing now and then
-        self.input = 'tension' if 'tension' in self._kinds else 'displacement'
+        measured = 'tension' in self._kinds and not (self.pull and self._by_gears)
+        self.input = 'tension' if measured else 'displacement'
 
     @property
     def robot(self) -> Robot:
@@ -255,8 +264,13 @@ class RunningArm(Pilot):
         if off[worst] > OFF_LIMIT_SHARE * high:
             raise BrokenMeasurementError(
                 f'{self.robot.inputs[worst]} pulls {measured[worst]:.2f} N instead of '
-                f'{asked[worst]:.2f} N: did its tendon slip, or does its motor stick?'
+                f'{asked[worst]:.2f} N: {GEARS_HINT if self._by_gears else SLIP_HINT}'
             )
+
+    @property
+    def _by_gears(self) -> bool:
+        """Whether geared motors tell tensions by their current."""
+        return self.statuses[DRIVER].get('tension_source') == BY_GEARS
 
     def _own_half(self, state: Array) -> Array:
         """Return the tensions, or the wire pulls, of a state."""
