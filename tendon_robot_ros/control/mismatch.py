@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 FIRST_DOUBT = 0.5  # [1] variance of the offset at first: a third of it is believed at once
 TIP_NOISE_M = 3e-4  # [m] against which slopes are weighed
-SLOPE_DOUBT = 0.2  # [1] of the model's slopes, standard deviation of D
+SLOPE_DOUBT = 0.03  # [1] of the model's slopes, standard deviation of D
 SLOPE_DOUBT_LEAST = 0.05  # [1] of the arm's length over a tension's range
 SLOPE_FORGOTTEN_S = 2.0  # [s] in which it is as open again
 WANDER = 0.05  # [1] of the way of the tip, by which the offset changes beside the slopes
