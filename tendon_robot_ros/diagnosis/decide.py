@@ -62,6 +62,7 @@ PATTERN_SHARE_MIN = 0.33  # of the excess in deviance that a pattern takes to be
 SEPARABLE_FROM_SD = 2.0  # sd of a mean that predictions must differ to be worth a measurement
 FALSE_OUT_OF_LINE_PROBABILITY = 0.05  # that any member of a healthy arm is called out of line
 TOLD_VARIANCE_SHARE = 0.5  # of its variance that the data must take off a member to be told
+TOLD_SPAN_MAX = 30.0  # upper over lower end of its interval, up to which a scatter is told
 FALSE_DISCOVERY_RATE = 0.05  # among the places at which the best model is said to be wrong
 LOCAL_FAULTS_MAX = 8  # places that are named
 LOCAL_SHARE_MIN = 0.02  # of what a fault does, that a fit must not be able to do as well

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..common.words import digits, listed, mm
-from ..diagnosis.decide import FALSE_DISCOVERY_RATE
+from ..diagnosis.decide import FALSE_DISCOVERY_RATE, TOLD_SPAN_MAX
 from ..diagnosis.result import Diagnosis
 
 KIND_NAMES = {
@@ -58,7 +58,8 @@ def as_built(diagnosis: Diagnosis) -> list[str]:
 
 
 def _is_told(kind: dict[str, Any]) -> bool:
-    return bool(kind['told'] or kind['size'] > 0.3 * kind['plausible'])
+    shows = kind['told'] or kind['size'] > 0.3 * kind['plausible']
+    return bool(shows and kind['high'] < TOLD_SPAN_MAX * kind['low'])
 
 
 def _scatter(kind: dict[str, Any]) -> str:
