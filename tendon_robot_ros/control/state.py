@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from ..common.errors import InputError, NoEquilibriumError
-from ..model.inverse import limits_by_pulls
+from ..model.pulls import limits_by_pulls
 from ..robot.keep_out import KeepOut
 from .solver import GiveUp
 

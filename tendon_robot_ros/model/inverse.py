@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import InputError, NoEquilibriumError
+from ..common.errors import NoEquilibriumError
 from ..robot.keep_out import KeepOut
-from .pulls import pull_shape
+from .pulls import Aim, aim_by_pulls, limits_by_pulls, pull_shape
 from .redundancy import Balance, Preferences, balanced
 from .shape import Reach, Shape
 from .tip_task import TipTask, tip_target
@@ -22,63 +22,6 @@ if TYPE_CHECKING:
     from .forward import ForwardModel
 
 Floats = npt.NDArray[np.float64]
-Aim = Callable[[Floats, Floats, Floats], tuple[float, Floats]]
-HELD_WITHIN_N = 1e-3  # [N] difference of tensions that counts as held
-SLACK_BELOW_N = 1e-6  # [N]
-
-
-def limits_by_pulls(model: ForwardModel) -> Floats:
-    """Return tension limits (m, 2) [N] of wires that may be slack."""
-    return model.limits * [0.0, 1.0]
-
-
-def aim_by_pulls(task: TipTask, aim: Aim, inputs: Floats, bend: Floats) -> tuple[float, Floats]:
-    """
-    Improve inputs (m,) [N] in place among those that wire lengths can hold.
-
-    Wires of given lengths keep up no tension against each other: the arm takes that one of the
-    states with these lengths in which the loose wires are slack. So the wires that the lengths do
-    not hold are set slack, one after the other, and the others aim again.
-
-    Parameters
-    ----------
-    aim : callable
-        Inputs (m,) [N], state (3n,) [rad] and limits (m, 2) [N] to the cost [m²] and the state.
-
-    Returns
-    -------
-    cost : float [m²]
-        Infinite where nothing was found that is held.
-    bends : (3n,) [rad]
-        State, bends and twists.
-
-    """
-    model = task.model
-    taut = inputs > model.limits[:, 0] + SLACK_BELOW_N
-    for _ in range(len(inputs)):
-        limits = limits_by_pulls(model) * taut[:, None]
-        np.clip(inputs, *limits.T, out=inputs)
-        cost, bends = aim(inputs, bend, limits)
-        if not np.isfinite(cost):
-            break
-        try:
-            there = task.shape(inputs, bends)
-            held = pull_shape(model, there.pulls, there, task.past)
-        except (NoEquilibriumError, InputError):
-            break
-        if np.allclose(held.inputs, inputs, rtol=0.0, atol=HELD_WITHIN_N):
-            return cost, bends
-        lost = taut & (held.inputs < inputs - HELD_WITHIN_N)
-        if not lost.any():
-            break
-        taut[np.argmin(np.where(lost, held.inputs, np.inf))] = False
-        inputs[:], bend = held.inputs, held.state
-    return np.inf, bend
-
-
-# -----------------------------------------------------------------------------
-# The inverse: tensions for a target of the tip, within limits.
-
 POSITION_THRESHOLD = 1e-4  # [m]
 DIRECTION_THRESHOLD = np.deg2rad(0.2)  # [rad]
 COST_REACHED_M2 = 1e-12  # [m²] cost below which no further start is tried: 1 µm

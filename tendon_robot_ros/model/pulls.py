@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -15,13 +15,17 @@ from .inputs import TensionsLike, wire_pulls
 if TYPE_CHECKING:
     from .forward import ForwardModel
     from .shape import Shape, ShapeBatch
+    from .tip_task import TipTask
 
 Floats = npt.NDArray[np.float64]
+Aim = Callable[[Floats, Floats, Floats], tuple[float, Floats]]
 GAP_CLOSED_M = 1e-8  # [m] gap at which a search ends
 STRETCH_OFF_N = 0.1  # [N] that the stretched wires may be off
 # [m] gap that is no reason to refuse: friction near standstill turns within 2e-6
 GAP_ACCEPTED_M = 5e-6
 SPRING_COMPLIANCES = (1e-1, 1e-2, 1e-3, 1e-4)  # stretch of the wires, over the arm's compliance
+HELD_WITHIN_N = 1e-3  # [N] difference of tensions that counts as held
+SLACK_BELOW_N = 1e-6  # [N]
 SEARCH_STEPS_MAX, NEAR_SEARCH_STEPS_MAX = 20, 6  # steps of a search; of one that begins near
 
 
@@ -184,3 +188,52 @@ def _refuse(model: ForwardModel, target: Floats, gap: float) -> NoReturn:
         f'pulls: no tensions give {named} together (off by {1e3 * gap:.2g} mm); '
         'release one of the wires'
     )
+
+
+def limits_by_pulls(model: ForwardModel) -> Floats:
+    """Return tension limits (m, 2) [N] of wires that may be slack."""
+    return model.limits * [0.0, 1.0]
+
+
+def aim_by_pulls(task: TipTask, aim: Aim, inputs: Floats, bend: Floats) -> tuple[float, Floats]:
+    """
+    Improve inputs (m,) [N] in place among those that wire lengths can hold.
+
+    Wires of given lengths keep up no tension against each other: the arm takes that one of the
+    states with these lengths in which the loose wires are slack. So the wires that the lengths do
+    not hold are set slack, one after the other, and the others aim again.
+
+    Parameters
+    ----------
+    aim : callable
+        Inputs (m,) [N], state (3n,) [rad] and limits (m, 2) [N] to the cost [m²] and the state.
+
+    Returns
+    -------
+    cost : float [m²]
+        Infinite where nothing was found that is held.
+    bends : (3n,) [rad]
+        State, bends and twists.
+
+    """
+    model = task.model
+    taut = inputs > model.limits[:, 0] + SLACK_BELOW_N
+    for _ in range(len(inputs)):
+        limits = limits_by_pulls(model) * taut[:, None]
+        np.clip(inputs, *limits.T, out=inputs)
+        cost, bends = aim(inputs, bend, limits)
+        if not np.isfinite(cost):
+            break
+        try:
+            there = task.shape(inputs, bends)
+            held = pull_shape(model, there.pulls, there, task.past)
+        except (NoEquilibriumError, InputError):
+            break
+        if np.allclose(held.inputs, inputs, rtol=0.0, atol=HELD_WITHIN_N):
+            return cost, bends
+        lost = taut & (held.inputs < inputs - HELD_WITHIN_N)
+        if not lost.any():
+            break
+        taut[np.argmin(np.where(lost, held.inputs, np.inf))] = False
+        inputs[:], bend = held.inputs, held.state
+    return np.inf, bend

@@ -86,13 +86,10 @@ class ResultLayout:
 def place_markers(shapes: ShapeBatch, arc_length: Floats, offset: Floats) -> Floats:
     """Positions (b, j, 3) [m] of markers; see `ShapeBatch.markers`."""
     cells, share, at_end = _places(shapes.cell_length.tobytes(), arc_length.tobytes())
-    if at_end:
-        points = shapes.positions[:, cells]
-        if not offset.any():
-            return points
-        frames = shapes.frames[:, cells]
-    else:
-        frames, points = _inside(shapes, cells, share)
+    if at_end and not offset.any():
+        return shapes.positions[:, cells]
+    ends = shapes.frames[:, cells], shapes.positions[:, cells]
+    frames, points = ends if at_end else _inside(shapes, cells, share)
     return np.asarray(points + np.einsum('bjrc,jc->bjr', frames, offset))
 
 
