@@ -14,7 +14,7 @@ from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.as_built import Kind
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
-from tendon_robot_ros.diagnosis.outliers import find_outliers
+from tendon_robot_ros.diagnosis.outliers import _moves, _without_inputs, find_outliers
 from tendon_robot_ros.diagnosis.slopes import imperfections
 from tendon_robot_ros.diagnosis.split import SplitPredictor
 from tendon_robot_ros.report.diagnosis_text import lines
@@ -160,3 +160,14 @@ def test_a_scatter_that_does_not_show_may_be_none():
         random = RandomEffects(slope * np.eye(6)[:, :3], np.zeros(3, int), random.kinds)
         low, high = random.intervals(np.array([1e-3]))
         assert low[0] == 0.0 and high[0] >= 0.03
+
+
+def test_a_reading_that_one_trial_lost_makes_none_of_the_others_stand_out():
+    random = np.random.default_rng(3)
+    arm, slope = random.normal(size=(8, 3)), random.normal(size=(8, 3))
+    trials = arm + np.array([0.0, -2.0, -1.0, 4.0, 6.0])[:, None, None] * slope
+    trials[1, 7] = np.nan
+    along = slope.reshape(-1, 1)
+    for move in _moves(trials, along):
+        left, _ = _without_inputs(move, along)
+        assert np.nanmax(np.abs(left)) < 1e-4  # their middles are of other trials: 0.5 and more

@@ -56,9 +56,8 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
         seen = np.flatnonzero(dataset.trial_mask[p])
         if len(seen) < TRIALS_MIN:
             continue
-        moves = dataset.positions[p, seen] - np.nanmedian(dataset.positions[p, seen], axis=0)
         g = slopes[p].reshape(len(slopes[p]), -1).T
-        for q, move in zip(seen, moves.reshape(len(seen), -1), strict=True):
+        for q, move in zip(seen, _moves(dataset.positions[p, seen], g), strict=True):
             left[p, q], inputs[p, q] = _without_inputs(move, g)
             along[p, q] = move.reshape(-1, 3) - left[p, q]
     distance = np.linalg.norm(left, axis=-1)
@@ -73,6 +72,18 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
         middle = np.nanmedian(dataset.positions, axis=1, keepdims=True)
     moved = np.linalg.norm(dataset.positions - middle, axis=-1)
     return Outliers(readings & ~trials[..., None], trials, moved)
+
+
+def _moves(trials: Floats, g: Floats) -> Floats:
+    """
+    Return how far trials (q, J, 3) [m] of a posture are from their middle, as (q, 3J).
+
+    The middle is that of the trials with the same inputs: else a marker that one of them lost
+    would have the middle of other trials than its neighbours, and would stand out in all.
+    """
+    moves = trials - np.nanmedian(trials, axis=0)
+    even = [move.reshape(-1, 3) - _without_inputs(move.ravel(), g)[0] for move in moves]
+    return np.asarray(trials - np.nanmedian(trials - even, axis=0)).reshape(len(trials), -1)
 
 
 def _without_inputs(move: Floats, g: Floats) -> tuple[Floats, float]:
