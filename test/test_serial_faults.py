@@ -129,9 +129,10 @@ def test_a_fault_of_a_channel_takes_its_torque_only_until_cause_and_fault_are_go
     broken, mended = FAULTS[code]
     obey(line, broken, ACTIONS)
     hard = np.array(command) + [0.0, 0.0, 4.0 if code == 'encoder' else 0.0, 0.0]
-    reading = until(driver, hard, lambda r: r.faults)
-    (fault,) = reading.faults
-    assert (fault.code, fault.hardware, fault.inputs) == (code, True, ('west',))
+    # On a busy machine the board may have missed commands as well: that is no fault of hardware
+    reading = until(driver, hard, lambda r: any(fault.hardware for fault in r.faults))
+    (fault,) = (fault for fault in reading.faults if fault.hardware)
+    assert (fault.code, fault.inputs) == (code, ('west',))
     assert fault.message.startswith(f'{line.port}: west (channel 2): ')
     until(driver, command, lambda r: enabled(line) == [True, True, False, True])
     if code == 'load_cell':
