@@ -291,6 +291,7 @@ def started(folder, workers, protocol='tcp', **environment):
     scheduler += ['--protocol', protocol]
     worker = ['worker', '--nworkers', str(workers), '--nthreads', '1', '--no-dashboard']
     kept = ['--local-directory', str(folder)]
+    where = {'PYTHONPATH': f'{ROOT}:{ROOT / "test"}', 'DASK_TEMPORARY_DIRECTORY': str(folder)}
     with (folder / 'log.txt').open('w') as log:
         both = [
             processes.Process(
@@ -298,25 +299,22 @@ def started(folder, workers, protocol='tcp', **environment):
                 cwd=folder,
                 stdout=log,
                 stderr=log,
-                env=os.environ
-                | {
-                    'PYTHONPATH': f'{ROOT}:{ROOT / "test"}',
-                    'DASK_TEMPORARY_DIRECTORY': str(folder),
-                    **environment,
-                },
+                env={**os.environ, **where, **environment},
             )
             for which in (scheduler, [*worker, *kept])
         ]
-    end = time.monotonic() + 60.0
-    while not (told.exists() and told.read_text().rstrip().endswith('}')):  # written whole
-        assert time.monotonic() < end
-        time.sleep(0.05)
-    yield json.loads(told.read_text())['address'], both[0]
-    for process in reversed(both):
-        process.send_signal(signal.SIGTERM)  # it ends its own workers
-        with contextlib.suppress(processes.TimeoutExpired):
-            process.wait(10.0)
-        process.end()
+    try:
+        end = time.monotonic() + 60.0
+        while not (told.exists() and told.read_text().rstrip().endswith('}')):  # written whole
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        yield json.loads(told.read_text())['address'], both[0]
+    finally:
+        for process in reversed(both):
+            process.send_signal(signal.SIGTERM)  # it ends its own workers
+            with contextlib.suppress(processes.TimeoutExpired):
+                process.wait(10.0)
+            process.end()
 
 
 @pytest.fixture(scope='module')
