@@ -75,22 +75,29 @@ def running(tmp_path_factory):
         station.close()
 
 
-def known(station):
-    names = dict(station.node.get_topic_names_and_types())
-    return {name.removeprefix(SPACE): kinds[0] for name, kinds in names.items()}
+def known(station, wanted):
+    """Return the types of topics by name, once all that are wanted are discovered."""
+
+    def seen():
+        names = station.node.get_topic_names_and_types()
+        return {name.removeprefix(SPACE): kinds[0] for name, kinds in names}
+
+    station.until(lambda: not set(wanted) - seen().keys(), f'topics {sorted(wanted)}')
+    return seen()
 
 
 @pytest.mark.ros
 def test_rviz_listens_to_topics_that_exist_in_their_type(running):
-    topics = known(running)
     found = list(rviz_topics())
     assert len(found) >= 6
+    topics = known(running, {'/' + name for name, *_ in found})
     for name, kind, _ in found:
-        assert topics.get('/' + name) == kind, name
+        assert topics['/' + name] == kind, name
 
 
 @pytest.mark.ros
 def test_rviz_hears_what_is_published_reliably_or_not(running):
+    known(running, {'/' + name for name, *_ in rviz_topics()})
     for name, _, topic in rviz_topics():
         for publisher in running.node.get_publishers_info_by_topic(f'{SPACE}/{name}'):
             latched = publisher.qos_profile.durability.name == 'TRANSIENT_LOCAL'
@@ -99,9 +106,9 @@ def test_rviz_hears_what_is_published_reliably_or_not(running):
 
 @pytest.mark.ros
 def test_foxglove_plots_fields_that_exist(running):
-    topics = known(running)
     paths = list(foxglove_paths())
     assert len(paths) > 12
+    topics = known(running, {path.partition('.')[0] for path in paths})
     for path in paths:
         topic, _, fields = path.partition('.')
         assert topic in topics, path
