@@ -192,6 +192,7 @@ def test_points_and_analog_channels_of_a_c3d_file_are_read(tmp_path):
     points = np.ones((4, 2, 3))
     points[:3] = np.arange(18.0).reshape(3, 2, 3)
     made['data']['points'] = points
+    made.add_parameter('POINT', 'Y_SCREEN', '+Z')
     made['parameters']['ANALOG']['RATE']['value'] = [200.0]
     made['parameters']['ANALOG']['LABELS']['value'] = ['T1']
     made['parameters']['ANALOG']['UNITS']['value'] = ['N']
@@ -201,7 +202,7 @@ def test_points_and_analog_channels_of_a_c3d_file_are_read(tmp_path):
     assert_allclose(table.columns['time'], [0.0, 0.01, 0.02])
     assert_allclose(table.columns['B y'], points[1, 1])
     assert_allclose(table.columns['T1'], [0.5, 2.5, 4.5])
-    assert (table.units['T1'], table.units['A x']) == ('N', 'mm')
+    assert (table.units['T1'], table.units['A x'], table.up) == ('N', 'mm', 'z')
 
 
 @pytest.mark.parametrize(

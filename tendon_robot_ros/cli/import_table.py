@@ -24,7 +24,7 @@ from ..robot import load_robot
 from ..tables import import_table
 from ..tables.columns import ColumnUse
 from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe, load_recipe
-from .options import add_effect_files, input_size, numbers
+from .options import add_effect_files, input_size, length
 
 HELP = 'make a data set of a table of tensions and markers over time'
 INPUT_KINDS = ('force', 'length', 'angle', 'counts', 'current')
@@ -50,7 +50,7 @@ def _add_columns(group: argparse._ArgumentGroup) -> None:
     add('--column', action='append', default=[], metavar='INPUT=COLUMN', help=what)
     what = 'where no name says it: inputs=g, positions=mm, time=ms; may be repeated'
     add('--unit', action='append', default=[], metavar='WHAT=UNIT', help=what)
-    add('--spool', type=float, metavar='MM', help='radius at which the wire winds up')
+    add('--spool', metavar='MM', help='radius at which the wire winds up, 10 or 0.4inch')
     add('--counts-per-turn', type=float, metavar='N', help='where motors tell ticks')
     add('--torque-constant', type=float, metavar='K', help='N·m/A at the spool, for currents')
     what = 'inputs count from where they are when the arm first stands still (default: of motors)'
@@ -141,12 +141,12 @@ def _with_columns(recipe: Recipe, args: argparse.Namespace, inputs: tuple[str, .
         recipe = replace(recipe, positions=unit_of_places)
     spool: dict[str, float] = {}
     for key, value in (
-        ('radius', None if args.spool is None else 1e-3 * args.spool),
+        ('radius', None if args.spool is None else length('--spool', args.spool, 'mm')),
         ('counts_per_turn', args.counts_per_turn),
         ('torque_constant', args.torque_constant),
     ):
         if value is not None:
-            _check('--' + key.replace('_', '-'), value, 0.0)
+            _check('--' + key.replace('_', '-').replace('radius', 'spool'), value, 0.0)
             spool[key] = value
     return replace(
         recipe,
@@ -160,19 +160,24 @@ def _with_columns(recipe: Recipe, args: argparse.Namespace, inputs: tuple[str, .
 
 def _with_arm(recipe: Recipe, args: argparse.Namespace) -> Recipe:
     if args.markers:
-        places = tuple(1e-3 * value for value in numbers('--markers', args.markers, ','))
+        places = _lengths('--markers', args.markers)
         if any(b <= a for a, b in pairwise(places)):
             raise InputError('--markers: expected distances that grow, from base to tip [mm]')
         open_ones = tuple(replace(m, arc_length=None) for m in recipe.markers or ())
         recipe = replace(recipe, places=places, markers=open_ones or None)
     if args.offset:
-        aside = numbers('--offset', args.offset, ',')
+        aside = _lengths('--offset', args.offset)
         if len(aside) != 2:
             raise InputError(f'--offset: expected X,Y in mm, got {args.offset!r}')
-        recipe = replace(recipe, offset=(1e-3 * aside[0], 1e-3 * aside[1], 0.0))
+        recipe = replace(recipe, offset=(aside[0], aside[1], 0.0))
     if args.frame:
         recipe = replace(recipe, frame=FrameChoice(args.frame))
     return replace(recipe, up=args.up or recipe.up)
+
+
+def _lengths(option: str, text: str) -> tuple[float, ...]:
+    """Read lengths with commas between them, mm unless they say otherwise, in metres."""
+    return tuple(length(option, part, 'mm') for part in text.split(','))
 
 
 def _with_measurements(recipe: Recipe, args: argparse.Namespace) -> Recipe:

@@ -16,6 +16,9 @@ from .raw_table import FloatArray, RawTable
 BEGINS = 'Format Version'  # the first cell that Motive writes
 UNUSED = 'unused'  # columns that are named so get no role
 HEADER_LINES_MAX = 20
+# of a .c3d file: the axis that points up on the screen, as it is written
+UP_OF_SCREEN = {f'{sign}{axis}': f'{sign}{axis}'.replace('+', '').lower()
+                for sign in ('', '+', '-') for axis in 'XYZ'}  # fmt: skip
 
 
 def is_optitrack(lines: Sequence[str]) -> bool:
@@ -162,7 +165,9 @@ def read_c3d(shown: str, path: Path) -> RawTable:
         columns[label] = analogs[a].reshape(count, -1).mean(axis=1)
         if a < len(many) and find_unit(many[a]):
             units[label] = many[a].strip()
-    return RawTable(shown, columns, {}, units, None, None, (f'.c3d, lengths in {length}',))
+    up = UP_OF_SCREEN.get(str(_value(content, 'POINT', 'Y_SCREEN', '')).strip().upper())
+    notes = (f'.c3d, lengths in {length}' + (f', {up} up' if up else ''),)
+    return RawTable(shown, columns, {}, units, None, up, notes)
 
 
 def _value(content: Any, group: str, key: str, default: Any) -> Any:

@@ -74,6 +74,7 @@ def import_table(
     recipe = _recipe(recipe)
     robot = _robot(robot, recipe)
     tables = _tables(source, recipe)
+    recipe = _with_up(recipe, tables)
     taken = choose_columns(tables, robot, recipe)
     measured = measure(make_traces(tables, taken), taken, robot)
     name = tables[0].name
@@ -163,6 +164,12 @@ def _tables(source: Any, recipe: Recipe) -> list[RawTable]:
     if not found:
         raise DataSetError('tables', 'none is named', 'name a .csv, .parquet or .c3d file')
     return [read_table(s) if isinstance(s, str | Path) else from_frame(s) for s in found]
+
+
+def _with_up(recipe: Recipe, tables: Sequence[RawTable]) -> Recipe:
+    """Take the axis that points up from the files where their format has one."""
+    told = {table.up for table in tables} - {None}
+    return recipe if recipe.up or len(told) != 1 else replace(recipe, up=told.pop())
 
 
 def _order(measured: StillMeasurements, taken: Taken, robot: Robot, name: str) -> MarkerOrder:

@@ -27,7 +27,7 @@ from .choices import Taken
 from .columns import marker_label
 from .raw_table import FloatArray
 from .recipe import MarkerColumns, Recipe
-from .traces import Traces
+from .traces import NOTHING_CUT, CutReadings, Traces, cut_out
 
 SPEED_LIMITS_M_S = (0.002, 0.02)  # [m/s] slower is still, whatever the tracker's noise makes of it
 CHANGE_SHARES = (0.01, 0.1)  # of the largest input: a smaller change within a window is none
@@ -51,7 +51,7 @@ class Piece:
     motion: ArmMotion | None  # None: every row is a measurement
     segments: tuple[Segment, ...]
     resting: tuple[Segment, ...]
-    jumps: FloatArray  # (J,) frames that were cut out
+    cut: CutReadings  # of the markers
 
 
 @dataclass(frozen=True)
@@ -138,13 +138,12 @@ def _still_rule(
 
 def _piece(traces: Traces, moved: ArmMotion | None, rule: Rule) -> Piece:
     recording, inputs = traces.recording, traces.inputs
-    count = recording.tracks[0].positions.shape[1]
     if moved is None:
-        return Piece(recording, inputs, None, _rows(recording, inputs), (), np.zeros(count))
-    cleaned, jumps = _without_jumps(recording, still_stretches(moved, rule))
+        return Piece(recording, inputs, None, _rows(recording, inputs), (), NOTHING_CUT)
+    cleaned, cut = _without_jumps(recording, still_stretches(moved, rule))
     segments, _ = find_segments(cleaned, inputs, moved, rule, sequence=True)
     seen = [one for one in segments if np.isfinite(one.positions).any()]
-    return Piece(recording, inputs, moved, tuple(seen), (), jumps + traces.jumps)
+    return Piece(recording, inputs, moved, tuple(seen), (), cut + traces.cut)
 
 
 def _rows(recording: Recording, inputs: FloatArray) -> tuple[Segment, ...]:
@@ -160,14 +159,14 @@ def _rows(recording: Recording, inputs: FloatArray) -> tuple[Segment, ...]:
 
 def _without_jumps(
     recording: Recording, stretches: Sequence[tuple[float, float]]
-) -> tuple[Recording, FloatArray]:
+) -> tuple[Recording, CutReadings]:
     """Cut out frames in which a marker is far from where it is in the others of a stretch."""
     track = recording.tracks[0]
     positions = track.positions.copy()
-    jumps = np.zeros(positions.shape[1])
+    cut = NOTHING_CUT
     for begin, end in stretches:
         inside = slice(*np.searchsorted(track.times, [begin - 1e-9, end + 1e-9]))
-        frames = positions[inside]
+        times, frames = track.times[inside], positions[inside]  # views: positions change
         for j in range(frames.shape[1]):
             seen = np.flatnonzero(np.isfinite(frames[:, j, 0]))
             if len(seen) < SEEN_SHARE * len(frames):  # the arm may have settled in the gap
@@ -176,9 +175,9 @@ def _without_jumps(
                 continue
             away = np.linalg.norm(frames[seen, j] - np.median(frames[seen, j], axis=0), axis=1)
             far = away > max(JUMP_FROM_SD * float(np.median(away)) / 1.54, JUMP_MIN_M)
-            frames[seen[far], j] = np.nan  # a view: positions change
-            jumps[j] += far.sum()
-    return replace(recording, tracks=(replace(track, positions=positions),)), jumps
+            if far.any():
+                cut += cut_out(frames, times, j, seen[far])
+    return replace(recording, tracks=(replace(track, positions=positions),)), cut
 
 
 def _from_zero(pieces: Sequence[Piece]) -> list[Piece]:
@@ -272,13 +271,14 @@ def _told(pieces: Sequence[Piece], markers: Sequence[MarkerColumns]) -> list[str
     resting = sum(len(piece.resting) for piece in pieces)
     if resting:
         said.append(f'{resting} still segments at rest between the others')
-    jumps = np.sum([piece.jumps for piece in pieces], axis=0)
+    cut = np.concatenate([piece.cut.markers for piece in pieces])
+    jumps = np.bincount(cut, minlength=len(markers))
     if jumps.any():
         places = ', '.join(
-            f'{marker_label(markers[j].columns)} {int(jumps[j])}'
+            f'{marker_label(markers[j].columns)} {jumps[j]}'
             for j in np.flatnonzero(jumps).tolist()
         )
-        said.append(f'{int(jumps.sum())} frames in which a marker jumps ({places})')
+        said.append(f'{len(cut)} frames in which a marker jumps ({places})')
     positions = [piece.recording.tracks[0].positions[..., 0] for piece in pieces]
     lost = np.sum([np.isnan(one).sum(axis=0) for one in positions], axis=0)
     total = sum(len(one) for one in positions)

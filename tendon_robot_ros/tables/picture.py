@@ -56,7 +56,7 @@ def draw(
         _markers(figure.add_subplot(heights[1, :]), measured, recipe, members)
         for place, axis in ((0, 0), (1, 1)):
             _arm(figure.add_subplot(heights[2, place]), dataset, predicted, axis)
-        _key(figure)
+        _key(figure, any(len(piece.cut.times) for piece in measured.pieces))
     return figure
 
 
@@ -110,21 +110,27 @@ def _inputs(axes: Axes, dataset: DataSet, measured: StillMeasurements) -> None:
 def _markers(
     axes: Axes, measured: StillMeasurements, recipe: Recipe, members: Sequence[int]
 ) -> None:
-    """Draw how far every marker is from where it began, and the trials that were left out."""
+    """Draw how far every marker is from where it began, and what was cut out or left out."""
     from matplotlib import colormaps
 
     out = set(recipe.leave_out or ())
     colours = colormaps['viridis']
+    cut: list[FloatArray] = []  # (K, 2) [s] and [mm]
     for begin, piece in _pieces(measured):
         track = piece.recording.tracks[0]
         part = _thinned(track.times)
         for place, j in enumerate(members):
             here = track.positions[part, j]
             seen = np.flatnonzero(np.isfinite(here[:, 0]))
-            if len(seen):
-                away = 1e3 * np.linalg.norm(here - here[seen[0]], axis=1)
-                axes.plot(begin + track.times[part], away, color=colours(place / len(members)),
-                          linewidth=0.6)  # fmt: skip
+            if not len(seen):
+                continue
+            away = 1e3 * np.linalg.norm(here - here[seen[0]], axis=1)
+            axes.plot(begin + track.times[part], away, color=colours(place / len(members)),
+                      linewidth=0.6)  # fmt: skip
+            mine = piece.cut.markers == j
+            far = 1e3 * np.linalg.norm(piece.cut.places[mine] - here[seen[0]], axis=1)
+            cut.append(np.column_stack([begin + piece.cut.times[mine], far]))
+    _cut(axes, np.concatenate(cut) if cut else np.zeros((0, 2)))
     _shade(axes, measured)
     segments = iter(measured.segments)
     for begin, piece in _pieces(measured):
@@ -134,6 +140,15 @@ def _markers(
     axes.set_ylabel('markers moved [mm]')
     axes.set_xlabel('time [s]' if recipe.time else 'row')
     axes.margins(x=0.0)
+
+
+def _cut(axes: Axes, readings: FloatArray) -> None:
+    """Draw readings (K, 2) [s, mm] that were cut out; what is far off lies at the upper edge."""
+    if len(readings):
+        top = axes.get_ylim()[1]
+        axes.plot(readings[:, 0], np.minimum(readings[:, 1], top), 'x', color=LEFT_OUT,
+                  markersize=6.0, clip_on=False, zorder=3.0)  # fmt: skip
+        axes.set_ylim(top=top)
 
 
 def _arm(axes: Axes, dataset: DataSet, predicted: FloatArray, axis: int) -> None:
@@ -152,21 +167,26 @@ def _arm(axes: Axes, dataset: DataSet, predicted: FloatArray, axis: int) -> None
     axes.grid(alpha=0.3)
 
 
-def _key(figure: Figure) -> Any:
+def _key(figure: Figure, has_cut: bool) -> Any:
     """Say what colours mean."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
+    handles = [
+        Patch(color=GOOD, alpha=0.3, label='taken'),
+        Patch(color=REST, alpha=0.6, label='rest'),
+        Patch(color=LEFT_OUT, label='left out'),
+        Line2D([], [], color=MEASURED, marker='o', linestyle='', label='measured'),
+        Line2D([], [], color=PREDICTED, label='model'),
+    ]
+    if has_cut:
+        handles.insert(
+            3, Line2D([], [], color=LEFT_OUT, marker='x', linestyle='', label='cut out')
+        )
     return figure.legend(
-        handles=[
-            Patch(color=GOOD, alpha=0.3, label='taken'),
-            Patch(color=REST, alpha=0.6, label='rest'),
-            Patch(color=LEFT_OUT, label='left out'),
-            Line2D([], [], color=MEASURED, marker='o', linestyle='', label='measured'),
-            Line2D([], [], color=PREDICTED, label='model'),
-        ],
+        handles=handles,
         loc='outside lower center',
-        ncols=5,
+        ncols=3 if has_cut else 5,
         frameon=False,
         handlelength=1.2,
         columnspacing=1.2,

@@ -58,6 +58,26 @@ def input_factor(unit_text: str, spool: WireSpool) -> float:
     return 2.0 * np.pi * spool.radius / spool.counts_per_turn
 
 
+@dataclass(frozen=True, eq=False)
+class CutReadings:
+    """Readings of markers that were cut out: for a moment another marker was taken for them."""
+
+    times: FloatArray  # (K,) [s]
+    markers: IntArray  # (K,) as in the table
+    places: FloatArray  # (K, 3) [m] in the tracker's frame
+
+    def __add__(self, other: CutReadings) -> CutReadings:
+        """Put two together."""
+        return CutReadings(
+            np.append(self.times, other.times),
+            np.append(self.markers, other.markers),
+            np.concatenate([self.places, other.places]),
+        )
+
+
+NOTHING_CUT = CutReadings(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+
+
 @dataclass(frozen=True)
 class Traces:
     """What one recording holds; inputs have times of their own where they have their own file."""
@@ -65,7 +85,7 @@ class Traces:
     recording: Recording
     inputs: FloatArray  # (T, m) [N] or [m] at `recording.state_times`
     zeros: int  # marker readings of exactly 0, 0, 0: not seen
-    jumps: IntArray  # (J,) frames in which a marker was elsewhere for a moment
+    cut: CutReadings  # a marker was elsewhere for a moment
     delay: float | None = None  # [s] that the tracker's file begins later; None: there is one file
     drift: float = 0.0  # [s/s] that the tracker's clock loses
     clocks: str = ''  # how these are known, where there are two clocks
@@ -149,11 +169,11 @@ def _trace(
             times = delay + (1.0 + drift) * times
         else:
             delay = None
-    jumps = _cut_jumps(positions, times) if recipe.time else np.zeros(positions.shape[1], int)
+    cut = _cut_jumps(positions, times) if recipe.time else NOTHING_CUT
     turned = np.broadcast_to(np.nan, (*positions.shape[:2], 4))
     track = Track(times, positions, turned)
     recording = Recording(seen.name, state_times, [], (track,), (), [], None, None)
-    return Traces(recording, inputs, int(lost.sum()), jumps, delay, drift, clocks)
+    return Traces(recording, inputs, int(lost.sum()), cut, delay, drift, clocks)
 
 
 def _refuse_recording(name: str, positions: FloatArray) -> None:
@@ -196,11 +216,20 @@ def _clock(
     return delay, drift, how
 
 
-def _cut_jumps(positions: FloatArray, times: FloatArray) -> IntArray:
-    """Take out frames in which a marker leaps away and, a moment later, is back; count them."""
+def cut_out(
+    positions: FloatArray, times: FloatArray, marker: int, frames: IntArray
+) -> CutReadings:
+    """Take readings of a marker out of positions (T, J, 3) in place; return what they were."""
+    cut = CutReadings(times[frames], np.full(len(frames), marker), positions[frames, marker])
+    positions[frames, marker] = np.nan
+    return cut
+
+
+def _cut_jumps(positions: FloatArray, times: FloatArray) -> CutReadings:
+    """Take out frames in which a marker leaps away and, a moment later, is back."""
     step_s = float(np.median(np.diff(times))) if len(times) > 2 else 1.0
     most = int(np.clip(JUMP_MAX_S / max(step_s, 1e-9), 1, 50))
-    counts = np.zeros(positions.shape[1], dtype=np.int64)
+    cut = NOTHING_CUT
     for j in range(positions.shape[1]):
         seen = np.flatnonzero(np.isfinite(positions[:, j, 0]))
         path = positions[seen, j]
@@ -219,9 +248,8 @@ def _cut_jumps(positions: FloatArray, times: FloatArray) -> IntArray:
             back = np.linalg.norm(path[frame : frame + most] - path[before], axis=1)
             near = np.flatnonzero(back < 0.25 * leap)
             out |= set(range(frame, frame + int(near[0]))) if len(near) else set()
-        positions[seen[sorted(out)], j] = np.nan
-        counts[j] = len(out)
-    return counts
+        cut += cut_out(positions, times, j, seen[sorted(out)])
+    return cut
 
 
 def _times(table: RawTable, recipe: Recipe) -> FloatArray:
