@@ -127,12 +127,33 @@ def test_new_robot_takes_answers_from_a_pipe_and_draws(monkeypatch, tmp_path, ca
     assert 'written: my_arm.yaml' in printed
     assert 'bends section_1 by 42.4° (without friction)' in printed  # 4 · 0.005 / 0.027 rad
     assert 'weighs 1 g; level, it sags by 2.8 mm at the tip' in printed
+    assert main(['describe', 'my_arm.yaml']) == 0
+    assert capsys.readouterr().out.strip() in printed
     assert new_robot(monkeypatch, tmp_path, f'{answers}\n\nyes\n', '--output', 'plate.yaml') == 0
     plate = load_robot(tmp_path / 'plate.yaml')
     assert [s.name for s in plate.sections] == ['plate', *(s.name for s in robot.sections)]
     assert plate.length == pytest.approx(robot.length, abs=2e-6)
     tips = [Model(one).shape([3.0] + 8 * [0.1]).tip_position for one in (robot, plate)]
     assert np.hypot(*tips[1][:2]) != pytest.approx(np.hypot(*tips[0][:2]), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ('answer', 'gravity'),
+    [('', (9.81, 0.0, 0.0)), ('right', (0.0, -9.81, 0.0)), ('left', (0.0, 9.81, 0.0)),
+     ('180', (-9.81, 0.0, 0.0)), ('up', (-9.81, 0.0, 0.0))],
+)  # fmt: skip
+def test_where_the_first_tendon_lies_is_asked_with_a_picture(
+    answer, gravity, monkeypatch, tmp_path, capsys
+):
+    """The first tendon lies on x of the base frame, whatever hangs down."""
+    answers = f'arm\n1\n4\n6\n\n\n\n3\n5\n\n8\n0\nhorizontal\n0\n\nchannel\n{answer}\n'
+    assert new_robot(monkeypatch, tmp_path, answers) == 0
+    robot = load_robot(tmp_path / 'arm.yaml')
+    assert robot.gravity == pytest.approx(gravity)
+    assert robot.tendons[0].base == (0.005, 0.0)
+    asked = capsys.readouterr().err
+    assert '     270 left --o-- 90 right     tendon_1 is the first tendon.\n' in asked
+    assert 'tendon_2 and so on follow counter-clockwise, 120° apart.\n' in asked
 
 
 @pytest.mark.parametrize(
@@ -207,6 +228,10 @@ def test_new_robot_needs_no_answer_at_all(monkeypatch, tmp_path):
         ('\n\n\n-3\n', "Length of a cell [mm]: expected a number from 0.001 to 10000, got '-3'"),
         ('\n\n\n\nbeam\n', 'known as: number, rod, tube, sag, bend, unknown: expected number or'),
         ('\n\n\n\n\n\nbar\n', "Cells bend as: arc, hinge: expected arc or hinge, got 'bar'"),
+        (
+            '\n' * 12 + 'horizontal' + '\n' * 5 + 'below\n',
+            "or down or right or up or left, got 'below'",
+        ),
         ('\n' * 9 + '5\n2\n', "Highest tension [N]: expected a number from 5 to 100000, got '2'"),
     ],
 )

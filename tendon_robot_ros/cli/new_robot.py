@@ -16,9 +16,10 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TextIO, TypeVar
 
 import yaml
@@ -41,6 +42,13 @@ HELP = 'ask about a robot, write its description and draw it'
 GRAVITY_ALONG_Z = {'up': -9.81, 'down': 9.81, 'horizontal': 9.81}
 # a cell that is stiff and has no length: behind it lies the first eyelet (docs/robot_file.md)
 PLATE = {'name': 'plate', 'cells': 1, 'cell_length': 1e-6, 'bending_stiffness': 1000.0}
+SEEN_FROM_TIP = """\
+Look at the tip of the level arm from the front, so that it points at you:
+              180 up
+                |
+     270 left --o-- 90 right     {first} is the first tendon.
+                |                {others}
+              0 down, where a weight pulls"""
 FILE_HEAD = '# Written by new-robot. In m and N; +z points along the straight arm.\n'
 
 
@@ -114,7 +122,7 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
     content |= _ask_weight(questions, count * cells * length, content['effects'])
     content |= _ask_tolerances(questions, known, friction)
     _ask_guides(questions, content['effects'])
-    content |= _ask_down(questions, content.get('gravity', (0.0, 0.0, 0.0)))
+    content |= _ask_down(questions, content.get('gravity', (0.0, 0.0, 0.0)), content['tendons'])
     if 'eyelet_wrap' in content['effects'] and _ask_plate(questions):
         content['sections'].insert(0, dict(PLATE))
     return content
@@ -164,13 +172,22 @@ def _ask_plate(questions: Questions) -> bool:
     return answer == 'yes'
 
 
-def _ask_down(questions: Questions, gravity: Sequence[float]) -> dict[str, list[float]]:
+def _ask_down(
+    questions: Questions, gravity: Sequence[float], tendons: Sequence[dict[str, Any]]
+) -> dict[str, list[float]]:
     """Ask where the first tendon of a level arm lies, as seen from its tip."""
     if not gravity[0]:
         return {}
+    first = tendons[0]
+    ring = [tendon['name'] for tendon in tendons if tendon['section'] == first['section']]
+    others = 'It is the only one.' if len(ring) == 1 else f'{ring[1]} lies opposite.'
+    if len(ring) > 2:
+        apart = f'{360.0 / len(ring):.4g}°'
+        others = f'{ring[1]} and so on follow counter-clockwise, {apart} apart.'
+    questions.tell(SEEN_FROM_TIP.format(first=first['name'], others=others))
     degrees = questions.number(
-        'Seen from the tip, the first tendon lies [°] counter-clockwise from straight down',
-        0.0, -360.0, 360.0,
+        f'There {first["name"]} lies at [°, or down, right, up, left]',
+        0.0, -360.0, 360.0, {'down': 0.0, 'right': 90.0, 'up': 180.0, 'left': 270.0},
     )  # fmt: skip
     angle = math.radians(degrees)
     down = (gravity[0] * math.cos(angle), -gravity[0] * math.sin(angle))
@@ -306,16 +323,28 @@ class Questions:
 
         return self._ask(question, str(default), f'a whole number from {low} to {high}', read)
 
-    def number(self, question: str, default: float, low: float, high: float) -> float:
-        """Ask for a number within bounds."""
+    def tell(self, text: str) -> None:
+        """Say something before a question."""
+        print(text, file=self._prompts)
+
+    def number(
+        self,
+        question: str,
+        default: float,
+        low: float,
+        high: float,
+        words: Mapping[str, float] = MappingProxyType({}),
+    ) -> float:
+        """Ask for a number within bounds, or for a word that stands for one."""
 
         def read(answer: str) -> float:
-            value = float(answer)
+            value = words[answer] if answer in words else float(answer)
             if not (math.isfinite(value) and low <= value <= high):
                 raise ValueError
             return value
 
-        return self._ask(question, f'{default:g}', f'a number from {low:g} to {high:g}', read)
+        expected = ' or '.join([f'a number from {low:g} to {high:g}', *words])
+        return self._ask(question, f'{default:g}', expected, read)
 
     def choice(self, question: str, known: tuple[str, ...]) -> str:
         """Ask for one of some words; the first is the default."""
