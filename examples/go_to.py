@@ -1,7 +1,7 @@
 """
 Send the tip somewhere and print where it went.
 
-python examples/go_to.py X Z [ROBOT]   in metres, in the base frame of the robot; needs only rclpy
+python examples/go_to.py X Z [ROBOT]   in mm, in the base frame of the robot; needs only rclpy
 
 Where the tip went is what a tracker says (measured_tip), else what the model says.
 """
@@ -14,7 +14,7 @@ import rclpy
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.qos import qos_profile_sensor_data
 
-x, z = float(sys.argv[1]), float(sys.argv[2])
+x, z = 1e-3 * float(sys.argv[1]), 1e-3 * float(sys.argv[2])  # [m], as ROS has it
 robot = sys.argv[3] if len(sys.argv) > 3 else 'kato_10_1'
 
 rclpy.init()

@@ -20,7 +20,7 @@ def test_the_example_sends_the_tip_to_a_point(tmp_path):
         station.until_code(station.controller, 'holding', timeout=120.0)  # compiles when cold
         station.close()
         run = processes.run(
-            [sys.executable, ROOT / 'examples' / 'go_to.py', '0.06', '0.17'],
+            [sys.executable, ROOT / 'examples' / 'go_to.py', '60', '170'],
             timeout=60,
             env=os.environ,
         )

@@ -57,7 +57,12 @@ def test_go_to_says_where_the_tip_went(station, tmp_path):
     done = command(station, tmp_path, 'go-to', '60', '0', '170')
     assert done.stdout.startswith('tip at (60.0, 0.0, 170.0) mm: 0.00 mm from the target'), done
     assert (done.returncode, done.stderr) == (0, '')
-    done = command(station, tmp_path, 'go-to', '0', '0', '290')
+    done = command(station, tmp_path, 'go-to', '0.06', '0', '0.17')
+    assert (done.returncode, done.stderr) == (
+        1, 'error: target: 0.06 0 0.17 mm is 0.1803 mm from the base; if m is meant, say '
+        '--unit m\n'
+    )  # fmt: skip
+    done = command(station, tmp_path, 'go-to', '0', '0', '29', '--unit', 'cm')
     assert 'as near as it can, 82.00 mm' in done.stdout
     done = command(station, tmp_path, 'go-to', '0', '0', '900')
     assert done.returncode == 1

@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from ..common.errors import InputError
 from ..common.files import new_file
-from ..common.units import read_quantity
+from ..common.units import TYPED_LENGTHS, read_quantity
 from ..robot import load_robot
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ from ..data.recording.importing import import_bag, summary
 from ..data.recording.reader import is_bag
 from ..robot import Robot, dump_robot
 
-LENGTH_UNITS = ('mm', 'm', 'cm', 'inch')
 # lengths of the arm: a target farther off, or nearer to the base, is in another unit
 FAR_LENGTHS, NEAR_LENGTHS = 10.0, 0.01
 REFUSED_EXIT_CODE = 2  # nothing was written because that would not help
@@ -139,8 +138,8 @@ def add_unit(parser: argparse.ArgumentParser) -> None:
     """Declare the unit of the lengths that a person types."""
     parser.add_argument(
         '--unit',
-        choices=LENGTH_UNITS,
-        default='mm',
+        choices=TYPED_LENGTHS,
+        default=TYPED_LENGTHS[0],
         help='of the lengths that you type (default: mm); a number may have its own: 0.03m',
     )
 

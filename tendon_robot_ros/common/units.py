@@ -28,6 +28,7 @@ UNITS: dict[str, dict[str, float]] = {
     'counts': {'ticks': 1.0, 'tick': 1.0, 'counts': 1.0, 'count': 1.0, 'steps': 1.0},
     'current': {'A': 1.0, 'mA': 1e-3, 'amps': 1.0},
 }  # fmt: skip
+TYPED_LENGTHS = ('mm', 'm', 'cm', 'inch')  # units of what a person types; the first is usual
 QUANTITY = re.compile(
     r'^\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>\S*)\s*$'
 )

@@ -1,5 +1,5 @@
 """
-Send the tip of the running robot to a place [mm] in the base frame, and say where it went.
+Send the tip of the running robot to a place in the base frame (mm), and say where it went.
 
 example: python -m tendon_robot_ros go-to 60 0 170
 """
@@ -12,18 +12,23 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...common.errors import InputError
+from ...common.units import TYPED_LENGTHS, read_quantity
 from ...report.path_run import place
 from ..shared.robot_client import Pilot, add_controller
 from ..shared.runtime import ros
 
 HELP = 'send the tip to a place, say where it went'
 ARRIVAL_TIMEOUT_S = 60.0  # [s]
+DISTANCES_M = (1e-3, 20.0)  # [m] nearer to its base than the first no tip is, nor farther
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     for axis in 'xyz':
-        parser.add_argument(axis, type=float, help='[mm]')
+        parser.add_argument(axis, help='a number in --unit, or with its own: 60, 60mm, 0.06m')
+    parser.add_argument(
+        '--unit', choices=TYPED_LENGTHS, default=TYPED_LENGTHS[0], help='(default: mm)'
+    )
     parser.add_argument(
         '--direction',
         type=float,
@@ -36,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     """Send a target and wait until the arm stands."""
-    target, along = 1e-3 * np.array([args.x, args.y, args.z]), None
+    target, along = _target((args.x, args.y, args.z), args.unit), None
     if args.direction is not None:
         along = np.array(args.direction)
         size = float(np.linalg.norm(along))
@@ -53,6 +58,20 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
             return _report(pilot, target, along)
         finally:
             pilot.destroy_node()
+
+
+def _target(texts: Sequence[str], unit: str) -> np.ndarray:
+    """Read a place [m] (3,); none that no tip can be at, where another unit is meant."""
+    pairs = zip('xyz', texts, strict=True)
+    target = np.array([read_quantity(axis, text, unit, 'length') for axis, text in pairs])
+    away = float(np.linalg.norm(target))
+    if not DISTANCES_M[0] < away < DISTANCES_M[1]:
+        other = 'm' if unit == 'mm' else 'mm'
+        raise InputError(
+            f'target: {" ".join(texts)} {unit} is {1e3 * away:.4g} mm from the base; if {other} '
+            f'is meant, say --unit {other}'
+        )
+    return target
 
 
 def _report(pilot: Pilot, target: np.ndarray, along: np.ndarray | None) -> int:
