@@ -2,6 +2,7 @@
 
 import json
 import re
+import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 
 import numpy as np
@@ -202,9 +203,25 @@ def test_a_page_holds_tables_boxes_and_figures():
     page.table(['name', 'rms'], [['a', '1']], ['strong'])
     page.figures([Figure([{'x': [1], 'y': ['</script>']}], {})], 'two')
     html = page.html()
-    for part in ('<h1>a &lt; b</h1>', '<code>x &lt; y</code>', '<tr class="strong">', 'box warn'):
+    for part in ('<h1>a &lt; b</h1>', '<code>x &lt; y</code>', 'class="strong"', 'box warn'):
         assert part in html
     assert '"\\u003c/script>"' in html
+
+
+def test_tables_and_figures_tell_who_does_not_see_them_what_they_are():
+    page = Page('x')
+    page.table(['model', 'rms'], [['FKM', '1 mm']])
+    page.figures([Figure([], {'xaxis': {'title': {'text': 'cell'}}}, caption='Per cell.')])
+    root = ElementTree.fromstring(f'<div>{"".join(page.parts)}</div>')
+    table = root.find('.//table')
+    assert [cell.get('scope') for cell in table.iter('th')] == ['col', 'col']
+    assert {e.tag: e.get('role') for e in table.iter()} == {
+        'table': 'table', 'tr': 'row', 'th': 'columnheader', 'td': 'cell'
+    }  # fmt: skip
+    assert [cell.get('data-name') for cell in table.iter('td')] == ['model', 'rms']
+    scrolled = root.find("./div[@class='scroll']")
+    assert (scrolled.get('tabindex'), scrolled.get('aria-label')) == ('0', 'table of model')
+    assert root.find(".//div[@role='img']").get('aria-label') == 'cell Per cell.'
 
 
 @pytest.mark.parametrize(

@@ -135,6 +135,7 @@ def test_peaks_of_the_curve_are_cut_and_that_is_said():
 def test_the_progress_of_a_diagnosis_is_a_bar_until_it_is_done():
     assert 'value="7" max="23"' in page_parts.guide('wait', 'comparing effects 7/23')
     assert '<progress' not in page_parts.guide('wait', 'comparing effects 23/23')
+    assert 'role="status"' in page_parts.guide('wait', '')  # read out when it changes
 
 
 def test_the_scene_is_told_in_words_as_well():

@@ -61,7 +61,12 @@ class Page:
     ) -> None:
         """Add a table; rows may be 'strong' or 'faint', columns in `left` hold words."""
         sides = ['left' if i in left else '' for i in range(len(header))]
-        self.parts.append('<div class="scroll"><table>')
+        # wide tables are scrolled by keyboard; roles stay where page.css folds rows to blocks
+        label = escape(f'table of {header[0]}' if header[0] else 'table')
+        self.parts.append(
+            f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">'
+            '<table role="table">'
+        )
         self.parts.append(_row('th', header, sides, 'head'))
         for i, row in enumerate(rows):
             kind = kinds[i] if i < len(kinds) else ''
@@ -189,11 +194,12 @@ def _row(
 ) -> str:
     """Return a row; on a narrow screen every cell stands below its name."""
     labels = [f' data-name="{escape(name)}"' for name in names] or [''] * len(cells)
+    role = 'role="columnheader" scope="col"' if tag == 'th' else 'role="cell"'
     made = ''.join(
-        f'<{tag} class="{side}"{label}>{escape(cell)}</{tag}>'
+        f'<{tag} {role} class="{side}"{label}>{escape(cell)}</{tag}>'
         for cell, side, label in zip(cells, sides, labels, strict=True)
     )
-    return f'<tr class="{escape(kind)}">{made}</tr>'
+    return f'<tr role="row" class="{escape(kind)}">{made}</tr>'
 
 
 def _beside(name: str) -> str:

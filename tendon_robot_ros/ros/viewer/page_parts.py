@@ -73,7 +73,7 @@ def guide(next_step: str, progress: str) -> str:
         else ''
     )
     return (
-        f'<div style="{STYLE}"><p id="guide" style="margin:2px 0;font-size:14px">'
+        f'<div style="{STYLE}"><p id="guide" role="status" style="margin:2px 0;font-size:14px">'
         f'<b>{escape(next_step)}</b></p>'
         f'<p id="progress" style="margin:2px 0;color:{ERROR}">{escape(progress)}</p>{bar}</div>'
     )
