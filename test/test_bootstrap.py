@@ -1,5 +1,8 @@
 """tools/bootstrap.sh finds a Python 3.12, says what is missing, and installs only when it must."""
 
+import contextlib
+import os
+import pty
 import shutil
 import sys
 from pathlib import Path
@@ -9,7 +12,8 @@ import pytest
 from source_tree import ROOT
 
 SCRIPT = ROOT / 'tools' / 'bootstrap.sh'
-TOOLS = ('sh', 'cat', 'chmod', 'cksum', 'dirname', 'flock', 'head', 'mkdir', 'rm', 'uname')
+TOOLS = ('sh', 'cat', 'chmod', 'cksum', 'date', 'dirname', 'flock', 'head', 'mkdir', 'rm', 'sleep',
+         'uname')  # fmt: skip
 SHIM = '#!/bin/sh\necho "pyenv: python3.12: command not found" >&2\nexit 127\n'
 OLD = '#!/bin/sh\nexit 1\n'  # answers the question for its version with no
 # A Python that answers the script's questions and writes down what it is asked to install.
@@ -18,7 +22,8 @@ case "$*" in
     '-I -S'*) echo "$0" ;;
     '-m venv'*) for folder; do :; done; mkdir -p "$folder/bin"; echo venv >>"$LOG"
                 cat "$0" >"$folder/bin/python"; chmod +x "$folder/bin/python" ;;
-    '-m pip'*) echo pip >>"$LOG"; [ -z "$BREAK" ] ;;
+    '-m pip'*) echo pip >>"$LOG"; [ -z "$SLOW" ] || { echo "$SLOW"; sleep 0.5; }
+               [ -z "$BREAK" ] ;;
     *'import rclpy'*) [ -n "$PRETEND_ROS" ] ;;
     *site*) dirname "$0" ;;
 esac
@@ -41,8 +46,8 @@ def machine(tmp_path):
     return {'PATH': str(tmp_path / 'bin'), 'HOME': str(tmp_path), 'VENV': str(tmp_path / 'venv')}
 
 
-def bootstrap(machine, *command):
-    return processes.run([SCRIPT, *command], env=machine)
+def bootstrap(machine, *command, stderr=processes.PIPE):
+    return processes.run([SCRIPT, *command], env=machine, stderr=stderr)
 
 
 @pytest.mark.parametrize('name', ['python3.12', 'python3', 'python'])
@@ -100,9 +105,10 @@ def pretend(machine, tmp_path):
     program(tmp_path / 'bin/python3.12', PRETENDER)
     log = tmp_path / 'log'
 
-    def run(*command, **environment):
+    def run(*command, stderr=processes.PIPE, **environment):
         log.write_text('')
-        result = bootstrap(machine | {'LOG': str(log)} | environment, *command)
+        known = machine | {'LOG': str(log)} | environment
+        result = bootstrap(known, *command, stderr=stderr)
         return result, log.read_text().split()
 
     return run
@@ -113,6 +119,34 @@ def test_a_second_run_installs_nothing(pretend):
     result, installed = pretend('sh', '-c', 'exit 3')
     assert installed == []
     assert (result.returncode, result.stdout, result.stderr) == (3, '', '')
+
+
+@pytest.mark.parametrize(
+    ('line', 'told'),
+    [
+        ('Collecting numba>=0.59 (from tendon_robot_ros)', 'looking for numba'),
+        (
+            '  Downloading https://x.org/a/numba-0.60.whl (3 MB)',
+            'downloading numba-0.60.whl (3 MB)',
+        ),
+        (
+            '  Using cached numba-0.60.whl (3 MB)',
+            'taking numba-0.60.whl (3 MB), which is here alre',
+        ),
+        ('Installing collected packages: a, b, c', 'installing, 1 of 3 packages'),
+        ('Installing build dependencies: started', 'looking for what is needed'),
+    ],
+)
+def test_what_pip_is_at_is_said_on_a_terminal(pretend, line, told):
+    ours, terminal = pty.openpty()
+    pretend(SLOW=line, stderr=terminal)
+    os.close(terminal)
+    shown = ''
+    with open(ours, 'rb', buffering=0) as screen, contextlib.suppress(OSError):  # its end
+        while block := screen.read(1000):
+            shown += block.decode()
+    assert told in shown
+    assert 'set up in ' in shown
 
 
 def test_other_requirements_are_installed_into_the_same_environment(pretend):

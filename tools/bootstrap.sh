@@ -78,6 +78,46 @@ recipe() {
     { echo "${PIP_CONSTRAINT:-}" && cat setup.py setup.cfg package.xml tools/bootstrap.sh; } | cksum
 }
 
+# Run pip, and say every moment what it is at; its own words go to install.log.
+install() {
+    log=$venv/install.log begin=$(date +%s) elapsed=0 told=0 wanted=0
+    doing='looking for what is needed'
+    : >"$log"
+    "$venv/bin/python" -m pip install --disable-pip-version-check --progress-bar off \
+        -e ".[$extras]" >"$log" 2>&1 &
+    pip=$!
+    trap 'kill $pip 2>/dev/null; exit 130' INT TERM
+    exec 8<"$log"
+    while kill -0 $pip 2>/dev/null; do
+        sleep 0.3
+        while read -r word rest <&8; do
+            case $word in
+            Collecting) doing="looking for ${rest%%[ (<>=!;[]*}" ;;
+            Downloading) doing="downloading ${rest##*/}" ;;
+            Using) doing="taking ${rest#cached }, which is here already" ;;
+            Building | Preparing | Getting) doing="preparing ${rest%%:*}" ;;
+            Installing) [ "${rest#collected}" = "$rest" ] || wanted=$(count ${rest#*: }) ;;
+            esac
+        done
+        # a package is there when its description is
+        [ "$wanted" = 0 ] ||
+            doing="installing, $(count "$venv"/lib/python3.12/site-packages/*.dist-info) of $wanted packages"
+        elapsed=$(($(date +%s) - begin))
+        if [ -t 2 ]; then
+            printf '\r\033[K%4d s  %.60s' "$elapsed" "$doing" >&2
+        elif [ $((elapsed / 15)) != "$told" ]; then
+            told=$((elapsed / 15))
+            say "$(printf '%4d s  %s' "$elapsed" "$doing")"
+        fi
+    done
+    exec 8<&-
+    trap - INT TERM
+    [ ! -t 2 ] || printf '\r\033[K' >&2
+    wait $pip && say "set up in $elapsed s"
+}
+
+count() { echo $#; }
+
 can_be_kept() {
     "$venv/bin/python" -I -S -c '' >/dev/null 2>&1 &&
         [ "$(recipe | head -n 1)" = "$(head -n 1 "$stamp" 2>/dev/null)" ]
@@ -93,8 +133,8 @@ make_venv() {
         fi
     fi
     rm -f "$stamp"
-    # -qq: warnings about the machine's own pip settings help nobody here
-    "$venv/bin/python" -m pip install -qq --disable-pip-version-check -e ".[$extras]" >&2 || {
+    install || {
+        cat "$venv/install.log" >&2
         say "pip could not install into $venv; see the lines above"
         return 1
     }
