@@ -1,5 +1,7 @@
 """The commands emulate and calibrate, as a person runs them."""
 
+import os
+import signal
 import threading
 
 import emulated
@@ -10,6 +12,7 @@ import yaml
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DriverError, InputError
 from tendon_robot_ros.drivers import make_driver
+from tendon_robot_ros.drivers.dynamixel import calibration
 from tendon_robot_ros.drivers.dynamixel.calibration import CurrentPoint, fit_current
 from tendon_robot_ros.drivers.dynamixel.config import read_config
 from tendon_robot_ros.emulator.bus import ACTIONS, HELP
@@ -139,6 +142,21 @@ def test_a_weight_that_is_too_heavy_is_refused_and_the_torque_is_off(scales, cap
     calibrate, line, _ = scales
     assert calibrate('east', hung=(40.0,) * 4) == 1
     assert 'does not follow; is the weight too heavy' in capsys.readouterr().err
+    assert not line.servo(1).torque
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_whoever_ends_a_calibration_the_torque_is_off(scales, monkeypatch, number):
+    calibrate, line, _ = scales
+    turn = calibration._turn_to
+
+    def interrupt(bus, motor, ticks):
+        assert line.servo(1).torque
+        os.kill(os.getpid(), number)
+        turn(bus, motor, ticks)
+
+    monkeypatch.setattr(calibration, '_turn_to', interrupt)
+    assert calibrate('east') == 130
     assert not line.servo(1).torque
 
 

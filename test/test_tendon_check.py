@@ -1,6 +1,8 @@
 """The daily check of the tendons: what has crept is named, with its amount."""
 
+import os
 import re
+import signal
 from dataclasses import replace
 
 import emulated
@@ -59,6 +61,27 @@ def test_a_tendon_that_crept_is_named_with_its_amount(driver):
     assert [bool(text) for text in said] == [False, True, False, False]
     assert found[1].pull == pytest.approx(1.2e-3, abs=1e-4)
     assert said[1].startswith(f'{driver.inputs[1]}: has crept: 1.') and 'longer' in said[1]
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_whoever_ends_it_the_tendons_are_let_go_and_not_dropped(driver, monkeypatch, number):
+    monkeypatch.setattr(tendon_check, 'STOP_S', 0.1)
+    commands, write = [], driver.write
+
+    def interrupt(command):
+        commands.append(max(command))
+        if commands[-1] == 1.0 and len(commands) > 5:
+            os.kill(os.getpid(), number)
+        write(command)
+
+    monkeypatch.setattr(driver, 'write', interrupt)
+    before = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt):
+        measure_reference(driver, 1.0)
+    assert commands[-1] == driver.limits[0, 0]
+    assert sum(commands[-1] < command < 1.0 for command in commands[-5:]) > 2  # a ramp
+    assert not driver._on.any()
+    assert signal.getsignal(number) == before
 
 
 def test_what_all_tendons_do_is_no_creep_of_one():

@@ -6,9 +6,10 @@ import contextlib
 import ctypes
 import os
 import signal
+import stat
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from threadpoolctl import threadpool_limits
@@ -88,6 +89,67 @@ def go_with_others() -> None:
     """Take back what was inherited from a process that goes first."""
     if os.getpriority(os.PRIO_PROCESS, 0) < 0:
         os.setpriority(os.PRIO_PROCESS, 0, 0)
+
+
+# -----------------------------------------------------------------------------
+# The end of a command that moves motors, and words for a terminal that takes none.
+
+# Ctrl-C, kill, and a terminal that is closed or whose connection breaks
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def ending_signals() -> list[signal.Signals]:
+    """Return the signals that ask this process to end; `nohup` takes the last one away."""
+    ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    return [one for one in ENDING_SIGNALS if one != signal.SIGHUP or not ignored]
+
+
+@contextmanager
+def ends_between() -> Iterator[Callable[[], None]]:
+    """
+    Have what asks this process to end wait for a good moment: what moves motors ends safe.
+
+    Yields
+    ------
+    callable
+        Raises KeyboardInterrupt when a signal has come; so does the end of the block.
+
+    """
+    came: list[int] = []
+
+    def check() -> None:
+        if came:
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():  # others hear no signals
+        yield check
+        return
+    before = {one: signal.signal(one, lambda number, _: came.append(number))
+              for one in ending_signals()}  # fmt: skip
+    try:
+        yield check
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
+    check()
+
+
+def print_without_waiting() -> None:
+    """
+    Have what this process prints dropped where a terminal or a pipe takes no more of it.
+
+    A line of the log holds Python's lock until it is written: a terminal that somebody has stopped
+    (Ctrl-S), or whose connection hangs, would stop every thread. Only this process's own
+    description of the file changes: others go on waiting for it.
+    """
+    for number in (1, 2):
+        with contextlib.suppress(OSError):  # a socket, a terminal of another user
+            kind = os.fstat(number).st_mode
+            if stat.S_ISFIFO(kind) or stat.S_ISCHR(kind):
+                flags = os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY
+                own = os.open(f'/proc/self/fd/{number}', flags)
+                os.dup2(own, number)
+                os.close(own)
 
 
 @contextmanager

@@ -19,11 +19,13 @@ import yaml
 from numpy.typing import NDArray
 
 from ..common.errors import DriverError, InputError
+from ..common.processes import ends_between
 from ..common.yaml_reading import ConfigFields, parse_yaml
 from .interface import Driver
 
 Array = NDArray[np.float64]
 RAMP_S, CYCLE_S = 4.0, 0.01  # [s] to the reference tension; between two commands
+STOP_S = 0.2  # [s] in which tendons let go when somebody wants an end
 STILL_S, STILL_TIMEOUT_S = 1.0, 15.0  # [s] of standing still; to wait for it
 STILL_WITHIN_M = 5e-5  # [m] that a pull may change in `STILL_S`
 CREEP_M = 3e-4  # [m] below which nobody speaks of creep
@@ -84,6 +86,8 @@ def measure_reference(
     ------
     DriverError
         A fault, or the arm does not come to rest.
+    KeyboardInterrupt
+        A signal asked for the end: the tendons have been let go.
 
     """
     highest = float(driver.limits[:, 1].min())
@@ -92,16 +96,23 @@ def measure_reference(
         raise InputError(
             f'--tension: expected more than {lowest:g} and at most {highest:g} N, got {tension:g}'
         )
-    driver.enable()
-    try:
-        begin = driver.read()
-        here = np.clip(np.nan_to_num(begin.tensions), lowest, highest)
-        goal = np.full(len(driver.inputs), tension)
-        _ramp(driver, here, goal, clock)
-        pulls, tensions = _still(driver, goal, clock)
-        _ramp(driver, goal, np.full(len(goal), lowest), clock)
-    finally:
-        driver.disable()
+    m = len(driver.inputs)
+    low, goal = np.full(m, lowest), np.full(m, tension)
+    with ends_between() as check:
+        driver.enable()
+        try:
+            here = np.clip(np.nan_to_num(driver.read().tensions), lowest, highest)
+            arm = _Arm(driver, clock, check, here)
+            try:
+                arm.ramp(goal, RAMP_S)
+                pulls, tensions = arm.still()
+            except KeyboardInterrupt:
+                arm.check = lambda: None
+                arm.ramp(low, STOP_S)
+                raise
+            arm.ramp(low, RAMP_S)
+        finally:
+            driver.disable()
     date = time.strftime('%Y-%m-%d %H:%M')
     return TendonReference(driver.inputs, tension, pulls, tensions, date, boot_id())
 
@@ -184,36 +195,46 @@ def _numbers(fields: ConfigFields, key: str, count: int) -> list[float]:
     return [float(value) for value in values]
 
 
-def _ramp(driver: Driver, begin: Array, end: Array, clock: Callable[[], float]) -> None:
-    began = clock()
-    while (passed := clock() - began) < RAMP_S:
-        _cycle(driver, begin + passed / RAMP_S * (end - begin))
-    _cycle(driver, end)
+@dataclass
+class _Arm:
+    """All tendons on a way, looked at after every command."""
 
+    driver: Driver
+    clock: Callable[[], float]
+    check: Callable[[], None]  # raises when somebody wants an end
+    command: Array  # (m,) [N] the last one
 
-def _still(driver: Driver, goal: Array, clock: Callable[[], float]) -> tuple[Array, Array]:
-    """Hold until the pulls stand for a while; return their means and those of the tensions."""
-    began, rows = clock(), []
-    while clock() - began < STILL_TIMEOUT_S:
-        pulls, tensions = _cycle(driver, goal)
-        rows.append((clock(), pulls, tensions))
-        recent = [row for row in rows if row[0] > rows[-1][0] - STILL_S]
-        if rows[-1][0] - began < 2.0 * STILL_S:
-            continue
-        seen = np.array([row[1] for row in recent])
-        half = len(seen) // 2
-        if np.abs(seen[half:].mean(axis=0) - seen[:half].mean(axis=0)).max() < STILL_WITHIN_M:
-            return seen.mean(axis=0), np.array([row[2] for row in recent]).mean(axis=0)
-    raise DriverError(
-        f'the tendons do not come to rest at {goal[0]:g} N within {STILL_TIMEOUT_S:g} s; '
-        'is something holding the arm?'
-    )
+    def ramp(self, end: Array, seconds: float) -> None:
+        """Bring the tensions from the last command to an end (m,) [N]."""
+        begin, began = self.command, self.clock()
+        while (passed := self.clock() - began) < seconds:
+            self._cycle(begin + passed / seconds * (end - begin))
+        self._cycle(end)
 
+    def still(self) -> tuple[Array, Array]:
+        """Hold until the pulls stand for a while; return their means and those of the tensions."""
+        began, rows = self.clock(), []
+        while self.clock() - began < STILL_TIMEOUT_S:
+            pulls, tensions = self._cycle(self.command)
+            rows.append((self.clock(), pulls, tensions))
+            recent = [row for row in rows if row[0] > rows[-1][0] - STILL_S]
+            if rows[-1][0] - began < 2.0 * STILL_S:
+                continue
+            seen = np.array([row[1] for row in recent])
+            half = len(seen) // 2
+            moved = np.abs(seen[half:].mean(axis=0) - seen[:half].mean(axis=0)).max()
+            if moved < STILL_WITHIN_M:
+                return seen.mean(axis=0), np.array([row[2] for row in recent]).mean(axis=0)
+        raise DriverError(
+            f'the tendons do not come to rest at {self.command[0]:g} N within '
+            f'{STILL_TIMEOUT_S:g} s; is something holding the arm?'
+        )
 
-def _cycle(driver: Driver, command: Array) -> tuple[Array, Array]:
-    driver.write(command)
-    reading = driver.read()
-    if reading.faults:
-        raise DriverError(reading.faults[0].message)
-    time.sleep(CYCLE_S)
-    return reading.pulls, reading.tensions
+    def _cycle(self, command: Array) -> tuple[Array, Array]:
+        self.check()
+        self.driver.write(command)
+        self.command, reading = command, self.driver.read()
+        if reading.faults:
+            raise DriverError(reading.faults[0].message)
+        time.sleep(CYCLE_S)
+        return reading.pulls, reading.tensions

@@ -11,13 +11,14 @@ from __future__ import annotations
 import datetime
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ...common.errors import DriverError, InputError
+from ...common.processes import ends_between
 from ..ports import PortLostError
 from .bus import Bus
 from .config import WireConfig
@@ -154,15 +155,15 @@ def measure(bus: Bus, motor: Motor, tension: float, travel: float, speed: float)
     slack = abs(end - start) // 4
     motor.guided = (motor.strongest, (min(start, end) - slack, max(start, end) + slack))
     try:
-        torque_on(bus, [motor], CURRENT_POSITION_MODE, watchdog=10)
-        up = _go(bus, motor, end, travel / speed)
-        down = _go(bus, motor, start, travel / speed)
-        torque_off(bus, [motor])
+        with ends_between() as check:
+            try:
+                torque_on(bus, [motor], CURRENT_POSITION_MODE, watchdog=10)
+                up = _go(bus, motor, end, travel / speed, check)
+                down = _go(bus, motor, start, travel / speed, check)
+            finally:
+                torque_off(bus, [motor])
     except PortLostError as error:
         raise DriverError(f'{error}: lost while calibrating; the bus watchdog stops it') from None
-    except DriverError:
-        torque_off(bus, [motor])
-        raise
     finally:
         motor.guided = None
     return CurrentPoint(tension, up, down)
@@ -181,7 +182,7 @@ def _turn_to(bus: Bus, motor: Motor, ticks: int) -> None:
     raise DriverError(f'{bus.path}: {motor}: no answer while calibrating; torque is off')
 
 
-def _go(bus: Bus, motor: Motor, end: int, duration: float) -> float:
+def _go(bus: Bus, motor: Motor, end: int, duration: float, check: Callable[[], None]) -> float:
     """
     Turn to `end` at constant speed; return the mean current on the steady part [A].
 
@@ -191,6 +192,7 @@ def _go(bus: Bus, motor: Motor, end: int, duration: float) -> float:
     currents = []
     wire = motor.wires[0]
     while part < 1.0:
+        check()
         _turn_to(bus, motor, round(start + part * (end - start)))
         if STEADY_PART[0] < part < STEADY_PART[1] and motor.current is not None:
             currents.append(wire.spool.direction * motor.current * motor.model.current_unit)
@@ -198,6 +200,7 @@ def _go(bus: Bus, motor: Motor, end: int, duration: float) -> float:
         part, before = part + min(now - before, 2.0 * SAMPLE_PERIOD_S) / duration, now
     latest = time.monotonic() + ARRIVAL_TIMEOUT_S
     while abs((motor.ticks or 0) - end) > 0.2 * abs(end - start) and time.monotonic() < latest:
+        check()
         _turn_to(bus, motor, end)  # the last goal may be an old one where this process was late
     if abs((motor.ticks or 0) - end) > 0.2 * abs(end - start):
         raise DriverError(
