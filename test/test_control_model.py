@@ -12,6 +12,7 @@ from tendon_robot_ros.control import ControllerCore
 from tendon_robot_ros.control.state import Target
 from tendon_robot_ros.control.trajectory import Playing
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
 
 
 def test_in_pull_mode_commands_are_the_pulls_of_an_equilibrium():
@@ -102,6 +103,22 @@ def test_a_trajectory_ends_within_the_limits_of_a_model_that_came_meanwhile():
     rig.core.play(rig.now, Playing(np.array([1.0]), np.array([[1.1, 0.1, 0.1, 0.6]])))
     rig.run(0.5)
     rig.core.set_model(Model(replace(model().robot, tension_limits=(0.1, 0.4))))
+    rig.run(1.0)
+    assert rig.tensions == pytest.approx([0.4, 0.1, 0.1, 0.4])
+    assert rig.code() == 'played'
+
+
+def test_so_does_one_that_waits_to_be_looked_at_while_the_model_changes():
+    far = KeepOut((Region('lamp', Sphere((1.0, 0.0, 0.0), 0.01)),))
+    rig = Rig(rate_limit=10.0, keep_out=far)
+    rig.run(0.1)
+    jobs, in_place = {}, rig.core.solver
+    rig.core.solver = SimpleNamespace(post=lambda kind, *job, **more: jobs.update({kind: job}))
+    rig.core.play(rig.now, Playing(np.array([0.5]), np.array([[1.1, 0.1, 0.1, 0.6]])))
+    rig.core.solver = in_place
+    rig.core.set_model(Model(replace(model().robot, tension_limits=(0.1, 0.4))))
+    work, done = jobs['trajectory']
+    done(work(lambda: False), None)
     rig.run(1.0)
     assert rig.tensions == pytest.approx([0.4, 0.1, 0.1, 0.4])
     assert rig.code() == 'played'

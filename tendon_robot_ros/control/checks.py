@@ -23,6 +23,11 @@ class Refusal(InputError):
         super().__init__(message)
 
 
+def cut(name: str) -> str:
+    """Return a name for a message, cut where it gets long."""
+    return name if len(name) <= NAME_LENGTH_MAX else f'{name[:NAME_LENGTH_MAX]}...'
+
+
 def check_stamp(stamp: float, now: float, tolerance: float, what: str) -> None:
     """
     Refuse an old or a future stamp.
@@ -59,7 +64,7 @@ def check_frame(frame: str, known: Sequence[str], what: str) -> None:
     if frame not in known:
         raise Refusal(
             'frame',
-            f'{what}: frame {frame!r}, expected {" or ".join(map(repr, known))}'
+            f'{what}: frame {cut(frame)!r}, expected {" or ".join(map(repr, known))}'
             ' (no transform between the two is known)',
         )
 
@@ -110,11 +115,9 @@ def direction(quaternion: Sequence[float], what: str) -> Array:
 
 def _listed(names: Sequence[str]) -> str:
     """Show names in a message: the first few, each cut where it gets long."""
-    shown = [
-        name if len(name) <= NAME_LENGTH_MAX else f'{name[:NAME_LENGTH_MAX]}...' for name in names
-    ]
+    shown = [cut(name) for name in names[:NAMES_LISTED_MAX]]
     more = len(names) - NAMES_LISTED_MAX
-    return ', '.join(shown[:NAMES_LISTED_MAX]) + (f' and {more} more' if more > 0 else '')
+    return ', '.join(shown) + (f' and {more} more' if more > 0 else '')
 
 
 def by_name(

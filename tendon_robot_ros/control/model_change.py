@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import InputError, TendonRobotError
-from ..drivers.safety import bounded
 from .checks import check_inputs
 from .seeking import Seeker, seek, solution_of
 from .solver import GiveUp
@@ -75,8 +73,7 @@ def _use(core: Changing, model: Model, target: Target | None, solution: Reach | 
     if core.way is not None:
         core.way = core.way.anew()
     if core.playing is not None and not core.settings.pull_mode:
-        values = bounded(core.playing.values, core.settings.limits(model))
-        core.playing = replace(core.playing, values=values)
+        core.playing = core.playing.within(core.settings.limits(model))
     searched = core.search.target if core.search is not None else None
     if target is core.target:
         core.solution = solution

@@ -55,6 +55,10 @@ class Playing:
             times, values = np.concatenate([[0.0], times]), np.vstack([here, values])
         return replace(self, times=times, values=values, began=now)
 
+    def within(self, limits: Array) -> Playing:
+        """Return the same within the limits (m, 2) [N] of a model that came meanwhile."""
+        return replace(self, values=bounded(self.values, limits))
+
     def at(self, now: float) -> Array:
         """Return the values (m,) that are due."""
         passed = now - self.began
@@ -87,7 +91,8 @@ def look_and_play(core: Player, trajectory: Playing, play: Callable[[Playing], N
         if error is not None:
             refusal = Refusal('no_equilibrium', f'tendon_trajectory: {error}; nothing was played')
         if refusal is None:
-            play(trajectory)
+            pull = settings.pull_mode
+            play(trajectory if pull else trajectory.within(settings.limits(core.model)))
         else:
             core.refusals['target'] = refusal
 
