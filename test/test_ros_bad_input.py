@@ -150,6 +150,34 @@ def test_a_command_of_another_sender_is_ignored_and_said_however_large_it_is(sta
     assert min(map(min, efforts)) >= LOW - 1e-9
 
 
+HUGE = 300_000
+
+
+@pytest.mark.parametrize(
+    ('topic', 'message', 'says'),
+    [
+        ('controller/target_pose', pose(frame='x' * HUGE), 'controller'),
+        ('controller/tendon_trajectory', JointTrajectory(joint_names=['x' * HUGE]), 'controller'),
+        ('tendon_states', JointState(name=['x' * HUGE]), 'controller'),
+        ('tendon_command', JointState(name=['x' * HUGE]), 'driver'),
+    ],
+    ids=['pose', 'trajectory', 'states', 'command'],
+)
+def test_what_is_too_long_to_be_read_beside_the_commands_is_refused(station, topic, message, says):
+    heard = {'controller': station.controller, 'driver': station.driver}[says]
+    words = f'{topic.rpartition("/")[2]}: expected at most 250,000 bytes, got 300,'
+
+    def refused():
+        station.send(topic, message)
+        return any(
+            words in said.message and values(said)['code'] == 'refused_length' for _, said in heard
+        )
+
+    station.until(refused, words)
+    assert station.tip() == pytest.approx([0.06, 0.0, 0.17], abs=1e-3)
+    station.go_to_point(0.05, 0.18)
+
+
 @pytest.mark.parametrize(
     ('node', 'name', 'value', 'words'),
     [

@@ -1,5 +1,7 @@
 """Starting, ending and killing nodes in any order: the arm ends safe, and the rest recovers."""
 
+import contextlib
+import os
 import signal
 from itertools import pairwise
 
@@ -12,12 +14,13 @@ pytest.importorskip('rclpy')
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from ros_station import LOW, Station, last, stamp, start, values
+from ros_station import LOW, PATIENT, Station, last, stamp, start, values
 from source_tree import ROOT
 
 from tendon_robot_ros.drivers.supervisor import CYCLE_MAX_S
 from tendon_robot_ros.robot import dump_robot
 from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
 pytestmark = pytest.mark.ros
 FAR = (0.1, 0.1)  # [m] a posture with tension
@@ -64,7 +67,9 @@ def test_a_transition_that_is_not_there_is_refused_and_nothing_else_happens(spac
 
 
 @pytest.mark.parametrize(
-    'numbers', [[signal.SIGINT], [signal.SIGTERM, signal.SIGINT]], ids=['one', 'and_its_echo']
+    'numbers',
+    [[signal.SIGINT], [signal.SIGTERM, signal.SIGINT], [signal.SIGHUP]],
+    ids=['one', 'and_its_echo', 'closed_terminal'],
 )
 def test_a_signal_ends_the_driver_after_a_ramp_to_pretension(space, numbers):
     driver, _ = moved(space, stop_time=STOP_TIME)
@@ -80,6 +85,27 @@ def test_a_signal_ends_the_driver_after_a_ramp_to_pretension(space, numbers):
     for before, after in pairwise(efforts):  # no jump, however many messages are lost
         assert before[1] - after[1] < rate * (after[0] - before[0] + CYCLE_MAX_S) + 0.02
     space.until_code(space.controller, 'no_driver')
+
+
+def test_a_terminal_that_takes_no_words_stops_no_thread(space):
+    """As after Ctrl-S in it, or when its connection hangs: the log would wait, and all with it."""
+    taken, full = os.pipe()
+    own = os.open(f'/proc/self/fd/{full}', os.O_WRONLY | os.O_NONBLOCK)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(own, b'.')
+    known = {'robot': 'kato_10_1', 'config': 'mock_twin', **PATIENT['driver']}
+    with (
+        os.fdopen(full, 'w') as output,
+        NodeProcess('driver', known, space.namespace, output) as node,
+    ):
+        space.until_code(space.driver, 'released', timeout=120.0)
+        assert space.trigger('driver/stop').success
+        space.until_code(space.driver, 'stopped')
+        assert space.trigger('driver/reset').success
+        assert node.end(timeout=30.0) == 0
+    os.close(taken)
+    os.close(own)
 
 
 def test_a_killed_controller_lets_the_arm_go_and_a_new_one_takes_over(space):

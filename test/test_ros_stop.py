@@ -8,6 +8,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import PointStamped
+from rclpy.duration import Infinite
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_station import LOW, Station, holding, last, point, start, values
 from std_msgs.msg import Bool, String
@@ -98,10 +99,51 @@ def test_a_target_of_any_kind_is_heard(running, reliability, durability):
     running.node.destroy_publisher(person)
 
 
+def test_every_topic_that_a_person_may_write_to_hears_publishers_of_any_kind(running):
+    """A best-effort, volatile subscription without deadlines hears all of them."""
+    written = {
+        f'{running.namespace}/{name}': {f'{running.namespace}/{node}' for node in nodes}
+        for name, nodes in {
+            'stop': ('controller', 'driver'),
+            'tendon_command': ('driver',),
+            'tendon_states': ('controller',),
+            'measured_tip': ('controller',),
+            'controller/target_pose': ('controller',),
+            'controller/target_point': ('controller',),
+            'controller/delta_twist': ('controller',),
+            'controller/tendon_trajectory': ('controller',),
+        }.items()
+    }
+
+    def deaf():
+        return {
+            topic: nodes
+            - {
+                f'{one.node_namespace}/{one.node_name}'
+                for one in running.node.get_subscriptions_info_by_topic(topic)
+                if one.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+                and one.qos_profile.durability == DurabilityPolicy.VOLATILE
+                and one.qos_profile.deadline == Infinite
+                and one.qos_profile.liveliness_lease_duration == Infinite
+            }
+            for topic, nodes in written.items()
+        }
+
+    running.until(lambda: not any(deaf().values()), 'ears for all publishers')
+    subscribed = {
+        topic
+        for node in ('controller', 'driver')
+        for topic, _ in running.node.get_subscriber_names_and_types_by_node(node, SPACE)
+        if topic.startswith(SPACE)
+    }
+    passed_on = {f'{SPACE}/_stop_heard', f'{SPACE}/driver/status'}  # from node to node
+    assert subscribed - passed_on == set(written)
+
+
 @pytest.mark.parametrize(('qos', 'ways'), [(COMMAND, 2), (LISTEN, 1)])
 def test_what_comes_by_two_ways_is_heard_once(running, qos, ways):
     heard, node = [], running.node
-    ears = hear_anybody(node, PointStamped, 'anything', heard.append)
+    ears = hear_anybody(node, PointStamped, 'anything', heard.append, heard.append)
     person = node.create_publisher(PointStamped, 'anything', qos)
 
     def begun():

@@ -28,7 +28,13 @@ from tendon_robot_ros.ros.controller.node import ControllerNode
 from tendon_robot_ros.ros.driver.node import DriverNode
 from tendon_robot_ros.ros.shared.lifecycle import NEWS_INTERVAL_MIN_S
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
-from tendon_robot_ros.ros.shared.runtime import make_executor, ros, run, when_asked_to_end
+from tendon_robot_ros.ros.shared.runtime import (
+    SIGNAL_ECHO_S,
+    make_executor,
+    ros,
+    run,
+    when_asked_to_end,
+)
 
 pytestmark = pytest.mark.ros
 NAMES = ['prox_left', 'prox_right', 'dist_left', 'dist_right']
@@ -118,6 +124,25 @@ def call(executor, client):
     return future.result()
 
 
+@pytest.mark.parametrize(
+    ('before', 'ends'), [(signal.SIG_DFL, True), (signal.SIG_IGN, False)], ids=['', 'nohup']
+)
+def test_a_closed_terminal_ends_who_was_not_started_with_nohup(before, ends):
+    old = signal.signal(signal.SIGHUP, before)
+    heard = threading.Event()
+    try:
+        with ros([]) as ending:
+            when_asked_to_end(heard.set)
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert heard.wait(20.0 if ends else 0.2) == ends
+            ending.asked(signal.SIGTERM)
+            time.sleep(SIGNAL_ECHO_S + 0.1)
+            ending.asked(signal.SIGHUP)  # nobody insists with that
+        assert signal.getsignal(signal.SIGHUP) == before
+    finally:
+        signal.signal(signal.SIGHUP, old)
+
+
 class SlowLoader:
     """Stands where a model is loaded, and takes as long as the test wants."""
 
@@ -172,6 +197,24 @@ def test_the_controllers_stop_is_heard_while_no_callback_is_served(context, monk
         controller.end(lambda seconds: None)
         controller.destroy_node()
         person.destroy_node()
+
+
+@pytest.mark.parametrize(('kind', 'action'), [(ControllerNode, '_cycle'), (DriverNode, '_tell')])
+def test_nodes_go_on_while_the_clock_of_ros_stands_still(context, monkeypatch, kind, action):
+    """As when the computer's clock is set back, or a simulation publishes no /clock."""
+    cycles = []
+    monkeypatch.setattr(model_loading, 'Loader', SlowLoader)
+    monkeypatch.setattr(kind, action, lambda node: cycles.append(1))
+    context('--ros-args', '-p', 'use_sim_time:=true', '-p', 'model:=kato_10_1')
+    node, executor = kind(), make_executor()
+    executor.add_node(node)
+    try:
+        until(lambda: executor.spin_once(timeout_sec=0.05) or len(cycles) > 3, 'its cycles')
+    finally:
+        executor.remove_node(node)
+        executor.shutdown(timeout_sec=1.0)
+        node.end(lambda seconds: None)
+        node.destroy_node()
 
 
 def test_the_executor_serves_what_is_added_while_it_runs(context):

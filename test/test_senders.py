@@ -129,18 +129,14 @@ def named_at(heard, node, key, name):
     return math.inf
 
 
-def assert_named_soon(robot, heard):
-    """All name who commands besides within `NAMED_S` of its first command."""
+def assert_named_soon(robot, said, heard, *named):
+    """All name who speaks besides within `NAMED_S` of its first word."""
 
     def of_the_second():
-        return [stamp(m) for _, m in robot.commands if '/second' in m.header.frame_id]
+        return [stamp(m) for _, m in said if '/second' in m.header.frame_id]
 
-    robot.until(of_the_second, 'a command of the second')
-    for node, key, name in (
-        ('controller', 'other_controllers', '/second'),
-        ('driver', 'ignored', '/second'),
-        ('second', 'other_controllers', '/controller'),
-    ):
+    robot.until(of_the_second, 'a word of the second')
+    for node, key, name in named:
         wanted = f'{robot.namespace}/{node}', key, name
         robot.until(lambda wanted=wanted: named_at(heard, *wanted) < math.inf, wanted)
         assert named_at(heard, *wanted) - of_the_second()[0] < NAMED_S
@@ -166,7 +162,14 @@ def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
         lambda: values(last(second))['other_controllers'] == f'{robot.namespace}/controller',
         'the second to say so',
     )
-    assert_named_soon(robot, heard)
+    assert_named_soon(
+        robot,
+        robot.commands,
+        heard,
+        ('controller', 'other_controllers', '/second'),
+        ('driver', 'ignored', '/second'),
+        ('second', 'other_controllers', '/controller'),
+    )
     robot.send('second/target_point', point(-0.06, 0.17))
     robot.spin(0.5)
     assert robot.tip() == pytest.approx([0.06, 0.0, 0.17], abs=1e-3)
@@ -188,14 +191,24 @@ def test_a_second_driver_is_named_by_all(robot):
     robot.run('driver')
     robot.run('controller')
     robot.until_code(robot.controller, 'holding', timeout=120.0)
-    robot.run('driver', extra=('-r', '__node:=second'))
     second = robot.hear(DiagnosticStatus, 'second/status', LATCHED)
+    states = robot.hear(JointState, 'tendon_states', EVERY)
+    heard = robot.hear(DiagnosticArray, '/diagnostics', EVERY)
+    robot.run('driver', extra=('-r', '__node:=second'))
     own = robot.namespace
     robot.until(lambda: others(second) == f'{own}/driver', 'the second to say so', timeout=120.0)
     robot.until(lambda: others(robot.driver) == f'{own}/second', 'the first to say so')
     assert f'another publishes tendon_states: {own}/second' in last(robot.driver).message
     robot.until(lambda: '/second (process' in last(robot.controller).message, 'the controller')
     assert robot.code() == 'holding'  # with the first
+    assert_named_soon(
+        robot,
+        states,
+        heard,
+        ('controller', 'ignored', '/second'),
+        ('driver', 'other_drivers', '/second'),
+        ('second', 'other_drivers', '/driver'),
+    )
 
 
 @pytest.mark.ros

@@ -37,7 +37,7 @@ from ..shared.messages import LATCHED, LATCHED_BY_MANY
 from ..shared.parameters import RemoteText
 from ..shared.robot_client import add_controller
 from ..shared.running_arm import RunningArm
-from ..shared.runtime import ros
+from ..shared.runtime import repeat, ros
 
 HELP = 'the running robot chooses postures by itself until it knows what its model lacks'
 TRIALS = 1
@@ -92,7 +92,7 @@ class Investigator:
         self._model = RemoteText(arm, args.controller, 'model')
         arm.create_service(Trigger, '~/start', self._start)
         arm.create_service(Trigger, '~/stop', self._stop)
-        arm.create_timer(1.0, self._say)
+        repeat(arm, 1.0, self._say)
 
     def serve(self) -> None:
         """Investigate whenever it is asked, until a signal comes."""

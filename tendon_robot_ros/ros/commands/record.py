@@ -37,7 +37,7 @@ from ...robot import dump_robot
 from ..shared.files import read_robot
 from ..shared.parameters import RemoteText
 from ..shared.robot_client import add_controller
-from ..shared.runtime import ros
+from ..shared.runtime import repeat, ros
 
 HELP = 'record the running robot to an mcap file'
 TOPICS_LEFT_OUT = ('/rosout', '/parameter_events')
@@ -125,7 +125,7 @@ class Recorder(Node):
         for topic in (DESCRIPTION, ROBOT):
             writer.add_topic(topic, STRING, latched=True)
         self._write_text(DESCRIPTION, DATASET_DEFAULTS)
-        self.create_timer(TOPIC_LOOK_PERIOD_S, self._look)
+        repeat(self, TOPIC_LOOK_PERIOD_S, self._look)
         self._look()
 
     def summary(self, output: str, seconds: float) -> str:

@@ -24,7 +24,7 @@ from ...robot.urdf import joint_angles, joint_names, transforms, urdf
 from ..shared.files import read_robot
 from ..shared.messages import LATCHED, LISTEN, STATE, joint_state, matrix, quaternion
 from ..shared.parameters import Parameters, RemoteText, Spec
-from ..shared.runtime import run
+from ..shared.runtime import repeat, run
 
 HELP = 'show RViz and Foxglove the robot: URDF, joints, frames'
 SPECS = (
@@ -65,7 +65,7 @@ class RobotModelNode(Node):
         if self.parameters['robot']:
             self._take(self.parameters['robot'])
         else:
-            self.create_timer(ASK_PERIOD_S, self._ask)
+            repeat(self, ASK_PERIOD_S, self._ask)
 
     @property
     def node(self) -> Node:

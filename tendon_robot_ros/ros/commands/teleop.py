@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 from ...common.errors import InputError
 from ..shared.messages import COMMAND
 from ..shared.parameters import Parameters, Spec
-from ..shared.runtime import run
+from ..shared.runtime import repeat, run
 
 HELP = 'move the tip with the keyboard'
 SPECS = (
@@ -62,7 +62,7 @@ class TeleopNode(Node):
         self._factor, self._in_tip, self._quit, self._moved = 1.0, False, False, False
         self._keyboard = keyboard()
         self._keyboard.__enter__()
-        self.create_timer(1.0 / TWIST_RATE_HZ, self._cycle)
+        repeat(self, 1.0 / TWIST_RATE_HZ, self._cycle)
 
     @property
     def node(self) -> Node:

@@ -31,7 +31,7 @@ from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic, hear_anybody
 from ..shared.lifecycle import LEVELS, ManagedNode, Status
 from ..shared.messages import COMMAND, JOINTS, LATCHED, LISTEN, joint_state
 from ..shared.parameters import Parameters
-from ..shared.runtime import goes_first, run
+from ..shared.runtime import goes_first, repeat, run
 from ..shared.senders import OtherPublishers, Received, Senders, signature
 from . import parameters
 from .incoming import Incoming
@@ -83,8 +83,8 @@ class ControllerNode(ManagedNode):
                 DiagnosticStatus, self.parameters['driver_status'], self._driver, LATCHED
             )
         self.create_service(Trigger, '~/reset', self._reset)
-        self.create_timer(1.0 / self.parameters['rate'], self._cycle)
-        self.create_timer(1.0 / self.parameters['shape_rate'], self._predict)
+        repeat(self, 1.0 / self.parameters['rate'], self._cycle)
+        repeat(self, 1.0 / self.parameters['shape_rate'], self._predict)
         self._driver_stopped = ''
 
     def ready(self) -> bool:
@@ -115,10 +115,12 @@ class ControllerNode(ManagedNode):
     def activate(self) -> None:
         """Begin to hear targets: who waits for a subscriber sends none in vain."""
         self._targets = [
-            *hear_anybody(self, PoseStamped, '~/target_pose', self._pose),
-            *hear_anybody(self, PointStamped, '~/target_point', self._point),
+            *hear_anybody(self, PoseStamped, '~/target_pose', self._pose, self._too_long),
+            *hear_anybody(self, PointStamped, '~/target_point', self._point, self._too_long),
             self.create_subscription(TwistStamped, '~/delta_twist', self._twist, LISTEN),
-            *hear_anybody(self, JointTrajectory, '~/tendon_trajectory', self._trajectory),
+            *hear_anybody(
+                self, JointTrajectory, '~/tendon_trajectory', self._trajectory, self._too_long
+            ),
         ]
 
     def deactivate(self) -> None:
@@ -165,6 +167,10 @@ class ControllerNode(ManagedNode):
         self._take(
             'target', lambda core, new: core.play(time.monotonic(), new.trajectory(message))
         )
+
+    def _too_long(self, problem: str) -> None:
+        if self.core is not None:
+            self.core.refusals['target'] = Refusal('length', problem)
 
     def _states(self, heard: Received[JointState]) -> None:
         def take(core: ControllerCore, incoming: Incoming) -> None:
@@ -219,6 +225,8 @@ class ControllerNode(ManagedNode):
         for heard in self._measured.take():
             self._states(heard)
         core, now = self.core, time.monotonic()
+        if (problem := self._measured.refused()) and core is not None:
+            core.refusals['states'] = Refusal('length', problem)
         if core is None or self.phase != 'active':
             self._idle(now)
             return

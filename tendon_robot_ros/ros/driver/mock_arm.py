@@ -19,6 +19,7 @@ from ...model.shape import Shape
 from ...robot import Robot
 from ..shared.messages import STATE, pose_array, pose_stamped
 from ..shared.parameters import Parameters
+from ..shared.runtime import repeat
 
 Array = NDArray[np.float64]
 
@@ -72,7 +73,7 @@ class MockTracker:
         self._arc_lengths = np.cumsum(lengths)
         self._tip = node.create_publisher(PoseStamped, 'measured_tip', STATE)
         self._shape = node.create_publisher(PoseArray, 'measured_shape', STATE)
-        self._timer = node.create_timer(1.0 / float(options['rate']), self._publish)
+        self._timer = repeat(node, 1.0 / float(options['rate']), self._publish)
 
     def close(self) -> None:
         """Stop to publish."""

@@ -27,7 +27,7 @@ from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic
 from ..shared.lifecycle import ERROR, OK, WARN, ManagedNode, Status
 from ..shared.messages import JOINTS, STATE, joint_state, seconds
 from ..shared.parameters import Parameters
-from ..shared.runtime import asked_to_end, goes_first, run, when_asked_to_end
+from ..shared.runtime import asked_to_end, goes_first, repeat, run, when_asked_to_end
 from ..shared.senders import OtherPublishers, Received, Senders, signature
 from . import backend, parameters
 from .mock_arm import MockTracker
@@ -67,7 +67,7 @@ class DriverNode(ManagedNode):
         self._stop_topic = StopTopic(self, self._stop_said, self._stop_gone, [stop])
         self.create_service(Trigger, '~/reset', self._reset)
         self.create_service(Trigger, '~/reboot', self._reboot)
-        self.create_timer(0.05, self._tell)
+        repeat(self, 0.05, self._tell)
         when_asked_to_end(self._let_go)
 
     def configure(self) -> None:
@@ -245,6 +245,8 @@ class DriverNode(ManagedNode):
         self._stop_topic.poll()
         for heard in self._commands.take():
             self._command(heard)
+        if problem := self._commands.refused():
+            self._refusal = Refusal('length', problem)
         if self._senders.died() and self.loop is not None:
             self.loop.let_go('the sender of the commands has died')
 

@@ -36,7 +36,7 @@ from ..shared.files import read_robot
 from ..shared.lifecycle import ERROR, OK, WARN, Status
 from ..shared.messages import LATCHED, LISTEN, STATE, pose_array, seconds
 from ..shared.parameters import Parameters, RemoteText
-from ..shared.runtime import run
+from ..shared.runtime import repeat, run
 from .adapting import Adapting
 from .measured import MarkerInput
 from .parameters import SPECS, parsed, settings
@@ -71,8 +71,8 @@ class MonitorNode(Node):
         self.create_subscription(JointState, 'tendon_states', self._states, LISTEN)
         for name in ('record', 'diagnose', 'add', 'learn', 'undo'):
             self.create_service(Trigger, f'~/{name}', getattr(self, f'_{name}'))
-        self.create_timer(0.1, self._cycle)
-        self.create_timer(1.0, self._look_at_controller)
+        repeat(self, 0.1, self._cycle)
+        repeat(self, 1.0, self._look_at_controller)
 
     @property
     def node(self) -> Node:

@@ -15,12 +15,13 @@ from rclpy.guard_condition import GuardCondition
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_services_default
+from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.type_support import check_is_valid_msg_type, check_is_valid_srv_type
 from std_msgs.msg import Bool, String
 
 from .messages import COMMAND, COMMAND_ALL, LATCHED_BY_MANY, LISTEN, LISTEN_ALL
-from .senders import UNTOLD, Received, Taker
+from .senders import LONGEST, UNTOLD, Received, Taker
 
 
 class Inbox[M]:
@@ -37,19 +38,30 @@ class Inbox[M]:
     def __init__(self, node: Node, kind: type[M], topic: str, qos: QoSProfile) -> None:
         """Subscribe."""
         check_is_valid_msg_type(kind)
+        self.topic = topic
         with node.handle:
             self.handle = _rclpy.Subscription(node.handle, kind, topic, qos.get_c_qos_profile())
         self._take = Taker(self.handle, kind)
 
     def take(self) -> list[Received[M]]:
-        """Give the messages that came since the last time, oldest first."""
+        """Give the messages that came since the last time, oldest first; none that is too long."""
         with self.handle:
             return list(iter(self._take, None))
+
+    def refused(self) -> str:
+        """Say what was too long to be read since the last time, '' for nothing."""
+        size, self._take.refused = self._take.refused, 0
+        return too_long(self.topic, size) if size else ''
 
     def close(self) -> None:
         """Unsubscribe."""
         self._take.close()
         self.handle.destroy_when_not_in_use()
+
+
+def too_long(topic: str, size: int) -> str:
+    """Say that a message of so many bytes is not read."""
+    return f'{topic}: expected at most {LONGEST:,} bytes, got {size:,}'
 
 
 class Service:
@@ -117,17 +129,21 @@ PAIR_S = 1.0  # [s] in which the same message comes by both ways
 
 
 def hear_anybody[M](
-    node: Node, kind: type[M], topic: str, hear: Callable[[M], None]
+    node: Node,
+    kind: type[M],
+    topic: str,
+    hear: Callable[[M], None],
+    refuse: Callable[[str], None],
 ) -> list[Subscription]:
     """
     Subscribe to publishers of any quality of service; return the subscriptions.
 
     A best-effort subscription hears everybody, a reliable one loses nothing of who is reliable;
-    what comes by both is heard once.
+    what comes by both is heard once. What is too long to be read beside the commands is refused.
     """
-    waiting: tuple[deque[tuple[float, M]], deque[tuple[float, M]]] = deque(), deque()
+    waiting: tuple[deque[tuple[float, bytes]], deque[tuple[float, bytes]]] = deque(), deque()
 
-    def come(message: M, way: int) -> None:
+    def come(message: bytes, way: int) -> None:
         now, own, other = time.monotonic(), waiting[way], waiting[1 - way]
         for queue in waiting:
             while queue and now - queue[0][0] > PAIR_S:
@@ -137,10 +153,13 @@ def hear_anybody[M](
             other.remove(same)
             return
         own.append((now, message))
-        hear(message)
+        if len(message) > LONGEST:
+            refuse(too_long(topic.removeprefix('~/'), len(message)))
+        else:
+            hear(deserialize_message(message, kind))
 
     return [
-        node.create_subscription(kind, topic, partial(come, way=way), qos)
+        node.create_subscription(kind, topic, partial(come, way=way), qos, raw=True)
         for way, qos in enumerate((COMMAND, LISTEN))
     ]
 

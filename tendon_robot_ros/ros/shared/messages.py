@@ -19,7 +19,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from ...common.colours import rgb
 from ...common.rotations import from_quaternion, quaternions
-from ...control.checks import Refusal, check_frame
+from ...control.checks import Refusal, check_frame, cut
 
 Array = NDArray[np.float64]
 
@@ -164,7 +164,7 @@ class Frames:
             transform = self._buffer.lookup_transform(self.base, frame, ClockTime()).transform
         except Exception:  # no buffer, or whatever tf2 raises: no transform
             check_frame(frame, [self.base], what)
-            raise Refusal('frame', f'{what}: frame {frame!r} is not usable') from None
+            raise Refusal('frame', f'{what}: frame {cut(frame)!r} is not usable') from None
         return matrix(transform.rotation), np.array(
             [transform.translation.x, transform.translation.y, transform.translation.z]
         )

@@ -13,18 +13,26 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import IO, Protocol, Self
+from typing import IO, Any, Protocol, Self
 
 import rclpy
 import rclpy.utilities
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from ...common.errors import InputError, TendonRobotError
-from ...common.processes import child_environment, end_with_parent, go_first, switch_often
+from ...common.processes import (
+    child_environment,
+    end_with_parent,
+    ending_signals,
+    go_first,
+    print_without_waiting,
+    switch_often,
+)
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
 # [s] launch passes on the signal that the terminal or systemd has sent to all, too
 SIGNAL_ECHO_S = 1.0
 
@@ -56,7 +64,7 @@ class Ending:
         """Take a signal."""
         now = time.monotonic()
         if self.signal:
-            if now - self._asked > SIGNAL_ECHO_S:
+            if now - self._asked > SIGNAL_ECHO_S and number != signal.SIGHUP:
                 os._exit(128 + number)
             return
         self.signal, self._asked = number, now
@@ -73,15 +81,16 @@ class Ending:
         def listen() -> None:
             while data := here.recv(16):
                 for number in data:
-                    if number in SIGNALS:
+                    if number in wanted:
                         self.asked(number)
 
+        wanted = ending_signals()
         here, there = socket.socketpair()
         there.setblocking(False)
         thread = threading.Thread(target=listen, name='signals', daemon=True)
         thread.start()
         told = signal.set_wakeup_fd(there.fileno(), warn_on_full_buffer=False)
-        before = {number: signal.signal(number, lambda *_: None) for number in SIGNALS}
+        before = {number: signal.signal(number, lambda *_: None) for number in wanted}
         try:
             yield
         finally:
@@ -164,6 +173,16 @@ def make_executor() -> Executor:
     return EventsExecutor()
 
 
+def repeat(node: Node, period: float, action: Callable[[], object]) -> Any:
+    """
+    Have an executor call something every `period` seconds; return the timer.
+
+    By a clock that nobody sets: that of ROS stands still when the computer's is set back, and with
+    `use_sim_time` until somebody publishes `/clock`.
+    """
+    return node.create_timer(period, action, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
 def run(make: Callable[[], Runnable], arguments: Sequence[str], first: bool = False) -> int:
     """
     Run a node until a signal comes or it ends.
@@ -186,6 +205,7 @@ def run(make: Callable[[], Runnable], arguments: Sequence[str], first: bool = Fa
     if first:
         go_first()
         switch_often()
+        print_without_waiting()
     with ros(arguments, first) as ending:
         executor = make_executor()
         runnable = None

@@ -22,6 +22,7 @@ from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
 
 UNTOLD = b''  # publisher of a message where the middleware does not say
+LONGEST = 250_000  # bytes of a message that is read: 10 MB take seconds
 TAKEN, NOT_COUNTED = 0, 2**64 - 1  # RCL_RET_OK, RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED
 SPARE = 256  # bytes behind the structures: newer ones may be longer
 
@@ -82,6 +83,7 @@ class Taker[M]:
     def __init__(self, handle: Any, kind: type[M]) -> None:
         """Take the subscription of rclpy's C++ part and the kind of its messages."""
         self._handle, self._kind = handle, kind
+        self.refused = 0  # bytes of the last message that was too long
         try:
             self._take = ctypes.CDLL('librcl.so').rcl_take_serialized_message
             self._free = ctypes.CDLL('librcutils.so').rcutils_uint8_array_fini
@@ -97,8 +99,12 @@ class Taker[M]:
             return self._plain()
         info = _Info()
         pointer = ctypes.c_void_p(self._handle.pointer)
-        if self._take(pointer, ctypes.byref(self._bytes), ctypes.byref(info), None) != TAKEN:
-            return None
+        while True:
+            if self._take(pointer, ctypes.byref(self._bytes), ctypes.byref(info), None) != TAKEN:
+                return None
+            if self._bytes.length <= LONGEST:
+                break
+            self.refused = self._bytes.length
         data = ctypes.string_at(self._bytes.buffer, self._bytes.length)
         message = deserialize_message(data, self._kind)
         number = info.number if info.number < NOT_COUNTED else 0

@@ -27,7 +27,7 @@ from ..shared.files import read_robot
 from ..shared.lifecycle import OK, Status
 from ..shared.messages import COMMAND, LATCHED, LATCHED_BY_MANY, LISTEN, STATE
 from ..shared.parameters import Parameters, RemoteText, Spec
-from ..shared.runtime import run
+from ..shared.runtime import repeat, run
 from .page import LivePage
 from .state import ViewState
 
@@ -89,8 +89,8 @@ class ViewerNode(Node):
             for name, owners in SERVICES.items()
             for owner in owners
         }
-        self.create_timer(1.0 / self.parameters['rate'], self._cycle)
-        self.create_timer(2.0, lambda: self._remote.ask(self._hear_model))
+        repeat(self, 1.0 / self.parameters['rate'], self._cycle)
+        repeat(self, 2.0, lambda: self._remote.ask(self._hear_model))
 
     @property
     def node(self) -> Node:
