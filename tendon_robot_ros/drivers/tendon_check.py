@@ -102,7 +102,7 @@ def measure_reference(
         driver.enable()
         try:
             here = np.clip(np.nan_to_num(driver.read().tensions), lowest, highest)
-            arm = _Arm(driver, clock, check, here)
+            arm = _HeldTendons(driver, clock, check, here)
             try:
                 arm.ramp(goal, RAMP_S)
                 pulls, tensions = arm.still()
@@ -196,7 +196,7 @@ def _numbers(fields: ConfigFields, key: str, count: int) -> list[float]:
 
 
 @dataclass
-class _Arm:
+class _HeldTendons:
     """All tendons on a way, looked at after every command."""
 
     driver: Driver
