@@ -133,7 +133,7 @@ def test_a_second_run_installs_nothing(pretend):
             '  Using cached numba-0.60.whl (3 MB)',
             'taking numba-0.60.whl (3 MB), which is here alre',
         ),
-        ('Installing collected packages: a, b, c', 'installing, 1 of 3 packages'),
+        ('Installing collected packages: a, b, c', 'installing, 0 of 3 packages'),
         ('Installing build dependencies: started', 'looking for what is needed'),
     ],
 )

@@ -92,10 +92,10 @@ def _friction(volume: Volume) -> list[str]:
     if other is None:
         return []
     taken, given = (_share(part or 0.0, 1.0) for part in (volume.taken, volume.given))
+    why = ': it bends more near the base, less farther out' if volume.given else ''
     return [
         f'friction takes {taken} of the places that the same arm without friction reaches '
-        f'({_fill(other)}); {given} of the places with friction lie beyond those: '
-        'it bends more near the base, less farther out'
+        f'({_fill(other)}); {given} of the places with friction lie beyond those{why}'
     ]
 
 
