@@ -185,7 +185,7 @@ def test_the_staircase_stands_in_groups():
     steps += [Step('after', 3e-4, 'after', g) for g in ('fitted', 'check')]
     figure = staircase(steps)
     assert [trace['x'] for trace in figure.data] == [['fitted', 'check']] * 2
-    assert [trace['text'] for trace in figure.data] == [['2.00 mm'] * 2, ['0.300 mm'] * 2]
+    assert [trace['text'] for trace in figure.data] == [['2.00'] * 2, ['0.300'] * 2]
 
 
 def test_without_plotly_the_remedy_is_named(monkeypatch, tmp_path):

@@ -266,6 +266,15 @@ def test_volumes_that_make_no_sense_are_refused(options, message):
         find_volume(Model(planar()), **options)
 
 
+def test_cubes_are_as_small_as_the_shell_of_one_section_lets_them():
+    """Ten postures come to each: tips of one section lie on a sheet, of two in a space."""
+    one, two = single(cells=4), spatial(cells=4)
+    found = find_volume(Model(one), postures=4000)
+    assert found.reached.edge == pytest.approx(one.length / np.sqrt(4000 / 10 / 4.0))
+    assert 4000 / len(found.reached) == pytest.approx(10.0, rel=0.7)
+    assert find_volume(Model(two), postures=6000).reached.edge == pytest.approx(two.length / 8.0)
+
+
 def test_the_command_shows_all_tendons_of_an_arm_in_space(tmp_path, capsys):
     pytest.importorskip('plotly')
     robot = tmp_path / 'robot.yaml'

@@ -192,7 +192,7 @@ def staircase(steps: Sequence[Step], title: str = '', height: int = 360) -> Figu
                 'type': 'bar',
                 'x': [escape(step.group) for step in part] if len(groups) > 1 else [escape(label)],
                 'y': mm_list([step.error for step in part]),
-                'text': [mm(step.error) for step in part],
+                'text': [mm(step.error).removesuffix(' mm') for step in part],
                 'textposition': 'outside',
                 'cliponaxis': False,
                 'name': escape(label),

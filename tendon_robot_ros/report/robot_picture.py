@@ -99,10 +99,15 @@ def _cross_section(axes: Any, model: Model) -> None:
         axes.plot(*beside.T, 'x', color=ERROR, label='weight of the cells')
     for name, colour in colours.items():
         axes.plot([], [], 'o', color=colour, label=f'ends in {name}')
+    across = np.array(robot.gravity or (0.0, 0.0, 0.0))[:2]
+    if across.any():  # a level arm: the way in which weights pull
+        end = 1.15 * largest * across / np.linalg.norm(across)
+        axes.annotate('', end, (0.0, 0.0), arrowprops={'arrowstyle': '->', 'color': ERROR})
+        axes.annotate('down', 0.5 * end, color=ERROR, fontsize=8)
     axes.set_aspect('equal')
     axes.set_xlim(-1.8 * largest, 1.8 * largest)
     axes.set_xlabel('x [mm]')
     axes.set_ylabel('y [mm]')
     axes.grid(alpha=0.3)
-    axes.set_title('tendons from the base (dot) on, seen against z', fontsize=10)
+    axes.set_title('tendons from the base (dot) on, seen from the tip', fontsize=10)
     axes.legend(fontsize=8, loc='lower right')

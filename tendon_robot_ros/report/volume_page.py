@@ -9,7 +9,7 @@ import numpy as np
 from ..common.colours import ERROR, INK, PREDICTED
 from ..common.words import digits, listed
 from ..workspace.cubes import LOOKS, Floats, Numbers, Reached
-from ..workspace.volume import Volume
+from ..workspace.volume import Volume, bends_as_one
 from .numbers import mm_list
 from .page import Figure, Page
 from .workspace_page import degree
@@ -78,7 +78,7 @@ def _directions(volume: Volume) -> list[str]:
     if volume.reached.is_flat:
         return [text]
     text += f' and looks into {_share(volume.sphere, 1.0)} of all directions'
-    if len(volume.robot.sections) == 1:
+    if bends_as_one(volume.robot):
         return [
             f'{text}. With one section the place of the tip nearly fixes where it looks: the '
             'places of one view angle are a ring around the base'
@@ -150,7 +150,7 @@ def volume_page(volume: Volume) -> Page:
 
 def _values(volume: Volume) -> tuple[Floats, str]:
     """Return what colours a cube (c,), and what it is."""
-    if volume.reached.is_flat or len(volume.robot.sections) == 1:
+    if volume.reached.is_flat or bends_as_one(volume.robot):
         return volume.reached.tensions.max(axis=1), 'highest<br>tension [N]'
     return volume.reached.looks.astype(float), f'directions<br>of {LOOKS}'
 

@@ -179,12 +179,20 @@ def _check(
         )
 
 
+def bends_as_one(robot: Robot) -> bool:
+    """Whether all tendons end in one section: the place of the tip nearly fixes where it looks."""
+    return len({tendon.section for tendon in robot.tendons}) == 1
+
+
 def _edge(robot: Robot, postures: int) -> float:
     """Return the edge of the cubes [m] that so many postures fill."""
     cubes = max(postures, 1) / POSTURES_PER_CUBE
-    # tips fill about three squares, or four cubes, of the length of the arm
-    flat = not tendon_offsets(robot)[..., 1].any()
-    count = (cubes / 3.0) ** 0.5 if flat else (cubes / 4.0) ** (1.0 / 3.0)
+    # tips fill about three squares, or four cubes, of the length of the arm; those of one section
+    # in space are a shell of about four squares
+    if not tendon_offsets(robot)[..., 1].any():
+        count = (cubes / 3.0) ** 0.5
+    else:
+        count = (cubes / 4.0) ** (0.5 if bends_as_one(robot) else 1.0 / 3.0)
     return robot.length / float(np.clip(count, 8.0, CUBES_MAX))
 
 
