@@ -82,6 +82,24 @@ def test_slopes_of_imperfections_are_those_of_settled_shapes(name, hidden):
             )
 
 
+def test_under_tensions_a_gain_counts_for_a_hole_off_its_place_too():
+    """Without friction a tension and the radius at which it pulls act by their product alone."""
+    dataset = case('messy_000')
+    plain = replace(dataset.robot, effects={})
+    split = SplitPredictor(Predictor(dataset, plain, CATALOGUE))
+    off, seen = np.array([0.02, -0.01]), []
+    for kind in ('channel_gain', 'hole_radius'):
+        split.around = {kind: off}
+        seen.append(split.markers({}))
+    np.testing.assert_allclose(seen[0], seen[1], atol=1e-9)
+    sizes = {kind.name: kind.plausible for kind in split.kinds()}
+    assert 'hole_radius' not in sizes
+    assert sizes['channel_gain'] == pytest.approx(np.hypot(0.01, 0.01))
+    known = replace(plain, tolerances={'channel_gain': 0.003})
+    kinds = SplitPredictor(Predictor(dataset, known, CATALOGUE)).kinds()
+    assert {kind.name: kind.plausible for kind in kinds}['channel_gain'] == 0.003
+
+
 def small():
     """Return random effects of two kinds, with a residual drawn from them."""
     random = np.random.default_rng(4)

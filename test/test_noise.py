@@ -116,3 +116,25 @@ def test_a_missing_marker_leaves_the_rest_in_place():
     per_coordinate = Whitener(dataset, noise, slopes).floor() / np.sqrt(3.0)
     assert per_coordinate == pytest.approx(1e-4 / np.sqrt(5.0))
     assert whitener.floor() > Whitener(dataset, noise, slopes).floor()
+
+
+def test_the_mean_of_a_marker_that_a_trial_lost_has_the_inputs_of_the_others():
+    dataset, random = measured(ROBOT), np.random.default_rng(2)
+    positions, slopes = dataset.positions.copy(), slopes_of(dataset)
+    positions[random.random(positions.shape[:3]) < 0.1] = np.nan
+    positions[4, 3] = np.nan
+    dataset = replace(dataset, positions=positions)
+    noise = Noise(2e-4, 0.02, 0.005, np.inf, 'declared')
+    whitener = Whitener(dataset, noise, slopes)
+    for p in range(len(positions)):
+        moved = [noise.setting * one for one in slopes[p]]
+        for trial in range(positions.shape[1]):  # what it does to the means, trial by trial
+            for one in slopes[p]:
+                there = positions.copy()
+                there[p, trial] += noise.trial * one
+                moved.append((replace(dataset, positions=there).mean - dataset.mean)[p])
+        g = np.array(moved).reshape(len(moved), -1)
+        own = noise.position**2 / np.repeat(dataset.counts[p], 3)
+        root = whitener.root(p)
+        white = root @ (np.diag(own) + g.T @ g) @ root.T
+        np.testing.assert_allclose(white, np.eye(len(white)), atol=2e-3)

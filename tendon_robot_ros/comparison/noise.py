@@ -15,6 +15,7 @@ from .predict import Point, Predictor
 from .statistics import minimum
 
 Floats = npt.NDArray[np.float64]
+UNSEEN_VARIANCE = 1e-3  # [1] of a marker's own variance: what inputs do less is left out
 TRIAL_DOF_MIN = 30  # degrees of freedom within postures from which the trials tell the noise
 
 
@@ -157,8 +158,9 @@ class Whitener:
     Covariance of the marker means, a block per posture, and a root of its inverse.
 
     (position noise + trial noise) / trials + setting noise, which the trials of a posture share.
-    Errors of a model may come on top, no smaller for more trials: `accuracy` [m] of a posture,
-    growing along the arm, and `rough` [m, 1 sd per coordinate] of every marker of it.
+    The mean of a marker that one trial lost has the inputs of the others: part of the trial noise
+    is then its own. Errors of a model may come on top, no smaller for more trials: `accuracy` [m]
+    of a posture, growing along the arm, and `rough` [m, 1 sd per coordinate] of every marker.
 
     Noise of m inputs adds G'G of m rows to a diagonal D. With G D^-1/2 = B and B B' = V L V' the
     symmetric root of (1 + B'B)^-1 is 1 - B'V f(L) V'B, f(l) = 1 / (1 + l + sqrt(1 + l)): nothing
@@ -174,12 +176,10 @@ class Whitener:
         rough: float = 0.0,
     ) -> None:
         """Find the roots; `slopes` are those of `input_slopes`."""
-        P = len(dataset.counts)
         self._seen = np.repeat(dataset.counts > 0, 3, axis=1)  # (P, 3 J)
         counts = np.repeat(np.maximum(dataset.counts, 1), 3, axis=1)
-        share = noise.setting**2 + noise.trial**2 / np.maximum(dataset.trials, 1)
-        driven = np.sqrt(share)[:, None, None] * slopes.reshape(P, slopes.shape[1], -1)
         own = noise.position**2 / counts
+        driven = _driven(dataset, noise, slopes, own + rough**2)
         total = own + (driven**2).sum(axis=1)
         self.variance = [one[seen] for one, seen in zip(total, self._seen, strict=True)]
         self._scale = np.where(self._seen, 1.0 / np.sqrt(own + rough**2), 0.0)  # (P, 3 J)
@@ -265,6 +265,33 @@ class Whitener:
         """Return the expected rms [m] of the distance for a perfect model, setting noise too."""
         total = sum(float(variance.sum()) for variance in self.variance)
         return float(np.sqrt(3.0 * total / max(self.size, 1)))
+
+
+def _driven(dataset: DataSet, noise: Noise, slopes: Floats, own: Floats) -> Floats:
+    """Return rows G (P, r m, 3 J) [m] of what the noise of m inputs does to the marker means."""
+    rows = _input_noise(dataset, noise)
+    flat = slopes.reshape(*slopes.shape[:2], -1)  # (P, m, 3 J)
+    loudest = (flat**2 / own[:, None]).max(axis=(1, 2), initial=0.0)
+    shown = (rows**2).sum(axis=2) * loudest[:, None] > UNSEEN_VARIANCE
+    rows = rows[:, : max(int(shown.any(axis=0).sum()), 1)]
+    made = np.repeat(rows, 3, axis=2)[:, :, None] * flat[:, None]
+    return np.asarray(made.reshape(len(made), -1, made.shape[-1]))
+
+
+def _input_noise(dataset: DataSet, noise: Noise) -> Floats:
+    """
+    Return rows R (P, r, J), the largest first: R'R is the covariance of an input's relative error.
+
+    As it stands behind the mean of every marker, which is that of the trials that saw it.
+    """
+    mask, counts = dataset.mask, dataset.counts
+    if (mask.any(axis=1)[:, None] & dataset.trial_mask[..., None] <= mask).all():  # none is lost
+        size = noise.setting**2 + noise.trial**2 / np.maximum(dataset.trials, 1)
+        return np.repeat(np.sqrt(size)[:, None, None], mask.shape[2], axis=2)
+    rows = np.full((len(mask), mask.shape[1] + 1, mask.shape[2]), noise.setting)
+    rows[:, 1:] = noise.trial * mask / np.maximum(counts, 1)[:, None]
+    _, sizes, shapes = np.linalg.svd(rows, full_matrices=False)
+    return np.asarray(sizes[..., None] * shapes)
 
 
 def common_error(dataset: DataSet, rows: npt.NDArray[np.int64], accuracy: float) -> Floats:

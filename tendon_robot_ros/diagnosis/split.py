@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -83,7 +84,7 @@ class SplitPredictor(Predictor):
         labels = {CELLS: cells, KINK: kinks}
         if axis is not None:
             labels |= {KINK: kinks[axis::2], ACROSS: kinks[1 - axis :: 2]}
-        labels[GAIN] = list(self.whole.inputs)  # of a tension: a hole off its place does the same
+        labels[GAIN] = list(self.whole.inputs)  # of a tension: with a hole off its place
         if self.dataset.input == 'displacement':
             labels |= {HOLE: [t.name for t in self.whole.tendons], ZERO: list(self.whole.inputs)}
         known = self.whole.tolerances
@@ -91,6 +92,8 @@ class SplitPredictor(Predictor):
         made, larger = [], max(self.whole.length / PLAUSIBLE_LENGTH, 1.0)
         for name, members in labels.items():
             unit, plausible, _ = PLAUSIBLE_SIZES[name]
+            if name == GAIN and HOLE not in labels:
+                plausible = math.hypot(plausible, PLAUSIBLE_SIZES[HOLE][1])
             usual = plausible * (larger if unit == 'm' else 1.0)
             size = float(known.get(KINK if name == ACROSS else name, usual))
             if size > 0.0:
