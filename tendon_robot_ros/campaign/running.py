@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -122,18 +123,19 @@ def _judged(plan: CampaignPlan, todo: Sequence[Case], workers: Workers) -> Itera
     handed: dict[int, Chunk] = {}
 
     def chunks() -> Iterator[Chunk]:
-        begin = 0
+        begin, numbers = 0, itertools.count()
         while begin < len(todo):
             end = begin + pace.size()
             chunk = Chunk(plan.setup, tuple(todo[begin:end]))
-            handed[len(handed)] = chunk
+            handed[next(numbers)] = chunk
             pace.left -= len(chunk.cases)
             yield chunk
             begin = end
 
     for index, result in workers.run(timed_chunk, chunks()):
+        chunk = handed.pop(index)
         if isinstance(result, LostWork):
-            yield [lost(plan.setup, case, result.workers) for case in handed[index].cases]
+            yield [lost(plan.setup, case, result.workers) for case in chunk.cases]
             continue
         pace.saw(result.rows, result.seconds)
         yield result.rows

@@ -90,11 +90,13 @@ class GrowingTable[T]:
         self._write(self.arrow.concat_tables(map(self._read, old)))
         for path in old:
             path.unlink()
+        self.arrow.default_memory_pool().release_unused()  # else every merging would keep more
 
     def _read(self, path: Path) -> Any:
         try:
-            return self.arrow.parquet.read_table(path, schema=self.schema)
-        except (self.arrow.ArrowInvalid, OSError) as error:
+            with self.arrow.parquet.ParquetFile(path) as file:
+                return file.read(use_threads=False).cast(self.schema)
+        except (ValueError, OSError) as error:
             reason = str(error).splitlines()[0]
             raise DataSetError(str(path), f'cannot be read ({reason})', 'delete it') from None
 
