@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import simulated
+from arms import planar
 from simulated import CATALOGUE, measured
 from source_tree import ROOT
 
@@ -20,11 +21,14 @@ from tendon_robot_ros.diagnosis.described_arm import (
     blocks_of_the_arm,
     profile_factors,
 )
-from tendon_robot_ros.diagnosis.improve import falls
+from tendon_robot_ros.diagnosis.improve import falls, shown
 from tendon_robot_ros.diagnosis.improvement import total
-from tendon_robot_ros.diagnosis.stepwise import Stepwise, left_out_errors
+from tendon_robot_ros.diagnosis.promise import left_out_errors
+from tendon_robot_ros.diagnosis.stepwise import Stepwise
 from tendon_robot_ros.report.improvement_page import improvement_lines
 from tendon_robot_ros.robot import dump_robot, parse_robot
+from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
+from tendon_robot_ros.simulation.plant import make_plant
 
 ROBOT = simulated.robot()
 HIDDEN = {
@@ -137,6 +141,39 @@ def test_what_moved_of_the_arm_is_what_the_description_says():
     assert again.tendons == arm_with(robot, point).tendons
 
 
+def test_stiffness_along_the_arm_and_routes_have_the_slopes_of_differences():
+    robot = simulated.robot('spatial_3')
+    dataset = measured(robot, count=3)
+    arm = DescribedArm(dataset, robot, CATALOGUE)
+    frees = [free for block in blocks_of_the_arm(robot) for free in block.frees]
+    point = {free: 0.5 * free.parameter.typical for free in frees}
+    assert arm.markers(point) is not None
+    near = arm.settled
+    slopes = arm.tangent(point, frees, near).markers
+    for free, slope in zip(frees, slopes, strict=True):
+        h = 1e-2 * free.parameter.typical
+        up, down = (arm.markers({**point, free: point[free] + x}, near=near) for x in (h, -h))
+        np.testing.assert_allclose(slope, (up - down) / (2 * h), atol=2e-3 * np.abs(slope).max())
+
+
+def test_friction_that_remembers_joins_where_visits_tell_of_it():
+    """Neither of the two does what both do together, and memory has no small size to begin at."""
+    robot = replace(planar(5), gravity=(0.0, 0.0, 0.0), exact=True)
+    hidden = {
+        'tendon_friction': {'friction_coefficient': 0.4},
+        'friction_memory': {'presliding_length': 2e-4},
+    }
+    plant = make_plant(robot, hidden, refine=1, scatter=0.0, capstan=False)
+    rng = np.random.default_rng(3)
+    inputs, noise = rng.uniform(0.0, 2.0, (8, 2)), SimulatedNoise(position=1e-4)
+    data = simulate(plant, inputs, noise=noise, trials=3, path='visits', seed=1)
+    found = improve(data, workers=1)
+    assert found.values.keys() == hidden.keys()
+    length = found.values['friction_memory']['presliding_length']
+    assert length.low < 2e-4 < length.high
+    assert total(found.steps[found.taken].left_out) < 2.0 * found.noise_floor
+
+
 def test_where_a_fit_has_no_equilibrium_the_search_goes_on(arm, monkeypatch):
     def fails(*arguments):
         raise ArithmeticError('no start of the fit has an equilibrium')
@@ -209,6 +246,14 @@ def test_a_fall_within_its_scatter_is_not_taken():
     assert rows[1][0] < rows[1][1]
     assert rows[2] == pytest.approx((2e-3 - np.sqrt(2e-6), 0.0))
     assert falls(np.array([before, uneven]))[0] == 0
+
+
+def test_a_step_that_needs_a_later_one_is_shown_with_it():
+    squares = np.array([9.0, 4.0, 5.0, 3.0, 3.5, 2.0, 2.1])
+    assert shown(squares[:, None, None], 5) == [0, 1, 3, 5, 6]
+    assert shown(squares[:, None, None], 0) == [0, 1, 2, 3, 4, 5, 6]
+    lower = np.array([9.0, 4.0, 1.9, 2.0])  # the one before was within its scatter
+    assert shown(lower[:, None, None], 3) == [0, 1, 3]
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,8 @@ add.py                write effects into a description, and undo it
 into_description.py   what was found of an arm as built, in its description
 improve.py            effects join while the error on left-out postures falls
 stepwise.py           the search for the one that joins next
+promise.py            what a block that may join promises, by slopes alone
+unexplained.py        how large is what no model of the family explains
 described_arm.py      what may change of the arm itself: stiffness along it, routes of tendons
 improvement.py        `Improvement`: a better description, and how the error fell
 prediction_errors.py  the error before, after, and left out

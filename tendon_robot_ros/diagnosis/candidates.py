@@ -129,6 +129,25 @@ def candidates_of(robot: Robot, catalogue: Catalogue) -> list[Candidate]:
     ]
 
 
+def joining_effects(robot: Robot, catalogue: Catalogue, dataset: DataSet) -> list[Candidate]:
+    """
+    Return the effects that may join a description that lacks several, in the catalogue's order.
+
+    What the data cannot show is left out; what only shapes another effect may also join with it.
+    """
+    lacks = {'pulls': dataset.input == 'tension', 'history': not unloads(dataset)}
+    own = [
+        c for c in candidates_of(robot, catalogue) if not lacks.get(catalogue[c.label].needs or '')
+    ]
+    known = {c.label: c for c in own}
+    pairs = [
+        known[catalogue[c.label].acts_on or ''].with_(c)
+        for c in own
+        if catalogue[c.label].always_on and catalogue[c.label].acts_on in known
+    ]
+    return own + [pair for pair in pairs if not set(pair.names) & set(robot.effects)]
+
+
 def is_tested(
     candidate: Candidate, predictor: Predictor, whitener: Whitener, point: Point, here: np.ndarray
 ) -> bool:

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import legendre
 
-from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
-from ..comparison.tangent import Tangent
+from ..comparison.conditions import Conditions
+from ..comparison.predict import FreeParameter, Point, Predictor
 from ..data import DataSet
 from ..effects import Catalogue, Parameter
-from ..robot import Robot
+from ..robot import Robot, Tendon
 from ..robot.routes import helix_angles, tendon_offsets
 from .candidates import Candidate
 
@@ -24,6 +24,7 @@ PROFILE_DEGREE = 4  # of the polynomial by which its logarithm changes
 ROUTES = 'tendon_routes'  # of the description: every tendon turned about the axis, and winding
 TURN_MAX = 1.0  # [rad] about the axis at the base, and on the whole way to the tip
 TURN_TYPICAL = 0.03  # [rad]
+ROUTES_KEPT_MAX = 64  # arrangements of the tendons that are not computed again
 WINDS_AT_LEAST = 1e-6  # [rad/m] no more than rounding, but the model is ready for more
 OF_THE_ARM = (PROFILE, ROUTES)
 
@@ -36,33 +37,37 @@ class DescribedArm(Predictor):
         self.described = robot
         super().__init__(dataset, _winding(robot) if may_wind(robot) else robot, catalogue)
         self._routes = (self.model.arrays.offset.copy(), self.model.arrays.helix.copy())
+        self._rerouted: dict[tuple[Any, ...], tuple[Floats, Floats]] = {}
 
     def value(self, free: FreeParameter) -> float:
         """Value that the description gives a parameter; of the arm itself: its change, none."""
         return 0.0 if free.effect in OF_THE_ARM else super().value(free)
 
-    def markers(self, point: Point, *args: Any, **options: Any) -> Floats | None:
-        """Predict marker positions; see `Predictor.markers`."""
+    def set_parameters(
+        self, point: Point, part: Conditions, stiffness: Floats | None = None
+    ) -> None:
+        """Set the parameters of the model, and the arm itself; see `Predictor.set_parameters`."""
         effects = {free: v for free, v in point.items() if free.effect not in OF_THE_ARM}
         profile = [v for free, v in point.items() if free.effect == PROFILE]
         if profile:
-            options['stiffness'] = profile_factors(profile, self.robot)
-        arrays = self.model.arrays
-        if any(free.effect == ROUTES for free in point):
-            moved = _winding(rerouted(self.described, point))
-            arrays.offset[:], arrays.helix[:] = tendon_offsets(moved), helix_angles(moved)
-        try:
-            return super().markers(effects, *args, **options)
-        finally:
-            arrays.offset[:], arrays.helix[:] = self._routes
+            own = profile_factors(profile, self.robot)
+            stiffness = own if stiffness is None else own * stiffness
+        super().set_parameters(effects, part, stiffness)
+        routes = self._routes_at(point)
+        self.model.arrays.offset[:], self.model.arrays.helix[:] = routes
 
-    def tangent(
-        self, point: Point, frees: Sequence[FreeParameter], settled: SettledShapes
-    ) -> Tangent | None:
-        """Return how effects move what settled; None where the arm itself moves as well."""
-        if any(free.effect in OF_THE_ARM for free in point):
-            return None
-        return super().tangent(point, frees, settled)
+    def _routes_at(self, point: Point) -> tuple[Floats, Floats]:
+        """Return offsets (n, k, 2) [m] and helix angles (n, k) [rad] of the tendons at a point."""
+        moved = tuple(sorted((f.column, f.parameter.name, v) for f, v in point.items()
+                             if f.effect == ROUTES and v != 0.0))  # fmt: skip
+        if not moved:
+            return self._routes
+        if moved not in self._rerouted:
+            if len(self._rerouted) >= ROUTES_KEPT_MAX:
+                self._rerouted.clear()
+            robot = _winding(rerouted(self.described, point))
+            self._rerouted[moved] = tendon_offsets(robot), helix_angles(robot)
+        return self._rerouted[moved]
 
 
 def blocks_of_the_arm(robot: Robot) -> Iterator[Candidate]:
@@ -101,10 +106,8 @@ def rerouted(robot: Robot, point: Point) -> Robot:
     tendons = []
     for i, tendon in enumerate(robot.tendons):
         c, s = np.cos(change.get((i, 'turn'), 0.0)), np.sin(change.get((i, 'turn'), 0.0))
-        base, end = (
-            (_short(c * x - s * y), _short(s * x + c * y)) for x, y in (tendon.base, tendon.end)
-        )
-        helix = _short(tendon.helix + change.get((i, 'helix'), 0.0))
+        base, end = ((c * x - s * y, s * x + c * y) for x, y in (tendon.base, tendon.end))
+        helix = tendon.helix + change.get((i, 'helix'), 0.0)
         tendons.append(replace(tendon, base=base, end=end, helix=helix))
     return replace(robot, tendons=tuple(tendons))
 
@@ -112,7 +115,7 @@ def rerouted(robot: Robot, point: Point) -> Robot:
 def arm_with(robot: Robot, point: Point) -> Robot:
     """Return the description with what a point says of the arm itself."""
     if any(free.effect == ROUTES for free in point):
-        robot = rerouted(robot, point)
+        robot = replace(robot, tendons=tuple(_written(t) for t in rerouted(robot, point).tendons))
     profile = [value for free, value in point.items() if free.effect == PROFILE]
     if not profile:
         return robot
@@ -146,6 +149,12 @@ def route_changes(point: Point) -> dict[str, tuple[float, float]]:
 def _winding(robot: Robot) -> Robot:
     tendons = (replace(tendon, helix=tendon.helix or WINDS_AT_LEAST) for tendon in robot.tendons)
     return replace(robot, tendons=tuple(tendons))
+
+
+def _written(tendon: Tendon) -> Tendon:
+    (x, y), (end_x, end_y) = tendon.base, tendon.end
+    base, end = (_short(x), _short(y)), (_short(end_x), _short(end_y))
+    return replace(tendon, base=base, end=end, helix=_short(tendon.helix))
 
 
 def _short(value: float) -> float:

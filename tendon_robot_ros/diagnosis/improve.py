@@ -34,7 +34,7 @@ from .stepwise import POSTURES_MIN, STEPS_MAX, State, Stepwise
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
-GROUPS_MAX = 8  # groups of postures that the search is made without
+GROUPS_MAX = 16  # groups of postures that the search is made without
 
 
 def improve(
@@ -168,6 +168,28 @@ def falls(errors: Floats) -> tuple[int, list[tuple[float, float]]]:
     return taken, rows
 
 
+def shown(errors: Floats, taken: int) -> list[int]:
+    """
+    Return which steps are shown: of those taken only such as lower the left-out error.
+
+    A step that needs a later one to help is shown with that one; `errors` as in `falls`.
+    """
+    squares = np.nanmean(errors, axis=(1, 2))
+    kept = [0]
+    for k in range(1, taken + 1):
+        if k == taken or squares[taken] < squares[k] < squares[kept[-1]]:
+            kept.append(k)
+    return [*kept, *range(taken + 1, len(squares))]
+
+
+def _together(states: Sequence[State]) -> tuple[str, tuple[str, ...]]:
+    """Return what joined in some steps, taken as one, and what left of what was there before."""
+    joined = [state.joined for state in states]
+    left = [name for state in states for name in state.left]
+    stayed = [name for name in joined if name and name not in left]
+    return ' + '.join(stayed), tuple(name for name in left if name not in joined)
+
+
 def _result(
     search: Stepwise,
     states: Sequence[State],
@@ -178,24 +200,25 @@ def _result(
     """Choose the steps that are taken, and write the description."""
     taken, rows = falls(errors)
     robots = [search.written(state) for state in states]
+    kept = shown(errors, taken)
     steps = tuple(
         ImprovementStep(
-            state.joined,
-            state.left,
-            _errors(search.dataset, robot, search.catalogue),
+            *_together(states[begin + 1 : k + 1]),
+            _errors(search.dataset, robots[k], search.catalogue),
             np.sqrt(np.nanmean(errors[k], axis=0)),
-            None if check is None else _errors(check, robot, search.catalogue),
+            None if check is None else _errors(check, robots[k], search.catalogue),
             *rows[k],
         )
-        for k, (state, robot) in enumerate(zip(states, robots, strict=True))
+        for begin, k in zip([-1, *kept], kept, strict=False)
     )
     final, tips = states[taken], np.sqrt(errors[taken, :, -1])
-    made = _addition(search, steps[: taken + 1], final, robots[taken], check)
+    own = kept.index(taken)
+    made = _addition(search, steps[: own + 1], final, robots[taken], check)
     postures = search.dataset.postures
     return Improvement(
         robot=with_origin(made, search.robot),
         steps=steps,
-        taken=taken,
+        taken=own,
         chosen=np.sqrt(np.nanmean(chosen, axis=0)),
         values=made.values,
         profile=stiffness_change(search.robot, final.fit.point),

@@ -25,7 +25,7 @@ COLOURS = {'fitted': PREDICTED, 'left out': MEASURED, 'check': GOOD}
 class ImprovementStep:
     """A description on the way, and its errors: rms over postures, per marker (J,) [m]."""
 
-    joined: str  # the effect, or 'bending_stiffness' along the arm; '' as it was
+    joined: str  # effects, or 'bending_stiffness' along the arm, by ' + '; '' as it was
     left: tuple[str, ...]  # what was no longer needed with it
     fitted: Floats  # of the description, on the postures that it was fitted to
     left_out: Floats  # on postures that had no part in choosing and fitting
@@ -36,7 +36,7 @@ class ImprovementStep:
     @property
     def label(self) -> str:
         """Say what joined and what left."""
-        joined = self.joined if self.joined != PROFILE else f'{PROFILE} along the arm'
+        joined = self.joined.replace(PROFILE, f'{PROFILE} along the arm')
         left = ''.join(f', without {name}' for name in self.left)
         return f'+ {joined}{left}' if self.joined else 'as described'
 

@@ -4,13 +4,13 @@ The search behind `improve`: effects join one after the other, judged on posture
 At each step joins what lowers the error on left-out postures most, all parameters fitted together
 again, with weak priors around what is described, so that what the postures do not tell stays
 there; what is no longer needed leaves. Left out is one posture at a time, in closed form from the
-slopes of a fit. The fits weigh what they cannot explain: beside the noise an error of every
-posture that grows along the arm, and one of every marker, of likely sizes where a step ended.
+slopes of a fit (`promise`). The fits weigh what they cannot explain (`unexplained`), of likely
+sizes where a step ended.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,21 +20,23 @@ import numpy.typing as npt
 
 from ..common.errors import InputError
 from ..comparison.noise import Noise, Whitener, estimate_noise, input_slopes, rms
-from ..comparison.predict import FreeParameter, Point
-from ..comparison.statistics import chi2_sf, f_sf, minimum
+from ..comparison.predict import Point
+from ..comparison.statistics import chi2_sf, f_sf
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
 from .add import changed_robot
-from .candidates import Candidate, candidates_of
+from .candidates import Candidate, joining_effects
 from .decide import P_SINGLE_MIN
 from .described_arm import OF_THE_ARM, DescribedArm, arm_with, blocks_of_the_arm
-from .fit import Fit, Nuisance, covariance_of, covariance_root, shares
+from .fit import Fit, Nuisance
 from .fitter import Fitter
 from .outliers import find_outliers
 from .prediction_errors import predict
+from .promise import Joining, Ways, described, grown, left_out_errors, promised
 from .setup_mistakes import find_mistake
+from .unexplained import likely
 
 Floats = npt.NDArray[np.float64]
 Held = Sequence[int] | npt.NDArray[np.int64]
@@ -44,8 +46,6 @@ STEPS_MAX = 12  # effects that may join
 TRIED_MAX = 2  # effects that are fitted at a step: those that promise most
 TURNS_TRIED, TURNS = 3, 25  # of fits that are tried, and of the one that is made
 FALL_MIN = 0.005  # of the squared error on left-out postures, for a step to be made at all
-JOINING_STEP = 0.02  # typical sizes from which a fit begins, where laws have kinks
-TELLS_ITSELF = 1e-3  # share of a reading that the other postures tell, at least
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,11 @@ class State:
     def names(self) -> set[str]:
         """Names of the blocks."""
         return {block.label for block in self.blocks}
+
+    @property
+    def effects_in(self) -> set[str]:
+        """Names of the effects of the catalogue among them."""
+        return {name for block in self.blocks for name in block.names} - set(OF_THE_ARM)
 
     @property
     def score(self) -> float:
@@ -103,7 +108,10 @@ class Stepwise:
         self.noise = _noise(self.dataset, self.slopes)
         self.plain = Whitener(self.dataset, self.noise, self.slopes)
         self._refuse_mistakes()
-        self.blocks = [*candidates_of(robot, self.catalogue), *blocks_of_the_arm(robot)]
+        self.blocks = [
+            *joining_effects(robot, self.catalogue, self.dataset),
+            *blocks_of_the_arm(robot),
+        ]
 
     def _refuse_mistakes(self) -> None:
         markers = self.predictor.markers({})
@@ -136,11 +144,11 @@ class Stepwise:
 
     def step(self, here: State) -> State | None:
         """Let the block join that lowers the error most, and idle ones leave; None: none does."""
-        promising = sorted(self.joining(here), key=lambda pair: pair[0])[:TRIED_MAX]
         found = []
-        for _, block in promising:
-            blocks, start = (*here.blocks, block), self.beginning(here, block)
-            made = self.tried(blocks, start, here.whitener, block.label, TURNS_TRIED)
+        for joining in self.promising(here):
+            blocks, start = (*here.blocks, joining.block), {**here.fit.point, **joining.start}
+            label = joining.block.label
+            made = self.tried(blocks, start, here.whitener, label, TURNS_TRIED)
             found += [] if made is None else [made]
         if not found:
             return None
@@ -153,7 +161,7 @@ class Stepwise:
     def without_idle(self, state: State) -> State:
         """Let blocks leave without which the error is as small, one after the other."""
         for block in state.blocks[:-1]:
-            if self.promise(state, leaves=block) > state.score:
+            if self.acted_on(block, state) or self.promise_without(block, state) > state.score:
                 continue
             rest = tuple(one for one in state.blocks if one is not block)
             point = {f: value for f, value in state.fit.point.items() if f not in block.frees}
@@ -162,68 +170,56 @@ class Stepwise:
                 state = replace(fewer, left=(*state.left, block.label))
         return state
 
-    def joining(self, here: State) -> Iterator[tuple[float, Candidate]]:
-        """Yield the error that each block promises which may join."""
-        own = here.names - set(OF_THE_ARM)
-        for block in self.blocks:
-            name = block.label
-            if name in here.names:
-                continue
-            if name not in OF_THE_ARM:
-                contained = any(name in self.catalogue[other].contains for other in own)
-                if contained or set(self.catalogue[name].contains) & own:
-                    continue
-            promised = self.promise(here, joins=block)
-            if promised < here.score:
-                yield promised, block
+    def acted_on(self, block: Candidate, state: State) -> bool:
+        """Tell whether another block that has joined only shapes what this one does."""
+        shaped = {self.catalogue[name].acts_on for name in state.effects_in}
+        return bool(shaped & set(block.names))
 
-    def promise(
-        self,
-        state: State,
-        joins: Candidate | None = None,
-        leaves: Candidate | None = None,
-    ) -> float:
-        """Return the error [m²] on left-out postures, by slopes, if a block joined or left."""
+    def promising(self, here: State) -> list[Joining]:
+        """Return how the blocks would join that promise the smallest errors."""
+        try:
+            ways = Ways(self.predictor, here.whitener, here.fit)
+        except ArithmeticError:
+            return []
+        best: dict[str, tuple[float, Joining]] = {}
+        for joining in ways.of([block for block in self.blocks if self.may_join(block, here)]):
+            error, label = self.promise(here, joining), joining.block.label
+            if error < best.get(label, (here.score,))[0]:
+                best[label] = (error, joining)
+        order = sorted(best.values(), key=lambda pair: pair[0])
+        return [joining for _, joining in order[:TRIED_MAX]]
+
+    def may_join(self, block: Candidate, here: State) -> bool:
+        """Tell whether a block is new there, and whether anything lets it act."""
+        own = here.effects_in
+        if block.label in here.names or own & set(block.names):
+            return False
+        there = own | set(self.robot.effects) | set(block.names)
+        for effect in (self.catalogue[name] for name in block.names if name in self.catalogue):
+            contained = any(effect.name in self.catalogue[other].contains for other in own)
+            if contained or set(effect.contains) & own:
+                return False
+            if effect.acts_on is not None and effect.acts_on not in there:
+                return False
+        return True
+
+    def promise(self, state: State, joining: Joining) -> float:
+        """Return the error [m²] on left-out postures, by slopes, if a block joined."""
+        frees = joining.block.frees
+        spread = np.array([PRIOR_TYPICALS * free.parameter.typical for free in frees])
+        back = np.zeros(len(frees))
+        if np.any(joining.change):
+            back += [joining.start[free] - described(self.predictor, free) for free in frees]
+        made = grown(state.fit, joining, back, spread)
+        return promised(*made, state.whitener, self.dataset.groups)
+
+    def promise_without(self, block: Candidate, state: State) -> float:
+        """Return the error [m²] on left-out postures, by slopes, if a block left."""
         residual, jacobian, frees = state.fit.residual, state.fit.jacobian, state.fit.frees
-        if joins is not None:
-            columns, priors = self.columns(state, joins), _priors(joins.frees)
-            below = np.zeros((len(residual) - len(columns), len(priors)))
-            beside = np.zeros((len(priors), len(frees)))
-            jacobian = np.block([[jacobian, np.vstack([columns, below])], [beside, priors]])
-            residual = np.append(residual, np.zeros(len(priors)))
-        if leaves is not None:
-            own = np.array([free in leaves.frees for free in frees])
-            back = np.array([self.described(free) for free in frees]) - state.fit.values
-            residual = residual + jacobian[:, own] @ back[own]
-            jacobian = jacobian[:, ~own]
-        step = covariance_of(jacobian, blind=0.0) @ (jacobian.T @ residual)
-        off, groups = residual - jacobian @ step, self.dataset.groups
-        return float(np.nanmean(left_out_errors(off, jacobian, state.whitener, groups)))
-
-    def columns(self, state: State, block: Candidate) -> Floats:
-        """Return the derivative (N, q) of the whitened residual by the parameters of a block."""
-        columns, near, fit = [], self.predictor.settled, state.fit
-        for free in block.frees:
-            value, step = self.described(free), self.off(free)
-            moved = self.predictor.markers({**fit.point, free: value + step}, near=near)
-            change = np.zeros_like(fit.markers) if moved is None else moved - fit.markers
-            columns.append(-state.whitener.white(change) / step)
-        return np.array(columns).T
-
-    def beginning(self, here: State, block: Candidate) -> dict[FreeParameter, float]:
-        """Return where a fit begins when a block joins."""
-        return here.fit.point | {
-            free: self.described(free) + self.off(free) for free in block.frees
-        }
-
-    def described(self, free: FreeParameter) -> float:
-        """Value in the description, moved inside the bounds of a fit."""
-        return float(np.clip(self.predictor.value(free), free.parameter.low, free.parameter.high))
-
-    def off(self, free: FreeParameter) -> float:
-        """Return a small step from the described value that stays inside the bounds."""
-        step = JOINING_STEP * free.parameter.typical
-        return step if self.described(free) + step <= free.parameter.high else -step
+        own = np.array([free in block.frees for free in frees])
+        back = np.array([described(self.predictor, free) for free in frees]) - state.fit.values
+        residual = residual + jacobian[:, own] @ back[own]
+        return promised(residual, jacobian[:, ~own], state.whitener, self.dataset.groups)
 
     def state(
         self,
@@ -235,9 +231,10 @@ class Stepwise:
     ) -> State:
         """Fit blocks together, with their priors."""
         frees = tuple(free for block in blocks for free in block.frees)
+        centres = [described(self.predictor, free) for free in frees]
         priors = [
-            Nuisance(f.effect, f, self.described(f), PRIOR_TYPICALS * f.parameter.typical)
-            for f in frees
+            Nuisance(free.effect, free, centre, PRIOR_TYPICALS * free.parameter.typical)
+            for free, centre in zip(frees, centres, strict=True)
         ]
         found = Fitter(self.predictor, whitener, priors).fit((), start, turns)
         fit = Fit(frees, (), found.values, found.residual, found.jacobian, found.markers)
@@ -255,22 +252,7 @@ class Stepwise:
     def weights(self, markers: Floats | None, held: Held) -> Whitener:
         """Return weights that know what a prediction does not explain, of likely sizes."""
         assert markers is not None
-        off = np.where(self.dataset.counts[..., None] > 0, self.measured - markers, 0.0)
-        size = rms(np.delete(self.measured - markers, held, axis=0)) / np.sqrt(3.0)
-
-        def cost(smooth: float, rough: float) -> float:
-            made = self._whitener(size, smooth, rough, held)
-            white = made.white(off)
-            return float(white @ white) + made.log_determinant
-
-        smooth = rough = 0.0
-        for _ in range(2):
-            smooth, _ = minimum(lambda x, y=rough: cost(x, y), -6.0, 3.0, 0.1)  # type: ignore[misc]
-            rough, _ = minimum(lambda x, y=smooth: cost(y, x), -6.0, 3.0, 0.1)  # type: ignore[misc]
-        return self._whitener(size, smooth, rough, held)
-
-    def _whitener(self, size: float, smooth: float, rough: float, held: Held) -> Whitener:
-        sizes = (size * float(np.exp(smooth)), size * float(np.exp(rough)))
+        sizes = likely(self.dataset, self.noise, self.slopes, self.measured - markers, held)
         return Whitener(self.dataset, self.noise, self.slopes, *sizes).without(held)
 
     def chance(self, state: State, held: Held = ()) -> float:
@@ -285,34 +267,6 @@ class Stepwise:
         """Return the description with what a state has fitted."""
         robot = changed_robot(self.robot, self.catalogue, state.effects, self.dataset)
         return arm_with(robot, state.fit.point)
-
-
-def left_out_errors(
-    residual: Floats, jacobian: Floats, whitener: Whitener, groups: npt.NDArray[np.int64]
-) -> Floats:
-    """
-    Return the mean squared error (P,) [m²] of each posture predicted from other inputs.
-
-    Exact where the model is linear, the hat matrix H: (1 - H_gg)^-1 r_g (Cook and Weisberg 1982).
-    Postures of the same group (P,) tell of each other and are left out together.
-    """
-    owners, (root, _) = whitener.owners, covariance_root(jacobian)
-    errors = np.full(len(groups), np.nan)
-    for group in np.unique(groups[owners]):
-        rows = np.flatnonzero(groups[owners] == group)
-        share, vectors = shares(jacobian[rows] @ root)
-        along = vectors.T @ residual[rows]
-        told = np.maximum(1.0 - share, TELLS_ITSELF)
-        left = residual[rows] + vectors @ (along / told - along)
-        for p in np.unique(owners[rows]):
-            metres = np.linalg.solve(whitener.root(p), left[owners[rows] == p])
-            errors[p] = 3.0 * float(np.mean(metres**2))
-    return errors
-
-
-def _priors(frees: Sequence[FreeParameter]) -> Floats:
-    """Return the rows (q, q) that the priors of parameters add to a Jacobian."""
-    return np.diag([1.0 / (PRIOR_TYPICALS * free.parameter.typical) for free in frees])
 
 
 def _pressed(fit: Fit) -> npt.NDArray[np.bool_]:

@@ -36,7 +36,8 @@ def improvement_lines(found: Improvement) -> list[str]:
 def step_table(found: Improvement) -> list[list[str]]:
     """Return a row per step: errors by kind, and what the step took off the left-out one."""
     kinds = list(found.steps[0].errors)
-    where = ' '.join(found.markers) if len(found.markers) <= MARKERS_SHOWN_MAX else 'all, tip'
+    few = len(found.markers) <= MARKERS_SHOWN_MAX
+    where = ' '.join(['all', *found.markers]) if few else 'all, tip'
     rows = [['', *(f'{kind} {where} [mm]' for kind in kinds), 'took off, left out']]
     for k, step in enumerate(found.steps):
         errors = [numbers(step.errors[kind]) for kind in kinds]
@@ -45,8 +46,9 @@ def step_table(found: Improvement) -> list[list[str]]:
 
 
 def numbers(errors: Floats) -> str:
-    """Show rms errors (J,) [m] in mm: of every marker, or of all and of the last one."""
-    shown = errors if len(errors) <= MARKERS_SHOWN_MAX else np.array([total(errors), errors[-1]])
+    """Show rms errors (J,) [m] in mm: of all markers, and of each one or of the last one."""
+    own = errors if len(errors) <= MARKERS_SHOWN_MAX else errors[-1:]
+    shown = np.append(total(errors), own)
     return ' '.join(digits(1e3 * error, 3) for error in shown.tolist())
 
 
