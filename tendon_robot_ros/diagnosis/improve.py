@@ -201,16 +201,7 @@ def _result(
     taken, rows = falls(errors)
     robots = [search.written(state) for state in states]
     kept = shown(errors, taken)
-    steps = tuple(
-        ImprovementStep(
-            *_together(states[begin + 1 : k + 1]),
-            _errors(search.dataset, robots[k], search.catalogue),
-            np.sqrt(np.nanmean(errors[k], axis=0)),
-            None if check is None else _errors(check, robots[k], search.catalogue),
-            *rows[k],
-        )
-        for begin, k in zip([-1, *kept], kept, strict=False)
-    )
+    steps = _steps(search, states, robots, errors, check, kept, rows)
     final, tips = states[taken], np.sqrt(errors[taken, :, -1])
     own = kept.index(taken)
     made = _addition(search, steps[: own + 1], final, robots[taken], check)
@@ -231,6 +222,28 @@ def _result(
         more_at_work=made.more_at_work,
         tips={postures[p]: float(tips[p]) for p in np.flatnonzero(np.isfinite(tips))},
         local_faults=_faults(search, final, robots[taken]),
+    )
+
+
+def _steps(
+    search: Stepwise,
+    states: Sequence[State],
+    robots: Sequence[Robot],
+    errors: Floats,
+    check: DataSet | None,
+    kept: Sequence[int],
+    rows: Sequence[tuple[float, float]],
+) -> tuple[ImprovementStep, ...]:
+    """Return the steps that are shown, with those before them that are not."""
+    return tuple(
+        ImprovementStep(
+            *_together(states[begin + 1 : k + 1]),
+            _errors(search.dataset, robots[k], search.catalogue),
+            np.sqrt(np.nanmean(errors[k], axis=0)),
+            None if check is None else _errors(check, robots[k], search.catalogue),
+            *rows[k],
+        )
+        for begin, k in zip([-1, *kept], kept, strict=False)
     )
 
 
