@@ -12,7 +12,12 @@ from source_tree import ROOT
 
 pytest.importorskip('rclpy')
 
+import rclpy
+import ros_station  # noqa: F401  (prepares the environment for rclpy)
 from geometry_msgs.msg import Quaternion
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
 from tendon_robot_ros.common.errors import EffectError, InputError, RobotDescriptionError
 from tendon_robot_ros.common.rotations import quaternions, towards
@@ -20,10 +25,11 @@ from tendon_robot_ros.control import Refusal, loading
 from tendon_robot_ros.control.checks import direction
 from tendon_robot_ros.control.loading import Loader
 from tendon_robot_ros.ros.driver import backend as driver_backend
+from tendon_robot_ros.ros.shared import robot_client
 from tendon_robot_ros.ros.shared.files import read_mapping, read_robot
 from tendon_robot_ros.ros.shared.messages import Frames, matrix, quaternion
 from tendon_robot_ros.ros.shared.parameters import Spec
-from tendon_robot_ros.ros.shared.runtime import _yaml
+from tendon_robot_ros.ros.shared.runtime import Ending, _yaml
 
 parts = st.floats(-1.0, 1.0)
 
@@ -196,3 +202,41 @@ def test_a_loader_says_what_is_wrong_with_the_values():
     robot = read_robot('kato_10_1').with_effect('eyelet_wrap', {'fraction': 7.0})
     with pytest.raises(Exception, match='fraction'):
         Loader(lambda: robot, []).result()
+
+
+OWN = """
+from tendon_robot_ros.effects.effect import Effect, Parameter
+
+def law(stiffness, tendons, change):
+    return stiffness * (1.0 + change)
+
+EFFECT = Effect('own', 'stiffness', 'stiffness', (Parameter('change', '1', -0.5, 0.5, 0.0, 0.1),),
+                law)
+"""
+
+
+@pytest.mark.ros
+def test_a_path_is_planned_with_the_effects_of_the_controllers_user(tmp_path, monkeypatch):
+    path = tmp_path / 'own.py'
+    path.write_text(OWN)
+    # compiling is the business of test_ros_reload.py
+    monkeypatch.setattr(robot_client, 'load', lambda robot, catalogue: (robot, catalogue))
+    if not rclpy.ok():
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    controller = Node('controller', namespace='/planned')
+    controller.declare_parameter('model', 'kato_10_1')
+    controller.declare_parameter('effects', [str(path)])
+    executor = SingleThreadedExecutor()
+    executor.add_node(controller)
+    serving = threading.Thread(target=executor.spin)
+    serving.start()
+    pilot = robot_client.Pilot('pilot', 'controller', Ending(), namespace='/planned')
+    try:
+        robot, catalogue = pilot.model()
+    finally:
+        pilot.destroy_node()
+        executor.shutdown()
+        serving.join()
+        controller.destroy_node()
+    assert robot.name == 'kato_10_1'
+    assert catalogue['own'].parameters[0].name == 'change'
