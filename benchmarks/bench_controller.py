@@ -4,8 +4,10 @@ From target to command, between processes over DDS, and from start to the first 
 The sender streams targets and waits for the command that belongs to each; controller and mock
 driver run as in use, each in its own process. The rate limit is lifted so that a target changes
 the command at once; the model tells which target a command is for. A planar arm gets the points of
-a small circle at 200 Hz; `--robot spatial_6` a path round its base at 20 Hz, and tips all over its
-workspace at 2 Hz. Prints JSON. Run alone: two cores are just enough for the three processes.
+a small circle at 200 Hz; `--robot spatial_6` a path round its base at 20 Hz, and tips all over
+its workspace at 2 Hz. Told are the command that has the tip at the target, and the first one after
+it that has the tip nearer. Prints JSON. Run alone: two cores are just enough for the three
+processes.
 """
 
 from __future__ import annotations
@@ -145,27 +147,54 @@ def latencies(
         due += 1.0 / stream.rate
         sender.spin(due)
     sender.spin(time.monotonic() + 0.5)
-    taken = list(_answers(sender, np.array(sent), Model(read_robot(robot))).values())
-    p50, p90, p99, worst = np.percentile(1e3 * np.array(taken), [50, 90, 99, 100])
+    model = Model(read_robot(robot))
+    tips = np.array([model.shape(command).tip_position for _, command in sender.changes])
     return {
         'rate_hz': stream.rate,
         'targets': count,
-        'answered': len(taken),
         'released': sender.released,
-        'p50_ms': round(p50, 2),
-        'p90_ms': round(p90, 2),
-        'p99_ms': round(p99, 2),
-        'max_ms': round(worst, 2),
         'limit_p99_ms': stream.limit,
+        **_percentiles('', list(_answers(sender, np.array(sent), tips).values())),
+        **_percentiles('towards it ', _turns(sender, sent, tips)),
     }
 
 
-def _answers(sender: Sender, sent: np.ndarray, model: Model) -> dict[int, float]:
-    """Return the time [s] until the first command of every target that got one."""
+def _percentiles(name: str, taken: list[float]) -> dict[str, object]:
+    """Count and percentiles [ms] of times [s]."""
+    shares = {'p50': 50.0, 'p90': 90.0, 'p99': 99.0, 'max': 100.0}
+    times = 1e3 * np.array(taken or [np.nan])
+    return {
+        f'{name}answered': len(taken),
+        **{
+            f'{name}{of}_ms': round(np.percentile(times, share), 2) for of, share in shares.items()
+        },
+    }
+
+
+def _turns(sender: Sender, sent: list[float], tips: np.ndarray) -> list[float]:
+    """
+    Return the time [s] until a command brings the tip nearer to each target than the one before.
+
+    Tips (changes, 3) [m] are those of the commands; the next target ends the wait for one.
+    """
+    times = np.array([at for at, _ in sender.changes])
+    points, taken = sender.stream.points, []
+    for step, began in enumerate(sent):
+        end = sent[step + 1] if step + 1 < len(sent) else np.inf
+        away = np.linalg.norm(tips - points[step % len(points)], axis=1)
+        rows = np.flatnonzero((times > began) & (times < end))
+        nearer = [row for row in rows if row == 0 or away[row] < away[row - 1]]
+        if nearer:
+            taken.append(times[nearer[0]] - began)
+    return taken
+
+
+def _answers(sender: Sender, sent: np.ndarray, tips: np.ndarray) -> dict[int, float]:
+    """Return the time [s] until the first command of every target that has its tip there."""
     points, rate = sender.stream.points, sender.stream.rate
     taken: dict[int, float] = {}
-    for at, command in sender.changes:
-        away = np.linalg.norm(points - model.shape(command).tip_position, axis=1)
+    for (at, _), tip in zip(sender.changes, tips, strict=True):
+        away = np.linalg.norm(points - tip, axis=1)
         if away.min() > NEAR_M:
             continue  # still on its way: the rate limit held it
         point = int(np.argmin(away))

@@ -11,6 +11,7 @@ from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.control import Target, Twist
 from tendon_robot_ros.control.solver import Worker
 from tendon_robot_ros.control.status import controller_status
+from tendon_robot_ros.model.shape import Reach
 
 
 @pytest.fixture
@@ -186,6 +187,7 @@ def test_what_is_found_when_time_ends_is_used_and_nothing_is_said(rig, monkeypat
     rig.core.solver.late = True
     rig.core.aim(Target(np.array([0.2, 0.0, 0.2])))
     rig.core.solver.answer('target')
+    rig.core.solver.answer('target')
     rig.run(3.0)
     assert rig.code() == 'nearest'
     assert 'as near as found in time' in controller_status(rig.core, rig.now).message
@@ -196,8 +198,36 @@ def test_what_is_found_when_time_ends_is_used_and_nothing_is_said(rig, monkeypat
     monkeypatch.setattr(model(), 'reach', fail)
     rig.core.aim(reachable())
     rig.core.solver.answer('target')
+    rig.core.solver.answer('target')
     assert rig.code() == 'refused_no_time'
     assert 'the search ended after 0.2 s' in controller_status(rig.core, rig.now).message
+
+
+def test_what_is_found_first_is_on_its_way_while_the_search_goes_on(rig, monkeypatch):
+    far = Target(np.array([0.2, 0.0, 0.2]))
+    rig.core.predict(rig.now, lambda shape: None)
+    rig.core.solver.answer('predict')
+    rig.core.solver.late = True
+    rig.core.aim(far)
+    rig.core.solver.answer('target')
+    first, before = rig.core.solution, model().shape([0.1] * 4)
+    assert first.position_error < np.linalg.norm(before.tip_position - far.position)
+    assert rig.core.search is not None
+    rig.run(0.1)
+    assert np.ptp(rig.tensions) > 0.01  # on the way
+    rig.core.solver.late = False
+    rig.core.solver.answer('target')
+    assert rig.core.search is None
+    assert rig.core.solution.position_error <= first.position_error
+    # what is no nearer than the arm is not gone to
+    rig.run(3.0)
+    rig.core.predict(rig.now, lambda shape: None)
+    rig.core.solver.answer('predict')
+    held, rig.core.solver.late = rig.core.solution, True
+    monkeypatch.setattr(model(), 'reach', lambda **_: Reach(before, 0.1, 0.0, 'nearest', ()))
+    rig.core.aim(Target(held.shape.tip_position))
+    rig.core.solver.answer('target')
+    assert rig.core.solution is held
 
 
 def test_a_twist_ends_in_time_however_slow_the_model_is(rig):

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tendon_robot_ros.common.errors import InputError
+from tendon_robot_ros.common.patience import Patience
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 
@@ -126,6 +127,19 @@ def test_a_search_that_is_given_up_returns_the_best_found_so_far():
     assert len(asked) == 3  # after the first start, before the best is improved, and the limits
     assert found.status == 'nearest'
     assert found.position_error < 0.15
+
+
+@pytest.mark.parametrize('robot', ['kato_10_1', 'spatial_6'])
+def test_a_search_ends_between_its_steps_when_its_patience_does(robot):
+    model = Model(load_robot(ROBOTS / f'{robot}.yaml'))
+    low = model.limits[:, 0]
+    here, there = model.shape(low + 0.3), model.shape(low + 0.3 + 0.1 * np.arange(len(low)))
+    over = Patience()
+    over.end()
+    found = model.reach(there.tip_position, guess=here, give_up=over)
+    assert np.array_equal(found.tensions, here.inputs)  # not a step
+    assert found.status == 'nearest'
+    assert model.reach(there.tip_position, guess=here, give_up=Patience()).status == 'reached'
 
 
 def test_a_direction_alone_is_met_by_a_gentle_bend_and_no_curl():

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 COLD_SEARCH_STARTS = 12  # of a cold search; a twist only goes on from where it is
 NEW_TARGET_BUDGET_S = 0.2  # [s] for a target that is none of a stream
+FIRST_ANSWER_S = 0.006  # [s] after which the best so far is commanded while the search goes on
 # [1] of the length, [rad] between two targets of a stream
 STREAM_STEP_SHARE, STREAM_TURN_RAD = 0.1, 0.3
 LEAD_SHARE_MAX = 0.1  # [1] of the length, by which targets are led
@@ -93,7 +94,13 @@ class SearchResult:
 def seek(core: Seeker, target: Target) -> None:
     """Look for the tensions of a target; until they are found the arm goes on as before."""
     search = core.search = core.asked = TargetSearch.begin(core, target, core.stepped)
+    _search_on(core, search, min(search.budget, FIRST_ANSWER_S))
+
+
+def _search_on(core: Seeker, search: TargetSearch, budget: float) -> None:
+    """Search for a time [s]; what is found when the first ends is where the second begins."""
     solve = solution_of(core, core.model, _ahead(core, search), search.streamed)
+    left = search.budget - budget if budget == FIRST_ANSWER_S else 0.0
 
     def work(give_up: GiveUp) -> SearchResult:
         try:
@@ -104,9 +111,9 @@ def seek(core: Seeker, target: Target) -> None:
     def done(result: SearchResult, error: TendonRobotError | None) -> None:
         if error is not None:
             result = SearchResult(None, str(error), True)
-        _take(core, search, result)
+        _take(core, search, result, 0.0 if result.in_time else left)
 
-    core.solver.post('target', work, done, search.budget, urgent=True)
+    core.solver.post('target', work, done, budget, urgent=True)
 
 
 def _ahead(core: Seeker, search: TargetSearch) -> Target:
@@ -206,10 +213,15 @@ def solution_of(
     return _Question(model, core.settings, target, guess, last, felt, streamed, tracking).answer
 
 
-def _take(core: Seeker, search: TargetSearch, result: SearchResult) -> None:
-    """Use what was found, unless something else is wanted by now."""
+def _take(core: Seeker, search: TargetSearch, result: SearchResult, left: float) -> None:
+    """Use what was found, unless something else is wanted by now; search on for what is left."""
     newest = core.search
     if newest is None or newest.stream is not search.stream:
+        return
+    if newest is search and left > 0.0:
+        if result.found is not None and _nearer(core, search.target, result.found.reach):
+            core.follow(search.target, result.found, False, _ahead(core, search))
+        _search_on(core, search, left)
         return
     if newest is search:
         core.search = None
@@ -240,3 +252,23 @@ def _goes_on(core: Seeker, before: TargetSearch, target: Target, now: float) -> 
     if old.direction is not None and target.direction is not None:
         return bool(old.direction @ target.direction > np.cos(STREAM_TURN_RAD))
     return True
+
+
+def _nearer(core: Controller, target: Target, found: Reach) -> bool:
+    """Whether tensions bring the tip nearer to a target than it is."""
+    last = core.track.last
+    if last is None:
+        return True
+    asked = tip_target(
+        core.model,
+        target.position,
+        target.direction,
+        1.0,
+        core.settings.direction_weight or None,
+    )
+    weights = np.repeat(asked[6:], 3)
+    before, after = (
+        np.concatenate([shape.tip_position, shape.tip_direction]) for shape in (last, found.shape)
+    )
+    off = [float(np.linalg.norm(weights * (tip - asked[:6]))) for tip in (before, after)]
+    return off[1] < off[0]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from ..common.errors import TendonRobotError
+from ..common.patience import Patience
 from ..common.processes import switch_often
 
 GiveUp = Callable[[], bool]
@@ -78,14 +78,10 @@ class InPlace:
 class _Job:
     work: Work
     done: Done
-    deadline: float
+    give_up: Patience
     urgent: bool
-    cancelled: bool = False
     result: Any = None
     error: Exception | None = None
-
-    def give_up(self) -> bool:
-        return self.cancelled or time.monotonic() > self.deadline
 
 
 class Worker:
@@ -116,13 +112,13 @@ class Worker:
         self, kind: str, work: Work, done: Done, budget: float = math.inf, urgent: bool = False
     ) -> None:
         """Leave a job for the thread."""
-        job = _Job(work, done, time.monotonic() + budget, urgent)
+        job = _Job(work, done, Patience(budget), urgent)
         with self._changed:
             if kind not in self._waiting:
                 self._open[kind] += 1
             self._waiting[kind] = job  # keeps the place in the queue of the one it replaces
             if self._running is not None and self._running[0] == kind:
-                self._running[1].cancelled = True
+                self._running[1].give_up.end()
             self._changed.notify()
 
     def busy(self, kind: str) -> bool:
@@ -144,7 +140,7 @@ class Worker:
             self._ended = True
             self._waiting.clear()
             if self._running is not None:
-                self._running[1].cancelled = True
+                self._running[1].give_up.end()
             self._changed.notify()
         self._thread.join(END_TIMEOUT_S)
 

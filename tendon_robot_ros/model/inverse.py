@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import NoEquilibriumError
+from ..common.patience import Patience
 from ..robot.keep_out import KeepOut
 from .pulls import Aim, aim_by_pulls, limits_by_pulls, pull_shape
 from .redundancy import Balance, Preferences, balanced
@@ -35,9 +36,10 @@ RELAXING_WEIGHTS = (1e-2, 1e-3, 1e-4, 1e-5)  # [m/N] how it counts on the way th
 SEEKING_WEIGHT = 1e-4  # [m/N] and where bends and tensions are found at once
 SEEKING_WIDTHS, SEEKING_SHRINK, SEEKING_STEPS_MAX = (1e3, 1e2), 0.5, 60
 FAR_M2 = 5e-5  # [m²] cost of a tip that no search for an equilibrium improves: 1 cm
-STEPS_MAX = 60
+TRIALS_MAX = 120  # equilibria of a search
 # Where tendons stick a search that does not arrive soon stands at a kink: another start is quicker
-STICKING_STEPS_MAX = 12
+STICKING_TRIALS_MAX = 10
+KINK_REACHED_M2, KINK_STARTS = 2e-11, 4  # [m²] cost that does after so many: 6 µm
 BALANCE_STEPS_MAX, OUTSIDE_STARTS = 40, 3  # programs after a search, other beginnings
 CLEARANCE_BINDS_M = 1e-4  # [m] from a region: it is what keeps the arm from its target
 
@@ -86,7 +88,8 @@ def reach(
         Regions that no part of the arm may enter; a target that leads there is `nearest`, with
         the region named.
     give_up : callable
-        Asked between starts; once it says True the best found so far is returned.
+        Asked between starts, a `Patience` also between the steps of a search; once it says True
+        the best found so far is returned.
 
     Raises
     ------
@@ -95,7 +98,9 @@ def reach(
 
     """
     target = tip_target(model, position, direction, position_weight, direction_weight)
-    task = TipTask(model, target, model.arrays.fresh_memory() if memory is None else memory)
+    past = model.arrays.fresh_memory() if memory is None else memory
+    patience = give_up if isinstance(give_up, Patience) else Patience()
+    task = TipTask(model, target, past, patience)
     starts = min(starts, PULL_STARTS) if by_pulls else starts
     best = _searched(task, _starts(task, guess, starts), by_pulls, give_up)
     if not by_pulls and preferences is None and not give_up():
@@ -121,14 +126,15 @@ def _searched(
     """Return cost [m²], tensions and bends of the first start that meets it, or of the best."""
     model = task.model
     best: tuple[float, Floats, Floats] | None = None
-    for search, inputs, bend in starts:
+    for count, (search, inputs, bend) in enumerate(starts):
         if by_pulls:
             cost, bends = aim_by_pulls(task, search, inputs, bend)
         else:
             cost, bends = search(inputs, bend, model.limits)
         if best is None or cost < best[0]:
             best = (cost, inputs, bends)
-        if _met(model, cost, inputs) or give_up():
+        does = model.sticks and count >= KINK_STARTS and best[0] < KINK_REACHED_M2
+        if _met(model, cost, inputs) or does or give_up():
             break
     assert best is not None
     if not np.isfinite(best[0]):
@@ -183,7 +189,8 @@ def _finished(
     model = task.model
     if not _met(model, cost, inputs):
         if model.sticks:  # no search for an equilibrium has gone on from there
-            cost, bend = _aim(task, GAIN_MIN, inputs, bend, model.limits)
+            most = 3 * STICKING_TRIALS_MAX
+            cost, bend = _aim(task, GAIN_MIN, inputs, bend, model.limits, most=most)
         return cost, inputs, bend
     if not relax:
         return cost, inputs, bend
@@ -212,7 +219,7 @@ def _starts(
     model, sticks = task.model, task.model.sticks
     near = partial(_aim, task, GAIN_MIN if guess is None else TRACKING_GAIN_MIN)
     if sticks:
-        near = partial(near, most=STICKING_STEPS_MAX)
+        near = partial(near, most=STICKING_TRIALS_MAX)
     seek = partial(_seek, task, SEEKING_WIDTHS[0])
     if guess is not None:
         inputs = np.minimum(np.maximum(guess.inputs, model.limits[:, 0]), model.limits[:, 1])
@@ -266,13 +273,13 @@ def _aim(
     limits: Floats,
     preference: float = LOW_TENSION_WEIGHT,
     far: float = np.inf,
-    most: int = STEPS_MAX,
+    most: int = TRIALS_MAX,
 ) -> tuple[float, Floats]:
     """
     Improve inputs in place; return the cost [m²] and the bends of the equilibrium.
 
     Once the tip is there, a step that gains less than `enough` of the cost is the last, else the
-    one after so many. What costs more than `far` stays as it is.
+    one after so many trials. What costs more than `far` stays as it is.
     """
     model, bends = task.model, np.array([bend, bend])
     cost = model.arrays.part('inverse').aim(
@@ -286,6 +293,7 @@ def _aim(
         most,
         enough,
         far,
+        task.patience.until.ctypes.data,
         task.past,
         model.scratch,
     )
@@ -313,11 +321,12 @@ def _seek(
         wide,
         SEEKING_SHRINK,
         SEEKING_STEPS_MAX,
+        task.patience.until.ctypes.data,
         task.past,
         model.scratch,
     )
     return _aim(
-        task, TRACKING_GAIN_MIN, inputs, bends[0], limits, far=FAR_M2, most=STICKING_STEPS_MAX
+        task, TRACKING_GAIN_MIN, inputs, bends[0], limits, far=FAR_M2, most=STICKING_TRIALS_MAX
     )
 
 

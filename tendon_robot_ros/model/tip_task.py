@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
+from ..common.patience import Patience
 from .inputs import finite
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ class TipTask:
     model: ForwardModel
     target: Floats  # (8,) position [m], direction, weight of the position [1], of the direction
     past: Floats  # friction memory; all zero: straight and free of tension
+    patience: Patience = field(default_factory=Patience)  # of a search, between its steps
 
     def shape(self, inputs: Floats, state: Floats) -> Shape:
         """Return the shape under tensions (m,) [N] that follow the past."""

@@ -1,10 +1,11 @@
 """
 Derivatives of an equilibrium by the implicit function theorem.
 
-How the residual changes with a tension or a parameter at the same bends is a difference of
-residuals; one elimination with these as right-hand sides says how the bends follow (where the
-model is explicit, a difference of sweeps says it at once). What a posture shows is then
-differentiated along both, without solving again.
+How the residual changes with a parameter at the same bends is a difference of residuals; one
+elimination with these as right-hand sides says how the bends follow. How they follow a tension
+where there is friction it says without any: tensions come in at the base. (Where the model is
+explicit, a difference of sweeps says it at once.) What a posture shows is then differentiated
+along both, without solving again.
 """
 
 import numpy as np
@@ -19,12 +20,13 @@ from .layout import (
     memory_in,
     residual_at,
     respond_at,
+    words,
     work_in,
     workspace,
 )
 from .linear import fill
 from .shape import mean_pulls, place, wire_pulls
-from .stages import length_acts, stretch_acts, winding_acts
+from .stages import actuation, eyelet_acts, length_acts, stretch_acts, winding_acts
 from .sweep import is_implicit
 from .turning import half_turns
 from .twisting import unknowns
@@ -33,8 +35,35 @@ TENSION_STEP = 1e-6  # [N]
 
 
 @compiled
+def combine_tendons(chain, inputs, pulls, rows):
+    """
+    Fill how a state follows the inputs, rows (m or more, u), from how it follows tendons (k, u).
+
+    Those of an input are pulled by what the actuation leaves of it, at inputs (m,) [N].
+    """
+    tendon, tension = words(chain.tendon), floats(inputs)
+    for j in range(chain.m):
+        for q in range(unknowns(chain)):
+            rows[j, q] = 0.0
+    for k in range(chain.k):
+        j = tendon[2 * k + 1]
+        down = min(tension[j], TENSION_STEP)
+        rate = actuation(tension[j] + TENSION_STEP, chain, 0)
+        rate = (rate - actuation(tension[j] - down, chain, 0)) / (TENSION_STEP + down)
+        for q in range(unknowns(chain)):
+            rows[j, q] += rate * pulls[k, q]
+
+
+@compiled
 def input_response(chain, inputs, bend, work, past, rows):
     """Fill how the state follows the input tensions, rows (m, unknowns) [rad/N]."""
+    if is_implicit(chain) and eyelet_acts(chain):
+        pulls, f = np.empty((chain.k, unknowns(chain))), np.empty(unknowns(chain))
+        residual_at(chain.residual)(chain, inputs, bend, work, past, address(f))
+        respond_at(chain.respond)(chain, bend, 0, 0, work, past, 0, address(pulls))
+        combine_tendons(chain, inputs, pulls, rows)
+        keep(f)
+        return
     m, size = chain.m, unknowns(chain)
     changes, low = np.empty((m, size)), np.empty(size)
     tension, explicit = floats(inputs), not is_implicit(chain)
@@ -51,7 +80,7 @@ def input_response(chain, inputs, bend, work, past, rows):
             filled[j, q] = (filled[j, q] - low[q]) / width
     if not explicit:
         residual_at(chain.residual)(chain, inputs, bend, work, past, address(low))
-        respond_at(chain.respond)(chain, bend, address(changes), m, work, past, address(rows))
+        respond_at(chain.respond)(chain, bend, address(changes), m, work, past, address(rows), 0)
     keep(changes)
     keep(low)
 
@@ -175,4 +204,4 @@ def responses(robot, inputs, bends, past, scratch, changes, rows):
         residual_at(chain.residual)(chain, tension, bend, work, then, address(f))
         at = 8 * size * count * b
         change, ways = address(changes) + at, address(rows) + at
-        respond_at(chain.respond)(chain, bend, change, count, work, then, ways)
+        respond_at(chain.respond)(chain, bend, change, count, work, then, ways, 0)

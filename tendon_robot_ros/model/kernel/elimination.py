@@ -76,6 +76,8 @@ def pass_tensions(chain, tangent, i, s, by_own, tensions, direct):
         for j in range(width):
             tensions[i, k, j] = 0.0
         direct[k, 0], direct[k, 1], direct[k, 2] = 0.0, 0.0, 0.0
+        if i == 0:
+            tensions[i, k, k] = 1.0  # of what is pulled at the base
         if i == 0 or i >= tendon[2 * k]:
             continue
         here = floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))

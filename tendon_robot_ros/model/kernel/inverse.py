@@ -5,13 +5,25 @@ import math
 import numpy as np
 
 from .derivatives import output_slopes
-from .layout import address, chain_at, compiled, entry, floats, workspace
+from .layout import address, chain_at, compiled, entry, floats, monotonic, step_at, workspace
 from .linear import solve_small
 from .shape import accept, balance, place, predict
+from .stages import memory_acts
+from .sweep import is_implicit
 from .twisting import unknowns
 
 # Target: x, y, z [m], direction x, y, z, weight of position [1], weight of direction [m/rad].
 COST_REACHED_M2 = 1e-14  # [m²] half the squared error of a tip that is where it should be: 0.14 µm
+DIFFERENCE_N = 1e-6  # [N] of forward differences
+
+
+@compiled
+def tip_error(chain, work, target, f):
+    """Fill the weighted tip error (6,) [m] of the frames in `work`."""
+    frames, origins, n = floats(work.frames), floats(work.origins), chain.n
+    for r in range(3):
+        f[r] = target[6] * (origins[3 * n + r] - target[r])
+        f[3 + r] = target[7] * (frames[9 * n + 3 * r + 2] - target[3 + r])
 
 
 @compiled
@@ -25,10 +37,7 @@ def tip_residual(chain, inputs, there, bend, target, f):
         f[:] = math.inf
         return
     place(chain, bend, there.work)
-    frames, origins = floats(there.work.frames), floats(there.work.origins)
-    for r in range(3):
-        f[r] = target[6] * (origins[3 * chain.n + r] - target[r])
-        f[3 + r] = target[7] * (frames[9 * chain.n + 3 * r + 2] - target[3 + r])
+    tip_error(chain, there.work, target, f)
 
 
 @compiled
@@ -151,6 +160,36 @@ def gauss_newton_step(jacobian, f, inputs, low, high, preference, damping, trial
 
 
 @compiled
+def explicit_slopes(chain, inputs, high, there, target, f, moved, slopes):
+    """
+    Fill slopes (6, m) as `weighted_slopes` where one sweep is the shape: by forward differences.
+
+    Parameters
+    ----------
+    inputs, high : ndarray, shape (m,)
+        [N], and their upper limits.
+    target : ndarray, shape (8,)
+    f : ndarray, shape (6,)
+        Weighted tip error at the inputs [m].
+    moved : ndarray, shape (6,)
+        Scratch.
+    slopes : ndarray, shape (6, m)
+        Take the result [m/N].
+
+    """
+    for j in range(inputs.shape[0]):
+        was = inputs[j]
+        step = DIFFERENCE_N if was + DIFFERENCE_N <= high[j] else -DIFFERENCE_N
+        inputs[j] = was + step
+        step_at(chain.step)(chain, address(inputs), there.near, there.work, there.past, there.near)
+        inputs[j] = was
+        place(chain, there.near, there.work)
+        tip_error(chain, there.work, target, moved)
+        for r in range(6):
+            slopes[r, j] = (moved[r] - f[r]) / step
+
+
+@compiled
 def weighted_slopes(chain, inputs, there, target, ways, slopes):
     """Fill slopes (6, m) of the weighted tip error by the inputs [m/N]."""
     output_slopes(chain, address(inputs), there, ways, slopes)
@@ -160,12 +199,15 @@ def weighted_slopes(chain, inputs, there, target, ways, slopes):
 
 
 @entry()
-def aim(robot, inputs, bends, target, low, high, preference, most, enough, far, past, scratch):
+def aim(
+    robot, inputs, bends, target, low, high, preference, most, enough, far, until, past, scratch
+):
     """
     Move inputs (m,) [N] within [low, high] so that the tip meets the target; return the cost.
 
     `bends` (2, 3n) holds a guess and takes the equilibrium in its first half. With the tip
-    `COST_REACHED_M2`, the search ends with a step that gains less than `enough` of the cost.
+    `COST_REACHED_M2`, the search ends with a step that gains less than `enough` of the cost. It
+    ends at a time, too.
 
     Parameters
     ----------
@@ -182,9 +224,11 @@ def aim(robot, inputs, bends, target, low, high, preference, most, enough, far, 
     preference : float
         Weight of low tension [m/N].
     most : int
-        Steps.
+        Equilibria of trials.
     enough : float
         [1]
+    until : int
+        Address of that time [s], see `layout.monotonic`.
     past : ndarray
         Memory of the posture before.
     scratch : int
@@ -197,16 +241,21 @@ def aim(robot, inputs, bends, target, low, high, preference, most, enough, far, 
     trial, free, ways = np.empty(m), np.empty(m, np.int64), np.empty((m, unknowns(chain)))
     tip_residual(chain, inputs, there, there.bend, target, f)
     cost, damping = cost_of(f, inputs, low, preference), 1e-9
-    for _ in range(most):
-        if not cost < far:
-            break
-        weighted_slopes(chain, inputs, there, target, ways, jacobian)
+    is_explicit = not (is_implicit(chain) or memory_acts(chain))
+    floats(there.work.slip)[3] = 0.0
+    while most > 0 and cost < far and monotonic() < floats(until)[0]:
+        if is_explicit:
+            explicit_slopes(chain, inputs, high, there, target, f, moved, jacobian)
+        else:
+            weighted_slopes(chain, inputs, there, target, ways, jacobian)
         gain = 0.0
-        for _ in range(12):
+        for _ in range(min(most, 12)):
+            most -= 1
             problem = (jacobian, f, inputs, low, high, preference, damping)
             if gauss_newton_step(*problem, trial, free) == 0:
-                return cost
-            predict(chain, there, ways, inputs, trial)
+                break
+            if not is_explicit:
+                predict(chain, there, ways, inputs, trial)
             tip_residual(chain, trial, there, there.near, target, moved)
             new = cost_of(moved, trial, low, preference)
             if new < cost:

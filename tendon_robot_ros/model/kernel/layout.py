@@ -12,6 +12,7 @@ that of the first float of an array, row-major.
 
 from collections import namedtuple
 from functools import partial
+from time import CLOCK_MONOTONIC
 from typing import Any
 
 import numpy as np
@@ -63,8 +64,9 @@ Memory = namedtuple('Memory', 'bend sign travel inputs')
 
 # Work: scratch of one posture. half (n, 2): half angles, see `turning`; wrench (n, 6): force [N]
 # and torque [N·m] at the cells' ends of the loads beyond; lag (2, n, k): travel [m] that `stick`
-# has not taken over, here and beyond, else zeros; slip (3,): smoothing
-# length [m], load scale [1], and whether a sweep looks at the guess (1) or goes without (0).
+# has not taken over, here and beyond, else zeros; slip (4,): smoothing
+# length [m], load scale [1], whether a sweep looks at the guess (1) or goes without (0), and
+# whether an equilibrium is looked for in every way (1) or only in the quick ones (0).
 # axial (n, k): moment arms of the tendons about the axis [m]; torque (n,): of the loads [N·m].
 Work = namedtuple(
     'Work',
@@ -88,7 +90,7 @@ CHAIN = types.NamedTuple((WORD,) * 10 + (types.float64,) + (WORD,) * 7, Chain)
 MEMORY = types.NamedUniTuple(WORD, 4, Memory)
 WORK = types.NamedUniTuple(WORD, 14, Work)
 STEP = types.void(CHAIN, WORD, WORD, WORK, MEMORY, WORD)
-RESPOND = types.int64(CHAIN, WORD, WORD, WORD, WORK, MEMORY, WORD)
+RESPOND = types.int64(CHAIN, WORD, WORD, WORD, WORK, MEMORY, WORD, WORD)
 NEWTON = types.float64(CHAIN, WORD, WORD, WORK, MEMORY, WORD)
 SETTLE = types.float64(CHAIN, WORD, WORK, MEMORY, WORD)
 
@@ -137,6 +139,7 @@ step_at = residual_at = _function_at(STEP)
 respond_at = _function_at(RESPOND)
 newton_at = _function_at(NEWTON)
 settle_at = _function_at(SETTLE)
+clock_gettime = types.ExternalFunction('clock_gettime', types.int32(types.int32, WORD))
 
 
 def address_of(function):
@@ -154,7 +157,7 @@ def memory_size(n, k, m):
 @register_jitable
 def work_size(n, k):
     """Floats that the scratch of one posture takes."""
-    return 4 * n * k + 2 * n + n + n * k + 12 * (n + 1) + 8 * n + 2 * n * k + 3 + n * k + n
+    return 4 * n * k + 2 * n + n + n * k + 12 * (n + 1) + 8 * n + 2 * n * k + 4 + n * k + n
 
 
 @compiled
@@ -169,6 +172,16 @@ def copy(source, target, count):
     old, new = floats(source), floats(target)
     for j in range(count):
         new[j] = old[j]
+
+
+@compiled
+def monotonic():
+    """Time [s] of Python's `time.monotonic`, for searches that end by a time."""
+    now = np.empty(2, np.int64)
+    clock_gettime(CLOCK_MONOTONIC, address(now))
+    seconds = now[0] + 1e-9 * now[1]
+    keep(now)
+    return seconds
 
 
 @compiled
@@ -227,9 +240,10 @@ def work_in(chain, start):
     wrench = half + 8 * 2 * n
     lag = wrench + 8 * 6 * n
     slip = lag + 8 * 2 * n * k
-    axial = slip + 8 * 3
+    axial = slip + 8 * 4
     torque = axial + 8 * n * k
-    floats(slip)[0], floats(slip)[1], floats(slip)[2] = SLIP_LENGTH, 1.0, 1.0
+    floats(slip)[0], floats(slip)[1] = SLIP_LENGTH, 1.0
+    floats(slip)[2], floats(slip)[3] = 1.0, 1.0
     for r in range(3):
         floats(frames)[4 * r] = 1.0
     return Work(

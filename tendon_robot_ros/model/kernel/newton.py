@@ -80,7 +80,7 @@ def newton(chain, inputs, bend, work, past, most):
     for _ in range(most):
         if change < BEND_TOLERANCE or change == math.inf:
             return change
-        respond_at(chain.respond)(chain, bend, address(f), 1, work, past, address(move))
+        respond_at(chain.respond)(chain, bend, address(f), 1, work, past, address(move), 0)
         if not largest(move) < math.inf:
             return change
         new = newton_step(chain, inputs, bend, f, move, work, past, trial, trial_f, 12)

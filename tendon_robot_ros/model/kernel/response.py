@@ -95,12 +95,13 @@ def eliminate(chain, tangent, bends, tensions):
 
 
 @compiled
-def substitute(chain, tangent, bends, tensions, column, first, start, solution):
+def substitute(chain, tangent, bends, tensions, column, pulled, first, start, solution):
     """
     Fill a solution (u,) at an address by back-substitution, base to tip.
 
-    That of the right-hand side in a column of `bends`; or, with `column` -1, how the cells beyond
-    cell `first` follow when that moves by `start` (x, y, twist) and those before it stay.
+    That of the right-hand side in a column of `bends`; or, with `column` -1, that of 1 N at the
+    base of tendon `pulled`; or, with that -1, too, how the cells beyond cell `first` follow when
+    that moves by `start` (x, y, twist) and those before it stay.
 
     Parameters
     ----------
@@ -108,7 +109,7 @@ def substitute(chain, tangent, bends, tensions, column, first, start, solution):
         Derivatives of the cells.
     bends, tensions : ndarray, shapes (n, 2 or 3, width) and (n, k, width)
         As `eliminate` leaves them.
-    column, first : int
+    column, pulled, first : int
     start : tuple of float
         Bend and twist (3,) [rad].
     solution : address
@@ -117,6 +118,8 @@ def substitute(chain, tangent, bends, tensions, column, first, start, solution):
     """
     kt, turn, constant = columns(chain)
     u, new, out = np.zeros(constant), np.zeros(constant), floats(solution)
+    if pulled >= 0:
+        u[pulled] = 1.0
     for i in range(chain.n):
         row = floats(tangent_of(chain, tangent, i))
         twist = 0.0
@@ -173,14 +176,14 @@ def yielding_to(chain, pivot, wanted):
 
 
 @entry(RESPOND)
-def respond(chain, bend, rates, count, work, past, ways):
+def respond(chain, bend, rates, count, work, past, ways, pulls):
     """
     Fill how a state, whose moments `work` holds, balances rates of the residual (count, u).
 
     `ways` (count, u): minus the inverse Jacobian of the residual times the rates. Returns the
     first cell from the tip whose pivot is not positive, -1 if none: the equilibrium is stable.
-    With `count` 0 and such a cell, `ways` (u,) is a direction in which the energy falls, to the
-    side of what it held: that cell yields, all beyond it follow.
+    With `count` 0 and such a cell, `ways` (u,), if it is not 0, is a direction in which the energy
+    falls, to the side of what it held: that cell yields, all beyond it follow.
 
     Parameters
     ----------
@@ -191,6 +194,9 @@ def respond(chain, bend, rates, count, work, past, ways):
     count : int
     ways : address
         (count, u) [rad per unit]
+    pulls : address
+        Takes how the state follows the tension of every tendon at the base (k, u) [rad/N], where
+        there is friction: what comes into the first cell needs no right-hand side. 0: not asked.
 
     """
     tangent = np.zeros(tangent_size(chain.n, chain.k))
@@ -210,9 +216,14 @@ def respond(chain, bend, rates, count, work, past, ways):
     for q in range(count):
         way = ways + 8 * size * chain.n * q
         start = (0.0, 0.0, 0.0)
-        substitute(chain, derivatives, bends, tensions, constant + q, NONE, start, way)
-    if count == 0 and first >= 0:
+        substitute(chain, derivatives, bends, tensions, constant + q, NONE, NONE, start, way)
+    if count == 0 and ways != 0 and first >= 0:
         start = yielding_to(chain, pivot, ways)
-        substitute(chain, derivatives, bends, tensions, NONE, first, start, ways)
+        substitute(chain, derivatives, bends, tensions, NONE, NONE, first, start, ways)
+    if pulls != 0:
+        start = (0.0, 0.0, 0.0)
+        for k in range(kt):
+            way = pulls + 8 * size * chain.n * k
+            substitute(chain, derivatives, bends, tensions, NONE, k, NONE, start, way)
     keep(tangent)
     return first

@@ -12,46 +12,54 @@ import math
 
 import numpy as np
 
-from .derivatives import place_as
-from .inverse import gauss_newton_step
-from .layout import SLIP_LENGTH, address, chain_at, compiled, entry, floats, respond_at, workspace
+from .derivatives import combine_tendons, place_as
+from .inverse import gauss_newton_step, tip_error
+from .layout import (
+    SLIP_LENGTH,
+    address,
+    chain_at,
+    compiled,
+    entry,
+    floats,
+    monotonic,
+    respond_at,
+    workspace,
+)
 from .linear import largest
 from .residual import imbalance, place_forces, place_travel
 from .stick import exchange, own_travel, take_over
 from .twisting import unknowns
 
-TENSION_STEP = 1e-6  # [N] of differences
 BEND_STEP = 1e-6  # [rad] of differences
 STEP_SHRINKING_RAD = 0.3  # [rad] step after which the slip length shrinks
 STEP_MAX_RAD = 0.2  # [rad] step of a bend
-STEP_SETTLED_RAD = 1e-4  # [rad] step with which the search ends
+STEP_SETTLED_RAD = 1e-6  # [rad] step with which the search ends
+LOW_TENSION_WEIGHT = 1e-6  # [m/N] at the target, where a larger one would keep the tip off it
 UNDAMPED_STEPS, DAMPING = 15, 1e-2  # turns without damping; later tensions may go in circles
 
 
 @compiled
-def fill_rates(chain, inputs, bend, work, past, rates):
-    """Fill the rates (m + 1, u) of the residual by every tension; the residual itself is last."""
-    m, size, tension = chain.m, unknowns(chain), floats(inputs)
-    for j in range(m + 1):
-        step = TENSION_STEP if j < m else 0.0
-        if j < m:
-            tension[j] += step
-        place_forces(chain, inputs, bend, work, past)
-        imbalance(chain, bend, work, past, address(rates) + 8 * size * j)
-        if j < m:
-            tension[j] -= step
-    for j in range(m):
-        for q in range(size):
-            rates[j, q] = (rates[j, q] - rates[m, q]) / TENSION_STEP
+def find_ways(chain, inputs, bend, work, past, residual, ways, pulls):
+    """
+    Fill the ways (m + 1, u) of the bends by every tension, and last the one that balances them.
 
+    Parameters
+    ----------
+    inputs, bend : address
+        (m,) [N]; state [rad], whose travel and moment arms `work` holds.
+    residual, pulls : ndarray, shapes (u,) and (k, u)
+        Scratch.
+    ways : ndarray, shape (m + 1, u)
+        Takes [rad/N], and [rad].
 
-@compiled
-def tip_error(chain, work, target, f):
-    """Fill the weighted tip error (6,) [m] of the frames in `work`."""
-    frames, origins, n = floats(work.frames), floats(work.origins), chain.n
-    for r in range(3):
-        f[r] = target[6] * (origins[3 * n + r] - target[r])
-        f[3 + r] = target[7] * (frames[9 * n + 3 * r + 2] - target[3 + r])
+    """
+    place_forces(chain, inputs, bend, work, past)
+    imbalance(chain, bend, work, past, address(residual))
+    balancing = address(ways) + 8 * unknowns(chain) * chain.m
+    respond_at(chain.respond)(
+        chain, bend, address(residual), 1, work, past, balancing, address(pulls)
+    )
+    combine_tendons(chain, inputs, pulls, ways)
 
 
 @compiled
@@ -101,32 +109,35 @@ def move_both(chain, inputs, there, ways, trial, move):
 
 
 @entry()
-def seek(robot, inputs, bends, target, low, high, preference, wide, shrink, most, past, scratch):
+def seek(
+    robot, inputs, bends, target, low, high, preference, wide, shrink, most, until, past, scratch
+):
     """
     Move inputs (m,) [N] within [low, high] and bends[0] (3n,) [rad] towards a tip target.
 
     The slip length starts `wide` times its own and shrinks by a factor at every good step. Returns
-    the last step [rad]: where it is small, an equilibrium is near.
+    the last step [rad]: where it is small, an equilibrium is near. It ends at
+    the time [s] at the address `until`, see `layout.monotonic`.
     """
     chain = chain_at(robot)
     m, size, there = chain.m, unknowns(chain), workspace(chain, bends, past, scratch)
     work, then, slip, tensions = there.work, there.past, floats(there.work.slip), address(inputs)
-    rates, ways = np.empty((m + 1, size)), np.empty((m + 1, size))
+    ways, pulls, residual = np.empty((m + 1, size)), np.empty((chain.k, size)), np.empty(size)
     f, slopes, move = np.empty(6), np.empty((6, m + 1)), np.empty(size)
     trial, free = np.empty(m), np.empty(m, np.int64)
     own, width, longest = own_travel(chain, there.bend, work), wide * SLIP_LENGTH, math.inf
     for turn in range(most):
+        if monotonic() > floats(until)[0]:
+            break
         slip[0] = width
         exchange(chain, work, own)
-        fill_rates(chain, tensions, there.bend, work, then, rates)
-        respond_at(chain.respond)(
-            chain, there.bend, address(rates), m + 1, work, then, address(ways)
-        )
+        find_ways(chain, tensions, there.bend, work, then, residual, ways, pulls)
         tip_slopes(chain, tensions, there, target, ways, f, slopes)
         for r in range(6):
             f[r] += slopes[r, m]  # where the bends go that balance the tensions as they are
         damping = 0.0 if turn < UNDAMPED_STEPS else DAMPING
-        gauss_newton_step(slopes, f, inputs, low, high, preference, damping, trial, free)
+        weight = preference if width > SLIP_LENGTH else LOW_TENSION_WEIGHT
+        gauss_newton_step(slopes, f, inputs, low, high, weight, damping, trial, free)
         longest = move_both(chain, inputs, there, ways, trial, move)
         if not longest < math.inf or (longest < STEP_SETTLED_RAD and width == SLIP_LENGTH):
             break

@@ -31,6 +31,7 @@ SLIP_WIDTH_START, SLIP_WIDTH_FACTORS = 1000.0, (0.3, 0.5)
 # steps from a guess, and from a wide slip length; no literals (see `layout`)
 GUESSED_STEPS_MAX, WIDE_STEPS_MAX = np.int64(8), np.int64(30)
 CONTINUATION_STEPS_MAX = 16  # of the continuation, before there is said to be no equilibrium
+CONTINUATION_STRIDE_MIN = 1e-2  # [1] of its way
 ANDERSON_DEPTH = 5  # guesses that the acceleration remembers
 
 
@@ -149,7 +150,7 @@ def continuation(chain, inputs, x, work, past):
             stride = min(0.5, 1.6 * stride)
         else:
             stride *= 0.4
-            if stride < 1e-3:
+            if stride < CONTINUATION_STRIDE_MIN:
                 break
     slip[0], slip[1] = SLIP_LENGTH, 1.0
     return max(change, 10.0 * BEND_TOLERANCE)
@@ -197,6 +198,12 @@ def begin_again(chain, inputs, x, bend, work, past, cold):
 
 
 @compiled
+def is_brief(work):
+    """Tell whether an equilibrium is looked for only in the quick ways."""
+    return floats(work.slip)[3] == 0.0
+
+
+@compiled
 def solve_stuck(chain, inputs, x, bend, work, past, cold):
     """
     Solve where tendons may stick: near a guess at once, else from a wide slip length.
@@ -218,7 +225,7 @@ def solve_stuck(chain, inputs, x, bend, work, past, cold):
     if not cold:
         change = solve_sliding(chain, inputs, x, work, past, 1.0, 1.0, GUESSED_STEPS_MAX)
     for shrink in SLIP_WIDTH_FACTORS:
-        if change < BEND_TOLERANCE:
+        if change < BEND_TOLERANCE or (shrink != SLIP_WIDTH_FACTORS[0] and is_brief(work)):
             break
         step_plainly(chain, inputs, x, work, past)
         change = solve_sliding(
@@ -279,7 +286,7 @@ def solve_equilibrium(chain, inputs, work, past, bend):
         change = solve_stuck(chain, inputs, x, bend, work, past, cold)
     elif not swept:
         change = solve_smooth(chain, inputs, x, bend, work, past, cold)
-    if not change < BEND_TOLERANCE:
+    if not change < BEND_TOLERANCE and not is_brief(work):
         change = continuation(chain, inputs, x, work, past)
     if change < BEND_TOLERANCE and loaded(chain):
         ratio = load_ratio(chain)

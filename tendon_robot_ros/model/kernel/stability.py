@@ -56,7 +56,7 @@ def descend(chain, inputs, x, work, past, ratio):
     step_at(chain.step)(chain, inputs, address(there), work, past, address(moved))
     assign(down, moved)
     residual(chain, inputs, address(x), work, past, f)
-    if respond_at(chain.respond)(chain, address(x), 0, 0, work, past, address(down)) < 0:
+    if respond_at(chain.respond)(chain, address(x), 0, 0, work, past, address(down), 0) < 0:
         return False
     push = math.copysign(1e-3 / largest(down), dot(down, moved))
     for j in range(size):

@@ -127,7 +127,7 @@ def solve_sliding(chain, inputs, x, work, past, wide, shrink, most):
         exchange(chain, work, own)
         place_forces(chain, inputs, address(x), work, past)
         imbalance(chain, address(x), work, past, address(f))
-        respond_at(chain.respond)(chain, address(x), address(f), 1, work, past, address(move))
+        respond_at(chain.respond)(chain, address(x), address(f), 1, work, past, address(move), 0)
         long = largest(move)
         if not long < math.inf or (long < STEP_SETTLED_RAD and width == SLIP_LENGTH):
             break
