@@ -189,8 +189,7 @@ def _finished(
     model = task.model
     if not _met(model, cost, inputs):
         if model.sticks:  # no search for an equilibrium has gone on from there
-            most = 3 * STICKING_TRIALS_MAX
-            cost, bend = _aim(task, GAIN_MIN, inputs, bend, model.limits, most=most)
+            cost, bend = _aim(task, GAIN_MIN, inputs, bend, model.limits)
         return cost, inputs, bend
     if not relax:
         return cost, inputs, bend
