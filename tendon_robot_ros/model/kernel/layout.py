@@ -139,7 +139,7 @@ step_at = residual_at = _function_at(STEP)
 respond_at = _function_at(RESPOND)
 newton_at = _function_at(NEWTON)
 settle_at = _function_at(SETTLE)
-clock_gettime = types.ExternalFunction('clock_gettime', types.int32(types.int32, WORD))
+clock_gettime: Any = types.ExternalFunction('clock_gettime', types.int32(types.int32, WORD))
 
 
 def address_of(function):
