@@ -174,7 +174,8 @@ def test_what_is_too_long_to_be_read_beside_the_commands_is_refused(station, top
         )
 
     station.until(refused, words)
-    assert station.tip() == pytest.approx([0.06, 0.0, 0.17], abs=1e-3)
+    there = pytest.approx([0.06, 0.0, 0.17], abs=1e-3)
+    station.until(lambda: station.tip() == there, 'the arm where it was')
     station.go_to_point(0.05, 0.18)
 
 
