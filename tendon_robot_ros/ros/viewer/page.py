@@ -30,6 +30,8 @@ BUTTONS: tuple[tuple[str, str, str, str], ...] = (  # name, label, hint, colour
 # neither hides the other where they coincide
 MEASURED_WIDTH, PREDICTED_WIDTH = 0.034, 0.011
 MEASURED_OPACITY = 0.4
+VIEW_FROM = (0.1, -1.75, 0.7)  # of the robot's length: where the scene is looked at from
+VIEW_HELD_S = 20.0  # [s] in which a slow phone may still take that of all pages
 
 
 class LivePage:
@@ -59,6 +61,7 @@ class LivePage:
             raise DriverError(f'port {port}: {error.strerror}; choose another port') from None
         self.commands: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         self._token, self._allowed, self._size = token, set[int](), size
+        self._phones: dict[int, float] = {}  # client -> until when its view is held [s]
         self._shown: dict[str, str] = {}
         self._scene()
         self._panel()
@@ -98,6 +101,7 @@ class LivePage:
 
     def tell(self, state: ViewState, now: float) -> None:
         """Update the panel; only what changed is sent."""
+        self._hold_views()
         times = list(state.times)
         self._html('scene', page_parts.scene(state.measured, state.predicted))
         self._html('statuses', page_parts.statuses(state.statuses(now)))
@@ -132,7 +136,7 @@ class LivePage:
         scene, size = self._server.scene, self._size
         scene.set_up_direction('+z')
         camera = self._server.initial_camera
-        camera.position = (0.1 * size, -1.75 * size, 0.7 * size)
+        camera.position = tuple(size * x for x in VIEW_FROM)
         camera.look_at = (0.1 * size, 0.0, 0.45 * size)
         camera.near = 0.01 * size
         self._square = page_parts.round_length(0.15 * size)
@@ -218,10 +222,9 @@ class LivePage:
 
     def _welcome(self, client: Any) -> None:
         """Place the arm above the panel of a phone; ask a browser for the token, if any."""
-        size = self._size
         if client.camera.aspect < 0.8:  # there the panel covers the lower right
-            client.camera.position = (0.1 * size, -2.3 * size, 0.0)
-            client.camera.look_at = (0.1 * size, 0.0, -0.45 * size)
+            self._phones[client.client_id] = time.monotonic() + VIEW_HELD_S
+            self._look_above(client)
         if not self._token:
             return
         field = client.gui.add_text('token', '', order=-1.0)
@@ -231,6 +234,20 @@ class LivePage:
             if hmac.compare_digest(field.value.encode(), self._token.encode()):
                 self._allowed.add(client.client_id)
                 field.remove()
+
+    def _look_above(self, client: Any) -> None:
+        size = self._size
+        client.camera.position = (0.1 * size, -2.3 * size, 0.0)
+        client.camera.look_at = (0.1 * size, 0.0, -0.45 * size)
+
+    def _hold_views(self) -> None:
+        """Place phones again that took the first view of all pages after their own."""
+        for number, client in self._server.get_clients().items():
+            if time.monotonic() > self._phones.get(number, 0.0):
+                continue
+            away = np.linalg.norm(client.camera.position - self._size * np.array(VIEW_FROM))
+            if away < 0.01 * self._size:
+                self._look_above(client)
 
     def _html(self, name: str, content: str) -> None:
         if self._shown.get(name) != content:
