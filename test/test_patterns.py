@@ -7,7 +7,7 @@ import pytest
 import simulated
 from simulated import CATALOGUE, NOISE, measured
 
-from tendon_robot_ros.diagnosis.rivals import Rivals
+from tendon_robot_ros.diagnosis.patterns import Patterns
 from tendon_robot_ros.diagnosis.session import Session
 
 ROBOT = replace(simulated.robot(), exact=True)  # scatter takes its share of every pattern
@@ -20,18 +20,18 @@ def damaged(factors):
     return replace(ROBOT, sections=(replace(section, bending_stiffness=stiffness),))
 
 
-def rivals_of(dataset, robot=ROBOT):
+def patterns_of(dataset, robot=ROBOT):
     """Fit the patterns to measurements that the description does not explain."""
     session = Session(replace(dataset, robot=robot), robot, CATALOGUE, workers=1)
     session.weigh({})
     fit = session.base_fit()
-    return fit, {pattern.name: pattern for pattern in Rivals(session.fitters[0], fit).all()}
+    return fit, {pattern.name: pattern for pattern in Patterns(session.fitters[0], fit).all()}
 
 
 @pytest.mark.parametrize(('cell', 'factor'), [(4, 0.6), (7, 1.6)])
 def test_scatter_blurs_the_place_of_a_soft_cell_and_the_cells_alike_are_said(cell, factor):
     dataset = measured(damaged(np.where(np.arange(15) == cell - 1, factor, 1.0)))
-    fit, found = rivals_of(dataset, replace(ROBOT, exact=False))
+    fit, found = patterns_of(dataset, replace(ROBOT, exact=False))
     soft = found['soft_cell']
     assert cell in soft.alike and soft.cell in soft.alike and len(soft.alike) <= 2
     assert soft.size == pytest.approx(1.0 / factor, rel=0.08)
@@ -40,7 +40,7 @@ def test_scatter_blurs_the_place_of_a_soft_cell_and_the_cells_alike_are_said(cel
 
 @pytest.mark.parametrize(('cell', 'factor'), [(4, 0.6), (11, 0.8), (7, 1.6)])
 def test_a_soft_cell_is_found_at_its_place(cell, factor):
-    fit, found = rivals_of(measured(damaged(np.where(np.arange(15) == cell - 1, factor, 1.0))))
+    fit, found = patterns_of(measured(damaged(np.where(np.arange(15) == cell - 1, factor, 1.0))))
     soft = found['soft_cell']
     assert soft.cell == cell
     assert soft.size == pytest.approx(1.0 / factor, rel=0.08)
@@ -49,7 +49,7 @@ def test_a_soft_cell_is_found_at_its_place(cell, factor):
 
 
 def test_a_stiffness_that_changes_along_the_arm_is_a_taper():
-    fit, found = rivals_of(measured(damaged(np.linspace(0.9, 1.1, 15))))
+    fit, found = patterns_of(measured(damaged(np.linspace(0.9, 1.1, 15))))
     taper = found['taper']
     assert taper.size == pytest.approx(1.1 / 0.9 - 1.0, abs=0.05)
     assert taper.score == min(pattern.score for pattern in found.values())
@@ -57,7 +57,7 @@ def test_a_stiffness_that_changes_along_the_arm_is_a_taper():
 
 
 def test_inputs_that_were_not_what_was_set_are_a_gain_per_posture():
-    _, found = rivals_of(measured(ROBOT, noise=replace(NOISE, setting=0.08), count=12))
+    _, found = patterns_of(measured(ROBOT, noise=replace(NOISE, setting=0.08), count=12))
     gains = found['gain_per_posture']
     assert 0.03 < np.std(gains.values) < 0.15
 
@@ -70,13 +70,13 @@ def test_a_base_that_turns_is_a_rotation_per_posture():
     turned = dataset.positions.copy()
     turned[..., 0] = c[:, None, None] * x - s[:, None, None] * y
     turned[..., 1] = s[:, None, None] * x + c[:, None, None] * y
-    _, found = rivals_of(replace(dataset, positions=turned))
+    _, found = patterns_of(replace(dataset, positions=turned))
     rotation = found['rotation_per_posture']
     assert rotation.score == min(pattern.score for pattern in found.values())
     np.testing.assert_allclose(rotation.values, np.abs(angles), atol=0.02)
 
 
 def test_on_clean_data_no_pattern_gains_much():
-    fit, found = rivals_of(measured(ROBOT))
+    fit, found = patterns_of(measured(ROBOT))
     for pattern in found.values():
         assert pattern.score > fit.chi2 + 2.0 * fit.rank - 9.21

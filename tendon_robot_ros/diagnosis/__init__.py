@@ -25,7 +25,7 @@ local_tests.py        where the best model is still wrong: cell, posture, tendon
 outliers.py           readings and trials that the others contradict
 setup_mistakes.py     mistakes of the set-up, before physics: which of them explains a gross error
 setup_hypotheses.py   what they are: swapped columns, turned axes, wrong units
-rivals.py             patterns without physics: does the catalogue lack the cause
+patterns.py           patterns without physics: does the catalogue lack the cause
 result.py             `Diagnosis`: what the reports and other tools read
 report_rows.py        from fits to the rows and numbers of a result
 next_measurement.py   the posture that would separate what the present ones cannot

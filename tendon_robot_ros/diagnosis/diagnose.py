@@ -24,12 +24,19 @@ from .decide import (
     STRAY_SD_MAX,
     Verdict,
 )
-from .evidence import Evidence, best_rival, gather, is_alarming, outside_by_itself, remainder_text
+from .evidence import (
+    Evidence,
+    competing_pattern,
+    gather,
+    is_alarming,
+    outside_by_itself,
+    remainder_text,
+)
 from .next_measurement import propose
 from .outliers import find_outliers
+from .patterns import Pattern
 from .report_rows import details_of, finding, rows_of
 from .result import Diagnosis
-from .rivals import Pattern
 from .session import Progress, Session, joined, several
 from .setup_hypotheses import Mistake
 from .setup_mistakes import find_mistake
@@ -124,8 +131,10 @@ def decide(evidence: Evidence) -> Diagnosis:
     adequate = [r for r in evidence.singles if r.probability > P_SINGLE_MIN]
     if adequate:
         group = indistinct(session, adequate, P_SINGLE_MIN)
-        evidence.rival = best_rival(evidence, group[0].score) or _nameless(evidence, group[0])
-        if evidence.rival:
+        evidence.competing = competing_pattern(evidence, group[0].score) or _nameless(
+            evidence, group[0]
+        )
+        if evidence.competing:
             return _outside(evidence, group[0])
         more = joined(session, group[0]) if evidence.base.built is not None else None
         return _named(evidence, group) if more is None else _several(evidence, more)
@@ -137,10 +146,10 @@ def decide(evidence: Evidence) -> Diagnosis:
         evidence.best = session.best(evidence.singles)
     candidates = [r for r in (combined, evidence.best) if r is not None]
     best_overall = min(candidates, key=lambda r: r.score) if candidates else None
-    evidence.rival = None
+    evidence.competing = None
     if best_overall is not None:
-        evidence.rival = best_rival(evidence, best_overall.score)
-    if combined is not None and session.holds(combined) and evidence.rival is None:
+        evidence.competing = competing_pattern(evidence, best_overall.score)
+    if combined is not None and session.holds(combined) and evidence.competing is None:
         return _several(evidence, combined)
     return _outside(evidence, evidence.best)
 

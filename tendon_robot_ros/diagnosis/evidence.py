@@ -19,7 +19,7 @@ from .decide import (
     Verdict,
 )
 from .fit import Fit
-from .rivals import Pattern, Rivals
+from .patterns import Pattern, Patterns
 from .session import Session
 
 SAME_EVERYWHERE = ('contact', 'soft_cell', 'taper')  # patterns that a remainder is not
@@ -34,14 +34,14 @@ class Evidence:
     singles: list[Ranked]
     not_tested: list[Candidate]
     best: Ranked | None = None
-    rival: Pattern | None = None
+    competing: Pattern | None = None
     scale: float = 1.0  # chi² over freedom of the best, where nothing is adequate
     base_chi2: float | None = None  # of the base with the best fit's imperfections, once known
 
     @cached_property
     def patterns(self) -> list[Pattern]:
         """What from outside may compete with the effects, on top of the base."""
-        return Rivals(self.session.fitters[0], self.base).all()
+        return Patterns(self.session.fitters[0], self.base).all()
 
 
 def gather(session: Session) -> Evidence:
@@ -86,7 +86,7 @@ def outside_by_itself(evidence: Evidence) -> Pattern | None:
     return min(likely, key=lambda pattern: pattern.score, default=None)
 
 
-def best_rival(evidence: Evidence, score: float) -> Pattern | None:
+def competing_pattern(evidence: Evidence, score: float) -> Pattern | None:
     """Return the pattern from outside that beats a score by more than chance would, if any."""
     top = min(evidence.patterns, key=lambda pattern: pattern.score, default=None)
     return top if top is not None and top.score < score - APART_FROM_SCORE else None
@@ -110,7 +110,7 @@ def remainder_text(evidence: Evidence, chosen: Ranked | None, verdict: Verdict) 
     if verdict is not Verdict.OUTSIDE_CATALOGUE:
         built = session.random is not None and not is_noise
         return f'{text} How an arm is built accounts for that: see its scatter.' if built else text
-    pattern = evidence.rival or best_pattern(evidence, chosen)
+    pattern = evidence.competing or best_pattern(evidence, chosen)
     return (
         f'{text} {pattern_text(evidence, pattern)}'
         if pattern
@@ -121,7 +121,7 @@ def remainder_text(evidence: Evidence, chosen: Ranked | None, verdict: Verdict) 
 def best_pattern(evidence: Evidence, chosen: Ranked | None) -> Pattern | None:
     """Return the pattern that takes a third or more of what is left, if there is one."""
     fit = chosen.fit if chosen else evidence.base
-    patterns = Rivals(evidence.session.fitters[0], fit).all()
+    patterns = Patterns(evidence.session.fitters[0], fit).all()
     top = min(patterns, key=lambda pattern: pattern.score, default=None)
     excess = fit.chi2 - fit.freedom
     if top is None or fit.deviance - top.deviance < PATTERN_SHARE_MIN * excess:

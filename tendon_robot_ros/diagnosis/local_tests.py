@@ -156,14 +156,14 @@ def faults_among(
     for _ in range(REFINEMENTS):  # a place is told best when what the others do is known
         for k in range(len(chosen)):
             z, _ = tests.beside(chosen[:k] + chosen[k + 1 :])
-            chosen[k] = max(tests.rivals(chosen[k], z), key=lambda i: abs(z[i]))
+            chosen[k] = max(tests.same_kind(chosen[k], z), key=lambda i: abs(z[i]))
     faults = []
     for k, best in enumerate(chosen):
         z, length = tests.beside(chosen[:k] + chosen[k + 1 :])
         size, half = float(z[best] / length[best]), float(normal_ppf(0.975) / length[best])
         alike = tuple(
             places[i].name
-            for i in tests.rivals(best, z)
+            for i in tests.same_kind(best, z)
             if z[i] ** 2 > z[best] ** 2 - SAME_AS_BEST_CHI2
         )
         faults.append(
@@ -237,7 +237,7 @@ class _Tests:
         z[told] = (self._along - cross @ (basis.T @ self.residual))[told] / length[told]
         return z, length
 
-    def rivals(self, i: int, z: Floats) -> list[int]:
+    def same_kind(self, i: int, z: Floats) -> list[int]:
         """Return the places of the same kind and posture that are told, i among them."""
         return [
             j

@@ -257,11 +257,11 @@ def _alternatives(
 ) -> dict[str, Any]:
     """Return what competes with the chosen effects, and what was not tested, with reasons."""
     session, details = evidence.session, dict[str, Any]()
-    if evidence.rival is not None:
+    if evidence.competing is not None:
         details['rival'] = {
-            'name': evidence.rival.name,
-            'deviance': evidence.rival.deviance,
-            'parameters': evidence.rival.parameters,
+            'name': evidence.competing.name,
+            'deviance': evidence.competing.deviance,
+            'parameters': evidence.competing.parameters,
         }
     details['next_best'], details['wider'] = _next_best(evidence, chosen, together)
     details['described'] = {

@@ -160,13 +160,13 @@ def _what_remains(diagnosis: Diagnosis) -> str:
     )
     text = f'{values} removes {_share(diagnosis)}, but '
     if 'rival' in diagnosis.details and best is not None and best.probability > P_SINGLE_MIN:
-        rival = _rival(diagnosis.details['rival']['name'])
-        return f'{text}{rival} fits better without any physics'
+        pattern = _pattern(diagnosis.details['rival']['name'])
+        return f'{text}{pattern} fits better without any physics'
     sure = '' if best is None else f' (p {_p(best.probability)})'
     return f'{text}what remains is {digits(diagnosis.error_after / floor)} times the noise{sure}'
 
 
-def _rival(name: str) -> str:
+def _pattern(name: str) -> str:
     return {
         'contact': 'a force somewhere along the arm',
         'soft_cell': 'a single soft cell',

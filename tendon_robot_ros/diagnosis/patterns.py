@@ -52,7 +52,7 @@ class Pattern:
         return self.deviance + 2.0 * self.parameters
 
 
-class Rivals:
+class Patterns:
     """
     Fits the patterns on top of a settled fit.
 
