@@ -2,10 +2,10 @@
 A laboratory's tables to a data set: units, still segments, marker order, the tracker's frame.
 
 importing.py      `import_table`: the whole way
-imported.py       what it gives: a data set, how it came about, `save`, `plot`, and in words what
+imported.py       what it gives: a data set, `save`, and in words and one picture what
                   was taken and why
 reading.py        a file to named columns; refuses what is no table
-formats.py        OptiTrack's CSV export and .c3d
+formats.py        CSV exports of OptiTrack and Vicon, and .c3d
 raw_table.py      named columns of numbers, as they were found; a DataFrame as well
 columns.py        what a column is, by its name
 recipe.py         import.yaml: every choice written out
@@ -16,7 +16,6 @@ measuring.py      where the arm stood still: cleaned, named by posture and trial
 marker_order.py   which marker is where on the arm
 registration.py   how the tracker's frame lies in the base's, with the model's help
                   (of a live tracker: ros/monitor/measured.py)
-picture.py        raw traces, what was cut out, markers on the arm
 """
 
 from .imported import ImportedTable

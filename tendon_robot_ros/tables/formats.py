@@ -1,4 +1,4 @@
-"""What the systems that track markers write: OptiTrack's CSV export and .c3d."""
+"""What the systems that track markers write: CSV exports of OptiTrack and Vicon, and .c3d."""
 
 from __future__ import annotations
 
