@@ -136,7 +136,7 @@ class LivePage:
         scene, size = self._server.scene, self._size
         scene.set_up_direction('+z')
         camera = self._server.initial_camera
-        camera.position = tuple(size * x for x in VIEW_FROM)
+        camera.position = size * np.array(VIEW_FROM)
         camera.look_at = (0.1 * size, 0.0, 0.45 * size)
         camera.near = 0.01 * size
         self._square = page_parts.round_length(0.15 * size)
