@@ -127,6 +127,7 @@ def test_new_robot_takes_answers_from_a_pipe_and_draws(monkeypatch, tmp_path, ca
     assert 'written: my_arm.yaml' in printed
     assert 'bends section_1 by 42.4° (without friction)' in printed  # 4 · 0.005 / 0.027 rad
     assert 'weighs 1 g; level, it sags by 2.8 mm at the tip' in printed
+    assert 'model: FKM + eyelet_wrap, gravity, straight_tendon, tendon_travel\n' in printed
     assert main(['describe', 'my_arm.yaml']) == 0
     assert capsys.readouterr().out.strip() in printed
     assert new_robot(monkeypatch, tmp_path, f'{answers}\n\nyes\n', '--output', 'plate.yaml') == 0

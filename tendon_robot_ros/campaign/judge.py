@@ -27,7 +27,6 @@ DIAGNOSIS, INTERVALS = 'diagnosis', 'intervals'
 QUESTIONS = (DIAGNOSIS, INTERVALS)
 NAMING = tuple(verdict for verdict in Verdict if verdict.may_add)
 ERROR = 'error'
-FITTED = ('parameter', 'truth', 'value', 'low', 'high')  # lists of a row, a member per parameter
 
 
 @dataclass(frozen=True)

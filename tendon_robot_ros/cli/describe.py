@@ -66,7 +66,8 @@ def model_name(robot: Robot) -> str:
     if names == ['tendon_friction']:
         friction = robot.effects['tendon_friction'].get('friction_coefficient')
         return f'FKM (tendon_friction, friction coefficient {friction})'
-    return ', '.join(names)
+    base = 'FKM' if 'tendon_friction' in names else 'PCCA'
+    return f'{base} + {", ".join(name for name in names if name != "tendon_friction")}'
 
 
 def _count(number: int, what: str) -> str:

@@ -16,7 +16,6 @@ that narrows a parameter, and one is chosen less where imperfections do what the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -207,10 +206,3 @@ def _added(precision: Floats, rows: Floats) -> float:
         return 0.0
     middle = rows @ np.linalg.solve(precision, rows.T)
     return float(np.linalg.slogdet(np.eye(len(rows)) + middle)[1])
-
-
-def noise_expected(measured: DataSet, position: float) -> Noise:
-    """Return the noise to plan with: as declared, else of a tracker [m]."""
-    declared: Sequence[float | None] = (measured.position_noise, position)
-    size = next(value for value in declared if value)
-    return Noise(size, measured.trial_noise, measured.setting_noise, np.inf, 'declared')
