@@ -148,7 +148,8 @@ def latencies(
         sender.spin(due)
     sender.spin(time.monotonic() + 0.5)
     model = Model(read_robot(robot))
-    tips = np.array([model.shape(command).tip_position for _, command in sender.changes])
+    tips = [model.shape(command).tip_position for _, command in sender.changes]
+    tips = np.array(tips).reshape(-1, 3)
     return {
         'rate_hz': stream.rate,
         'targets': count,

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 COLD_SEARCH_STARTS = 12  # of a cold search; a twist only goes on from where it is
 NEW_TARGET_BUDGET_S = 0.2  # [s] for a target that is none of a stream
-FIRST_ANSWER_S = 0.006  # [s] after which the best so far is commanded while the search goes on
+FIRST_ANSWER_S = 0.008  # [s] after which the best so far is commanded while the search goes on
 # [1] of the length, [rad] between two targets of a stream
 STREAM_STEP_SHARE, STREAM_TURN_RAD = 0.1, 0.3
 LEAD_SHARE_MAX = 0.1  # [1] of the length, by which targets are led
@@ -104,7 +104,9 @@ def _search_on(core: Seeker, search: TargetSearch, budget: float) -> None:
 
     def work(give_up: GiveUp) -> SearchResult:
         try:
-            return SearchResult(solve(give_up), '', not give_up())
+            # the second is asked between starts only: on a slow machine none would get anywhere
+            asked = give_up if left > 0.0 else lambda: give_up()
+            return SearchResult(solve(asked), '', not give_up())
         except (NoEquilibriumError, InputError) as error:
             return SearchResult(None, str(error), not give_up())
 
