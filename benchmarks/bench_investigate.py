@@ -4,17 +4,22 @@ How many postures an investigation needs, against the fixed twelve and against r
 A hidden effect of visible size (2 to 5 % of the length at the tip) in an arm as it is built, other
 than the model (finer cells, capstan's exponential). First the fixed design of twelve postures is
 diagnosed: its verdict and the widest interval are the aim. Then the arm investigates itself until
-it names something with an interval as narrow; then random postures are added until a diagnosis
-names the same with an interval as narrow. Right means that the hidden effect is named or in the
-class that is named.
+it names something with an interval as narrow, a ball in the room kept out of; then random postures
+are tried, the first so many of one row (halving), until a diagnosis names the same with an
+interval as narrow. Right means that the hidden effect is named or in the class that is named.
 
-example: python benchmarks/bench_investigate.py --robots kato_10_1 --cases 20
+Every case is a line of FILE: what each posture told, processor time, the highest tension over the
+limit and how near the real arm came to the ball on any way. Begun again with the same FILE it goes
+on; cases alternate between the robots. `--figures` prints what FILE has, and runs nothing.
+
+example: python benchmarks/bench_investigate.py --output investigated.jsonl --cases 50
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +31,10 @@ from tendon_robot_ros.investigation.goal import Goal
 from tendon_robot_ros.investigation.loop import Investigation
 from tendon_robot_ros.investigation.simulated_arm import SimulatedArm
 from tendon_robot_ros.investigation.stopping import names_of, widest
+from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
+from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
 from tendon_robot_ros.simulation.imperfect import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
@@ -35,93 +42,196 @@ from tendon_robot_ros.simulation.rehearsal import draw
 from tendon_robot_ros.workspace.postures import default_postures
 
 FIXED, RANDOM, TRIALS = 12, (4, 5, 6, 7, 9, 12, 16, 20, 24), 3
+BALL_SHARE = 0.08  # radius of the ball that is kept out of, in lengths of the arm
+WAY_POINTS = 40  # of each way that are looked at
 
 
-def random_postures(robot, count, seed):
+class WatchedArm(SimulatedArm):
+    """A simulated arm that notes how far beyond a limit, and how near to a region, it ever was."""
+
+    def __init__(self, plant, regions, seed):
+        """Stand straight."""
+        super().__init__(plant, seed=seed)
+        self.regions, self.beyond, self.clearance = regions, -np.inf, np.inf
+
+    def measure(self, inputs, trials):
+        """Measure a posture, and look at the way to it."""
+        low, high = self.robot.tension_limits
+        self.beyond = max(self.beyond, float(np.max(inputs)) - high, low - float(np.min(inputs)))
+        way = low + np.linspace(0.0, 1.0, WAY_POINTS)[:, None] * (inputs - low)
+        points = self.plant.shapes(way).positions.reshape(-1, 3)
+        self.clearance = min(self.clearance, self.regions.clearance(points).distance)
+        return super().measure(inputs, trials)
+
+
+def ball(robot, seed):
+    """Return a ball about the tip of a random posture."""
+    rows = np.clip(default_postures(robot, 12, 500 + seed), *robot.tension_limits)
+    tips = Model(robot).shapes(rows).tip_position
+    centre = max(tips, key=lambda tip: np.hypot(tip[0], tip[1]))  # the straight arm keeps clear
+    radius = BALL_SHARE * robot.length
+    return KeepOut((Region('ball', Sphere(tuple(centre.tolist()), radius)),))
+
+
+def random_postures(plant, count, seed):
     """Return tensions that are uniform between nothing and what a design uses at most."""
+    robot = plant.robot
     top = default_postures(robot, FIXED).max(axis=0)
-    low = robot.tension_limits[0]
-    return np.random.default_rng([seed, 8]).uniform(low, top, size=(count, len(top)))
+    low, random, rows = robot.tension_limits[0], np.random.default_rng([seed, 8]), []
+    while len(rows) < count:
+        row = random.uniform(low, top)
+        try:
+            plant.shapes(row[None])
+        except NoEquilibriumError:
+            continue
+        rows.append(row)
+    return np.array(rows)
 
 
 def measured(plant, rows, seed):
-    """Diagnose postures of a plant: names, the widest interval."""
+    """Diagnose postures of a plant: names, the widest interval, the verdict, processor time."""
     catalogue = load_catalogue().sized(natural_sizes(plant.robot))
+    begin = time.process_time()
     found = diagnose(simulate(plant, rows, trials=TRIALS, seed=seed), None, catalogue, 1)
-    return names_of(found), widest(found, catalogue)
+    spent = time.process_time() - begin
+    return names_of(found), widest(found, catalogue), str(found.verdict), spent
 
 
-def case(robot, seed):
+def random_needed(plant, seed, names, aim):
+    """Return how many random postures name the same as narrowly (None: not the most), and time."""
+    low, high, spent = 0, len(RANDOM), 0.0
+    rows = random_postures(plant, RANDOM[-1], seed)
+    while low < high:
+        middle = (low + high) // 2
+        found, wide, _, took = measured(plant, rows[: RANDOM[middle]], seed)
+        spent += took
+        enough = found == names and wide is not None and wide <= aim
+        low, high = (low, middle) if enough else (middle + 1, high)
+    return (RANDOM[low] if low < len(RANDOM) else None), spent
+
+
+def case(name, seed, with_random):
     """Return what became of one hidden effect."""
+    robot = load_robot(f'config/robots/{name}.yaml')
     hidden = draw(robot, load_catalogue(), '', seed)
     plant = make_plant(robot, hidden.plant, seed=seed, work=Workmanship())
-    names, width = measured(plant, default_postures(robot, FIXED), seed)
-    aim = 0.25 if width is None else width
-    goal = Goal(interval=max(aim, 0.002), checks=0, trials=TRIALS, postures=24)
-    made = Investigation(SimulatedArm(plant, seed=seed), goal).run()
+    names, width, verdict, fixed_time = measured(plant, default_postures(robot, FIXED), seed)
+    aim = max(0.25 if width is None else width, 0.002)
+    regions = ball(robot, seed)
+    arm = WatchedArm(plant, regions, seed)
+    begin = time.process_time()
+    goal = Goal(interval=aim, checks=0, trials=TRIALS, postures=24)
+    made = Investigation(arm, goal, regions=regions).run()
+    spent = time.process_time() - begin
     own = names_of(made.diagnosis)
     row = {
+        'robot': name,
         'seed': seed,
         'hidden': hidden.name,
-        'fixed': {'right': hidden.name in names, 'names': names, 'interval': width},
-        'investigation': {
-            'postures': len(made.dataset.postures),
-            'right': hidden.name in own,
-            'names': own,
-            'why': str(made.outcome),
-            'interval': made.record.rounds[-1].widest,
+        'fixed': {
+            'right': hidden.name in names, 'names': names, 'verdict': verdict,
+            'interval': width, 's': round(fixed_time, 2),
         },
+        'investigation': {
+            'postures': len(made.dataset.postures), 'right': hidden.name in own, 'names': own,
+            'why': str(made.outcome), 'interval': made.record.rounds[-1].widest,
+            's': round(spent, 2),
+            'told': [[r.postures, r.verdict, r.names, r.widest] for r in made.record.rounds],
+        },
+        'beyond': arm.beyond,
+        'clearance': arm.clearance,
+        'visits': len(arm.visited),
         'random': None,
-    }
-    for count in RANDOM:
-        try:
-            found, wide = measured(plant, random_postures(robot, count, seed), seed)
-        except NoEquilibriumError:
-            continue
-        if set(found) == set(own) and wide is not None and wide <= aim:
-            row['random'] = count
-            break
+    }  # fmt: skip
+    if with_random and row['fixed']['right'] and row['investigation']['right']:
+        row['random'], row['random_s'] = random_needed(plant, seed, own, aim)
     return row
+
+
+def first_told(row):
+    """Return from which posture on the diagnosis named what it named in the end."""
+    told = row['investigation']['told']
+    same = [r[0] for i, r in enumerate(told) if all(t[2] == told[-1][2] for t in told[i:])]
+    return same[0]
+
+
+def median(values):
+    """Return the median; nan of none."""
+    return float(np.median(values)) if len(values) else float('nan')
 
 
 def summary(name, rows):
     """Return the figures of a robot."""
     own = [row['investigation'] for row in rows]
     both = [r for r in rows if r['fixed']['right'] and r['investigation']['right']]
-    random = [RANDOM[-1] + 1 if r['random'] is None else r['random'] for r in both]
+    tried = [r for r in both if 'random_s' in r]
     return {
         'robot': name,
         'hidden effects': len(rows),
         'right, fixed twelve': sum(row['fixed']['right'] for row in rows),
         'right, investigation': sum(one['right'] for one in own),
-        'postures, median': float(np.median([one['postures'] for one in own])),
-        'where both are right: postures, median': float(
-            np.median([r['investigation']['postures'] for r in both] or [np.nan])
+        'another name, fixed and investigation': [
+            sum(bool(one['names']) and not one['right'] for one in kind)
+            for kind in ([row['fixed'] for row in rows], own)
+        ],
+        'called adequate, fixed and investigation': [
+            sum(row['fixed']['verdict'] == 'adequate' for row in rows),
+            sum(one['why'] == 'model_adequate' for one in own),
+        ],
+        'where both are right: postures, median': median(
+            [r['investigation']['postures'] for r in both]
         ),
-        'random postures for the same, median (25: more than 24)': float(
-            np.median(random or [np.nan])
+        'named from posture, median': median([first_told(r) for r in both]),
+        'as narrow as the twelve': sum(
+            (r['investigation']['interval'] or np.inf) <= max(r['fixed']['interval'], 0.002)
+            for r in both
         ),
+        'random postures for the same, median (25: more than 24)': median(
+            [r['random'] or RANDOM[-1] + 1 for r in tried]
+        ),
+        'postures over random ones, median': median(
+            [r['investigation']['postures'] / (r['random'] or RANDOM[-1] + 1) for r in tried]
+        ),
+        'measurements': sum(row['visits'] for row in rows),
+        'most beyond a tension limit [N]': max(row['beyond'] for row in rows),
+        'nearest to the ball [mm]': 1e3 * min(row['clearance'] for row in rows),
+        'processor time, median: fixed, investigation, random [s]': [
+            median([row['fixed']['s'] for row in rows]),
+            median([one['s'] for one in own]),
+            median([r['random_s'] for r in tried]),
+        ],
     }
 
 
+def written(path):
+    """Return the cases that a file has."""
+    lines = path.read_text().splitlines() if path.exists() else []
+    return [json.loads(line) for line in lines if line.endswith('}')]
+
+
 def main():
-    """Print a line per effect and the figures; write them as JSON."""
+    """Run the cases that a file lacks, and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--output', type=Path, required=True, metavar='FILE')
     parser.add_argument('--robots', nargs='+', default=['kato_10_1', 'spatial_3'])
-    parser.add_argument('--cases', type=int, default=20)
-    parser.add_argument('--first', type=int, default=0)
-    parser.add_argument('--json', type=Path)
+    parser.add_argument('--cases', type=int, default=50, help='of each robot')
+    parser.add_argument('--first', type=int, default=100, help='seed')
+    parser.add_argument('--no-random', action='store_true', help='no random postures')
+    parser.add_argument('--figures', action='store_true', help='print what FILE has')
     args = parser.parse_args()
-    results = []
+    have = {(row['robot'], row['seed']) for row in written(args.output)}
+    wanted = [(r, s) for s in range(args.first, args.first + args.cases) for r in args.robots]
+    for name, seed in [] if args.figures else wanted:
+        if (name, seed) in have:
+            continue
+        row = case(name, seed, not args.no_random)
+        with args.output.open('a') as file:
+            file.write(json.dumps(row) + '\n')
+        print(json.dumps(row), flush=True)
     for name in args.robots:
-        robot, rows = load_robot(f'config/robots/{name}.yaml'), []
-        for seed in range(args.first, args.first + args.cases):
-            rows.append(case(robot, seed))
-            print(json.dumps(rows[-1]), flush=True)
-        results.append({**summary(name, rows), 'cases': rows})
-        print(json.dumps(summary(name, rows), indent=1), flush=True)
-    if args.json:
-        args.json.write_text(json.dumps(results, indent=1))
+        rows = [row for row in written(args.output) if row['robot'] == name]
+        if rows:
+            print(json.dumps(summary(name, rows), indent=1), flush=True)
 
 
 if __name__ == '__main__':

@@ -18,9 +18,10 @@ from tendon_robot_ros.investigation.loop import Investigation
 from tendon_robot_ros.investigation.pool import Room, pool
 from tendon_robot_ros.investigation.record import empty_dataset
 from tendon_robot_ros.investigation.simulated_arm import SimulatedArm
-from tendon_robot_ros.investigation.stopping import InvestigationEnd
+from tendon_robot_ros.investigation.stopping import InvestigationEnd, possible, settled
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
 from tendon_robot_ros.simulation.imperfect import Workmanship
 from tendon_robot_ros.simulation.plant import make_plant
@@ -148,6 +149,33 @@ def test_of_an_arm_without_a_hidden_effect_it_says_that_the_model_is_adequate():
     made = Investigation(arm({}, seed=5), Goal()).run()
     assert made.outcome is InvestigationEnd.ADEQUATE
     assert made.made is None
+
+
+def test_adequate_is_not_said_while_an_effect_may_move_the_tip_unseen():
+    """Kinks of one sign hide among kinks at random: four postures miss nothing, six name it."""
+    subject = arm({'pre_curvature': {'angle_x': 0.0021}}, seed=106)
+    said = []
+    goal = Goal(postures=6, checks=0)
+    made = Investigation(subject, goal, tell=lambda news: said.append(news.text)).run()
+    first, last = made.record.rounds[0], made.record.rounds[-1]
+    assert first.verdict == 'adequate' and 'pre_curvature' in first.possible
+    assert any('adequate, but not excluded: ' in text for text in said)
+    assert made.outcome is not InvestigationEnd.ADEQUATE
+    assert 'pre_curvature' in last.names
+
+
+def test_a_visible_effect_that_is_left_possible_keeps_the_question_open():
+    made = Investigation(arm({}, seed=5), Goal(postures=4, start=4)).run()
+    found, dataset = made.diagnosis, made.dataset
+    catalogue = load_catalogue().sized(natural_sizes(dataset.robot))
+    everything = possible(found, dataset, catalogue, 0.0)
+    assert list(everything.values()) == sorted(everything.values(), reverse=True)
+    middle = list(everything.values())[3]
+    assert possible(found, dataset, catalogue, middle) == dict(list(everything.items())[:3])
+    again = replace(made.record.rounds[-1], postures=6, possible={})
+    assert settled(found, [again, again], Goal(), 6) is InvestigationEnd.ADEQUATE
+    open_still = replace(again, possible={'gravity': 0.01})
+    assert settled(found, [again, open_still], Goal(), 6) is None
 
 
 def test_postures_keep_out_of_a_region_on_their_whole_way():

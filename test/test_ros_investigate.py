@@ -113,6 +113,7 @@ def kinds(*all_):
     kinds(
         ('serial', 'tension', ()),
         ('serial', 'pull', ()),
+        ('dynamixel', 'pull', (pytest.mark.slow,)),
     ),
     indirect=True,
 )

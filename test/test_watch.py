@@ -10,7 +10,7 @@ from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring.built_arm import BuiltArm, widening
-from tendon_robot_ros.monitoring.drift import DriftAlarm, _Change, _ChangeBegun
+from tendon_robot_ros.monitoring.drift import DriftAlarm, _ChangeBegun
 from tendon_robot_ros.monitoring.tip_force import TipForceObserver
 from tendon_robot_ros.monitoring.watch import ArmWatch, WatchSettings
 from tendon_robot_ros.robot import load_robot
@@ -151,14 +151,14 @@ def test_the_evidence_for_a_change_that_did_not_happen_is_one_on_average():
     """The mean of a likelihood ratio is 1 without a change: that is what an e-value is."""
     arm = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE)
     alarm = DriftAlarm(arm)
-    alarm._spread = np.array([0.5])
-    change, random, ratios = _Change('x', slice(0, 1), ('x',)), np.random.default_rng(0), []
+    alarm._places, alarm._spread = [slice(0, 1)], np.array([0.5])
+    random, ratios = np.random.default_rng(0), []
     for _ in range(4000):
-        begun = _ChangeBegun(0, 1)
+        begun = _ChangeBegun(1, np.zeros(0), np.zeros((0, 0)))
         signature = np.array([0.3, -0.2, 0.5])
         for _ in range(5):
             begun.told += signature @ signature
             begun.seen += signature @ random.normal(size=3)
-        ratios.append(np.exp(alarm._log_ratio(begun, change)))
+        ratios.append(np.exp(alarm._log_ratio(begun, 0)))
     assert np.mean(ratios) == pytest.approx(1.0, abs=4 * np.std(ratios) / np.sqrt(len(ratios)))
     assert alarm.threshold == 5000.0

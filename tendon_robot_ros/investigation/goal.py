@@ -16,6 +16,7 @@ class Goal:
     """What is asked, and within what."""
 
     interval: float = 0.25  # [1] half a 95 % interval, of the value or of a typical size
+    visible: float = 0.015  # [1] tip motion, of the length, that no effect may make unseen
     postures: int = 16  # at most, those of the check apart
     minutes: float = math.inf
     start: int = 4  # postures before the first diagnosis
@@ -39,6 +40,7 @@ class Goal:
         """
         for option, value, low, high in (
             ('--interval', 100.0 * self.interval, 0.1, 1000.0),
+            ('--visible', 100.0 * self.visible, 0.01, 100.0),
             ('--postures', self.postures, START_MIN, 1000),
             ('--minutes', self.minutes, 0.01, math.inf),
             ('--start', self.start, START_MIN, self.postures),
@@ -58,6 +60,9 @@ def add_goal(parser: argparse.ArgumentParser, trials: int) -> None:
     text = 'half a 95 %% interval that is narrow enough, of the value or of a typical size'
     add('--interval', type=float, default=100.0 * default.interval, metavar='PERCENT',
         help=f'{text} (default: {100.0 * default.interval:g})')  # fmt: skip
+    text = 'tip motion of the length: adequate is a model when no effect may make more unseen'
+    add('--visible', type=float, default=100.0 * default.visible, metavar='PERCENT',
+        help=f'{text} (default: {100.0 * default.visible:g})')  # fmt: skip
     for name, value, meta, text in (
         ('postures', default.postures, 'N', 'at most so many'),
         ('start', default.start, 'N', 'so many before the first diagnosis'),
@@ -84,4 +89,9 @@ def goal_of(args: argparse.Namespace, effect_files: tuple[str, ...] = ()) -> Goa
     """
     names = ('postures', 'minutes', 'start', 'at_once', 'trials', 'checks', 'add', 'tension_max')
     typed = {name: getattr(args, name) for name in names}
-    return Goal(interval=args.interval / 100.0, effect_files=effect_files, **typed)
+    return Goal(
+        interval=args.interval / 100.0,
+        visible=args.visible / 100.0,
+        effect_files=effect_files,
+        **typed,
+    )

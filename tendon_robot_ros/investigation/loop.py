@@ -23,6 +23,7 @@ from ..comparison.noise import Noise
 from ..comparison.predict import FreeParameter, frees_of
 from ..data import DataSet
 from ..diagnosis.add import Addition, add_effects
+from ..diagnosis.decide import Verdict
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
 from ..effects import Catalogue, Effect, load_catalogue
@@ -36,12 +37,26 @@ from .choice import Choice, OpenQuestion, choose
 from .goal import Goal
 from .pool import MARGIN_SHARE, Room, fresh, pool
 from .record import CHECK, Record, Round, empty_dataset, with_posture
-from .stopping import NAMING, SENTENCES, InvestigationEnd, in_question, names_of, settled, widest
+from .stopping import (
+    IN_QUESTION_MAX,
+    POSTURES_MANY,
+    SENTENCES,
+    InvestigationEnd,
+    adequate_again,
+    in_question,
+    may_act,
+    names_of,
+    possible,
+    settled,
+    short,
+    widest,
+)
 
 Floats = npt.NDArray[np.float64]
 ATTEMPTS = 2  # at a posture, before it is skipped
 SKIPPED_MAX = 5  # postures in a row, after which something is wrong with the robot
 GAIN_MIN = 0.02  # [nat] below which a posture tells nothing
+NARROWING_MIN = 0.5  # [nat] below which it hardly narrows what may act unseen
 
 
 @dataclass(frozen=True)
@@ -154,7 +169,11 @@ class Investigation:
             if self.arm.path == 'sequence':  # the next one depends on where this one was
                 wanted = 1
             choices = self.choices(min(wanted, self.goal.postures - have))
-            if not choices or (have >= self.goal.start and choices[0].gain < GAIN_MIN):
+            gain = choices[0].gain if choices else 0.0
+            many = have >= POSTURES_MANY
+            if adequate_again(self.record.rounds) and gain < (NARROWING_MIN if many else GAIN_MIN):
+                return InvestigationEnd.ADEQUATE
+            if not choices or (have >= self.goal.start and gain < GAIN_MIN):
                 return InvestigationEnd.POOL
             for choice in choices:
                 self._measure(choice)
@@ -196,6 +215,9 @@ class Investigation:
     def asked(self) -> list[str]:
         """Names of the effects that the next posture is to tell of."""
         names = [] if self.diagnosis is None else in_question(self.diagnosis)
+        left = self.record.rounds[-1].possible if self.record.rounds else {}
+        if left:
+            return list(left)[:IN_QUESTION_MAX]
         if not names or (self.diagnosis is not None and not self.diagnosis.effects):
             names += [e.name for e in self.catalogue if e.name not in names and self._shows(e)]
         return names
@@ -299,15 +321,23 @@ class Investigation:
             names_of(found),
             in_question(found),
             widest(found, self.catalogue),
-            _short(found),
+            short(found),
+            self._possible(found),
         )
         self.record.rounds.append(now)
         self.record.save()
         outcome = settled(found, self.record.rounds, self.goal, now.postures)
         width = '' if now.widest is None else f', to {100.0 * now.widest:.0f} %'
-        text = f'  {now.postures} postures: {now.text}{width}'
+        text = f'  {now.postures} postures: {now.text}{width}{may_act(now)}'
         self.tell(News('diagnosis', text, {**vars(now), 'enough': outcome is not None}))
         return outcome
+
+    def _possible(self, found: Diagnosis) -> dict[str, float]:
+        """Return what may act unseen though the model is adequate [m] at the tip."""
+        if found.verdict is not Verdict.ADEQUATE:
+            return {}
+        visible = self.goal.visible * self.arm.robot.length
+        return possible(found, self.record.dataset, self.catalogue, visible)
 
     def _narrow_margin(self, found: Diagnosis) -> None:
         """Keep as far from the regions as the best model is off, and more."""
@@ -321,6 +351,8 @@ class Investigation:
         record.outcome = {'why': str(outcome), 'names': named,
                           'postures': len(record.dataset.postures)}  # fmt: skip
         sentence = f'{len(record.dataset.postures)} postures: {SENTENCES[outcome]}'
+        if record.rounds:
+            sentence += may_act(record.rounds[-1])
         if record.skipped:
             sentence += f'; {len(record.skipped)} could not be measured'
         self.tell(News('end', sentence, record.outcome))
@@ -362,15 +394,3 @@ class Investigation:
                 check = with_posture(check, row, measured, self.arm.position_noise)
                 self.tell(News('check', f'  fresh posture {len(check.postures)} measured'))
         return check if len(check.postures) else None
-
-
-def _short(found: Diagnosis) -> str:
-    """Say a verdict in a few words."""
-    names = names_of(found)
-    if found.verdict in NAMING:
-        return f'consistent with {listed(names)}'
-    if found.cannot_tell_apart and found.verdict.may_add:
-        return f'{listed(found.cannot_tell_apart, "or")} explain it equally well'
-    if not found.verdict.judged:
-        return f'cannot judge: {found.remainder}'
-    return str(found.verdict).replace('_', ' ')

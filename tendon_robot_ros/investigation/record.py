@@ -40,6 +40,7 @@ class Round:
     in_question: list[str]
     widest: float | None  # half of the widest interval, relative; None: nothing named
     text: str
+    possible: dict[str, float] = field(default_factory=dict)  # [m] at the tip, though adequate
 
 
 @dataclass

@@ -7,6 +7,9 @@ from enum import StrEnum
 
 import numpy as np
 
+from ..common.words import listed, mm
+from ..comparison.predict import Predictor, frees_of
+from ..data import DataSet
 from ..diagnosis.decide import POSTURES_ENOUGH, SEPARABLE_FROM_SD, Verdict
 from ..diagnosis.result import Diagnosis
 from ..effects import Catalogue
@@ -16,6 +19,7 @@ from .record import Round
 REJECTED = 'rejected'  # status of a candidate that is out
 IN_QUESTION_MAX = 6  # effects that the next posture is chosen for
 NAMING = (Verdict.MISSING_EFFECT, Verdict.WRONG_PARAMETER, Verdict.SEVERAL)
+POSTURES_MANY = 8  # from which what cannot be narrowed is said instead
 AGAIN_FOR_CLASS = 3  # diagnoses in a row that name the same class before it counts as inseparable
 
 
@@ -76,13 +80,56 @@ def widest(diagnosis: Diagnosis, catalogue: Catalogue) -> float | None:
     return float(max(halves)) if halves else None
 
 
+def possible(
+    diagnosis: Diagnosis, dataset: DataSet, catalogue: Catalogue, visible: float
+) -> dict[str, float]:
+    """
+    Return the effects that may act unseen though the model is adequate, the largest first.
+
+    An effect may act while an end of a 95 % interval of its parameters, the others at their best
+    values, moves the tip by more than is asked, rms over the postures.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    dataset : DataSet
+    catalogue : Catalogue
+    visible : float
+        Tip motion [m] that is asked for.
+
+    Returns
+    -------
+    dict of str to float
+        Tip motion [m] that is left possible, by effect.
+
+    """
+    predictor = Predictor(dataset, dataset.robot, catalogue)
+    here = predictor.markers({})
+    if here is None:
+        return {}
+    left: dict[str, float] = {}
+    for row in diagnosis.candidates:
+        frees = frees_of(row.name.split(' + '), predictor.model.catalogue, dataset.robot)
+        fitted = {f: row.parameters[f.key] for f in frees if f.key in row.parameters}
+        best = {free: value.value for free, value in fitted.items()}
+        for free, value in fitted.items():
+            for end in (value.low, value.high):
+                there = predictor.markers({**best, free: end}) if np.isfinite(end) else None
+                if there is not None:
+                    tip = float(np.sqrt(((there - here)[:, -1] ** 2).sum(axis=1).mean()))
+                    left[row.name] = max(left.get(row.name, 0.0), tip)
+    seen = {name: tip for name, tip in left.items() if tip > visible}
+    return dict(sorted(seen.items(), key=lambda item: -item[1]))
+
+
 def settled(
     diagnosis: Diagnosis, rounds: Sequence[Round], goal: Goal, postures: int
 ) -> InvestigationEnd | None:
     """
     Tell whether it is enough; the last of the rounds is this diagnosis.
 
-    A verdict counts when the one before, on fewer postures, was the same.
+    A verdict counts when the one before, on fewer postures, was the same. Adequate is the model
+    when no effect is left that may move the tip visibly.
     """
     verdict, now = diagnosis.verdict, rounds[-1]
     if verdict is Verdict.CANNOT_JUDGE:
@@ -93,11 +140,19 @@ def settled(
         narrow = now.widest is not None and now.widest <= goal.interval
         return InvestigationEnd.NAMED if again and narrow else None
     if verdict is Verdict.ADEQUATE:
-        return InvestigationEnd.ADEQUATE if again and postures >= POSTURES_ENOUGH else None
+        sure = again and postures >= POSTURES_ENOUGH and not now.possible
+        return InvestigationEnd.ADEQUATE if sure else None
     if verdict is Verdict.OUTSIDE_CATALOGUE:
         enough = before is not None and before.verdict == now.verdict
         return InvestigationEnd.OUTSIDE if enough and postures >= POSTURES_ENOUGH else None
     return InvestigationEnd.INSEPARABLE if _inseparable(diagnosis, rounds) else None
+
+
+def adequate_again(rounds: Sequence[Round]) -> bool:
+    """Tell whether two diagnoses in a row, on enough postures, miss nothing."""
+    last = rounds[-2:]
+    same = len(last) == 2 and all(one.verdict == Verdict.ADEQUATE for one in last)
+    return same and last[-1].postures >= POSTURES_ENOUGH
 
 
 def _inseparable(diagnosis: Diagnosis, rounds: Sequence[Round]) -> bool:
@@ -112,3 +167,22 @@ def _inseparable(diagnosis: Diagnosis, rounds: Sequence[Round]) -> bool:
     )
     always = len(last) == AGAIN_FOR_CLASS and all(names == last[0] for names in last)
     return same and (alike or always)
+
+
+def may_act(now: Round) -> str:
+    """Say what may act unseen, most of all; '' where nothing does."""
+    left = [f'{name} of {mm(tip)} at the tip' for name, tip in now.possible.items()]
+    more = f' and {len(left) - 2} more effects' if len(left) > 2 else ''
+    return f', but not excluded: {", ".join(left[:2])}{more}' if left else ''
+
+
+def short(found: Diagnosis) -> str:
+    """Say a verdict in a few words."""
+    names = names_of(found)
+    if found.verdict in NAMING:
+        return f'consistent with {listed(names)}'
+    if found.cannot_tell_apart and found.verdict.may_add:
+        return f'{listed(found.cannot_tell_apart, "or")} explain it equally well'
+    if not found.verdict.judged:
+        return f'cannot judge: {found.remainder}'
+    return str(found.verdict).replace('_', ' ')

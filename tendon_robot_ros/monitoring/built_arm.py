@@ -13,6 +13,7 @@ is measured there, too (batch means). Tip force and drift alarm stand on it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from itertools import product
 
@@ -120,6 +121,12 @@ class BuiltArm:
         """Know nothing of the imperfections but their prior."""
         self.mean, self.covariance = np.zeros(len(self.plausible)), np.eye(len(self.plausible))
         self._members = None
+
+    def as_known(self, mean: Floats, covariance: Floats) -> BuiltArm:
+        """Return the same arm as it was known at another time; it shares the model."""
+        made = copy(self)
+        made.mean, made.covariance, made._members = mean, covariance, None
+        return made
 
     def rest(self, rows: npt.NDArray[np.bool_]) -> Floats:
         """Covariance of seen coordinates under a remainder of 1 m sd at the tip [1]."""

@@ -10,36 +10,30 @@ gains (Willsky and Jones 1976). With theta ~ N(0, T) each change gives a likelih
 
 whose mean without a change is 1: an e-process. Averaged over the changes and added up over the
 postures at which one may have begun, it is an e-detector (Shin, Ramdas, Rinaldo 2023): an alarm at
-a sum of A comes without a change on average after A beginnings at the earliest.
+a sum of A comes without a change on average after A beginnings at the earliest. What it looks like
+is then fitted to the postures since (`change.py`).
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.predict import CELLS, FreeParameter, Predictor, free_parameters
-from ..diagnosis.as_built import GAIN, POSITION, ROTATION
+from ..comparison.statistics import chi2_sf
 from .built_arm import BuiltArm
+from .change import ChangeFinder, Suspect, changes_of
 
 Floats = npt.NDArray[np.float64]
 BEGIN_EVERY = 4  # postures between two at which a change may begin
 BEGINNINGS_KEPT = 8
 STEP_SHARE = 0.1  # of a typical size, of a difference
-CHANGES = {CELLS: 0.1, GAIN: 0.03, POSITION: 2e-3, ROTATION: 0.01}  # 1 sd of a change
-TRACKER = 'the tracker'
-
-
-@dataclass(frozen=True)
-class Suspect:
-    """A change that may have happened."""
-
-    name: str
-    probability: float  # among all changes, given that there was one
-    values: dict[str, float]  # most likely size, by parameter [its unit]
+ODD_PROBABILITY = 1e-6  # of the errors of a posture, from which it is surely after the change
+LOOKED_AFTER = (0, 1, 2, 3, 5, 8, 12, 16, 24)  # postures after an alarm, at which it is named anew
+SUSPECTS_TOLD = 5
 
 
 @dataclass(frozen=True)
@@ -52,23 +46,26 @@ class DriftState:
     suspects: tuple[Suspect, ...] = ()  # most likely first, while there is an alarm
 
 
-@dataclass(frozen=True)
-class _Change:
-    """A kind of change: its columns in the stacked signatures."""
-
-    name: str
-    columns: slice
-    keys: tuple[str, ...]
-
-
 class _ChangeBegun:
     """A posture at which a change may have begun, and what came since."""
 
-    def __init__(self, states: int, changes: int) -> None:
-        self.followed = np.zeros((states, changes))  # what the filter took for imperfections
+    def __init__(self, changes: int, mean: Floats, covariance: Floats, at: int = 0) -> None:
+        self.mean, self.covariance, self.at = mean, covariance, at  # of the arm before; posture
+        self.followed = np.zeros((len(mean), changes))  # what the filter took for imperfections
         self.told = np.zeros((changes, changes))
         self.seen = np.zeros(changes)
         self.postures = 0
+
+
+@dataclass(frozen=True)
+class _Stood:
+    """A posture lately."""
+
+    at: int  # its number
+    tensions: Floats  # (m,) [N]
+    positions: Floats  # (J, 3) [m]
+    frames: int
+    odd: bool  # it is surely not as expected
 
 
 class DriftAlarm:
@@ -86,12 +83,12 @@ class DriftAlarm:
 
         """
         self.arm, self.threshold = arm, max(postures / BEGIN_EVERY, 2.0)
-        self._frees: list[FreeParameter] = []
-        self._changes: list[_Change] = []
-        self._spread: Floats = np.zeros(0)
-        self._beginnings: list[_ChangeBegun] = []
-        self._count = 0
+        self._changes = changes_of(arm)
+        self._frees = [free for change in self._changes for free in change.frees]
+        self._places, self._spread = self._stacked()
         self.state = DriftState(False, 0.0, 0)
+        self.finder: ChangeFinder | None = None  # what has changed, since an alarm
+        self.restart()
 
     def update(self, tensions: Floats, positions: Floats, frames: int = 1) -> DriftState:
         """
@@ -121,8 +118,12 @@ class DriftAlarm:
         gain = arm.covariance @ columns.T @ np.linalg.inv(covariance)
         inverse = np.linalg.inv(arm.widening * covariance)
         if self._count % BEGIN_EVERY == 0:
-            self._beginnings.append(_ChangeBegun(len(arm.mean), len(self._spread)))
+            known = arm.mean.copy(), arm.covariance.copy()
+            self._beginnings.append(_ChangeBegun(len(self._spread), *known, self._count))
             del self._beginnings[:-BEGINNINGS_KEPT]
+        odd = chi2_sf(float(innovation @ inverse @ innovation), len(innovation)) < ODD_PROBABILITY
+        stood = _Stood(self._count, tensions, positions, frames, odd)
+        self._recent.append(stood)
         self._count += 1
         for begun in self._beginnings:
             signature = shown - columns @ begun.followed
@@ -132,47 +133,65 @@ class DriftAlarm:
             begun.followed += gain @ signature
             begun.postures += 1
         arm.learn(expected, measured, frames)
-        self.state = self._judged()
+        self.state = self._judged(stood)
         return self.state
 
     def restart(self) -> None:
         """Forget the evidence, after a change was looked after."""
-        self._beginnings, self._count = [], 0
+        self._beginnings, self._count = list[_ChangeBegun](), 0
+        self._recent: deque[_Stood] = deque(maxlen=BEGIN_EVERY * BEGINNINGS_KEPT)
+        self.finder, self._since_alarm = None, 0
         self.state = DriftState(False, 0.0, 0)
 
-    def _judged(self) -> DriftState:
+    def _judged(self, stood: _Stood) -> DriftState:
         """Add up the evidence, and name what it speaks for."""
-        logs = np.array([[self._log_ratio(b, c) for c in self._changes] for b in self._beginnings])
+        which = range(len(self._changes))
+        logs = np.array([[self._log_ratio(b, i) for i in which] for b in self._beginnings])
         evidence = float(np.exp(np.minimum(logs, 600.0)).mean(axis=1).sum())
         begun = self._beginnings[int(np.argmax(logs.max(axis=1)))]
         alarm = self.state.alarm or evidence >= self.threshold
-        suspects = self._suspects(logs) if alarm else ()
+        suspects = self._suspects(begun, stood) if alarm else ()
         return DriftState(alarm, evidence, begun.postures, suspects)
 
-    def _suspects(self, logs: Floats) -> tuple[Suspect, ...]:
-        """Name changes by their probability, the most likely first."""
-        total = np.logaddexp.reduce(logs, axis=0)
-        shares = np.exp(total - np.logaddexp.reduce(total))
-        made = []
-        for i in np.argsort(-shares)[:5].tolist():
-            change, begun = self._changes[i], self._beginnings[int(np.argmax(logs[:, i]))]
-            told, seen = self._of(begun, change)
-            sizes = np.linalg.solve(told + np.eye(len(seen)), seen) * self._spread[change.columns]
-            values = dict(zip(change.keys, sizes.tolist(), strict=True))
-            made.append(Suspect(change.name, float(shares[i]), values))
-        return tuple(made)
+    def _suspects(self, begun: _ChangeBegun, stood: _Stood) -> tuple[Suspect, ...]:
+        """Name changes by their probability, the most likely first; not at every posture."""
+        if self.finder is None:
+            arm = self.arm.as_known(begun.mean, begun.covariance)
+            self.finder = ChangeFinder(arm, self._changes)
+            for one in self._after(begun.at):
+                self.finder.take(one.tensions, one.positions, one.frames)
+        else:
+            self._since_alarm += 1
+            self.finder.take(stood.tensions, stood.positions, stood.frames)
+        if self._since_alarm not in LOOKED_AFTER:
+            return self.state.suspects
+        return self.finder.suspects()[:SUSPECTS_TOLD]
 
-    def _log_ratio(self, begun: _ChangeBegun, change: _Change) -> float:
-        told, seen = self._of(begun, change)
+    def _after(self, beginning: int) -> list[_Stood]:
+        """Return the postures since a change: those before the first odd one may be before it."""
+        since = [one for one in self._recent if one.at >= beginning]
+        first = next((i for i, one in enumerate(since) if one.odd), 0)
+        return since[first if first < BEGIN_EVERY else 0 :]
+
+    def _log_ratio(self, begun: _ChangeBegun, i: int) -> float:
+        """Return the log likelihood ratio of a change that began there against none."""
+        place = self._places[i]
+        scale = self._spread[place]
+        told, seen = begun.told[place, place] * np.outer(scale, scale), begun.seen[place] * scale
         both = told + np.eye(len(seen))
         gained = float(seen @ np.linalg.solve(both, seen))
         return 0.5 * gained - 0.5 * float(np.linalg.slogdet(both)[1])
 
-    def _of(self, begun: _ChangeBegun, change: _Change) -> tuple[Floats, Floats]:
-        """Return information and score of a change, in units of its prior."""
-        scale = self._spread[change.columns]
-        told = begun.told[change.columns, change.columns] * np.outer(scale, scale)
-        return told, begun.seen[change.columns] * scale
+    def _stacked(self) -> tuple[list[slice], Floats]:
+        """Return where each change lies in the signatures, and 1 sd of all of these."""
+        count, places = 0, list[slice]()
+        spread = np.ones(len(self._frees) + len(self.arm.plausible))
+        for change in self._changes:
+            begin = count if change.is_effect else len(self._frees) + change.members.start
+            count += len(change.frees)
+            places.append(slice(begin, begin + len(change.spread)))
+            spread[places[-1]] = change.spread
+        return places, spread
 
     def _signatures(self, tensions: Floats, built: Floats) -> Floats | None:
         """Return what a unit of every change does to the markers, (3 J, c) [m per unit]."""
@@ -180,8 +199,6 @@ class DriftAlarm:
         here = whole.markers({}, inputs)
         if here is None:
             return None
-        if not self._changes:
-            self._list_changes(whole)
         columns = []
         for free in self._frees:
             value, step = whole.value(free), STEP_SHARE * free.parameter.typical
@@ -190,42 +207,6 @@ class DriftAlarm:
             moved = whole.markers({free: value + step}, inputs)
             columns.append(np.zeros(here.size) if moved is None else (moved - here).ravel() / step)
         return np.column_stack([*columns, built / self.arm.plausible])
-
-    def _list_changes(self, whole: Predictor) -> None:
-        """List what may change: effects, single cells, gains, the tracker's frame."""
-        spread: list[float] = []
-        for effect in self.arm.catalogue:
-            if effect.needs in ('history', 'pulls'):
-                continue
-            if effect.acts_on and effect.acts_on not in self.arm.robot.effects:
-                continue
-            frees = free_parameters(effect, self.arm.robot)
-            place = slice(len(spread), len(spread) + len(frees))
-            self._changes.append(_Change(effect.name, place, tuple(f.key for f in frees)))
-            self._frees += frees
-            spread += [free.parameter.typical for free in frees]
-        count, tracker = len(spread), list[int]()
-        for kind in self.arm.kinds:
-            here = range(count, count + len(kind))
-            count += len(kind)
-            spread += [CHANGES.get(kind.name, 1.0)] * len(kind)
-            if kind.name in (POSITION, ROTATION):
-                tracker += here
-            elif kind.name in CHANGES:
-                what = 'stiffness of' if kind.name == CELLS else 'gain of'
-                self._changes += [
-                    _Change(f'{what} {name}', slice(i, i + 1), ('relative_change',))
-                    for i, name in zip(here, kind.members, strict=True)
-                ]
-        if tracker:
-            place = slice(tracker[0], tracker[-1] + 1)
-            self._changes.append(_Change(TRACKER, place, _frame_keys(len(tracker))))
-        self._spread = np.array(spread)
-
-
-def _frame_keys(count: int) -> tuple[str, ...]:
-    """Name the parameters of the tracker's frame."""
-    return tuple(f'{what}_{axis}' for what in (POSITION, ROTATION) for axis in 'xyz')[:count]
 
 
 def described(suspects: Sequence[Suspect]) -> str:

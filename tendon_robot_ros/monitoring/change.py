@@ -1,0 +1,392 @@
+"""
+What has changed: every change fitted to the postures since an alarm, and the posture to ask next.
+
+The drift alarm looks at changes to first order, at postures that happened to come. Here a change
+theta (an effect of the catalogue appears, a cell gets softer, a gain moves, the tracker is bumped)
+moves the model itself; the arm is otherwise as it was known before,
+
+    y = f(T, b0; theta) + B (b - b0) + remainder + noise,   b ~ N(b0, P),   theta ~ N(0, s² T)
+
+and the change is worth its evidence by Laplace's approximation,
+
+    log E = -1/2 (r' V^-1 r + theta' (s² T)^-1 theta + log |V| + log |1 + s² T J' V^-1 J|),
+
+s one of a few scales, each as likely as the others: nobody knows how large a change is. A posture
+is worth how far the likely changes would lie apart there, each with the value that was fitted and
+free to follow within what is known of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from ..comparison.predict import CELLS, FreeParameter, Point, Predictor, free_parameters
+from ..data import DataSet
+from ..diagnosis.as_built import GAIN, POSITION, ROTATION
+from ..diagnosis.slopes import imperfections
+from ..diagnosis.split import SplitPredictor
+from .built_arm import BuiltArm
+
+Floats = npt.NDArray[np.float64]
+SCALES = 1.0, 10.0, 100.0  # of a usual size, that a change may have
+ROUNDS_MAX = 12  # of Gauss-Newton
+STEP_LENGTHS = 1.0, 0.5, 0.2, 0.05
+SETTLED_GAIN = 0.01  # of log E, below which a fit ends
+CLOSE_LOG = 30.0  # of log E behind the best, within which a change is fitted around itself
+APART_PROBABILITY = 0.95  # of one change, from which nothing needs to be asked
+LIKELY_MIN = 1e-3  # probability of a change that a posture is chosen for
+LIKELY_MAX = 4  # changes that a posture is chosen for
+USUAL_CHANGES = {CELLS: 0.1, GAIN: 0.03, POSITION: 2e-3, ROTATION: 0.01}  # 1 sd [their units]
+TRACKER = 'the tracker'
+
+
+@dataclass(frozen=True)
+class Change:
+    """Something that may have happened: an effect, or imperfections that moved."""
+
+    name: str
+    keys: tuple[str, ...]
+    spread: Floats  # (k,) 1 sd of its values, as they usually are [their units]
+    frees: tuple[FreeParameter, ...] = ()  # of an effect
+    members: slice = slice(0)  # among the imperfections of the arm
+
+    @property
+    def is_effect(self) -> bool:
+        """Whether the model has parameters for it."""
+        return bool(self.frees)
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A change that may have happened."""
+
+    name: str
+    probability: float  # among all changes, given that there was one
+    values: dict[str, float]  # most likely size, by parameter [its unit]
+
+
+def changes_of(arm: BuiltArm) -> tuple[Change, ...]:
+    """List what may happen to an arm: effects, single cells, gains, the tracker's frame."""
+    made = list[Change]()
+    for effect in arm.catalogue:
+        if effect.needs in ('history', 'pulls'):
+            continue
+        if effect.acts_on and effect.acts_on not in arm.robot.effects:
+            continue
+        frees = free_parameters(effect, arm.robot)
+        usual = np.array([free.parameter.typical for free in frees])
+        made.append(Change(effect.name, tuple(f.key for f in frees), usual, frees))
+    count, frame = 0, dict[str, slice]()
+    for kind in arm.kinds:
+        here, count = range(count, count + len(kind)), count + len(kind)
+        usual = np.full(1, USUAL_CHANGES.get(kind.name, 1.0))
+        if kind.name in (POSITION, ROTATION):
+            frame[kind.name] = slice(here.start, here.stop)
+        elif kind.name in USUAL_CHANGES:
+            what = 'stiffness of' if kind.name == CELLS else 'gain of'
+            made += [
+                Change(f'{what} {name}', ('relative_change',), usual, (), slice(i, i + 1))
+                for i, name in zip(here, kind.members, strict=True)
+            ]
+    if frame:
+        places = sorted(frame.items(), key=lambda item: item[1].start)
+        keys = tuple(f'{name}_{axis}' for name, _ in places for axis in 'xyz')
+        spread = np.repeat([USUAL_CHANGES[name] for name, _ in places], 3)
+        whole = slice(places[0][1].start, places[-1][1].stop)
+        made.append(Change(TRACKER, keys, spread, (), whole))
+    return tuple(made)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Postures as measured."""
+
+    tensions: Floats  # (P, m) [N]
+    positions: Floats  # (P, 3 J) [m]
+    frames: tuple[int, ...]
+
+    @cached_property
+    def rows(self) -> npt.NDArray[np.bool_]:
+        """Which coordinates were seen (P, 3 J)."""
+        return np.isfinite(self.positions)
+
+
+class _Weights:
+    """The covariance V of what is seen, in the space of the imperfections."""
+
+    def __init__(self, arm: BuiltArm, seen: _Seen, columns: Floats) -> None:
+        """Take the columns (P, 3 J, q) [m per sd] of the imperfections."""
+        self.rows, self._roots, log = seen.rows, list[Floats](), 0.0
+        for rows, own, frames in zip(seen.rows, columns, seen.frames, strict=True):
+            root = np.linalg.cholesky(arm.widening * arm.scatter(rows, own, frames))
+            log += 2.0 * float(np.log(np.diag(root)).sum())
+            self._roots.append(np.linalg.inv(root))
+        q = len(arm.covariance)
+        known = np.linalg.cholesky(arm.widening * arm.covariance + 1e-12 * np.eye(q))
+        self._built = self.white(columns) @ known
+        inner = np.linalg.cholesky(np.eye(q) + self._built.T @ self._built)
+        self._inner = np.linalg.inv(inner)
+        self.log_determinant = log + 2.0 * float(np.log(np.diag(inner)).sum())
+
+    def white(self, values: Floats) -> Floats:
+        """Whiten values (P, 3 J, ...) by what is new in every posture: (N, ...)."""
+        parts = zip(self._roots, values, self.rows, strict=True)
+        return np.concatenate([root @ own[rows] for root, own, rows in parts])
+
+    def lifted(self, white: Floats) -> tuple[Floats, Floats]:
+        """Return whitened values and what of them imperfections would take."""
+        return white, self._inner @ (self._built.T @ white)
+
+    @staticmethod
+    def product(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> Floats:
+        """Return x' V^-1 y of two that were lifted."""
+        return np.asarray(one[0].T @ other[0] - one[1].T @ other[1])
+
+
+@dataclass(frozen=True)
+class ChangeFit:
+    """A change at its most likely size."""
+
+    change: Change
+    values: Floats  # (k,) [its units]
+    log: float  # log E
+    information: Floats  # (k, k) of the values, their prior included
+
+
+class ChangeFinder:
+    """
+    Tells what has changed, posture by posture.
+
+    Parameters
+    ----------
+    arm : BuiltArm
+        As it was known before the change; it is not changed here.
+    changes : sequence of Change
+        What may have happened.
+
+    """
+
+    def __init__(self, arm: BuiltArm, changes: Sequence[Change]) -> None:
+        """Know nothing of the change."""
+        self.arm, self.changes = arm, tuple(changes)
+        self._taken: list[tuple[Floats, Floats, int]] = []
+        self.fits: list[ChangeFit] = []  # the most likely first
+
+    def take(self, tensions: Floats, positions: Floats, frames: int = 1) -> None:
+        """Take a posture: (m,) [N], the mean of frames (J, 3) [m], nan where nothing was seen."""
+        self._taken.append((np.maximum(tensions, 0.0), positions.ravel(), frames))
+
+    def suspects(self) -> tuple[Suspect, ...]:
+        """Fit every change; return them by their probability, the most likely first."""
+        work = self._work()
+        if work is None:
+            return ()
+        fits = [fit for change in self.changes if (fit := work.fit(change)) is not None]
+        best = max(fit.log for fit in fits)
+        near = [fit for fit in fits if fit.change.is_effect and fit.log > best - CLOSE_LOG]
+        again = {fit.change.name: work.fit_around(fit) for fit in near}
+        fits = [again.get(fit.change.name) or fit for fit in fits]
+        self.fits = sorted(fits, key=lambda fit: -fit.log)
+        shares = self._shares()
+        return tuple(
+            Suspect(f.change.name, float(p), dict(zip(f.change.keys, f.values.tolist(),
+                                                      strict=True)))
+            for f, p in zip(self.fits, shares, strict=True)
+        )  # fmt: skip
+
+    def most_telling(self, offered: Floats) -> int | None:
+        """
+        Return which of the tensions (b, m) [N] separates the likely changes best.
+
+        None where one is likely enough, or nothing that is offered separates them.
+        """
+        shares = self._shares()
+        if not len(shares) or shares[0] > APART_PROBABILITY:
+            return None
+        likely = [i for i, p in enumerate(shares[:LIKELY_MAX]) if p > LIKELY_MIN]
+        blank = np.zeros((len(offered), self.arm.split.dataset.positions.shape[2] * 3))
+        work = _Work(self, _Seen(np.maximum(offered, 0.0), blank, (1,) * len(offered)))
+        if not work.ready:
+            return None
+        shown = [work.shown(self.fits[i]) for i in likely]
+        if shown[0] is None:
+            return None
+        worth, first = np.zeros(len(offered)), shown[0]
+        for i, other in zip(likely[1:], shown[1:], strict=True):
+            if other is not None:
+                apart = work.apart(first, other, self.fits[i].information)
+                worth += shares[i] * np.log1p(apart)
+        best = int(np.argmax(worth))
+        return best if worth[best] > 0.0 else None
+
+    def _shares(self) -> Floats:
+        logs = np.array([fit.log for fit in self.fits])
+        odds = np.exp(logs - logs.max()) if len(logs) else logs
+        return np.asarray(odds / odds.sum()) if len(odds) else odds
+
+    def _work(self) -> _Work | None:
+        if not self._taken:
+            return None
+        tensions, positions, frames = zip(*self._taken, strict=True)
+        work = _Work(self, _Seen(np.array(tensions), np.array(positions), frames))
+        return work if work.ready else None
+
+
+class _Work:
+    """Fits to one set of postures."""
+
+    def __init__(self, finder: ChangeFinder, seen: _Seen) -> None:
+        self.arm, self.seen = finder.arm, seen
+        whole, P = self.arm.split.dataset, len(seen.tensions)
+        dataset = DataSet(
+            'since', self.arm.robot, whole.markers, tuple(map(str, range(P))), seen.tensions,
+            np.full((P, 1, len(whole.markers), 3), np.nan), gravity=self.arm.robot.gravity,
+        )  # fmt: skip
+        self.split = SplitPredictor(Predictor(dataset, self.arm.robot, self.arm.catalogue))
+        self.split.around = self.arm.members
+        here = self._markers({})
+        columns = self._columns({}) if here is not None else None
+        self.ready = columns is not None
+        if here is not None and columns is not None:
+            self.here, self.columns = here, columns
+            self.weights = _Weights(self.arm, seen, columns)
+
+    def fit(self, change: Change) -> ChangeFit | None:
+        """Fit one change, around the arm as it was."""
+        return self._effect(change) if change.is_effect else self._member(change)
+
+    def fit_around(self, fit: ChangeFit) -> ChangeFit | None:
+        """Fit an effect once more, imperfections as they move the arm that it acts on."""
+        columns = self._columns(self._point(fit.change, fit.values))
+        if columns is None:
+            return None
+        usual, self.weights = self.weights, _Weights(self.arm, self.seen, columns)
+        try:
+            return self._effect(fit.change, fit.values)
+        finally:
+            self.weights = usual
+
+    def shown(self, fit: ChangeFit) -> tuple[Floats, Floats] | None:
+        """Return markers (P, 3 J) [m] under a change, and their slopes (P, 3 J, k)."""
+        if not fit.change.is_effect:
+            slopes = self._slopes_of_members(fit.change)
+            return self.here + slopes @ fit.values, slopes
+        point = self._point(fit.change, fit.values)
+        there, moved = self._markers(point), self._slopes(fit.change, point)
+        return None if there is None or moved is None else (there, moved)
+
+    def apart(
+        self, one: tuple[Floats, Floats], other: tuple[Floats, Floats], information: Floats
+    ) -> Floats:
+        """Return how far two changes lie apart (P,) in sd², the other free to follow."""
+        off, far = one[0] - other[0], np.zeros(len(self.seen.tensions))
+        for p, frames in enumerate(self.seen.frames):
+            columns, rows = self.columns[p], np.ones(off.shape[1], dtype=bool)
+            spread = self.arm.scatter(rows, columns, frames)
+            spread = self.arm.widening * (spread + columns @ self.arm.covariance @ columns.T)
+            solved = np.linalg.solve(spread, np.column_stack([off[p], other[1][p]]))
+            along = other[1][p].T @ solved[:, 0]
+            told = information + other[1][p].T @ solved[:, 1:]
+            far[p] = off[p] @ solved[:, 0] - along @ np.linalg.solve(told, along)
+        return np.maximum(far, 0.0)
+
+    def _member(self, change: Change) -> ChangeFit:
+        """Fit imperfections that moved: linear."""
+        weights, slopes = self.weights, self._slopes_of_members(change)
+        white = weights.lifted(weights.white(self.seen.positions - self.here))
+        columns = weights.lifted(weights.white(slopes))
+        told = weights.product(columns, columns)
+        prior = np.diag((SCALES[-1] * change.spread) ** -2.0)
+        values = np.linalg.solve(told + prior, weights.product(columns, white))
+        left = white[0] - columns[0] @ values, white[1] - columns[1] @ values
+        log = self._evidence(change, values, float(weights.product(left, left)), told)
+        return ChangeFit(change, values, log, told + prior)
+
+    def _effect(self, change: Change, start: Floats | None = None) -> ChangeFit | None:
+        """Fit an effect by Gauss-Newton, shortened steps, within its bounds."""
+        frees, weights = change.frees, self.weights
+        described = np.array([self.split.value(free) for free in frees])
+        low, high = np.array([(f.parameter.low, f.parameter.high) for f in frees]).T - described
+        prior = np.diag((SCALES[-1] * change.spread) ** -2.0)
+        values = np.zeros(len(frees)) if start is None else start
+        found = self._left(change, values)
+        told = np.zeros_like(prior)
+        for _ in range(ROUNDS_MAX):
+            if found is None:
+                return None
+            left, chi2 = found
+            slopes = self._slopes(change, self._point(change, values))
+            if slopes is None:
+                return None
+            columns = weights.lifted(weights.white(slopes))
+            told = weights.product(columns, columns)
+            step = np.linalg.solve(told + prior, weights.product(columns, left) - prior @ values)
+            before, moved = chi2 + values @ prior @ values, None
+            for share in STEP_LENGTHS:
+                place = np.clip(values + share * step, low, high)
+                tried = self._left(change, place)
+                if tried is not None and tried[1] + place @ prior @ place < before:
+                    moved = place, tried
+                    break
+            if moved is None:
+                break
+            values, found = moved
+            if before - found[1] - values @ prior @ values < SETTLED_GAIN:
+                break
+        assert found is not None
+        log = self._evidence(change, values, found[1], told)
+        return ChangeFit(change, values, log, told + prior)
+
+    def _left(self, change: Change, values: Floats) -> tuple[tuple[Floats, Floats], float] | None:
+        """Return what a change leaves, and its chi²; None without equilibrium."""
+        there = self._markers(self._point(change, values))
+        if there is None:
+            return None
+        left = self.weights.lifted(self.weights.white(self.seen.positions - there))
+        return left, float(self.weights.product(left, left))
+
+    def _evidence(self, change: Change, values: Floats, chi2: float, told: Floats) -> float:
+        """Return log E, every scale of the change as likely as the others."""
+        logs = []
+        for scale in SCALES:
+            spread = scale * change.spread
+            both = np.eye(len(values)) + told * np.outer(spread, spread)
+            cost = float(((values / spread) ** 2).sum()) + float(np.linalg.slogdet(both)[1])
+            logs.append(-0.5 * (chi2 + cost + self.weights.log_determinant))
+        return float(np.logaddexp.reduce(logs) - np.log(len(SCALES)))
+
+    def _point(self, change: Change, values: Floats) -> Point:
+        own = zip(change.frees, values.tolist(), strict=True)
+        return {free: self.split.value(free) + value for free, value in own}
+
+    def _markers(self, point: Point) -> Floats | None:
+        seen = self.split.markers(point)
+        return None if seen is None else seen.reshape(len(seen), -1)
+
+    def _slopes(self, change: Change, point: Point) -> Floats | None:
+        """Return how an effect's parameters move the markers there, (P, 3 J, k)."""
+        if self._markers(point) is None or self.split.settled is None:
+            return None
+        tangent = self.split.tangent(point, change.frees, self.split.settled)
+        if tangent is None:
+            return None
+        moved = tangent.markers.reshape(*tangent.markers.shape[:2], -1)
+        return np.moveaxis(moved, 0, 2)
+
+    def _slopes_of_members(self, change: Change) -> Floats:
+        """Return how imperfections move the markers (P, 3 J, k), per unit."""
+        return self.columns[:, :, change.members] / self.arm.plausible[change.members]
+
+    def _columns(self, point: Point) -> Floats | None:
+        """Return what each imperfection of a plausible size does (P, 3 J, q) [m]."""
+        found = imperfections(self.split, point, self.arm.members)
+        if found is None:
+            return None
+        own = self.arm.plausible
+        moves = found.moves[: len(own)].reshape(len(own), len(self.seen.tensions), -1)
+        return np.moveaxis(own[:, None, None] * moves, 0, 2)
