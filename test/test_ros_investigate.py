@@ -113,7 +113,6 @@ def kinds(*all_):
     kinds(
         ('serial', 'tension', ()),
         ('serial', 'pull', ()),
-        ('dynamixel', 'pull', (pytest.mark.slow,)),
     ),
     indirect=True,
 )

@@ -10,6 +10,7 @@ from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring.built_arm import BuiltArm, widening
+from tendon_robot_ros.monitoring.change import ChangeFinder, ChangeFit, changes_of
 from tendon_robot_ros.monitoring.drift import DriftAlarm, _ChangeBegun
 from tendon_robot_ros.monitoring.tip_force import TipForceObserver
 from tendon_robot_ros.monitoring.watch import ArmWatch, WatchSettings
@@ -114,6 +115,37 @@ def test_a_change_is_told_within_twenty_postures_and_named(learned, hidden, name
     assert name in watch.text
     watch.learn_anew()
     assert watch.state is None
+
+
+def test_a_large_load_is_told_with_its_size_and_not_taken_for_a_tilted_base():
+    """It bends the arm by a quarter of its length: far beyond its tangent."""
+    force = 0.012
+    loaded = Model(ROBOT.with_effect('tip_load', {'force_x': force}))
+    arm = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE, 0.3)
+    finder, random = ChangeFinder(arm, changes_of(arm)), np.random.default_rng(5)
+    for tensions in postures(3, 3):
+        seen = loaded.shape(tensions).positions
+        assert np.linalg.norm(seen - Model(ROBOT).shape(tensions).positions, axis=1).max() > 0.02
+        finder.take(tensions, seen + random.normal(0.0, NOISE, seen.shape))
+    suspects = finder.suspects()
+    assert suspects[0].name == 'tip_load' and suspects[0].probability > 0.9
+    assert suspects[0].values['force_x'] == pytest.approx(force, rel=0.03)
+    assert sum(s.probability for s in suspects) == pytest.approx(1.0)
+
+
+def test_the_posture_that_separates_two_changes_is_not_the_one_in_which_they_look_alike():
+    """A stiffness that is off shows nothing of a straight arm; of one change nothing is asked."""
+    arm = BuiltArm(replace(ROBOT, exact=True), load_catalogue(), default_markers(ROBOT), NOISE)
+    finder = ChangeFinder(arm, changes_of(arm))
+    assert all(change.is_effect for change in finder.changes)
+    named = {change.name: change for change in finder.changes}
+    softer = ChangeFit(named['backbone_stiffness'], np.array([-0.05]), 0.0, 1e9 * np.eye(1))
+    nothing = ChangeFit(named['tip_load'], np.zeros(3), -0.1, 1e9 * np.eye(3))
+    finder.fits = [softer, nothing]
+    low = ROBOT.tension_limits[0]
+    assert finder.most_telling(np.array([[low, low, low], [0.9, low, low], [0.2, low, low]])) == 1
+    finder.fits = [softer, replace(nothing, log=-20.0)]
+    assert finder.most_telling(np.array([[0.9, low, low]])) is None
 
 
 @pytest.mark.parametrize(

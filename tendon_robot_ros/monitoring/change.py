@@ -384,9 +384,11 @@ class _Work:
 
     def _columns(self, point: Point) -> Floats | None:
         """Return what each imperfection of a plausible size does (P, 3 J, q) [m]."""
+        own = self.arm.plausible
+        if not len(own):
+            return np.zeros((*self.seen.positions.shape, 0))
         found = imperfections(self.split, point, self.arm.members)
         if found is None:
             return None
-        own = self.arm.plausible
         moves = found.moves[: len(own)].reshape(len(own), len(self.seen.tensions), -1)
         return np.moveaxis(own[:, None, None] * moves, 0, 2)

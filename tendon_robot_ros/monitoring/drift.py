@@ -32,7 +32,7 @@ BEGIN_EVERY = 4  # postures between two at which a change may begin
 BEGINNINGS_KEPT = 8
 STEP_SHARE = 0.1  # of a typical size, of a difference
 ODD_PROBABILITY = 1e-6  # of the errors of a posture, from which it is surely after the change
-LOOKED_AFTER = (0, 1, 2, 3, 5, 8, 12, 16, 24)  # postures after an alarm, at which it is named anew
+LOOKED_AFTER = (0, 1, 3, 8, 16, 24)  # postures after an alarm, at which it is named anew
 SUSPECTS_TOLD = 5
 
 
