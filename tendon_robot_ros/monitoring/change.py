@@ -46,7 +46,7 @@ TRACKER = 'the tracker'
 
 
 @dataclass(frozen=True)
-class Change:
+class PossibleChange:
     """Something that may have happened: an effect, or imperfections that moved."""
 
     name: str
@@ -70,9 +70,9 @@ class Suspect:
     values: dict[str, float]  # most likely size, by parameter [its unit]
 
 
-def changes_of(arm: BuiltArm) -> tuple[Change, ...]:
+def changes_of(arm: BuiltArm) -> tuple[PossibleChange, ...]:
     """List what may happen to an arm: effects, single cells, gains, the tracker's frame."""
-    made = list[Change]()
+    made = list[PossibleChange]()
     for effect in arm.catalogue:
         if effect.needs in ('history', 'pulls'):
             continue
@@ -80,7 +80,7 @@ def changes_of(arm: BuiltArm) -> tuple[Change, ...]:
             continue
         frees = free_parameters(effect, arm.robot)
         usual = np.array([free.parameter.typical for free in frees])
-        made.append(Change(effect.name, tuple(f.key for f in frees), usual, frees))
+        made.append(PossibleChange(effect.name, tuple(f.key for f in frees), usual, frees))
     count, frame = 0, dict[str, slice]()
     for kind in arm.kinds:
         here, count = range(count, count + len(kind)), count + len(kind)
@@ -90,7 +90,7 @@ def changes_of(arm: BuiltArm) -> tuple[Change, ...]:
         elif kind.name in USUAL_CHANGES:
             what = 'stiffness of' if kind.name == CELLS else 'gain of'
             made += [
-                Change(f'{what} {name}', ('relative_change',), usual, (), slice(i, i + 1))
+                PossibleChange(f'{what} {name}', ('relative_change',), usual, (), slice(i, i + 1))
                 for i, name in zip(here, kind.members, strict=True)
             ]
     if frame:
@@ -98,12 +98,12 @@ def changes_of(arm: BuiltArm) -> tuple[Change, ...]:
         keys = tuple(f'{name}_{axis}' for name, _ in places for axis in 'xyz')
         spread = np.repeat([USUAL_CHANGES[name] for name, _ in places], 3)
         whole = slice(places[0][1].start, places[-1][1].stop)
-        made.append(Change(TRACKER, keys, spread, (), whole))
+        made.append(PossibleChange(TRACKER, keys, spread, (), whole))
     return tuple(made)
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _PosturesSeen:
     """Postures as measured."""
 
     tensions: Floats  # (P, m) [N]
@@ -119,7 +119,7 @@ class _Seen:
 class _Weights:
     """The covariance V of what is seen, in the space of the imperfections."""
 
-    def __init__(self, arm: BuiltArm, seen: _Seen, columns: Floats) -> None:
+    def __init__(self, arm: BuiltArm, seen: _PosturesSeen, columns: Floats) -> None:
         """Take the columns (P, 3 J, q) [m per sd] of the imperfections."""
         self.rows, self._roots, log = seen.rows, list[Floats](), 0.0
         for rows, own, frames in zip(seen.rows, columns, seen.frames, strict=True):
@@ -152,7 +152,7 @@ class _Weights:
 class ChangeFit:
     """A change at its most likely size."""
 
-    change: Change
+    change: PossibleChange
     values: Floats  # (k,) [its units]
     log: float  # log E
     information: Floats  # (k, k) of the values, their prior included
@@ -166,12 +166,12 @@ class ChangeFinder:
     ----------
     arm : BuiltArm
         As it was known before the change; it is not changed here.
-    changes : sequence of Change
+    changes : sequence of PossibleChange
         What may have happened.
 
     """
 
-    def __init__(self, arm: BuiltArm, changes: Sequence[Change]) -> None:
+    def __init__(self, arm: BuiltArm, changes: Sequence[PossibleChange]) -> None:
         """Know nothing of the change."""
         self.arm, self.changes = arm, tuple(changes)
         self._taken: list[tuple[Floats, Floats, int]] = []
@@ -210,7 +210,7 @@ class ChangeFinder:
             return None
         likely = [i for i, p in enumerate(shares[:LIKELY_MAX]) if p > LIKELY_MIN]
         blank = np.zeros((len(offered), self.arm.split.dataset.positions.shape[2] * 3))
-        work = _Work(self, _Seen(np.maximum(offered, 0.0), blank, (1,) * len(offered)))
+        work = _Work(self, _PosturesSeen(np.maximum(offered, 0.0), blank, (1,) * len(offered)))
         if not work.ready:
             return None
         shown = [work.shown(self.fits[i]) for i in likely]
@@ -233,14 +233,14 @@ class ChangeFinder:
         if not self._taken:
             return None
         tensions, positions, frames = zip(*self._taken, strict=True)
-        work = _Work(self, _Seen(np.array(tensions), np.array(positions), frames))
+        work = _Work(self, _PosturesSeen(np.array(tensions), np.array(positions), frames))
         return work if work.ready else None
 
 
 class _Work:
     """Fits to one set of postures."""
 
-    def __init__(self, finder: ChangeFinder, seen: _Seen) -> None:
+    def __init__(self, finder: ChangeFinder, seen: _PosturesSeen) -> None:
         self.arm, self.seen = finder.arm, seen
         whole, P = self.arm.split.dataset, len(seen.tensions)
         dataset = DataSet(
@@ -256,7 +256,7 @@ class _Work:
             self.here, self.columns = here, columns
             self.weights = _Weights(self.arm, seen, columns)
 
-    def fit(self, change: Change) -> ChangeFit | None:
+    def fit(self, change: PossibleChange) -> ChangeFit | None:
         """Fit one change, around the arm as it was."""
         return self._effect(change) if change.is_effect else self._member(change)
 
@@ -295,7 +295,7 @@ class _Work:
             far[p] = off[p] @ solved[:, 0] - along @ np.linalg.solve(told, along)
         return np.maximum(far, 0.0)
 
-    def _member(self, change: Change) -> ChangeFit:
+    def _member(self, change: PossibleChange) -> ChangeFit:
         """Fit imperfections that moved: linear."""
         weights, slopes = self.weights, self._slopes_of_members(change)
         white = weights.lifted(weights.white(self.seen.positions - self.here))
@@ -307,7 +307,7 @@ class _Work:
         log = self._evidence(change, values, float(weights.product(left, left)), told)
         return ChangeFit(change, values, log, told + prior)
 
-    def _effect(self, change: Change, start: Floats | None = None) -> ChangeFit | None:
+    def _effect(self, change: PossibleChange, start: Floats | None = None) -> ChangeFit | None:
         """Fit an effect by Gauss-Newton, shortened steps, within its bounds."""
         frees, weights = change.frees, self.weights
         described = np.array([self.split.value(free) for free in frees])
@@ -342,7 +342,9 @@ class _Work:
         log = self._evidence(change, values, found[1], told)
         return ChangeFit(change, values, log, told + prior)
 
-    def _left(self, change: Change, values: Floats) -> tuple[tuple[Floats, Floats], float] | None:
+    def _left(
+        self, change: PossibleChange, values: Floats
+    ) -> tuple[tuple[Floats, Floats], float] | None:
         """Return what a change leaves, and its chi²; None without equilibrium."""
         there = self._markers(self._point(change, values))
         if there is None:
@@ -350,7 +352,9 @@ class _Work:
         left = self.weights.lifted(self.weights.white(self.seen.positions - there))
         return left, float(self.weights.product(left, left))
 
-    def _evidence(self, change: Change, values: Floats, chi2: float, told: Floats) -> float:
+    def _evidence(
+        self, change: PossibleChange, values: Floats, chi2: float, told: Floats
+    ) -> float:
         """Return log E, every scale of the change as likely as the others."""
         logs = []
         for scale in SCALES:
@@ -360,7 +364,7 @@ class _Work:
             logs.append(-0.5 * (chi2 + cost + self.weights.log_determinant))
         return float(np.logaddexp.reduce(logs) - np.log(len(SCALES)))
 
-    def _point(self, change: Change, values: Floats) -> Point:
+    def _point(self, change: PossibleChange, values: Floats) -> Point:
         own = zip(change.frees, values.tolist(), strict=True)
         return {free: self.split.value(free) + value for free, value in own}
 
@@ -368,7 +372,7 @@ class _Work:
         seen = self.split.markers(point)
         return None if seen is None else seen.reshape(len(seen), -1)
 
-    def _slopes(self, change: Change, point: Point) -> Floats | None:
+    def _slopes(self, change: PossibleChange, point: Point) -> Floats | None:
         """Return how an effect's parameters move the markers there, (P, 3 J, k)."""
         if self._markers(point) is None or self.split.settled is None:
             return None
@@ -378,7 +382,7 @@ class _Work:
         moved = tangent.markers.reshape(*tangent.markers.shape[:2], -1)
         return np.moveaxis(moved, 0, 2)
 
-    def _slopes_of_members(self, change: Change) -> Floats:
+    def _slopes_of_members(self, change: PossibleChange) -> Floats:
         """Return how imperfections move the markers (P, 3 J, k), per unit."""
         return self.columns[:, :, change.members] / self.arm.plausible[change.members]
 
