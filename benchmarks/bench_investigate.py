@@ -25,6 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
+from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.investigation.goal import Goal
@@ -175,7 +176,7 @@ def summary(name, rows):
             for kind in ([row['fixed'] for row in rows], own)
         ],
         'called adequate, fixed and investigation': [
-            sum(row['fixed']['verdict'] == 'adequate' for row in rows),
+            sum(row['fixed']['verdict'] == Verdict.ADEQUATE for row in rows),
             sum(one['why'] == 'model_adequate' for one in own),
         ],
         'where both are right: postures, median': median(
