@@ -31,6 +31,7 @@ CYCLE, LAG = 0.005, 0.02  # [s]
 TENSION_NOISE, TIP_NOISE = 0.005, 2e-4  # [N], [m] 1 sd
 TRACK_EVERY, PREDICT_EVERY = 4, 6  # cycles: 50 Hz, 33 Hz
 LENGTH = {'friction_memory': {'presliding_length': 2e-4}}  # [m]
+STILL_N = 1e-6  # [N] an arm whose tensions change by less stands still
 MOVE_S = 1.6  # [s] for a target
 FITTED = {}  # arm -> the description that was calibrated on it
 LIMITS = {  # what issue 20 asks for
@@ -76,6 +77,10 @@ def calibrated(name, plant):
     return best
 
 
+def stands(rig):
+    """Nothing happens beside the controller."""
+
+
 class Rig:
     """A controller core, a driver with lag and noise, and a plant that is not its model."""
 
@@ -92,7 +97,7 @@ class Rig:
         self.core = ControllerCore(Model(described), Settings(drive_lag=LAG, **settings))
         self.random, self.now, self.step = np.random.default_rng(seed), 0.0, 0
         self.actual = self.core.model.limits[:, 0].copy()
-        self.arm = self.plant.respond(self.actual)
+        self.respond()
         self.tips, self.skipped = [], 0
         self.run(0.1)
 
@@ -100,7 +105,7 @@ class Rig:
     def tip(self):
         return self.arm.tip_position
 
-    def run(self, seconds, before=lambda rig: None):
+    def run(self, seconds, before=stands):
         for _ in range(round(seconds / CYCLE)):
             self.now, self.step = self.now + CYCLE, self.step + 1
             before(self)
@@ -110,16 +115,20 @@ class Rig:
             if output is not None:
                 share = 1.0 - np.exp(-CYCLE / LAG)
                 self.actual = self.actual + share * (output.tensions - self.actual)
-            try:
-                self.arm = self.plant.respond(self.actual)
-            except NoEquilibriumError:  # Prandtl's sharp end: the plant's search goes in circles
-                self.skipped += 1
+            if before is not stands or np.abs(self.actual - self.answered).max() > STILL_N:
+                self.respond()
             if self.step % PREDICT_EVERY == 0:
                 self.core.predict(self.now, lambda shape: None)
             if self.core.settings.tip_gain > 0.0 and self.step % TRACK_EVERY == 0:
                 seen = self.tip + TIP_NOISE * self.random.normal(size=3)
                 self.core.loop.take(self.now, self.core, seen)
             self.tips.append(self.tip.copy())
+
+    def respond(self):
+        try:
+            self.arm, self.answered = self.plant.respond(self.actual), self.actual
+        except NoEquilibriumError:  # Prandtl's sharp end: the plant's search goes in circles
+            self.skipped += 1
 
     def go(self, position):
         self.core.aim(Target(position))
@@ -188,6 +197,7 @@ def bench_orders(count, name, exact):
 
 def loaded(rig, force):
     rig.plant.model.arrays.set('tip_load', 'force_x', None, force)
+    rig.answered = np.inf
 
 
 def load_of(rig, distance):

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tendon_robot_ros.control import ControllerCore, Settings, Target
+from tendon_robot_ros.control import ControllerCore, Settings, Target, mismatch
 from tendon_robot_ros.control.friction_state import FeltTensions, forgetting
 from tendon_robot_ros.control.mismatch import STEP_SHARE, Mismatch, stability_margins
 from tendon_robot_ros.control.status import controller_status
@@ -267,3 +267,40 @@ def test_the_margin_of_the_gain_is_where_the_loop_begins_to_ring(samples):
             size.append(abs(goal))
         swings.append(max(size[-200:]) / max(size[200:400]))
     assert swings[0] < 0.1 and swings[1] > 10.0
+
+
+LAG, PERIOD = 0.03, 0.02  # [s] of the drive, of the tracker
+
+
+def answered(late, told=0.0):
+    """Return the tip of an arm with a lag that is shifted, before a tracker that sees it late."""
+    arm, tips = model(False), []
+    core = ControllerCore(arm, Settings(tip_gain=5.0, drive_lag=LAG, tracker_delay=told))
+    acts, shift, came = arm.limits[:, 0].copy(), np.array([3e-3, 0.0, -1e-3]), 1.2
+    shape = arm.shape(acts)
+    for step in range(round(2.4 / CYCLE)):
+        now = CYCLE * (step + 1)
+        core.measured(now, acts, shape.pulls)
+        output = core.step(now)
+        if step == 2:
+            core.aim(Target(arm.shape(np.array(TARGETS[0])).tip_position))
+        acts = acts + (1.0 - np.exp(-CYCLE / LAG)) * (output.tensions - acts)
+        shape = arm.follow(shape, acts)
+        core.predict(now, lambda shape: None)
+        tips.append(shape.tip_position + (shift if now > came else 0.0))
+        if step % 4 == 0 and step > 4 * late:
+            core.loop.take(now, core, tips[step - 4 * late])
+    return np.array(tips)
+
+
+def test_a_delay_that_is_told_only_shifts_the_answer(monkeypatch):
+    """Smith 1957: behind lag and dead time the predicted loop is the one without, later."""
+    monkeypatch.setattr(mismatch, 'SLOPE_DOUBT', 1e-9)  # a loop that does not learn is linear
+    monkeypatch.setattr(mismatch, 'SLOPE_DOUBT_LEAST', 1e-9)
+    begins, shift = round(1.2 / CYCLE), round(3 * PERIOD / CYCLE)
+    at_once = answered(0)[begins:]
+    late, unknown = (answered(3, told=told)[begins:] for told in (3 * PERIOD, 0.0))
+    away = np.linalg.norm(at_once - at_once[-1], axis=1)
+    assert away[0] > 3e-3 > 3e-5 > away[-40]
+    off, untold = (np.abs(tips[shift:] - at_once[:-shift]).max() for tips in (late, unknown))
+    assert off < 0.005 * away[0] < 0.05 * away[0] < untold

@@ -9,7 +9,9 @@ from arms import GRAVITY, planar, spatial, two_sections
 from reference import Reference
 
 from tendon_robot_ros.common.errors import RobotDescriptionError
+from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.simulation.hidden import elastic_slip
 
 R, MU, LENGTH = 0.0055, 0.4, 2e-4
 EFFECTS = {
@@ -39,6 +41,46 @@ def test_two_cells_follow_dahls_law_in_closed_form():
     b = MU * np.sin(half / 2)
     ratio = ((1 - b) / (1 + b)) ** s
     assert back.tendon_tensions[1, 1] == pytest.approx(0.5 * ratio, rel=1e-12)
+
+
+LAW = load_catalogue()['friction_memory'].law
+EXPONENTS = 0.0, 0.3, 0.999999, 1.0, 1.000001, 1.7, 2.0
+
+
+@pytest.mark.parametrize('exponent', EXPONENTS)
+def test_the_direction_of_friction_follows_its_law(exponent):
+    """Parts of a way are the whole, left is right, full friction is never passed, slope [18]."""
+    random = np.random.default_rng(8)
+    for s, first, second in zip(*random.uniform(-1, 1, (3, 60)), strict=True):
+        first, second = 3.0 * LENGTH * abs(first), 3.0 * LENGTH * abs(second)
+        after = LAW(0.0, s, first, LENGTH, exponent)
+        assert s <= after <= 1.0
+        whole = LAW(0.0, s, first + second, LENGTH, exponent)
+        assert LAW(0.0, after, second, LENGTH, exponent) == pytest.approx(whole, abs=1e-9)
+        assert LAW(0.0, -s, -first, LENGTH, exponent) == pytest.approx(-after, abs=1e-15)
+        step = 1e-6 * LENGTH
+        slope = (LAW(0.0, s, step, LENGTH, exponent) - s) / step
+        assert slope * LENGTH == pytest.approx((1.0 - s) ** exponent, rel=1e-4, abs=1e-6)
+    assert LAW(0.0, 0.4, 0.0, LENGTH, exponent) == 0.4
+
+
+def test_the_exponents_between_springs_and_hyperbolas_have_their_closed_forms():
+    for s, way in zip(*np.random.default_rng(2).uniform(-1, 1, (2, 50)), strict=True):
+        way = 2.5 * abs(way)
+        springs = LAW(0.0, s, way * LENGTH, LENGTH, 0.0)
+        assert springs == pytest.approx(elastic_slip(0.0, s, way * LENGTH, LENGTH, 0.0))
+        half = max(np.sqrt(1.0 - s) - 0.5 * way, 0.0) ** 2  # Torricelli: it ends
+        assert 1.0 - LAW(0.0, s, way * LENGTH, LENGTH, 0.5) == pytest.approx(half, abs=1e-12)
+        hyperbola = (1.0 - s) / (1.0 + (1.0 - s) * way)
+        assert 1.0 - LAW(0.0, s, way * LENGTH, LENGTH, 2.0) == pytest.approx(hyperbola)
+
+
+def test_a_description_without_the_exponent_is_dahls():
+    rows = [[0.0, 1.0], [0.0, 0.5]]
+    listed = EFFECTS['friction_memory'] | {'exponent': 1.0}
+    one = Model(planar(4, EFFECTS)).sequence(rows)
+    other = Model(planar(4, EFFECTS | {'friction_memory': listed})).sequence(rows)
+    assert np.array_equal(one.bend, other.bend)
 
 
 def test_a_shape_that_follows_another_is_that_of_the_sequence():

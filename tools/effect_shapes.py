@@ -23,7 +23,7 @@ OWN_SIZES = {
     'tendon_friction': {'friction_coefficient': 0.33},
     'eyelet_wrap': {'fraction': 1.0},
     'tendon_travel': {'fraction': 1.0},
-    'friction_memory': {'presliding_length': 2e-4},
+    'friction_memory': {'presliding_length': 2e-4, 'exponent': 1.0},
     'straight_tendon': {'fraction': 1.0},
     'eyelet_clearance': {'clearance': 3e-4},
     'hinge_friction': {'lever': 4e-4},

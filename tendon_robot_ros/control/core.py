@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..common.errors import DriverError, TendonRobotError
 from ..drivers.safety import CYCLE_MAX_S, StopLatch, approach, bounded
 from .checks import Refusal
-from .friction_state import Approach, FeltTensions
+from .friction_state import Approach, Arrival, FeltTensions
 from .jog import Jog, Twist, follow_twist, start_jog
 from .model_change import change_model
 from .pull_path import Way
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 HELD_SILENT_S = 1.0  # [s] for which the last command is held after the driver fell silent
-FOLLOWED_SHARE, FOLLOWED_TIMEOUT_S = 0.004, 0.5  # [1] of the range, [s] until a way turns
 
 
 def raised(error: TendonRobotError | None) -> None:
@@ -71,7 +70,7 @@ class ControllerCore:
     _heard: MeasuredState | None = None
     _lost: bool = True  # where the arm is
     _silent: bool = True
-    _commanded: tuple[float, Array] | None = None  # [s] since when, (m,) [N], on a way
+    _arrival: Arrival = field(default_factory=Arrival)  # at the next turn of a way
     _syncing: object | None = None  # while the solver looks where the arm is
     track: ShapeTracker = field(init=False)
 
@@ -307,13 +306,10 @@ class ControllerCore:
     def _follows(self, now: float) -> bool:
         """Whether the arm is where the command is, or has been given the time."""
         assert self.command is not None
-        if self._commanded is None or not np.array_equal(self._commanded[1], self.command):
-            self._commanded = now, self.command
-        low, high = self.settings.limits(self.model).T
         if (heard := self._heard) is None or not heard.observed or self.way is not None:
             return True
-        near = np.abs(heard.tensions - self.command) < FOLLOWED_SHARE * (high - low)
-        return bool(near.all()) or now - self._commanded[0] > FOLLOWED_TIMEOUT_S
+        low, high = self.settings.limits(self.model).T
+        return self._arrival.over(now, self.command, heard.tensions, high - low)
 
     def _goal(self, now: float) -> Array:
         assert self.command is not None

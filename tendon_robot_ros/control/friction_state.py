@@ -27,6 +27,7 @@ APPROACHES = 'any', 'from_below', 'model'
 NOISES = 4.0  # [1] standard deviations of a measured tension that say nothing
 NOISE_SHARES = 2e-4, 1e-2  # [1] of the highest tension: least and largest noise
 NOISE_SAMPLES, MEAN_SAMPLES = 50.0, 100.0  # over which noise and what differs are averaged
+CYCLES_LATE = 2.0  # by which a measured tension may be behind a command on the move
 OVER_BANDS = 80.0  # [1] of the friction band, by which the bend of `from_below` moves wires
 BAND_SHARE = 0.036  # [1] of the largest radius: the friction band where nobody knows it
 OVER_MAX_RAD = 4.0  # [rad] of bend, for that
@@ -36,6 +37,8 @@ OVERSHOOT_MAX = 0.1  # [1] of the step of the tip, on a way that `model` chooses
 FORGOTTEN = 0.0, -1.0  # [1] what friction might be instead, of the state that is
 AS_GOOD_M = 2e-4  # [m] by which a way must be surer than the direct one
 LOOKS = 4  # at the tip on every leg
+NEAR_SHARE = 0.004  # [1] of the range: tensions that have followed, but for the end of a lag
+NEAR_S, NEAR_TIMEOUT_S = 0.1, 0.5  # [s] of being near, or of waiting for it, before a way turns
 
 
 @dataclass
@@ -79,7 +82,9 @@ class FeltTensions:
         """
         bias = np.zeros_like(command) if self.bias is None else self.bias
         if measured is not None:
+            before = command if self._last is None else self._last[0]
             width = NOISES * self._noise(command, measured, highest)
+            width = width + CYCLES_LATE * np.abs(command - before)
             differs = measured - command
             mean = differs if self._mean is None else self._mean
             self._mean = mean = mean + (differs - mean) / MEAN_SAMPLES
@@ -100,6 +105,28 @@ class FeltTensions:
             seen = np.minimum(seen, NOISES**2 * self._variance)  # a jump is no noise
             self._variance = self._variance + (seen - self._variance) / NOISE_SAMPLES
         return np.clip(np.sqrt(self._variance), least, most)
+
+
+@dataclass
+class Arrival:
+    """
+    Whether the arm has come to a turn of its way.
+
+    How far tendons were let go decides where friction begins to turn round: a way that turns
+    while the drive still follows turns elsewhere every time.
+    """
+
+    _command: Array | None = None  # (m,) [N]
+    _since: float = -np.inf  # [s] when it was commanded
+    _near: float = -np.inf  # [s] when the tensions came near
+
+    def over(self, now: float, command: Array, measured: Array, width: Array) -> bool:
+        """Tell whether measured tensions (m,) [N] have followed; `width` (m,) [N]: the ranges."""
+        if self._command is None or not np.array_equal(command, self._command):
+            self._command, self._since, self._near = command.copy(), now, now
+        if np.any(np.abs(measured - command) >= NEAR_SHARE * width):
+            self._near = now
+        return now - self._near >= NEAR_S or now - self._since > NEAR_TIMEOUT_S
 
 
 @dataclass(frozen=True)

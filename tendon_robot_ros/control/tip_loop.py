@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..common.errors import TendonRobotError
 from ..model.derivatives import tip_slopes
-from ..model.redundancy import bounded_step
+from ..model.redundancy import STEP_DAMPING, bounded_step
 from .mismatch import STEP_SHARE, Mismatch, here_counts, slope_doubt
 
 if TYPE_CHECKING:
@@ -37,7 +37,10 @@ WORSE_FACTOR, WORSE_SHARE = 2.0, 0.1  # [1] of the error at first, and of the ar
 OFFSET_MAX_SHARE = 0.4  # [1] of the arm's length: further off, the model is not of this arm
 NEAR_SHARE = 0.05  # [1] of the arm's length: further off, what was learned is of another place
 HALVINGS = 4  # of a step that would bring the tip no nearer
+STANDING_DAMPING = 0.02  # [1] of the largest slope, see `bounded_step`
+ONE_SIDED_SHARE = 5e-4  # [1] of a tension's range, for slopes in one direction
 PACE = 2.0  # [1] of `tip_gain`: how fast the way to a set point shrinks
+STANDS_SHARE = 2e-3  # [1] of a tension's range: nearer to its goal, the arm counts as standing
 ARRIVED_SHARE = 2e-4  # [1] of a tension's range: nearer, the command is at its goal
 WALK_DOUBT_M, WALK_OFF_M = 5e-5, 2e-4  # [m] of a step of a walk; from the target, that ends it
 WALK_SHARE_MAX = 0.01  # [1] of a tension's range, in one step of a walk
@@ -71,11 +74,13 @@ class TipLoop:
     _asked: object = None  # the target for which the loop runs
     _began: float = np.inf  # [m] error at its beginning
     _left: str = ''  # why it was left for this target
+    _compared: Array | None = None  # (3,) [m] the model's tip with which the last one was
 
     def reset(self) -> None:
         """Forget what was learned."""
         self.tensions, self.known, self._solution, self._due = None, None, None, 0.0
         self.towards = None
+        self._compared = None
         self._passed.clear()
 
     def goal(self, core: Controller, solution: Array) -> Array:
@@ -193,32 +198,38 @@ class TipLoop:
         goal, last, self._due = self.goal(core, solution.tensions), core.track.last, 0.0
         keep_out, towards = core.settings.keep_out, self.towards
         then = self._then(now - core.settings.tracker_delay)
-        before = self._passed[-1][2] if self._passed else None
+        before = self._compared
+        stands = self._stands(core, goal)
 
-        def work(give_up: GiveUp) -> tuple[Mismatch, Array, Array]:
+        def work(give_up: GiveUp) -> _Found:
             here = model.follow(last, applied)
-            step = _Step.at(model, here, wanted, bias, limits)
+            step = _Step.at(model, here, wanted, bias, limits, stands)
             doubt = slope_doubt(step.slopes, length)
             at, tip = (applied, here.tip_position) if then is None else then
-            way = 0.0 if before is None else float(np.linalg.norm(here.tip_position - before))
+            way = 0.0 if before is None else float(np.linalg.norm(tip - before))
             new = (known or Mismatch.unknown(at, limits, doubt)).moved(at)
             new = new.learned(position - tip, gain, passed, doubt, way).moved(applied)
             new = new.within(step.slopes)
             found = step.next_goal(new, step.walked(new, goal, towards))
             if keep_out and keep_out.clearance(model.follow(here, found).positions).distance < 0.0:
                 found = goal  # where it is the arm was allowed
-            return new, found, here.tip_position
+            return _Found(new, found, here.tip_position, tip)
 
-        def done(
-            found: tuple[Mismatch, Array, Array] | None, error: TendonRobotError | None
-        ) -> None:
+        def done(found: _Found | None, error: TendonRobotError | None) -> None:
             if found is not None and core.model is model and core.target is not None:
-                self.known = found[0]
-                self._passed.append((now, applied, found[2]))
+                self.known, self._compared = found.known, found.compared
+                self._passed.append((now, applied, found.tip))
                 if core.solution is solution:
-                    self.tensions, self._solution = found[1], solution
+                    self.tensions, self._solution = found.goal, solution
 
         core.solver.post('loop', work, done)
+
+    def _stands(self, core: Controller, goal: Array) -> bool:
+        """Whether the command is as good as at its goal."""
+        if core.command is None or core.streaming:
+            return False
+        low, high = core.settings.limits(core.model).T
+        return bool(np.all(np.abs(goal - core.command) < STANDS_SHARE * (high - low)))
 
     def _then(self, time: float) -> tuple[Array, Array] | None:
         """Return tensions (m,) [N] and the model's tip (3,) [m] at a time; None: now."""
@@ -234,6 +245,16 @@ class TipLoop:
 
 
 @dataclass(frozen=True)
+class _Found:
+    """What one look at the tip gives."""
+
+    known: Mismatch
+    goal: Array  # (m,) [N]
+    tip: Array  # (3,) [m] the model's, now
+    compared: Array  # (3,) [m] and when the tracker saw it
+
+
+@dataclass(frozen=True)
 class _Step:
     """One step of the goal: where the arm is and should be, as the model sees it."""
 
@@ -243,12 +264,15 @@ class _Step:
     wanted: Array  # (3,) [m]
     bias: Array  # (m,) [N] that acts beyond the command
     limits: Array  # (m, 2) [N]
+    stands: bool = False  # the command is at its goal: time to follow what hardly moves the tip
 
     @classmethod
-    def at(cls, model: Model, here: Shape, wanted: Array, bias: Array, limits: Array) -> _Step:
+    def at(
+        cls, model: Model, here: Shape, wanted: Array, bias: Array, limits: Array, stands: bool
+    ) -> _Step:
         """Look at the slopes where the arm is."""
         width = limits[:, 1] - limits[:, 0]
-        return cls(model, here, _slopes(model, here, here) * width, wanted, bias, limits)
+        return cls(model, here, _slopes(model, here, here) * width, wanted, bias, limits, stands)
 
     def walked(self, known: Mismatch, goal: Array, towards: Array | None) -> Array:
         """Return the goal (m,) [N] a little nearer to others at which the tip is the same."""
@@ -271,15 +295,42 @@ class _Step:
         miss, width = self._left(there, known), self.limits[:, 1] - self.limits[:, 0]
         slopes = _slopes(self.model, there, self.here) * width
         way = self._way(there)
+        damping = STANDING_DAMPING if self.stands else STEP_DAMPING
         part = known.part(there.inputs, way) * here_counts(way, self.model.robot.length)
         for corrected in (slopes + part * known.slopes, slopes):
-            step = bounded_step(corrected, STEP_SHARE * miss, goal, self.limits) - goal
-            for _ in range(HALVINGS):
-                nearer = self._left(self._there(goal + step), known)
-                if np.linalg.norm(nearer) < np.linalg.norm(miss):
-                    return goal + step
-                step = 0.5 * step
-        return goal
+            step = bounded_step(corrected, STEP_SHARE * miss, goal, self.limits, damping) - goal
+            if (found := self._nearer(known, goal, step, miss)) is not None:
+                return found
+        step = self._one_sided_step(there, goal, STEP_SHARE * miss)
+        found = self._nearer(known, goal, step, miss)
+        return goal if found is None else found
+
+    def _nearer(self, known: Mismatch, goal: Array, step: Array, miss: Array) -> Array | None:
+        """Return the goal (m,) [N] after a step, or part of it, that brings the tip nearer."""
+        for _ in range(HALVINGS):
+            left = self._left(self._there(goal + step), known)
+            if np.linalg.norm(left) < np.linalg.norm(miss):
+                return goal + step
+            step = 0.5 * step
+        return None
+
+    def _one_sided_step(self, there: Shape, goal: Array, wanted: Array) -> Array:
+        """
+        Return a step (m,) [N] by slopes that differ by the direction.
+
+        Where tendons pull hard against each other, more and less tension may both let the arm
+        slip the same way: the mean of both slopes then leads nowhere.
+        """
+        m, width = len(goal), self.limits[:, 1] - self.limits[:, 0]
+        sides = np.concatenate([np.eye(m), -np.eye(m)]) * ONE_SIDED_SHARE
+        moves = [self._there(goal + side * width).tip_position for side in sides]
+        slopes = (np.array(moves) - there.tip_position).T / ONE_SIDED_SHARE
+        low, high = self.limits.T
+        room = np.concatenate([high - goal, goal - low])
+        limits = np.stack([np.zeros(2 * m), np.tile(width, 2)], axis=1)
+        step = bounded_step(slopes, wanted, np.zeros(2 * m), limits)
+        step = np.minimum(step, room)
+        return np.asarray(step[:m] - step[m:])
 
     def _way(self, there: Shape) -> float:
         return float(np.linalg.norm(there.tip_position - self.here.tip_position))

@@ -157,10 +157,8 @@ def is_tested(
         return False
     if effect.always_on and not candidate.present:
         # its absence is the base; what shows is what it changes there
-        moves = [
-            {free: factor * free.parameter.typical for free in candidate.frees}
-            for factor in (1.0,)
-        ]
+        shown = [f for f in candidate.frees if not f.parameter.has_default]
+        moves = [{free: free.parameter.typical for free in shown}]
     else:
         moves = [
             {free: _moved(point.get(free, predictor.value(free)), free)}

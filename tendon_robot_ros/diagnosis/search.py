@@ -86,6 +86,8 @@ class Search:
                 point = start.copy()
                 for i, free in enumerate(self.frees):
                     size = sign * factor * free.parameter.typical
+                    if free.parameter.has_default:
+                        continue
                     if catalogue[free.effect].always_on:
                         point[i] = abs(size)
                     elif self.count == 1:

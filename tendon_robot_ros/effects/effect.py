@@ -42,6 +42,8 @@ class Parameter:
         The quantity under `tolerances` of a description whose deviation this parameter is.
     parts_power : int
         Power of the number of parts by which the value grows where a cell is divided.
+    has_default : bool
+        Whether a description may leave it out of an effect that is always on; it is then neutral.
 
     """
 
@@ -56,6 +58,7 @@ class Parameter:
     per_tendon: bool = False
     tolerance: str = ''
     parts_power: int = 0
+    has_default: bool = False
 
     @property
     def per(self) -> str:

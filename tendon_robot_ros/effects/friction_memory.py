@@ -4,17 +4,29 @@ import math
 
 from .effect import Effect, Parameter
 
+SLIPS_BELOW = 1e-12  # [1] of what is left to full friction: the tendon slips
 
-def law(sign, before, change, presliding_length):
+
+def law(sign, before, change, presliding_length, exponent):
     """
-    Direction of friction after a change of travel: s' = g - (g - s) exp(-|d| / length).
+    Direction of friction after a change of travel: ds/d|d| = g (1 - g s)^exponent / length.
 
-    g is the sign of d; Dahl 1968, integrated over a travel in one direction.
+    g is the sign of d; Dahl 1968, integrated over a travel in one direction. Exponent 1 is
+    s' = g - (g - s) exp(-|d| / length), 0 a spring up to where it slips (Prandtl 1928).
     """
     if change == 0.0:
         return before
     g = math.copysign(1.0, change)
-    return g - (g - before) * math.exp(-abs(change) / presliding_length)
+    left, way = 1.0 - g * before, abs(change) / presliding_length
+    if exponent == 1.0:
+        return g - (g - before) * math.exp(-way)
+    if left < SLIPS_BELOW:
+        return g
+    blunt = 1.0 - exponent
+    part = blunt * way * left**-blunt
+    if part >= 1.0:
+        return g
+    return g * (1.0 - left * math.exp(math.log1p(-part) / blunt))
 
 
 EFFECT = Effect(
@@ -25,5 +37,8 @@ EFFECT = Effect(
     acts_on='tendon_friction',
     needs='history',
     law=law,
-    parameters=(Parameter('presliding_length', 'm', 2e-4, 0.4, 2e-4, typical=0.02, of='radius'),),
+    parameters=(
+        Parameter('presliding_length', 'm', 2e-4, 0.4, 2e-4, typical=0.02, of='radius'),
+        Parameter('exponent', '1', 0.0, 2.0, 1.0, typical=0.5, has_default=True),
+    ),
 )

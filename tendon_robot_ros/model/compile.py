@@ -286,7 +286,7 @@ class KernelArrays:
             row = self.values[self.layout.rows[name, key]]
             row[: len(numbers)] = numbers
             row[len(numbers) :] = numbers[0]
-        missing = [key for key in known if key not in values]
+        missing = [p.name for p in known.values() if not (p.has_default or p.name in values)]
         if effect.always_on and missing:
             raise RobotDescriptionError(robot.source, f'effects.{name}', ', '.join(missing), None)
         rows = [self.layout.rows[name, key] for key in known]

@@ -38,10 +38,7 @@ POINTS_MAX = 8  # of the arm that are held away from a region at once
 TRUST, TRUST_MIN = 0.15, 1e-4  # [1] of a tension's range
 STEP_DONE = 3e-5  # [1] of a tension's range: a step that is none
 CO_CONTRACTIONS = 0.1, 0.3  # [1] of the range, more on all tendons
-STEP_DAMPING, STEP_MAX = (
-    0.1,
-    0.03,
-)  # [1] of the largest slope, and of a range, in one step of the tip
+STEP_DAMPING, STEP_MAX = 0.1, 0.03  # [1] of the largest slope, of a range: one step of the tip
 DAMPING = 1e-4  # [1] keeps tensions where nothing speaks for a change
 SLOPE_SHARE = 2e-3  # [1] of a tension's range, for the slope of the stiffness
 CORRECTIONS_MAX, CORRECTED_M = 3, 2e-6  # after a step: how often, and from what error on [m]
@@ -341,7 +338,13 @@ def _positions(batch: ShapeBatch) -> Floats:
     return batch.positions
 
 
-def bounded_step(slopes: Floats, wanted: Floats, tensions: Floats, limits: Floats) -> Floats:
+def bounded_step(
+    slopes: Floats,
+    wanted: Floats,
+    tensions: Floats,
+    limits: Floats,
+    damping: float = STEP_DAMPING,
+) -> Floats:
     """
     Return the tensions (m,) [N] within limits that move the tip as wanted by the least change.
 
@@ -353,14 +356,14 @@ def bounded_step(slopes: Floats, wanted: Floats, tensions: Floats, limits: Float
     tensions : (m,) [N]
         Where the step begins.
     limits : (m, 2) [N]
+    damping : float
+        Share of the largest slope below which a direction of the tip is hardly followed [1].
 
     """
     low, width = limits[:, 0], limits[:, 1] - limits[:, 0]
     u = (tensions - low) / width
     size = float(np.linalg.norm(slopes, 2))
-    matrix = (
-        slopes.T @ slopes + (STEP_DAMPING * size) ** 2 * np.eye(len(u)) + 1e-12 * np.eye(len(u))
-    )
+    matrix = slopes.T @ slopes + (damping * size) ** 2 * np.eye(len(u)) + 1e-12 * np.eye(len(u))
     made = _solved(
         matrix, -slopes.T @ wanted, None, np.maximum(-u, -STEP_MAX), np.minimum(1.0 - u, STEP_MAX)
     )

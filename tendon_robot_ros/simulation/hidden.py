@@ -164,7 +164,7 @@ def chosen(effect: Effect, values: HiddenValues, robot: Robot) -> EffectValues:
 
 
 def _typical(parameter: Parameter, sections: int) -> float | tuple[float, ...]:
-    if parameter.name.endswith(('_y', '_z')):
+    if parameter.has_default or parameter.name.endswith(('_y', '_z')):
         return parameter.neutral
     if parameter.per_section and sections > 1:
         return tuple(parameter.typical * (i + 1) / sections for i in range(sections))
@@ -251,7 +251,7 @@ def plant_catalogue(catalogue: Catalogue) -> Catalogue:
     return Catalogue([friction, *effects, side], catalogue.files, catalogue.is_sized)
 
 
-def elastic_slip(sign, before, change, presliding_length):  # type: ignore[no-untyped-def]
+def elastic_slip(sign, before, change, presliding_length, exponent):  # type: ignore[no-untyped-def]
     """
     Direction of friction after a change of travel: a spring up to where it slips (Prandtl 1928).
 
