@@ -214,7 +214,8 @@ def scaled(effect, key, value, base):
 
 def single_steps(effect, base):
     """Yield small values of an effect, one parameter (of one section) off at a time."""
-    for parameter in effect.parameters:
+    parameters = [parameter for parameter in effect.parameters if not parameter.has_default]
+    for parameter in parameters:
         for part in np.eye(len(base.sections)) if parameter.per_section else [np.array(1.0)]:
             yield {
                 other.name: scaled(
@@ -223,7 +224,7 @@ def single_steps(effect, base):
                     part * other.typical if other is parameter else 0.0 * part,
                     base,
                 )
-                for other in effect.parameters
+                for other in parameters
             }
 
 

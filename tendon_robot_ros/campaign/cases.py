@@ -177,7 +177,7 @@ def hidden_values(
     values: HiddenSizes = {}
     vector = sum(parameter.low <= -parameter.typical for parameter in effect.parameters) > 1
     for parameter in effect.parameters:
-        value = parameter.typical * size
+        value = parameter.neutral if parameter.has_default else parameter.typical * size
         if parameter.low <= -parameter.typical:  # may have either sign
             value *= float(random.choice([-1.0, 1.0]))
             value *= float(random.uniform(0.4, 1.0)) if vector else 1.0
