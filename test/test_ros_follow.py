@@ -1,6 +1,5 @@
 """follow and go-to as a user runs them, against controller and mock driver."""
 
-import re
 import sys
 
 import numpy as np
@@ -12,9 +11,6 @@ pytest.importorskip('rclpy')
 from documents import environment
 from ros_station import INPUTS, Station, last, start, values
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-
-from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.ros.shared.files import read_robot
 
 pytestmark = pytest.mark.ros
 SPACE = '/follow'
@@ -158,35 +154,6 @@ def test_a_long_trajectory_does_not_stall_the_commands(station):
     station.send('controller/tendon_trajectory', message)
     station.until_code(station.controller, 'played')
     assert not [m for _, m in station.driver if values(m)['code'] != 'following']
-
-
-ROOM = 'keep_out: [{name: lamp, sphere: {centre: [0.05, 0, 0.17], radius: 0.01}}]\n'
-
-
-def test_what_would_enter_a_region_is_refused_before_anything_moves(station, tmp_path):
-    """Paths of the tip, and tensions whose ends are outside but not the way between them."""
-    (tmp_path / 'room.yaml').write_text(ROOM)
-    (tmp_path / 'path.csv').write_text(PATH)
-    model = Model(read_robot('kato_10_1'))
-    ends = [model.reach(tip).tensions for tip in ([0.03, 0.0, 0.175], [0.07, 0.0, 0.165])]
-    rows = [f'{t},' + ','.join(f'{x:.4f}' for x in row) for t, row in enumerate(ends)]
-    (tmp_path / 'wires.csv').write_text('\n'.join(['time,' + ','.join(INPUTS), *rows]) + '\n')
-    station.go_to_point(0.03, 0.18)
-    before = commanded(station)
-    for name, said in (
-        ('path.csv', r'rows? .* out of reach, by up to .*; kept out of lamp; nothing moved'),
-        ('wires.csv', r'at \d\.\d\d s the arm would enter lamp; nothing of it was played'),
-    ):
-        done = command(station, tmp_path, 'follow', name, '--keep-out', 'room.yaml')
-        assert done.returncode == 1 and done.stderr.count('\n') == 1
-        assert re.search(said, done.stderr), done.stderr
-    assert commanded(station) == pytest.approx(before)
-    assert station.set('controller', 'keep_out', ROOM).successful
-    done = command(station, tmp_path, 'follow', 'wires.csv')
-    assert done.returncode == 1 and 'refused_keep_out' in done.stderr
-    assert 'would enter lamp' in done.stderr
-    assert commanded(station) == pytest.approx(before)
-    assert station.set('controller', 'keep_out', '').successful
 
 
 def test_without_a_controller_it_says_what_to_look_for(tmp_path):
