@@ -170,7 +170,7 @@ def curve(found: Improvement) -> Figure:
         )
     layout = {
         'xaxis': {'type': 'category'},
-        'yaxis': {'title': {'text': 'error, rms over postures and markers [mm]'},
+        'yaxis': {'title': {'text': 'rms error [mm]'},
                   'rangemode': 'tozero'},
     }  # fmt: skip
     title = 'The error falls step by step; hollow: not taken'
