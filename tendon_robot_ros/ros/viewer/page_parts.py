@@ -123,7 +123,7 @@ def curve(
     return (
         f'<div style="{STYLE}">tip error [mm]{cut}<svg viewBox="0 0 {WIDTH} {HEIGHT}" '
         f'role="img" aria-label="tip error of the last two minutes, now {sizes[-1]:.2g} mm" '
-        f'style="width:100%;font-size:12px">'
+        f'style="width:100%;font-size:12px;overflow:visible">'
         f'{"".join(parts)}</svg></div>'
     )
 
