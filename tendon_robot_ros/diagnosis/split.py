@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -92,8 +91,6 @@ class SplitPredictor(Predictor):
         made, larger = [], max(self.whole.length / PLAUSIBLE_LENGTH, 1.0)
         for name, members in labels.items():
             unit, plausible, _ = PLAUSIBLE_SIZES[name]
-            if name == GAIN and HOLE not in labels:
-                plausible = math.hypot(plausible, PLAUSIBLE_SIZES[HOLE][1])
             usual = plausible * (larger if unit == 'm' else 1.0)
             size = float(known.get(KINK if name == ACROSS else name, usual))
             if size > 0.0:
