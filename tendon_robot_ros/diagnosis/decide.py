@@ -43,7 +43,7 @@ ERROR_SHARE_LEFT_MAX = 0.1  # of the error, that a mistake may leave
 EXPLAINED_WITHIN_FLOORS = 8.0  # or so many noise floors, if that is more
 ERROR_SHARE_LEFT_LIMIT = 0.3  # of the error, that it may leave in any case
 PLAIN_WITHIN_FLOORS = (
-    2.0  # floors of an arm built as usual; a mistake that leaves more is no proof
+    1.2  # floors of an arm built as usual; a mistake that leaves more is no proof
 )
 AS_GOOD_WITHIN = 1.3  # times the least error left: then the plainest mistake is said
 ODD_FROM_SPREADS = 4.0  # times the error of all other markers, that two exchanged ones have
