@@ -8,6 +8,7 @@ import fcntl
 import importlib.util
 import os
 import shutil
+import signal
 import tempfile
 from pathlib import Path
 
@@ -27,6 +28,7 @@ def own_domain():
     raise RuntimeError('all 101 ROS domains are taken by other test processes')
 
 
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup ignores it, and what is started inherits that
 SHARED = os.environ.setdefault('PYTEST_DEBUG_TEMPROOT', tempfile.gettempdir())
 DOMAIN, LOCK = own_domain()
 tempfile.tempdir = os.environ['TMPDIR'] = tempfile.mkdtemp(prefix='tests_', dir=SHARED)
