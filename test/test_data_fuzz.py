@@ -38,6 +38,7 @@ def damaged(draw):
 @given(damaged())
 @example(('dataset', b'a: ' + b'[' * 3000))
 @example(('dataset', b'gravity: 2000-99-99'))
+@example(('dataset', b'robot: ' + b'9' * 300 + b'.yaml'))
 @example(('dataset', b'? {a: b}\n: c'))
 @example(('shapes', b'posture,trial,marker,x,y,z\n' + b'0,' * 100_000))
 @example(('shapes', b'posture,trial,marker,x,y,z\n"' + b'0' * 200_000 + b'"'))

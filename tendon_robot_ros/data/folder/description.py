@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -119,10 +120,11 @@ def find_robot(fields: DatasetFields, folder: Path) -> Robot:
 
     """
     path = folder / fields.label('robot') if fields.has('robot') else folder / 'robot.yaml'
-    if not path.is_file():
+    if not os.path.isfile(path):  # Path.is_file raises where a name is too long
+        name = str(path)
         raise DataSetError(
             f'{fields.source}: robot',
-            f'no file {path}',
+            f'no file {name if len(name) < 256 else name[:256] + "..."}',
             'put the robot description there or correct the path',
         )
     return load_robot(path)
