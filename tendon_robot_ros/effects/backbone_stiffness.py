@@ -19,4 +19,5 @@ EFFECT = Effect(
         ),
     ),
     divisible=True,
+    scales_bends=True,
 )

@@ -125,6 +125,9 @@ class Effect:
     divisible : bool
         Whether its law also holds for a cell divided into finer ones, with the parameters
         scaled as they say; else a plant leaves the cells whole.
+    scales_bends : bool
+        Whether it makes all bends larger or smaller alike: postures hardly tell it from the others
+        that do.
 
     """
 
@@ -138,6 +141,7 @@ class Effect:
     contains: tuple[str, ...] = ()
     needs: str | None = None
     divisible: bool = False
+    scales_bends: bool = False
     digest: str = field(default='', compare=False)
 
     def __post_init__(self) -> None:

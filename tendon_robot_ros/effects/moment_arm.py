@@ -15,4 +15,5 @@ EFFECT = Effect(
     law=law,
     parameters=(Parameter('relative_change', '1', -0.8, 4.0, 0.0, typical=0.1),),
     divisible=True,
+    scales_bends=True,
 )

@@ -16,4 +16,5 @@ EFFECT = Effect(
     parameters=(Parameter('relative_change', '1', -0.8, 4.0, 0.0, typical=0.1, per_section=True),),
     contains=('backbone_stiffness',),
     divisible=True,
+    scales_bends=True,
 )

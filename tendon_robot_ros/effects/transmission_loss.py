@@ -15,4 +15,5 @@ EFFECT = Effect(
     law=law,
     parameters=(Parameter('fraction', '1', 0.0, 0.9, 0.0, typical=0.1, tolerance='tension_gain'),),
     divisible=True,
+    scales_bends=True,
 )

@@ -4,14 +4,15 @@ The model: a description and tensions to a shape, and back.
 model.py         `Model`, the one object that everybody uses
 forward.py       what it stands on: tensions to shapes, batches and sequences of shapes
 shape.py         what it returns: `Shape`, batches of shapes, markers placed on them, `Reach`
-tip_task.py      what is asked of the tip, and from which state of friction
-inverse.py       a target of the tip to tensions within the limits
+tip_task.py      what is asked of the tip, from which state of friction, and in what time
+inverse.py       a pose, a target of the tip, to tensions within the limits
+starts.py        the searches that this is made of, and where they start
 redundancy.py    what the freedom of the tensions is used for; the arm kept out of regions
-stiffness.py     how stiff the tip is
 pulls.py         wire pulls to tensions, with slack wires
 inputs.py        what a caller commands, by name or in order, checked
 plot.py          arms drawn for notebooks
-derivatives.py   slopes of an equilibrium with respect to tensions and parameters
+derivatives.py   slopes of an equilibrium with respect to tensions and parameters; how stiff the
+                 tip is
 compile.py       a robot as flat arrays, and the kernel composed from a catalogue and cached
 kernel/          the compiled laws; nothing else is compiled
 

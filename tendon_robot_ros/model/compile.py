@@ -130,6 +130,25 @@ def _kernel_digest() -> str:
     return digest.hexdigest()
 
 
+@cache
+def load_numba() -> None:
+    """
+    Import numba as far as the kernel needs it: without the linear algebra of scipy.
+
+    Numba imports that to see whether it is there, which takes a fifth of a warm start, and again
+    by itself once something compiled multiplies matrices.
+    """
+    linalg = importlib.import_module('numba.np.linalg')
+    look = getattr(linalg, 'ensure_blas', None)
+    if look is None or 'numba.np.arraymath' in sys.modules:
+        return
+    linalg.ensure_blas = lambda: None  # type: ignore[attr-defined]
+    try:
+        importlib.import_module('numba.np.arraymath').ensure_blas = look  # type: ignore[attr-defined]
+    finally:
+        linalg.ensure_blas = look  # type: ignore[attr-defined]
+
+
 def compose(catalogue: Catalogue) -> Callable[[str], ModuleType]:
     """
     Return a function that imports a module of the kernel composed for a catalogue.
@@ -139,6 +158,7 @@ def compose(catalogue: Catalogue) -> Callable[[str], ModuleType]:
     key = kernel_key(catalogue)
     name = f'tendon_robot_kernel_{key}'
     if name not in _COMPOSED:
+        load_numba()
         folder = cache_folder() / name
         if not (folder / 'stages.py').is_file():
             _write(folder, stages_source(catalogue))

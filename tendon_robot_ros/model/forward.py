@@ -70,14 +70,15 @@ class ForwardModel:
 
     def acts_at(self, stage: str) -> bool:
         """Tell whether an effect of a stage acts."""
-        return bool(self.arrays.on[self._members[stage]].any())
+        on = self.arrays.on
+        return any(on[place] for place in self._members[stage])
 
     @cached_property
-    def _members(self) -> dict[str, npt.NDArray[np.int64]]:
+    def _members(self) -> dict[str, tuple[int, ...]]:
         """Where the effects of every stage stand among the switches."""
         index = self.arrays.layout.index
         return {
-            stage: np.array([index[e.name] for e in self.catalogue if e.stage == stage], int)
+            stage: tuple(index[e.name] for e in self.catalogue if e.stage == stage)
             for stage in STAGES
         }
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -12,12 +11,21 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import NoEquilibriumError
-from ..common.patience import Patience
 from ..robot.keep_out import KeepOut
 from .pulls import Aim, aim_by_pulls, limits_by_pulls, pull_shape
 from .redundancy import Balance, Preferences, balanced
 from .shape import Reach, Shape
-from .tip_task import TipTask, tip_target
+from .starts import (
+    GAIN_MIN,
+    LOW_TENSION_WEIGHT,
+    SEEKING_WIDTHS,
+    TRACKING_GAIN_MIN,
+    aim,
+    beginnings,
+    rows_near,
+    seek,
+)
+from .tip_task import Patience, TipTask, tip_target
 
 if TYPE_CHECKING:
     from .forward import ForwardModel
@@ -27,19 +35,17 @@ POSITION_THRESHOLD = 1e-4  # [m]
 DIRECTION_THRESHOLD = np.deg2rad(0.2)  # [rad]
 COST_REACHED_M2 = 1e-12  # [m²] cost below which no further start is tried: 1 µm
 PULL_STARTS = 4  # each is several searches
-# [1] gain of a step: a search goes on, tracking has the next tick
-GAIN_MIN, TRACKING_GAIN_MIN = 1e-6, 1e-2
-LIBRARY_NEIGHBOURS = 128  # shapes of the library among which starts are chosen
-START_TENSION_WEIGHT = 3e-3  # [m/N] how the tensions of a shape count when a start is chosen
-LOW_TENSION_WEIGHT = 1e-6  # [m/N] how little low tension counts
-RELAXING_WEIGHTS = (1e-2, 1e-3, 1e-4, 1e-5)  # [m/N] how it counts on the way there
-SEEKING_WEIGHT = 1e-4  # [m/N] and where bends and tensions are found at once
-SEEKING_WIDTHS, SEEKING_SHRINK, SEEKING_STEPS_MAX = (1e3, 1e2), 0.5, 60
-FAR_M2 = 5e-5  # [m²] cost of a tip that no search for an equilibrium improves: 1 cm
-TRIALS_MAX = 120  # equilibria of a search
-# Where tendons stick a search that does not arrive soon stands at a kink: another start is quicker
-STICKING_TRIALS_MAX = 10
+RELAXING_WEIGHTS = (1e-2, 1e-3, 1e-4, 1e-5)  # [m/N] how low tension counts on the way there
+# [1] of a tension's range: with a guess, no such jump for a tip that is hardly nearer, by its cost
+JUMP_SHARE, AS_GOOD = 0.1, 0.8
+# [1] of the cost where the arm is, and of the one that was told last: what is nearer is told
+STAYED_SHARE, TOLD_SHARE = 0.99, 0.5
+# Where friction remembers, ways from far away end at much tension against much tension: what the
+# first start reaches is not left
+NEAR_REACHED_M2 = 0.5 * POSITION_THRESHOLD**2  # [m²]
+PULLING_WEIGHT = 1e-4  # [m/N] how tension counts among ends of different starts there
 KINK_REACHED_M2, KINK_STARTS = 2e-11, 4  # [m²] cost that does after so many: 6 µm
+FINISHING_TRIALS_MAX = 40  # equilibria on the way to the least error, where tendons stick
 BALANCE_STEPS_MAX, OUTSIDE_STARTS = 40, 3  # programs after a search, other beginnings
 CLEARANCE_BINDS_M = 1e-4  # [m] from a region: it is what keeps the arm from its target
 
@@ -59,6 +65,7 @@ def reach(
     preferences: Preferences | None = None,
     keep_out: KeepOut | None = None,
     give_up: Callable[[], bool] = lambda: False,
+    tell: Callable[[Reach], None] | None = None,
 ) -> Reach:
     """
     Find tensions within the limits that bring the tip to a target.
@@ -90,6 +97,9 @@ def reach(
     give_up : callable
         Asked between starts, a `Patience` also between the steps of a search; once it says True
         the best found so far is returned.
+    tell : callable, optional
+        Is given the best found so far when it is much nearer than what was told before, or than
+        the guess: where to go while the search goes on.
 
     Raises
     ------
@@ -102,7 +112,8 @@ def reach(
     patience = give_up if isinstance(give_up, Patience) else Patience()
     task = TipTask(model, target, past, patience)
     starts = min(starts, PULL_STARTS) if by_pulls else starts
-    best = _searched(task, _starts(task, guess, starts), by_pulls, give_up)
+    begin = beginnings(task, guess, starts, tell is not None)
+    best = _searched(task, begin, guess, by_pulls, give_up, tell)
     if not by_pulls and preferences is None and not give_up():
         best = _finished(task, relax or guess is None, *best)
     made = judged(task, *best[1:], in_time=not give_up())
@@ -120,26 +131,45 @@ def reach(
 def _searched(
     task: TipTask,
     starts: Iterator[tuple[Aim, Floats, Floats]],
+    guess: Shape | None,
     by_pulls: bool,
     give_up: Callable[[], bool],
+    tell: Callable[[Reach], None] | None,
 ) -> tuple[float, Floats, Floats]:
     """Return cost [m²], tensions and bends of the first start that meets it, or of the best."""
     model = task.model
     best: tuple[float, Floats, Floats] | None = None
+    sticks, remembers, least, told = model.sticks, model.remembers, np.inf, np.inf
+    if tell is not None and guess is not None:
+        told = STAYED_SHARE * task.cost(guess)
     for count, (search, inputs, bend) in enumerate(starts):
         if by_pulls:
             cost, bends = aim_by_pulls(task, search, inputs, bend)
         else:
             cost, bends = search(inputs, bend, model.limits)
-        if best is None or cost < best[0]:
-            best = (cost, inputs, bends)
-        does = model.sticks and count >= KINK_STARTS and best[0] < KINK_REACHED_M2
-        if _met(model, cost, inputs) or does or give_up():
+        met, worth = _met(model, cost, inputs), cost
+        if remembers:
+            worth += 0.5 * PULLING_WEIGHT**2 * _above(model, inputs)
+        if best is None or worth < least * (1.0 if met else _share(task, guess, inputs, best[1])):
+            best, least = (cost, inputs, bends), worth
+        if tell is not None and best[0] < told and (sticks or not met):
+            tell(judged(task, best[1].copy(), best[2], in_time=False))
+            told = TOLD_SHARE * best[0]
+        does = sticks and count >= KINK_STARTS and best[0] < KINK_REACHED_M2
+        does = does or (remembers and count == 0 and cost < NEAR_REACHED_M2)
+        if met or does or give_up():
             break
     assert best is not None
     if not np.isfinite(best[0]):
         raise NoEquilibriumError('any start of the search', model.implicit_effects, np.inf)
     return best
+
+
+def _share(task: TipTask, guess: Shape | None, inputs: Floats, others: Floats) -> float:
+    """Return what share of the cost tensions (m,) [N] must have to be taken for others."""
+    low, high = task.model.limits.T
+    jumps = guess is not None and np.any(np.abs(inputs - others) > JUMP_SHARE * (high - low))
+    return AS_GOOD if jumps else 1.0
 
 
 def _balanced(balance: Balance, made: Reach, by_pulls: bool, give_up: Callable[[], bool]) -> Reach:
@@ -173,9 +203,7 @@ def _outside(balance: Balance, shape: Shape) -> Iterator[Shape]:
         return
     model, task = balance.task.model, balance.task
     free = balance.keep_out.distances(model.library.positions).min(axis=(0, 2)) > 0.0
-    for row in islice(
-        (row for row in _rows_near(model, task.target) if free[row]), OUTSIDE_STARTS
-    ):
+    for row in islice((row for row in rows_near(model, task.target) if free[row]), OUTSIDE_STARTS):
         try:
             yield task.shape(model.library.inputs[row], model.library.state[row])
         except NoEquilibriumError:
@@ -188,145 +216,35 @@ def _finished(
     """Go to the least error from the best that was found or, with it met, to low tension."""
     model = task.model
     if not _met(model, cost, inputs):
-        if model.sticks:  # no search for an equilibrium has gone on from there
-            cost, bend = _aim(task, GAIN_MIN, inputs, bend, model.limits)
+        if model.sticks and cost > KINK_REACHED_M2:  # no equilibria were looked for from there
+            most = FINISHING_TRIALS_MAX
+            cost, bend = aim(task, GAIN_MIN, inputs, bend, model.limits, most=most)
         return cost, inputs, bend
     if not relax:
         return cost, inputs, bend
     less = inputs.copy()
     if model.sticks:
-        new, bends = _seek(task, SEEKING_WIDTHS[1], less, bend, model.limits)
+        new, bends = seek(task, SEEKING_WIDTHS[1], None, less, bend, model.limits)
     else:
         bends = bend
         for preference in (*RELAXING_WEIGHTS, LOW_TENSION_WEIGHT):
-            new, bends = _aim(task, GAIN_MIN, less, bends, model.limits, preference)
+            new, bends = aim(task, GAIN_MIN, less, bends, model.limits, preference)
     if new < cost and _met(model, new, less):
         return new, less, bends
     return cost, inputs, bend
-
-
-def _starts(
-    task: TipTask, guess: Shape | None, count: int
-) -> Iterator[tuple[Aim, Floats, Floats]]:
-    """
-    Yield how to search, and tensions and bends to start from; made only when needed.
-
-    The guess, then the straight arm, from where a gentle bend is nearer than a curl, then the
-    shapes of the library whose tips are nearest, those of low tension first: from much tension
-    against much tension there is often no way down.
-    """
-    model, sticks = task.model, task.model.sticks
-    near = partial(_aim, task, GAIN_MIN if guess is None else TRACKING_GAIN_MIN)
-    if sticks:
-        near = partial(near, most=STICKING_TRIALS_MAX)
-    seek = partial(_seek, task, SEEKING_WIDTHS[0])
-    if guess is not None:
-        inputs = np.minimum(np.maximum(guess.inputs, model.limits[:, 0]), model.limits[:, 1])
-        if sticks:
-            yield partial(near, far=FAR_M2), inputs.copy(), guess.state
-            near = seek
-        if count or not sticks:
-            yield near, inputs, guess.state
-    near = seek if sticks else partial(_aim, task, GAIN_MIN)
-    if count:
-        yield near, model.limits[:, 0].copy(), np.zeros(3 * model.robot.cells)
-        for row in islice(_rows_near(model, task.target), count):
-            yield near, model.library.inputs[row].copy(), model.library.state[row]
-
-
-def _rows_near(model: ForwardModel, target: Floats) -> Iterator[int]:
-    """
-    Yield shapes of the library whose tips are near a target, those of low tension first.
-
-    Every other one is that whose tensions are furthest from those before: from much tension
-    against much tension there is often no way down.
-    """
-    library, low, high = model.library, *model.limits.T
-    tips = np.concatenate([library.tip_position, library.tip_direction], axis=1)
-    miss = np.repeat(target[6:], 3) * (tips - target[:6])
-    tension = START_TENSION_WEIGHT * (library.inputs - low).sum(axis=1)
-    near = np.argsort((miss * miss).sum(axis=1) + tension * tension)[:LIBRARY_NEIGHBOURS]
-    places, away = library.inputs[near] / high, np.full(len(near), np.inf)
-    for count in range(len(near)):
-        left = np.flatnonzero(away > 0.0)
-        if not len(left):
-            return
-        row = int(np.argmax(away)) if count % 2 else int(left[0])
-        yield int(near[row])
-        away = np.minimum(away, ((places - places[row]) ** 2).sum(axis=1))
 
 
 def _met(model: ForwardModel, cost: float, inputs: Floats) -> bool:
     """Tell whether a cost [m²] meets the target but for what says how much tension there is."""
     if cost < COST_REACHED_M2:
         return True
+    return cost - 0.5 * LOW_TENSION_WEIGHT**2 * _above(model, inputs) < COST_REACHED_M2
+
+
+def _above(model: ForwardModel, inputs: Floats) -> float:
+    """Return the sum of squares [N²] of tensions beyond their lowest."""
     above = inputs - model.limits[:, 0]
-    return cost - 0.5 * LOW_TENSION_WEIGHT**2 * float(above @ above) < COST_REACHED_M2
-
-
-def _aim(
-    task: TipTask,
-    enough: float,
-    inputs: Floats,
-    bend: Floats,
-    limits: Floats,
-    preference: float = LOW_TENSION_WEIGHT,
-    far: float = np.inf,
-    most: int = TRIALS_MAX,
-) -> tuple[float, Floats]:
-    """
-    Improve inputs in place; return the cost [m²] and the bends of the equilibrium.
-
-    Once the tip is there, a step that gains less than `enough` of the cost is the last, else the
-    one after so many trials. What costs more than `far` stays as it is.
-    """
-    model, bends = task.model, np.array([bend, bend])
-    cost = model.arrays.part('inverse').aim(
-        model.arrays.address,
-        inputs,
-        bends,
-        task.target,
-        np.ascontiguousarray(limits[:, 0]),
-        np.ascontiguousarray(limits[:, 1]),
-        preference,
-        most,
-        enough,
-        far,
-        task.patience.until.ctypes.data,
-        task.past,
-        model.scratch,
-    )
-    return float(cost), bends[0]
-
-
-def _seek(
-    task: TipTask, wide: float, inputs: Floats, bend: Floats, limits: Floats
-) -> tuple[float, Floats]:
-    """
-    Improve inputs in place from far away; return the cost [m²] and the bends of the equilibrium.
-
-    For tendons that stick and slip: bends and tensions are found at once, with a slip length that
-    starts `wide` times its own.
-    """
-    model, bends = task.model, np.array([bend, bend])
-    model.arrays.part('simultaneous').seek(
-        model.arrays.address,
-        inputs,
-        bends,
-        task.target,
-        np.ascontiguousarray(limits[:, 0]),
-        np.ascontiguousarray(limits[:, 1]),
-        SEEKING_WEIGHT,
-        wide,
-        SEEKING_SHRINK,
-        SEEKING_STEPS_MAX,
-        task.patience.until.ctypes.data,
-        task.past,
-        model.scratch,
-    )
-    return _aim(
-        task, TRACKING_GAIN_MIN, inputs, bends[0], limits, far=FAR_M2, most=STICKING_TRIALS_MAX
-    )
+    return float(above @ above)
 
 
 def judged(task: TipTask, inputs: Floats, bend: Floats, in_time: bool = True) -> Reach:
@@ -352,7 +270,7 @@ def _limits_bind(task: TipTask, inputs: Floats, bend: Floats) -> bool:
     model = task.model
     wide = model.limits * [1.0, 3.0]
     more = inputs.copy()
-    cost, bends = _aim(task, TRACKING_GAIN_MIN, more, bend, wide)
+    cost, bends = aim(task, TRACKING_GAIN_MIN, more, bend, wide)
     if not np.isfinite(cost):
         return False
     try:

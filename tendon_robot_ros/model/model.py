@@ -6,13 +6,12 @@ from collections.abc import Sequence
 
 import numpy.typing as npt
 
-from .derivatives import Column, Seen, derivatives, tip_jacobian
+from .derivatives import Column, Seen, TipStiffness, derivatives, tip_jacobian, tip_stiffness
 from .forward import Floats, ForwardModel
 from .inputs import TensionsLike
 from .inverse import reach
 from .pulls import pull_shape
 from .shape import Reach, Shape, ShapeBatch
-from .stiffness import TipStiffness, tip_stiffness
 
 
 class Model(ForwardModel):

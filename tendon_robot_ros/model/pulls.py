@@ -164,7 +164,7 @@ def _settles(
     """Take tensions and bends in place through the springs; tell whether each one held."""
     for share in begin.springs:
         stretch = share * compliance
-        gap = model.arrays.part('springs').solve_elastic_wires(*problem, stretch, begin.steps)
+        gap = model.arrays.part('pulls').solve_elastic_wires(*problem, stretch, begin.steps)
         if not gap < STRETCH_OFF_N * stretch:
             return False  # stiffer wires will do no better
     return True

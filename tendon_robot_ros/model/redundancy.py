@@ -23,8 +23,7 @@ import numpy.typing as npt
 
 from ..common.errors import InputError, NoEquilibriumError
 from ..robot.keep_out import KeepOut
-from .derivatives import derivatives, tip_slopes
-from .stiffness import tip_stiffness
+from .derivatives import derivatives, tip_slopes, tip_stiffness
 
 if TYPE_CHECKING:
     from .shape import Shape, ShapeBatch

@@ -1,8 +1,9 @@
-"""What is asked of the tip of a model, and how far a shape is from it."""
+"""What is asked of the tip, how far a shape is from it, and how long the search may take."""
 
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
-from ..common.patience import Patience
 from .inputs import finite
 
 if TYPE_CHECKING:
@@ -18,6 +18,31 @@ if TYPE_CHECKING:
     from .shape import Shape
 
 Floats = npt.NDArray[np.float64]
+
+
+class Patience:
+    """Says True once time is over; another thread may end it before."""
+
+    def __init__(self, budget: float = math.inf) -> None:
+        """Begin to count; `budget` [s]."""
+        self._began = time.monotonic()
+        self.until: npt.NDArray[np.float64] = np.array([self._began + budget])  # (1,) [s]
+
+    def __call__(self) -> bool:
+        """Whether time is over."""
+        return time.monotonic() > float(self.until[0])
+
+    def begin(self) -> None:
+        """Begin to count now: what had to wait has all of its time."""
+        self.prolong(time.monotonic() - self._began)
+
+    def prolong(self, more: float) -> None:
+        """Let it last longer [s]; what was ended stays so."""
+        self.until += more
+
+    def end(self) -> None:
+        """Let it be over now."""
+        self.until[0] = -math.inf
 
 
 @dataclass(frozen=True)
@@ -33,6 +58,15 @@ class TipTask:
         """Return the shape under tensions (m,) [N] that follow the past."""
         past = self.past if self.model.remembers else None
         return self.model.shape(inputs, state, past)
+
+    def off(self, shape: Shape) -> Floats:
+        """Return how far (6,) position [m] and direction are from the target."""
+        return np.concatenate([shape.tip_position, shape.tip_direction]) - self.target[:6]
+
+    def cost(self, shape: Shape) -> float:
+        """Return half the square of the weighted distance [m²], as the kernel's searches do."""
+        miss = np.repeat(self.target[6:], 3) * self.off(shape)
+        return 0.5 * float(miss @ miss)
 
     def errors(self, shape: Shape) -> tuple[float, float]:
         """Return how far the tip is from where it should be, [m] and [rad]; 0: not asked."""

@@ -29,6 +29,7 @@ TOLERANCES = (
     'rotation',
 )
 XY = tuple[float, float]  # [m]
+PLATE_LENGTH_MAX_M = 1e-5  # [m] of a section that is the base plate
 EffectValues = dict[str, float | tuple[float, ...]]
 
 
@@ -43,6 +44,11 @@ class Section:
     mass_profile: tuple[float, ...]  # (cells,) [1]
     bends_as: str  # 'arc' or 'hinge'
     mass_offset: tuple[XY, ...] = ()  # (cells, 2) [m]; empty: on the axis
+
+    @property
+    def is_plate(self) -> bool:
+        """Whether it only holds the holes of a base plate: no cell of the arm, as people count."""
+        return self.cells * self.cell_length <= PLATE_LENGTH_MAX_M
 
 
 @dataclass(frozen=True)
@@ -120,9 +126,24 @@ class Robot:
         return wires
 
     @cached_property
+    def own_sections(self) -> tuple[Section, ...]:
+        """The sections that bend: all but a base plate."""
+        return tuple(section for section in self.sections if not section.is_plate)
+
+    @cached_property
+    def plate_cells(self) -> int:
+        """Cells of a base plate: people count from the first cell beyond it."""
+        return self.cells - sum(section.cells for section in self.own_sections)
+
+    @cached_property
     def cells(self) -> int:
         """Number of cells of all sections."""
         return sum(section.cells for section in self.sections)
+
+    @cached_property
+    def cell_names(self) -> tuple[str, ...]:
+        """Names of all cells, from the base; the first of the arm is 'cell 1'."""
+        return tuple(f'cell {i + 1 - self.plate_cells}' for i in range(self.cells))
 
     @cached_property
     def length(self) -> float:

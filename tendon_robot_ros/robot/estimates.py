@@ -89,7 +89,8 @@ def handling(robot: Robot) -> list[str]:
     rates = np.linalg.norm(bend_rates(robot), axis=1)
     groups: dict[str, list[str]] = {}
     for name, rate, last in zip(robot.inputs, rates, end_sections(robot), strict=True):
-        text = f'bends {robot.sections[last].name} by {_degrees(rate)}'
+        section = robot.sections[last].name if len(robot.own_sections) > 1 else 'the arm'
+        text = f'bends {section} by {_degrees(rate)}'
         groups.setdefault(text, []).append(name)
     lines = [f'1 N on {" or ".join(names)} {text}' for text, names in groups.items()]
     lines[0] += ' (without friction)'
@@ -122,6 +123,11 @@ def doubts(robot: Robot, rates: Floats) -> list[str]:
         return ['NOT PLAUSIBLE: no input bends its section; are the signs of the offsets right?']
     needed = sorted({f'{RIGHT_ANGLE_RAD / rate:.2g}' for rate in moving}, key=float)
     span = needed[0] if len(needed) == 1 else f'{needed[0]} to {needed[-1]}'
+    if RIGHT_ANGLE_RAD / moving.max() > top:
+        most = _degrees(top * float(moving.max()))
+        return [
+            f'plausible: {top:g} N, the most that may pull, bend by {most} (90° take {span} N)'
+        ]
     return [f'plausible: 90° take {span} N, at most {top:g} N may pull']
 
 

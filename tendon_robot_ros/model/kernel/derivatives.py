@@ -28,8 +28,7 @@ from .linear import fill
 from .shape import mean_pulls, place, wire_pulls
 from .stages import actuation, eyelet_acts, length_acts, stretch_acts, winding_acts
 from .sweep import is_implicit
-from .turning import half_turns
-from .twisting import unknowns
+from .turning import half_turns, unknowns
 
 TENSION_STEP = 1e-6  # [N]
 

@@ -8,8 +8,7 @@ before; back-substitution runs from the base to the tip. The work grows linearly
 """
 
 import math
-
-import numpy as np
+from collections import namedtuple
 
 from .layout import (
     BEFORE,
@@ -27,355 +26,283 @@ from .layout import (
     TORQUE_BY_OWN,
     TORQUE_BY_TURN,
     TRAVELS,
+    TURNS,
     compiled,
     floats,
-    tangent_of,
+    inlined,
     words,
 )
-from .linear import fill, solve_rows
+from .linear import solve_rows
 from .loads import loaded
 from .stages import eyelet_acts
-from .twisting import coordinates
+from .turning import coordinates
+
+# System: sizes and addresses of the equations. Columns: the tensions that come in (kt of them, if
+# there is friction), from `own` on bend and twist before, from `turn` on the turn of the frame (if
+# there are loads), from `right` on the right-hand sides; `width` in all. Of every cell the changes
+#   bends    (2 or 3, width)  of bend and twist; holds the right-hand sides before
+#   tensions (kt, width)      of the tensions
+# and, of the cell at hand,
+#   answers  (2, kt + 3, width)  S and h of what lies beyond it, and of what lies beyond its start
+#   by_own   (kt + 3, 3)         how what lies beyond answers the cell's own bend and twist
+#   direct   (kt, 3)             part of the tensions by bend and twist of the cell
+#   pivot    (3, 3)              derivative of the cell's residual, all beyond eliminated
+#   left, side                   equations of tendons that slide together
+#   first    (kt,) int           first cell from which on a tendon's travel matters before it
+#   active   (kt,) int           tendons that slide together
+# In all that follows `row` is the address of the derivatives of cell i (see `layout`); `s` and
+# `out` are those of what lies beyond the cell, and of what lies beyond its start.
+System = namedtuple(
+    'System',
+    'kt turn right width bends tensions answers by_own direct pivot left side first active',
+)
+System.__name__ += '_' + __name__.partition('.')[0].rpartition('_')[2]
 
 
 @compiled
-def columns(chain):
-    """Columns of the tensions; where those of the frame's turn begin, where the constants do."""
-    tensions = chain.k if eyelet_acts(chain) else 0
-    turn = tensions + coordinates(chain)
-    return tensions, turn, turn + 3 if loaded(chain) else turn
+def system_size(chain, count):
+    """Floats that the equations take, with a number of right-hand sides."""
+    k, width = chain.k, chain.k + 6 + count
+    return chain.n * (3 + k) * width + 2 * (k + 3) * width + (9 + k) * (k + 3) + k * width + 2 * k
 
 
 @compiled
-def pass_tensions(chain, tangent, i, s, by_own, tensions, direct):
+def system_in(chain, count, start):
+    """Lay the equations out in an array of `system_size` floats that starts as zeros."""
+    kt = chain.k if eyelet_acts(chain) else 0
+    turn = kt + coordinates(chain)
+    right = turn + 3 if loaded(chain) else turn
+    width = right + count
+    tensions = start + 8 * chain.n * (turn - kt) * width
+    answers = tensions + 8 * chain.n * kt * width
+    by_own = answers + 16 * (kt + 3) * width
+    direct = by_own + 24 * (kt + 3)
+    pivot = direct + 24 * kt
+    left = pivot + 72
+    side = left + 8 * kt * kt
+    first = side + 8 * kt * (width + 3)
+    return System(
+        kt,
+        turn,
+        right,
+        width,
+        start,
+        tensions,
+        answers,
+        by_own,
+        direct,
+        pivot,
+        left,
+        side,
+        first,
+        first + 8 * kt,
+    )
+
+
+@inlined
+def add_row(target, share, source, begin, width):
+    """Add a share of one row to another, from a column on."""
+    into, row = floats(target), floats(source)
+    for j in range(begin, width):
+        into[j] += share * row[j]
+
+
+@compiled
+def answer_own(system, row, s):
+    """Fill by_own: how what lies beyond a cell answers its own bend and twist."""
+    kt, turn, width = system.kt, system.turn, system.width
+    own, loads = floats(system.by_own), turn != system.right
+    for r in range(kt + 3 if loads else kt):
+        answers = floats(s + 8 * width * r)
+        for a in range(turn - kt):
+            total = answers[kt + a]
+            if loads:
+                for m in range(3):
+                    total += answers[turn + m] * floats(row)[TURNS + 3 * m + a]
+            own[3 * r + a] = total
+
+
+@compiled
+def pass_tensions(chain, system, i, row, s):
     """
-    Fill the changes of the tensions in cell i (k, width) and their part by the own bend (k, 3).
+    Fill the changes of the tensions in cell i, and apart from them their part by its own bend.
 
-    A tendon about to slide at the eyelet before the cell feels all travel beyond: s (rows, width)
-    and by_own (rows, 3) say how that answers.
-
-    Parameters
-    ----------
-    tangent : address
-        Derivatives of the cells, see `tangent`.
-    i : int
-    s : ndarray, shape (k + 3, width)
-        How what lies beyond the cell answers what comes into it.
-    by_own : ndarray, shape (k + 3, 3)
-        And how it answers the cell's own bend and twist.
-    tensions : ndarray, shape (n, k, width)
-        Takes the changes in row i [N per unit].
-    direct : ndarray, shape (k, 3)
-        Takes their part by bend and twist of the cell [N/rad].
-
+    A tendon about to slide at the eyelet before the cell feels all travel beyond: the answers `s`
+    and by_own say how much there is.
     """
-    kt, turn, _ = columns(chain)
-    tendon, width = words(chain.tendon), tensions.shape[2]
-    active, count = np.empty(kt, np.int64), 0
+    kt, width, tendon = system.kt, system.width, words(chain.tendon)
+    active, count = words(system.active), 0
     for k in range(kt):
+        change = floats(system.tensions + 8 * width * (kt * i + k))
+        direct = floats(system.direct + 24 * k)
         for j in range(width):
-            tensions[i, k, j] = 0.0
-        direct[k, 0], direct[k, 1], direct[k, 2] = 0.0, 0.0, 0.0
+            change[j] = 0.0
+        direct[0], direct[1], direct[2] = 0.0, 0.0, 0.0
         if i == 0:
-            tensions[i, k, k] = 1.0  # of what is pulled at the base
+            change[k] = 1.0  # of what is pulled at the base
         if i == 0 or i >= tendon[2 * k]:
             continue
-        here = floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))
-        tensions[i, k, k] = here[PASSED]
+        here = floats(row + 8 * (SIZE + TENDON * k))
+        change[k] = here[PASSED]
         if here[LAGS] != 0.0:
-            tensions[i, k, width - 1] = here[LAGS]  # the only right-hand side
-        for a in range(turn - kt):
-            tensions[i, k, kt + a] = here[BEFORE + a]
-            direct[k, a] = here[HERE + a] + here[SLIDES] * here[TRAVELS + a]
+            change[width - 1] = here[LAGS]  # in the last right-hand side
+        for a in range(system.turn - kt):
+            change[kt + a] = here[BEFORE + a]
+            direct[a] = here[HERE + a] + here[SLIDES] * here[TRAVELS + a]
         if here[SLIDES] != 0.0:
             active[count] = k
             count += 1
     if count > 0:
-        slide_together(chain, tangent, i, s, by_own, tensions, direct, active[:count])
+        slide_together(system, i, row, s, count)
 
 
 @compiled
-def slide_together(chain, tangent, i, s, by_own, tensions, direct, active):
-    """
-    Solve for the changes of the tensions of active tendons, which feel each other's travel.
-
-    Parameters
-    ----------
-    tangent : address
-        Derivatives of the cells, see `tangent`.
-    i : int
-    s : ndarray, shape (k + 3, width)
-        How what lies beyond the cell answers what comes into it.
-    by_own : ndarray, shape (k + 3, 3)
-        And how it answers the cell's own bend and twist.
-    tensions : ndarray, shape (n, k, width)
-        Row i holds what comes from before, and takes the result.
-    direct : ndarray, shape (k, 3)
-        The same by bend and twist of the cell [N/rad].
-    active : ndarray
-        Indices of the tendons.
-
-    """
-    kt, turn, _ = columns(chain)
-    count, width, own = active.shape[0], tensions.shape[2], turn - kt
-    left, right = np.zeros((count, count)), np.empty((count, width + own))
-    is_active = np.zeros(kt, np.bool_)
-    for p in range(count):
-        is_active[active[p]] = True
+def slide_together(system, i, row, s, count):
+    """Solve for the changes of the tensions of active tendons, which feel each other's travel."""
+    kt, width, own = system.kt, system.width, system.turn - system.kt
+    active, left = words(system.active), floats(system.left)
+    changes, all_direct = system.tensions + 8 * width * kt * i, floats(system.direct)
     for p in range(count):
         k = active[p]
-        slides = floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))[SLIDES]
+        slides = floats(row + 8 * (SIZE + TENDON * k))[SLIDES]
+        answers, change = floats(s + 8 * width * k), floats(changes + 8 * width * k)
+        at = system.side + 8 * (width + own) * p
+        side = floats(at)
         for j in range(width):
-            right[p, j] = tensions[i, k, j] + (slides * s[k, j] if j >= turn else 0.0)
+            side[j] = change[j] + (slides * answers[j] if j >= system.turn else 0.0)
         for a in range(own):
-            right[p, width + a] = direct[k, a] + slides * by_own[k, a]
-        for q in range(count):
-            left[p, q] = (1.0 if p == q else 0.0) - slides * s[k, active[q]]
+            side[width + a] = all_direct[3 * k + a] + slides * floats(system.by_own)[3 * k + a]
+        q = 0
         for other in range(kt):
-            share = 0.0 if is_active[other] else slides * s[k, other]
-            if share != 0.0:
-                for j in range(width):
-                    right[p, j] += share * tensions[i, other, j]
+            share = slides * answers[other]
+            if q < count and active[q] == other:
+                left[count * p + q] = (1.0 if p == q else 0.0) - share
+                q += 1
+            elif share != 0.0:
+                add_row(at, share, changes + 8 * width * other, 0, width)
                 for a in range(own):
-                    right[p, width + a] += share * direct[other, a]
-    if not solve_rows(left, right, count):
-        fill(right, math.nan)
+                    side[width + a] += share * all_direct[3 * other + a]
+    solved = solve_rows(system.left, system.side, count, width + own)
     for p in range(count):
+        side = floats(system.side + 8 * (width + own) * p)
+        change = floats(changes + 8 * width * active[p])
         for j in range(width):
-            tensions[i, active[p], j] = right[p, j]
+            change[j] = side[j] if solved else math.nan
         for a in range(own):
-            direct[active[p], a] = right[p, width + a]
+            all_direct[3 * active[p] + a] = side[width + a]
 
 
 @compiled
-def solve_cell(chain, tangent, i, s, by_own, tensions, direct, bends, twist):
-    """
-    Fill the changes of bend and twist of cell i, which hold its right-hand sides.
-
-    Returns the cell's pivot, the derivative of its residual with all beyond eliminated.
-
-    Parameters
-    ----------
-    tangent : address
-        Derivatives of the cells, see `tangent`.
-    i : int
-    s : ndarray, shape (k + 3, width)
-        How what lies beyond the cell answers what comes into it.
-    by_own : ndarray, shape (k + 3, 3)
-        And how it answers the cell's own bend and twist.
-    tensions : ndarray, shape (n, k, width)
-        Changes of the tensions in row i.
-    direct : ndarray, shape (k, 3)
-        Their part by bend and twist of the cell [N/rad].
-    bends : ndarray, shape (n, 2 or 3, width)
-        Row i holds the right-hand sides, and takes the changes [rad per unit].
-
-    """
-    kt, turn, constant = columns(chain)
-    row, width = floats(tangent_of(chain, tangent, i)), bends.shape[2]
-    tendon = words(chain.tendon)
-    a, b, c, d = row[OWN], row[OWN + 1], row[OWN + 3], row[OWN + 4]
-    for k in range(kt):
-        if i >= tendon[2 * k]:
-            continue
-        here = floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))
-        u, v = here[BY_TENSION], here[BY_TENSION + 1]
-        if turn != constant:
-            for m in range(3):
-                u += row[BY_TORQUE + m] * s[kt + m, k]
-                v += row[BY_TORQUE + 3 + m] * s[kt + m, k]
-        a, b = a + u * direct[k, 0], b + u * direct[k, 1]
-        c, d = c + v * direct[k, 0], d + v * direct[k, 1]
-        for j in range(width):
-            bends[i, 0, j] -= u * tensions[i, k, j]
-            bends[i, 1, j] -= v * tensions[i, k, j]
-    if turn != constant:
-        for m in range(3):
-            u, v = row[BY_TORQUE + m], row[BY_TORQUE + 3 + m]
-            a, b = a + u * by_own[kt + m, 0], b + u * by_own[kt + m, 1]
-            c, d = c + v * by_own[kt + m, 0], d + v * by_own[kt + m, 1]
-            bends[i, 0, turn + m] -= row[BY_TURN + m]
-            bends[i, 1, turn + m] -= row[BY_TURN + 3 + m]
-            for j in range(turn, width):
-                bends[i, 0, j] -= u * s[kt + m, j]
-                bends[i, 1, j] -= v * s[kt + m, j]
-    if turn - kt == 3:
-        x, y, u, v = reduce_twist(chain, tangent, i, s, by_own, tensions, direct, bends, twist)
-        a, b, c, d = a - x * u, b - x * v, c - y * u, d - y * v
-    scale = 1.0 / (a * d - b * c)
-    for j in range(width):
-        u, v = bends[i, 0, j], bends[i, 1, j]
-        bends[i, 0, j], bends[i, 1, j] = scale * (d * u - b * v), scale * (a * v - c * u)
-    if turn - kt == 3:
-        for j in range(width):
-            bends[i, 2, j] += twist[1] * bends[i, 0, j] + twist[2] * bends[i, 1, j]
-    return a, b, c, d
-
-
-@compiled
-def reduce_twist(chain, tangent, i, s, by_own, tensions, direct, bends, twist):
-    """
-    Take the twist of cell i out of the equations of its bend.
-
-    `twist` (3,) becomes its pivot and how it follows the bend (x, y). Returns the derivatives of
-    the bend's residual (x, y) by the twist, and those of the twist's by the bend over its pivot.
-    """
-    kt, turn, constant = columns(chain)
-    row, width = floats(tangent_of(chain, tangent, i)), bends.shape[2]
-    x, y = row[OWN + 2], row[OWN + 5]
-    u, v, pivot = row[OWN + 6], row[OWN + 7], row[OWN + 8]
+def gather_cell(chain, system, i, row, s):
+    """Fill the pivot of cell i, and move what comes from outside it to its right-hand sides."""
+    kt, turn, width, size = system.kt, system.turn, system.width, system.turn - system.kt
+    slopes, pivot, loads = floats(row), floats(system.pivot), turn != system.right
+    changes, bends = system.tensions + 8 * width * kt * i, system.bends + 8 * width * size * i
+    for q in range(9):
+        pivot[q] = slopes[OWN + q]
     for k in range(kt):
         if i >= words(chain.tendon)[2 * k]:
             continue
-        here = floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))
-        shares = (here[BY_TENSION], here[BY_TENSION + 1], here[BY_TENSION + 2])
-        if turn != constant:
-            for m in range(3):
-                answer_here = s[kt + m, k]
-                shares = (
-                    shares[0] + row[BY_TORQUE + m] * answer_here,
-                    shares[1] + row[BY_TORQUE + 3 + m] * answer_here,
-                    shares[2] + row[BY_TORQUE + 6 + m] * answer_here,
-                )
-        x, y = x + shares[0] * direct[k, 2], y + shares[1] * direct[k, 2]
-        u, v = u + shares[2] * direct[k, 0], v + shares[2] * direct[k, 1]
-        pivot += shares[2] * direct[k, 2]
-        for j in range(width):
-            bends[i, 2, j] -= shares[2] * tensions[i, k, j]
-    if turn != constant:
+        for a in range(size):
+            share = floats(row + 8 * (SIZE + TENDON * k))[BY_TENSION + a]
+            if loads:
+                for m in range(3):
+                    share += slopes[BY_TORQUE + 3 * a + m] * floats(s)[width * (kt + m) + k]
+            for b in range(size):
+                pivot[3 * a + b] += share * floats(system.direct)[3 * k + b]
+            add_row(bends + 8 * width * a, -share, changes + 8 * width * k, 0, width)
+    if not loads:
+        return
+    for a in range(size):
         for m in range(3):
-            at, share = kt + m, row[BY_TORQUE + 6 + m]
-            x += row[BY_TORQUE + m] * by_own[at, 2]
-            y += row[BY_TORQUE + 3 + m] * by_own[at, 2]
-            u, v = u + share * by_own[at, 0], v + share * by_own[at, 1]
-            pivot += share * by_own[at, 2]
-            bends[i, 2, turn + m] -= row[BY_TURN + 6 + m]
-            for j in range(turn, width):
-                bends[i, 2, j] -= share * s[at, j]
-    u, v = u / pivot, v / pivot
-    twist[0], twist[1], twist[2] = pivot, -u, -v
-    for j in range(width):
-        bends[i, 2, j] /= pivot
-        bends[i, 0, j] -= x * bends[i, 2, j]
-        bends[i, 1, j] -= y * bends[i, 2, j]
-    return x, y, u, v
+            share = slopes[BY_TORQUE + 3 * a + m]
+            for b in range(size):
+                pivot[3 * a + b] += share * floats(system.by_own)[3 * (kt + m) + b]
+            floats(bends)[width * a + turn + m] -= slopes[BY_TURN + 3 * a + m]
+            add_row(bends + 8 * width * a, -share, s + 8 * width * (kt + m), turn, width)
 
 
 @compiled
-def complete_tensions(chain, i, direct, bends, tensions):
+def solve_cell(system, i):
     """
-    Add to the changes of the tensions in cell i those that its own bend and twist make.
+    Solve for the changes of bend and twist of cell i, whose pivot and right-hand sides are there.
 
-    Parameters
-    ----------
-    direct : ndarray, shape (k, 3)
-        Part of the tensions by bend and twist of the cell [N/rad].
-    bends : ndarray, shape (n, 2 or 3, width)
-        Changes of bend and twist.
-    tensions : ndarray, shape (n, k, width)
-        Row i holds the changes of what passes from before; takes all.
-
+    The twist goes first: the pivot then holds what is left of the bend, the twist's own in its
+    last entry, and before it how the twist follows the bend.
     """
-    kt, turn, _ = columns(chain)
-    width = tensions.shape[2]
+    width, size, pivot = system.width, system.turn - system.kt, floats(system.pivot)
+    x = floats(system.bends + 8 * width * size * i)
+    if size == 3:
+        pivot[6], pivot[7] = -pivot[6] / pivot[8], -pivot[7] / pivot[8]
+        for j in range(width):
+            x[2 * width + j] /= pivot[8]
+        for a in range(2):
+            pivot[3 * a] += pivot[3 * a + 2] * pivot[6]
+            pivot[3 * a + 1] += pivot[3 * a + 2] * pivot[7]
+            for j in range(width):
+                x[width * a + j] -= pivot[3 * a + 2] * x[2 * width + j]
+    a, b, c, d = pivot[0], pivot[1], pivot[3], pivot[4]
+    scale = 1.0 / (a * d - b * c)
+    for j in range(width):
+        u, v = x[j], x[width + j]
+        x[j], x[width + j] = scale * (d * u - b * v), scale * (a * v - c * u)
+    if size == 3:
+        for j in range(width):
+            x[2 * width + j] += pivot[6] * x[j] + pivot[7] * x[width + j]
+
+
+@compiled
+def complete_tensions(chain, system, i):
+    """Add to the changes of the tensions in cell i those that its own bend and twist make."""
+    kt, width, size = system.kt, system.width, system.turn - system.kt
+    bends = system.bends + 8 * width * size * i
     for k in range(kt):
         if i < words(chain.tendon)[2 * k]:
-            for j in range(width):
-                tensions[i, k, j] += direct[k, 0] * bends[i, 0, j] + direct[k, 1] * bends[i, 1, j]
-            if turn - kt == 3:
-                for j in range(width):
-                    tensions[i, k, j] += direct[k, 2] * bends[i, 2, j]
+            for a in range(size):
+                share = floats(system.direct)[3 * k + a]
+                if share != 0.0:
+                    at = system.tensions + 8 * width * (kt * i + k)
+                    add_row(at, share, bends + 8 * width * a, 0, width)
 
 
 @compiled
-def answer_row(chain, i, s, r, by_own, extra, tensions, bends, out):
-    """
-    Row r of the next S: how what lies beyond a cell's start answers what comes in there.
-
-    Parameters
-    ----------
-    i, r : int
-    s : ndarray, shape (k + 3, width)
-        How what lies beyond the cell answers.
-    by_own : ndarray, shape (k + 3, 3)
-        And how it answers the cell's own bend and twist.
-    extra : tuple of float
-        What the bend of the cell adds itself (2,).
-    tensions, bends : ndarray, shapes (n, k, width) and (n, 2, width)
-        Changes by what comes into each cell.
-    out : ndarray, shape (k + 3, width)
-        The next S.
-
-    """
-    kt, turn, _ = columns(chain)
-    width = out.shape[1]
-    u, v = by_own[r, 0] + extra[0], by_own[r, 1] + extra[1]
+def answer_row(system, i, r, s, extra, out):
+    """Fill row r of the next S; `extra` (3,): what bend and twist of the cell add themselves."""
+    kt, turn, width, size = system.kt, system.turn, system.width, system.turn - system.kt
+    answers, next_answers = floats(s + 8 * width * r), floats(out + 8 * width * r)
     for j in range(width):
-        out[r, j] = u * bends[i, 0, j] + v * bends[i, 1, j]
-    for j in range(turn, width):
-        out[r, j] += s[r, j]
+        next_answers[j] = answers[j] if j >= turn else 0.0
+    for a in range(size):
+        share = floats(system.by_own)[3 * r + a] + extra[a]
+        add_row(out + 8 * width * r, share, system.bends + 8 * width * (size * i + a), 0, width)
     for k in range(kt):
-        share = s[r, k]
-        if share != 0.0:
-            for j in range(width):
-                out[r, j] += share * tensions[i, k, j]
+        if answers[k] != 0.0:
+            at = system.tensions + 8 * width * (kt * i + k)
+            add_row(out + 8 * width * r, answers[k], at, 0, width)
 
 
 @compiled
-def answer(chain, tangent, i, s, by_own, tensions, bends, first, out):
-    """
-    Fill the next S (rows, width) from that of cell i.
-
-    Parameters
-    ----------
-    tangent : address
-        Derivatives of the cells, see `tangent`.
-    i : int
-    s : ndarray, shape (k + 3, width)
-        How what lies beyond the cell answers what comes into it.
-    by_own : ndarray, shape (k + 3, 3)
-        And how it answers the cell's own bend and twist.
-    tensions, bends : ndarray, shapes (n, k, width) and (n, 2, width)
-        Changes by what comes into each cell.
-    first : ndarray, shape (k,)
-        `first_slides`.
-    out : ndarray, shape (k + 3, width)
-        The next S.
-
-    """
-    kt, turn, constant = columns(chain)
-    row, tendon = floats(tangent_of(chain, tangent, i)), words(chain.tendon)
+def answer(chain, system, i, row, s, out):
+    """Fill the next S from that of cell i."""
+    kt, turn, width = system.kt, system.turn, system.width
+    slopes, tendon = floats(row), words(chain.tendon)
     for k in range(kt):
-        here = floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))
-        if first[k] <= i < tendon[2 * k]:
-            extra = (here[TRAVELS], here[TRAVELS + 1])
-            answer_row(chain, i, s, k, by_own, extra, tensions, bends, out)
-    if turn == constant:
+        if words(system.first)[k] <= i < tendon[2 * k]:
+            here = floats(row + 8 * (SIZE + TENDON * k))
+            extra = (here[TRAVELS], here[TRAVELS + 1], here[TRAVELS + 2])
+            answer_row(system, i, k, s, extra, out)
+        else:
+            for j in range(width):
+                floats(out)[width * k + j] = 0.0
+    if turn == system.right:
         return
     for m in range(3):
         at = TORQUE_BY_OWN + 3 * m
-        extra = (row[at], row[at + 1])
+        extra = (slopes[at], slopes[at + 1], slopes[at + 2])
         for k in range(kt):
             if i < tendon[2 * k]:
-                here = floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))
-                s[kt + m, k] += here[PULLS + m]
-        answer_row(chain, i, s, kt + m, by_own, extra, tensions, bends, out)
+                pulls = floats(row + 8 * (SIZE + TENDON * k))[PULLS + m]
+                floats(s)[width * (kt + m) + k] += pulls
+        answer_row(system, i, kt + m, s, extra, out)
         for a in range(3):
-            out[kt + m, turn + a] += row[TORQUE_BY_TURN + 3 * m + a]
-
-
-@compiled
-def answer_twist(chain, tangent, i, by_own, bends, first, out):
-    """Add to the next S what the twist of cell i does."""
-    kt, turn, constant = columns(chain)
-    row = floats(tangent_of(chain, tangent, i))
-    for r in range(kt if turn == constant else kt + 3):
-        if r >= kt:
-            share = by_own[r, 2] + row[TORQUE_BY_OWN + 3 * (r - kt) + 2]
-        elif first[r] <= i < words(chain.tendon)[2 * r]:
-            here = floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * r))
-            share = by_own[r, 2] + here[TRAVELS + 2]
-        else:
-            continue
-        for j in range(out.shape[1]):
-            out[r, j] += share * bends[i, 2, j]
+            floats(out)[width * (kt + m) + turn + a] += slopes[TORQUE_BY_TURN + 3 * m + a]

@@ -4,8 +4,7 @@ import math
 
 from .layout import HINGE, LENGTH, cell, compiled, floats, inlined, section_of, words
 from .stages import length, length_acts, rest, tendon_path
-from .turning import half_turn
-from .twisting import follows_shape, leans, twist_in
+from .turning import follows_shape, half_turn, leans, twist_in
 
 
 @compiled
@@ -55,7 +54,7 @@ def bent_path(chain, i, radial, bend, sin_half, cos_half):
 @compiled
 def leaning_path(chain, at, i, bend, ux, uy, sin_half, cos_half, scale, twist):
     """
-    Path lost by a tendon that leans (see `twisting`), its moment arms [m].
+    Path lost by a tendon that leans (see `turning`), its moment arms [m].
 
     The chord between its eyelets: what the bend leaves of the cell's length along the chord of
     the backbone, and across it the way from one offset to the other, seen from half the bend.

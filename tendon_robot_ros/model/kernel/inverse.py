@@ -10,7 +10,7 @@ from .linear import solve_small
 from .shape import accept, balance, place, predict
 from .stages import memory_acts
 from .sweep import is_implicit
-from .twisting import unknowns
+from .turning import unknowns
 
 # Target: x, y, z [m], direction x, y, z, weight of position [1], weight of direction [m/rad].
 COST_REACHED_M2 = 1e-14  # [m²] half the squared error of a tip that is where it should be: 0.14 µm

@@ -20,11 +20,14 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic, register_jitable
 
+from .linking import EntryCompiler, PartCompiler
+
 jit: Any = partial(njit, error_model='numpy', nogil=True, no_cfunc_wrapper=True)
-compiled = jit(no_cpython_wrapper=True)
-inlined = jit(no_cpython_wrapper=True, forceinline=True)
+part: Any = partial(jit, no_cpython_wrapper=True, pipeline_class=PartCompiler)
+compiled = part()
+inlined = part(forceinline=True)
 # with fused multiply-add: where no difference of equal products has to be exactly zero
-fused = jit(no_cpython_wrapper=True, forceinline=True, fastmath={'contract'})
+fused = part(forceinline=True, fastmath={'contract'})
 
 
 # Numba compiles a function anew for every literal that it is called with; these are none.
@@ -33,7 +36,7 @@ YES, NONE = np.bool_(True), np.int64(-1)
 
 def entry(*signature):
     """Compile something that Python calls: cached, for one signature or as called."""
-    return jit(*signature, cache=True)
+    return jit(*signature, cache=True, pipeline_class=EntryCompiler)
 
 
 # Chain: the robot and its effects; n cells, k tendons, m inputs; addresses of

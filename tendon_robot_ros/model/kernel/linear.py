@@ -2,7 +2,7 @@
 
 import math
 
-from .layout import compiled
+from .layout import compiled, floats
 
 
 @compiled
@@ -62,33 +62,44 @@ def solve_small(a, b, size):
 
 
 @compiled
-def solve_rows(a, b, size):
-    """Solve a x = b in place, a (size, size), b (size, ...), by LU; False where singular."""
-    width = b.shape[1]
+def solve_rows(matrix, sides, size, width):
+    """
+    Solve a x = b in place by LU; False where singular.
+
+    Addresses: `matrix` of a (size, size), `sides` of b (size, width).
+    """
     for c in range(size):
-        pivot = c
+        top, pivot = abs(floats(matrix)[size * c + c]), c
         for r in range(c + 1, size):
-            if abs(a[r, c]) > abs(a[pivot, c]):
-                pivot = r
-        if not 1e-30 < abs(a[pivot, c]) < 1e30:
+            if abs(floats(matrix)[size * r + c]) > top:
+                top, pivot = abs(floats(matrix)[size * r + c]), r
+        if not 1e-30 < top < 1e30:
             return False
+        at, side = floats(matrix + 8 * size * c), floats(sides + 8 * width * c)
         if pivot != c:
+            other, other_side = (
+                floats(matrix + 8 * size * pivot),
+                floats(sides + 8 * width * pivot),
+            )
             for j in range(size):
-                a[c, j], a[pivot, j] = a[pivot, j], a[c, j]
+                at[j], other[j] = other[j], at[j]
             for j in range(width):
-                b[c, j], b[pivot, j] = b[pivot, j], b[c, j]
+                side[j], other_side[j] = other_side[j], side[j]
         for r in range(c + 1, size):
-            share = a[r, c] / a[c, c]
+            row, row_side = floats(matrix + 8 * size * r), floats(sides + 8 * width * r)
+            share = row[c] / at[c]
             if share != 0.0:
                 for j in range(c + 1, size):
-                    a[r, j] -= share * a[c, j]
+                    row[j] -= share * at[j]
                 for j in range(width):
-                    b[r, j] -= share * b[c, j]
+                    row_side[j] -= share * side[j]
     for r in range(size - 1, -1, -1):
+        row, row_side = floats(matrix + 8 * size * r), floats(sides + 8 * width * r)
         for c in range(r + 1, size):
+            side = floats(sides + 8 * width * c)
             for j in range(width):
-                b[r, j] -= a[r, c] * b[c, j]
-        scale = 1.0 / a[r, r]
+                row_side[j] -= row[c] * side[j]
+        scale = 1.0 / row[r]
         for j in range(width):
-            b[r, j] *= scale
+            row_side[j] *= scale
     return True

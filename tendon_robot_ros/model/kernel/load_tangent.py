@@ -19,8 +19,7 @@ from .layout import (
 )
 from .loads import NO_LOAD, cell_moment, cross, local, plus, scaled, turn_moment, turned, weight
 from .stages import length
-from .turning import arc_factor, end_of, half_turn
-from .twisting import axial_moment, bending_frame
+from .turning import arc_factor, axial_moment, bending_frame, end_of, half_turn
 
 BEND_STEP = 1e-5  # [rad] of central differences
 TENSION_STEP = 1e-4  # [1], and of 10 mN

@@ -2,8 +2,7 @@
 
 from .layout import HINGE, MASS, MASS_X, MASS_Y, cell, compiled, floats, inlined, section_of
 from .stages import load, load_acts, tip_load, tip_load_acts
-from .turning import arc_factor, halved
-from .twisting import axial_moment, bending_frame, is_general
+from .turning import arc_factor, axial_moment, bending_frame, halved, is_general
 
 NO_LOAD = (0.0, 0.0, 0.0)
 

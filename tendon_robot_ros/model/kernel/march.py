@@ -16,8 +16,7 @@ from .linear import largest
 from .residual import moment_arms_of, tendon_moment
 from .stages import offset_scale, torsion_acts
 from .sweep import active_stages, base_tensions, pass_eyelet, tendons_about
-from .turning import half_turn
-from .twisting import follows_shape, twist_in
+from .turning import follows_shape, half_turn, twist_in
 
 RESIDUAL_STEP = 1e-7  # [rad] of the differences
 RESIDUAL_SOLVED = 1e-13  # [rad] residual of a cell that is solved

@@ -15,7 +15,7 @@ from .layout import (
     respond_at,
 )
 from .linear import dot, largest
-from .twisting import unknowns
+from .turning import unknowns
 
 
 @compiled

@@ -11,8 +11,7 @@ from .layout import STEP, YES, compiled, entry, floats, words
 from .loads import load_moments, loaded
 from .stages import eyelet_acts, friction_travel_acts, offset_scale, torsion_acts
 from .sweep import active_stages, carry_tensions, tendons_about
-from .turning import chain_frames, half_turns
-from .twisting import follows_shape
+from .turning import chain_frames, follows_shape, half_turns
 
 
 @compiled

@@ -11,11 +11,13 @@ import numpy as np
 
 from .elimination import (
     answer,
-    answer_twist,
-    columns,
+    answer_own,
     complete_tensions,
+    gather_cell,
     pass_tensions,
     solve_cell,
+    system_in,
+    system_size,
 )
 from .layout import (
     NONE,
@@ -33,117 +35,102 @@ from .layout import (
     tangent_size,
     words,
 )
-from .linear import fill
 from .tangent import differentiate
 
 
 @compiled
-def first_slides(chain, tangent):
-    """First cell (k,) from which on a tendon's travel matters to an eyelet before it."""
-    kt, _, _ = columns(chain)
-    first, tendon = np.empty(kt, np.int64), words(chain.tendon)
-    for k in range(kt):
+def note_first_slides(chain, system, tangent):
+    """Fill the first cell from which on a tendon's travel matters to an eyelet before it."""
+    first, tendon = words(system.first), words(chain.tendon)
+    for k in range(system.kt):
         first[k] = chain.n
         for i in range(1, tendon[2 * k]):
             if floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))[SLIDES] != 0.0:
                 first[k] = i
                 break
-    return first
 
 
 @compiled
-def eliminate(chain, tangent, bends, tensions):
+def eliminate(chain, system, tangent):
     """
     Eliminate the cells from the tip to the base.
 
-    `bends` (n, 2 or 3, width) holds the right-hand sides in its last columns and zeros before; it
-    and `tensions` (n, k, width) take the changes by what comes into each cell. Returns the first
-    cell from the tip whose pivot is not positive, that pivot of the bend (4,), and the pivot of
-    the twist and how it follows the bend (3,); -1 if all are: the equilibrium is then stable.
+    Returns the first cell from the tip whose pivot is not positive, that pivot of the bend (4,),
+    and the pivot of the twist and how it follows the bend (3,); -1 if all are: the equilibrium is
+    then stable.
     """
-    kt, turn, constant = columns(chain)
-    width, unstable, pivot = bends.shape[2], -1, (1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
-    rows, twist = kt + 3, np.zeros(3)
-    twist[0] = 1.0
-    s, out, by_own = np.zeros((rows, width)), np.zeros((rows, width)), np.zeros((rows, 3))
-    direct, first = np.empty((kt, 3)), first_slides(chain, tangent)
+    unstable, pivot = -1, (1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
+    step = 8 * (system.kt + 3) * system.width
+    s, out, own = system.answers, system.answers + step, floats(system.pivot)
+    for q in range((system.kt + 3) * system.width):
+        floats(s)[q] = 0.0
+    note_first_slides(chain, system, tangent)
     for i in range(chain.n - 1, -1, -1):
-        row = floats(tangent_of(chain, tangent, i))
-        for r in range(rows if turn != constant else kt):
-            for a in range(2):
-                by_own[r, a] = s[r, kt + a]
-                if turn != constant:
-                    for m in range(3):
-                        by_own[r, a] += s[r, turn + m] * row[TURNS + 3 * m + a]
-            if turn - kt == 3:
-                by_own[r, 2] = s[r, kt + 2]
-                if turn != constant:
-                    for m in range(3):
-                        by_own[r, 2] += s[r, turn + m] * row[TURNS + 3 * m + 2]
-        pass_tensions(chain, tangent, i, s, by_own, tensions, direct)
-        a, b, c, d = solve_cell(chain, tangent, i, s, by_own, tensions, direct, bends, twist)
-        positive = a > 0.0 and a * d > 0.25 * (b + c) * (b + c) and twist[0] > 0.0
+        row = tangent_of(chain, tangent, i)
+        answer_own(system, row, s)
+        pass_tensions(chain, system, i, row, s)
+        gather_cell(chain, system, i, row, s)
+        solve_cell(system, i)
+        if system.turn - system.kt == 2:  # nothing twists
+            own[6], own[7], own[8] = 0.0, 0.0, 1.0
+        both = own[1] + own[3]
+        positive = own[0] > 0.0 and own[0] * own[4] > 0.25 * both * both and own[8] > 0.0
         if unstable < 0 and not positive:
-            unstable, pivot = i, (a, b, c, d, twist[0], twist[1], twist[2])
-        complete_tensions(chain, i, direct, bends, tensions)
-        fill(out, 0.0)
-        answer(chain, tangent, i, s, by_own, tensions, bends, first, out)
-        if turn - kt == 3:
-            answer_twist(chain, tangent, i, by_own, bends, first, out)
+            unstable, pivot = i, (own[0], own[1], own[3], own[4], own[8], own[6], own[7])
+        complete_tensions(chain, system, i)
+        answer(chain, system, i, row, s, out)
         s, out = out, s
     return unstable, pivot
 
 
 @compiled
-def substitute(chain, tangent, bends, tensions, column, pulled, first, start, solution):
+def substitute(chain, system, tangent, column, pulled, first, start, solution):
     """
     Fill a solution (u,) at an address by back-substitution, base to tip.
 
-    That of the right-hand side in a column of `bends`; or, with `column` -1, that of 1 N at the
-    base of tendon `pulled`; or, with that -1, too, how the cells beyond cell `first` follow when
-    that moves by `start` (x, y, twist) and those before it stay.
+    That of the right-hand side in a column; or, with `column` -1, how the cells beyond
+    cell `first` follow when that moves by `start` (x, y, twist) and those before it stay.
 
     Parameters
     ----------
     tangent : address
         Derivatives of the cells.
-    bends, tensions : ndarray, shapes (n, 2 or 3, width) and (n, k, width)
-        As `eliminate` leaves them.
-    column, pulled, first : int
+    column, first : int
     start : tuple of float
         Bend and twist (3,) [rad].
     solution : address
         Takes (u,) [rad per unit].
 
     """
-    kt, turn, constant = columns(chain)
-    u, new, out = np.zeros(constant), np.zeros(constant), floats(solution)
+    kt, turn, right, width = system.kt, system.turn, system.right, system.width
+    size, out = turn - kt, floats(solution)
+    u, new = floats(system.side), floats(system.answers)
+    for j in range(right):
+        u[j] = 0.0
     if pulled >= 0:
         u[pulled] = 1.0
     for i in range(chain.n):
-        row = floats(tangent_of(chain, tangent, i))
-        twist = 0.0
-        for a in range(turn - kt):
-            total = bends[i, a, column] if column >= 0 else 0.0
-            for j in range(constant):
-                total += bends[i, a, j] * u[j]
-            if a < 2:
-                out[2 * i + a] = start[a] if i == first else total
-            else:
-                twist = out[2 * chain.n + i] = start[a] if i == first else total
+        row, own = floats(tangent_of(chain, tangent, i)), (0.0, 0.0, 0.0)
+        for r in range(size + kt):
+            at = system.bends + 8 * width * (size * i + r)
+            if r >= size:
+                at = system.tensions + 8 * width * (kt * i + r - size)
+            total = floats(at)[column] if column >= 0 else 0.0
+            for j in range(right):
+                total += floats(at)[j] * u[j]
+            new[r] = total
+        own = (new[0], new[1], new[2] if size == 3 else 0.0)
+        if i == first:
+            own = start
         for k in range(kt):
-            new[k] = tensions[i, k, column] if column >= 0 else 0.0
-            for j in range(constant):
-                new[k] += tensions[i, k, j] * u[j]
-        x, y = out[2 * i], out[2 * i + 1]
-        for k in range(kt):
-            u[k] = new[k]
-        u[kt], u[kt + 1] = x, y
-        if turn - kt == 3:
-            u[kt + 2] = twist
-        for j in range(turn, constant):
-            turns = TURNS + 3 * (j - turn)
-            u[j] += row[turns] * x + row[turns + 1] * y + row[turns + 2] * twist
+            u[k] = new[size + k]
+        for a in range(2):
+            out[2 * i + a] = u[kt + a] = own[a]
+        if size == 3:
+            out[2 * chain.n + i] = u[kt + 2] = own[2]
+        for m in range(right - turn):
+            at = TURNS + 3 * m
+            u[turn + m] += row[at] * own[0] + row[at + 1] * own[1] + row[at + 2] * own[2]
 
 
 @compiled
@@ -200,30 +187,28 @@ def respond(chain, bend, rates, count, work, past, ways, pulls):
 
     """
     tangent = np.zeros(tangent_size(chain.n, chain.k))
-    derivatives = address(tangent)
+    memory = np.zeros(system_size(chain, count))
+    derivatives, system = address(tangent), system_in(chain, count, address(memory))
     differentiate(chain, bend, work, past, derivatives)
-    kt, turn, constant = columns(chain)
-    size = turn - kt
-    bends = np.zeros((chain.n, size, constant + count))
-    tensions = np.empty((chain.n, kt, constant + count))
+    size, right, width = system.turn - system.kt, system.right, system.width
     for q in range(count):
         rate = floats(rates + 8 * size * chain.n * q)
         for i in range(chain.n):
-            bends[i, 0, constant + q], bends[i, 1, constant + q] = -rate[2 * i], -rate[2 * i + 1]
-            if size == 3:
-                bends[i, 2, constant + q] = -rate[2 * chain.n + i]
-    first, pivot = eliminate(chain, derivatives, bends, tensions)
+            for a in range(size):
+                at = 2 * i + a if a < 2 else 2 * chain.n + i
+                floats(system.bends)[width * (size * i + a) + right + q] = -rate[at]
+    first, pivot = eliminate(chain, system, derivatives)
+    start = (0.0, 0.0, 0.0)
     for q in range(count):
         way = ways + 8 * size * chain.n * q
-        start = (0.0, 0.0, 0.0)
-        substitute(chain, derivatives, bends, tensions, constant + q, NONE, NONE, start, way)
+        substitute(chain, system, derivatives, right + q, NONE, NONE, start, way)
     if count == 0 and ways != 0 and first >= 0:
-        start = yielding_to(chain, pivot, ways)
-        substitute(chain, derivatives, bends, tensions, NONE, NONE, first, start, ways)
+        yields = yielding_to(chain, pivot, ways)
+        substitute(chain, system, derivatives, NONE, NONE, first, yields, ways)
     if pulls != 0:
-        start = (0.0, 0.0, 0.0)
-        for k in range(kt):
+        for k in range(system.kt):
             way = pulls + 8 * size * chain.n * k
-            substitute(chain, derivatives, bends, tensions, NONE, k, NONE, start, way)
+            substitute(chain, system, derivatives, NONE, k, NONE, start, way)
     keep(tangent)
+    keep(memory)
     return first

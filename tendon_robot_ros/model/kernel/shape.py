@@ -39,8 +39,7 @@ from .stages import (
     winding_acts,
 )
 from .sweep import is_implicit, slip_direction
-from .turning import chain_frames
-from .twisting import unknowns
+from .turning import chain_frames, unknowns
 
 GUESS_STEP_MAX = 0.3  # [rad] step of a bend over which a derivative is no guess
 
@@ -79,9 +78,11 @@ def settle(chain, inputs, work, past, bend):
 
 
 @compiled
-def ramp(chain, inputs, work, past, now, bend, parts):
+def ramp(chain, inputs, work, past, now, bend, parts, found):
     """
     Go from the remembered tensions to new ones in equal parts; `now` is the memory then.
+
+    Every part is looked for on the straight way from the last one to the state found before.
 
     Parameters
     ----------
@@ -92,6 +93,8 @@ def ramp(chain, inputs, work, past, now, bend, parts):
     bend : address
         Takes the state [rad].
     parts : int
+    found : address
+        State [rad] that fewer parts led to; 0: none did.
 
     """
     change = 0.0
@@ -102,6 +105,8 @@ def ramp(chain, inputs, work, past, now, bend, parts):
         for j in range(chain.m):
             share = (part + 1.0) / parts
             there[j] = (1.0 - share) * start[j] + share * aim[j]
+        for q in range(unknowns(chain) if found != 0 else 0):
+            floats(bend)[q] += (floats(found)[q] - floats(bend)[q]) / (parts - part)
         change = settle(chain, now.inputs, work, now, bend)
         if not change < BEND_TOLERANCE:
             break
@@ -133,12 +138,13 @@ def posture(chain, inputs, work, past, now, bend, before):
         change = settle(chain, inputs, work, past, bend)
         remember(chain, inputs, bend, work, past, now)
         return change
-    parts = np.int64(1)
-    change = ramp(chain, inputs, work, past, now, bend, parts)
+    parts, none = np.int64(1), np.int64(0)
+    change = ramp(chain, inputs, work, past, now, bend, parts, none)
     while parts < 64:
+        found = before if change < BEND_TOLERANCE else none
         copy(bend, before, unknowns(chain))
         parts *= 2
-        change = ramp(chain, inputs, work, past, now, bend, parts)
+        change = ramp(chain, inputs, work, past, now, bend, parts, found)
         moved = 0.0
         for j in range(unknowns(chain)):
             moved = max(moved, abs(floats(bend)[j] - floats(before)[j]))

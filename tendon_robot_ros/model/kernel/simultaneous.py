@@ -28,7 +28,7 @@ from .layout import (
 from .linear import largest
 from .residual import imbalance, place_forces, place_travel
 from .stick import exchange, own_travel, take_over
-from .twisting import unknowns
+from .turning import unknowns
 
 BEND_STEP = 1e-6  # [rad] of differences
 STEP_SHRINKING_RAD = 0.3  # [rad] step after which the slip length shrinks

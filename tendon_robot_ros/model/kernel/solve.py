@@ -21,8 +21,7 @@ from .march import march
 from .stability import SAFE_LOAD_SHARE, descend, load_ratio
 from .stages import eyelet_acts, friction_travel_acts, memory_acts
 from .stick import solve_sliding
-from .turning import half_turns
-from .twisting import unknowns
+from .turning import half_turns, unknowns
 
 # Factors on the slip length, over which the sign of friction is smooth: on the way of a
 # continuation, at the start of a search, and from one good step to the next.

@@ -21,8 +21,7 @@ from .stages import (
     wrap,
     wrap_acts,
 )
-from .turning import chain_frames, half_turn, half_turns
-from .twisting import follows_shape
+from .turning import chain_frames, follows_shape, half_turn, half_turns
 
 
 @compiled

@@ -50,8 +50,7 @@ from .stages import (
     wrap,
 )
 from .sweep import active_stages, smooth_sign, tendons_about
-from .turning import half_turn
-from .twisting import follows_shape, is_general, leans, twist_in
+from .turning import follows_shape, half_turn, is_general, leans, twist_in
 
 MOMENT_STEP = 1e-6  # [rad] over a cell's compliance
 SINE_STEP = 1e-6  # [1]

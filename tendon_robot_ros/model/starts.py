@@ -1,0 +1,198 @@
+"""
+Searches for tensions that bring the tip to a target, and where they start.
+
+`aim` goes from equilibrium to equilibrium. Where tendons stick it soon stands at a kink; `seek`
+finds bends and tensions at once. Starts all over the workspace, one after the other, make a whole
+search; `inverse.reach` goes through them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .pulls import Aim
+from .tip_task import TipTask
+
+if TYPE_CHECKING:
+    from .forward import ForwardModel
+    from .shape import Shape
+
+Floats = npt.NDArray[np.float64]
+Start = tuple[Aim, Floats, Floats]  # how to search, tensions (m,) [N] and bends to start from
+Kept = list[tuple[Floats, Floats]]  # tensions (m,) [N] and bends where a search did not settle
+# [1] gain of a step: a search goes on, tracking has the next tick
+GAIN_MIN, TRACKING_GAIN_MIN = 1e-6, 1e-2
+POSED_STEPS_MAX = 30  # for a direction, too: little is free, and another start is quicker
+LIBRARY_NEIGHBOURS = 128  # shapes of the library among which starts are chosen
+START_TENSION_WEIGHT = 3e-3  # [m/N] how the tensions of a shape count when a start is chosen
+LOW_TENSION_WEIGHT = 1e-6  # [m/N] how little low tension counts
+SEEKING_WEIGHT = 1e-4  # [m/N] and where bends and tensions are found at once
+SEEKING_WIDTHS, SEEKING_SHRINK, SEEKING_STEPS_MAX = (1e3, 1e2), 0.5, 60
+NEAR_WIDTHS, FAR_WIDTHS = (10.0, 1e2, 1e3), (1e3, 1e2)  # from a guess, one after the other
+SETTLED_RAD = 1e-3  # [rad] last step of a search whose equilibrium is worth finding
+STUCK_WEIGHT = 1e-3  # [m/N] for low tension, where a search stands at a kink
+FAR_M2 = 5e-5  # [m²] cost of a tip that no search for an equilibrium improves: 1 cm
+FIRST_STEP_M = 5e-3  # [m] towards a tip that is far
+TRIALS_MAX = 120  # equilibria of a search
+REMEMBERING_TRIALS_MAX = 480  # where friction remembers, ways creep along narrow valleys
+# Where tendons stick a search that does not arrive soon stands at a kink: another start is quicker
+STICKING_TRIALS_MAX = 10
+
+
+def aim(
+    task: TipTask,
+    enough: float,
+    inputs: Floats,
+    bend: Floats,
+    limits: Floats,
+    preference: float = LOW_TENSION_WEIGHT,
+    far: float = np.inf,
+    most: int = TRIALS_MAX,
+) -> tuple[float, Floats]:
+    """
+    Improve inputs in place; return the cost [m²] and the bends of the equilibrium.
+
+    Once the tip is there, a step that gains less than `enough` of the cost is the last, else the
+    one after so many trials. What costs more than `far` stays as it is.
+    """
+    bends = np.array([bend, bend])
+    begin, end = _shared(task, inputs, bends, limits)
+    cost = task.model.arrays.part('inverse').aim(*begin, preference, most, enough, far, *end)
+    return float(cost), bends[0]
+
+
+def step_towards(
+    task: TipTask, guess: Shape, inputs: Floats, bend: Floats, limits: Floats
+) -> tuple[float, Floats]:
+    """Improve inputs in place by a step to a tip that is far: the arm may set out."""
+    near, share = task.target.copy(), FIRST_STEP_M / np.sqrt(2.0 * task.cost(guess))
+    near[:6] += (1.0 - share) * task.off(guess)
+    step = replace(task, target=near)
+    bends = aim(step, TRACKING_GAIN_MIN, inputs, bend, limits, most=STICKING_TRIALS_MAX)[1]
+    return aim(task, TRACKING_GAIN_MIN, inputs, bends, limits, far=0.0)
+
+
+def seek(
+    task: TipTask,
+    wide: float,
+    kept: Kept | None,
+    inputs: Floats,
+    bend: Floats,
+    limits: Floats,
+    weight: float = SEEKING_WEIGHT,
+    steps: int = SEEKING_STEPS_MAX,
+) -> tuple[float, Floats]:
+    """
+    Improve inputs in place from far away; return the cost [m²] and the bends of the equilibrium.
+
+    For tendons that stick and slip: bends and tensions are found at once, with a slip length that
+    starts `wide` times its own.
+    """
+    bends = np.array([bend, bend])
+    begin, end = _shared(task, inputs, bends, limits)
+    part = task.model.arrays.part('simultaneous')
+    step = part.seek(*begin, weight, wide, SEEKING_SHRINK, steps, *end)
+    if kept is not None and not step < SETTLED_RAD:
+        kept.append((inputs, bends[0]))
+        return np.inf, bends[0]
+    return aim(
+        task, TRACKING_GAIN_MIN, inputs, bends[0], limits, far=FAR_M2, most=STICKING_TRIALS_MAX
+    )
+
+
+def _shared(
+    task: TipTask, inputs: Floats, bends: Floats, limits: Floats
+) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """Return what both compiled searches take first: where and to what, and last: how long."""
+    low, high = np.ascontiguousarray(limits[:, 0]), np.ascontiguousarray(limits[:, 1])
+    model, until = task.model, task.patience.until.ctypes.data
+    return (
+        (model.arrays.address, inputs, bends, task.target, low, high),
+        (until, task.past, model.scratch),
+    )
+
+
+def beginnings(task: TipTask, guess: Shape | None, count: int, step: bool) -> Iterator[Start]:
+    """
+    Yield how to search, and tensions and bends to start from; made only when needed.
+
+    The guess, then the straight arm, from where a gentle bend is nearer than a curl, then the
+    shapes of the library whose tips are nearest, those of low tension first: from much tension
+    against much tension there is often no way down. `step`: from a guess that is far, early, by a
+    short step towards the target.
+    """
+    model, near = task.model, partial(aim, task, GAIN_MIN)
+    kept: Kept = []
+    if model.sticks:
+        steps = POSED_STEPS_MAX if task.target[7] else SEEKING_STEPS_MAX
+        near = partial(seek, task, SEEKING_WIDTHS[0], kept, steps=steps)
+    if guess is not None:
+        inputs = np.minimum(np.maximum(guess.inputs, model.limits[:, 0]), model.limits[:, 1])
+        if not model.sticks:
+            most = REMEMBERING_TRIALS_MAX if model.remembers else TRIALS_MAX
+            yield partial(aim, task, TRACKING_GAIN_MIN, most=most), inputs, guess.state
+        elif task.cost(guess) < FAR_M2:
+            yield from _starts_near(task, guess, inputs, count, kept)
+        else:
+            yield from _starts_far(task, guess, inputs, count, kept, step)
+    if count:
+        yield near, model.limits[:, 0].copy(), np.zeros(3 * model.robot.cells)
+        for row in islice(rows_near(model, task.target), count):
+            yield near, model.library.inputs[row].copy(), model.library.state[row]
+    go_on = partial(aim, task, TRACKING_GAIN_MIN, far=FAR_M2, most=STICKING_TRIALS_MAX)
+    for inputs, state in kept:
+        yield go_on, inputs, state
+
+
+def _starts_near(
+    task: TipTask, guess: Shape, inputs: Floats, count: int, kept: Kept
+) -> Iterator[Start]:
+    """Yield starts from a guess with its tip near, where tendons stick."""
+    aimed = inputs.copy()
+    yield partial(aim, task, TRACKING_GAIN_MIN, most=STICKING_TRIALS_MAX), aimed, guess.state
+    for wide in NEAR_WIDTHS if count else ():
+        yield partial(seek, task, wide, kept), inputs.copy(), guess.state
+    if count:
+        state = task.shape(aimed, guess.state).state
+        yield partial(seek, task, NEAR_WIDTHS[0], kept, weight=STUCK_WEIGHT), aimed.copy(), state
+
+
+def _starts_far(
+    task: TipTask, guess: Shape, inputs: Floats, count: int, kept: Kept, step: bool
+) -> Iterator[Start]:
+    """Yield starts from a guess with its tip far, where tendons stick."""
+    yield partial(aim, task, TRACKING_GAIN_MIN, far=0.0), inputs, guess.state  # to stay
+    seeks = [partial(seek, task, wide, kept) for wide in FAR_WIDTHS if count]
+    if step:
+        seeks.insert(min(1, count), partial(step_towards, task, guess))
+    for search in seeks:
+        yield search, inputs.copy(), guess.state
+
+
+def rows_near(model: ForwardModel, target: Floats) -> Iterator[int]:
+    """
+    Yield shapes of the library whose tips are near a target, those of low tension first.
+
+    Every other one is that whose tensions are furthest from those before: from much tension
+    against much tension there is often no way down.
+    """
+    library, low, high = model.library, *model.limits.T
+    tips = np.concatenate([library.tip_position, library.tip_direction], axis=1)
+    miss = np.repeat(target[6:], 3) * (tips - target[:6])
+    tension = START_TENSION_WEIGHT * (library.inputs - low).sum(axis=1)
+    near = np.argsort((miss * miss).sum(axis=1) + tension * tension)[:LIBRARY_NEIGHBOURS]
+    places, away = library.inputs[near] / high, np.full(len(near), np.inf)
+    for count in range(len(near)):
+        left = np.flatnonzero(away > 0.0)
+        if not len(left):
+            return
+        row = int(np.argmax(away)) if count % 2 else int(left[0])
+        yield int(near[row])
+        away = np.minimum(away, ((places - places[row]) ** 2).sum(axis=1))
