@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.noise import Whitener, estimate_noise, input_slopes
+from ..comparison.noise import Whitener, input_slopes
 from ..comparison.predict import Predictor
+from ..comparison.repeatability import estimate_noise
 from ..data import DataSet, Marker
 from ..diagnosis.marginal import RandomEffects
 from ..diagnosis.slopes import imperfections
@@ -18,8 +19,7 @@ from ..diagnosis.split import SplitPredictor
 from ..effects import Catalogue
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
-from ..simulation.hidden import CAUSES
-from ..simulation.imperfect import Built, Workmanship
+from ..simulation.hidden import CAUSES, Built, Workmanship
 from ..simulation.measurements import SimulatedNoise, simulate
 from ..simulation.plant import make_plant
 from ..workspace.postures import default_postures

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..diagnosis.decide import Verdict
 from ..diagnosis.trust import DETECTED_SHARE, wilson
+from ..effects import load_catalogue
 from ..simulation.hidden import CAUSES
 from .cases import NOTHING
 from .judge import ERROR, NAMING, CaseRow
@@ -19,13 +20,6 @@ from .judge import ERROR, NAMING, CaseRow
 NOMINAL = (0.5, 0.8, 0.9, 0.95, 0.99)  # of the intervals whose coverage is counted
 BINS = 6  # of sizes that were drawn at random, on the scale of logarithms
 LISTED_SIZES_MAX = 12  # different sizes, above which they were drawn
-TWINS = (  # scale all bends alike
-    'backbone_stiffness',
-    'section_stiffness',
-    'tendon_stiffness',
-    'transmission_loss',
-    'moment_arm',
-)
 
 
 @dataclass(frozen=True)
@@ -209,12 +203,8 @@ def rates(rows: Sequence[CaseRow]) -> dict[str, Rate]:
     named = [row for row in effects if row.right]
     causes = [row for row in rows if row.hidden in CAUSES]
     clean = [row for row in rows if row.hidden == NOTHING]
-    held = [
-        low <= true <= high
-        for row in effects
-        for low, true, high in zip(row.low, row.truth, row.high, strict=True)
-    ]
-    single = [row for row in named if row.hidden not in TWINS]
+    twins = {effect.name for effect in load_catalogue() if effect.scales_bends}
+    single = [row for row in named if row.hidden not in twins]
     return {
         'right, of all effects': Rate.of(row.right for row in effects),
         'right, of those that stand out of the noise': Rate.of(
@@ -222,12 +212,14 @@ def rates(rows: Sequence[CaseRow]) -> dict[str, Rate]:
         ),
         'wrong names, of all effects': Rate.of(row.wrong_name for row in effects),
         'a single name, effects without a twin': Rate.of(len(row.group) <= 1 for row in single),
-        'true values inside their 95 % intervals': Rate.of(held),
+        'true values inside their 95 % intervals': Rate.of(
+            held for row in effects for held in row.held
+        ),
         'named effects that take 90 % of the error off other postures': Rate.of(
             row.gone >= 0.9 for row in named if row.gone is not None
         ),
         'scatter inside its interval, where it is told': Rate.of(
-            row.scatter_inside == 1.0 for row in rows if row.scatter_inside is not None
+            held for row in rows for held in row.scatter_held
         ),
         'causes called outside, of those that raise an alarm': Rate.of(
             row.right for row in causes if row.verdict != Verdict.ADEQUATE
@@ -236,6 +228,38 @@ def rates(rows: Sequence[CaseRow]) -> dict[str, Rate]:
         'clean sets with any alarm': Rate.of(not row.right for row in clean),
         'cases that ended in an error': Rate.of(row.verdict == ERROR for row in rows),
     }
+
+
+def rates_by_robot(rows: Sequence[CaseRow]) -> dict[str, dict[str, Rate]]:
+    """Return the rates of every robot."""
+    return {robot: rates(members) for robot, members in grouped(rows, lambda r: r.robot).items()}
+
+
+@dataclass(frozen=True)
+class HiddenRates:
+    """What was said where one thing was hidden in one robot."""
+
+    robot: str
+    hidden: str
+    right: Rate  # of all sizes
+    right_if_seen: Rate  # of those that stand out of the noise
+    wrong_names: Rate
+    inside: Rate  # true values inside their 95 % intervals
+
+
+def rates_by_hidden(rows: Sequence[CaseRow]) -> list[HiddenRates]:
+    """Return the rates of everything that was hidden, robot by robot."""
+    return [
+        HiddenRates(
+            robot,
+            hidden,
+            Rate.of(row.right for row in members),
+            Rate.of(row.right for row in members if row.visible),
+            Rate.of(row.wrong_name for row in members),
+            Rate.of(held for row in members for held in row.held),
+        )
+        for (robot, hidden), members in grouped(rows, lambda r: (r.robot, r.hidden)).items()
+    ]
 
 
 def grouped[K](rows: Iterable[CaseRow], by: Callable[[CaseRow], K]) -> dict[K, list[CaseRow]]:
@@ -254,9 +278,24 @@ def to_json(rows: Sequence[CaseRow]) -> dict[str, Any]:
         return {'share': rate.share, 'low': low, 'high': high, 'hits': rate.hits,
                 'runs': rate.runs}  # fmt: skip
 
+    def all_plain(found: dict[str, Rate]) -> dict[str, Any]:
+        return {name: plain(rate) for name, rate in found.items()}
+
     return {
         'cases': len(rows),
-        'rates': {name: plain(rate) for name, rate in rates(rows).items()},
+        'rates': all_plain(rates(rows)),
+        'rates_by_robot': {name: all_plain(each) for name, each in rates_by_robot(rows).items()},
+        'rates_by_hidden': [
+            {
+                'robot': one.robot,
+                'hidden': one.hidden,
+                'right': plain(one.right),
+                'right_if_seen': plain(one.right_if_seen),
+                'wrong_names': plain(one.wrong_names),
+                'inside': plain(one.inside),
+            }
+            for one in rates_by_hidden(rows)
+        ],
         'power': [
             {
                 'robot': one.robot,

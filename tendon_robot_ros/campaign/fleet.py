@@ -188,8 +188,11 @@ def judge_measured(one: ToDiagnose) -> FleetRow:
         dataset = import_bag(path).dataset if is_bag(path) else load_dataset(path)
         with compiled_once('fleet', one.effects):
             return _diagnosed(one, dataset, when, dated_by)
-    except (TendonRobotError, ArithmeticError, np.linalg.LinAlgError) as error:
+    except TendonRobotError as error:
         return _refused(one, when, dated_by, ' '.join(str(error).split()))
+    except Exception as error:  # the other measurements are diagnosed all the same
+        told = f'{type(error).__name__}: {error}'
+        return _refused(one, when, dated_by, ' '.join(told.split()))
 
 
 def _diagnosed(one: ToDiagnose, dataset: DataSet, when: str, dated_by: str) -> FleetRow:

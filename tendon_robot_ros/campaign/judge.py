@@ -9,16 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from ..common.errors import TendonRobotError
 from ..comparison.noise import rms
 from ..comparison.predict import Predictor, frees_of
 from ..diagnosis.add import add_effects
+from ..diagnosis.arm_report import is_told
 from ..diagnosis.decide import Verdict
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis, Value
 from ..model.model import Model
-from ..simulation.hidden import CAUSES
-from ..simulation.imperfect import Built
+from ..simulation.hidden import CAUSES, Built
 from ..simulation.measurements import SimulatedNoise
 from .cases import NOTHING, Case, Design, PlannedRobot, Simulated, is_visible, simulated, truth_of
 from .versions import UserEffect, catalogue_of, compiled_once
@@ -60,14 +59,22 @@ class CaseRow:
     value: tuple[float, ...] = ()
     low: tuple[float, ...] = ()
     high: tuple[float, ...] = ()
+    scatter_told: int = 0  # such kinds whose size was printed
 
     @property
-    def inside(self) -> float | None:
-        """Share of the true values that lie in their 95 % intervals; None: none was fitted."""
-        if not self.truth:
-            return None
+    def scatter_held(self) -> list[bool]:
+        """Whether the size of each kind of imperfections that was printed is in its interval."""
+        if self.scatter_inside is None:
+            return []
+        told = max(self.scatter_told, 1)  # older tables have only the share
+        held = int(self.scatter_inside * told + 1e-9)
+        return [True] * held + [False] * (told - held)
+
+    @property
+    def held(self) -> list[bool]:
+        """Whether each true value lies in its 95 % interval; none where none was fitted."""
         each = zip(self.low, self.truth, self.high, strict=True)
-        return float(np.mean([low <= true <= high for low, true, high in each]))
+        return [low <= true <= high for low, true, high in each]
 
 
 @dataclass(frozen=True)
@@ -123,7 +130,7 @@ def judge(setup: Setup, case: Case) -> CaseRow:
         )
         start = time.process_time()
         found = asks(case, made)
-    except (TendonRobotError, ArithmeticError, np.linalg.LinAlgError) as error:
+    except Exception as error:  # whatever a case meets, the others go on and it is counted
         found = {'verdict': ERROR, 'problem': f'{type(error).__name__}: {error}'}
     return _row(setup, case, {'seconds': time.process_time() - start, **found})
 
@@ -172,7 +179,7 @@ def _diagnosed(case: Case, made: Simulated) -> dict[str, Any]:
         'alarm': found.verdict is not Verdict.ADEQUATE,
         'visible': is_visible(case, made),
         'gone': error_gone(found, made) if named else None,
-        'scatter_inside': scatter_inside(found, made.built) if told else None,
+        **(_scatter(found, made.built) if told else {}),
         'before': _number(found.error_before),
         'after': _number(found.error_after),
         'floor': _number(found.noise_floor),
@@ -233,21 +240,24 @@ def error_gone(found: Diagnosis, made: Simulated) -> float | None:
     return (before - after) / (before - floor) if before > 1.2 * floor else None
 
 
-def scatter_inside(found: Diagnosis, built: Built) -> float | None:
-    """Share of the kinds of imperfections whose size was right."""
+def _scatter(found: Diagnosis, built: Built) -> dict[str, Any]:
+    held = scatter_held(found.details.get('as_built'), built)
+    inside = float(np.mean(held)) if held else None
+    return {'scatter_inside': inside, 'scatter_told': len(held)}
+
+
+def scatter_held(report: Mapping[str, Any] | None, built: Built) -> list[bool]:
+    """Tell of each kind of imperfections whose size is printed whether its interval holds it."""
     truth = {
         'cell_stiffness': built.stiffness,
         'cell_kink': built.kink[:, built.kink.any(axis=0)],
     }
-    report = found.details.get('as_built')
-    if report is None:
-        return None
-    held = []
-    for kind in report['kinds']:
-        if kind['kind'] in truth and kind['told']:
-            size = float(np.sqrt(np.mean(np.square(truth[kind['kind']]))))
-            held.append(kind['low'] <= size <= kind['high'])
-    return float(np.mean(held)) if held else None
+    sizes = {name: float(np.sqrt(np.mean(np.square(one)))) for name, one in truth.items()}
+    return [
+        kind['low'] <= sizes[kind['kind']] <= kind['high']
+        for kind in (report or {'kinds': ()})['kinds']
+        if kind['kind'] in sizes and is_told(kind)
+    ]
 
 
 def _number(value: float) -> float | None:

@@ -215,9 +215,8 @@ def _cases(
     known = (ALL, ALL_CAUSES, *catalogue.names, *CAUSES)
     hidden = _expanded(top.words('hidden', known, (ALL,)), setup, catalogue)
     full = set(top.words('full_size', [*catalogue.names, *CAUSES], ()))
-    levels = top.numbers_in('imperfections', 0.0, 5.0, (1.0,))
-    if setup.question == INTERVALS:
-        levels = [0.0]  # the arm is the model's own
+    usual = 0.0 if setup.question == INTERVALS else 1.0  # that arm is the model's own
+    levels = top.numbers_in('imperfections', 0.0, 5.0, (usual,))
     exact, scatter = top.flag('exact'), 0.0
     if top.has('scatter'):
         scatter = top.number('scatter', 0.0, 0.2)

@@ -48,16 +48,18 @@ class ChunkSize:
 
 @dataclass(frozen=True)
 class Timed:
-    """The rows of a chunk and the time [s] that it took in the worker."""
+    """The rows of a chunk and the time [s] that it took in the worker, of the processor too."""
 
     rows: list[CaseRow]
     seconds: float
+    processor: float
 
 
 def timed_chunk(chunk: Chunk) -> Timed:
     """Judge a chunk, in a worker."""
-    start = time.monotonic()
-    return Timed(judge_chunk(chunk), time.monotonic() - start)
+    start, began = time.monotonic(), time.thread_time()
+    rows = judge_chunk(chunk)
+    return Timed(rows, time.monotonic() - start, time.thread_time() - began)
 
 
 def run_plan(

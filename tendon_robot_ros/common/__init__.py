@@ -6,7 +6,6 @@ files.py          files and folders that are there whole, or not at all
 yaml_reading.py   checked reading of YAML; every refusal names file, key, expectation and value
 workers.py        chunks of independent work: here, in processes, on a cluster
 processes.py      children that end with who started them; who goes first; one thread
-patience.py       how long a search may take
 rotations.py      rotation matrices, rotation vectors and quaternions
 units.py          units as people write them, to SI
 words.py          numbers as people read them: millimetres, degrees, names in a list

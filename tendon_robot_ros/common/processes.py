@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import os
@@ -9,8 +10,10 @@ import signal
 import stat
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
@@ -41,6 +44,7 @@ SWITCH_INTERVAL_S = 0.0005
 FIRST_NICENESS = -15  # nice value; the kernel's own threads stay before it
 # of SCHED_RR, first what moves motors; what the kernel does for devices is at 50
 REALTIME_PRIORITY, REALTIME_PRIORITY_SECOND, REALTIME_PRIORITY_MOCK = 5, 4, 3
+REALTIME_PRIORITY_EMULATED = 20  # the electronics of a motor wait for no program
 
 
 def switch_often() -> None:
@@ -52,17 +56,22 @@ def go_first() -> None:
     """
     Have this thread, and all it starts, preferred to others; do nothing where it may not.
 
+    Also the session (autogroup): a nice value weighs within it only, and what solves beside the
+    commands holds Python's lock at times, for which they wait while others have the processor.
     Who was started with a nice value of its own keeps it. Needs root, CAP_SYS_NICE or a line
     `nice -15` in /etc/security/limits.conf.
     """
     if os.getpriority(os.PRIO_PROCESS, 0) == 0:
         with contextlib.suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, 0, FIRST_NICENESS)
+            Path('/proc/self/autogroup').write_text(str(FIRST_NICENESS))
 
 
-def go_realtime(priority: int = REALTIME_PRIORITY, but: Sequence[str] = ()) -> None:
+def go_realtime(
+    priority: int = REALTIME_PRIORITY, but: Sequence[str] = (), process: int | None = None
+) -> None:
     """
-    Have the threads that this process has now scheduled in real time, where that is allowed.
+    Have the threads that this process, or another, has now scheduled in real time, if allowed.
 
     Nice values weigh within a session only (autogroups), and a busy machine is late by tens of
     milliseconds all the same. What is started later is as before, and threads of Python whose
@@ -72,7 +81,7 @@ def go_realtime(priority: int = REALTIME_PRIORITY, but: Sequence[str] = ()) -> N
     if os.getpriority(os.PRIO_PROCESS, 0) > 0 or not sys.platform.startswith('linux'):
         return
     left = {thread.native_id for thread in threading.enumerate() if thread.name in but}
-    for thread in {int(name) for name in os.listdir('/proc/self/task')} - left:
+    for thread in {int(name) for name in os.listdir(f'/proc/{process or "self"}/task')} - left:
         with contextlib.suppress(OSError):
             policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
             os.sched_setscheduler(thread, policy, os.sched_param(priority))
@@ -162,3 +171,34 @@ def one_thread() -> Iterator[None]:
     """
     with threadpool_limits(limits=1, user_api='blas'):
         yield
+
+
+# -----------------------------------------------------------------------------
+# Threads that run compiled code: they must not outlive the interpreter.
+
+EXIT_TIMEOUT_S = 4.0  # [s] launch kills after five
+
+
+class ComputingThread(threading.Thread):
+    """
+    Runs compiled code beside the rest; the end of the process asks it to end and waits for it.
+
+    A daemon would go on while the interpreter takes its memory away, which ends in a crash.
+    """
+
+    def __init__(
+        self, target: Callable[[], object], name: str, end: Callable[[], object] = lambda: None
+    ) -> None:
+        """Take what runs, and what asks it to end."""
+        super().__init__(target=target, name=name, daemon=True)
+        self.end = end
+
+
+@atexit.register
+def _wait_for_compiled_code() -> None:
+    threads = [one for one in threading.enumerate() if isinstance(one, ComputingThread)]
+    for thread in threads:
+        thread.end()
+    until = time.monotonic() + EXIT_TIMEOUT_S
+    for thread in threads:
+        thread.join(max(0.0, until - time.monotonic()))

@@ -26,6 +26,17 @@ def mm(metres: float | None, count: int = 3) -> str:
     return '–' if metres is None or math.isnan(metres) else f'{digits(1e3 * metres, count)} mm'
 
 
+def with_unit(text: str, unit: str) -> str:
+    """Put a unit behind a number; pure numbers have none."""
+    return text if unit == '1' else f'{text} {unit}'
+
+
+def spoken(key: str) -> str:
+    """Say a parameter of a section or tendon: 'relative_change of distal'."""
+    name, _, owner = key.partition('[')
+    return f'{name} of {owner.removesuffix("]")}' if owner else name
+
+
 def times(ratio: float) -> str:
     """Show a ratio: 'six times', '2.4 times'."""
     if ratio >= 2.75 and round(ratio) < len(TIMES_WORDS):
@@ -53,6 +64,12 @@ def commands(inputs: Mapping[str, float | None], kind: str = 'tension') -> str:
         if value is not None and math.isfinite(value) and value != 0.0
     ]
     return ', '.join(parts) or 'nothing pulled'
+
+
+def postures(count: int, resting: int = 0) -> str:
+    """Say how many postures there are, and how many of them are the arm at rest."""
+    rest = f' ({"one" if resting == 1 else resting} at rest)' if resting else ''
+    return f'{count} posture{"" if count == 1 else "s"}{rest}'
 
 
 def listing(names: Iterable[str]) -> str:

@@ -92,7 +92,7 @@ class Workers:
         if cluster:
             self.engine = _Cluster(cluster)
         elif count > 1:
-            self.engine = _Processes(count)
+            self.engine = _Processes(count, prepare)
 
     @property
     def slots(self) -> int:
@@ -143,27 +143,31 @@ class Workers:
         waiting: dict[Future[Any], tuple[int, Any]] = {}
         again: deque[tuple[int, Any]] = deque()
         losses: dict[int, int] = {}
-        while True:
+
+        def hand_out() -> None:
             while len(waiting) < engine.slots:
                 item = again.popleft() if again else next(coming, None)
                 if item is None:
-                    break
+                    return
                 waiting[engine.submit(_call, (self.prepare, work, item[1]))] = item
-            left = until - time.monotonic()
-            if not waiting or left <= 0.0:
-                return
+
+        hand_out()
+        while waiting and (left := until - time.monotonic()) > 0.0:
             done, _ = wait(waiting, min(left, IDLE_S), FIRST_COMPLETED)
             for future in done:
                 index, chunk = waiting.pop(future)
-                lost = _result_of(future, engine)
-                if not isinstance(lost, LostWork):
-                    yield index, lost
-                    continue
-                losses[index] = losses.get(index, 0) + 1
-                if losses[index] < LOSSES_MAX:
-                    again.append((index, chunk))
-                else:
-                    yield index, LostWork(losses[index])
+                result = _result_of(future, engine)
+                if isinstance(result, LostWork):
+                    losses[index] = losses.get(index, 0) + 1
+                    if losses[index] < LOSSES_MAX:
+                        again.append((index, chunk))
+                        continue
+                    result = LostWork(losses[index])
+                try:
+                    hand_out()  # the worker goes on while its result is taken
+                finally:  # a cluster that is gone keeps no result back
+                    yield index, result
+            hand_out()
 
 
 def _result_of(future: Future[Any], engine: Engine) -> Any:
@@ -195,9 +199,9 @@ def _prepared(prepare: Prepare) -> None:
 
 
 class _Processes:
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, prepare: Prepare | None) -> None:
         self.slots = count
-        self.free = [_Slot() for _ in range(count)]
+        self.free = [_Slot(prepare) for _ in range(count)]
         self.busy: dict[Future[Any], _Slot] = {}
 
     def submit(self, work: Work, chunk: Any) -> Future[Any]:
@@ -230,7 +234,8 @@ class _Processes:
 class _Slot:
     """A process, started anew when it has died."""
 
-    def __init__(self) -> None:
+    def __init__(self, prepare: Prepare | None) -> None:
+        self.prepare = prepare
         self.restart()
 
     def restart(self) -> None:
@@ -240,7 +245,7 @@ class _Slot:
             initializer=_begin,
             initargs=(os.getpid(),),
         )
-        self.process = self.pool.submit(os.getpid)
+        self.process = self.pool.submit(_load, self.prepare)
 
     def end(self) -> None:
         """Kill it: whatever it still computes is not wanted."""
@@ -258,15 +263,28 @@ def _begin(parent: int) -> None:
     end_with_parent(parent, signal.SIGKILL)
 
 
+def _load(prepare: Prepare | None) -> int:
+    """Import what the first chunk needs while the parent opens its table; return the process."""
+    with contextlib.suppress(Exception):  # raised again with the first chunk
+        if prepare is not None:
+            _prepared(prepare)
+    return os.getpid()
+
+
 # -----------------------------------------------------------------------------
 # A cluster: whatever has started workers and a scheduler of dask, as its settings say.
 
 
 def _check_certificates(address: str) -> None:
-    """Refuse TLS without certificates, for which dask itself would wait and then fail late."""
+    """Refuse TLS without certificates, and what dask's settings want encrypted without TLS."""
     from distributed.security import Security
 
     if not address.startswith('tls://'):
+        if Security().require_encryption:
+            raise InputError(
+                f'--cluster {address}: expected tls://, as distributed.comm.require-encryption of '
+                "dask's settings asks for; start the scheduler with `--protocol tls`"
+            )
         return
     where = 'distributed.comm.tls in ~/.config/dask/distributed.yaml: ca-file, client.cert and key'
     try:

@@ -1,14 +1,21 @@
-"""Measurements of a plant, as a tracker and load cells would give them."""
+"""
+Measurements of a plant, as a tracker and load cells would give them.
+
+As a data set, and as a laboratory logs it: a wide table over time, in the tracker's own frame.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
+from ..common.files import new_file
+from ..common.rotations import towards
 from ..data import DataSet, Marker, default_markers
 from ..data.joining import divide
 from ..data.visits import Split, split_by_order
@@ -179,3 +186,162 @@ def _factors(
     setting = noise.setting * random.normal(size=shape)
     trial = noise.trial * random.normal(size=(trials, *shape))
     return np.maximum((1.0 + setting) * (1.0 + trial), 0.0)
+
+
+# -----------------------------------------------------------------------------
+# The same as a laboratory logs it.
+
+UP = np.array([0.0, 1.0, 0.0])  # of the tracker
+SLIP = 0.7  # of the largest tension that arrives where a tendon slips
+
+
+@dataclass(frozen=True)
+class Laboratory:
+    """How a recording is made."""
+
+    rate: float = 50.0  # [1/s]
+    hold: float = 2.0  # [s] that a posture stands, and the rest between two
+    move: float = 0.5  # [s]
+    turned: float = float(np.radians(30.0))  # [rad] of the tracker about the vertical
+    shift: tuple[float, float, float] = (0.12, 0.15, -0.06)  # [m] of the base, 200 mm off
+    lost: float = 0.02  # share of the frames in which a marker is not seen, in bursts
+    frame_noise: float = 1e-4  # [m] per coordinate and frame
+    cell_noise: float = 0.004  # [N] of the load cells, per frame
+    slips: int = 1  # trials in which a tendon slips
+
+
+def tracker_frame(gravity: Sequence[float] | None, lab: Laboratory) -> tuple[Floats, Floats]:
+    """Return rotation (3, 3) and shift (3,) [m] from the base to a levelled tracker, y up."""
+    down = np.array([0.0, 0.0, -1.0] if gravity is None else gravity, dtype=float)
+    size = float(np.linalg.norm(down))
+    above = np.array([0.0, 0.0, 1.0]) if size == 0.0 else -down / size
+    s, c = np.sin(lab.turned), np.cos(lab.turned)
+    about_up = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    return about_up @ towards(UP) @ towards(above).T, np.array(lab.shift)
+
+
+def raw_table(
+    plant: Plant,
+    inputs: npt.ArrayLike,
+    *,
+    lab: Laboratory | None = None,
+    noise: SimulatedNoise | None = None,
+    trials: int = 3,
+    seed: int = 0,
+    which: int = 0,
+    markers: Sequence[Marker] | None = None,
+) -> tuple[list[str], Floats]:
+    """
+    Return names and values (R, 1 + m + 3 J) of a table: s, N and mm.
+
+    The arm rests between all postures; markers have numbers that say nothing, and the frame is
+    that of a tracker with y up.
+
+    Parameters
+    ----------
+    plant : Plant
+        The real robot.
+    inputs : (P, m) [N]
+        Tensions of the postures.
+    lab : Laboratory, optional
+        How it is recorded.
+    noise : SimulatedNoise, optional
+        Of tracker and tendons, from trial to trial.
+    trials : int
+        Of every posture.
+    seed : int
+        Of the noise, and of the numbers of the markers.
+    which : int
+        Another recording of the same arm by the same tracker.
+    markers : sequence of Marker, optional
+        Default: one per cell.
+
+    """
+    lab, random = lab or Laboratory(), np.random.default_rng([seed, 7, which])
+    rows = np.asarray(inputs, dtype=float)
+    rest = np.full((1, rows.shape[1]), plant.robot.tension_limits[0])
+    seen = simulate(
+        plant,
+        np.vstack([rest, rows]),
+        noise=noise,
+        trials=trials,
+        seed=2 * seed + which,
+        markers=markers,
+    )
+    places = _with_slips(plant, seen, rows, lab, random)
+    stops = [(0, 0)]
+    for q in range(trials):
+        for p in range(1, len(rows) + 1):
+            stops += [(p, q), (0, q)]
+    values = _over_time([np.append(seen.inputs[p], places[p, q].ravel()) for p, q in stops], lab)
+    m, J = rows.shape[1], len(seen.markers)
+    tracked = _tracked(values[:, m:].reshape(-1, J, 3), plant.robot.gravity, lab, random)
+    shuffled = np.random.default_rng([seed, 8]).permutation(J)
+    columns = [
+        np.arange(len(values)) / lab.rate,
+        values[:, :m] + random.normal(0.0, lab.cell_noise, (len(values), m)),
+        1e3 * tracked[:, shuffled].reshape(len(values), -1),
+    ]
+    return _names(m, J), np.column_stack(columns)
+
+
+def _with_slips(
+    plant: Plant, seen: DataSet, rows: Floats, lab: Laboratory, random: np.random.Generator
+) -> Floats:
+    """Return positions (1 + P, Q, J, 3) [m], rest first; in some trials a tendon slips."""
+    places = np.array(seen.positions)
+    for _ in range(lab.slips):
+        p, q = int(random.integers(len(rows))), int(random.integers(places.shape[1]))
+        slipped = rows[p].copy()
+        slipped[slipped.argmax()] *= SLIP
+        places[p + 1, q] = plant.markers(slipped[None], seen.arc_lengths, seen.offsets)[0]
+    return places
+
+
+def _names(inputs: int, markers: int) -> list[str]:
+    """Name the columns, with their units."""
+    names = ['time_s', *(f'T{i + 1} [N]' for i in range(inputs))]
+    return names + [f'marker_{i + 1:02d}_{axis} [mm]' for i in range(markers) for axis in 'xyz']
+
+
+def _tracked(
+    positions: Floats,
+    gravity: Sequence[float] | None,
+    lab: Laboratory,
+    random: np.random.Generator,
+) -> Floats:
+    """Return positions (R, J, 3) [m] as the tracker sees them: its frame, its noise, its gaps."""
+    turn, shift = tracker_frame(gravity, lab)
+    seen = positions @ turn.T + shift
+    seen += random.normal(0.0, lab.frame_noise, seen.shape)
+    seen[_not_seen(random, len(seen), seen.shape[1], lab)] = np.nan
+    return seen
+
+
+def _over_time(stops: Sequence[Floats], lab: Laboratory) -> Floats:
+    """Hold at every stop and go smoothly to the next."""
+    still, moving = round(lab.hold * lab.rate), round(lab.move * lab.rate)
+    share = 0.5 - 0.5 * np.cos(np.pi * (np.arange(moving) + 1.0) / (moving + 1.0))
+    parts = []
+    for here, there in zip(stops, [*stops[1:], stops[-1]], strict=True):
+        parts += [np.tile(here, (still, 1)), here + share[:, None] * (there - here)]
+    return np.concatenate(parts[:-1])
+
+
+def _not_seen(
+    random: np.random.Generator, count: int, markers: int, lab: Laboratory
+) -> npt.NDArray[np.bool_]:
+    """Draw bursts of half a second in which a marker is lost, (count, markers)."""
+    lost, length = np.zeros((count, markers), dtype=bool), max(round(0.5 * lab.rate), 1)
+    for j in range(markers):
+        for start in random.integers(0, count, round(lab.lost * count / length)):
+            lost[start : start + length, j] = True
+    return lost
+
+
+def write_table(path: str | Path, names: Sequence[str], values: Floats) -> None:
+    """Write a table as CSV, 0.001 of each unit; what was not seen is empty."""
+    with new_file(Path(path)) as draft, draft.open('w', encoding='utf-8') as file:
+        file.write(','.join(names) + '\n')
+        for row in np.round(values, 3).tolist():
+            file.write(','.join('' if v != v else f'{v:.10g}' for v in row) + '\n')

@@ -18,8 +18,7 @@ from ..robot import Robot, Section
 from ..robot.description import XY, EffectValues
 from ..robot.estimates import natural_sizes
 from ..robot.routes import helix_angles
-from .hidden import Damage, Hidden, hide, plant_catalogue
-from .imperfect import Built, Workmanship
+from .hidden import Built, Damage, Hidden, Workmanship, hide, plant_catalogue
 
 Floats = npt.NDArray[np.float64]
 

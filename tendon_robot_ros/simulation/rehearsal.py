@@ -24,6 +24,7 @@ NOTHING_HIDDEN = 'none'
 REFINEMENTS = ('eyelet_wrap', 'tendon_travel')  # what the mock's wires do, and its owner knows
 GRAVITY_HANGING = (0.0, 0.0, 9.81)  # [m/s²] the arm hangs
 VISIBLE_TIP_ERROR = (0.02, 0.05)  # [1] tip error that a hidden effect makes, in lengths of the arm
+NO_TIP_ERROR = 0.003  # [1] below which an effect does not show on this arm at all: none is drawn
 # [1] 1 sd of the stiffness from cell to cell; its owner knows so much of it
 STIFFNESS_SCATTER = 0.02
 
@@ -84,7 +85,7 @@ def draw(robot: Robot, catalogue: Catalogue, name: str, seed: int) -> Hidden:
         As its owner describes it.
     catalogue : Catalogue
     name : str
-        One of `choices`; '' draws an effect.
+        One of `choices`; '' draws an effect that shows on this arm.
     seed : int
 
     Raises
@@ -94,13 +95,22 @@ def draw(robot: Robot, catalogue: Catalogue, name: str, seed: int) -> Hidden:
 
     """
     known, random = choices(robot, catalogue), np.random.default_rng(seed)
-    if not name:
-        name = str(random.choice([n for n in known if n not in CAUSES and n != NOTHING_HIDDEN]))
-    if name not in known:
+    if name and name not in known:
         raise InputError(f'hidden: expected one of {", ".join(known)}, got {name!r}')
     if name == NOTHING_HIDDEN or name in CAUSES:
         return Hidden(name, {})
-    catalogue = catalogue.sized(natural_sizes(robot))
+    left = [n for n in known if n not in CAUSES and n != NOTHING_HIDDEN]
+    sized = catalogue.sized(natural_sizes(robot))
+    while True:
+        hidden = _visible(robot, sized, name or str(random.choice(left)), random)
+        left = [n for n in left if n != hidden.name]
+        shown = _tip_change(robot, sized, hidden.name, hidden.values) / robot.length
+        if name or not left or shown > NO_TIP_ERROR:
+            return hidden
+
+
+def _visible(robot: Robot, catalogue: Catalogue, name: str, random: np.random.Generator) -> Hidden:
+    """Return an effect of the size that moves the tip by millimetres, as far as it can."""
     typical = chosen(catalogue[name], {}, robot)
     wanted = random.uniform(*VISIBLE_TIP_ERROR) * robot.length
     low, high = 0.02, 20.0
