@@ -7,6 +7,8 @@ saved.py        a comparison to JSON and back (the file is cli/options.py's)
 conditions.py   what acted on the arm in some of the postures
 predict.py      what a model with freed parameters predicts for the postures of a data set
 tangent.py      how settled postures follow what moves a little
-noise.py        repeatability of the trials, input noise through the model, the noise floor
+repeatability.py  what the trials of a posture tell of the noise
+noise.py        noise of the marker means, input noise through the model, the noise floor; how
+                large is what no model of a family explains
 statistics.py   means with intervals, the paired t-test, tails of distributions
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -15,8 +16,9 @@ from ..model.model import Model
 from ..model.pulls import pull_shapes
 from ..model.shape import FIELDS, ShapeBatch
 from ..robot import Robot
-from .noise import Whitener, estimate_noise, input_slopes
+from .noise import Whitener, input_slopes
 from .predict import Predictor
+from .repeatability import estimate_noise
 from .result import Comparison, Measured, ModelErrors
 from .statistics import ERRORS
 
@@ -63,7 +65,7 @@ def _shapes(dataset: DataSet, model: Model, inputs: Floats) -> ShapeBatch:
 
 def compare(
     dataset: DataSet,
-    models: Sequence[tuple[str, Robot]] = (),
+    models: Robot | Sequence[Robot | tuple[str, Robot]] = (),
     catalogue: Catalogue | None = None,
     error: str = 'ci',
 ) -> Comparison:
@@ -73,8 +75,8 @@ def compare(
     Parameters
     ----------
     dataset : DataSet
-    models : sequence of (name, Robot), optional
-        Default: the data set's robot description.
+    models : sequence of Robot or (name, Robot), optional
+        Default: the data set's robot description. Without a name it has the robot's.
     catalogue : Catalogue, optional
         With the user's own effects.
     error : str
@@ -83,14 +85,14 @@ def compare(
     Raises
     ------
     InputError
-        A robot has other inputs than the data set's, or names stand twice.
+        A robot has other inputs than the data set's, names stand twice, or it is no robot.
     NoEquilibriumError
         A model has no equilibrium in a posture.
 
     """
     if error not in ERRORS:
         raise InputError(f'error: expected {" or ".join(ERRORS)}, got {error!r}')
-    named = list(models) or [(dataset.robot.name, dataset.robot)]
+    named = _named(models) or [(dataset.robot.name, dataset.robot)]
     names = [name for name, _ in named]
     if len(set(names)) < len(names):
         raise InputError(f'models: expected different names, got {", ".join(names)}')
@@ -109,6 +111,26 @@ def compare(
     best = int(np.argmin([model.rms for model in errors]))
     angles = None if axes is None else _angles(dataset.positions.swapaxes(0, 1), axes)
     return Comparison(_measured(dataset, predictors[best], angles), errors, error)
+
+
+def _named(models: Robot | Sequence[Robot | tuple[str, Robot]]) -> list[tuple[str, Robot]]:
+    """Return models with their names; of robots of one name the later ones are numbered."""
+    named, times = list[tuple[str, Robot]](), Counter[str]()
+    for given in [models] if isinstance(models, Robot) else models:
+        if isinstance(given, Robot):
+            times[given.name] += 1
+            count = times[given.name]
+            named.append((given.name if count == 1 else f'{given.name} ({count})', given))
+            continue
+        match given:
+            case (str(name), Robot() as robot):
+                named.append((name, robot))
+            case _:
+                raise InputError(
+                    'models: expected robots, or pairs of a name and a robot as '
+                    f"[('better', robot)], got {type(given).__name__}: load_robot(path) reads one"
+                )
+    return named
 
 
 def _check(dataset: DataSet, name: str, robot: Robot) -> None:

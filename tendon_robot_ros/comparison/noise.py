@@ -1,8 +1,11 @@
-"""The noise of a data set: repeatability of the trials, input noise through the model, floor."""
+"""
+The noise of a data set: repeatability of the trials, input noise through the model, floor.
+
+And, by the same covariance, how large is what no model of a family explains.
+"""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -15,8 +18,8 @@ from .predict import Point, Predictor
 from .statistics import minimum
 
 Floats = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 UNSEEN_VARIANCE = 1e-3  # [1] of a marker's own variance: what inputs do less is left out
-TRIAL_DOF_MIN = 30  # degrees of freedom within postures from which the trials tell the noise
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,9 @@ class Noise:
         Degrees of freedom that the trials gave the estimate; infinite when it was declared.
     source : str
         'trials' or 'declared'.
+    shift : float [m]
+        1 sd per coordinate of a shift that all markers of a trial share (the tracker, or the base,
+        has moved a little).
 
     """
 
@@ -42,6 +48,7 @@ class Noise:
     setting: float
     freedom: float
     source: str
+    shift: float = 0.0
 
 
 def input_steps(dataset: DataSet, inputs: Floats) -> Floats:
@@ -74,90 +81,11 @@ def input_slopes(predictor: Predictor, point: Point) -> Floats:
     return slopes
 
 
-def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
-    """
-    Estimate the noise from deviations within postures only (REML), else take what is declared.
-
-    Model error is the same in all trials of a posture, so it cannot leak in. Of visits it can:
-    what was before the command before differs, and what is declared counts first. None: neither
-    trials nor a declared `position_noise`.
-    """
-    declared = None
-    if dataset.position_noise is not None:
-        trial, setting = dataset.trial_noise, dataset.setting_noise
-        declared = Noise(dataset.position_noise, trial, setting, np.inf, 'declared')
-    if declared is not None and dataset.visits is not None:
-        return declared
-    total, parts = 0.0, []
-    for p in range(len(dataset.postures)):
-        seen = dataset.trial_mask[p]
-        complete = dataset.mask[p][seen].all(axis=0)
-        trials, markers = int(seen.sum()), int(complete.sum())
-        if trials < 2 or not markers:
-            continue
-        moves = dataset.positions[p][seen][:, complete].reshape(trials, -1)
-        g = slopes[p][:, complete].reshape(len(slopes[p]), -1).T  # (3 J, m)
-        if dataset.trial_inputs is not None:
-            moves = moves - _measured_share(dataset, p, seen, g)
-        moves = moves - moves.mean(axis=0)
-        u, s, _ = np.linalg.svd(g, full_matrices=False)
-        along = ((moves @ u) ** 2).sum(axis=0)
-        rest = max(float((moves**2).sum() - along.sum()), 0.0)
-        parts.append((trials - 1, s, along, moves.shape[1] - len(s), rest))
-        total += (trials - 1) * moves.shape[1]
-    if total < TRIAL_DOF_MIN:
-        return declared
-    position, trial = _restricted_likelihood(parts)
-    return Noise(position, trial, dataset.setting_noise, total, 'trials')
-
-
-def _measured_share(dataset: DataSet, p: int, seen: npt.NDArray[np.bool_], g: Floats) -> Floats:
-    """Return what the measured differences of the inputs explain (trials, 3 J) [m]."""
-    assert dataset.trial_inputs is not None
-    inputs = np.nan_to_num(dataset.trial_inputs[p][seen])
-    mean = inputs.mean(axis=0)
-    relative = (inputs - mean) / np.where(mean == 0.0, np.inf, mean)
-    return np.asarray(relative @ g.T)
-
-
-def _restricted_likelihood(
-    parts: list[tuple[int, Floats, Floats, int, float]],
-) -> tuple[float, float]:
-    """
-    Maximise the likelihood of the deviations over the two standard deviations.
-
-    Only their ratio needs a search: given it, the position noise has a closed form.
-    """
-    count = sum(nu * (len(s) + rest) for nu, s, _, rest, _ in parts)
-    nus = np.concatenate([np.full(len(s), nu) for nu, s, *_ in parts])
-    sizes = np.concatenate([s for _, s, *_ in parts]) ** 2
-    along = np.concatenate([a for _, _, a, *_ in parts])
-    rest = float(sum(r for *_, r in parts))
-    largest = max(float(sizes.max(initial=0.0)), 1e-30)
-
-    def position2(ratio: float) -> float:
-        return max((float(np.sum(along / (1.0 + ratio * sizes))) + rest) / count, 1e-24)
-
-    def cost(log: float) -> float:
-        ratio = math.exp(log) / largest
-        spread = float(np.sum(nus * np.log1p(ratio * sizes)))
-        return spread + count * math.log(position2(ratio))
-
-    grid = np.arange(-14.0, 21.0, 1.0)
-    best = float(grid[int(np.argmin([cost(float(log)) for log in grid]))])
-    log, lowest = minimum(cost, best - 1.0, best + 1.0, 1e-3)
-    if best == grid[0] or lowest > count * math.log(position2(0.0)):
-        return math.sqrt(position2(0.0)), 0.0
-    ratio = math.exp(log) / largest
-    position = math.sqrt(position2(ratio))
-    return position, min(math.sqrt(ratio) * position, 0.3)
-
-
 class Whitener:
     """
     Covariance of the marker means, a block per posture, and a root of its inverse.
 
-    (position noise + trial noise) / trials + setting noise, which the trials of a posture share.
+    (position noise + trial noise + shift) / trials + setting noise, which all trials share.
     The mean of a marker that one trial lost has the inputs of the others: part of the trial noise
     is then its own. Errors of a model may come on top, no smaller for more trials: `accuracy` [m]
     of a posture, growing along the arm, and `rough` [m, 1 sd per coordinate] of every marker.
@@ -268,9 +196,18 @@ class Whitener:
 
 
 def _driven(dataset: DataSet, noise: Noise, slopes: Floats, own: Floats) -> Floats:
-    """Return rows G (P, r m, 3 J) [m] of what the noise of m inputs does to the marker means."""
-    rows = _input_noise(dataset, noise)
+    """Return rows G (P, q, 3 J) [m] of what inputs and shifts do to the marker means."""
     flat = slopes.reshape(*slopes.shape[:2], -1)  # (P, m, 3 J)
+    driven = _moved(_shared_noise(dataset, noise.setting, noise.trial), flat, own)
+    if not noise.shift:
+        return driven
+    axes = np.tile(np.eye(3), (len(flat), 1, flat.shape[2] // 3))  # of every marker alike
+    shifted = _moved(_shared_noise(dataset, 0.0, noise.shift), axes, own)
+    return np.concatenate([driven, shifted], axis=1)
+
+
+def _moved(rows: Floats, flat: Floats, own: Floats) -> Floats:
+    """Return rows (P, r m, 3 J) [m]: noise (P, r, J) of each of m causes, by what a unit does."""
     loudest = (flat**2 / own[:, None]).max(axis=(1, 2), initial=0.0)
     shown = (rows**2).sum(axis=2) * loudest[:, None] > UNSEEN_VARIANCE
     rows = rows[:, : max(int(shown.any(axis=0).sum()), 1)]
@@ -278,18 +215,19 @@ def _driven(dataset: DataSet, noise: Noise, slopes: Floats, own: Floats) -> Floa
     return np.asarray(made.reshape(len(made), -1, made.shape[-1]))
 
 
-def _input_noise(dataset: DataSet, noise: Noise) -> Floats:
+def _shared_noise(dataset: DataSet, setting: float, trial: float) -> Floats:
     """
-    Return rows R (P, r, J), the largest first: R'R is the covariance of an input's relative error.
+    Return rows R (P, r, J), the largest first: R'R is the covariance of what markers share.
 
-    As it stands behind the mean of every marker, which is that of the trials that saw it.
+    An error of each setting and one of each trial (1 sd), as they stand behind the mean of every
+    marker, which is that of the trials that saw it.
     """
     mask, counts = dataset.mask, dataset.counts
     if (mask.any(axis=1)[:, None] & dataset.trial_mask[..., None] <= mask).all():  # none is lost
-        size = noise.setting**2 + noise.trial**2 / np.maximum(dataset.trials, 1)
+        size = setting**2 + trial**2 / np.maximum(dataset.trials, 1)
         return np.repeat(np.sqrt(size)[:, None, None], mask.shape[2], axis=2)
-    rows = np.full((len(mask), mask.shape[1] + 1, mask.shape[2]), noise.setting)
-    rows[:, 1:] = noise.trial * mask / np.maximum(counts, 1)[:, None]
+    rows = np.full((len(mask), mask.shape[1] + 1, mask.shape[2]), setting)
+    rows[:, 1:] = trial * mask / np.maximum(counts, 1)[:, None]
     _, sizes, shapes = np.linalg.svd(rows, full_matrices=False)
     return np.asarray(sizes[..., None] * shapes)
 
@@ -305,3 +243,79 @@ def rms(difference: Floats) -> float:
     """Root mean square 3-D distance [m] over what was seen; difference (P, J, 3)."""
     distance2 = (difference**2).sum(axis=-1)
     return float(np.sqrt(np.nanmean(distance2)))
+
+
+# -----------------------------------------------------------------------------
+# How large is what no model of the family explains: sizes by marginal likelihood.
+
+LOG_MIN, LOG_MAX = -6.0, 3.0  # logarithms of both sizes over that of all that is left
+PRECISION = 0.1  # of these logarithms
+ROUNDS = 2  # through the sizes, one after the other
+
+
+def likely(
+    dataset: DataSet,
+    noise: Noise,
+    slopes: Floats,
+    off: Floats,
+    held: Sequence[int] | npt.NDArray[np.int64] = (),
+) -> tuple[float, float]:
+    """
+    Return the sizes [m] under which measured minus model `off` (P, J, 3) [m] is most likely.
+
+    Of an error of every posture that grows along the arm, and of one of every marker (1 sd per
+    coordinate), beside the noise: `accuracy` and `rough` of a `Whitener`.
+
+    Parameters
+    ----------
+    slopes : (P, m, J, 3)
+        Of `input_slopes`.
+    held : sequence
+        Postures that do not count.
+
+    """
+    seen = np.repeat(dataset.counts > 0, 3, axis=1)  # (P, 3 J)
+    seen[list(held)] = False
+    size = rms(np.where(seen.reshape(off.shape), off, np.nan)) / np.sqrt(3.0)
+    left = _Left(dataset, noise, slopes, np.where(seen, off.reshape(seen.shape), 0.0), seen)
+    best = [0.0, 0.0]
+    for _ in range(ROUNDS):
+        for i in range(len(best)):
+
+            def along(x: float, i: int = i) -> float:
+                return left.cost(*(size * np.exp([*best[:i], x, *best[i + 1 :]])))
+
+            best[i], _ = minimum(along, LOG_MIN, LOG_MAX, PRECISION)
+    smooth, rough = np.exp(best).tolist()
+    return size * smooth, size * rough
+
+
+class _Left:
+    """What is left (P, 3 J) [m] of postures, where it was seen, and its covariance by noise."""
+
+    def __init__(
+        self, dataset: DataSet, noise: Noise, slopes: Floats, flat: Floats, seen: BoolArray
+    ) -> None:
+        P = len(flat)
+        self.flat, self.seen, self.here = flat, seen, np.arange(flat.shape[1])
+        self.own = noise.position**2 / np.repeat(np.maximum(dataset.counts, 1), 3, axis=1)
+        share = noise.setting**2 + noise.trial**2 / np.maximum(dataset.trials, 1)
+        driven = slopes.reshape(P, slopes.shape[1], -1)
+        self.driven = driven.swapaxes(1, 2) @ (share[:, None, None] * driven)  # (P, 3 J, 3 J)
+        if noise.shift:
+            alike = np.tile(np.eye(3), (driven.shape[2] // 3, driven.shape[2] // 3))
+            shift2 = noise.shift**2 / np.maximum(dataset.trials, 1)
+            self.driven = self.driven + shift2[:, None, None] * alike
+        self.common = common_error(dataset, self.here, 1.0)
+
+    def cost(self, smooth: float, rough: float) -> float:
+        """Return -2 log likelihood with errors of these sizes [m]."""
+        seen, here = self.seen, self.here
+        blocks = self.driven + smooth**2 * self.common
+        blocks[:, here, here] += self.own + rough**2
+        blocks = np.where(seen[:, :, None] & seen[:, None], blocks, 0.0)
+        blocks[:, here, here] += ~seen
+        root = np.linalg.cholesky(blocks)
+        white = np.linalg.solve(root, self.flat[..., None])
+        logs = np.log(np.diagonal(root, axis1=1, axis2=2))
+        return float((white**2).sum() + 2.0 * logs.sum())

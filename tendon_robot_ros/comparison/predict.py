@@ -43,7 +43,7 @@ class FreeParameter:
 
     @property
     def key(self) -> str:
-        """Name within its effect, as reports print it."""
+        """Name within its effect, as files hold it; `common.words.spoken` says it to people."""
         return f'{self.parameter.name}[{self.label}]' if self.label else self.parameter.name
 
 
@@ -51,16 +51,18 @@ def free_parameters(effect: Effect, robot: Robot) -> tuple[FreeParameter, ...]:
     """
     All parameters of an effect: one per section where sections have their own.
 
-    Tendons have their own where the description lists one each, else they share one.
+    A base plate, which does not bend, has none. Tendons have their own where the description
+    lists one each, else they share one.
     """
     frees: list[FreeParameter] = []
     for parameter in effect.parameters:
         described = robot.effects.get(effect.name, {}).get(parameter.name)
         if parameter.per_section or (parameter.per_tendon and isinstance(described, tuple)):
-            sections = [section.name for section in robot.sections]
-            owners = sections if parameter.per_section else [t.name for t in robot.tendons]
+            sections = [(i, s.name) for i, s in enumerate(robot.sections) if not s.is_plate]
+            tendons = list(enumerate(tendon.name for tendon in robot.tendons))
             frees += [
-                FreeParameter(effect.name, parameter, i, owner) for i, owner in enumerate(owners)
+                FreeParameter(effect.name, parameter, i, owner)
+                for i, owner in (sections if parameter.per_section else tendons)
             ]
         else:
             frees.append(FreeParameter(effect.name, parameter))

@@ -75,11 +75,6 @@ class ModelErrors:
         return root_mean(self.distance**2)
 
     @cached_property
-    def tip_rms(self) -> float:
-        """Of the last marker, over postures [m]."""
-        return root_mean(self.distance[:, -1] ** 2)
-
-    @cached_property
     def max(self) -> float:
         """Largest distance [m]."""
         return float(np.nanmax(self.distance))
@@ -95,7 +90,12 @@ class ModelErrors:
         return np.sqrt(mean_over(self.distance**2, 1))
 
     def tip_error(self, error: str = 'ci') -> Estimate:
-        """Mean tip error over the postures."""
+        """
+        Mean tip error over the postures.
+
+        The tip error of a trial is the distance between the predicted and the measured tip, that
+        of a posture the mean over its trials (Kato et al. 2015, section IV.C).
+        """
         return estimate(mean_over(self.tip_errors, 1), error)
 
     def tip_error_of(self, posture: int, error: str = 'ci') -> Estimate:
@@ -113,7 +113,9 @@ class Comparison:
 
     def __repr__(self) -> str:
         """Say the errors of every model, and the noise floor."""
-        rows = [f'{m.name}: rms {_mm(m.rms)}, tip {_mm(m.tip_rms)}' for m in self.models]
+        rows = [
+            f'{m.name}: rms {_mm(m.rms)}, tip error {_mm(m.tip_error().mean)}' for m in self.models
+        ]
         if self.noise_floor is not None:
             rows.append(f'a perfect model: {_mm(self.noise_floor)}')
         return f'<Comparison with {self.measured.data}: {"; ".join(rows)}>'

@@ -89,7 +89,6 @@ def _model(comparison: Comparison, model: ModelErrors) -> dict[str, Any]:
         'name': model.name,
         'effects': list(model.effects),
         'rms': model.rms,
-        'tip_rms': model.tip_rms,
         'max': model.max,
         'tip_error': _estimate(model.tip_error(error)),
         'per_marker_rms': _numbers(model.per_marker_rms),
@@ -105,7 +104,6 @@ def _errors(comparison: Comparison, model: ModelErrors, p: int) -> dict[str, Any
     return {
         'posture': comparison.measured.postures[p],
         'rms': _number(model.per_posture_rms[p]),
-        'tip': _number(distance[-1]),
         'max': _number(np.nanmax(distance)) if seen else None,
         'tip_error': _estimate(model.tip_error_of(p, comparison.error)),
         'tip_errors': _numbers(model.tip_errors[p]),

@@ -25,8 +25,15 @@ IntArray = NDArray[np.int64]
 Known = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 
 INPUTS = ('tension', 'displacement')
+REST_SHARE = 0.05  # of the largest input, below which all inputs are where an arm rests
 LOADINGS = ('from_straight', 'sequence')  # every trial of a posture has the same history
 PATHS = (*LOADINGS, 'visits')
+
+
+def at_rest(inputs: FloatArray) -> BoolArray:
+    """Tell in which postures (P,) hardly anything pulls: inputs (P, m) [N] or [m]; nan is none."""
+    sizes = np.abs(np.nan_to_num(inputs)).max(axis=1)
+    return np.asarray(sizes < REST_SHARE * sizes.max())
 
 
 @dataclass(frozen=True)

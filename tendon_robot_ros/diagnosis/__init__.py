@@ -19,7 +19,6 @@ split.py              the model of an arm whose cells are each a little off
 slopes.py             how imperfections move the markers
 marginal.py           the likelihood in which they are random
 likelihood.py         its value and slopes, from small matrices
-factors.py            factors of positive definite matrices
 arm_report.py         how much an arm scatters, and what is out of line
 local_tests.py        where the best model is still wrong: cell, posture, tendon, direction
 outliers.py           readings and trials that the others contradict
@@ -27,6 +26,7 @@ setup_mistakes.py     mistakes of the set-up, before physics: which of them expl
 setup_hypotheses.py   what they are: swapped columns, turned axes, wrong units
 patterns.py           patterns without physics: does the catalogue lack the cause
 result.py             `Diagnosis`: what the reports and other tools read
+load.py               a force as people say it: its size and direction
 report_rows.py        from fits to the rows and numbers of a result
 next_measurement.py   the posture that would separate what the present ones cannot
 missing_moment.py     which moment the model lacks where: what the pictures show
@@ -35,7 +35,6 @@ into_description.py   what was found of an arm as built, in its description
 improve.py            effects join while the error on left-out postures falls
 stepwise.py           the search for the one that joins next
 promise.py            what a block that may join promises, by slopes alone
-unexplained.py        how large is what no model of the family explains
 described_arm.py      what may change of the arm itself: stiffness along it, routes of tendons
 improvement.py        `Improvement`: a better description, and how the error fell
 prediction_errors.py  the error before, after, and left out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from functools import reduce
 from typing import Any
@@ -21,10 +21,11 @@ from .candidates import Candidate, is_tested, why_untested
 from .decide import LEFT_OUT_SHARE_MAX, P_SINGLE_MIN
 from .fit import Fit
 from .into_description import with_members, with_tolerances, with_values
+from .load import loads_of
 from .outliers import find_outliers
 from .prediction_errors import Errors, errors_on, left_out
 from .report_rows import values_with_intervals
-from .result import EffectFinding, Value
+from .result import EffectFinding, LoadVector, Value
 from .session import Session
 
 
@@ -41,6 +42,7 @@ class Addition:
     more_at_work: str = ''  # what the file says when the effects are not the whole story
     beside: bool = False  # whether tolerances that moved and imperfections are written, too
     accuracy: float | None = None  # [m] declared, that weighed; None: repeatability alone did
+    loads: dict[str, LoadVector] = field(default_factory=dict)  # of effects that are forces
 
     @property
     def helps(self) -> bool:
@@ -71,6 +73,7 @@ class Addition:
                 name: {key: vars(value) for key, value in values.items()}
                 for name, values in self.values.items()
             },
+            'loads': {name: asdict(load) for name, load in self.loads.items()},
             'fitted': vars(self.fitted),
             'check': vars(self.check),
             'probability': self.probability,
@@ -238,7 +241,8 @@ def add_effects(
     )
     more = more_at_work(fitted, probability) if partial or probability <= P_SINGLE_MIN else ''
     by = session.accuracy if session.use_accuracy else None
-    made = Addition(changed, values, fitted, on_check, probability, fit.prior_z, more, beside, by)
+    loads, moved = loads_of(fit, session.predictor, scale), fit.prior_z
+    made = Addition(changed, values, fitted, on_check, probability, moved, more, beside, by, loads)
     return replace(made, robot=with_origin(made, described))
 
 
@@ -264,7 +268,7 @@ def _by_accuracy(
     if found[1] <= written[1]:
         return again, found
     session.use_accuracy = False
-    session.weigh(fit.point, fit.members)
+    session.weigh(fit.point, fit.around)
     return fit, written
 
 
@@ -314,7 +318,7 @@ def fit_effects(session: Session, names: Sequence[str], start: Point | None = No
         raise InputError('add: expected the name of an effect, got none')
     fit = _joined(session, own) if start is None else _fit(session, _together(own), start)
     for _ in range(2):
-        session.weigh(fit.point, fit.members)
+        session.weigh(fit.point, fit.around)
         fit = _fit(session, _together(own), fit)
     return fit
 

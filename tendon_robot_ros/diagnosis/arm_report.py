@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..comparison.statistics import chi2_isf, normal_ppf
 from .as_built import REMAINDER
-from .decide import FALSE_OUT_OF_LINE_PROBABILITY, TOLD_VARIANCE_SHARE
+from .decide import (
+    FALSE_OUT_OF_LINE_PROBABILITY,
+    SHOWN_SHARE_MIN,
+    TOLD_SPAN_MAX,
+    TOLD_VARIANCE_SHARE,
+)
 from .fit import Fit
 
 if TYPE_CHECKING:
@@ -55,6 +61,12 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
         )
     last = float(sizes[-1])
     return {'kinds': kinds, 'remainder': last, 'floor': floor_as_built(session, fit)}
+
+
+def is_told(kind: Mapping[str, Any]) -> bool:
+    """Tell whether the size of a kind of the report is worth printing: its interval is."""
+    shows = kind['told'] or kind['size'] > SHOWN_SHARE_MIN * kind['plausible']
+    return bool(shows and kind['high'] < TOLD_SPAN_MAX * kind['low'])
 
 
 def _posterior(fit: Fit, k: int) -> np.ndarray:

@@ -11,13 +11,15 @@ import numpy.typing as npt
 
 from ..comparison.noise import Whitener
 from ..comparison.predict import CELLS, FreeParameter, Point, Predictor, free_parameters
-from ..comparison.statistics import chi2_sf
+from ..comparison.statistics import chi2_sf, f_sf
 from ..data import DataSet
 from ..effects import Catalogue, Effect
 from ..robot import Robot
 from .cells import cell_nuisances
 from .decide import TESTED_FROM_CHI2
 from .fit import Fit, Nuisance
+
+FREEDOM_MAX = 1e3  # degrees of freedom from which an F distribution is a chi² one
 
 
 def why_untested(effect: Effect, dataset: DataSet, robot: Robot) -> str:
@@ -189,12 +191,22 @@ def unloads(dataset: DataSet) -> bool:
     return dataset.path != 'from_straight' and let_go
 
 
-def gain_p_value(base: Fit, fit: Fit, described: Sequence[float]) -> float:
-    """Probability of so large a gain in chi² by chance: likelihood ratio; half at a bound."""
+def gain_p_value(
+    base: Fit, fit: Fit, described: Sequence[float], freedom: float = np.inf
+) -> float:
+    """
+    Probability of so large a gain in chi² by chance: likelihood ratio; half at a bound.
+
+    Of an arm as built by the ratio's F distribution: `freedom` deviations tell the spread that
+    what the fit changes has by chance, which the fit may make small to be paid for it.
+    """
     gain, rank = base.deviance - fit.deviance, max(fit.rank, 1)
     if gain <= 0.0:
         return 1.0
     probability = chi2_sf(gain, rank)
+    if freedom < FREEDOM_MAX:
+        ratio = np.expm1(gain / (freedom + rank)) * freedom / rank
+        probability = f_sf(float(ratio), rank, freedom)
     one_sided = len(fit.frees) == 1 and described[0] in (
         fit.frees[0].parameter.low,
         fit.frees[0].parameter.high,

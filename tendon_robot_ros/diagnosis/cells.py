@@ -24,7 +24,9 @@ STIFFNESS_STEP = 0.01  # relative change of a stiffness for its slope
 
 def cell_nuisances(robot: Robot, spread: float) -> list[Nuisance]:
     """Return a parameter for the stiffness of every cell; `spread` is its relative 1 sd."""
-    cells = [FreeParameter(CELLS, CELL_STIFFNESS, i, f'cell {i + 1}') for i in range(robot.cells)]
+    cells = [
+        FreeParameter(CELLS, CELL_STIFFNESS, i, name) for i, name in enumerate(robot.cell_names)
+    ]
     return [Nuisance(CELLS, free, 0.0, spread) for free in cells]
 
 

@@ -45,6 +45,7 @@ ERROR_SHARE_LEFT_LIMIT = 0.3  # of the error, that it may leave in any case
 PLAIN_WITHIN_FLOORS = (
     1.2  # floors of an arm built as usual; a mistake that leaves more is no proof
 )
+MISTAKE_HANDICAP = 6.0  # of score against effects: some twenty ways of miscounting are tried
 AS_GOOD_WITHIN = 1.3  # times the least error left: then the plainest mistake is said
 ODD_FROM_SPREADS = 4.0  # times the error of all other markers, that two exchanged ones have
 STILL_SHARE_MAX = 0.05  # of the way that a marker should go, below which it is frozen
@@ -62,6 +63,7 @@ PATTERN_SHARE_MIN = 0.33  # of the excess in deviance that a pattern takes to be
 SEPARABLE_FROM_SD = 2.0  # sd of a mean that predictions must differ to be worth a measurement
 FALSE_OUT_OF_LINE_PROBABILITY = 0.05  # that any member of a healthy arm is called out of line
 TOLD_VARIANCE_SHARE = 0.5  # of its variance that the data must take off a member to be told
+SHOWN_SHARE_MIN = 0.3  # of what is plausible, that a scatter of which no member is told must have
 TOLD_SPAN_MAX = 30.0  # upper over lower end of its interval, up to which a scatter is told
 FALSE_DISCOVERY_RATE = 0.05  # among the places at which the best model is said to be wrong
 LOCAL_FAULTS_MAX = 8  # places that are named

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ..common.errors import NoEquilibriumError
 from ..common.processes import one_thread
+from ..common.words import listed, mm
 from ..comparison.noise import rms
 from ..data import DataSet
 from ..effects import Catalogue, load_catalogue
@@ -17,6 +18,7 @@ from .arm_report import usual_floor
 from .candidates import Ranked
 from .decide import (
     APART_FROM_SCORE,
+    MISTAKE_HANDICAP,
     P_SINGLE_MIN,
     PLAIN_WITHIN_FLOORS,
     POSTURES_MIN,
@@ -84,10 +86,38 @@ def diagnose(
     mistake = find_mistake(session.predictor, session.whitener.floor(), usual)
     if mistake is None:
         return _judge(session)
-    if mistake.after <= PLAIN_WITHIN_FLOORS * usual:
+    plain = mistake.after <= PLAIN_WITHIN_FLOORS * usual
+    if plain and mistake.mended is None:
         return _mistaken(session, mistake)
     diagnosis = _judge(session)  # an effect that explains all is the better story
-    return diagnosis if diagnosis.verdict.may_add else _mistaken(session, mistake)
+    if not diagnosis.verdict.may_add:
+        return _mistaken(session, mistake)
+    return _likelier(session, mistake, diagnosis) if plain else diagnosis
+
+
+def _likelier(session: Session, mistake: Mistake, diagnosis: Diagnosis) -> Diagnosis:
+    """Return what is likelier, the mistake or the effects; where both may be, say the other."""
+    gain = _score_mended(session, mistake) + MISTAKE_HANDICAP - diagnosis.details['score']
+    if gain > 0.0:
+        said = f'{mistake.sentence} the error would fall to {mm(mistake.after)} as well'
+        caveats = [*diagnosis.details['caveats'], f'{said}: {mistake.mend}']
+        unsure = {**diagnosis.details, 'caveats': caveats}
+        return replace(diagnosis, details=unsure) if gain < APART_FROM_SCORE else diagnosis
+    names = listed([effect.name for effect in diagnosis.effects])
+    mend = f'{mistake.mend}; if that is as described, add {names}, which explains it as well'
+    return _mistaken(session, mistake if gain < -APART_FROM_SCORE else replace(mistake, mend=mend))
+
+
+def _score_mended(session: Session, mistake: Mistake) -> float:
+    """Return what the set-up without its mistake scores on the same readings."""
+    dataset = mistake.mended
+    assert dataset is not None
+    mended = Session(dataset, dataset.robot, session.catalogue, session.workers, session.progress)
+    if not mended.weigh({}):
+        return np.inf
+    base = mended.base_fit()
+    mended.weigh(base.point, base.members)
+    return mended.score(mended.base_fit((base,)).deviance)
 
 
 def _judge(session: Session) -> Diagnosis:
@@ -252,7 +282,7 @@ def _result(
         noise_floor=session.whitener.floor(),
         next_measurement=following,  # type: ignore[arg-type]
         remainder=remainder_text(evidence, chosen[0] if chosen else None, verdict),
-        candidates=rows_of(evidence, chosen, together),
+        candidates=rows_of(evidence, chosen, together, verdict),
         details=details_of(evidence, chosen, together, verdict),
     )
 
@@ -262,11 +292,12 @@ def _mistaken(session: Session, mistake: Mistake) -> Diagnosis:
     markers = session.predictor.markers({})
     before = np.inf if markers is None else rms(session.dataset.mean - markers)
     diagnosis = _cannot_judge(session, mistake.text(before))
+    told = {key: value for key, value in vars(mistake).items() if key != 'mended'}
     return replace(
         diagnosis,
         noise_floor=diagnosis.noise_floor if markers is None else session.whitener.floor(),
         error_after=mistake.after,
-        details={**diagnosis.details, 'mistake': asdict(mistake)},
+        details={**diagnosis.details, 'mistake': told},
     )
 
 

@@ -19,10 +19,13 @@ from .decide import (
     Verdict,
 )
 from .fit import Fit
+from .load import load_of
 from .patterns import Pattern, Patterns
 from .session import Session
 
 SAME_EVERYWHERE = ('contact', 'soft_cell', 'taper')  # patterns that a remainder is not
+
+TELLING_RATIO = 1.25  # up to which a cell bends by so many per cent more, not times as much
 
 
 @dataclass
@@ -37,11 +40,12 @@ class Evidence:
     competing: Pattern | None = None
     scale: float = 1.0  # chi² over freedom of the best, where nothing is adequate
     base_chi2: float | None = None  # of the base with the best fit's imperfections, once known
+    noise_scale: float = 1.0  # of the variance, where the best fit needs less than is declared
 
     @cached_property
     def patterns(self) -> list[Pattern]:
         """What from outside may compete with the effects, on top of the base."""
-        return Patterns(self.session.fitters[0], self.base).all()
+        return Patterns(self.session.fitters[0], self.base).all(self.session.progress)
 
 
 def gather(session: Session) -> Evidence:
@@ -54,7 +58,7 @@ def gather(session: Session) -> Evidence:
         if not singles:
             break
         best = session.best(singles)
-        session.weigh(best.fit.point, best.fit.members)
+        session.weigh(best.fit.point, best.fit.around)
         base = session.base_fit((base, best.fit))
         singles = session.refit(singles, base)
     evidence = Evidence(session, base, singles, not_tested)
@@ -129,20 +133,30 @@ def best_pattern(evidence: Evidence, chosen: Ranked | None) -> Pattern | None:
     return top
 
 
+def _much(ratio: float) -> str:
+    """Say 'twice as much as' or '4 % more than'."""
+    if TELLING_RATIO > ratio > 1.0 / TELLING_RATIO:
+        way = 'more' if ratio > 1.0 else 'less'
+        return f'{100.0 * abs(ratio - 1.0):.2g} % {way} than'
+    return f'{ratio:.1f} times as much as'
+
+
 def pattern_text(evidence: Evidence, pattern: Pattern) -> str:
     """Describe a pattern so that a person knows where to look."""
     names = evidence.session.dataset.postures
     if pattern.name == 'contact':
+        angle = load_of(pattern.values).from_axis
+        way = '' if angle is None else f", {np.degrees(angle.value):.0f}° from the arm's axis"
         return (
-            f'The remainder looks like a force of {1e3 * pattern.size:.2g} mN at cell '
+            f'The remainder looks like a force of {1e3 * pattern.size:.2g} mN{way}, at cell '
             f'{pattern.cell}, the same in every posture: does a cable pull there, or something '
             'touch?'
         )
     if pattern.name == 'soft_cell':
         return (
             f'The remainder is the same in every posture: cell '
-            f'{" or ".join(map(str, pattern.alike))} bends {pattern.size:.1f} times as much as it '
-            'should. Look at that cell.'
+            f'{" or ".join(map(str, pattern.alike))} bends {_much(pattern.size)} it should. '
+            'Look at that cell.'
         )
     if pattern.name == 'taper':
         way = 'stiffer' if pattern.size > 0.0 else 'softer'

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ..comparison.predict import FreeParameter
 from ..comparison.statistics import chi2_sf, f_sf
 from .as_built import Kind, Members
-from .factors import root_inverse
+from .likelihood import root_inverse
 from .marginal import RandomEffects, Sizes
 
 Floats = npt.NDArray[np.float64]
@@ -83,6 +83,11 @@ class Fit:
         if self.built is None:
             return None
         return self.built.random.named(self.values[len(self.all_frees) :], self.built.sizes)
+
+    @property
+    def around(self) -> Members | None:
+        """Imperfections by kind [unit] with which its markers were predicted last."""
+        return None if self.built is None else self.built.around
 
     @property
     def deviance(self) -> float:

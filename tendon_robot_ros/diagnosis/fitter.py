@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,10 +18,10 @@ from .search import Search
 from .split import SplitPredictor
 
 Floats = npt.NDArray[np.float64]
-ROUNDS = 6  # of parameters, sizes of the imperfections and imperfections in turn
+ROUNDS = 8  # of parameters, sizes of the imperfections and imperfections together
 SHIFT_SETTLED = 0.3  # whitened change by imperfections that is worth no further look
-WAY_SHARES = (1.0, 0.5, 0.2)  # of the way to better imperfections, the first that is better
-DEVIANCE_SETTLED = 0.1  # change in deviance at which they are settled
+WAY_SHARES = (1.0, 0.5, 0.2)  # of the way to what slopes promise, the first that is better
+DEVIANCE_SETTLED = 0.1  # fall of the deviance at which a fit is settled
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,16 @@ class AsBuilt:
     split: SplitPredictor
     random: RandomEffects
     imperfections: Imperfections
+
+
+@dataclass(frozen=True)
+class FitPlace:
+    """Where a fit is: parameters, imperfections and their sizes, and what all three are worth."""
+
+    search: Search
+    around: Members
+    sizes: Floats  # (K,)
+    deviance: float  # predicted there, nothing linear: priors and log |V| included
 
 
 class Fitter:
@@ -82,21 +93,77 @@ class Fitter:
             search.begin([np.array([point.get(f, search.described(f)) for f in search.all])])
         else:
             search.begin(search.starts())
-        search.run(turns)
         if self.random is None or sizes is not None:
+            search.run(turns)
             return self._result(search)
-        before = np.inf
+        return self._result(self._descend(search, turns, hopeless))
+
+    def _descend(self, search: Search, turns: int, hopeless: float) -> Search:
+        """
+        Go on with parameters, imperfections and their sizes while what all are worth falls.
+
+        Parameters are searched where imperfections are linear, which promises a place for all
+        three; whether to go there is told by what the model predicts there. So the deviance never
+        rises, however little slopes tell of friction that turns over.
+        """
+        here = self.place(search)
+        search.run(turns)
         for turn in range(ROUNDS):
             estimated = self.estimate(search)
+            if turn > 0 and estimated.deviance > hopeless:
+                break
             self.take(estimated.values)
             search.weigh_again()
-            moved = search.follow()
-            astray = turn > 0 and estimated.deviance > hopeless
-            if astray or (not moved and abs(before - estimated.deviance) < DEVIANCE_SETTLED):
-                break
-            before = estimated.deviance
             search.run(turns)
-        return self._result(search)
+            there = self._first_better(here, search, estimated.values)
+            if there is None:
+                break
+            gain, here = here.deviance - there.deviance, there
+            search = self._go(here)
+            if gain < DEVIANCE_SETTLED:
+                break
+        return self._go(here)
+
+    def _go(self, place: FitPlace) -> Search:
+        """Go to a place: a search that goes on from there."""
+        assert self.random is not None
+        self.take(place.sizes)
+        self.go_around(place.around)
+        search = copy(place.search)
+        search.weigh_again()
+        return search
+
+    def place(self, search: Search) -> FitPlace:
+        """Return where a search is, around the imperfections and with the sizes of now."""
+        assert self.built is not None and self.sizes is not None
+        around, sizes = self.built.split.around, self.sizes
+        return FitPlace(copy(search), around, sizes, self._worth(search.raw, around, sizes))
+
+    def _worth(self, raw: Floats, around: Members, sizes: Floats) -> float:
+        """Return the deviance at a residual (N + nuisances,) predicted with imperfections."""
+        random = self.random
+        assert random is not None
+        n = len(random.columns)
+        errors, rest = raw[:n] - self._shift(around), raw[n:]
+        chi2 = random.misfit(errors, sizes) + random.cost(around, sizes) + float(rest @ rest)
+        return chi2 + random.log_determinant(sizes) + random.prior(sizes)
+
+    def _first_better(self, here: FitPlace, search: Search, sizes: Floats) -> FitPlace | None:
+        """Return the first better place on the way to what a search promises, if there is one."""
+        random = self.random
+        assert random is not None
+        goal = random.named(random.best(search.raw[: len(random.columns)], sizes), sizes)
+        for share in WAY_SHARES:
+            around = _between(here.around, goal, share)
+            self.go_around(around)
+            moved = copy(search)
+            if not moved.go(here.search.values + share * (search.values - here.search.values)):
+                continue
+            for own in (sizes, here.sizes):
+                worth = self._worth(moved.raw, around, own)
+                if worth < here.deviance:
+                    return FitPlace(moved, around, own, worth)
+        return None
 
     def _result(self, search: Search) -> Fit:
         """Freeze a search: the markers are those of the model alone."""
@@ -118,7 +185,7 @@ class Fitter:
             self.take(sizes)
         elif isinstance(start, Fit) and start.built is not None:
             self.take(start.built.sizes)
-            self.go_around(start.members or {})
+            self.go_around(start.built.around)
         else:
             self.take(self.random.start)
             self.go_around({})
@@ -170,10 +237,7 @@ class Fitter:
             return None
         cost = random.misfit(raw - there, sizes) + random.cost(here, sizes)
         for share in WAY_SHARES:
-            moved = {
-                name: (1.0 - share) * here.get(name, np.zeros_like(value)) + share * value
-                for name, value in goal.items()
-            }
+            moved = _between(here, goal, share)
             self.go_around(moved)
             markers = predict()
             if markers is None:
@@ -198,3 +262,11 @@ class Fitter:
         n = len(self.random.columns)
         weights = np.append(np.full(search.count, 1e-9), 1.0 / search.spread**2)
         return self.random.estimate(raw[:n], slopes[:n], self.sizes, weights)
+
+
+def _between(here: Members, goal: Members, share: float) -> Members:
+    """Return members on the way to others; those that are not there yet start at nothing."""
+    return {
+        name: (1.0 - share) * here.get(name, np.zeros_like(value)) + share * value
+        for name, value in goal.items()
+    }

@@ -4,8 +4,9 @@ Improve a description effect by effect, while the error on postures left out kee
 On a real arm nothing is adequate and several effects are at work. `stepwise` lets them join one
 after the other by the error on left-out postures; but an error that has chosen the effects is too
 good. So the whole search is made again without each posture (or group of postures), and predicts
-it: nested cross-validation. The error of these predictions after every step is what is reported;
-the last step that lowers it by more than its scatter between postures is the last one taken.
+it: nested cross-validation. The error of these predictions after every step is what is reported.
+How many steps are taken a search says by its own left-out errors: the last one that lowers them by
+more than their scatter between postures.
 """
 
 from __future__ import annotations
@@ -25,9 +26,10 @@ from .add import Addition, more_at_work, with_origin
 from .decide import P_SINGLE_MIN
 from .described_arm import route_changes, stiffness_change
 from .improvement import Improvement, ImprovementStep, total
+from .load import loads_of
 from .local_tests import local_faults
 from .prediction_errors import Errors, predict
-from .report_rows import values_of
+from .report_rows import left_out, values_of
 from .slopes import imperfections
 from .split import SplitPredictor
 from .stepwise import POSTURES_MIN, STEPS_MAX, State, Stepwise
@@ -74,6 +76,7 @@ def improve(
     held = _held(search.dataset)
     most = STEPS_MAX * (1 + len(held))
     states = search.path(show=lambda k: show('searching', k, most))
+    search.refuse_mistake(states[-1])
     paths = _paths(search, held, len(states), workers, show)
     return _result(search, states, *_predicted(search, paths, len(states)), check)
 
@@ -133,46 +136,58 @@ def _predicted(
         own = [((search.measured - state.fit.markers) ** 2).sum(axis=2)[group] for state in path]
         for k in range(count):
             errors[k, group] = own[min(k, len(path) - 1)]
-        inner = np.array([state.left_out[:, None] for state in path])
-        chosen[group] = own[falls(inner)[0]]
+        chosen[group] = own[last_worthwhile(inner(path))]
     return errors, chosen
 
 
-def falls(errors: Floats) -> tuple[int, list[tuple[float, float]]]:
+def fall(before: Floats, after: Floats) -> tuple[float, float]:
+    """Return how far the rms falls between squared errors (P, J) of postures, and its scatter."""
+    seen = np.isfinite(before).any(axis=1)
+    old, new = (np.nanmean(squares[seen], axis=1) for squares in (before, after))
+    width = float(np.sqrt(old.mean()) + np.sqrt(new.mean()))
+    change = old - new
+    scatter = float(change.std(ddof=1)) / np.sqrt(len(change))
+    return float(change.mean()) / width, scatter / width
+
+
+def last_worthwhile(errors: Floats) -> int:
     """
-    Choose how many steps to take.
+    Return the last step that lowers the error of what was taken before by more than its scatter.
 
     Parameters
     ----------
     errors : (K, P, J) [m²]
         Squared errors of the predictions of left-out postures after 0, 1, ... steps.
 
-    Returns
-    -------
-    taken : int
-        The last step that lowers the error of what was taken before by more than its scatter.
-    falls : list of (fall, scatter) [m]
-        Of the rms over postures, step by step, against what was taken before.
-
     """
-    seen = np.isfinite(errors[0]).any(axis=1)
-    squares = np.nanmean(errors[:, seen], axis=2)  # (K, P')
-    taken, rows = 0, [(0.0, 0.0)]
-    for k in range(1, len(squares)):
-        change = squares[taken] - squares[k]
-        width = float(np.sqrt(squares[taken].mean()) + np.sqrt(squares[k].mean()))
-        scatter = float(change.std(ddof=1)) / np.sqrt(len(change)) / width
-        rows.append((float(change.mean()) / width, scatter))
-        if rows[-1][0] > scatter:
+    taken = 0
+    for k in range(1, len(errors)):
+        gain, scatter = fall(errors[taken], errors[k])
+        if gain > scatter:
             taken = k
-    return taken, rows
+    return taken
+
+
+def inner(states: Sequence[State]) -> Floats:
+    """Return the squared errors (K, P, 1) [m²] by which a search chooses, postures left out."""
+    return np.array([state.left_out[:, None] for state in states])
+
+
+def how_many(states: Sequence[State], errors: Floats) -> int:
+    """
+    Choose how many steps are written: by the errors of the search itself, as each search did.
+
+    Never further than lowers the error (K, P, J) of the searches that did not know the posture.
+    """
+    most = last_worthwhile(inner(states))
+    return int(np.argmin(np.nanmean(errors[: most + 1], axis=(1, 2))))
 
 
 def shown(errors: Floats, taken: int) -> list[int]:
     """
     Return which steps are shown: of those taken only such as lower the left-out error.
 
-    A step that needs a later one to help is shown with that one; `errors` as in `falls`.
+    A step that needs a later one to help is shown with that one; `errors` (K, P, J) [m²].
     """
     squares = np.nanmean(errors, axis=(1, 2))
     kept = [0]
@@ -198,10 +213,10 @@ def _result(
     check: DataSet | None,
 ) -> Improvement:
     """Choose the steps that are taken, and write the description."""
-    taken, rows = falls(errors)
+    taken = how_many(states, errors)
     robots = [search.written(state) for state in states]
     kept = shown(errors, taken)
-    steps = _steps(search, states, robots, errors, check, kept, rows)
+    steps = _steps(search, states, robots, errors, check, kept, taken)
     final, tips = states[taken], np.sqrt(errors[taken, :, -1])
     own = kept.index(taken)
     made = _addition(search, steps[: own + 1], final, robots[taken], check)
@@ -212,6 +227,7 @@ def _result(
         taken=own,
         chosen=np.sqrt(np.nanmean(chosen, axis=0)),
         values=made.values,
+        loads=made.loads,
         profile=stiffness_change(search.robot, final.fit.point),
         routes=route_changes(final.fit.point),
         markers=tuple(marker.name for marker in search.dataset.markers),
@@ -222,6 +238,7 @@ def _result(
         more_at_work=made.more_at_work,
         tips={postures[p]: float(tips[p]) for p in np.flatnonzero(np.isfinite(tips))},
         local_faults=_faults(search, final, robots[taken]),
+        left_out=left_out(search.dataset, search.outliers, search.unsettled),
     )
 
 
@@ -232,7 +249,7 @@ def _steps(
     errors: Floats,
     check: DataSet | None,
     kept: Sequence[int],
-    rows: Sequence[tuple[float, float]],
+    taken: int,
 ) -> tuple[ImprovementStep, ...]:
     """Return the steps that are shown, with those before them that are not."""
     return tuple(
@@ -241,7 +258,7 @@ def _steps(
             _errors(search.dataset, robots[k], search.catalogue),
             np.sqrt(np.nanmean(errors[k], axis=0)),
             None if check is None else _errors(check, robots[k], search.catalogue),
-            *rows[k],
+            *fall(errors[min(max(begin, 0), taken)], errors[k]),
         )
         for begin, k in zip([-1, *kept], kept, strict=False)
     )
@@ -277,7 +294,9 @@ def _addition(
     )
     chance = search.chance(final)
     more = more_at_work(fitted, chance) if chance <= P_SINGLE_MIN else ''
-    return Addition(robot, values_of(final.effects), fitted, judged, chance, {}, more)
+    loads = loads_of(final.effects, search.predictor)
+    values = values_of(final.effects)
+    return Addition(robot, values, fitted, judged, chance, {}, more, loads=loads)
 
 
 def _faults(search: Stepwise, final: State, robot: Robot) -> tuple[dict[str, Any], ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ..common.colours import GOOD, MEASURED, PREDICTED
 from ..robot import Robot
 from .described_arm import PROFILE
-from .result import Value
+from .result import LoadVector, Value
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,6 +56,7 @@ class Improvement:
     taken: int  # steps after the first
     chosen: Floats  # (J,) [m] left out, where the number of steps was chosen without them as well
     values: dict[str, dict[str, Value]]  # effect -> parameter -> value with its interval
+    loads: dict[str, LoadVector]  # size and direction, of effects that are forces
     profile: tuple[float, ...]  # change of the stiffness at base, middle and tip [1], or nothing
     routes: dict[str, tuple[float, float]]  # tendon -> turn at the base [rad], helix [rad/m]
     markers: tuple[str, ...]
@@ -66,6 +67,7 @@ class Improvement:
     more_at_work: str  # what the file says where this is not the whole story
     tips: dict[str, float]  # posture -> its error [m] at the last marker when it is left out
     local_faults: tuple[dict[str, Any], ...]  # where it is still wrong beyond the rest
+    left_out: dict[str, Any]  # postures that do not settle, readings that others contradict
 
     def __repr__(self) -> str:
         """Say what joined, and how the error on left-out postures fell."""
@@ -129,6 +131,7 @@ class Improvement:
             'taken': self.taken,
             'chosen': self.chosen.tolist(),
             'effects': values,
+            'loads': {name: asdict(load) for name, load in self.loads.items()},
             'profile': list(self.profile),
             'routes': {name: list(change) for name, change in self.routes.items()},
             'markers': list(self.markers),
@@ -139,6 +142,7 @@ class Improvement:
             'more_at_work': self.more_at_work,
             'tips': self.tips,
             'local_faults': list(self.local_faults),
+            **self.left_out,
         }
 
 

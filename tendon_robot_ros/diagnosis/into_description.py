@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,20 +23,32 @@ def with_values(
     robot: Robot, catalogue: Catalogue, values: Iterable[tuple[FreeParameter, float]]
 ) -> Robot:
     """Return a description with values of parameters; others of their effects stay as they are."""
-    found: dict[str, dict[str, list[float]]] = {}
+    found: dict[str, dict[str, list[tuple[int | None, float]]]] = {}
     for free, value in values:
         items = found.setdefault(free.effect, {})
-        items.setdefault(free.parameter.name, []).append(_short(value))
+        items.setdefault(free.parameter.name, []).append((free.column, _short(value)))
+    counts = {'section': len(robot.sections), 'tendon': len(robot.tendons)}
     for name, items in found.items():
-        parameters = catalogue[name].parameters
-        wide = {p.name for p in parameters if p.per}
-        known = {p.name: p.neutral for p in parameters} | robot.effects.get(name, {})
+        parameters = {p.name: p for p in catalogue[name].parameters}
+        known = {key: p.neutral for key, p in parameters.items()} | robot.effects.get(name, {})
         changed = {
-            key: tuple(own) if key in wide and len(own) > 1 else own[0]
+            key: _entry(own, known[key], counts.get(parameters[key].per, 1))
             for key, own in items.items()
         }
         robot = robot.with_effect(name, known | changed, robot.fitted.get(name))
     return robot
+
+
+def _entry(
+    own: Sequence[tuple[int | None, float]], before: float | tuple[float, ...], count: int
+) -> float | tuple[float, ...]:
+    """Return the value of a parameter, or of those of so many sections or tendons, changed."""
+    if own[0][0] is None or count == 1:
+        return own[0][1]
+    each = list(before) if isinstance(before, tuple) else [before] * count
+    for column, value in own:
+        each[column or 0] = value
+    return tuple(each)
 
 
 def with_tolerances(robot: Robot, catalogue: Catalogue, fit: Fit) -> Robot:

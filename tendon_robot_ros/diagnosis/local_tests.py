@@ -71,7 +71,8 @@ class LocalFault:
         if words[0] == 'cell' and self.place.kind in IN_CELLS:
             lengths = [s.cell_length for s in robot.sections for _ in range(s.cells)]
             ends = np.cumsum([0.0, *lengths])
-            along = ends[int(words[1]) - 1 : int(words[1]) + 1].tolist()
+            cell = robot.cell_names.index(' '.join(words[:2]))
+            along = ends[cell : cell + 2].tolist()
         return {
             'kind': self.place.kind,
             'place': self.place.name,

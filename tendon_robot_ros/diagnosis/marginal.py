@@ -17,8 +17,7 @@ import numpy.typing as npt
 
 from ..comparison.statistics import chi2_isf
 from .as_built import KINDS_WITH_FEW_MEMBERS, REMAINDER, Kind, Members
-from .factors import root_inverse
-from .likelihood import Columns, Likelihood, prior_of
+from .likelihood import Columns, Likelihood, prior_of, root_inverse
 
 Floats = npt.NDArray[np.float64]
 SEARCH_STEPS_MAX = 25  # of the search for the standard deviations
@@ -146,6 +145,27 @@ class RandomEffects:
         along += inverse @ along
         along += inverse.T @ along
         return np.asarray(self.spread(sizes) * (triangle.T @ along))
+
+    def freedom(self, shift: Floats, sizes: Floats) -> float:
+        """
+        Return how many deviations tell the spread that a shift (N,) of the markers has by chance.
+
+        The variance of the shift's own size, 1 / m'V^-1 m, depends on the estimated sizes: as many
+        degrees of freedom as give it its uncertainty (Satterthwaite 1946). Few where a shift lies
+        along imperfections of a kind that the data hardly tell otherwise; infinite where noise
+        alone could be the cause.
+        """
+        told = (sizes > 0.0) & ~self.few
+        rows = len(self.columns)
+        work = Likelihood(self.parts, np.zeros(rows), np.zeros((rows, 0)), None)
+        information = work.slopes(sizes**2)[1][np.ix_(told, told)]
+        spread = self.spread(sizes)
+        along = np.divide(self.best(shift, sizes), spread, where=spread > 0.0, out=0.0 * spread)
+        turned = np.bincount(self.owners, along**2, len(self.kinds))[told]
+        variance = 2.0 * float(turned @ np.linalg.pinv(information, hermitian=True) @ turned)
+        lifted = self.lift(self.root(sizes), shift)
+        size = float(lifted @ lifted)
+        return 2.0 * size**2 / variance if variance > 0.0 else np.inf
 
     def misfit(self, errors: Floats, sizes: Floats) -> float:
         """Return the chi² of errors (N,) that only noise and the remainder explain."""

@@ -69,6 +69,7 @@ def missing_moment(
         return None
     arm = _Arm(shapes, dataset)
     edges = blocks_of(robot, len(dataset.markers))
+    below = robot.plate_cells
     sd = np.sqrt(measured.floor / 3.0)
     fits = [arm.fit(p, dataset.mean[p] - markers[p], sd[p], edges) for p in range(len(sd))]
     bend, spread = np.array(fits).swapaxes(0, 1)
@@ -78,7 +79,7 @@ def missing_moment(
     stiffness = _means(cells[None, :, 1], edges)
     offsets = predictor.model.arrays.offset
     return MissingMoment(
-        blocks=tuple(_name(a, b) for a, b in edges),
+        blocks=tuple(_name(a - below, b - below) for a, b in edges),
         bend=bend,
         bend_sd=spread,
         moment=stiffness * bend,
@@ -93,10 +94,17 @@ def missing_moment(
 
 
 def blocks_of(robot: Robot, markers: int) -> list[tuple[int, int]]:
-    """Divide every section into blocks (first cell, end) that the markers can tell apart."""
-    parts = max(1, min(BLOCKS_PER_SECTION, markers // max(len(robot.sections), 1)))
+    """
+    Divide every section into blocks (first cell, end) that the markers can tell apart.
+
+    A base plate, which does not bend, is in none.
+    """
+    parts = max(1, min(BLOCKS_PER_SECTION, markers // max(len(robot.own_sections), 1)))
     edges, start = [], 0
     for section in robot.sections:
+        if section.is_plate:
+            start += section.cells
+            continue
         cuts = np.linspace(start, start + section.cells, min(parts, section.cells) + 1)
         whole = cuts.round().astype(int).tolist()
         edges += list(pairwise(whole))

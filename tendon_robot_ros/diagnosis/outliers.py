@@ -8,14 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from ..common.errors import NoEquilibriumError
+from ..common.words import listed
 from ..comparison.noise import input_slopes
 from ..comparison.predict import Point, Predictor
 from ..comparison.statistics import chi2_isf
 from ..data import DataSet
-from .decide import FALSE_OUTLIER_PROBABILITY, MARKERS_OFF_SHARE, TRIALS_MIN
+from .decide import FALSE_OUTLIER_PROBABILITY, MARKERS_OFF_SHARE, TRIALS_MIN, UNSETTLED_SHARE_MAX
 
 Floats = npt.NDArray[np.float64]
 REWEIGHTING_ROUNDS = 4  # of the robust scale
+TOLD_SHARE_MIN = 0.5  # of the noise of a reading, that inputs must not be able to explain
 SLOPES_OFF_SHARE = 0.3  # of what slopes took off; the model that they are of may lack something
 
 
@@ -45,7 +48,9 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
 
     Inputs that differ from trial to trial move all markers along known directions; what is left
     after these is the tracker. A reading stands out against the robust spread of all readings, a
-    trial by its inputs against those of all trials, or when half of its markers stand out.
+    trial by its inputs against those of all trials, or when half of its markers stand out. Where
+    inputs could explain most of what a reading does (one marker, three tendons), nothing is left
+    to judge it by, and it counts neither as an outlier nor for the spread.
     """
     dataset = predictor.dataset
     slopes = input_slopes(predictor, point)
@@ -60,6 +65,7 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
         for q, move in zip(seen, _moves(dataset.positions[p, seen], g), strict=True):
             left[p, q], inputs[p, q] = _without_inputs(move, g)
             along[p, q] = move.reshape(-1, 3) - left[p, q]
+        left[p, :, _untold_share(g) < TOLD_SHARE_MIN] = np.nan
     distance = np.linalg.norm(left, axis=-1)
     explained = np.linalg.norm(along, axis=-1)
     readings = distance > _limit(distance, 3) + SLOPES_OFF_SHARE * explained
@@ -72,6 +78,28 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
         middle = np.nanmedian(dataset.positions, axis=1, keepdims=True)
     moved = np.linalg.norm(dataset.positions - middle, axis=-1)
     return Outliers(readings & ~trials[..., None], trials, moved)
+
+
+def without_unsettled(predictor: Predictor) -> tuple[DataSet, tuple[str, ...]]:
+    """
+    Leave out the few postures in which the description has no equilibrium, and name them.
+
+    Raises
+    ------
+    NoEquilibriumError
+        They are many, or one of a sequence, in which the next one needs it.
+
+    """
+    dataset = predictor.dataset
+    if predictor.markers({}) is not None:
+        return dataset, ()
+    names = predictor.unsettled()
+    few = 0 < len(names) <= UNSETTLED_SHARE_MAX * len(dataset.postures)
+    if not few or dataset.path != 'from_straight':
+        where = listed(f'posture {name}' for name in names) or 'a posture on the way'
+        effects = predictor.model.implicit_effects
+        raise NoEquilibriumError(f'{where} of {dataset.name}', effects, np.inf)
+    return dataset.select(set(dataset.postures) - set(names)), names
 
 
 def _moves(trials: Floats, g: Floats) -> Floats:
@@ -111,6 +139,13 @@ def _without_inputs(move: Floats, g: Floats) -> tuple[Floats, float]:
     left = np.full(len(move), np.nan)
     left[seen] = y - a @ along
     return left.reshape(-1, 3), float(np.linalg.norm(a @ along)) / scale
+
+
+def _untold_share(g: Floats) -> Floats:
+    """Return which share (J,) of the noise of a reading inputs cannot explain; slopes (3J, m)."""
+    normal = g.T @ g + 1e-6 * max(float((g * g).sum()), 1e-60) * np.eye(g.shape[1])
+    explained = (g @ np.linalg.inv(normal) * g).sum(axis=1)
+    return np.asarray(1.0 - explained.reshape(-1, 3).mean(axis=1))
 
 
 def _limit(sizes: Floats, freedom: int) -> float:

@@ -74,15 +74,20 @@ class Patterns:
         self.prior = fit.chi2 - float(self.r @ self.r)
         self.extra = fit.rank
 
-    def all(self) -> list[Pattern]:
+    def all(self, progress: Callable[[str, int, int], None] | None = None) -> list[Pattern]:
         """Fit all patterns; those without equilibrium drop out."""
-        patterns = [
-            self.contact(),
-            self.soft_cell(),
-            self.taper(),
-            self.gain_per_posture(),
-            self.rotation_per_posture(),
+        fits = [
+            self.contact,
+            self.soft_cell,
+            self.taper,
+            self.gain_per_posture,
+            self.rotation_per_posture,
         ]
+        patterns = []
+        for number, fit in enumerate(fits):
+            patterns.append(fit())
+            if progress is not None:
+                progress('causes outside the catalogue', number + 1, len(fits))
         return [pattern for pattern in patterns if pattern is not None]
 
     def white(self, markers: Floats) -> Floats:
@@ -139,9 +144,9 @@ class Patterns:
         if fit is None:
             return None
         force, n = fit.values[len(self.fit.frees) : len(fit.frees)], len(slopes)
-        size = float(np.linalg.norm(force))
+        size, place = float(np.linalg.norm(force)), i + 1 - built.split.whole.plate_cells
         return Pattern(
-            'contact', fit.deviance, fit.rank + 1, i + 1, size, 3, n, tuple(force.tolist())
+            'contact', fit.deviance, fit.rank + 1, place, size, 3, n, tuple(force.tolist())
         )
 
     def soft_cell(self) -> Pattern | None:
@@ -156,8 +161,9 @@ class Patterns:
             return None
         size = float(np.exp(fit.values[len(self.fit.frees)]))
         near = [row for row in fits if _deviance(row) < fit.deviance + SAME_CELL_WITHIN]
-        alike = tuple(sorted(cell + 1 for _, cell in near))
-        return Pattern('soft_cell', fit.deviance, fit.rank + 1, i + 1, size, 1, n, alike=alike)
+        first = 1 - self.fitter.predictor.robot.plate_cells  # number of the model's cell 0
+        alike = tuple(sorted(cell + first for _, cell in near))
+        return Pattern('soft_cell', fit.deviance, fit.rank + 1, i + first, size, 1, n, alike=alike)
 
     def _moved(self, frees: Sequence[FreeParameter]) -> Iterator[Floats]:
         """Yield what parameters that are zero do to the markers, (1, P, J, 3) per unit."""
@@ -186,14 +192,23 @@ class Patterns:
         return Pattern('taper', fit.deviance, fit.rank, free=2, size=change)
 
     def _refit(self, frees: Sequence[FreeParameter]) -> Fit | None:
-        """Fit parameters of a pattern together with those of the fit; None: no equilibrium."""
-        try:
-            hopeless = self.fit.deviance + NEAR_SCORE  # it contains the fit: it went astray
-            return self.fitter.fit((*self.fit.frees, *frees), self.fit, hopeless=hopeless)
-        except (ArithmeticError, np.linalg.LinAlgError):
-            return None
-        finally:
-            self.fitter.resume(self.fit)
+        """
+        Fit parameters of a pattern together with those of the fit; None: no equilibrium.
+
+        Of an arm as built also from one without imperfections, which else keep their share of it.
+        """
+        hopeless = self.fit.deviance + NEAR_SCORE  # it contains the fit: it went astray
+        starts = (self.fit,) if self.fit.built is None else (self.fit, self.fit.point)
+        found = []
+        for start in starts:
+            try:
+                every = (*self.fit.frees, *frees)
+                found.append(self.fitter.fit(every, start, hopeless=hopeless))
+            except (ArithmeticError, np.linalg.LinAlgError):
+                continue
+            finally:
+                self.fitter.resume(self.fit)
+        return min(found, key=lambda fit: fit.deviance, default=None)
 
     def _gain(self, slopes: Floats) -> float:
         """Return what changes (q, P, J, 3) of the residual take off its chi², as far as linear."""

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..common.words import mm
+from ..common.words import mm, spoken
 from ..comparison.noise import rms
 from ..comparison.statistics import chi2_isf, normal_ppf
+from ..data import DataSet
+from ..data.dataset import at_rest
 from .arm_report import arm_report
 from .candidates import Ranked, why_untested
 from .decide import (
@@ -26,34 +28,48 @@ from .decide import (
 from .fit import Fit
 from .fitter import Fitter
 from .interval import intervals
+from .load import loads_of
 from .local_tests import faults_of
-from .result import CandidateRow, EffectFinding, Value
+from .outliers import Outliers
+from .result import NOT_NEEDED, CandidateRow, EffectFinding, Value
 from .session import Session
 
 if TYPE_CHECKING:
     from .evidence import Evidence
 
+NOISE_KEYS = ('position', 'shift', 'trial', 'setting', 'source')
+
 
 def explained_share(evidence: Evidence, fit: Fit) -> float:
     """
-    1 - (chi²_c - nu_c) / (chi²_0 - nu_0), clipped to [0, 1].
+    1 - (chi²_c - s nu_c) / (chi²_0 - s nu_0), clipped to [0, 1].
 
     Of an arm as built: both with the imperfections of the best candidate's fit and no remainder,
-    so that scatter which only a wrong model needs counts as its error.
+    so that scatter which only a wrong model needs counts as its error. The scale s of the noise
+    is 1, or chi² over nu of the best where that is less: noise that was declared too large does
+    not make the error of a model unexplainable.
     """
-    base, best = evidence.base, evidence.best
-    before, after = base.chi2, fit.chi2
-    if best is not None and best.fit.built is not None and base.built is not None:
-        fitter = evidence.session.fitters[0]
-        sizes = best.fit.built.sizes.copy()
-        sizes[-1] = 0.0
-        if evidence.base_chi2 is None:
-            evidence.base_chi2 = _chi2_with(fitter, base, sizes)
-        before, after = evidence.base_chi2, _chi2_with(fitter, fit, sizes)
-    excess = before - base.freedom
+    base = evidence.base
+    if evidence.base_chi2 is None:
+        evidence.base_chi2 = _comparable_chi2(evidence, base)
+        if evidence.best is not None:
+            least = _comparable_chi2(evidence, evidence.best.fit)
+            evidence.noise_scale = min(1.0, least / max(evidence.best.fit.freedom, 1))
+    excess = evidence.base_chi2 - evidence.noise_scale * base.freedom
     if excess <= 0.0:
         return 0.0
-    return float(np.clip(1.0 - (after - fit.freedom) / excess, 0.0, 1.0))
+    after = _comparable_chi2(evidence, fit) - evidence.noise_scale * fit.freedom
+    return float(np.clip(1.0 - after / excess, 0.0, 1.0))
+
+
+def _comparable_chi2(evidence: Evidence, fit: Fit) -> float:
+    """Chi² of a fit, with the imperfections of the best candidate's where there are some."""
+    best = evidence.best
+    if best is None or best.fit.built is None or fit.built is None:
+        return fit.chi2
+    sizes = best.fit.built.sizes.copy()
+    sizes[-1] = 0.0
+    return _chi2_with(evidence.session.fitters[0], fit, sizes)
 
 
 def _chi2_with(fitter: Fitter, fit: Fit, sizes: np.ndarray) -> float:
@@ -103,7 +119,7 @@ def _note(fit: Fit, i: int, half: float) -> str:
             and np.isfinite(spread[j])
             and (abs(fit.covariance[i, j]) > CORRELATED_FROM * spread[i] * spread[j] > 0.0)
         ):
-            return f'correlated with {fit.frees[j].key}'
+            return f'correlated with {spoken(fit.frees[j].key)}'
     return ''
 
 
@@ -111,33 +127,42 @@ def finding(evidence: Evidence, ranked: Ranked) -> list[EffectFinding]:
     """Return the effects of a candidate, with what they explain together."""
     values = values_with_intervals(evidence.session.fitters[0], ranked.fit, evidence.scale)
     share = explained_share(evidence, ranked.fit)
+    loads = loads_of(ranked.fit, evidence.session.predictor, evidence.scale)
+    present = evidence.session.robot.effects
     return [
-        EffectFinding(name, values[name], share, name in evidence.session.robot.effects)
+        EffectFinding(name, values[name], share, name in present, loads.get(name))
         for name in ranked.candidate.names
     ]
 
 
 def rows_of(
-    evidence: Evidence, chosen: Sequence[Ranked], together: Sequence[str]
+    evidence: Evidence, chosen: Sequence[Ranked], together: Sequence[str], verdict: Verdict
 ) -> tuple[CandidateRow, ...]:
-    """Return the candidate table, best first."""
+    """Return the candidate table, best first; where nothing is missing nothing is explained."""
     ranked = list(evidence.singles)
     ranked += [r for r in chosen if r not in ranked]
-    return tuple(
-        _row(evidence, r, chosen, together) for r in sorted(ranked, key=lambda r: r.score)
-    )
+    rows = []
+    for r in sorted(ranked, key=lambda r: r.score):
+        rows.append(_row(evidence, r, chosen, together, verdict))
+        evidence.session.progress('postures left out', len(rows), len(ranked))
+    return tuple(rows)
 
 
 def _row(
-    evidence: Evidence, ranked: Ranked, chosen: Sequence[Ranked], together: Sequence[str]
+    evidence: Evidence,
+    ranked: Ranked,
+    chosen: Sequence[Ranked],
+    together: Sequence[str],
+    verdict: Verdict,
 ) -> CandidateRow:
     fit, session = ranked.fit, evidence.session
+    needed = verdict is not Verdict.ADEQUATE
     if ranked in chosen:
         status = 'best'
     elif ranked.candidate.label in together:
         status = 'cannot be told apart'
     elif ranked.probability > P_SINGLE_MIN:
-        status = 'adequate, less likely'
+        status = 'adequate, less likely' if needed else NOT_NEEDED
     else:
         status = 'rejected'
     values = {
@@ -147,17 +172,19 @@ def _row(
     }
     error = rms(session.dataset.mean - fit.markers)
     inflate = np.sqrt(max(ranked.held_out, 1e-12) / max(fit.chi2, 1e-12))
+    loads = loads_of(fit, session.predictor, evidence.scale)
     return CandidateRow(
         ranked.candidate.label,
         values,
         fit.chi2,
         fit.freedom,
         ranked.probability,
-        explained_share(evidence, fit),
+        explained_share(evidence, fit) if needed else 0.0,
         error,
         float(error * inflate),
         status,
         ranked.candidate.present,
+        next(iter(loads.values()), None),
     )
 
 
@@ -171,7 +198,7 @@ def details_of(
     details: dict[str, Any] = measured_with(session) | {
         'exact': session.robot.exact,
         'caveats': caveats(session),
-        **left_out(session),
+        **left_out(session.dataset, session.outliers, session.unsettled),
         'as_built': arm_report(session, fit),
         'local_faults': faults_of(session, fit),
         'tolerances': dict(session.robot.tolerances),
@@ -182,6 +209,7 @@ def details_of(
             'freedom': base.freedom,
             'probability': base.probability(session.freedom),
         },
+        'score': session.score(chosen[0].score if chosen else base.deviance),
         'relative_to_remainder': evidence.scale if relative else None,
         'accuracy': session.accuracy if session.use_accuracy else None,
     }
@@ -195,14 +223,16 @@ def measured_with(session: Session) -> dict[str, Any]:
     """Return what was measured, and how exactly."""
     dataset, noise = session.dataset, session.noise
     assert noise is not None
+    seen = dataset.trials > 0
     return {
         'robot': session.robot.name,
         'data': dataset.name,
-        'postures': int((dataset.trials > 0).sum()),
+        'postures': int(seen.sum()),
+        'at_rest': int(at_rest(dataset.inputs)[seen].sum()),
         'input': dataset.input,
         'trials': int(dataset.trials.sum()),
         'markers': len(dataset.markers),
-        'noise': {key: getattr(noise, key) for key in ('position', 'trial', 'setting', 'source')},
+        'noise': {key: getattr(noise, key) for key in NOISE_KEYS},
     }
 
 
@@ -230,10 +260,11 @@ def caveats(session: Session) -> list[str]:
     return said
 
 
-def left_out(session: Session) -> dict[str, Any]:
+def left_out(
+    dataset: DataSet, outliers: Outliers | None, unsettled: Sequence[str]
+) -> dict[str, Any]:
     """Name the postures that do not settle, and the readings and trials that others contradict."""
-    outliers, dataset = session.outliers, session.dataset
-    left = {'unsettled': list(session.unsettled), 'outliers': []}
+    left = {'unsettled': list(unsettled), 'outliers': []}
     if outliers is None:
         return left
     named = [

@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from ..common.colours import ERROR, GOOD, PREDICTED
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 FORMAT = 'tendon_robot_ros/diagnosis@1'
 CANDIDATES_DRAWN = 12
+NOT_NEEDED = 'not needed'  # status where the model is adequate: there is nothing to explain
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,30 @@ class Value:
 
 
 @dataclass(frozen=True)
+class LoadVector:
+    """
+    A force at an arm as people say it, with 95 % intervals.
+
+    Attributes
+    ----------
+    size : Value
+        [N]
+    from_axis : Value, optional
+        [rad] from the axis of the straight arm (+z of its base); None: not told.
+    around_axis : float
+        [rad] about that axis, from x towards y.
+    from_gravity : Value, optional
+        [rad] from the way in which weights pull; None: not told, or gravity is not known.
+
+    """
+
+    size: Value
+    from_axis: Value | None
+    around_axis: float
+    from_gravity: Value | None = None
+
+
+@dataclass(frozen=True)
 class EffectFinding:
     """An effect that should be added (or changed)."""
 
@@ -38,6 +64,7 @@ class EffectFinding:
     parameters: dict[str, Value]
     explained: float  # share of the explainable error that this verdict explains, 0 to 1
     present: bool = False
+    load: LoadVector | None = None  # of an effect that is a force: its size and direction
 
     def __repr__(self) -> str:
         """Say name and values."""
@@ -60,8 +87,9 @@ class CandidateRow:
     explained: float
     error: float  # [m] rms
     held_out: float  # [m] rms, postures predicted from the others (linear)
-    status: str  # 'best', 'cannot be told apart', 'rejected', 'present, value off', ...
+    status: str  # 'best', 'cannot be told apart', 'adequate, less likely', 'rejected', NOT_NEEDED
     present: bool
+    load: LoadVector | None = None  # of an effect that is a force: its size and direction
 
 
 @dataclass(frozen=True)
@@ -153,7 +181,8 @@ class Diagnosis:
         """
         Draw what each effect leaves of the error [mm], best first, with matplotlib.
 
-        The dashed line is the error of the model as described, the grey band the noise.
+        The dashed line is the error of the model as described, the grey band the noise. Where no
+        effect was judged, the picture says why.
 
         Parameters
         ----------
@@ -164,8 +193,13 @@ class Diagnosis:
 
         rows = [row for row in self.candidates if math.isfinite(row.error)][:CANDIDATES_DRAWN]
         if axes is None:
-            height = 1.6 + 0.3 * len(rows)
+            height = 1.6 + 0.3 * max(len(rows), len(self.remainder) // 60)
             axes = plt.figure(figsize=(6.4, height), layout='constrained').add_subplot()
+        if not rows:
+            axes.text(0.5, 0.5, fill(f'{self.verdict}: {self.remainder}', 60), ha='center',
+                      va='center', transform=axes.transAxes)  # fmt: skip
+            axes.set_axis_off()
+            return axes
         chosen = {effect.name for effect in self.effects}
         colours = [GOOD if row.name in chosen else ERROR for row in rows]
         axes.barh([row.name for row in rows], [1e3 * row.error for row in rows], color=colours)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
@@ -32,9 +32,6 @@ class Weighing(Protocol):
 
     def lift(self, rows: Floats) -> Floats:
         """Take off whitened rows (N + nuisances, ...) what imperfections explain."""
-
-    def follow(self, raw: Floats, predict: Callable[[], Floats | None]) -> Floats | None:
-        """Go around the imperfections that are most likely; None where that changes nothing."""
 
 
 class Search:
@@ -106,16 +103,15 @@ class Search:
         self.r = self.fitter.lift(self.raw)
         self.damping = 1e-3
 
-    def follow(self) -> bool:
-        """Go around the most likely imperfections; False where that changes nothing."""
-        predictor, point = self.fitter.predictor, self.point
-        n = self.fitter.whitener.size
-        raw = self.fitter.follow(self.raw[:n], lambda: predictor.markers(point, near=self.settled))
-        if raw is None:
+    def go(self, values: Floats) -> bool:
+        """Go to values (q,), the imperfections being others; False without equilibrium."""
+        predicted = self.residual(values, self._ahead(values))
+        if predicted is None:
             return False
-        self.raw, self.fresh = np.concatenate([raw, self.raw[n:]]), False
+        self.values, (self.raw, self.markers) = values, predicted
         self.settled = self.fitter.predictor.settled
-        self.weigh_again()
+        if self.slopes is not None:
+            self._age()
         return True
 
     @property

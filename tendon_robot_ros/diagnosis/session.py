@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import NoEquilibriumError
-from ..common.words import listed
-from ..comparison.noise import Noise, Whitener, estimate_noise, input_slopes
+from ..comparison.noise import Noise, Whitener, input_slopes
 from ..comparison.predict import FreeParameter, Point, Predictor
+from ..comparison.repeatability import estimate_noise
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
@@ -29,12 +29,11 @@ from .decide import (
     P_SINGLE_MIN,
     PAIRED_MAX,
     TIE_WITHIN_SCORE,
-    UNSETTLED_SHARE_MAX,
 )
 from .fit import Fit
 from .fitter import AsBuilt, Fitter
 from .marginal import RandomEffects
-from .outliers import Outliers
+from .outliers import Outliers, without_unsettled
 from .slopes import imperfections
 from .split import SplitPredictor
 
@@ -87,16 +86,9 @@ class Session:
             They are many, or one of a sequence, in which the next one needs it.
 
         """
-        if self.predictor.markers({}) is not None:
-            return
-        dataset, names = self.dataset, self.predictor.unsettled()
-        few = 0 < len(names) <= UNSETTLED_SHARE_MAX * len(dataset.postures)
-        if not few or dataset.path != 'from_straight':
-            effects = self.predictor.model.implicit_effects
-            where = listed(f'posture {name}' for name in names) or 'a posture on the way'
-            raise NoEquilibriumError(f'{where} of {dataset.name}', effects, np.inf)
-        self.unsettled = names
-        self._measured_by(dataset.select(set(dataset.postures) - set(names)))
+        settled, self.unsettled = without_unsettled(self.predictor)
+        if self.unsettled:
+            self._measured_by(settled)
 
     def leave_out(self, outliers: Outliers) -> None:
         """Go on without measurements that the other trials contradict."""
@@ -109,9 +101,10 @@ class Session:
         """
         Estimate the noise and set the weights at a point; False: nothing tells the noise.
 
-        Imperfections are linear around those that are given (`at`).
+        Imperfections are linear around those that are given (`at`), and inputs act on an arm that
+        has these: friction turns over where a cell is kinked the other way.
         """
-        slopes = input_slopes(self.predictor, point)
+        slopes = self._input_slopes(point, at)
         self.noise = estimate_noise(self.dataset, slopes)
         if self.noise is None:
             return False
@@ -129,6 +122,13 @@ class Session:
             self.random = RandomEffects(columns, owners, kinds)
         self.fitters = [self.fitter(worker) for worker in range(self.workers)]
         return True
+
+    def _input_slopes(self, point: Point, at: Members | None) -> Floats:
+        """Return how the markers answer to the inputs; see `input_slopes`."""
+        if not self.splits or not at:
+            return input_slopes(self.predictor, point)
+        self.splits[0].around = at
+        return input_slopes(self.splits[0], point)
 
     def fitter(self, worker: int = 0) -> Fitter:
         """Return a fitter of a worker with the weights of now."""
@@ -159,7 +159,7 @@ class Session:
     def fit_all(
         self,
         candidates: Sequence[Candidate],
-        starts: Mapping[str, Fit] | None = None,
+        starts: Mapping[str, Fit | Point] | None = None,
         what: str = 'effects',
     ) -> list[Ranked]:
         """
@@ -192,20 +192,35 @@ class Session:
                 list(pool.map(work, range(self.workers)))
         return [ranked for ranked in judged if ranked is not None]
 
+    def fit_joint(
+        self, candidates: Sequence[Candidate], starts: Mapping[str, Fit], what: str
+    ) -> list[Ranked]:
+        """Fit combinations from fits of a part of them; the best from an exact arm too."""
+        found = self.fit_all(candidates, starts, what)
+        if self.random is None or not found:
+            return found
+        top = min(r.score for r in found) + NEAR_SCORE
+        near = [r.candidate for r in found if r.score <= top]
+        return _better(found, self.fit_all(near, {c.label: starts[c.label].point for c in near}))
+
+    def score(self, score: float) -> float:
+        """Return a score that may be held against that of another session on the same readings."""
+        return score + self.whitener.log_determinant
+
     def holds(self, ranked: Ranked) -> bool:
         """Tell whether several effects are adequate, for left-out postures as well."""
         return ranked.probability > P_SEVERAL_MIN and ranked.trust > P_SINGLE_MIN
 
     def base_fit(self, starts: Sequence[Fit] = ()) -> Fit:
         """
-        Fit the declared tolerances and the imperfections alone.
+        Fit the declared tolerances and the imperfections alone; also from where `starts` are.
 
-        Friction is kinked: what is found depends on where imperfections start. `starts` are fits
-        from which they are tried as well.
+        Friction is kinked: what is found depends on where imperfections start.
         """
-        if self.random is None:
-            return self.fitters[0].fit(())
-        fits = [self.fitters[0].fit((), start) for start in (None, *starts)]
+        fits = [self.fitters[0].fit(())]
+        for start in starts if self.random is not None else ():
+            with suppress(ArithmeticError, np.linalg.LinAlgError):  # no equilibrium there
+                fits.append(self.fitters[0].fit((), start))
         return min(fits, key=lambda fit: fit.deviance)
 
     def refit(self, ranked: Sequence[Ranked], base: Fit) -> list[Ranked]:
@@ -216,13 +231,11 @@ class Session:
         """
         top = min(r.score for r in ranked) + (np.inf if self.random is None else NEAR_SCORE)
         near = [r for r in ranked if r.score <= top]
-        found = self.fit_all([r.candidate for r in near], {r.candidate.label: r.fit for r in near})
+        starts = {r.candidate.label: r.fit for r in near}
+        found = self.fit_all([r.candidate for r in near], starts, 'effects again')
         worse = [r.candidate for r in found if r.fit.deviance > base.deviance + TIE_WITHIN_SCORE]
-        again = self.fit_all(worse, {c.label: base for c in worse})
-        better = {r.candidate.label: r for r in again}
-        both = [(r, better.get(r.candidate.label, r)) for r in found]
-        far = [r for r in ranked if r.score > top]
-        return [min(pair, key=lambda r: r.fit.deviance) for pair in both] + far
+        again = self.fit_all(worse, {c.label: base for c in worse}, 'effects again')
+        return _better(found, again) + [r for r in ranked if r.score > top]
 
     def split_tested(self, point: Point) -> tuple[list[Candidate], list[Candidate]]:
         """Split the candidates into those that these postures show at a point, and the rest."""
@@ -237,7 +250,11 @@ class Session:
     def gain_p_value(self, base: Fit, ranked: Ranked) -> float:
         """Probability of so large a gain by chance."""
         described = [self.predictor.value(free) for free in ranked.candidate.frees]
-        return gain_p_value(base, ranked.fit, described)
+        if base.built is None:
+            return gain_p_value(base, ranked.fit, described)
+        shift = self.whitener.white(ranked.fit.markers - base.markers)
+        freedom = base.built.random.freedom(shift, base.built.sizes)
+        return gain_p_value(base, ranked.fit, described, freedom)
 
     def stands_out(self, base: Fit, ranked: Ranked, among: int) -> bool:
         """Tell whether a candidate gains more than the best of so many would by chance."""
@@ -275,6 +292,12 @@ class Session:
         """Return the best by score; within a tie the first of the catalogue."""
         top = min(r.score for r in ranked)
         return next(r for r in ranked if r.score <= top + TIE_WITHIN_SCORE)
+
+
+def _better(found: Sequence[Ranked], again: Sequence[Ranked]) -> list[Ranked]:
+    """Return the better of two fits of every candidate; some were fitted again."""
+    others = {r.candidate.label: r for r in again}
+    return [min(r, others.get(r.candidate.label, r), key=lambda r: r.fit.deviance) for r in found]
 
 
 def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
@@ -325,13 +348,13 @@ def _hinted(session: Session, current: Ranked) -> list[Ranked]:
     """Fit the extensions of an effect whose first step gains."""
     order = [c for c in _extensions(session, current) if session.hints(current, c)]
     starts = {c.label: current.fit for c in order}
-    return session.fit_all(order, starts, f'{len(current.candidate.names) + 1} effects')
+    return session.fit_joint(order, starts, f'{len(current.candidate.names) + 1} effects')
 
 
 def reweighed(session: Session, ranked: Ranked) -> Ranked:
     """Fit a candidate again with noise and weights taken at its own fit."""
     for _ in range(2):
-        session.weigh(ranked.fit.point, ranked.fit.members)
+        session.weigh(ranked.fit.point, ranked.fit.around)
         ranked = session.fit_all([ranked.candidate], {ranked.candidate.label: ranked.fit})[0]
     return ranked
 
@@ -340,7 +363,7 @@ def _extended(session: Session, current: Ranked) -> list[Ranked]:
     """Fit the current effects with each other one that the postures show there."""
     have, combined = set(current.candidate.names), _extensions(session, current)
     starts = {c.label: current.fit for c in combined}
-    return session.fit_all(combined, starts, f'{len(have) + 1} effects')
+    return session.fit_joint(combined, starts, f'{len(have) + 1} effects')
 
 
 def _extensions(session: Session, current: Ranked) -> list[Candidate]:
@@ -367,7 +390,7 @@ def _pairs(session: Session, order: Sequence[Ranked], known: set[str]) -> list[R
                 continue
             pairs.append(pair)
             starts[pair.label] = first.fit
-    return session.fit_all(pairs, starts, 'pairs')
+    return session.fit_joint(pairs, starts, 'pairs')
 
 
 def _overlaps(catalogue: Catalogue, candidate: Candidate, have: set[str]) -> bool:

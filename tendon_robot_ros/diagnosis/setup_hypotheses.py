@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations, product
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy.typing as npt
 from ..common.rotations import rigid_fit, turn_angle
 from ..comparison.noise import rms
 from ..comparison.predict import Predictor
+from ..data import DataSet
 from .decide import FRAME_OFF_SHARE_MIN, FRAME_TURNED_MIN_DEG
 
 Floats = npt.NDArray[np.float64]
@@ -36,6 +37,7 @@ class Mistake:
     sentence: str  # 'with ... the error falls'
     mend: str
     after: float  # [m] rms
+    mended: DataSet | None = field(default=None, repr=False)  # where an effect may do the same
 
     def text(self, before: float) -> str:
         """Say it with the error before and after."""
@@ -230,8 +232,9 @@ def _cells(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     for s, more in product(range(len(robot.sections)), reach):
         section = robot.sections[s]
         count = section.cells + more
-        if count < 1 or more == 0:
+        if count < 1 or more == 0 or section.is_plate:
             continue
+        place = f'section {section.name}' if len(robot.own_sections) > 1 else 'the arm'
         again = (section.bending_stiffness[-1],) * CELLS_MISCOUNTED_MAX
         masses = (section.mass_profile[-1],) * CELLS_MISCOUNTED_MAX
         other = replace(
@@ -248,23 +251,22 @@ def _cells(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
                 replace(m, arc_length=min(m.arc_length * along, longer.length))
                 for m in dataset.markers
             )
-            moved = Predictor(
-                replace(dataset, robot=longer, markers=spots), longer, predictor.model.catalogue
-            ).markers({})
+            mended = replace(dataset, robot=longer, markers=spots)
+            moved = Predictor(mended, longer, predictor.model.catalogue).markers({})
             if moved is not None:
                 yield Mistake(
                     'cells',
-                    f'with {count} cells instead of {section.cells} in section {section.name} '
-                    f'(markers {where})',
-                    f'count the cells of section {section.name}',
+                    f'with {count} cells instead of {section.cells} in {place} (markers {where})',
+                    f'count the cells of {place}',
                     rms(dataset.mean - moved),
+                    mended,
                 )
 
 
 def _spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try markers that sit elsewhere along the arm: nearer to the base, or the tip."""
     dataset, length = predictor.dataset, predictor.robot.length
-    cell = predictor.robot.sections[0].cell_length
+    cell = predictor.robot.own_sections[0].cell_length
     moves = [
         *((f'{abs(c):g} cell nearer to the {"base" if c < 0 else "tip"}', 1.0, c * cell)
           for c in (-1.0, -0.5, 0.5, 1.0)),
@@ -278,16 +280,15 @@ def _spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
             replace(m, arc_length=s)
             for m, s in zip(dataset.markers, np.clip(along, 0.0, length).tolist(), strict=True)
         )
-        other = Predictor(
-            replace(dataset, markers=spots), predictor.robot, predictor.model.catalogue
-        )
-        moved = other.markers({})
+        mended = replace(dataset, robot=predictor.robot, markers=spots)
+        moved = Predictor(mended, predictor.robot, predictor.model.catalogue).markers({})
         if moved is not None:
             yield Mistake(
                 'markers_elsewhere',
                 f'with all markers {how}',
                 'check arc_length of the markers in dataset.yaml: from the base, along the arm',
                 rms(dataset.mean - moved),
+                mended,
             )
 
 

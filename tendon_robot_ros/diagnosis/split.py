@@ -77,10 +77,10 @@ class SplitPredictor(Predictor):
 
     def kinds(self) -> tuple[Kind, ...]:
         """Return what may be off; a registration that is declared is a parameter of the fit."""
-        cells = [f'cell {i + 1}' for i in range(self.whole.cells)]
+        cells = self.whole.cell_names
         axis = planar_axis(self.whole)
         kinks = [f'{cell} towards {xy}' for cell in cells for xy in 'xy']
-        labels = {CELLS: cells, KINK: kinks}
+        labels = {CELLS: list(cells), KINK: kinks}
         if axis is not None:
             labels |= {KINK: kinks[axis::2], ACROSS: kinks[1 - axis :: 2]}
         labels[GAIN] = list(self.whole.inputs)  # of a tension: with a hole off its place

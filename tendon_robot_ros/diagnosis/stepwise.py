@@ -4,7 +4,7 @@ The search behind `improve`: effects join one after the other, judged on posture
 At each step joins what lowers the error on left-out postures most, all parameters fitted together
 again, with weak priors around what is described, so that what the postures do not tell stays
 there; what is no longer needed leaves. Left out is one posture at a time, in closed form from the
-slopes of a fit (`promise`). The fits weigh what they cannot explain (`unexplained`), of likely
+slopes of a fit (`promise`). The fits weigh what they cannot explain (`noise.likely`), of likely
 sizes where a step ended.
 """
 
@@ -19,8 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
-from ..comparison.noise import Noise, Whitener, estimate_noise, input_slopes, rms
+from ..comparison.noise import Noise, Whitener, input_slopes, likely, rms
 from ..comparison.predict import Point
+from ..comparison.repeatability import estimate_noise
 from ..comparison.statistics import chi2_sf, f_sf
 from ..data import DataSet
 from ..effects import Catalogue
@@ -32,11 +33,11 @@ from .decide import P_SINGLE_MIN
 from .described_arm import OF_THE_ARM, DescribedArm, arm_with, blocks_of_the_arm
 from .fit import Fit, Nuisance
 from .fitter import Fitter
-from .outliers import find_outliers
+from .outliers import find_outliers, without_unsettled
 from .prediction_errors import predict
 from .promise import Joining, Ways, described, grown, left_out_errors, promised
+from .setup_hypotheses import Mistake
 from .setup_mistakes import find_mistake
-from .unexplained import likely
 
 Floats = npt.NDArray[np.float64]
 Held = Sequence[int] | npt.NDArray[np.int64]
@@ -100,24 +101,49 @@ class Stepwise:
         if int((dataset.trials > 0).sum()) < POSTURES_MIN:
             raise InputError(f'{dataset.name}: expected {POSTURES_MIN} or more measured postures')
         self.robot, self.catalogue = robot, catalogue.sized(natural_sizes(robot))
-        outliers = find_outliers(predict(dataset, robot, catalogue)[0], {})
-        self.dataset = outliers.without(dataset) if outliers.any else dataset
+        every = DescribedArm(dataset, robot, self.catalogue)
+        settled, self.unsettled = without_unsettled(every)
+        self.outliers = find_outliers(predict(settled, robot, catalogue)[0], {})
+        self.dataset = self.outliers.without(settled) if self.outliers.any else settled
         self.predictor = DescribedArm(self.dataset, robot, self.catalogue)
         self.measured = self.dataset.mean
         self.slopes = input_slopes(self.predictor, {})
         self.noise = _noise(self.dataset, self.slopes)
         self.plain = Whitener(self.dataset, self.noise, self.slopes)
-        self._refuse_mistakes()
+        self.doubt = self._doubtful_mistake()
         self.blocks = [
             *joining_effects(robot, self.catalogue, self.dataset),
             *blocks_of_the_arm(robot),
         ]
 
-    def _refuse_mistakes(self) -> None:
-        markers = self.predictor.markers({})
+    def _doubtful_mistake(self) -> Mistake | None:
+        """Return the mistake that effects may explain better; refuse one that they do not."""
         mistake = find_mistake(self.predictor, self.plain.floor())
-        if mistake is not None and markers is not None:
-            raise InputError(f'{self.dataset.name}: {mistake.text(rms(self.measured - markers))}')
+        if mistake is not None and mistake.mended is None:
+            self._refuse(mistake)
+        return mistake
+
+    def _refuse(self, mistake: Mistake) -> None:
+        before = rms(self.measured - self.predict({}))
+        raise InputError(f'{self.dataset.name}: {mistake.text(before)}')
+
+    def refuse_mistake(self, found: State) -> None:
+        """
+        Refuse the mistake in doubt where it explains more than what was found.
+
+        Raises
+        ------
+        InputError
+
+        """
+        if self.doubt is not None and rms(self.measured - found.fit.markers) > self.doubt.after:
+            self._refuse(self.doubt)
+
+    def predict(self, point: Point) -> Floats:
+        """Return the markers (P, J, 3) [m] at a point at which there are some."""
+        markers = self.predictor.markers(point)
+        assert markers is not None
+        return markers
 
     def again(self) -> Stepwise:
         """Return the same with a model of its own, for another thread."""
@@ -127,7 +153,7 @@ class Stepwise:
 
     def path(self, held: Held = (), show: Callable[[int], None] | None = None) -> list[State]:
         """Return the states of a search that knows nothing of the postures held; first: bare."""
-        whitener = self.weights(self.predictor.markers({}), held)
+        whitener = self.weights(self.predict({}), held)
         states = [self.state((), {}, whitener)]
         for k in range(STEPS_MAX):
             if show is not None:
@@ -249,9 +275,8 @@ class Stepwise:
         except (ArithmeticError, np.linalg.LinAlgError):
             return None
 
-    def weights(self, markers: Floats | None, held: Held) -> Whitener:
+    def weights(self, markers: Floats, held: Held) -> Whitener:
         """Return weights that know what a prediction does not explain, of likely sizes."""
-        assert markers is not None
         sizes = likely(self.dataset, self.noise, self.slopes, self.measured - markers, held)
         return Whitener(self.dataset, self.noise, self.slopes, *sizes).without(held)
 

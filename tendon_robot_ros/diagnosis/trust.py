@@ -240,6 +240,8 @@ def measure_again(
         return None
     positions = np.stack([trial for trial in trials if trial is not None], axis=1)
     positions = positions + random.normal(0.0, noise.position, positions.shape)
+    if noise.shift:
+        positions = positions + random.normal(0.0, noise.shift, (P, Q, 1, 3))
     return replace(dataset, positions=np.where(dataset.mask[..., None], positions, np.nan))
 
 

@@ -111,6 +111,14 @@ FILES = ('dataset.yaml', 'inputs.csv', 'robot.yaml', 'shapes.csv')
 BESIDE = ('import.png', 'import.yaml')  # how it came out of tables
 
 
+def refuse_dataset_in(folder: str | Path, overwrite: bool) -> None:
+    """Raise DataSetError, before any work, where a folder holds a data set that is to stay."""
+    if not overwrite and (Path(folder) / 'dataset.yaml').is_file():
+        raise DataSetError(
+            str(folder), 'holds a data set already', 'name a new folder or allow --overwrite'
+        )
+
+
 def save_dataset(
     dataset: DataSet,
     folder: str | Path,
@@ -148,10 +156,7 @@ def save_dataset(
             'has no measurement to write',
             'select the measured postures',
         )
-    if not overwrite and (Path(folder) / 'dataset.yaml').is_file():
-        raise DataSetError(
-            str(folder), 'holds a data set already', 'name a new folder or allow --overwrite'
-        )
+    refuse_dataset_in(folder, overwrite)
     dataset = _without_unseen(dataset)
     with new_folder(Path(folder), (*FILES, *BESIDE) if overwrite else ()) as new:
         (new / 'dataset.yaml').write_text(dump_description(dataset), encoding='utf-8')

@@ -1,0 +1,157 @@
+"""What the trials of a posture tell of the noise: their deviations from its mean, by REML."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from ..data import DataSet
+from .noise import Floats, Noise
+from .statistics import minimum
+
+TRIAL_DOF_MIN = 30  # degrees of freedom within postures from which the trials tell the noise
+SHIFT_MARKERS_MIN = 3  # that a trial shifts all markers alike is not seen on fewer
+SHIFT_ROUNDS = 3  # through the two sizes, one after the other
+SHIFT_GAIN = 10.8  # of -2 log likelihood, from which a shift is believed: 0.1 % false
+
+
+def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
+    """
+    Estimate the noise from deviations within postures only (REML), else take what is declared.
+
+    Model error is the same in all trials of a posture, so it cannot leak in. Of visits it can:
+    what was before the command before differs, and what is declared counts first. None: neither
+    trials nor a declared `position_noise`.
+    """
+    declared = None
+    if dataset.position_noise is not None:
+        trial, setting = dataset.trial_noise, dataset.setting_noise
+        declared = Noise(dataset.position_noise, trial, setting, np.inf, 'declared')
+    if declared is not None and dataset.visits is not None:
+        return declared
+    total, parts, wholes = 0.0, [], []
+    for p in range(len(dataset.postures)):
+        seen = dataset.trial_mask[p]
+        complete = dataset.mask[p][seen].all(axis=0)
+        trials, markers = int(seen.sum()), int(complete.sum())
+        if trials < 2 or not markers:
+            continue
+        moves = dataset.positions[p][seen][:, complete].reshape(trials, -1)
+        g = slopes[p][:, complete].reshape(len(slopes[p]), -1).T  # (3 J, m)
+        if dataset.trial_inputs is not None:
+            moves = moves - _measured_share(dataset, p, seen, g)
+        moves = moves - moves.mean(axis=0)
+        u, s, _ = np.linalg.svd(g, full_matrices=False)
+        along = ((moves @ u) ** 2).sum(axis=0)
+        rest = max(float((moves**2).sum() - along.sum()), 0.0)
+        parts.append((trials - 1, s, along, moves.shape[1] - len(s), rest))
+        if markers >= SHIFT_MARKERS_MIN:
+            wholes.append((moves, g))
+        total += (trials - 1) * moves.shape[1]
+    if total < TRIAL_DOF_MIN:
+        return declared
+    position, trial = _restricted_likelihood(parts)
+    position, trial, shift = _with_shift(wholes, position, trial)
+    return Noise(position, trial, dataset.setting_noise, total, 'trials', shift)
+
+
+def _measured_share(dataset: DataSet, p: int, seen: npt.NDArray[np.bool_], g: Floats) -> Floats:
+    """Return what the measured differences of the inputs explain (trials, 3 J) [m]."""
+    assert dataset.trial_inputs is not None
+    inputs = np.nan_to_num(dataset.trial_inputs[p][seen])
+    mean = inputs.mean(axis=0)
+    relative = (inputs - mean) / np.where(mean == 0.0, np.inf, mean)
+    return np.asarray(relative @ g.T)
+
+
+def _restricted_likelihood(
+    parts: list[tuple[int, Floats, Floats, int, float]],
+) -> tuple[float, float]:
+    """
+    Maximise the likelihood of the deviations over the two standard deviations.
+
+    Only their ratio needs a search: given it, the position noise has a closed form.
+    """
+    count = sum(nu * (len(s) + rest) for nu, s, _, rest, _ in parts)
+    nus = np.concatenate([np.full(len(s), nu) for nu, s, *_ in parts])
+    sizes = np.concatenate([s for _, s, *_ in parts]) ** 2
+    along = np.concatenate([a for _, _, a, *_ in parts])
+    rest = float(sum(r for *_, r in parts))
+    largest = max(float(sizes.max(initial=0.0)), 1e-30)
+
+    def position2(ratio: float) -> float:
+        return max((float(np.sum(along / (1.0 + ratio * sizes))) + rest) / count, 1e-24)
+
+    def cost(log: float) -> float:
+        ratio = math.exp(log) / largest
+        spread = float(np.sum(nus * np.log1p(ratio * sizes)))
+        return spread + count * math.log(position2(ratio))
+
+    grid = np.arange(-14.0, 21.0, 1.0)
+    best = float(grid[int(np.argmin([cost(float(log)) for log in grid]))])
+    log, lowest = minimum(cost, best - 1.0, best + 1.0, 1e-3)
+    if best == grid[0] or lowest > count * math.log(position2(0.0)):
+        return math.sqrt(position2(0.0)), 0.0
+    ratio = math.exp(log) / largest
+    position = math.sqrt(position2(ratio))
+    return position, min(math.sqrt(ratio) * position, 0.3)
+
+
+def _with_shift(
+    wholes: list[tuple[Floats, Floats]], position: float, trial: float
+) -> tuple[float, float, float]:
+    """
+    Return position noise, trial noise and the shift shared by the markers of a trial.
+
+    Deviations (trials, 3 J) of every posture from its mean, and what its inputs do (3 J, m). The
+    shift is 0, and the others are as they come, unless the likelihood gains by `SHIFT_GAIN`.
+    """
+    if not wholes:
+        return position, trial, 0.0
+    before = _level(wholes, (trial / position) ** 2, 0.0)[0]
+    inputs, shift = (trial / position) ** 2, 0.0  # variances over that of a coordinate
+    for _ in range(SHIFT_ROUNDS):
+        shift = _likeliest(wholes, (inputs, None), -7.0, 9.0)
+        if inputs:
+            low = math.log(inputs)
+            inputs = _likeliest(wholes, (None, shift), low - 12.0, low + 2.0)
+    if _level(wholes, 0.0, shift)[0] <= _level(wholes, inputs, shift)[0]:
+        inputs = 0.0
+    after, variance = _level(wholes, inputs, shift)
+    if before - after < SHIFT_GAIN:
+        return position, trial, 0.0
+    return math.sqrt(variance), math.sqrt(inputs * variance), math.sqrt(shift * variance)
+
+
+def _likeliest(
+    wholes: list[tuple[Floats, Floats]],
+    known: tuple[float | None, float | None],
+    low: float,
+    high: float,
+) -> float:
+    """Return the likeliest of the two variances that is not known, between two logarithms."""
+
+    def cost(log: float) -> float:
+        inputs, shift = (math.exp(log) if one is None else one for one in known)
+        return _level(wholes, inputs, shift)[0]
+
+    return math.exp(minimum(cost, low, high, 0.02)[0])
+
+
+def _level(
+    wholes: list[tuple[Floats, Floats]], inputs: float, shift: float
+) -> tuple[float, float]:
+    """Return -2 log likelihood of variances over that of a coordinate, and the latter [m²]."""
+    count = float(sum((len(moves) - 1) * moves.shape[1] for moves, _ in wholes))
+    logs = left = 0.0
+    for moves, g in wholes:
+        axes = np.tile(np.eye(3), (g.shape[0] // 3, 1))
+        b = np.hstack([math.sqrt(inputs) * g, math.sqrt(shift) * axes])
+        root = np.linalg.cholesky(np.eye(b.shape[1]) + b.T @ b)
+        logs += 2.0 * (len(moves) - 1) * float(np.log(np.diag(root)).sum())
+        through = np.linalg.solve(root, b.T @ moves.T)
+        left += float((moves**2).sum() - (through**2).sum())
+    variance = max(left / count, 1e-24)
+    return logs + count * math.log(variance), variance
