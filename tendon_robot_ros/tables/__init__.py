@@ -6,8 +6,8 @@ imported.py       what it gives: a data set, `save`, and in words and one pictur
                   was taken and why
 reading.py        a file to named columns; refuses what is no table
 formats.py        CSV exports of OptiTrack and Vicon, and .c3d
-raw_table.py      named columns of numbers, as they were found; a DataFrame as well
-columns.py        what a column is, by its name
+columns.py        named columns of numbers, as they were found (a DataFrame as well), and what a
+                  column is, by its name
 recipe.py         import.yaml: every choice written out
 choices.py        the columns and units that a recipe leaves open
 traces.py         columns to inputs and markers over time, in SI units

@@ -13,13 +13,13 @@ from ..common.words import listing
 from ..robot import Robot
 from .columns import (
     ColumnUse,
+    RawTable,
     guess_inputs,
     guess_markers,
     guess_time,
     names_of,
     need_column,
 )
-from .raw_table import RawTable
 from .recipe import MarkerColumns, Recipe
 
 STEP_MAX_S = 2.0  # a median step above is no second: nobody records an arm so slowly

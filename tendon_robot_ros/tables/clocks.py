@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from .raw_table import FloatArray
+from .columns import FloatArray
 
 STEP_S = 0.02  # [s] of the grid on which motions are compared
 SEARCH_STEP_S = 0.1  # [s] of that on which the speed of the clock is searched

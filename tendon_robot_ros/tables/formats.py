@@ -11,7 +11,7 @@ import numpy as np
 
 from ..common.errors import DataSetError, MissingExtraError
 from ..common.units import find_unit
-from .raw_table import FloatArray, RawTable
+from .columns import FloatArray, RawTable
 
 BEGINS = 'Format Version'  # the first cell that Motive writes
 UNUSED = 'unused'  # columns that are named so get no role

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..common.colours import COLOURS, GOOD, LEFT_OUT, MEASURED, PREDICTED, REST
-from ..common.words import mm
+from ..common.words import mm, postures
 from ..data import DataSet, save_dataset
+from ..data.dataset import at_rest
 from ..robot import Robot
 from .choices import Taken
-from .columns import marker_label
+from .columns import FloatArray, marker_label
 from .marker_order import MarkerOrder
 from .measuring import Piece, StillMeasurements
-from .raw_table import FloatArray
 from .recipe import Recipe, dump_recipe
 from .registration import TrackerFrame, angle_of
 
@@ -161,14 +161,11 @@ def taken_line(dataset: DataSet, measured: StillMeasurements) -> str:
     rule = measured.rule
     found = len(measured.segments) + sum(len(piece.resting) for piece in measured.pieces)
     still = f'{len(measured.segments)} of {found} times that the arm stood still'
+    resting = int(at_rest(dataset.inputs).sum())
+    taken = f'{postures(len(trials), resting)} x {each} trials x {len(dataset.markers)} markers'
     if measured.pieces[0].motion is None:
-        return (
-            f'{len(trials)} postures x {each} trials x {len(dataset.markers)} markers, a row each'
-        )
-    return (
-        f'{len(trials)} postures x {each} trials x {len(dataset.markers)} markers: {still} '
-        f'(slower than {1e3 * rule.speed:.2g} mm/s for {rule.duration:g} s)'
-    )
+        return f'{taken}, a row each'
+    return f'{taken}: {still} (slower than {1e3 * rule.speed:.2g} mm/s for {rule.duration:g} s)'
 
 
 def frame_lines(frame: TrackerFrame, robot: Robot) -> list[str]:
@@ -193,8 +190,11 @@ def frame_lines(frame: TrackerFrame, robot: Robot) -> list[str]:
 # -----------------------------------------------------------------------------
 # One picture: raw traces, what was cut out, and the markers on the arm.
 
+INPUTS_ABREAST = 4  # of the legend
 SIZE_IN, DPI, FONT = (8.0, 12.5), 150, 14.0  # 1200 px wide; at 400 px a letter has 9 px
 POINTS_MAX = 4000  # of a line
+TIP_SHADE = 0.62  # of the colours of markers, dark at the base, that of the tip
+LEFT_OUT_LOOK: dict[str, Any] = {'facecolor': 'none', 'edgecolor': LEFT_OUT, 'hatch': '////'}
 
 
 def draw(
@@ -273,11 +273,11 @@ def _inputs(axes: Axes, dataset: DataSet, measured: StillMeasurements) -> None:
         for j, values in enumerate(piece.inputs[part].T):
             scale = 1.0 if tension else 1e3
             axes.plot(times, scale * values, color=COLOURS[j % len(COLOURS)], linewidth=1.0)
-    for j, name in enumerate(names[:6]):
+    for j, name in enumerate(names):
         axes.plot([], [], color=COLOURS[j % len(COLOURS)], label=name)
     _shade(axes, measured)
     axes.set_ylabel('tension [N]' if tension else 'wire pull [mm]')
-    axes.legend(loc='lower left', bbox_to_anchor=(0.0, 1.0), ncols=6, frameon=False,
+    axes.legend(loc='lower left', bbox_to_anchor=(0.0, 1.0), ncols=INPUTS_ABREAST, frameon=False,
                 handlelength=1.0, columnspacing=1.0, borderpad=0.0)  # fmt: skip
     axes.margins(x=0.0)
 
@@ -289,7 +289,7 @@ def _markers(
     from matplotlib import colormaps
 
     out = set(recipe.leave_out or ())
-    colours = colormaps['viridis']
+    colours = colormaps['plasma']
     cut: list[FloatArray] = []  # (K, 2) [s] and [mm]
     for begin, piece in _pieces(measured):
         track = piece.recording.tracks[0]
@@ -300,8 +300,8 @@ def _markers(
             if not len(seen):
                 continue
             away = 1e3 * np.linalg.norm(here - here[seen[0]], axis=1)
-            axes.plot(begin + track.times[part], away, color=colours(place / len(members)),
-                      linewidth=0.6)  # fmt: skip
+            shade = colours(TIP_SHADE * place / max(len(members) - 1, 1))
+            axes.plot(begin + track.times[part], away, color=shade, linewidth=1.0)
             mine = piece.cut.markers == j
             far = 1e3 * np.linalg.norm(piece.cut.places[mine] - here[seen[0]], axis=1)
             cut.append(np.column_stack([begin + piece.cut.times[mine], far]))
@@ -311,7 +311,7 @@ def _markers(
     for begin, piece in _pieces(measured):
         for one in (next(segments) for _ in piece.segments):
             if (one.posture, one.trial) in out:
-                axes.axvspan(begin + one.begin, begin + one.end, color=LEFT_OUT, alpha=0.8)
+                axes.axvspan(begin + one.begin, begin + one.end, **LEFT_OUT_LOOK)
     axes.set_ylabel('markers moved [mm]')
     axes.set_xlabel('time [s]' if recipe.time else 'row')
     axes.margins(x=0.0)
@@ -344,24 +344,25 @@ def _arm(axes: Axes, dataset: DataSet, predicted: FloatArray, axis: int) -> None
 
 def _key(figure: Figure, has_cut: bool) -> Any:
     """Say what colours mean."""
+    from matplotlib import colormaps
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
+    colours = colormaps['plasma']
     handles = [
         Patch(color=GOOD, alpha=0.3, label='taken'),
         Patch(color=REST, alpha=0.6, label='rest'),
-        Patch(color=LEFT_OUT, label='left out'),
-        Line2D([], [], color=MEASURED, marker='o', linestyle='', label='measured'),
+        Patch(**LEFT_OUT_LOOK, label='left out'),
+        *[Line2D([], [], color=LEFT_OUT, marker='x', linestyle='', label='cut out')] * has_cut,
+        Line2D([], [], color=colours(0.0), label='marker next to the base'),
+        Line2D([], [], color=colours(TIP_SHADE), label='marker at the tip'),
+        Line2D([], [], color=MEASURED, marker='o', linewidth=0.6, label='measured'),
         Line2D([], [], color=PREDICTED, label='model'),
     ]
-    if has_cut:
-        handles.insert(
-            3, Line2D([], [], color=LEFT_OUT, marker='x', linestyle='', label='cut out')
-        )
     return figure.legend(
         handles=handles,
         loc='outside lower center',
-        ncols=3 if has_cut else 5,
+        ncols=3,
         frameon=False,
         handlelength=1.2,
         columnspacing=1.2,

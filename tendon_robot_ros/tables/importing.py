@@ -21,11 +21,10 @@ from ..diagnosis.outliers import Outliers, find_outliers
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot, load_robot
 from .choices import Taken, choose_columns
-from .columns import marker_label
+from .columns import FloatArray, RawTable, from_frame, marker_label
 from .imported import ImportedTable
 from .marker_order import AS_GIVEN, MarkerOrder, order_markers
 from .measuring import StillMeasurements, measure
-from .raw_table import FloatArray, RawTable, from_frame
 from .reading import read_table
 from .recipe import FrameChoice, MarkerColumns, Recipe, load_recipe, read_recipe
 from .registration import (

@@ -12,7 +12,7 @@ from ..common.errors import DataSetError
 from ..common.words import listed
 from ..data import default_markers
 from ..robot import Robot
-from .raw_table import FloatArray
+from .columns import FloatArray
 
 AS_GIVEN = 'places as given'
 SAME_PLACE_M = 1e-3  # [m] markers that are never farther apart are one that was exported twice
@@ -178,7 +178,7 @@ def _snapped(measured: FloatArray, robot: Robot) -> tuple[tuple[float, ...], str
     if near.all() and len(set(nearest.tolist())) == len(measured):
         where = 'the ends of its cells'
         if len(measured) < len(ends):
-            where = f'the ends of cells {listed(str(i + 1) for i in nearest)}'
+            where = f'the ends of cells {listed(str(i + 1 - robot.plate_cells) for i in nearest)}'
         return tuple(ends[nearest].tolist()), f'the last marker is at the tip, all at {where}'
     even = robot.length * (np.arange(len(measured)) + 1.0) / len(measured)
     if np.abs(measured - even).max() < EVEN_WITHIN_SHARE * even[0]:

@@ -24,8 +24,7 @@ from ..data.recording.still_segments import (
 )
 from ..robot import Robot
 from .choices import Taken
-from .columns import marker_label
-from .raw_table import FloatArray
+from .columns import FloatArray, marker_label
 from .recipe import MarkerColumns, Recipe
 from .traces import NOTHING_CUT, CutReadings, Traces, cut_out
 
@@ -40,6 +39,11 @@ JUMP_MIN_M = 5e-4  # [m] a tracker's ordinary noise is no jump
 SAME = (0.002, 0.01, 0.08)
 GAP_RATIO = 2.5  # times, between the scatter of trials and the steps of postures
 REST_SHARE = 0.3  # of the segments that are at rest where an arm rests between trials
+
+NO_REST = (
+    'from where the arm came to a posture is taken not to matter, though it did not rest between '
+    'them: with friction it does; let it rest next time, or say --path sequence'
+)
 
 
 @dataclass(frozen=True)
@@ -101,14 +105,15 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
     if rest is None:
         rest = 0.0 if sequence else _guess_rest(found, same)
         if rest:
-            unit = 'N' if kind == 'tension' else 'm'
-            assumed.append(f'where all inputs are below {digits(rest, 3)} {unit} the arm rests')
+            size = f'{digits(rest, 3)} {"N" if kind == "tension" else "m"}'
+            assumed.append(f'where all inputs are below {size} the arm rests')
     pieces = [_without_rest(piece, rest, first=index == 0) for index, piece in enumerate(pieces)]
     dropped += _told(pieces, recipe.markers or ())
     kept = [one for piece in pieces for one in piece.segments]
+    assumed += [NO_REST] * (not (sequence or rest or recipe.time is None))
     return StillMeasurements(
         tuple(pieces),
-        tuple(name_segments(kept, replace(rule, change=same), sequence)),
+        tuple(_named(kept, replace(rule, change=same), sequence)),
         rule,
         same,
         rest,
@@ -117,6 +122,28 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
         tuple(dropped),
         tuple(assumed),
     )
+
+
+def _named(segments: list[Segment], rule: Rule, sequence: bool) -> list[Segment]:
+    """
+    Name segments by posture and trial.
+
+    A sequence may have been gone through again and again: rounds are trials, the last one may end
+    early.
+    """
+    if not sequence:
+        return name_segments(segments, rule, sequence)
+    same = rule.change or 0.0
+    inputs = np.nan_to_num([one.inputs for one in segments])
+    count = total = len(segments)
+    for period in range(2, total // 2 + 1):
+        if (np.abs(inputs[period:] - inputs[:-period]) < same).all():
+            count = period
+            break
+    return [
+        replace(one, posture=str(i % count), trial=str(i // count))
+        for i, one in enumerate(segments)
+    ]
 
 
 def _still_rule(

@@ -10,8 +10,8 @@ from pathlib import Path
 from ..common.dataframes import pandas
 from ..common.errors import DataSetError, MissingExtraError, short
 from ..common.units import find_unit
+from .columns import MISSING, RawTable, is_number, table_of
 from .formats import is_optitrack, is_vicon, optitrack_header, read_c3d, vicon_header
-from .raw_table import MISSING, RawTable, is_number, table_of
 
 BYTES_MAX = 1_000_000_000  # of a file: its numbers and their parse must fit into the memory
 HEAD = 1 << 16  # bytes that tell what kind of file it is

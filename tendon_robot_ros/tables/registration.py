@@ -16,7 +16,7 @@ from ..comparison.predict import Predictor
 from ..data import DataSet
 from ..data.dataset import BoolArray
 from ..data.markers import Vector
-from .raw_table import FloatArray
+from .columns import FloatArray
 from .recipe import FrameChoice
 
 DIGITS = 9  # nanometres

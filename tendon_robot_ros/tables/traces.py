@@ -15,7 +15,7 @@ from ..common.words import listing
 from ..data.recording.reader import Recording, Track
 from .choices import Taken, time_column
 from .clocks import find_clock
-from .raw_table import FloatArray, RawTable
+from .columns import FloatArray, RawTable
 from .recipe import Recipe, WireSpool
 
 IntArray = npt.NDArray[np.int64]
