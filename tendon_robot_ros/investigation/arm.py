@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -27,6 +27,7 @@ class PostureMeasured:
 
     positions: Floats  # (Q, J, 3) [m], nan where a marker was not seen
     inputs: Floats | None = None  # (Q, m) [N] or [m] as measured; None: as commanded
+    frames: int = 1  # of the tracker, of all trials together
 
 
 class MeasurableArm(Protocol):
@@ -88,4 +89,4 @@ def checked(measured: PostureMeasured) -> PostureMeasured:
         lost = 100.0 * (1.0 - seen.mean())
         raise BrokenMeasurementError(f'the tracker lost {lost:.0f} % of the markers')
     positions = np.where(good[:, None, None], measured.positions, np.nan)
-    return PostureMeasured(positions, measured.inputs)
+    return replace(measured, positions=positions)

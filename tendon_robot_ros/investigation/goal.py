@@ -1,12 +1,23 @@
-"""What is asked of an investigation, what it may spend, and where it may go."""
+"""What is asked of an investigation, what it may spend, and when it knows enough."""
 
 from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
 
 from ..common.errors import InputError
+from ..common.words import listed, mm
+from ..comparison.predict import Predictor, frees_of
+from ..data import DataSet
+from ..diagnosis.decide import POSTURES_ENOUGH, SEPARABLE_FROM_SD, Verdict
+from ..diagnosis.result import Diagnosis
+from ..effects import Catalogue
+from .record import Round
 
 START_MIN = 3  # postures from which anything is judged
 
@@ -95,3 +106,183 @@ def goal_of(args: argparse.Namespace, effect_files: tuple[str, ...] = ()) -> Goa
         effect_files=effect_files,
         **typed,
     )
+
+
+# -----------------------------------------------------------------------------
+# When it knows enough, and what is still in question.
+
+REJECTED = 'rejected'  # status of a candidate that is out
+IN_QUESTION_MAX = 6  # effects that the next posture is chosen for
+NAMING = (Verdict.MISSING_EFFECT, Verdict.WRONG_PARAMETER, Verdict.SEVERAL)
+POSTURES_MANY = 8  # from which what cannot be narrowed is said instead
+AGAIN_FOR_CLASS = 3  # diagnoses in a row that name the same class before it counts as inseparable
+
+
+class InvestigationEnd(StrEnum):
+    """Why an investigation ended."""
+
+    NAMED = 'named'
+    INSEPARABLE = 'inseparable'
+    ADEQUATE = 'model_adequate'
+    OUTSIDE = 'nothing_fits'
+    MISTAKE = 'mistake_of_the_set_up'
+    CHANGED = 'change_named'
+    BUDGET = 'budget_spent'
+    POOL = 'nothing_left_to_measure'
+
+
+SENTENCES = {
+    InvestigationEnd.NAMED: 'one name is left, its interval is as narrow as asked',
+    InvestigationEnd.INSEPARABLE: 'no posture within the limits separates what is left',
+    InvestigationEnd.ADEQUATE: 'the model is adequate',
+    InvestigationEnd.OUTSIDE: 'nothing in the catalogue fits',
+    InvestigationEnd.MISTAKE: 'the set-up has a mistake: mend it, then begin again',
+    InvestigationEnd.CHANGED: (
+        'no effect of the catalogue is needed: mend it, or call monitor/learn to take the arm '
+        'as it is now'
+    ),
+    InvestigationEnd.BUDGET: 'the budget is spent',
+    InvestigationEnd.POOL: 'no posture within the limits tells more',
+}
+
+
+def names_of(diagnosis: Diagnosis) -> list[str]:
+    """Return what a diagnosis names: effects, or a class."""
+    return sorted({*(e.name for e in diagnosis.effects), *diagnosis.cannot_tell_apart})
+
+
+def in_question(diagnosis: Diagnosis) -> list[str]:
+    """
+    Return the effects that may still be it, the likeliest first.
+
+    Those that are named; then those that fit as well though less likely; while nothing is settled
+    (adequate, outside, cannot judge) all that these postures hardly show, too.
+    """
+    names = [effect.name for effect in diagnosis.effects]
+    names += diagnosis.cannot_tell_apart
+    likely = [row.name for row in diagnosis.candidates if row.status != REJECTED]
+    names += [name for label in likely for name in label.split(' + ')]
+    if not diagnosis.effects:
+        names += diagnosis.not_tested
+    return list(dict.fromkeys(names))[:IN_QUESTION_MAX]
+
+
+def widest(diagnosis: Diagnosis, catalogue: Catalogue) -> float | None:
+    """Half of the widest 95 % interval, of the value or of a typical size; None: nothing named."""
+    halves = []
+    for effect in diagnosis.effects:
+        parameters = {p.name: p for p in catalogue[effect.name].parameters}
+        for key, value in effect.parameters.items():
+            parameter = parameters[key.split('[')[0]]
+            size = max(abs(value.value - parameter.neutral), parameter.typical)
+            half = 0.5 * (value.high - value.low)
+            halves.append(half / size if np.isfinite(half) else np.inf)
+    return float(max(halves)) if halves else None
+
+
+def possible(
+    diagnosis: Diagnosis, dataset: DataSet, catalogue: Catalogue, visible: float
+) -> dict[str, float]:
+    """
+    Return the effects that may act unseen though the model is adequate, the largest first.
+
+    An effect may act while an end of a 95 % interval of its parameters, the others at their best
+    values, moves the tip by more than is asked, rms over the postures.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    dataset : DataSet
+    catalogue : Catalogue
+    visible : float
+        Tip motion [m] that is asked for.
+
+    Returns
+    -------
+    dict of str to float
+        Tip motion [m] that is left possible, by effect.
+
+    """
+    predictor = Predictor(dataset, dataset.robot, catalogue)
+    here = predictor.markers({})
+    if here is None:
+        return {}
+    left: dict[str, float] = {}
+    for row in diagnosis.candidates:
+        frees = frees_of(row.name.split(' + '), predictor.model.catalogue, dataset.robot)
+        fitted = {f: row.parameters[f.key] for f in frees if f.key in row.parameters}
+        best = {free: value.value for free, value in fitted.items()}
+        for free, value in fitted.items():
+            for end in (value.low, value.high):
+                there = predictor.markers({**best, free: end}) if np.isfinite(end) else None
+                if there is not None:
+                    tip = float(np.sqrt(((there - here)[:, -1] ** 2).sum(axis=1).mean()))
+                    left[row.name] = max(left.get(row.name, 0.0), tip)
+    seen = {name: tip for name, tip in left.items() if tip > visible}
+    return dict(sorted(seen.items(), key=lambda item: -item[1]))
+
+
+def settled(
+    diagnosis: Diagnosis, rounds: Sequence[Round], goal: Goal, postures: int
+) -> InvestigationEnd | None:
+    """
+    Tell whether it is enough; the last of the rounds is this diagnosis.
+
+    A verdict counts when the one before, on fewer postures, was the same. Adequate is the model
+    when no effect is left that may move the tip visibly.
+    """
+    verdict, now = diagnosis.verdict, rounds[-1]
+    if verdict is Verdict.CANNOT_JUDGE:
+        return InvestigationEnd.MISTAKE if 'mistake' in diagnosis.details else None
+    before = rounds[-2] if len(rounds) > 1 else None
+    again = before is not None and (before.verdict, before.names) == (now.verdict, now.names)
+    if verdict in NAMING and not diagnosis.cannot_tell_apart:
+        narrow = now.widest is not None and now.widest <= goal.interval
+        return InvestigationEnd.NAMED if again and narrow else None
+    if verdict is Verdict.ADEQUATE:
+        sure = again and postures >= POSTURES_ENOUGH and not now.possible
+        return InvestigationEnd.ADEQUATE if sure else None
+    if verdict is Verdict.OUTSIDE_CATALOGUE:
+        enough = before is not None and before.verdict == now.verdict
+        return InvestigationEnd.OUTSIDE if enough and postures >= POSTURES_ENOUGH else None
+    return InvestigationEnd.INSEPARABLE if _inseparable(diagnosis, rounds) else None
+
+
+def adequate_again(rounds: Sequence[Round]) -> bool:
+    """Tell whether two diagnoses in a row, on enough postures, miss nothing."""
+    last = rounds[-2:]
+    same = len(last) == 2 and all(one.verdict == Verdict.ADEQUATE for one in last)
+    return same and last[-1].postures >= POSTURES_ENOUGH
+
+
+def _inseparable(diagnosis: Diagnosis, rounds: Sequence[Round]) -> bool:
+    """Tell whether a class stays what it is: nothing separates it, or three rounds did not."""
+    last = [one.names for one in rounds[-AGAIN_FOR_CLASS:]]
+    same = len(last) > 1 and last[-1] == last[-2]
+    following = diagnosis.next_measurement
+    alike = (
+        following is None
+        or following.gravity is not None  # the arm would have to be turned
+        or following.difference < SEPARABLE_FROM_SD * following.noise
+    )
+    always = len(last) == AGAIN_FOR_CLASS and all(names == last[0] for names in last)
+    return same and (alike or always)
+
+
+def may_act(now: Round) -> str:
+    """Say what may act unseen, most of all; '' where nothing does."""
+    left = [f'{name} of {mm(tip)} at the tip' for name, tip in now.possible.items()]
+    more = f' and {len(left) - 2} more effects' if len(left) > 2 else ''
+    return f', but not excluded: {", ".join(left[:2])}{more}' if left else ''
+
+
+def short(found: Diagnosis) -> str:
+    """Say a verdict in a few words."""
+    names = names_of(found)
+    if found.verdict in NAMING:
+        return f'consistent with {listed(names)}'
+    if found.cannot_tell_apart and found.verdict.may_add:
+        return f'{listed(found.cannot_tell_apart, "or")} explain it equally well'
+    if not found.verdict.judged:
+        return f'cannot judge: {found.remainder}'
+    return str(found.verdict).replace('_', ' ')

@@ -1,6 +1,7 @@
 """
 The loop: choose the posture that tells most, measure it, diagnose, until enough is known.
 
+After a drift alarm the first postures are those that tell the change most (`changed.py`).
 It ends when one name is left with an interval as narrow as asked, when what is left cannot be
 separated, when the model is adequate, when nothing in the catalogue fits, or when the budget is
 spent. Then what was found is verified on postures that were never chosen for it.
@@ -9,16 +10,15 @@ spent. Then what was found is verified on postures that were never chosen for it
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import TendonRobotError
-from ..common.words import commands, digits, listed
+from ..common.words import digits, listed
 from ..comparison.noise import Noise
 from ..comparison.predict import FreeParameter, frees_of
 from ..data import DataSet
@@ -28,19 +28,19 @@ from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
 from ..effects import Catalogue, Effect, load_catalogue
 from ..model.model import Model
+from ..monitoring.change import ChangeFinder
 from ..report.diagnosis_page import with_effects
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
 from ..robot.keep_out import KeepOut
-from .arm import BrokenMeasurementError, MeasurableArm, PostureMeasured, checked
-from .choice import Choice, OpenQuestion, choose
-from .goal import Goal
-from .pool import MARGIN_SHARE, Room, fresh, pool
-from .record import CHECK, Record, Round, empty_dataset, with_posture
-from .stopping import (
+from .arm import MeasurableArm
+from .changed import look_after, no_effect
+from .choice import MARGIN_SHARE, Choice, OpenQuestion, Room, choose, fresh, pool
+from .goal import (
     IN_QUESTION_MAX,
     POSTURES_MANY,
     SENTENCES,
+    Goal,
     InvestigationEnd,
     adequate_again,
     in_question,
@@ -51,24 +51,12 @@ from .stopping import (
     short,
     widest,
 )
+from .measuring import Measurer, News, Tell
+from .record import CHECK, Record, Round, empty_dataset, with_posture
 
 Floats = npt.NDArray[np.float64]
-ATTEMPTS = 2  # at a posture, before it is skipped
-SKIPPED_MAX = 5  # postures in a row, after which something is wrong with the robot
 GAIN_MIN = 0.02  # [nat] below which a posture tells nothing
 NARROWING_MIN = 0.5  # [nat] below which it hardly narrows what may act unseen
-
-
-@dataclass(frozen=True)
-class News:
-    """Something that happened: a line to print, and plain data for a page."""
-
-    kind: str  # 'posture', 'broken', 'skipped', 'diagnosis', 'end', 'added', 'check'
-    text: str
-    content: dict[str, Any] = field(default_factory=dict)
-
-
-Tell = Callable[[News], None]
 
 
 @dataclass(frozen=True)
@@ -99,6 +87,7 @@ class Investigation:
         regions: KeepOut | None = None,
         tell: Tell = lambda news: None,
         resume: bool = False,
+        change: ChangeFinder | None = None,
     ) -> None:
         """
         Begin, or go on with what a folder has.
@@ -114,23 +103,25 @@ class Investigation:
         tell : callable, optional
             Hears what happens.
         resume : bool
+        change : ChangeFinder, optional
+            What a drift alarm knows: it is looked after first.
 
         Raises
         ------
         InputError
 
         """
-        self.arm, self.goal, self.tell = arm, goal, tell
+        self.arm, self.goal, self.tell, self.change = arm, goal, tell, change
         self.catalogue: Catalogue = load_catalogue(goal.effect_files).sized(
             natural_sizes(arm.robot)
         )
         trials = goal.trials if arm.path == 'from_straight' else 1
         begin = Record.resume if resume and folder is not None else Record.begin
         self.record = begin(arm, folder, trials)  # type: ignore[arg-type]
-        self.trials = trials
         self.diagnosis: Diagnosis | None = None
-        margin = MARGIN_SHARE * arm.robot.length
-        self.room = Room(regions or KeepOut(), margin)
+        self._suspected: list[str] = []  # effects that have appeared since an alarm
+        room = Room(regions or KeepOut(), MARGIN_SHARE * arm.robot.length)
+        self.measurer = Measurer(arm, self.record, room, trials, goal.postures, tell)
         self._deadline = time.monotonic() + 60.0 * goal.minutes
 
     def run(self) -> Findings:
@@ -157,6 +148,8 @@ class Investigation:
 
     def _ask(self) -> InvestigationEnd:
         """Measure and diagnose until it is enough."""
+        if self.change is not None and self._change_named(self.change):
+            return InvestigationEnd.CHANGED
         while True:
             have = len(self.record.dataset.postures)
             if have >= self.goal.start:
@@ -180,20 +173,28 @@ class Investigation:
 
     def choices(self, count: int) -> list[Choice]:
         """Choose the next postures."""
-        dataset, robot, goal = self.record.dataset, self.guess, self.goal
-        model = Model(robot, self.catalogue)
+        offered = self.offered()
+        if not len(offered):
+            return []
+        return choose(self.question(), self.record.dataset, offered, self.catalogue, count)
+
+    def offered(self) -> Floats:
+        """Return the postures (b, m) [N] or [m] that may be chosen now."""
+        dataset, robot = self.record.dataset, self.guess
         start = None
         if self.arm.path == 'sequence' and len(dataset.postures):
             start = dataset.inputs[-1]
-        kind, path = self.arm.input, self.arm.path
-        offered = pool(robot, goal, kind, path, model, self.room, start)
-        taken = [*dataset.inputs, *(one.inputs for one in self.record.skipped)]
-        for row in taken:
-            same = np.isclose(np.nan_to_num(offered), np.nan_to_num(row), atol=1e-9).all(axis=1)
-            offered = offered[~same] if self.arm.path == 'from_straight' else offered
-        if not len(offered):
-            return []
-        return choose(self.question(), dataset, offered, self.catalogue, count)
+        model, room = Model(robot, self.catalogue), self.measurer.room
+        rows = pool(robot, self.goal, self.arm.input, self.arm.path, model, room, start)
+        return self.measurer.untried(rows)
+
+    def _change_named(self, change: ChangeFinder) -> bool:
+        """Look after a change; tell whether it is named, and none that a description can have."""
+        left = look_after(change, self.measurer, self.offered)
+        self.record.changed = [vars(suspect) for suspect in left]
+        self.record.save()
+        self._suspected = [suspect.name for suspect in left if suspect.is_effect]
+        return no_effect(left)
 
     def question(self) -> OpenQuestion:
         """Return what is not known yet."""
@@ -214,6 +215,8 @@ class Investigation:
     @property
     def asked(self) -> list[str]:
         """Names of the effects that the next posture is to tell of."""
+        if self.diagnosis is None and self._suspected:
+            return self._suspected[:IN_QUESTION_MAX]
         names = [] if self.diagnosis is None else in_question(self.diagnosis)
         left = self.record.rounds[-1].possible if self.record.rounds else {}
         if left:
@@ -247,64 +250,12 @@ class Investigation:
             position = self.diagnosis.details['noise']['position'] or position
         return Noise(position, trial, setting, np.inf, 'declared')
 
-    # -------------------------------------------------------------------------
-    # Measuring.
-
     def _measure(self, choice: Choice) -> None:
-        """Measure a posture; one that breaks twice is skipped and said."""
-        number = len(self.record.dataset.postures) + 1
-        where = commands(dict(zip(self.arm.robot.inputs, choice.inputs.tolist(), strict=True)),
-                         self.arm.input)  # fmt: skip
+        """Measure a posture that was chosen."""
         asked = self.asked
-        why = listed(asked, 'or') if len(asked) <= 3 else f'{len(asked)} effects'
-        self.tell(
-            News(
-                'posture',
-                f'posture {number}: {where}   tells {digits(choice.gain)} nat of {why}',
-                {
-                    'number': number,
-                    'inputs': choice.inputs.tolist(),
-                    'gain': choice.gain,
-                    'asked': asked,
-                    'most': self.goal.postures,
-                },
-            )
-        )
-        measured = self._attempted(choice.inputs)
-        if measured is not None:
-            self.record.take(choice.inputs, measured, self.arm.position_noise)
-
-    def _attempted(self, inputs: Floats) -> PostureMeasured | None:
-        """Return what was measured; None after the last attempt."""
-        reason = ''
-        for attempt in range(ATTEMPTS):
-            try:
-                measured = checked(self.arm.measure(inputs, self.trials))
-                self._refuse_forbidden(measured)
-                return measured
-            except BrokenMeasurementError as error:
-                reason = str(error)
-                if attempt + 1 < ATTEMPTS:
-                    self.tell(News('broken', f'  not measured: {reason}; once more'))
-        self.record.skip(inputs, reason)
-        self.tell(News('skipped', f'  skipped: {reason}'))
-        if len(self.record.skipped) >= SKIPPED_MAX + len(self.record.dataset.postures):
-            raise TendonRobotError(
-                f'{len(self.record.skipped)} postures could not be measured, the last one: '
-                f'{reason}; look at the robot, then go on with --resume'
-            )
-        return None
-
-    def _refuse_forbidden(self, measured: PostureMeasured) -> None:
-        """Raise where a marker was seen in a region that is kept out."""
-        points = measured.positions[np.isfinite(measured.positions).all(axis=2)]
-        clear = self.room.regions.clearance(points)
-        if clear.distance < 0.0:
-            raise TendonRobotError(
-                f'a marker was seen {1e3 * -clear.distance:.1f} mm inside {clear.region}, where '
-                'the model says that it is not: the arm was released; look at the robot, and at '
-                'where the tracker says its base is'
-            )
+        names = listed(asked, 'or') if len(asked) <= 3 else f'{len(asked)} effects'
+        why = f'tells {digits(choice.gain)} nat of {names}'
+        self.measurer.next(choice.inputs, why, {'gain': choice.gain, 'asked': asked})
 
     # -------------------------------------------------------------------------
     # Judging.
@@ -343,11 +294,14 @@ class Investigation:
         """Keep as far from the regions as the best model is off, and more."""
         if found.verdict.judged and np.isfinite(found.error_after):
             tips = 3.0 * found.error_after
-            self.room = Room(self.room.regions, min(tips, MARGIN_SHARE * self.arm.robot.length))
+            margin = min(tips, MARGIN_SHARE * self.arm.robot.length)
+            self.measurer.room = Room(self.measurer.room.regions, margin)
 
     def _end(self, outcome: InvestigationEnd) -> None:
         """Say why it ended."""
         record, named = self.record, [] if self.diagnosis is None else names_of(self.diagnosis)
+        if outcome is InvestigationEnd.CHANGED:
+            named = [one['name'] for one in record.changed]
         record.outcome = {'why': str(outcome), 'names': named,
                           'postures': len(record.dataset.postures)}  # fmt: skip
         sentence = f'{len(record.dataset.postures)} postures: {SENTENCES[outcome]}'
@@ -384,12 +338,12 @@ class Investigation:
         """Measure postures that were not chosen for anything."""
         self.arm.release()
         model = Model(self.guess, self.catalogue)
-        rows = fresh(self.arm.robot, self.goal, self.arm.input, model, self.room)
-        check = empty_dataset(self.arm, CHECK, self.trials)
+        rows = fresh(self.arm.robot, self.goal, self.arm.input, model, self.measurer.room)
+        check = empty_dataset(self.arm, CHECK, self.measurer.trials)
         for row in rows:
             if len(check.postures) == self.goal.checks:
                 break
-            measured = self._attempted(row)
+            measured = self.measurer.attempted(row)
             if measured is not None:
                 check = with_posture(check, row, measured, self.arm.position_noise)
                 self.tell(News('check', f'  fresh posture {len(check.postures)} measured'))

@@ -52,6 +52,7 @@ class Record:
     skipped: list[Skipped] = field(default_factory=list)
     rounds: list[Round] = field(default_factory=list)
     outcome: dict[str, Any] = field(default_factory=dict)
+    changed: list[dict[str, Any]] = field(default_factory=list)  # since an alarm, likeliest first
 
     @classmethod
     def begin(cls, arm: MeasurableArm, folder: Path | None, trials: int) -> Record:
@@ -123,6 +124,7 @@ class Record:
             'postures': len(self.dataset.postures),
             'skipped': [asdict(one) for one in self.skipped],
             'rounds': [asdict(one) for one in self.rounds],
+            'changed': self.changed,
             'outcome': self.outcome,
         }
         with new_file(self.folder / LOG) as draft:

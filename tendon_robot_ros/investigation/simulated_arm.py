@@ -82,7 +82,8 @@ class SimulatedArm:
         except (NoEquilibriumError, InputError) as error:
             raise BrokenMeasurementError(f'the arm does not stand: {error}') from None
         size = float(self.position_noise or 0.0)
-        return PostureMeasured(seen + self._random.normal(0.0, size, seen.shape))
+        frames = trials * (READINGS if self.path == 'sequence' else 1)
+        return PostureMeasured(seen + self._random.normal(0.0, size, seen.shape), None, frames)
 
     def release(self) -> None:
         """Let go; the arm is straight and remembers nothing."""

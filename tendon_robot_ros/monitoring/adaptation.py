@@ -16,13 +16,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ..common.words import listed
+from ..common.words import listed, with_unit
 from ..comparison.predict import FreeParameter, free_parameters
 from ..comparison.statistics import chi2_isf
 from ..data import Marker
@@ -58,10 +58,9 @@ class ParameterChange:
 
     def __str__(self) -> str:
         """Say it in a line."""
-        return (
-            f'{self.effect}.{self.parameter}: {self.before:.4g} -> {self.after:.4g} {self.unit} '
-            f'(interval {self.low:.4g} to {self.high:.4g})'
-        )
+        moved = with_unit(f'{self.before:.4g} -> {self.after:.4g}', self.unit)
+        interval = f'(interval {self.low:.4g} to {self.high:.4g})'
+        return f'{self.effect}.{self.parameter}: {moved} {interval}'
 
 
 @dataclass(frozen=True)
@@ -73,6 +72,11 @@ class ModelChange:
     error_before: float  # [m] rms of the markers over the last postures
     error_after: float
     robot: Robot  # before
+
+    def undone(self) -> ModelChange:
+        """Return the way back: after it is what was before."""
+        back = tuple(replace(o, before=o.after, after=o.before) for o in self.parameters)
+        return ModelChange(self.posture, back, self.error_after, self.error_before, self.robot)
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -173,7 +177,7 @@ class Adaptation:
         said, ends = [], []
         for one, value, sd in self._values():
             width, unit = INTERVAL_SD * sd, one.free.parameter.unit
-            said.append(f'{one.name} {value:.4g} ± {width:.2g} {unit}')
+            said.append(with_unit(f'{one.name} {value:.4g} ± {width:.2g}', unit))
             if min(value - one.low, one.high - value) < END_SHARE * (one.high - one.low):
                 ends.append(f'{one.name} is at the end of its interval: investigate')
         return '; '.join([*said, *ends])
@@ -214,12 +218,12 @@ class Adaptation:
         return self._follow()
 
     def undo(self) -> ModelChange | None:
-        """Take the last change back: `robot` is as before it; return it, None: there is none."""
+        """Take the last change back; return the way back, None: there is no change."""
         if not self.changes:
             return None
         last = self.changes.pop()
         self.robot, self._changed_at = last.robot, self.postures
-        return last
+        return last.undone()
 
     def _values(self) -> list[tuple[_Followed, float, float]]:
         """Return what may follow, its estimate and 1 sd."""

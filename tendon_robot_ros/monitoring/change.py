@@ -2,8 +2,7 @@
 What has changed: every change fitted to the postures since an alarm, and the posture to ask next.
 
 The drift alarm looks at changes to first order, at postures that happened to come. Here a change
-theta (an effect of the catalogue appears, a cell gets softer, a gain moves, the tracker is bumped)
-moves the model itself; the arm is otherwise as it was known before,
+theta moves the model itself; the arm is otherwise as it was known before,
 
     y = f(T, b0; theta) + B (b - b0) + remainder + noise,   b ~ N(b0, P),   theta ~ N(0, s² T)
 
@@ -25,85 +24,26 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.predict import CELLS, FreeParameter, Point, Predictor, free_parameters
+from ..comparison.predict import Point, Predictor
 from ..data import DataSet
-from ..diagnosis.as_built import GAIN, POSITION, ROTATION
 from ..diagnosis.slopes import imperfections
 from ..diagnosis.split import SplitPredictor
 from .built_arm import BuiltArm
+from .possible_changes import PossibleChange, Suspect
 
 Floats = npt.NDArray[np.float64]
+
+# -----------------------------------------------------------------------------
+# A change, fitted to the postures since.
+
 SCALES = 1.0, 10.0, 100.0  # of a usual size, that a change may have
 ROUNDS_MAX = 12  # of Gauss-Newton
 STEP_LENGTHS = 1.0, 0.5, 0.2, 0.05
 SETTLED_GAIN = 0.01  # of log E, below which a fit ends
-CLOSE_LOG = 30.0  # of log E behind the best, within which a change is fitted around itself
-APART_PROBABILITY = 0.95  # of one change, from which nothing needs to be asked
-LIKELY_MIN = 1e-3  # probability of a change that a posture is chosen for
-LIKELY_MAX = 4  # changes that a posture is chosen for
-USUAL_CHANGES = {CELLS: 0.1, GAIN: 0.03, POSITION: 2e-3, ROTATION: 0.01}  # 1 sd [their units]
-TRACKER = 'the tracker'
 
 
 @dataclass(frozen=True)
-class PossibleChange:
-    """Something that may have happened: an effect, or imperfections that moved."""
-
-    name: str
-    keys: tuple[str, ...]
-    spread: Floats  # (k,) 1 sd of its values, as they usually are [their units]
-    frees: tuple[FreeParameter, ...] = ()  # of an effect
-    members: slice = slice(0)  # among the imperfections of the arm
-
-    @property
-    def is_effect(self) -> bool:
-        """Whether the model has parameters for it."""
-        return bool(self.frees)
-
-
-@dataclass(frozen=True)
-class Suspect:
-    """A change that may have happened."""
-
-    name: str
-    probability: float  # among all changes, given that there was one
-    values: dict[str, float]  # most likely size, by parameter [its unit]
-
-
-def changes_of(arm: BuiltArm) -> tuple[PossibleChange, ...]:
-    """List what may happen to an arm: effects, single cells, gains, the tracker's frame."""
-    made = list[PossibleChange]()
-    for effect in arm.catalogue:
-        if effect.needs in ('history', 'pulls'):
-            continue
-        if effect.acts_on and effect.acts_on not in arm.robot.effects:
-            continue
-        frees = free_parameters(effect, arm.robot)
-        usual = np.array([free.parameter.typical for free in frees])
-        made.append(PossibleChange(effect.name, tuple(f.key for f in frees), usual, frees))
-    count, frame = 0, dict[str, slice]()
-    for kind in arm.kinds:
-        here, count = range(count, count + len(kind)), count + len(kind)
-        usual = np.full(1, USUAL_CHANGES.get(kind.name, 1.0))
-        if kind.name in (POSITION, ROTATION):
-            frame[kind.name] = slice(here.start, here.stop)
-        elif kind.name in USUAL_CHANGES:
-            what = 'stiffness of' if kind.name == CELLS else 'gain of'
-            made += [
-                PossibleChange(f'{what} {name}', ('relative_change',), usual, (), slice(i, i + 1))
-                for i, name in zip(here, kind.members, strict=True)
-            ]
-    if frame:
-        places = sorted(frame.items(), key=lambda item: item[1].start)
-        keys = tuple(f'{name}_{axis}' for name, _ in places for axis in 'xyz')
-        spread = np.repeat([USUAL_CHANGES[name] for name, _ in places], 3)
-        whole = slice(places[0][1].start, places[-1][1].stop)
-        made.append(PossibleChange(TRACKER, keys, spread, (), whole))
-    return tuple(made)
-
-
-@dataclass(frozen=True)
-class _PosturesSeen:
+class PosturesSeen:
     """Postures as measured."""
 
     tensions: Floats  # (P, m) [N]
@@ -119,7 +59,7 @@ class _PosturesSeen:
 class _Weights:
     """The covariance V of what is seen, in the space of the imperfections."""
 
-    def __init__(self, arm: BuiltArm, seen: _PosturesSeen, columns: Floats) -> None:
+    def __init__(self, arm: BuiltArm, seen: PosturesSeen, columns: Floats) -> None:
         """Take the columns (P, 3 J, q) [m per sd] of the imperfections."""
         self.rows, self._roots, log = seen.rows, list[Floats](), 0.0
         for rows, own, frames in zip(seen.rows, columns, seen.frames, strict=True):
@@ -157,91 +97,16 @@ class ChangeFit:
     log: float  # log E
     information: Floats  # (k, k) of the values, their prior included
 
-
-class ChangeFinder:
-    """
-    Tells what has changed, posture by posture.
-
-    Parameters
-    ----------
-    arm : BuiltArm
-        As it was known before the change; it is not changed here.
-    changes : sequence of PossibleChange
-        What may have happened.
-
-    """
-
-    def __init__(self, arm: BuiltArm, changes: Sequence[PossibleChange]) -> None:
-        """Know nothing of the change."""
-        self.arm, self.changes = arm, tuple(changes)
-        self._taken: list[tuple[Floats, Floats, int]] = []
-        self.fits: list[ChangeFit] = []  # the most likely first
-
-    def take(self, tensions: Floats, positions: Floats, frames: int = 1) -> None:
-        """Take a posture: (m,) [N], the mean of frames (J, 3) [m], nan where nothing was seen."""
-        self._taken.append((np.maximum(tensions, 0.0), positions.ravel(), frames))
-
-    def suspects(self) -> tuple[Suspect, ...]:
-        """Fit every change; return them by their probability, the most likely first."""
-        work = self._work()
-        if work is None:
-            return ()
-        fits = [fit for change in self.changes if (fit := work.fit(change)) is not None]
-        best = max(fit.log for fit in fits)
-        near = [fit for fit in fits if fit.change.is_effect and fit.log > best - CLOSE_LOG]
-        again = {fit.change.name: work.fit_around(fit) for fit in near}
-        fits = [again.get(fit.change.name) or fit for fit in fits]
-        self.fits = sorted(fits, key=lambda fit: -fit.log)
-        shares = self._shares()
-        return tuple(
-            Suspect(f.change.name, float(p), dict(zip(f.change.keys, f.values.tolist(),
-                                                      strict=True)))
-            for f, p in zip(self.fits, shares, strict=True)
-        )  # fmt: skip
-
-    def most_telling(self, offered: Floats) -> int | None:
-        """
-        Return which of the tensions (b, m) [N] separates the likely changes best.
-
-        None where one is likely enough, or nothing that is offered separates them.
-        """
-        shares = self._shares()
-        if not len(shares) or shares[0] > APART_PROBABILITY:
-            return None
-        likely = [i for i, p in enumerate(shares[:LIKELY_MAX]) if p > LIKELY_MIN]
-        blank = np.zeros((len(offered), self.arm.split.dataset.positions.shape[2] * 3))
-        work = _Work(self, _PosturesSeen(np.maximum(offered, 0.0), blank, (1,) * len(offered)))
-        if not work.ready:
-            return None
-        shown = [work.shown(self.fits[i]) for i in likely]
-        if shown[0] is None:
-            return None
-        worth, first = np.zeros(len(offered)), shown[0]
-        for i, other in zip(likely[1:], shown[1:], strict=True):
-            if other is not None:
-                apart = work.apart(first, other, self.fits[i].information)
-                worth += shares[i] * np.log1p(apart)
-        best = int(np.argmax(worth))
-        return best if worth[best] > 0.0 else None
-
-    def _shares(self) -> Floats:
-        logs = np.array([fit.log for fit in self.fits])
-        odds = np.exp(logs - logs.max()) if len(logs) else logs
-        return np.asarray(odds / odds.sum()) if len(odds) else odds
-
-    def _work(self) -> _Work | None:
-        if not self._taken:
-            return None
-        tensions, positions, frames = zip(*self._taken, strict=True)
-        work = _Work(self, _PosturesSeen(np.array(tensions), np.array(positions), frames))
-        return work if work.ready else None
+    def suspect(self, probability: float) -> Suspect:
+        """Return the change with a probability."""
+        return self.change.suspect(probability, self.values)
 
 
-class _Work:
+class ChangeWork:
     """Fits to one set of postures."""
 
-    def __init__(self, finder: ChangeFinder, seen: _PosturesSeen) -> None:
-        self.arm, self.seen = finder.arm, seen
+    def __init__(self, arm: BuiltArm, seen: PosturesSeen) -> None:
+        self.arm, self.seen = arm, seen
         whole, P = self.arm.split.dataset, len(seen.tensions)
         dataset = DataSet(
             'since', self.arm.robot, whole.markers, tuple(map(str, range(P))), seen.tensions,
@@ -396,3 +261,92 @@ class _Work:
             return None
         moves = found.moves[: len(own)].reshape(len(own), len(self.seen.tensions), -1)
         return np.moveaxis(own[:, None, None] * moves, 0, 2)
+
+
+# -----------------------------------------------------------------------------
+# All of them: which it was, and the posture to ask next.
+
+CLOSE_LOG = 30.0  # of log E behind the best, within which a change is fitted around itself
+APART_PROBABILITY = 0.95  # of one change, from which nothing needs to be asked
+CONFIRMED_POSTURES = 3  # that a change is judged by, unless nothing else is left at all
+LIKELY_MIN = 1e-3  # probability of a change that a posture is chosen for
+LIKELY_MAX = 4  # changes that a posture is chosen for
+HOPELESS_APART = 0.25  # [sd²] of one posture, below which a dozen of them does not tell
+
+
+class ChangeFinder:
+    """
+    Tells what has changed, posture by posture.
+
+    Parameters
+    ----------
+    arm : BuiltArm
+        As it was known before the change; it is not changed here.
+    changes : sequence of PossibleChange
+        What may have happened.
+
+    """
+
+    def __init__(self, arm: BuiltArm, changes: Sequence[PossibleChange]) -> None:
+        """Know nothing of the change."""
+        self.arm, self.changes = arm, tuple(changes)
+        self.taken: list[tuple[Floats, Floats, int]] = []  # tensions, markers (3 J,), frames
+        self.fits: list[ChangeFit] = []  # the most likely first
+
+    def take(self, tensions: Floats, positions: Floats, frames: int = 1) -> None:
+        """Take a posture: (m,) [N], the mean of frames (J, 3) [m], nan where nothing was seen."""
+        self.taken.append((np.maximum(tensions, 0.0), positions.ravel(), frames))
+
+    def suspects(self) -> tuple[Suspect, ...]:
+        """Fit every change; return them by their probability, the most likely first."""
+        work = self._work()
+        if work is None:
+            return ()
+        fits = [fit for change in self.changes if (fit := work.fit(change)) is not None]
+        best = max(fit.log for fit in fits)
+        near = [fit for fit in fits if fit.change.is_effect and fit.log > best - CLOSE_LOG]
+        again = {fit.change.name: work.fit_around(fit) for fit in near}
+        fits = [again.get(fit.change.name) or fit for fit in fits]
+        self.fits = sorted(fits, key=lambda fit: -fit.log)
+        shares = self._shares()
+        return tuple(fit.suspect(float(p)) for fit, p in zip(self.fits, shares, strict=True))
+
+    def most_telling(self, offered: Floats) -> int | None:
+        """
+        Return which of the tensions (b, m) [N] separates the likely changes best.
+
+        None where one is likely enough, on a few postures at least, or nothing that is offered
+        separates them.
+        """
+        shares, few = self._shares(), len(self.taken) < CONFIRMED_POSTURES
+        if not len(shares) or (shares[0] > APART_PROBABILITY and not few):
+            return None
+        likely = [i for i, p in enumerate(shares[:LIKELY_MAX]) if p > LIKELY_MIN]
+        blank = np.zeros((len(offered), self.arm.split.dataset.positions.shape[2] * 3))
+        usual = self.taken[-1][2] if self.taken else 1
+        frames = (usual,) * len(offered)
+        work = ChangeWork(self.arm, PosturesSeen(np.maximum(offered, 0.0), blank, frames))
+        if not work.ready:
+            return None
+        shown = [work.shown(self.fits[i]) for i in likely]
+        if shown[0] is None:
+            return None
+        worth, first = np.zeros(len(offered)), shown[0]
+        for i, other in zip(likely[1:], shown[1:], strict=True):
+            if other is not None:
+                apart = work.apart(first, other, self.fits[i].information)
+                worth += shares[i] * np.log1p(apart)
+        best, least = int(np.argmax(worth)), np.log1p(HOPELESS_APART) * shares[likely[1:]].sum()
+        return best if worth[best] > least else None
+
+    def _shares(self) -> Floats:
+        logs = np.array([fit.log for fit in self.fits])
+        odds = np.exp(logs - logs.max()) if len(logs) else logs
+        return np.asarray(odds / odds.sum()) if len(odds) else odds
+
+    def _work(self) -> ChangeWork | None:
+        if not self.taken:
+            return None
+        tensions, positions, frames = zip(*self.taken, strict=True)
+        work = ChangeWork(self.arm, PosturesSeen(np.array(tensions), np.array(positions), frames))
+        return work if work.ready else None

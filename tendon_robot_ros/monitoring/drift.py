@@ -17,7 +17,6 @@ is then fitted to the postures since (`change.py`).
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +24,8 @@ import numpy.typing as npt
 
 from ..comparison.statistics import chi2_sf
 from .built_arm import BuiltArm
-from .change import ChangeFinder, Suspect, changes_of
+from .change import ChangeFinder
+from .possible_changes import Suspect, changes_of
 
 Floats = npt.NDArray[np.float64]
 BEGIN_EVERY = 4  # postures between two at which a change may begin
@@ -160,9 +160,11 @@ class DriftAlarm:
             self.finder = ChangeFinder(arm, self._changes)
             for one in self._after(begun.at):
                 self.finder.take(one.tensions, one.positions, one.frames)
-        else:
+        elif self._since_alarm < LOOKED_AFTER[-1]:
             self._since_alarm += 1
             self.finder.take(stood.tensions, stood.positions, stood.frames)
+        else:
+            return self.state.suspects
         if self._since_alarm not in LOOKED_AFTER:
             return self.state.suspects
         return self.finder.suspects()[:SUSPECTS_TOLD]
@@ -207,9 +209,3 @@ class DriftAlarm:
             moved = whole.markers({free: value + step}, inputs)
             columns.append(np.zeros(here.size) if moved is None else (moved - here).ravel() / step)
         return np.column_stack([*columns, built / self.arm.plausible])
-
-
-def described(suspects: Sequence[Suspect]) -> str:
-    """Say what it looks like."""
-    named = [f'{s.name} ({100.0 * s.probability:.0f} %)' for s in suspects if s.probability > 0.05]
-    return ', '.join(named) or 'nothing of the catalogue'

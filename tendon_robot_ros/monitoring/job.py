@@ -13,7 +13,8 @@ import queue
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,15 @@ from ..common.words import PROGRAM, listed, mm
 from ..diagnosis.decide import Verdict
 
 NICENESS = 5  # control comes first
+# of the time of a diagnosis, where a part of it begins and ends (72 postures, 30 cells); the
+# adding of further effects lies between the last two
+SHARES = {
+    'effects': (0.05, 0.42),
+    'effects again': (0.42, 0.6),
+    'causes outside the catalogue': (0.6, 0.85),
+    'postures left out': (0.87, 1.0),
+}
+SHARE_MIN = 0.02  # of it, from which the time to go is worked out
 RESULT, REPORT, BETTER = 'diagnosis.json', 'diagnosis.html', 'better.yaml'
 IMPROVED = 'improved.yaml'
 
@@ -77,6 +87,24 @@ def say(kind: str, **values: Any) -> None:
     print(json.dumps({'kind': kind, **values}), flush=True)
 
 
+class Course:
+    """How far a diagnosis is as a whole, from what it says of its parts, and how long it takes."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """Begin now."""
+        self._clock, self._begin, self._part = clock, clock(), 0.0
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        """Send where it is; it never goes back."""
+        if what in SHARES:
+            begin, end = SHARES[what]
+            self._part = max(self._part, begin + (end - begin) * done / max(total, 1))
+        left = (self._clock() - self._begin) * (1.0 / max(self._part, SHARE_MIN) - 1.0)
+        how_long = f'about {left / 60.0:.0f} min' if left > 90.0 else f'about {left:.0f} s'
+        where = f'{what} {done}/{total} ({100.0 * self._part:.0f} %, {how_long} to go)'
+        say('progress', text=where, part=self._part)
+
+
 def work(folder: Path, effects: Sequence[str]) -> None:
     """Diagnose, report, and prepare the description with what was found."""
     from ..data import load_dataset
@@ -88,10 +116,7 @@ def work(folder: Path, effects: Sequence[str]) -> None:
 
     dataset, catalogue = load_dataset(folder), load_catalogue(effects)
 
-    def progress(what: str, done: int, total: int) -> None:
-        say('progress', text=f'{what} {done}/{total}', part=done / max(total, 1))
-
-    diagnosis = diagnose(dataset, None, catalogue, 1, progress)
+    diagnosis = diagnose(dataset, None, catalogue, 1, Course())
     diagnosis.save(folder / RESULT)
     report = _report(diagnosis, folder / REPORT)
     say('verdict', content=diagnosis.to_json() | {

@@ -1,4 +1,4 @@
-"""What was measured lately: its value at a moment, and when the arm stands still."""
+"""What was measured lately: at a moment, where the arm stands still, as a mean meanwhile."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..comparison.statistics import chi2_isf
 
 Array = NDArray[np.float64]
 
@@ -158,3 +160,94 @@ def mean(positions: Array) -> Array:
     count = seen.sum(axis=0)
     total = np.where(seen, positions, 0.0).sum(axis=0)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+# -----------------------------------------------------------------------------
+# The mean of the frames while neither tensions nor arm change more than by chance.
+
+FALSE_CHANGE_PROBABILITY = 1e-3  # of a batch that it is taken for a change
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """Frames between two estimates."""
+
+    at: float  # [s] of the last one
+    tensions: Array  # (m,) [N]
+    positions: Array  # (J, 3) [m], their mean
+    frames: int
+
+
+class FrameMean:
+    """
+    Averages frames as long as the arm stands under the same tensions, and begins anew when not.
+
+    Frames since the last time are compared with those before: all coordinates together, and along
+    the directions in which a force at the tip moves them, where little shows early.
+
+    Parameters
+    ----------
+    noise : float
+        1 sd of a coordinate of a marker in one frame [m].
+    tension_change : float
+        Tensions that differ by less are the same [N].
+    longest : float
+        Frames older than that are forgotten [s].
+
+    """
+
+    def __init__(self, noise: float, tension_change: float, longest: float) -> None:
+        """Begin with nothing."""
+        self.noise, self.tension_change, self.longest = noise, tension_change, longest
+        self._new: list[tuple[float, Array, Array]] = []
+        self._kept = deque[_Batch]()
+
+    def put(self, at: float, tensions: Array, positions: Array) -> None:
+        """Take a frame: its time [s], (m,) [N], (J, 3) [m] with nan where nothing was seen."""
+        self._new.append((at, tensions, positions))
+
+    def take(self, slopes: Array | None = None) -> tuple[Array, int]:
+        """
+        Return the mean (J, 3) [m], and of how many frames.
+
+        Parameters
+        ----------
+        slopes : (3 J, 3), optional
+            How a force moves the coordinates, as it was lately [m/N].
+
+        """
+        at, now, _ = self._new[-1]
+        rows = [y for _, t, y in self._new if self._same(t, now)]
+        self._new.clear()
+        batch = _Batch(at, now, mean(np.array(rows)), len(rows))
+        while self._kept and self._kept[0].at < at - self.longest:
+            self._kept.popleft()
+        if self._kept and self._changed(batch, slopes):
+            self._kept.clear()
+        self._kept.append(batch)
+        return _joined(self._kept)
+
+    def _same(self, tensions: Array, now: Array) -> bool:
+        return not np.abs(tensions - now).max() > self.tension_change
+
+    def _changed(self, batch: _Batch, slopes: Array | None) -> bool:
+        """Tell whether a batch is not as the ones before."""
+        if not self._same(self._kept[-1].tensions, batch.tensions):
+            return True
+        before, frames = _joined(self._kept)
+        off = (batch.positions - before).ravel()
+        seen = np.isfinite(off)
+        off = off[seen] / (self.noise * np.sqrt(1.0 / batch.frames + 1.0 / frames))
+        parts = [off]
+        if slopes is not None and len(off) > slopes.shape[1]:
+            parts.append(np.linalg.qr(slopes[seen])[0].T @ off)
+        return any(p @ p > chi2_isf(FALSE_CHANGE_PROBABILITY, len(p)) for p in parts if len(p))
+
+
+def _joined(batches: deque[_Batch]) -> tuple[Array, int]:
+    """Return the mean of batches (J, 3) [m], nan where none saw the marker, and their frames."""
+    frames = np.array([batch.frames for batch in batches])
+    positions = np.array([batch.positions for batch in batches])
+    seen = np.isfinite(positions) * frames[:, None, None]
+    total, count = np.nansum(positions * frames[:, None, None], axis=0), seen.sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan), int(frames.sum())

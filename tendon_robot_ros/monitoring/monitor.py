@@ -58,6 +58,7 @@ class Monitor:
     settings: MonitorSettings = field(default_factory=MonitorSettings)
     recorded: list[StillMeasurement] = field(default_factory=list)
     recording: bool = False
+    kept: bool = True  # what was recorded lies in a folder, or there is nothing
     problem: str = ''
     _shape: Shape | None = None
     _tips: deque[tuple[float, float]] = field(default_factory=deque)
@@ -124,8 +125,10 @@ class Monitor:
         return self._stood
 
     def start_recording(self) -> None:
-        """Begin a new recording."""
-        self.recorded, self.recording = [], True
+        """Begin a recording, or go on with one that was stopped and is in no folder yet."""
+        if self.kept:
+            self.recorded = []
+        self.recording, self.kept = True, False
         for window in self._windows.values():
             window.clear()
 

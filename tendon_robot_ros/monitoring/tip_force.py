@@ -6,8 +6,11 @@ the tip. What the arm as built does by itself is as known as `BuiltArm` knows it
 shift what is expected, and what is not known of them is noise that all markers share. Without a
 tracker, wire pulls take the place of the markers.
 
-    r = y - f(T, b; F),   V = B P B' + remainder + noise,
+    r = y - f(T, b; F),   V = B P B' + remainder + loaded remainder + noise,
     F += (J' V^-1 J)^-1 J' V^-1 r   (Gauss-Newton)
+
+What the model does wrong of a loaded arm, unloaded references do not tell: the loaded remainder
+grows with how far what acts moves the arm.
 
 Along the line from tip to base a force hardly bends the arm, and f is not linear there: mean and
 covariance are those of the posterior, summed up along that axis.
@@ -17,7 +20,7 @@ A force at another cell joins where it lowers r' V^-1 r by more than chance does
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +44,7 @@ SPREAD_SD, SPREAD_POINTS = 3.0, 9  # where the posterior is summed up along the 
 FALSE_CONTACT_PROBABILITY = 1e-4
 ODD_PROBABILITY = 0.05  # of what is left, below which a force elsewhere is looked for
 PULL_ERROR = 0.02, 1e-4  # [1] of a wire pull, and [m]: what a model of it may be off
+LOADED_ERROR = 0.01  # of how far what acts moves the arm: 1 sd of what a model of it may be off
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,7 @@ class TipForceObserver:
         self._typical = self._frees[0].parameter.typical
         self._last = np.zeros(3)
         self.kept: _KeptWhitening | None = None  # of the last estimate
+        self.slopes: Floats | None = None  # (3 J, 3) [m/N] of what was seen last
 
     def update(
         self,
@@ -188,6 +193,9 @@ class _Fit:
             if moved is None:
                 break
             force, white = moved
+        if self.seen.markers:
+            self.observer.slopes = np.zeros((len(self.rows), 3))
+            self.observer.slopes[self.rows] = np.linalg.solve(factor, columns)
         freedom, chi2 = max(int(self.rows.sum()) - 3, 1), float(white @ white)
         wider = max(chi2 / freedom, 1.0) if self.seen.markers else 1.0
         cell, contact = self._elsewhere(force, white, columns, factor)
@@ -253,7 +261,8 @@ class _Fit:
             solved, *_ = np.linalg.lstsq(free, white, rcond=1e-3)
             gain = float(white @ free @ solved)
             if gain > least:
-                found, least = (i + 1, solved), gain
+                cell = i + 1 - observer.arm.robot.plate_cells
+                found, least = (cell, solved), gain
         return found
 
     def _white(self, force: Floats) -> Floats | None:
@@ -298,33 +307,49 @@ class _Fit:
             sd = np.sqrt(observer.pull_noise**2 + (share * here) ** 2 + least**2)
             return np.asarray(np.diag(1.0 / sd[self.rows]))
         arm, kept = observer.arm, observer.kept
-        if kept is not None and kept.serves(arm, seen, here):
+        if kept is None or not kept.serves(arm, seen, here):
+            expected = arm.expected(seen.inputs[0], observer.point(force))
+            if expected is None:
+                return None
+            kept = _KeptWhitening(expected.columns, arm.covariance, seen, here, self._moved())
+        elif seen.frames == kept.seen.frames:
             return kept.factor
-        expected = arm.expected(seen.inputs[0], observer.point(force))
-        if expected is None:
-            return None
-        columns = expected.columns[self.rows]
-        scatter = arm.scatter(self.rows, expected.columns, seen.frames)
-        covariance = columns @ arm.covariance @ columns.T + scatter
-        factor = np.linalg.inv(np.linalg.cholesky(covariance))
-        observer.kept = _KeptWhitening(factor, arm.covariance, seen, here)
-        return np.asarray(factor)
+        observer.kept = kept = replace(kept, seen=seen, factor=kept.inverse_root(arm, seen))
+        return kept.factor
+
+    def _moved(self) -> float:
+        """Return how far what acts moves the arm [m], at the marker that it moves farthest."""
+        free = self._shown(np.zeros(3))
+        if free is None:
+            return 0.0
+        ways = np.linalg.norm((self.seen.measured - free).reshape(-1, 3), axis=1)
+        return float(np.nanmax(ways))
 
 
 @dataclass(frozen=True)
 class _KeptWhitening:
-    """A factor, and where it was taken."""
+    """What imperfections do, the factor that follows, and where it was taken."""
 
-    factor: Floats
+    columns: Floats  # (3 J, q) [m]
     known: Floats  # covariance of the imperfections
     seen: _Measured
     here: Floats  # (3 J,) [m]
+    moved: float  # [m] how far what acts moves the arm
+    factor: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def inverse_root(self, arm: BuiltArm, seen: _Measured) -> Floats:
+        """Return the inverse root of the covariance of what is seen."""
+        own, rows = self.columns[seen.rows], seen.rows
+        scatter = arm.scatter(rows, self.columns, seen.frames)
+        if arm.level > 0.0:
+            scatter += (LOADED_ERROR * self.moved) ** 2 * arm.rest(rows)
+        covariance = own @ arm.covariance @ own.T + scatter
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
     def serves(self, arm: BuiltArm, seen: _Measured, here: Floats) -> bool:
         """Whether it is good enough elsewhere."""
         return (
             arm.covariance is self.known
-            and seen.frames == self.seen.frames
             and np.array_equal(seen.rows, self.seen.rows)
             and bool(np.abs(here - self.here).max() < SAME_SHARE * arm.robot.length)
         )

@@ -9,10 +9,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from ..common.errors import InputError
+from ..common.processes import ComputingThread
 from ..data import Marker
 from ..model.model import Model
 from .built_arm import BuiltArm
-from .drift import DriftAlarm, DriftState, described
+from .drift import DriftAlarm, DriftState
+from .handover import dump_change
+from .possible_changes import described
 from .tip_force import TipForce, TipForceObserver
 
 Floats = npt.NDArray[np.float64]
@@ -65,6 +69,20 @@ class ArmWatch:
             return 'as it was'
         return f'no longer what the model says: looks like {described(state.suspects)}'
 
+    def change(self) -> str:
+        """
+        Return what is known of a change, for an investigation to go on with.
+
+        Raises
+        ------
+        InputError
+            There is no alarm.
+
+        """
+        if self.alarm is None or self.alarm.finder is None:
+            raise InputError(f'no alarm: {self.text}')
+        return dump_change(self.alarm.finder)
+
     def stands(self, tensions: Floats, positions: Floats, frames: int = 1) -> DriftState | None:
         """Take a posture at which the arm stands: (m,) [N], the mean of frames (J, 3) [m]."""
         if self.alarm is not None:
@@ -73,7 +91,7 @@ class ArmWatch:
         if self._learning is None:
             self._references.append((tensions, positions))
             if len(self._references) >= self.settings.reference_postures:
-                self._learning = threading.Thread(target=self._learn, daemon=True)
+                self._learning = ComputingThread(self._learn, 'learning')
                 self._learning.start()
         return None
 
@@ -81,6 +99,11 @@ class ArmWatch:
         """Wait until what is being learned is learned."""
         if self._learning is not None:
             self._learning.join()
+
+    @property
+    def slopes(self) -> Floats | None:
+        """How a force at the tip moved the markers lately (3 J, 3) [m/N]; None before."""
+        return self._observer.slopes
 
     def force(
         self,

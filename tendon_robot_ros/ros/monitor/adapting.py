@@ -11,6 +11,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from ...common.errors import InputError
+from ...common.words import with_unit
 from ...model.model import Model
 from ...monitoring import Monitor, StillMeasurement
 from ...monitoring.adaptation import Adaptation, ModelChange
@@ -79,7 +80,7 @@ class Adapting:
         self._tell('undone', undone)
         self._put(self._adaptation.robot)
         said = '; '.join(
-            f'{one.effect}.{one.parameter} is {one.before:.4g} {one.unit} again'
+            f'{one.effect}.{one.parameter} is {with_unit(f"{one.after:.4g}", one.unit)} again'
             for one in undone.parameters
         )
         return f'{said}; adapt is false now'

@@ -4,7 +4,7 @@ Watch the model meet the measurement: compare, record, diagnose, add the effect.
 Topics: tendon_states and measured_shape, measured_tip or a topic per marker (subscribed); ~/error,
 ~/rolling_error, ~/marker_errors, ~/measured, ~/predicted, ~/progress, ~/verdict, ~/status
 (published). ~/tip_force, ~/tip_force_covariance, ~/drift, ~/adaptation where asked. Services:
-~/record, ~/diagnose, ~/add, ~/learn, ~/undo. Parameters and units: docs/ros_interface.md.
+~/record, ~/diagnose, ~/add, ~/learn, ~/change, ~/undo. Parameters: docs/ros_interface.md.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from ...model.model import Model
 from ...monitoring import Monitor
 from ...monitoring.job import Work
 from ...monitoring.monitor import Compared, read_markers
+from ...monitoring.watch import ArmWatch
 from ..shared.files import read_robot
 from ..shared.lifecycle import ERROR, OK, WARN, Status
 from ..shared.messages import LATCHED, LISTEN, STATE, pose_array, seconds
@@ -69,7 +70,7 @@ class MonitorNode(Node):
         self._progress = publish(String, '~/progress', LATCHED)
         self._verdict = publish(String, '~/verdict', LATCHED)
         self.create_subscription(JointState, 'tendon_states', self._states, LISTEN)
-        for name in ('record', 'diagnose', 'add', 'learn', 'undo'):
+        for name in ('record', 'diagnose', 'add', 'learn', 'undo', 'change'):
             self.create_service(Trigger, f'~/{name}', getattr(self, f'_{name}'))
         repeat(self, 0.1, self._cycle)
         repeat(self, 1.0, self._look_at_controller)
@@ -216,6 +217,7 @@ class MonitorNode(Node):
         return {
             'recording': str(monitor is not None and monitor.recording).lower(),
             'postures': str(count),
+            'kept': str(monitor is None or monitor.kept).lower(),
             'diagnosing': str(self.work.running).lower(),
             'addition': self.work.addition_ready,
             'added': str(self.work.added),
@@ -232,7 +234,7 @@ class MonitorNode(Node):
         self._tell_progress(self.work.answered(taken, reason))
 
     def _record(self, request: object, response: Trigger.Response) -> Trigger.Response:
-        return self._answer(response, self._begin_recording)
+        return self._answer(response, self._begin_or_stop_recording)
 
     def _diagnose(self, request: object, response: Trigger.Response) -> Trigger.Response:
         return self._answer(response, self._begin_diagnosis)
@@ -246,19 +248,38 @@ class MonitorNode(Node):
     def _undo(self, request: object, response: Trigger.Response) -> Trigger.Response:
         return self._answer(response, self._take_back)
 
+    def _change(self, request: object, response: Trigger.Response) -> Trigger.Response:
+        """Hand over what is known of a change, to `investigate`."""
+        try:
+            response.message, response.success = self._watched().change(), True
+        except TendonRobotError as error:
+            response.success, response.message = False, str(error)
+        return response
+
     def _take_back(self) -> str:
         self._require_monitor()
         assert self.adapting is not None
         return self.adapting.undo()
 
     def _learn_anew(self) -> str:
+        self._watched().learn_anew()
+        return self._watched().text
+
+    def _watched(self) -> ArmWatch:
         if self.watching is None:
             raise InputError('nothing is watched: see the parameter reference_postures')
-        self.watching.watch.learn_anew()
-        return self.watching.watch.text
+        return self.watching.watch
 
-    def _begin_recording(self) -> str:
-        self._require_monitor().start_recording()
+    def _begin_or_stop_recording(self) -> str:
+        monitor = self._require_monitor()
+        count = len(monitor.recorded)
+        if monitor.recording:
+            monitor.recording = False
+            return f'stopped after {count} postures: diagnose takes them, record goes on with them'
+        more = not monitor.kept and count > 0
+        monitor.start_recording()
+        if more:
+            return f'recording on, {count} postures are kept; call record to stop, then diagnose'
         return 'recording every posture in which the arm stands still; then call diagnose'
 
     def _begin_diagnosis(self) -> str:
@@ -268,7 +289,7 @@ class MonitorNode(Node):
         folder = Path(self.parameters['folder']) / datetime.now().strftime('%Y-%m-%d_%H-%M-%S_%f')
         dataset = monitor.dataset('this recording')
         save_dataset(dataset, folder.resolve())
-        monitor.recording = False
+        monitor.recording, monitor.kept = False, True
         self.work.diagnose(folder.resolve(), self.parameters['effects'])
         return f'diagnosing {len(monitor.recorded)} postures: {folder}'
 

@@ -68,6 +68,16 @@ SPECS = (
         True,
     ),
     Spec(
+        'force_time',
+        3.0,
+        'longest time over which frames are averaged for it, while neither tensions nor the arm '
+        'change by more than chance',
+        's',
+        0.0,
+        60.0,
+        True,
+    ),
+    Spec(
         'reference_postures',
         0.0,
         'postures at which the arm is learned, free of any touch, before drift is watched; 0: not '

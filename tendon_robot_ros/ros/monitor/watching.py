@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, Header, String
 
+from ...diagnosis.load import load_of
 from ...model.model import Model
 from ...monitoring import Monitor, StillMeasurement
-from ...monitoring.measurement import mean
+from ...monitoring.measurement import FrameMean
 from ...monitoring.tip_force import TipForce
 from ...monitoring.watch import ArmWatch
+from ...report.numbers import load_words
 from ..shared.messages import LATCHED, STATE
 from ..shared.parameters import Parameters
 from .parameters import watched
@@ -36,7 +38,10 @@ class Watching:
         rate = parameters['force_rate']
         self._period = 1.0 / rate if rate > 0.0 else np.inf
         self._due, self.force = 0.0, None
-        self._frames: list[tuple[Array, Array]] = []  # since the force was published
+        high = monitor.model.robot.tension_limits[1]
+        self._frames = FrameMean(
+            parameters['tracker_noise'], SAME_TENSION_SHARE * high, parameters['force_time']
+        )
         publish = node.create_publisher
         self._wrench = publish(WrenchStamped, '~/tip_force', STATE)
         self._covariance = publish(Float64MultiArray, '~/tip_force_covariance', STATE)
@@ -67,7 +72,9 @@ class Watching:
         said = {} if not self._drift else {'drift': str(self.drifted).lower(),
                                            'watch': self.watch.text}  # fmt: skip
         if self.force is not None:
-            said['tip_force'] = ', '.join(f'{1e3 * f:.2f}' for f in self.force.force) + ' mN'
+            gravity = self.watch.model.robot.gravity
+            load = load_of(self.force.force, self.force.covariance, gravity)
+            said['tip_force'] = load_words(load)
             said['touched_at_cell'] = str(self.force.cell or '')
         return said
 
@@ -82,9 +89,9 @@ class Watching:
         if state is None or not np.isfinite(self._period):
             return
         tensions, _ = np.split(state, 2)
-        self._frames.append((tensions, positions))
+        self._frames.put(at, tensions, positions)
         if self._is_due():
-            self._publish(base, tensions, *self._average(tensions), None)
+            self._publish(base, tensions, *self._frames.take(self.watch.slopes), None)
 
     def blind(self, base: str) -> None:
         """Without the tracker: wire pulls and tensions tell the force where both are measured."""
@@ -100,13 +107,6 @@ class Watching:
             return False
         self._due = now + self._period
         return bool(np.isfinite(self._period))
-
-    def _average(self, tensions: Array) -> tuple[Array, int]:
-        """Return the mean markers (J, 3) [m] since the last time under the same tensions."""
-        least = SAME_TENSION_SHARE * self._monitor.model.robot.tension_limits[1]
-        same = [y for t, y in self._frames if not np.abs(t - tensions).max() > least]
-        self._frames.clear()
-        return mean(np.array(same)), len(same)
 
     def _publish(
         self,
