@@ -77,7 +77,7 @@ class EmulatedBus(Plug):
 # -----------------------------------------------------------------------------
 # Words that do something to the emulated bus: faults for a person, or a test, to switch on.
 
-OF_WIRES = ('tensions', 'wound', 'highest', 'least', 'most')
+OF_WIRES = ('tensions', 'wound', 'highest', 'held', 'least', 'most')
 HELP = f"""\
 silent ID...          these servos neither hear nor answer; hear ID...: they do again
 {COMMON_HELP}

@@ -12,11 +12,12 @@ from typing import IO, Any, Self, cast
 import yaml
 
 from ..common.errors import DriverError
+from ..common.processes import REALTIME_PRIORITY_EMULATED, go_realtime
 
 
 class EmulatorProcess:
     """
-    Emulated motors of a robot.
+    Emulated motors of a robot; they go before other work of the machine, where that is allowed.
 
     Attributes
     ----------
@@ -43,6 +44,7 @@ class EmulatorProcess:
         if not self.port:
             self.end()
             raise DriverError('emulate ended at once; its message is above')
+        go_realtime(REALTIME_PRIORITY_EMULATED, process=self.process.pid)
 
     def say(self, text: str) -> str:
         """Give one of its commands; return the answer."""

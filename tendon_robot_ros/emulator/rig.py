@@ -206,6 +206,7 @@ class ElasticArm:
 MOMENTS_REMEMBERED_MAX = 20_000  # moments
 TIME_STEP_MAX_S = 0.1  # [s]; after a longer pause of this process the emulated world skips time
 SILENCE_STEP_MAX_S = 0.02  # [s]; and no watchdog takes a pause for silence
+TURNS_MAX, BALANCED_N = 8, 1e-3  # of every motor in a step, until nothing changes by more [N]
 
 
 @dataclass(frozen=True)
@@ -226,8 +227,10 @@ class Rig:
     tensions : ndarray, shape (m,) [N]
     trace : deque of (time, currents, tensions, wound)
         What was lately: `time.monotonic` [s], of the motors [A], of the wires [N] and [m].
-    highest, least, most : ndarray, shape (m,)
-        Since the start: highest tension [N], least and most wire wound [m].
+    highest, held, least, most : ndarray, shape (m,)
+        Since the start: highest tension [N], and highest of what current and dry friction of the
+        motor held of it [N], without the drag of a motor that the wire turns; least and most wire
+        wound [m].
 
     """
 
@@ -240,10 +243,12 @@ class Rig:
         self._lever = np.zeros((len(servos), len(wires)))
         for wire, (column, place) in zip(wires, enumerate(places), strict=True):
             self._lever[place, column] = wire.direction * wire.radius
+        self._per_lever = np.zeros_like(self._lever)
+        np.divide(1.0, self._lever, out=self._per_lever, where=self._lever != 0.0)
         self._of = [np.flatnonzero(lever).tolist() for lever in self._lever]
         self._zero = self._angles()
         self.tensions = np.zeros(len(wires))  # [N]
-        self.highest, self.least, self.most = np.zeros((3, len(wires)))
+        self.highest, self.held, self.least, self.most = np.zeros((4, len(wires)))
         self.trace: deque[tuple[float, list[float], list[float], list[float]]] = deque(
             maxlen=MOMENTS_REMEMBERED_MAX
         )
@@ -262,10 +267,11 @@ class Rig:
         steps = max(1, math.ceil(passed / STEP_S - 1e-9))
         for _ in range(steps):
             self._step(passed / steps)
+            self.highest = np.maximum(self.highest, self.tensions)
+            self.held = np.maximum(self.held, self.tensions - self._drag())
         for servo in self.servos.values():
             servo.refresh()
         wound = self.wound
-        self.highest = np.maximum(self.highest, self.tensions)
         self.least, self.most = np.minimum(self.least, wound), np.maximum(self.most, wound)
         currents = [servo.motion.current for servo in self.servos.values()]
         self.trace.append((time.monotonic(), currents, self.tensions.tolist(), wound.tolist()))
@@ -281,13 +287,40 @@ class Rig:
     def _angles(self) -> np.ndarray:
         return np.array([servo.motion.angle for servo in self.servos.values()])
 
+    def _drag(self) -> np.ndarray:
+        """Return what the drag of motors that pay out adds to the tensions, shape (m,) [N]."""
+        drag = [servo.motion.drag for servo in self.servos.values()]
+        added: np.ndarray = np.maximum(0.0, -np.array(drag) @ self._per_lever)
+        return added
+
     def _step(self, step: float) -> None:
-        """Let one motor turn after the other: each against wires as the ones before left them."""
+        """
+        Let all motors turn, until each balances what the wires pull after all have turned.
+
+        One after the other: each is sent from where the step found it, against wires as the others
+        left them, again and again. Once would let a motor that gives way be passed by those that
+        turn after it: its wire would pull more than any motor holds.
+        """
         wound = self.wound
         self.tensions = self.arm.tensions(wound, step)
-        for servo, lever, wires in zip(self.servos.values(), self._lever, self._of, strict=True):
-            before = servo.motion.angle
-            servo.step(step, Load([(lever[i], *self.arm.resistance(i)) for i in wires]))
-            if servo.motion.angle != before:
-                wound = wound + lever * (servo.motion.angle - before)
-                self.tensions = self.arm.tensions(wound, 0.0)
+        found = [servo.motion.angle for servo in self.servos.values()]
+        balanced = np.full(len(self.wires), np.nan)  # [N] when their motor turned
+        for _ in range(TURNS_MAX):
+            for servo, lever, wires, start in zip(
+                self.servos.values(), self._lever, self._of, found, strict=True
+            ):
+                here = servo.motion.angle
+                if not np.abs(self.tensions[wires] - balanced[wires]).max() < BALANCED_N:
+                    servo.motion.angle = start
+                    servo.step(step, Load([self._felt(i, lever[i], here - start) for i in wires]))
+                if servo.motion.angle != here:
+                    wound = wound + lever * (servo.motion.angle - here)
+                    self.tensions = self.arm.tensions(wound, 0.0)
+                balanced[wires] = self.tensions[wires]
+            if np.abs(self.tensions - balanced).max() < BALANCED_N:
+                return
+
+    def _felt(self, wire: int, lever: float, turned: float) -> tuple[float, float, float]:
+        """Return lever [m/rad], pull [N] and stiffness [N/m] of a wire before a motor turned."""
+        pull, stiffness = self.arm.resistance(wire)
+        return lever, pull - stiffness * lever * turned, stiffness

@@ -81,6 +81,11 @@ class ServoMotion:
         return self.model.friction_current * self.model.torque_per_ampere
 
     @property
+    def drag(self) -> float:
+        """Viscous friction at the output [N·m], against its speed."""
+        return self._damping * self.speed
+
+    @property
     def ticks(self) -> int:
         """Position as the encoder counts it."""
         return math.floor(self.angle / TICK + 0.5)

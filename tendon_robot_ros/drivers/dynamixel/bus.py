@@ -153,9 +153,18 @@ def check_latency(path: str, allow: bool, sysfs: str = '/sys') -> int | None:
 # bit in group reads, hands signed values back unsigned, and forgets to lengthen a packet whose
 # bytes look like a header. Whatever the failure, a method here returns what was really read and
 # nothing else; only a lost port raises.
+#
+# An answer that comes after its time would be taken for that of the next question: a position for
+# an error, a watchdog for a temperature. Answers keep their order. So after a silence a servo that
+# is there is asked for as many bytes as nobody else asks for, another number every time: what
+# comes before those is old.
 
 T = TypeVar('T')
 GOALS = ('goal_current', 'goal_position')
+
+
+PACKET_ID, PACKET_LENGTH, PACKET_ERROR = 4, 5, 8  # places in a status packet
+FEWEST_BYTES, DIFFERENT_LENGTHS = 11, 20  # from address 0; no other read is so long
 
 
 class Bus:
@@ -181,6 +190,9 @@ class Bus:
         self._packets = Protocol2PacketHandler()
         self._port: Port | None = None
         self._readers: dict[tuple[int, int, tuple[int, ...]], Any] = {}
+        self._there: list[int] = []  # who has answered, the last one first
+        self._behind = False  # an answer may be on its way that nobody waits for
+        self._turn = 0
 
     @property
     def connected(self) -> bool:
@@ -218,16 +230,55 @@ class Bus:
         if self._port is None:
             raise PortLostError(self.path)
         try:
+            self._catch_up(self._port)
             return what(self._port)
         except PORT_ERRORS as error:
             self.failures['port lost'] += 1
             self.close()
             raise PortLostError(f'{self.path}: {error}') from None
 
+    def _learn(self, what: Callable[[Port], T | None]) -> T | None:
+        """Run a conversation that reads; None while an old answer may be taken for a new one."""
+        return self._talk(lambda port: None if self._behind and self._there else what(port))
+
+    def _catch_up(self, port: Port) -> None:
+        """Let pass what is late, so that the next answer is that of the next question."""
+        if self._behind and self._there:
+            self._turn += 1
+            length = FEWEST_BYTES + self._turn % DIFFERENT_LENGTHS
+            self._behind = self._answer(port, self._there[0], 0, length) is None
+            if self._behind:
+                self._there.append(self._there.pop(0))  # another one is asked next time
+
+    def _failed(self) -> None:
+        self._behind = True
+        self.failures['no or broken answer'] += 1
+
+    def _answered(self, identity: int) -> None:
+        self._there = [identity, *(other for other in self._there if other != identity)]
+
+    def _answer(self, port: Port, identity: int, address: int, length: int) -> bytes | None:
+        """Ask for bytes; return those of the first packet that can be the answer."""
+        try:
+            result = self._packets.readTx(port, identity, address, length)
+            while result == COMM_SUCCESS:
+                packet, result = self._packets.rxPacket(port, False)
+                if result != COMM_SUCCESS or packet[PACKET_ID] != identity:
+                    continue
+                if packet[PACKET_LENGTH] == length + 4 and not packet[PACKET_ERROR] & 0x7F:
+                    return bytes(packet[PACKET_ERROR + 1 : PACKET_ERROR + 1 + length])
+        except IndexError:  # shorter than the SDK expects
+            pass
+        return None
+
     def ping(self, identity: int) -> int | None:
         """Return the model number of a servo, None when it does not answer."""
         number, result, _ = self._talk(lambda port: self._packets.ping(port, identity))
-        return int(number) if result == COMM_SUCCESS else None
+        if result != COMM_SUCCESS:
+            self._behind = True
+            return None
+        self._answered(identity)
+        return int(number)
 
     def everyone(self) -> dict[int, int]:
         """Ask who is there: id to model number. Takes a second or more."""
@@ -252,8 +303,9 @@ class Bus:
             )
         )
         if result != COMM_SUCCESS:
-            self.failures['no or broken answer'] += 1
+            self._failed()
             return 'no answer'
+        self._answered(identity)
         return str(self._packets.getRxPacketError(error & 0x7F))[len('[RxPacketError] ') :] or None
 
     def reboot(self, identity: int) -> None:
@@ -295,10 +347,10 @@ class Bus:
         wanted = tuple(identities)
         if not wanted:
             return {}
-        blocks = self._talk(lambda port: self._group(port, address, length, wanted))
+        blocks = self._learn(lambda port: self._group(port, address, length, wanted))
         if blocks is not None:
             return blocks
-        self.failures['no or broken answer'] += 1
+        self._failed()
         singles = {i: self._read_bytes(i, address, length) for i in wanted}
         return {i: data for i, data in singles.items() if data is not None}
 
@@ -321,20 +373,12 @@ class Bus:
         return blocks if all(len(data) == length for data in blocks.values()) else None
 
     def _read_bytes(self, identity: int, address: int, length: int) -> bytes | None:
-        def ask(port: Port) -> tuple[Any, int, int]:
-            try:
-                answer: tuple[Any, int, int] = self._packets.readTxRx(
-                    port, identity, address, length
-                )
-            except IndexError:
-                return None, 1, 0
-            return answer
-
-        data, result, error = self._talk(ask)
-        if result != COMM_SUCCESS or error & 0x7F or len(data) != length:
-            self.failures['no or broken answer'] += 1
-            return None
-        return bytes(data)
+        data = self._learn(lambda port: self._answer(port, identity, address, length))
+        if data is None:
+            self._failed()
+        else:
+            self._answered(identity)
+        return data
 
 
 def without_header(value: int, low: int) -> int:

@@ -288,7 +288,8 @@ class DynamixelDriver(PortDriver):
             for wire in motor.wires:
                 value = motor.tension(wire) if self.mode == 'tension' else motor.pull(wire)
                 self._goal[self.inputs.index(wire.name)] = value if np.isfinite(value) else 0.0
-        self._written = time.monotonic()
+        if motors is None:  # the others go on: a stop is not to wait for one that was silent
+            self._written = time.monotonic()
 
     def _zero_here(self) -> None:
         if self.config.zero == 'here':

@@ -24,13 +24,16 @@ from .control_table import (
     WATCHDOG_TRIPPED,
 )
 from .motor import Motor
-from .torque import read_state, torque_off, torque_on
+from .torque import read_state, recover_watchdog, torque_off, torque_on
 
 CYCLE_S = 0.01  # [s]
 BACK_OFF_M = 0.002  # [m]
 LAG_MAX_M = 0.001  # [m] behind the goal: it does not follow any more
 STALLED_AFTER_S = 0.15  # [s]
 MISSED_ANSWERS_MAX = 5  # answers in a row
+WATCHDOG_COUNTS = 10  # of address 98: 0.2 s
+TRIPS_MAX = 5  # of the watchdog of one motor: a computer that is late so often is too late
+TURNS_WITHIN_S = 2.0  # [s] or it does not turn
 
 
 @dataclass
@@ -46,6 +49,8 @@ class SlackSearch:
     still: float = 0.0  # [s] for which it has not done as told
     stalls: tuple[int, ...] = ()
     missed: int = 0  # answers in a row
+    trips: int = 0  # of its watchdog
+    asked: float = 0.0  # [s] of `still` at which its watchdog was asked
     done: bool = False
 
     @property
@@ -77,7 +82,7 @@ def find_slack(
     """
     searches = _prepare(bus, config, motors)
     try:
-        torque_on(bus, motors, CURRENT_POSITION_MODE, watchdog=10)
+        torque_on(bus, motors, CURRENT_POSITION_MODE, WATCHDOG_COUNTS)
         try:
             _search(bus, config, searches, cancelled)
         except MovedError:
@@ -161,11 +166,10 @@ def _cycle(bus: Bus, config: DynamixelConfig, searches: list[SlackSearch], passe
         if search.missed:
             continue
         if search.backing:
-            _back_off(config, search, passed)
+            _back_off(bus, config, search, passed)
         elif search.middle is not None:
             _return(config, search, search.middle)
-        elif _wind(config, search, passed):
-            _require_awake(bus, search.motor)
+        elif _wind(config, search, passed) and not _awoken(bus, search):
             _stalled(search)
     goals = {s.motor.identity: round(s.goal) for s in searches}
     bus.send_goals(
@@ -173,7 +177,7 @@ def _cycle(bus: Bus, config: DynamixelConfig, searches: list[SlackSearch], passe
     )
 
 
-def _back_off(config: DynamixelConfig, search: SlackSearch, passed: float) -> None:
+def _back_off(bus: Bus, config: DynamixelConfig, search: SlackSearch, passed: float) -> None:
     """Pay out a little; refuse a motor that does not turn."""
     ticks = search.motor.ticks or 0
     search.goal = search.start - search.way * search.ticks(BACK_OFF_M)
@@ -182,7 +186,11 @@ def _back_off(config: DynamixelConfig, search: SlackSearch, passed: float) -> No
         search.backing, search.goal, search.still = False, float(ticks), 0.0
         return
     search.still += passed
-    if search.still > 2.0:
+    if search.still > search.asked + STALLED_AFTER_S:
+        search.asked = search.still
+        if _awoken(bus, search):
+            return
+    if search.still > TURNS_WITHIN_S:
         amperes = (search.motor.guided or (0, (0, 0)))[0] * search.motor.model.current_unit
         raise DriverError(
             f'{config.port}: {search.motor}: does not turn with {amperes:.3f} A; calibrate it, '
@@ -206,13 +214,25 @@ def _wind(config: DynamixelConfig, search: SlackSearch, passed: float) -> bool:
     return False
 
 
-def _require_awake(bus: Bus, motor: Motor) -> None:
-    """Refuse to take a motor that its watchdog has stopped for one that has found its wire."""
-    if bus.read(motor.identity, 'bus_watchdog') == WATCHDOG_TRIPPED:
+def _awoken(bus: Bus, search: SlackSearch) -> bool:
+    """
+    Tell whether a motor stands because its watchdog stopped it, and let it go on from there.
+
+    Such a motor has not found its wire, and it is not one that cannot turn: this computer was
+    late. Where it stands is known.
+    """
+    motor = search.motor
+    if bus.read(motor.identity, 'bus_watchdog') != WATCHDOG_TRIPPED:
+        return False
+    search.trips += 1
+    if search.trips > TRIPS_MAX:
         raise MovedError(
-            f'{bus.path}: {motor}: its bus watchdog stopped it while it looked for slack: this '
-            'computer was late; torque is off'
+            f'{bus.path}: {motor}: its bus watchdog stopped it {search.trips} times while it '
+            'looked for slack: this computer is late again and again; torque is off'
         )
+    recover_watchdog(bus, motor, CURRENT_POSITION_MODE, WATCHDOG_COUNTS, tripped=True)
+    search.goal, search.still, search.asked = float(motor.ticks or 0), 0.0, 0.0
+    return True
 
 
 def _stay_near(config: DynamixelConfig, search: SlackSearch) -> None:

@@ -168,15 +168,15 @@ def come_back(bus: Bus, motor: Motor, mode: int, watchdog: int) -> bool:
         motor.answers = False
         return False
     read_state(bus, [motor])
-    torque, dog = values
+    torque, state = values
     if not motor.wanted:
         if torque:
             torque_off(bus, [motor])
-    elif not torque or (watchdog and dog == 0):
+    elif not torque or (watchdog and state == 0):
         lost_power(motor)
         bus.write(motor.identity, 'torque_enable', 0)
     else:
-        recover_watchdog(bus, motor, mode, watchdog, tripped=dog == WATCHDOG_TRIPPED)
+        recover_watchdog(bus, motor, mode, watchdog, tripped=state == WATCHDOG_TRIPPED)
     return motor.answers
 
 

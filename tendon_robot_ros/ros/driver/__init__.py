@@ -3,7 +3,6 @@ The driver node: tendon commands in, states out; drivers/ does the work.
 
 node.py         topics, services, status
 parameters.py   its parameters (docs/ros_interface.md)
-backend.py      the driver behind it, and the rules that it holds
+backend.py      the driver behind it, the rules that it holds; the arm and the tracker of the mock
 motor_loop.py   the one thread that talks to the motors
-mock_arm.py     the arm and the tracker of the mock
 """

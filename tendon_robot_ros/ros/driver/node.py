@@ -30,7 +30,7 @@ from ..shared.parameters import Parameters
 from ..shared.runtime import asked_to_end, goes_first, repeat, run, when_asked_to_end
 from ..shared.senders import OtherPublishers, Received, Senders, signature
 from . import backend, parameters
-from .mock_arm import MockTracker
+from .backend import MockTracker
 from .motor_loop import Cycle, MotorLoop
 
 HELP = 'drive motors, or a mock arm, from tendon commands'
