@@ -15,7 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..common.errors import TendonRobotError
-from ..common.processes import child_environment, end_with_parent, go_with_others
+from ..common.processes import (
+    ComputingThread,
+    child_environment,
+    end_with_parent,
+    go_with_others,
+)
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot, dump_robot, parse_robot
 from .checks import check_inputs
@@ -28,7 +33,7 @@ GENTLY_VARIABLE = 'TENDON_ROBOT_ROS_GENTLY'
 
 
 def load(robot: Robot, catalogue: Catalogue) -> Model:
-    """Make a model and call all that a controller calls: nothing is compiled later."""
+    """Make a model and call all that a controller calls: nothing is made or compiled later."""
     from ..model.model import Model
 
     model = Model(robot, catalogue)
@@ -38,6 +43,9 @@ def load(robot: Robot, catalogue: Catalogue) -> Model:
     model.reach(position=shape.tip_position, direction=shape.tip_direction)
     model.reach(position=shape.tip_position, guess=shape)
     model.reach(position=shape.tip_position, by_pulls=True)
+    model.tip_stiffness(shape)
+    _ = model.library  # else the first search that needs it takes 0.15 s
+    compiled_mark(catalogue).touch()
     return model
 
 
@@ -76,7 +84,7 @@ class Loader:
         self.doing = 'loading'  # then perhaps 'compiling', then 'building'
         self._loading: Future[Model] = Future()
         # not the thread that controls: reading, linking and checking take a moment
-        threading.Thread(target=self._load, name='model', daemon=True).start()
+        ComputingThread(self._load, 'model', self.cancel).start()
 
     @property
     def done(self) -> bool:
@@ -160,7 +168,6 @@ def main() -> int:
     except TendonRobotError as error:
         print(error, file=sys.stderr)
         return 1
-    compiled_mark(catalogue).touch()
     return 0
 
 

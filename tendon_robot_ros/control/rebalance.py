@@ -15,10 +15,10 @@ from ..model.tip_task import TipTask, tip_target
 from .state import Controller
 
 if TYPE_CHECKING:
+    from ..model.derivatives import TipStiffness
     from ..model.model import Model
     from ..model.redundancy import Preferences
     from ..model.shape import Reach, Shape
-    from ..model.stiffness import TipStiffness
     from .solver import GiveUp
     from .state import Target
     from .tip_loop import TipLoop

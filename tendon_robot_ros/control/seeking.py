@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..common.errors import InputError, NoEquilibriumError, TendonRobotError
 from ..model.shape import Reach
-from ..model.tip_task import TipTask, tip_target
+from ..model.tip_task import Patience, TipTask, tip_target
 from .checks import Refusal
 from .friction_state import Approach, from_below, planned, straight
 from .keeping_out import cut_short
@@ -18,18 +19,27 @@ from .solver import GiveUp
 from .state import STREAM_PERIOD_S, Controller, Settings, Target
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from ..model.model import Model
     from ..model.shape import Shape
 
 Array = NDArray[np.float64]
 COLD_SEARCH_STARTS = 12  # of a cold search; a twist only goes on from where it is
 NEW_TARGET_BUDGET_S = 0.2  # [s] for a target that is none of a stream
-FIRST_ANSWER_S = 0.008  # [s] after which the best so far is commanded while the search goes on
+STREAM_BUDGET_SHARE = 0.8  # [1] of the time between targets of a stream; the shape needs the rest
+FIRST_ANSWER_S = 0.006  # [s] in which a search that finds nothing on its way is cut for once
 # [1] of the length, [rad] between two targets of a stream
 STREAM_STEP_SHARE, STREAM_TURN_RAD = 0.1, 0.3
 LEAD_SHARE_MAX = 0.1  # [1] of the length, by which targets are led
+
+
+Tell = Callable[[Reach], None]  # is given what a search has found so far
+
+
+class Answer(Protocol):
+    """Finds tensions and the way there; see `_Question.answer`."""
+
+    def __call__(self, give_up: GiveUp, tell: Tell | None = None) -> Approach:
+        """Find them."""
 
 
 class Seeker(Controller, Protocol):
@@ -54,7 +64,7 @@ class TargetSearch:
     target : Target
     began : float [s]
     budget : float [s]
-        After that the best found counts: half the time between targets of a stream, else
+        After that the best found counts: most of the time between targets of a stream, else
         `NEW_TARGET_BUDGET_S`.
     stream : object
         The same for targets that follow each other closely in time and space.
@@ -79,7 +89,8 @@ class TargetSearch:
             velocity = (target.position - before.target.position) / passed
             if before.velocity is not None:  # senders are not that regular
                 velocity = 0.5 * (velocity + before.velocity)
-        return cls(target, now, 0.5 * passed, before.stream, True, velocity)
+        budget = STREAM_BUDGET_SHARE * passed
+        return cls(target, now, budget, before.stream, True, velocity)
 
 
 @dataclass(frozen=True)
@@ -89,6 +100,7 @@ class SearchResult:
     found: Approach | None
     problem: str
     in_time: bool
+    left: float = 0.0  # [s] for which it may go on
 
 
 def seek(core: Seeker, target: Target) -> None:
@@ -98,24 +110,44 @@ def seek(core: Seeker, target: Target) -> None:
 
 
 def _search_on(core: Seeker, search: TargetSearch, budget: float) -> None:
-    """Search for a time [s]; what is found when the first ends is where the second begins."""
+    """
+    Search for a time [s]; what is much nearer is gone to while the search goes on.
+
+    Where nothing was within the first time, what is found when it ends is where another search
+    begins.
+    """
     solve = solution_of(core, core.model, _ahead(core, search), search.streamed)
-    left = search.budget - budget if budget == FIRST_ANSWER_S else 0.0
+    first = budget == FIRST_ANSWER_S
 
     def work(give_up: GiveUp) -> SearchResult:
+        left = search.budget - budget if first else 0.0
+
+        def tell(found: Reach) -> None:
+            nonlocal left
+            core.solver.tell(lambda: _go_on(core, search, found))
+            if isinstance(give_up, Patience):
+                give_up.prolong(left)
+                left = 0.0
+
         try:
             # the second is asked between starts only: on a slow machine none would get anywhere
-            asked = give_up if left > 0.0 else lambda: give_up()
-            return SearchResult(solve(asked), '', not give_up())
+            found = solve(give_up if first else lambda: give_up(), tell)
         except (NoEquilibriumError, InputError) as error:
-            return SearchResult(None, str(error), not give_up())
+            return SearchResult(None, str(error), not give_up(), left)
+        return SearchResult(found, '', not give_up(), left)
 
     def done(result: SearchResult, error: TendonRobotError | None) -> None:
         if error is not None:
             result = SearchResult(None, str(error), True)
-        _take(core, search, result, 0.0 if result.in_time else left)
+        _take(core, search, result)
 
     core.solver.post('target', work, done, budget, urgent=True)
+
+
+def _go_on(core: Seeker, search: TargetSearch, found: Reach) -> None:
+    """Go where a search is on its way, unless something else is wanted by now."""
+    if core.search is search:
+        core.follow(search.target, straight(found), False, _ahead(core, search))
 
 
 def _ahead(core: Seeker, search: TargetSearch) -> Target:
@@ -141,7 +173,9 @@ class _Question:
     streamed: bool
     tracking: bool
 
-    def reach(self, past: Shape | None, guess: Shape | None, give_up: GiveUp) -> Reach:
+    def reach(
+        self, past: Shape | None, guess: Shape | None, give_up: GiveUp, tell: Tell | None = None
+    ) -> Reach:
         """Find tensions that are right when they are reached from a shape."""
         near = self.tracking or self.streamed
         return self.model.reach(
@@ -156,32 +190,39 @@ class _Question:
             preferences=None if near else self.settings.preferences,
             keep_out=self.settings.keep_out,
             give_up=give_up,
+            tell=tell,
         )
 
     @property
+    def kind(self) -> str:
+        """How the target is approached."""
+        return 'any' if self.streamed or self.tracking else self.settings.approach
+
+    @property
     def _below(self) -> bool:
-        return self.settings.approach == 'from_below' and not (self.streamed or self.tracking)
+        return self.kind == 'from_below'
 
     def _guess(self) -> Shape | None:
         """Return where to begin; the same place is always found by the same tensions."""
         return None if self._below else self.guess
 
-    def answer(self, give_up: GiveUp) -> Approach:
-        """Find tensions, and the way there."""
+    def answer(self, give_up: GiveUp, tell: Tell | None = None) -> Approach:
+        """Find tensions and the way there; `tell` of what is found meanwhile, if that is it."""
         model, settings = self.model, self.settings
+        if self.kind != 'any' or settings.keep_out or settings.pull_mode:
+            tell = None
         if not (model.remembers or settings.keep_out):
-            direct = self.reach(None, self._guess(), give_up)
+            direct = self.reach(None, self._guess(), give_up, tell)
             return from_below(model, direct) if self._below else straight(direct)
         here = model.follow(self.last, self.felt)
         past = here if model.remembers else None
-        direct = self.reach(past, self._guess() or past, give_up)
+        direct = self.reach(past, self._guess() or past, give_up, tell)
 
         def again(there: Shape, tensions: Array) -> Reach:
             guess = there if self._below else direct.shape
             return self.reach(there if model.remembers else None, guess, give_up)
 
-        kind = 'any' if self.streamed or self.tracking else settings.approach
-        found = planned(model, here, direct, kind, again, give_up)
+        found = planned(model, here, direct, self.kind, again, give_up)
         if settings.keep_out:
             weight = settings.direction_weight or None
             asked = tip_target(model, self.target.position, self.target.direction, 1.0, weight)
@@ -192,7 +233,7 @@ class _Question:
 
 def solution_of(
     core: Controller, model: Model, target: Target, streamed: bool = False, tracking: bool = False
-) -> Callable[[GiveUp], Approach]:
+) -> Answer:
     """
     Return how to find tensions for a target from where the arm is.
 
@@ -215,9 +256,9 @@ def solution_of(
     return _Question(model, core.settings, target, guess, last, felt, streamed, tracking).answer
 
 
-def _take(core: Seeker, search: TargetSearch, result: SearchResult, left: float) -> None:
+def _take(core: Seeker, search: TargetSearch, result: SearchResult) -> None:
     """Use what was found, unless something else is wanted by now; search on for what is left."""
-    newest = core.search
+    newest, left = core.search, 0.0 if result.in_time else result.left
     if newest is None or newest.stream is not search.stream:
         return
     if newest is search and left > 0.0:

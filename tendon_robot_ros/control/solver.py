@@ -7,11 +7,12 @@ import threading
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 from ..common.errors import TendonRobotError
-from ..common.patience import Patience
-from ..common.processes import switch_often
+from ..common.processes import ComputingThread, switch_often
+from ..model.tip_task import Patience
 
 GiveUp = Callable[[], bool]
 Work = Callable[[GiveUp], Any]  # reads no state that the commanding thread changes
@@ -39,11 +40,14 @@ class Solver(Protocol):
             Takes the result and the error, one of them None, in the thread of `serve`. What was
             given up answers, too: the callable knows whether the answer is still wanted.
         budget : float [s]
-            Time after which `give_up` says True.
+            Time after which `give_up` says True, from when the work begins.
         urgent : bool
             The answer is not to wait for the next cycle.
 
         """
+
+    def tell(self, take: Callable[[], None]) -> None:
+        """From within work: have something called in the thread of `serve`, and that soon."""
 
     def busy(self, kind: str) -> bool:
         """Whether an answer of this kind is to come."""
@@ -65,6 +69,10 @@ class InPlace:
         except TendonRobotError as raised:
             error = raised
         done(result, error)
+
+    def tell(self, take: Callable[[], None]) -> None:
+        """Call it."""
+        take()
 
     def busy(self, kind: str) -> bool:
         """Return False."""
@@ -101,11 +109,11 @@ class Worker:
         self._changed = threading.Condition()
         self._waiting: dict[str, _Job] = {}
         self._running: tuple[str, _Job] | None = None
-        self._answered: deque[tuple[str, _Job]] = deque()
+        self._answered: deque[Callable[[], None]] = deque()
         self._open: Counter[str] = Counter()
         self._ended = False
         switch_often()
-        self._thread = threading.Thread(target=self._work, name=SOLVER, daemon=True)
+        self._thread = ComputingThread(self._work, SOLVER, self._end)
         self._thread.start()
 
     def post(
@@ -121,6 +129,11 @@ class Worker:
                 self._running[1].give_up.end()
             self._changed.notify()
 
+    def tell(self, take: Callable[[], None]) -> None:
+        """Have it called with the next answers, and these handed out at once."""
+        self._answered.append(take)
+        self._wake()
+
     def busy(self, kind: str) -> bool:
         """Whether an answer of this kind is to come."""
         return self._open[kind] > 0
@@ -128,33 +141,38 @@ class Worker:
     def serve(self) -> None:
         """Hand out the answers; raise what no user's mistake can explain."""
         while self._answered:
-            kind, job = self._answered.popleft()
-            self._open[kind] -= 1
-            if job.error is not None and not isinstance(job.error, TendonRobotError):
-                raise job.error
-            job.done(job.result, job.error)
+            self._answered.popleft()()
+
+    def _answer(self, kind: str, job: _Job) -> None:
+        self._open[kind] -= 1
+        if job.error is not None and not isinstance(job.error, TendonRobotError):
+            raise job.error
+        job.done(job.result, job.error)
 
     def close(self) -> None:
-        """End the thread, or leave it to the end of the process if it is busy."""
+        """End the thread; if it is busy, the end of the process waits for it."""
+        self._end()
+        self._thread.join(END_TIMEOUT_S)
+
+    def _end(self) -> None:
         with self._changed:
             self._ended = True
             self._waiting.clear()
             if self._running is not None:
                 self._running[1].give_up.end()
             self._changed.notify()
-        self._thread.join(END_TIMEOUT_S)
 
     def _work(self) -> None:
         while (taken := self._next()) is not None:
-            _, job = taken
+            kind, job = taken
             try:
                 job.result = job.work(job.give_up)
             except Exception as error:
                 job.error = error
             with self._changed:
                 self._running = None
-            self._answered.append(taken)
-            if job.urgent:
+            self._answered.append(partial(self._answer, kind, job))
+            if job.urgent and not self._ended:
                 self._wake()
 
     def _next(self) -> tuple[str, _Job] | None:
@@ -165,4 +183,5 @@ class Worker:
                 return None
             kind = next(iter(self._waiting))
             self._running = kind, self._waiting.pop(kind)
+            self._running[1].give_up.begin()
             return self._running

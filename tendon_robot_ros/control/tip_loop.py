@@ -11,6 +11,7 @@ on the way how far the model is off, and the tip does not go beyond.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -36,9 +37,11 @@ JUMP_SETTLED_S = 0.2  # [s] without a jump after one, before the tracker is beli
 WORSE_FACTOR, WORSE_SHARE = 2.0, 0.1  # [1] of the error at first, and of the arm's length
 OFFSET_MAX_SHARE = 0.4  # [1] of the arm's length: further off, the model is not of this arm
 NEAR_SHARE = 0.05  # [1] of the arm's length: further off, what was learned is of another place
-HALVINGS = 4  # of a step that would bring the tip no nearer
+HALVES = 1.0, 0.5, 0.25, 0.125  # [1] of a step that would bring the tip no nearer
+SLIPPING = 1.0, 2.0, 4.0, 0.5, 0.25  # [1] of one that may let no tendon slip
+GAINED = 0.1  # [1] of what a step promises, that it must do
 STANDING_DAMPING = 0.02  # [1] of the largest slope, see `bounded_step`
-ONE_SIDED_SHARE = 5e-4  # [1] of a tension's range, for slopes in one direction
+ONE_SIDED_SHARES = 5e-4, 5e-3, 0.02, 0.06  # [1] of a tension's range, for slopes in one direction
 PACE = 2.0  # [1] of `tip_gain`: how fast the way to a set point shrinks
 STANDS_SHARE = 2e-3  # [1] of a tension's range: nearer to its goal, the arm counts as standing
 ARRIVED_SHARE = 2e-4  # [1] of a tension's range: nearer, the command is at its goal
@@ -297,39 +300,61 @@ class _Step:
         way = self._way(there)
         damping = STANDING_DAMPING if self.stands else STEP_DAMPING
         part = known.part(there.inputs, way) * here_counts(way, self.model.robot.length)
-        for corrected in (slopes + part * known.slopes, slopes):
-            step = bounded_step(corrected, STEP_SHARE * miss, goal, self.limits, damping) - goal
-            if (found := self._nearer(known, goal, step, miss)) is not None:
-                return found
-        step = self._one_sided_step(there, goal, STEP_SHARE * miss)
-        found = self._nearer(known, goal, step, miss)
-        return goal if found is None else found
+        best, least = goal, 1.0
+        for step, shares in self._steps(there, goal, miss, damping, slopes, part * known.slopes):
+            for share in shares:
+                left = self._left(self._there(goal + share * step), known)
+                nearer = float(np.linalg.norm(left) / max(float(np.linalg.norm(miss)), 1e-12))
+                if nearer < least:
+                    best, least = goal + share * step, nearer
+                if nearer < 1.0 - share * STEP_SHARE * GAINED:
+                    return best
+        return best
 
-    def _nearer(self, known: Mismatch, goal: Array, step: Array, miss: Array) -> Array | None:
-        """Return the goal (m,) [N] after a step, or part of it, that brings the tip nearer."""
-        for _ in range(HALVINGS):
-            left = self._left(self._there(goal + step), known)
-            if np.linalg.norm(left) < np.linalg.norm(miss):
-                return goal + step
-            step = 0.5 * step
-        return None
-
-    def _one_sided_step(self, there: Shape, goal: Array, wanted: Array) -> Array:
+    def _steps(
+        self,
+        there: Shape,
+        goal: Array,
+        miss: Array,
+        damping: float,
+        slopes: Array,
+        learned: Array,
+    ) -> Iterator[tuple[Array, tuple[float, ...]]]:
         """
-        Return a step (m,) [N] by slopes that differ by the direction.
+        Yield steps (m,) [N] by slopes (3, m) [m], with what was learned and without; of one side.
 
-        Where tendons pull hard against each other, more and less tension may both let the arm
-        slip the same way: the mean of both slopes then leads nowhere.
+        Where tendons stick, slopes say little of steps that let them slip; those of one side are
+        taken over ever larger steps, until one moves the tip as far as it is off.
+        """
+        for made in (slopes + learned, slopes):
+            step = bounded_step(made, STEP_SHARE * miss, goal, self.limits, damping) - goal
+            yield step, HALVES
+        for share in ONE_SIDED_SHARES:
+            sides = self._one_sided_slopes(there, goal, share)
+            yield self._one_sided_step(sides, goal, STEP_SHARE * miss), SLIPPING
+            if share * (miss @ sides).max() > miss @ miss:
+                return
+
+    def _one_sided_slopes(self, there: Shape, goal: Array, share: float) -> Array:
+        """
+        Return slopes (3, 2m) [m] over a share of the ranges, of more and of less tension.
+
+        Where tendons pull hard against each other, both may let the arm slip the same way: the
+        mean of both slopes then leads nowhere.
         """
         m, width = len(goal), self.limits[:, 1] - self.limits[:, 0]
-        sides = np.concatenate([np.eye(m), -np.eye(m)]) * ONE_SIDED_SHARE
-        moves = [self._there(goal + side * width).tip_position for side in sides]
-        slopes = (np.array(moves) - there.tip_position).T / ONE_SIDED_SHARE
-        low, high = self.limits.T
+        moves = []
+        for side in np.concatenate([np.eye(m), -np.eye(m)]) * share:
+            to = np.clip(goal + side * width, *self.limits.T)
+            moves.append(self._there(to).tip_position - there.tip_position)
+        return np.array(moves).T / share
+
+    def _one_sided_step(self, slopes: Array, goal: Array, wanted: Array) -> Array:
+        """Return a step (m,) [N] by slopes (3, 2m) [m] that differ by the direction."""
+        m, (low, high) = len(goal), self.limits.T
         room = np.concatenate([high - goal, goal - low])
-        limits = np.stack([np.zeros(2 * m), np.tile(width, 2)], axis=1)
-        step = bounded_step(slopes, wanted, np.zeros(2 * m), limits)
-        step = np.minimum(step, room)
+        limits = np.stack([np.zeros(2 * m), np.tile(high - low, 2)], axis=1)
+        step = np.minimum(bounded_step(slopes, wanted, np.zeros(2 * m), limits), room)
         return np.asarray(step[:m] - step[m:])
 
     def _way(self, there: Shape) -> float:

@@ -117,6 +117,7 @@ def _row(posture: Posture, outcome: Outcome) -> str:
 Array = NDArray[np.float64]
 # [m] the tip has arrived when it moves no more than this in a fifth of a second
 STILL_WITHIN_M = 1e-6
+START_TIMEOUT_S = 120.0  # [s] for nodes to start, on a busy machine
 
 
 @dataclass(frozen=True)
@@ -153,7 +154,7 @@ class Sender(RobotClient):
         """Wait for controller and driver."""
         self.wait(
             lambda: bool(self.status.get('code') == 'holding' and self._tips),
-            30.0,
+            START_TIMEOUT_S,
             'controller and driver to start',
         )
 

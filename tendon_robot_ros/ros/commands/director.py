@@ -12,9 +12,7 @@ from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
-from std_srvs.srv import Trigger
 
-from ...common.errors import TendonRobotError
 from ...simulation.rehearsal import TourPosture
 from ..shared.messages import LATCHED, LISTEN, STATE, seconds
 from ..shared.robot_client import RobotClient
@@ -112,18 +110,6 @@ class Director(RobotClient):
     def tensions(self) -> Array:
         """Return the mean measured tensions (m,) [N] over the last moment."""
         return self._mean(self._tensions)
-
-    def call(self, name: str) -> str:
-        """Call a Trigger service; raise what it refuses."""
-        client = self.create_client(Trigger, name)
-        self.wait(client.service_is_ready, 20.0, f'the service {name}')
-        future = client.call_async(Trigger.Request())
-        self.wait(future.done, 20.0, f'an answer of {name}')
-        self.destroy_client(client)
-        answer = future.result()
-        if not answer.success:
-            raise TendonRobotError(f'{name}: {answer.message}')
-        return str(answer.message)
 
     def _recent(self, heard: Sequence[tuple[float, Array]]) -> list[Array]:
         """Return what was measured lately, by stamps: a busy machine hears late."""

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from ...common.errors import InputError
 from ...common.files import refuse_ending
+from ...control.keeping_out import entered
 from ...control.trajectory import Playing
 from ...data.folder.path_file import TendonRows, TipRows, read_path
 from ...data.recording.reader import is_bag, read_moves
@@ -34,6 +35,7 @@ from ..controller.incoming import POINTS_MAX
 from ..shared.robot_client import Pilot, add_controller
 from ..shared.runtime import ros
 
+Array = NDArray[np.float64]
 HELP = 'take the tip along a path, or replay a recording; say what was reached'
 TARGET_RATE_HZ = 50.0  # [Hz] of targets
 FLAGS = {
@@ -70,6 +72,10 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     """Follow and report; Ctrl-C leaves the arm at the target of the moment."""
     pace = _pace(args)
     refuse_ending('--picture', args.picture)
+    if not Path(args.path).exists():
+        raise InputError(f'{args.path}: is not there: name a CSV file or a recording')
+    if args.keep_out:
+        load_keep_out(args.keep_out)  # what is wrong in it is said before the arm is asked for
     with ros(ros_arguments) as ending:
         pilot = Pilot('follow', args.controller, ending)
         try:
@@ -129,9 +135,25 @@ def _tendons(
     if options.backwards:
         times, values = times[-1] - times[::-1], values[::-1]
     print(f'{len(times)} rows of {"wire pulls" if pilot.pull else "tensions"}, {times[-1]:.1f} s')
-    if options.plan:
-        return None
-    return run_tendons(pilot, times, values, pace.pull if pilot.pull else pace.tension)
+    times = _in_time(pilot, times, values, pace.pull if pilot.pull else pace.tension)
+    if options.keep_out and (problem := _entering(pilot, times, values, options.keep_out)):
+        raise InputError(f'{options.path}: {problem}')
+    return None if options.plan else run_tendons(pilot, times, values)
+
+
+def _in_time(pilot: Pilot, times: Array, values: Array, rate: float) -> Array:
+    """Return times (n,) [s] with the way to the first row; see `stretched` for the rate."""
+    here = pilot.commands()[1][-1]
+    first = max(float(np.abs(values[0] - here).max()) / rate, 0.05)
+    return first + stretched(times, values, rate)
+
+
+def _entering(pilot: Pilot, times: Array, values: Array, file: str) -> str:
+    """Say when rows (n, m) of the tendons would take the arm into a region of a file, else ''."""
+    model, now = pilot.model(), pilot.commands()[1][-1]
+    here = model.pull_shape(now) if pilot.pull else model.shape(now)
+    refusal = entered(model, here, times, values, load_keep_out(file), pilot.pull)
+    return '' if refusal is None else str(refusal).removeprefix('tendon_trajectory: ')
 
 
 def _read(options: argparse.Namespace, pilot: Pilot) -> TipRows | TendonRows:
@@ -181,7 +203,6 @@ def _pace(options: argparse.Namespace) -> Pace:
 # -----------------------------------------------------------------------------
 # Runs: a path of the tip or of the tendons sent in time, and what came of it.
 
-Array = NDArray[np.float64]
 APPROACH_TIMEOUT_S = 60.0  # [s] to the first row at most
 
 
@@ -211,14 +232,10 @@ def run_tips(pilot: Pilot, plan: Plan, rate: float) -> PathRun:
     return _path_run(pilot, began, sent, rows)
 
 
-def run_tendons(pilot: Pilot, times: Array, values: Array, rate: float) -> PathRun:
-    """Play values (n, m) of the tendons, from where they are; see `stretched` for the rate."""
+def run_tendons(pilot: Pilot, when: Array, values: Array) -> PathRun:
+    """Play values (n, m) of the tendons at times (n,) [s], from where they are."""
     pilot.clear()
-    here = pilot.commands()[1][-1]
-    first = max(float(np.abs(values[0] - here).max()) / rate, 0.05)
-    due = stretched(times, values, rate)
-    sent = thinned(due, values) if len(due) > POINTS_MAX else np.arange(len(due))
-    when = first + due
+    sent = thinned(when, values) if len(when) > POINTS_MAX else np.arange(len(when))
     began = time.monotonic()
     stamp = pilot.play(Playing(when[sent], values[sent]))
     pilot.settle(stamp, when[-1] + APPROACH_TIMEOUT_S, 'the end of the trajectory')

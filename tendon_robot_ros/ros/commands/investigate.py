@@ -4,7 +4,8 @@ The running robot chooses its own postures, until it knows what its description 
 Controller, driver and monitor run already, and the tracker sees the arm. Every posture is played
 by the controller, within its limits; a stop of driver or controller ends it, Ctrl-C lets the arm
 go. With one name left (or --add) the controller gets the better description, unless --keep. DIR
-gets data, recording, diagnosis, report and description; --resume goes on.
+gets data, recording, diagnosis, report and description; --resume goes on. After a drift alarm of
+the monitor the first postures are those that tell what has changed.
 
 Topics: investigate/progress (std_msgs/String, JSON), investigate/status. Services:
 investigate/start, investigate/stop. With --wait it starts when that is called, from the live page
@@ -28,7 +29,8 @@ from std_srvs.srv import Trigger
 from ...common.errors import InputError, TendonRobotError
 from ...data.dataset import LOADINGS
 from ...investigation.goal import add_goal, goal_of
-from ...investigation.loop import Findings, Investigation, News
+from ...investigation.loop import Findings, Investigation
+from ...investigation.measuring import News
 from ...investigation.record import BETTER
 from ...investigation.results import add_folder, write_results
 from ...robot.keep_out import KeepOut, load_keep_out
@@ -114,8 +116,10 @@ class Investigator:
         try:
             self._tour.publish(Bool(data=False))
             self.arm.begin()
-            goal = goal_of(args)
-            investigation = Investigation(self.arm, goal, folder, self.regions, self.tell, resume)
+            goal, change = goal_of(args), self.arm.change()
+            investigation = Investigation(
+                self.arm, goal, folder, self.regions, self.tell, resume, change
+            )
             findings = investigation.run()
             lines = write_results(findings, folder, investigation.catalogue, args.add)
             print(*lines, sep='\n', flush=True)

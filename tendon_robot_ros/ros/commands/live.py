@@ -49,7 +49,7 @@ WATCHED: dict[str, object] = {
     'force_rate': 5.0,
     'reference_postures': 20.0,
 }
-INVESTIGATION = ('--speed', '2', '--output')  # how the mock is investigated, and where
+INVESTIGATION = ('--add', '--speed', '2', '--output')  # how the mock is investigated, and where
 TRACKER_NOISE_M = 0.0002  # [m] 1 sd of the mock's tracker
 
 
@@ -100,7 +100,7 @@ def _run(
         director.wait_until_up()
         print(f'open http://127.0.0.1:{options.port}   (Ctrl-C ends)', flush=True)
         if options.investigate:
-            print(director.call('investigate/start'), flush=True)
+            print(director.triggered('investigate/start'), flush=True)
         tour_forever(director, model, options.postures)
         return 0
     if options.investigate:
@@ -217,14 +217,14 @@ def play(director: Director, model: Model, story: Story, postures: int) -> None:
         f'robot {robot.name}: {robot.cells} cells, {len(robot.tendons)} tendons   model: '
         f'{", ".join(robot.effects)}'
     )
-    print(director.call('monitor/record'))
+    print(director.triggered('monitor/record'))
     errors = []
     for stop in tour(model, postures, 0):
         if director.record(stop):
             errors.append(director.error())
     shown = f'{mm(_rms(errors))} rms, {mm(max(errors))} at worst' if errors else 'unknown'
     print(f'{director.recorded} postures recorded   tip error {shown}')
-    print(director.call('monitor/diagnose'), flush=True)
+    print(director.triggered('monitor/diagnose'), flush=True)
     director.wait(lambda: director.verdict, DIAGNOSIS_TIMEOUT_S, 'the verdict')
     story.verdict = director.verdict
     print(story.verdict['sentence'])
@@ -236,7 +236,7 @@ def play(director: Director, model: Model, story: Story, postures: int) -> None:
 
 def _add_and_look(director: Director, model: Model, story: Story) -> None:
     """Add what was found and go to postures that were never used."""
-    director.call('monitor/add')
+    director.triggered('monitor/add')
     director.wait(
         lambda: director.statuses['monitor'].get('added') == '1', DIAGNOSIS_TIMEOUT_S, 'the adding'
     )

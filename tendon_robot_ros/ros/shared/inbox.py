@@ -21,7 +21,7 @@ from rclpy.type_support import check_is_valid_msg_type, check_is_valid_srv_type
 from std_msgs.msg import Bool, String
 
 from .messages import COMMAND, COMMAND_ALL, LATCHED_BY_MANY, LISTEN, LISTEN_ALL
-from .senders import LONGEST, UNTOLD, Received, Taker
+from .senders import MESSAGE_BYTES_MAX, UNTOLD, Received, Taker
 
 
 class Inbox[M]:
@@ -61,7 +61,7 @@ class Inbox[M]:
 
 def too_long(topic: str, size: int) -> str:
     """Say that a message of so many bytes is not read."""
-    return f'{topic}: expected at most {LONGEST:,} bytes, got {size:,}'
+    return f'{topic}: expected at most {MESSAGE_BYTES_MAX:,} bytes, got {size:,}'
 
 
 class Service:
@@ -153,7 +153,7 @@ def hear_anybody[M](
             other.remove(same)
             return
         own.append((now, message))
-        if len(message) > LONGEST:
+        if len(message) > MESSAGE_BYTES_MAX:
             refuse(too_long(topic.removeprefix('~/'), len(message)))
         else:
             hear(deserialize_message(message, kind))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from ...common.errors import InputError, TendonRobotError
@@ -146,6 +147,18 @@ class RobotClient(Node):
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0:
             self.spin_once(left)
+
+    def triggered(self, name: str) -> str:
+        """Call a Trigger service; return its message, or raise what it refuses."""
+        client = self.create_client(Trigger, name)
+        self.wait(client.service_is_ready, 20.0, f'the service {name}')
+        future = client.call_async(Trigger.Request())
+        self.wait(future.done, 20.0, f'an answer of {name}')
+        self.destroy_client(client)
+        answer = future.result()
+        if not answer.success:
+            raise TendonRobotError(f'{name}: {answer.message}')
+        return str(answer.message)
 
     def spin_once(self, timeout: float) -> None:
         """Serve one message; raise KeyboardInterrupt when a signal came."""

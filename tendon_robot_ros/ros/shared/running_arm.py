@@ -18,11 +18,13 @@ from ...data import Marker, default_markers
 from ...investigation.arm import BrokenMeasurementError, PostureMeasured
 from ...model.model import Model
 from ...monitoring import History, StillMeasurement, StillWindow
+from ...monitoring.change import ChangeFinder
+from ...monitoring.handover import load_change
 from ...monitoring.monitor import read_markers
 from ...robot import Robot
 from .messages import LISTEN, STATE, seconds
 from .parameters import RemoteText
-from .robot_client import Pilot
+from .robot_client import WORKING_CODES, Pilot
 from .runtime import Ending
 
 Array = NDArray[np.float64]
@@ -42,6 +44,7 @@ GEARS_HINT = (
     'pull, then postures are wire lengths'
 )
 RELEASE_S = 10.0  # [s] that letting go may take
+LATE_S = 5.0  # [s] that states of the driver may be missing in a measurement that is repeated
 
 
 class StoppedError(TendonRobotError):
@@ -79,7 +82,7 @@ class RunningArm(Pilot):
         speed: float = 0.2,
     ) -> None:
         """Connect."""
-        super().__init__('investigate', controller, ending, namespace, (DRIVER,))
+        super().__init__('investigate', controller, ending, namespace, (DRIVER, monitor))
         self.path, self.stop_asked = path, False
         self._monitor, self.speed = monitor, speed
         self._frames: list[tuple[float, Array]] = []
@@ -126,6 +129,15 @@ class RunningArm(Pilot):
         measured = 'tension' in self._kinds and not (self.pull and self._by_gears)
         self.input = 'tension' if measured else 'displacement'
 
+    def change(self) -> ChangeFinder | None:
+        """Return what the monitor knows of a change; None where it has no alarm."""
+        self.wait(lambda: self.statuses[self._monitor], KIND_LISTEN_S, 'its status', strict=False)
+        if self.statuses[self._monitor].get('drift') != 'true' or self.input != 'tension':
+            return None
+        assert self._own is not None
+        told = self.triggered(f'{self._monitor}/change')
+        return load_change(told, self._own.catalogue)
+
     @property
     def robot(self) -> Robot:
         """The description that the controller uses."""
@@ -144,6 +156,26 @@ class RunningArm(Pilot):
 
     def measure(self, inputs: Array, trials: int) -> PostureMeasured:
         """Go there, wait until it stands, and record; from rest every time."""
+        try:
+            return self._measured(inputs, trials)
+        except (StoppedError, BrokenMeasurementError, InputError):
+            raise
+        except TendonRobotError as error:
+            if not self._goes_on():
+                raise
+            raise BrokenMeasurementError(f'{error}; it goes on') from None
+
+    def _goes_on(self) -> bool:
+        """Tell whether the controller takes commands, or does so again soon: a driver was late."""
+
+        def works() -> bool:
+            return self.status.get('code') in WORKING_CODES
+
+        late = self.status.get('code') == 'no_driver'
+        return works() or (late and self.wait(works, LATE_S, 'the driver', strict=False))
+
+    def _measured(self, inputs: Array, trials: int) -> PostureMeasured:
+        """Measure once."""
         stood = []
         for _ in range(trials):
             if self.path == 'from_straight':
@@ -157,7 +189,8 @@ class RunningArm(Pilot):
         least = 0.0 if self.input == 'tension' else -np.inf  # a cell near none reads below it, too
         read = [np.maximum(one.inputs, least) for one in stood]
         taken = np.array([np.where(np.isnan(inputs), np.nan, one) for one in read])
-        return PostureMeasured(np.array([one.positions for one in stood]), taken)
+        frames = sum(one.frames for one in stood)
+        return PostureMeasured(np.array([one.positions for one in stood]), taken, frames)
 
     def release(self) -> None:
         """Let go, even after a signal; a controller that is stopped has let go already."""

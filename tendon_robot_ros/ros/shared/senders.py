@@ -22,7 +22,7 @@ from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
 
 UNTOLD = b''  # publisher of a message where the middleware does not say
-LONGEST = 250_000  # bytes of a message that is read: 10 MB take seconds
+MESSAGE_BYTES_MAX = 250_000  # bytes of a message that is read: 10 MB take seconds
 TAKEN, NOT_COUNTED = 0, 2**64 - 1  # RCL_RET_OK, RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED
 SPARE = 256  # bytes behind the structures: newer ones may be longer
 
@@ -102,7 +102,7 @@ class Taker[M]:
         while True:
             if self._take(pointer, ctypes.byref(self._bytes), ctypes.byref(info), None) != TAKEN:
                 return None
-            if self._bytes.length <= LONGEST:
+            if self._bytes.length <= MESSAGE_BYTES_MAX:
                 break
             self.refused = self._bytes.length
         data = ctypes.string_at(self._bytes.buffer, self._bytes.length)

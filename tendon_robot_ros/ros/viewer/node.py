@@ -205,7 +205,7 @@ class ViewerNode(Node):
         self.state.hear_error(time.monotonic(), message.data)
 
     def _per_marker(self, message: Float64MultiArray) -> None:
-        self.state.marker_errors = tuple(message.data)
+        self.state.hear_markers(time.monotonic(), message.data)
 
     def _progress(self, message: String) -> None:
         self.state.progress = message.data

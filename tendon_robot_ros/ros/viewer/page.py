@@ -31,6 +31,7 @@ BUTTONS: tuple[tuple[str, str, str, str], ...] = (  # name, label, hint, colour
 MEASURED_WIDTH, PREDICTED_WIDTH = 0.034, 0.011
 MEASURED_OPACITY = 0.4
 VIEW_FROM = (0.1, -1.75, 0.7)  # of the robot's length: where the scene is looked at from
+PHONE_ASPECT = 0.8  # width over height of a scene, below which it is a phone's
 VIEW_HELD_S = 20.0  # [s] in which a slow phone may still take that of all pages
 
 
@@ -115,9 +116,8 @@ class LivePage:
         self._html('verdict', page_parts.verdict(state.verdict))
         self._html('investigation', page_parts.investigation(state.investigation))
         self._html('guide', page_parts.guide(state.guide(), state.progress))
-        label = f'1  Recording ({state.postures})' if state.recording else BUTTONS[0][1]
-        if self._buttons['record'].label != label:
-            self._buttons['record'].label = label
+        if self._buttons['record'].label != state.record_label:
+            self._buttons['record'].label = state.record_label
         if self._buttons['reset'].visible != state.stopped:
             self._buttons['reset'].visible = state.stopped
         ready = {
@@ -197,6 +197,8 @@ class LivePage:
         self._boxes['statuses'] = gui.add_html('')
 
     def _add_button(self, name: str, label: str, hint: str, colour: str) -> None:
+        if name == 'stop':
+            self._server.gui.add_html(f'<div id="{page_parts.STOP_MARK}"></div>')
         button = self._server.gui.add_button(label, hint=hint, color=rgb(colour))
         button.on_click(self._guarded(name, lambda: None))
         self._buttons[name] = button
@@ -222,7 +224,7 @@ class LivePage:
 
     def _welcome(self, client: Any) -> None:
         """Place the arm above the panel of a phone; ask a browser for the token, if any."""
-        if client.camera.aspect < 0.8:  # there the panel covers the lower right
+        if client.camera.aspect < PHONE_ASPECT:  # there the panel lies below
             self._phones[client.client_id] = time.monotonic() + VIEW_HELD_S
             self._look_above(client)
         if not self._token:
@@ -243,6 +245,10 @@ class LivePage:
     def _hold_views(self) -> None:
         """Place phones again that took the first view of all pages after their own."""
         for number, client in self._server.get_clients().items():
+            if client.camera.aspect < PHONE_ASPECT and number not in self._phones:  # narrowed now
+                self._phones[number] = time.monotonic() + VIEW_HELD_S
+                self._look_above(client)
+                continue
             if time.monotonic() > self._phones.get(number, 0.0):
                 continue
             away = np.linalg.norm(client.camera.position - self._size * np.array(VIEW_FROM))

@@ -12,22 +12,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.colours import BAD, ERROR, GOOD, INK, KINDS, MEASURED, PREDICTED, WARN, rgb
-from ...common.words import digits, mm
+from ...common.words import mm
+from ...diagnosis.result import NOT_NEEDED, LoadVector, Value
+from ...report.numbers import load_words, told_quantity
 
 Floats = NDArray[np.float32]
 SIDES = 12  # of the cross-section of an arm drawn as a tube
 WIDTH, HEIGHT, LEFT, BOTTOM = 360, 140, 40, 22  # [px] of the curve, and of its margins
 CURVE_SPAN_S = 120.0  # [s] that the curve shows
 USUAL_SHARE, PEAK = 0.75, 2.0  # of the time, times: the arm moves now and then; such peaks are cut
+FITTING = 'fitting '  # how long that takes is not known: the bar moves and has no end
+STOP_MARK = 'stop-mark'  # id of what stands before the button that is always seen
 HIDDEN = 'position:absolute;width:1px;height:1px;overflow:hidden;clip-path:inset(50%)'
 STYLE = f'font-family:system-ui,sans-serif;font-size:13px;color:{INK};padding:2px 12px'
+
+
+# On a narrow screen viser puts its panel as a strip over the lower right of the scene; here it
+# lies below the arm, over the whole width, and STOP (the button after its mark) stays at the upper
+# edge.
+# What the browser says of itself goes away by itself.
+NARROW = f"""<style>
+@keyframes gone {{ to {{ visibility: hidden }} }}
+.mantine-Notification-root {{ animation: gone 0s 12s forwards }}
+@media (max-width: 36em) {{
+  div[style*="max-height: 60%"] {{ left: 0; width: 100% !important }}
+  div[style*="max-height: 60%"] div[style*="width: 20em"] {{ width: 100% !important }}
+  div:has(> #{STOP_MARK}) + div {{ position: fixed; top: 8px; right: 8px; width: 96px;
+    z-index: 20 }}
+}}
+</style>"""
 
 
 def legend(square: float) -> str:
     """Say which colour is which, and how long a square [m] of the grid is."""
     line = '<span style="display:inline-block;width:22px;border-top:{} {}"></span> {}'
     return (
-        f'<div style="{STYLE}">'
+        f'{NARROW}<div style="{STYLE}">'
         + line.format('10px solid', f'rgba{(*rgb(MEASURED), 0.45)}', 'measured &nbsp; ')
         + line.format('4px solid', PREDICTED, 'predicted &nbsp; ')
         + line.format('2px dashed', ERROR, 'error')
@@ -66,10 +86,15 @@ def _last_seen(arm: NDArray[np.float64]) -> NDArray[np.float64] | None:
 def guide(next_step: str, progress: str) -> str:
     """Say what to do next, and below it what happened last."""
     parts = re.search(r'(\d+)/(\d+)$', progress)
+    share = re.search(r'\((\d+) %', progress)
+    how_far = f'value="{share[1]}" max="100" ' if share else ''
+    if parts:
+        how_far = f'value="{parts[1]}" max="{parts[2]}" '
+    at_work = share or progress.startswith(FITTING) or (parts and parts[1] != parts[2])
     bar = (
-        f'<progress value="{parts[1]}" max="{parts[2]}" aria-label="{escape(progress)}" '
+        f'<progress {how_far}aria-label="{escape(progress)}" '
         f'style="width:100%;accent-color:{PREDICTED}"></progress>'
-        if parts and parts[1] != parts[2]
+        if at_work
         else ''
     )
     return (
@@ -80,11 +105,11 @@ def guide(next_step: str, progress: str) -> str:
 
 
 def big_error(rolling: float, tip: str) -> str:
-    """Show the error now, large."""
-    shown = mm(rolling) if np.isfinite(rolling) else '–'
+    """Show the tip error, large."""
+    shown = mm(rolling, 2) if np.isfinite(rolling) else '–'
     return (
         f'<div style="{STYLE}">off by <b id="tip-error" style="font-size:24px">{shown}</b> '
-        f'at the tip (rms, lately) <br><span style="color:{ERROR}">{escape(tip)}</span></div>'
+        f'at the tip <br><span style="color:{ERROR}">{escape(tip)}</span></div>'
     )
 
 
@@ -198,11 +223,13 @@ def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
     rows = []
     for row in diagnosis.get('candidates', [])[:count]:
         values = ', '.join(
-            f'{key} {digits(v["value"], 3)} {v["unit"]}'.removesuffix(' 1')
+            told_quantity(key, _value_of(v))
             for key, v in row['parameters'].items()
             if v.get('value') is not None
         )
-        explained = row.get('explained')
+        if row.get('load'):
+            values += f'; together {load_words(_load_of(row["load"]))}'
+        explained = None if row['status'] == NOT_NEEDED else row.get('explained')
         share = '–' if explained is None else f'{100 * explained:.0f} %'
         rows.append(
             f'<tr><td>{escape(row["name"])}</td><td>{escape(values)}</td>'
@@ -220,6 +247,22 @@ def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
     )
 
 
+def _value_of(json: Mapping[str, Any]) -> Value:
+    """Return a value as a diagnosis publishes it; an end that nothing determines is none."""
+    low, high = (math.inf if json[key] is None else json[key] for key in ('low', 'high'))
+    return Value(json['value'], low, high, json['unit'])
+
+
+def _load_of(json: Mapping[str, Any]) -> LoadVector:
+    """Return a load as a diagnosis publishes it."""
+    size, axis, gravity = (
+        None if json[key] is None else _value_of(json[key])
+        for key in ('size', 'from_axis', 'from_gravity')
+    )
+    assert size is not None
+    return LoadVector(size, axis, json['around_axis'], gravity)
+
+
 def investigation(news: Sequence[Mapping[str, Any]]) -> str:
     """Show where an investigation is: its diagnoses, and what it does now."""
     if not news:
@@ -228,7 +271,7 @@ def investigation(news: Sequence[Mapping[str, Any]]) -> str:
         f'<tr><td style="text-align:right">{one["postures"]}</td>'
         f'<td>{escape(str(one["text"]).split(": ", 1)[-1])}</td></tr>'
         for one in news
-        if one.get('kind') == 'diagnosis'
+        if one.get('kind') in ('changed', 'diagnosis')
     )
     head = '<tr><th>postures</th><th>diagnosis</th></tr>' if rows else ''
     return (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,9 +16,11 @@ from ...common.words import listed, mm
 Array = NDArray[np.float64]
 SILENT_AFTER_S = 3.0  # [s] after which a node counts as gone
 CURVE_PERIOD_S = 0.2  # [s]
+STEADY_S = 1.5  # [s] over which numbers are medians, so that they can be read
 FORCE_FRESH_S = 1.0  # [s] that a force is shown
 FORCE_SHARE, FORCE_HALF_N = 0.6, 0.01  # length of its arrow in the arm's; half of that at [N]
 POSTURES_ADVISED = 8  # postures for a good diagnosis
+CHANGED_HINT = 'Click Investigate: it goes to the postures that tell what has changed.'
 RECORD_AGAIN_HINT = 'Click 1 to record again.'
 LEVEL_NAMES = {0: 'ok', 1: 'warn', 2: 'error', 3: 'silent'}
 
@@ -33,7 +36,7 @@ class ViewState:
     predicted: Array | None = None
     force: Array | None = None  # (3,) [N] at the tip
     force_at: float = -np.inf
-    marker_errors: tuple[float, ...] = ()  # (J,) [m]
+    marker_errors: deque[tuple[float, Array]] = field(default_factory=deque)  # [s], (J,) [m]
     times: deque[float] = field(default_factory=lambda: deque(maxlen=700))
     rollings: deque[float] = field(default_factory=lambda: deque(maxlen=700))
     marks: list[tuple[float, str]] = field(default_factory=list)
@@ -61,6 +64,18 @@ class ViewState:
     def postures(self) -> int:
         """How many were."""
         return int(self.monitor.get('postures', '0'))
+
+    @property
+    def paused(self) -> bool:
+        """Whether a recording was stopped and not diagnosed yet: record goes on with it."""
+        return self.monitor.get('kept') == 'false' and not self.recording and self.postures > 0
+
+    @property
+    def record_label(self) -> str:
+        """What a click on the first button does now."""
+        if self.recording:
+            return f'1  Stop recording ({self.postures})'
+        return f'1  Record on, from {self.postures}' if self.paused else '1  Record'
 
     @property
     def stopped(self) -> bool:
@@ -112,14 +127,22 @@ class ViewState:
             self.times.append(now)
             self.rollings.append(rolling)
 
+    def hear_markers(self, now: float, errors: Sequence[float]) -> None:
+        """Take the errors (J,) [m] of the markers; those of the last moment are kept."""
+        self.marker_errors.append((now, np.array(errors, dtype=float)))
+        while now - self.marker_errors[0][0] > STEADY_S:
+            self.marker_errors.popleft()
+
     def hear_verdict(self, text: str) -> None:
         """Take the verdict of a diagnosis."""
         self.verdict = json.loads(text)
 
     def hear_investigation(self, text: str) -> None:
-        """Take the news of an investigation; the first posture begins another one."""
+        """Take the news of an investigation; what changed, or posture 1, begins another one."""
         news = json.loads(text)
-        if news['kind'] == 'posture' and news.get('number') == 1:
+        last = self.investigation[-1]['kind'] if self.investigation else ''
+        first = news['kind'] == 'posture' and news.get('number') == 1 and last != 'change'
+        if first or (news['kind'] == 'change' and news['postures'] == 0):
             self.investigation.clear()
             self.verdict = {}  # of an earlier recording
         self.investigation.append(news)
@@ -131,9 +154,10 @@ class ViewState:
         return values.get('code') == 'waiting'
 
     def rolling(self, now: float) -> float:
-        """Return the rolling error now [m]; nan when it is old."""
-        fresh = self.times and now - self.times[-1] < 1.0
-        return self.rollings[-1] if fresh else float('nan')
+        """Return the median of the rolling error [m] of the last moment; nan when it is old."""
+        heard = zip(self.times, self.rollings, strict=True)
+        lately = [error for at, error in heard if now - at < STEADY_S and np.isfinite(error)]
+        return float(np.median(lately)) if lately else float('nan')
 
     def errors(self) -> Array | None:
         """Return error vectors as segments (J, 2, 3) [m] from predicted to measured."""
@@ -154,13 +178,17 @@ class ViewState:
         return np.array([[tip, tip + long * self.force / length]])
 
     def per_marker(self) -> str:
-        """Name the marker that is off most, now."""
-        sizes = np.array(self.marker_errors)
-        if not len(sizes) or not np.isfinite(sizes).any():
+        """Name the marker that is off most, by the median of the last moment."""
+        heard = [one for _, one in self.marker_errors]
+        errors = np.array([one for one in heard if len(one) == len(heard[-1])])
+        seen = np.isfinite(errors).any(axis=0) if len(errors) else np.zeros(0, dtype=bool)
+        if not seen.any():
             return ''
+        sizes = np.full(len(seen), np.nan)
+        sizes[seen] = np.nanmedian(errors[:, seen], axis=0)
         worst = int(np.nanargmax(sizes))
         place = 'the tip' if worst == len(sizes) - 1 else f'marker {worst + 1} of {len(sizes)}'
-        return f'this moment most at {place}: {mm(float(sizes[worst]))}'
+        return f'most at {place}: {mm(float(sizes[worst]), 2)}'
 
     def statuses(self, now: float) -> dict[str, tuple[str, str]]:
         """Return name -> (level, sentence) of the nodes; old news is silence."""
@@ -179,10 +207,17 @@ class ViewState:
                 f'Recording: {self.postures} of {POSTURES_ADVISED} postures. '
                 'The arm goes through them by itself: just wait.'
             )
-        if self.recording:
-            return f'{self.postures} postures are recorded. Click 2: which effect is missing?'
+        if self.recording or self.paused:
+            also = '1 stops' if self.recording else '1 records more'
+            return (
+                f'{self.postures} postures are recorded. Click 2: which effect is missing? '
+                f'({also}; {POSTURES_ADVISED} suffice, with more a diagnosis takes longer.)'
+            )
         if self.can_add:
             return str(self.verdict.get('guide', 'Click 3: the model gets the effect.'))
+        looked_after = any(news['kind'] == 'change' for news in self.investigation)
+        if self.monitor.get('drift') == 'true' and self.can_investigate and not looked_after:
+            return f'The arm is {self.monitor.get("watch", "")}. {CHANGED_HINT}'
         if self.investigation and not self.verdict:
             return self._investigation_guide()
         if self.marks:
