@@ -60,19 +60,23 @@ def run(args: argparse.Namespace) -> int:
     compile_for(plan.setup)
     prepare = Preparation.here(plan.setup.effects)
     page = folder / PAGE
+    stopped = False
     try:
         with Workers(args.workers, args.cluster, prepare) as workers, shown() as show:
             rows = run_plan(plan, folder, workers, show, args.accept_change)
     except KeyboardInterrupt:
-        rows = rows_of(plan, folder)
+        rows, stopped = rows_of(plan, folder), True
+    mixed = earlier_rows(folder) if rows else []
+    if rows:
+        title = f'Campaign: {Path(args.plan).stem}'
+        campaign_page(rows, title, len(plan.cases), mixed).write(page)
+    if stopped:
         print(
             f'stopped: {len(rows):,} of {len(plan.cases):,} cases are in {folder}; '
             'the same command goes on from there',
             file=sys.stderr,
         )
         return 130
-    title, mixed = f'Campaign: {Path(args.plan).stem}', earlier_rows(folder)
-    campaign_page(rows, title, len(plan.cases), mixed).write(page)
     lines = [*summary(rows), *power_lines(rows), *mixed, f'written: {folder}/table, {page}']
     emit(args, to_json(rows), '\n'.join(lines))
     return 0

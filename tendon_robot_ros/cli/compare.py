@@ -1,11 +1,12 @@
 """
 Show how far a model is off, where, and how much of that is noise.
 
-Errors are distances between the model and the mean over the trials of a posture; the tip is the
-last marker. The noise floor is the rms that a perfect model would show, setting noise included.
-Without --model the description that the data set names is compared.
+Errors are distances between the model and the mean over the trials of a posture; the tip error is
+that of the last marker, trial by trial: the mean over the trials, then postures. The noise
+floor is the rms that a perfect model would show, setting noise included. Without --model the
+description that the data set names is compared.
 
-JSON: models [{name, rms, tip_rms, max, per_marker_rms, per_posture}], noise_floor, paired_t, and
+JSON: models [{name, rms, max, tip_error, per_marker_rms, per_posture}], noise_floor, paired_t, and
 all shapes; in m and rad.
 
 example: python -m tendon_robot_ros compare data/hinge_friction/fit --pcca --report compare.html

@@ -43,9 +43,12 @@ def run(args: argparse.Namespace) -> int:
 def description(robot: Robot) -> str:
     """Return the description for a reader (mm)."""
     low, high = robot.tension_limits
+    own = robot.own_sections
+    length = sum(section.cells * section.cell_length for section in own)
+    plate = ', on a base plate with holes' if len(own) < len(robot.sections) else ''
     size = (
-        f'{_count(len(robot.sections), "section")}, {_count(robot.cells, "cell")}, '
-        f'{_count(len(robot.tendons), "tendon")}, {1e3 * robot.length:g} mm'
+        f'{_count(len(own), "section")}, {_count(sum(s.cells for s in own), "cell")}, '
+        f'{_count(len(robot.tendons), "tendon")}, {1e3 * length:g} mm{plate}'
     )
     lines = [
         f'robot {robot.name}: {size}',

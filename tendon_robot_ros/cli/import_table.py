@@ -20,6 +20,7 @@ from typing import Any
 
 from ..common.errors import InputError
 from ..common.units import read_unit
+from ..data.folder.folder import refuse_dataset_in
 from ..robot import load_robot
 from ..tables import import_table
 from ..tables.columns import ColumnUse
@@ -93,6 +94,7 @@ def run(args: argparse.Namespace) -> int:
     """Import, tell, write."""
     from ..effects import load_catalogue
 
+    refuse_dataset_in(args.output, args.overwrite)
     recipe = load_recipe(args.recipe) if args.recipe else Recipe()
     if args.raw:  # another recording: its trials are others, and its clocks began at other times
         recipe = replace(recipe, leave_out=None, delay=None, drift=None)

@@ -3,10 +3,9 @@ Ask what is known of a robot, write its description and draw it.
 
 The stiffness may be known as a number (of one cell), from a rod or a tube (diameters and modulus),
 a sag (the tip of the level arm under a weight), a bend (of a section under one tendon), or not at
-all; then it is such that the highest tension bends a section by 180°. What one newton does, and
-whether that is plausible, is printed. An empty answer takes the value in brackets; the answers may
-also come from a file or a pipe, one per line. The file is short and meant to be edited: per-cell
-values, tapered or uneven tendons and effects go in there.
+all; then the highest tension bends a section by 180°. An empty answer takes the value in brackets,
+`<` goes back to the question before; the answers may come from a file or a pipe, one per line.
+The file is short and meant to be edited: per-cell values, uneven tendons and effects go in there.
 
 example: python -m tendon_robot_ros new-robot --output arm.yaml
 """
@@ -24,7 +23,7 @@ from typing import Any, TextIO, TypeVar
 
 import yaml
 
-from ..common.errors import InputError, RobotDescriptionError
+from ..common.errors import InputError
 from ..common.files import new_file
 from ..common.units import STANDARD_GRAVITY
 from ..robot import Robot, dump_robot, parse_robot
@@ -41,7 +40,7 @@ HELP = 'ask about a robot, write its description and draw it'
 
 GRAVITY_ALONG_Z = {'up': -9.81, 'down': 9.81, 'horizontal': 9.81}
 # a cell that is stiff and has no length: behind it lies the first eyelet (docs/robot_file.md)
-PLATE = {'name': 'plate', 'cells': 1, 'cell_length': 1e-6, 'bending_stiffness': 1000.0}
+PLATE = {'name': 'plate', 'cells': 1, 'cell_length': 1e-5, 'bending_stiffness': 1000.0}
 SEEN_FROM_TIP = """\
 Look at the tip of the level arm from the front, so that it points at you:
               180 up
@@ -49,6 +48,7 @@ Look at the tip of the level arm from the front, so that it points at you:
      270 left --o-- 90 right     {first} is the first tendon.
                 |                {others}
               0 down, where a weight pulls"""
+ANY_TURN = '(Where the first tendon lies does not matter then: an import turns the tracker.)'
 FILE_HEAD = '# Written by new-robot. In m and N; +z points along the straight arm.\n'
 
 
@@ -61,11 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Ask, write, draw."""
     questions = Questions(sys.stdin, sys.stderr)
-    name = questions.text('Name of the robot', 'my_robot')
-    path = Path(args.output or f'{name.replace(" ", "_").replace("/", "_")}.yaml')
-    if path.exists() and not args.overwrite:
-        raise InputError(f'{path}: is there already; use --overwrite or another --output')
-    robot = parse_robot(yaml.safe_dump(ask(questions, name)), str(path))
+    questions.tell(FIRST_WORDS)
+    path, robot = questions.until_answered(lambda: _described(questions, args))
     with new_file(path) as draft:
         draft.write_text(FILE_HEAD + dump_robot(robot), encoding='utf-8')
     print(description(robot))
@@ -75,6 +72,15 @@ def run(args: argparse.Namespace) -> int:
     first = robot.inputs[0]
     print(f'next: python -m tendon_robot_ros shape {path} --tensions {first}=1')
     return 0
+
+
+def _described(questions: Questions, args: argparse.Namespace) -> tuple[Path, Robot]:
+    """Ask for everything; return where the description goes, and what it says."""
+    name = questions.text('Name of the robot', 'my_robot')
+    path = Path(args.output or f'{name.replace(" ", "_").replace("/", "_")}.yaml')
+    if path.exists() and not args.overwrite:
+        raise InputError(f'{path}: is there already; use --overwrite or another --output')
+    return path, parse_robot(yaml.safe_dump(ask(questions, name)), str(path))
 
 
 def _draw(robot: Robot, picture: Path) -> None:
@@ -92,26 +98,16 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
     count = questions.whole('How many sections', 2, 1, 20)
     cells = questions.whole('Cells (guide to guide) per section', 15, 1, 1000)
     length = 1e-3 * questions.number('Length of a cell [mm]', 7.0, 1e-3, 1e4)
-    known = _ask_stiffness(questions)
+    known = _ask_stiffness(questions, count * cells * length)
     bends = questions.choice('Cells bend as', ('arc', 'hinge'))
     many = questions.whole('Tendons per section (2: planar)', 2, 1, 12)
-    radius = 1e-3 * questions.number(
-        'Distance of the tendons from the centre [mm]', 5.5, 1e-3, 1e3
-    )
+    radius = 1e-3 * questions.number('Tendons are off the centre by [mm]', 5.5, 1e-3, 1e3)
     low = questions.number('Lowest tension [N]', 0.1, 0.0, 1e4)
-    high = questions.number('Highest tension [N]', max(5.0, 10.0 * low), low, 1e5)
-    if high <= low:
-        raise RobotDescriptionError('answers', 'Highest tension', f'more than {low:g} N', high)
-    friction = questions.number(
-        'Friction coefficient of tendon on eyelet (0: none)', 0.3, 0.0, 1.0
-    )
+    high = questions.number('Highest tension [N]', max(5.0, 10.0 * low), low, 1e5, above=True)
+    friction = questions.number('Friction of tendon on eyelet, coefficient', 0.3, 0.0, 1.0)
     size = _Size(count, cells, length, radius, high)
-    names = _section_names(count)
-    section = {
-        'cells': cells,
-        'cell_length': length,
-        'bending_stiffness': float(f'{known.of_cell(size):.4g}'),
-    }
+    names, stiffness = _section_names(count), float(f'{known.of_cell(size):.4g}')
+    section = {'cells': cells, 'cell_length': length, 'bending_stiffness': stiffness}
     content: dict[str, Any] = {
         'name': name,
         'sections': [{'name': s, **section, 'bends_as': bends} for s in names],
@@ -128,9 +124,7 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
     return content
 
 
-def _ask_weight(
-    questions: Questions, length: float, effects: dict[str, Any]
-) -> dict[str, list[float]]:
+def _ask_weight(questions: Questions, length: float, effects: dict[str, Any]) -> dict[str, Any]:
     """Ask where the arm points and what it weighs; its weight becomes an effect."""
     along = questions.choice(
         'The straight arm points (for gravity)', ('unknown', 'up', 'down', 'horizontal')
@@ -143,12 +137,11 @@ def _ask_weight(
         effects['gravity'] = {'linear_density': float(f'{1e-3 * grams / length:.4g}')}
     if along == 'horizontal':
         return {'gravity': [acceleration, 0.0, 0.0]}
+    questions.tell(ANY_TURN)
     return {'gravity': [0.0, 0.0, acceleration]}
 
 
-def _ask_tolerances(
-    questions: Questions, known: _Stiffness, friction: float
-) -> dict[str, dict[str, float]]:
+def _ask_tolerances(questions: Questions, known: _Stiffness, friction: float) -> dict[str, Any]:
     """Ask what is how sure; a diagnosis moves it so far before it calls something missing."""
     percent = questions.number('How sure is the stiffness [± %]', known.percent, 0, 90)
     tolerances = {'bending_stiffness': percent / 100.0} if percent else {}
@@ -159,7 +152,8 @@ def _ask_tolerances(
 
 def _ask_guides(questions: Questions, effects: dict[str, Any]) -> None:
     """Ask how tendons run; what follows where they run free from hole to hole is no guess."""
-    way = questions.choice('Between two guides the tendons run', ('free', 'channel'))
+    question = 'Between two guides the tendons run (free: straight, channel: led)'
+    way = questions.choice(question, ('free', 'channel'))
     if way == 'free':
         effects['straight_tendon'] = {'fraction': 1.0}
         if 'tendon_friction' in effects:
@@ -168,8 +162,9 @@ def _ask_guides(questions: Questions, effects: dict[str, Any]) -> None:
 
 def _ask_plate(questions: Questions) -> bool:
     """Ask whether friction begins below the first cell."""
-    answer = questions.choice('The base plate has holes in which tendons rub', ('no', 'yes'))
-    return answer == 'yes'
+    return (
+        questions.choice('The base plate has holes in which tendons rub', ('no', 'yes')) == 'yes'
+    )
 
 
 def _ask_down(
@@ -217,8 +212,8 @@ class _Stiffness:
     percent: float
 
 
-def _ask_stiffness(questions: Questions) -> _Stiffness:
-    """Ask for the stiffness of a cell, or for what it follows from."""
+def _ask_stiffness(questions: Questions, length: float) -> _Stiffness:
+    """Ask for the stiffness of a cell, or for what it follows from; the arm is so long [m]."""
     source = questions.choice(
         'The bending stiffness is known as', ('number', 'rod', 'tube', 'sag', 'bend', 'unknown')
     )
@@ -238,9 +233,15 @@ def _ask_stiffness(questions: Questions) -> _Stiffness:
         return _Stiffness(lambda size: rod_stiffness(modulus, outer, inner, size.length), 10.0)
     if source == 'sag':
         grams = questions.number('Hold the arm level, weight at its tip [g]', 10.0, 1e-3, 1e6)
-        drop = 1e-3 * questions.number('Its tip then sags by [mm]', 5.0, 1e-3, 1e4)
+        most = 1e3 * SAG_SHARE_MAX * length
+        why = f'{100 * SAG_SHARE_MAX:g} % of the arm; if it sags more, take a lighter weight'
+        sags = questions.number(
+            'Its tip then sags by [mm]', min(5.0, 0.5 * most), 1e-3, most, why=why
+        )
+        force, drop = 1e-3 * STANDARD_GRAVITY * grams, 1e-3 * sags
         return _Stiffness(
-            lambda size: _from_sag(1e-3 * STANDARD_GRAVITY * grams, drop, size), 10.0
+            lambda size: stiffness_from_sag(force, drop, size.sections * size.cells, size.length),
+            10.0,
         )
     if source == 'bend':
         tension = questions.number('One tendon alone, tension [N]', 1.0, 1e-6, 1e5)
@@ -253,19 +254,9 @@ def _ask_stiffness(questions: Questions) -> _Stiffness:
     )
 
 
-def _from_sag(force: float, drop: float, size: _Size) -> float:
-    whole = size.sections * size.cells * size.length
-    if drop > SAG_SHARE_MAX * whole:
-        raise InputError(
-            f'sag: {1e3 * drop:g} mm are more than {100 * SAG_SHARE_MAX:g} % of the arm of '
-            f'{1e3 * whole:g} mm; take a lighter weight'
-        )
-    return stiffness_from_sag(force, drop, size.sections * size.cells, size.length)
-
-
 def _section_names(count: int) -> list[str]:
     if count == 1:
-        return ['section']
+        return ['arm']
     if count == 2:
         return ['proximal', 'distal']
     return [f'section_{i + 1}' for i in range(count)]
@@ -298,19 +289,44 @@ def _tendons(
 # Questions on a terminal or a pipe; a person is asked again, a pipe gets an error.
 
 T = TypeVar('T')
+BACK = ('<', 'back')  # answers that go to the question before
+FIRST_WORDS = 'An empty answer takes the value in brackets; < goes back to the question before.'
+
+
+class _WentBack(Exception):
+    """Somebody wants to answer the question before once more."""
 
 
 class Questions:
-    """Asks one question per line; an empty answer takes the default."""
+    """Asks one question per line; an empty answer takes the default, `<` goes back."""
 
     def __init__(self, answers: TextIO, prompts: TextIO) -> None:
         """Answers come from one stream, prompts go to another."""
         self._answers, self._prompts = answers, prompts
         self._person = answers.isatty()
+        self._given: list[str] = []  # answers, in order
+        self._turn = 0  # of the next question
+        self._before: dict[str, str] = {}  # question -> what was answered before going back
+
+    def until_answered(self, ask: Callable[[], T]) -> T:
+        """Return what `ask` makes of the answers; after a `<` what stays is answered as it was."""
+        while True:
+            self._turn = 0
+            try:
+                return ask()
+            except _WentBack:
+                if self._given:
+                    self._given.pop()
 
     def text(self, question: str, default: str) -> str:
         """Ask for a name."""
-        return self._ask(question, default, default, str)
+
+        def read(answer: str) -> str:
+            if set(',=') & set(answer):
+                raise ValueError
+            return answer
+
+        return self._ask(question, default, 'a name without comma or equals sign', read)
 
     def whole(self, question: str, default: int, low: int, high: int) -> int:
         """Ask for a whole number within bounds."""
@@ -324,8 +340,9 @@ class Questions:
         return self._ask(question, str(default), f'a whole number from {low} to {high}', read)
 
     def tell(self, text: str) -> None:
-        """Say something before a question."""
-        print(text, file=self._prompts)
+        """Say something before a question, unless that is answered already."""
+        if self._turn == len(self._given):
+            print(text, file=self._prompts)
 
     def number(
         self,
@@ -334,38 +351,49 @@ class Questions:
         low: float,
         high: float,
         words: Mapping[str, float] = MappingProxyType({}),
+        above: bool = False,
+        why: str = '',
     ) -> float:
-        """Ask for a number within bounds, or for a word that stands for one."""
+        """Ask for a number within bounds (or above `low`), or for a word that stands for one."""
 
         def read(answer: str) -> float:
             value = words[answer] if answer in words else float(answer)
-            if not (math.isfinite(value) and low <= value <= high):
+            if not low <= value <= high or (above and value == low):
                 raise ValueError
             return value
 
-        expected = ' or '.join([f'a number from {low:g} to {high:g}', *words])
+        bounds = f'a number {"above" if above else "from"} {low:g} to {high:g}'
+        expected = ' or '.join([f'{bounds} ({why})' if why else bounds, *words])
         return self._ask(question, f'{default:g}', expected, read)
 
     def choice(self, question: str, known: tuple[str, ...]) -> str:
         """Ask for one of some words; the first is the default."""
 
         def read(answer: str) -> str:
-            if answer not in known:
-                raise ValueError
-            return answer
+            return known[known.index(answer)]
 
         return self._ask(f'{question}: {", ".join(known)}', known[0], ' or '.join(known), read)
 
     def _ask(self, question: str, default: str, expected: str, read: Callable[[str], T]) -> T:
+        self._turn += 1
+        if self._turn <= len(self._given):
+            return read(self._given[self._turn - 1])
+        default = self._before.get(question, default)
         while True:
             print(f'{question} [{default}]: ', end='', file=self._prompts, flush=True)
             answer = self._answers.readline().strip()
             if not self._person:
                 print(answer, file=self._prompts)
+            if answer in BACK:
+                raise _WentBack
             try:
-                return read(answer or default)
+                value = read(answer or default)
             except ValueError:
                 message = f'{question}: expected {expected}, got {answer!r}'
                 if not self._person:
                     raise InputError(message) from None
                 print(message, file=self._prompts)
+                continue
+            self._given.append(answer or default)
+            self._before[question] = answer or default
+            return value

@@ -26,7 +26,7 @@ from ..investigation.results import add_folder, write_results
 from ..investigation.simulated_arm import SimulatedArm
 from ..robot import load_robot
 from ..robot.keep_out import KeepOut, load_keep_out
-from ..simulation.imperfect import Workmanship
+from ..simulation.hidden import Workmanship
 from ..simulation.plant import make_plant
 from .options import add_effect_files
 from .simulate import hidden_effect, simulated_noise

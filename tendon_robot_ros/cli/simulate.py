@@ -27,10 +27,9 @@ from ..data.dataset import INPUTS, PATHS
 from ..data.folder.measurement_files import read_inputs
 from ..effects import load_catalogue
 from ..robot import Robot, load_robot
-from ..simulation.imperfect import Workmanship
-from ..simulation.measurements import SimulatedNoise, simulate
+from ..simulation.hidden import Workmanship
+from ..simulation.measurements import SimulatedNoise, raw_table, simulate, write_table
 from ..simulation.plant import Plant, make_plant
-from ..simulation.raw_table import raw_table, write_table
 from ..workspace.postures import default_postures
 from .options import add_effect_files, named_numbers, numbers, refuse_existing, vector
 

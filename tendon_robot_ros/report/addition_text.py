@@ -12,7 +12,10 @@ NOT_WRITTEN = 'Nothing was written: the error on postures that were not used wou
 
 def addition_lines(made: Addition) -> list[str]:
     """Return values, errors, tolerances and warnings."""
-    lines = [f'{name}: {quantities(values)}' for name, values in made.values.items()]
+    lines = [
+        f'{name}: {quantities(values, made.loads.get(name))}'
+        for name, values in made.values.items()
+    ]
     lines.append(error_table(made))
     lines += warnings(made)
     return lines

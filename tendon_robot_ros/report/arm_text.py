@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from ..common.words import digits, listed, mm
-from ..diagnosis.decide import FALSE_DISCOVERY_RATE, TOLD_SPAN_MAX
+from ..diagnosis.arm_report import is_told
+from ..diagnosis.decide import FALSE_DISCOVERY_RATE
 from ..diagnosis.result import Diagnosis
 
 KIND_NAMES = {
@@ -41,7 +42,7 @@ def as_built(diagnosis: Diagnosis) -> list[str]:
     report = diagnosis.details.get('as_built')
     if not report:
         return []
-    scatter = ', '.join(_scatter(kind) for kind in report['kinds'] if _is_told(kind))
+    scatter = ', '.join(_scatter(kind) for kind in report['kinds'] if is_told(kind))
     lines = [f'the arm as built scatters by (1 sd, 95 %): {scatter}'] if scatter else []
     strange = [
         f'{name} ({amount(kind["members"][name]["value"], kind["unit"], True)})'
@@ -51,15 +52,10 @@ def as_built(diagnosis: Diagnosis) -> list[str]:
     ]
     if strange:
         lines.append(f'out of line with the others: {listed(strange)}')
-    hidden = [KIND_NAMES[kind['kind']] for kind in report['kinds'] if not _is_told(kind)]
+    hidden = [KIND_NAMES[kind['kind']] for kind in report['kinds'] if not is_told(kind)]
     if hidden:
         lines.append(f'these measurements do not tell: {", ".join(hidden)}')
     return lines
-
-
-def _is_told(kind: dict[str, Any]) -> bool:
-    shows = kind['told'] or kind['size'] > 0.3 * kind['plausible']
-    return bool(shows and kind['high'] < TOLD_SPAN_MAX * kind['low'])
 
 
 def _scatter(kind: dict[str, Any]) -> str:
@@ -67,10 +63,10 @@ def _scatter(kind: dict[str, Any]) -> str:
     return f'{KIND_NAMES[kind["kind"]]} {amount(kind["size"], kind["unit"])} ({low} to {high})'
 
 
-def left_out(diagnosis: Diagnosis) -> list[str]:
+def left_out(details: Mapping[str, Any]) -> list[str]:
     """Name the readings and trials that the others contradict, and postures that do not settle."""
-    unsettled = diagnosis.details.get('unsettled') or []
-    outliers = diagnosis.details.get('outliers') or []
+    unsettled = details.get('unsettled') or []
+    outliers = details.get('outliers') or []
     trials = [f'trial {o["trial"]} of posture {o["posture"]}' for o in outliers if not o['marker']]
     readings = [o for o in outliers if o['marker']]
     sentences = []

@@ -20,21 +20,26 @@ from ..campaign.figures import (
     grouped,
     powers,
     rates,
+    rates_by_robot,
 )
 from ..campaign.judge import NAMING, CaseRow
-from ..common.colours import COLOURS, DASHES, ERROR, PREDICTED
+from ..common.colours import BAND, COLOURS, DASHES, ERROR, PREDICTED
 from ..common.words import columns, digits
 from ..diagnosis.decide import Verdict
+from ..simulation.hidden import CAUSES
 from .page import Figure, Page
 
-HIDDEN_COLUMNS = ('hidden', 'n', 'seen', 'right', 'wrong name', 'quiet', 'outside', 'some at once',
-                  'class', 'inside', 'gone', 'time')  # fmt: skip
+HIDDEN_COLUMNS = ('hidden', 'n', 'right', 'seen', 'right of these', 'wrong name', 'quiet',
+                  'outside', 'some at once', 'class', 'inside', 'gone', 'time')  # fmt: skip
 
 HIDDEN_MEANING = (
-    'seen: stands out of noise and imperfections; quiet: nothing was said to be missing; class: '
+    'seen: stands out of noise and imperfections; of effects, how many of these were right, with '
+    'the 95 % interval; quiet: nothing was said to be missing; class: '
     'effects named together, on average; inside: 95 % intervals that hold the truth; gone: error '
     'taken off postures not used (median); time: of the processor for a diagnosis (median).'
 )
+
+MARKERS = ('circle', 'square-open', 'diamond-open', 'circle-open')  # none hides another
 
 FITTED_COLUMNS = ('intervals of', 'hold', 'of', 'not determined')
 
@@ -49,13 +54,16 @@ def hidden_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
 
 def _row(rows: Sequence[CaseRow]) -> list[str]:
     verdicts = collections.Counter(row.verdict for row in rows)
+    seen = [row for row in rows if row.visible]
+    is_effect = rows[0].hidden not in (NOTHING, *CAUSES)
     named = [row for row in rows if row.verdict in NAMING]
-    inside = [row.inside for row in rows if row.inside is not None]
+    inside = [held for row in rows for held in row.held]
     gone = [row.gone for row in rows if row.gone is not None and row.hidden != NOTHING]
     return [
         f'{len(rows)}',
-        f'{sum(row.visible for row in rows)}',
         f'{np.mean([row.right for row in rows]):.0%}',
+        f'{len(seen)}',
+        str(Rate.of(row.right for row in seen)) if is_effect else '–',
         f'{sum(row.wrong_name for row in rows)}',
         f'{verdicts[Verdict.ADEQUATE]}',
         f'{verdicts[Verdict.OUTSIDE_CATALOGUE]}',
@@ -79,17 +87,28 @@ def summary(rows: Sequence[CaseRow]) -> list[str]:
     problems = collections.Counter(row.problem for row in rows if row.problem)
     worst = [f'{count} x {problem}' for problem, count in problems.most_common(3)]
     fitted = [[FITTED_COLUMNS, *interval_rows(rows)]] if any(r.truth for r in rows) else []
-    tables = [[HIDDEN_COLUMNS, *hidden_rows(rows)], *fitted]
+    tables: list[list[Sequence[str]]] = [[HIDDEN_COLUMNS, *hidden_rows(rows)], *fitted]
+    if by_robot := robot_rows(rows):
+        tables.append([*by_robot])
     return [*map(columns, tables), *told, *worst]
+
+
+def robot_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
+    """Return the rates robot by robot, with a header; nothing where there is one robot."""
+    found = rates_by_robot(rows)
+    if len(found) < 2:
+        return []
+    names = [name for name, rate in rates(rows).items() if rate.runs]
+    lines = [[name, *(str(each[name]) for each in found.values())] for name in names]
+    return [['by robot', *found], *lines]
 
 
 def interval_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
     """Return a row per robot, effect and parameter: how many 95 % intervals hold the truth."""
     hits: dict[tuple[str, str, str], list[bool]] = {}
     for row in rows:
-        each = zip(row.parameter, row.low, row.truth, row.high, strict=True)
-        for name, low, true, high in each:
-            hits.setdefault((row.robot, row.hidden, name), []).append(low <= true <= high)
+        for name, held in zip(row.parameter, row.held, strict=True):
+            hits.setdefault((row.robot, row.hidden, name), []).append(held)
     refused = collections.Counter((r.robot, r.hidden) for r in rows if r.problem)
     return [
         [f'{robot}: {hidden} {name}', f'{np.mean(held):.1%}', f'{len(held)}',
@@ -133,6 +152,8 @@ def campaign_page(
     page = Page(title, f'{len(rows):,} of {total:,} cases')
     told = [f'{name}: {rate}' for name, rate in rates(rows).items() if rate.runs]
     page.box(told, 'verdict', 'In short, with 95 % intervals')
+    if by_robot := robot_rows(rows):
+        page.table(by_robot[0], by_robot[1:], left=[0])
     if mixed:
         page.box(mixed, 'warn', 'Rows of several versions')
     page.heading('Which size of an effect is seen')
@@ -184,6 +205,7 @@ def power_figure(name: str, curves: Sequence[Power]) -> Figure:
                 'name': escape(label),
                 'mode': 'lines+markers',
                 'line': {'color': COLOURS[i % len(COLOURS)], 'dash': DASHES[i % len(DASHES)]},
+                'marker': {'symbol': MARKERS[i % len(MARKERS)], 'size': 7 + 3 * min(i, 3)},
                 'error_y': error_bars(curve.right),
                 'showlegend': len(curves) > 1,
             }
@@ -230,42 +252,74 @@ def confusion_figure(rows: Sequence[CaseRow]) -> Figure:
         }
     ]
     layout = {
-        'xaxis': {'title': {'text': 'said'}, 'tickangle': -60, 'type': 'category'},
-        'yaxis': {'title': {'text': 'hidden'}, 'autorange': 'reversed', 'type': 'category'},
+        'xaxis': {'tickangle': -60, 'type': 'category'},
+        'yaxis': {
+            'title': {'text': 'hidden', 'standoff': 8},
+            'autorange': 'reversed',
+            'type': 'category',
+        },
     }
     caption = 'cases; a class of effects that cannot be told apart counts as the hidden member'
-    return Figure(data, layout, 'Said of what was hidden', caption, 260 + 24 * len(hidden))
+    title = 'What was said (columns) of what was hidden (rows)'
+    return Figure(data, layout, title, caption, 260 + 24 * len(hidden))
 
 
 def coverage_figure(rows: Sequence[CaseRow]) -> Figure:
-    """Draw how many intervals hold the truth against how many should."""
+    """Draw how many intervals hold the true value against how many should."""
     found = coverage(rows)
     nominal = [100.0 * share for share, _ in found]
     held = [rate for _, rate in found]
+    shares = [100.0 * (rate.share or 0.0) for rate in held]
+    low = max(0.0, min([40.0, *(share - 15.0 for share in shares)]))
     data: list[dict[str, Any]] = [
-        {
-            'x': [0, 100],
-            'y': [0, 100],
-            'mode': 'lines',
-            'name': 'as they should',
-            'line': {'color': ERROR, 'width': 1, 'dash': 'dot'},
-        },
+        *_as_promised(low),
         {
             'x': nominal,
-            'y': [100.0 * (rate.share or 0.0) for rate in held],
-            'name': 'measured',
-            'mode': 'lines+markers',
+            'y': shares,
+            'text': [f'{share:.0f} %' for share in shares],
+            'textposition': 'top left',
+            'name': 'found',
+            'mode': 'lines+markers+text',
             'line': {'color': PREDICTED},
+            'marker': {'size': 8},
             'error_y': error_bars(held),
         },
     ]
     layout = {
-        'xaxis': {'title': {'text': 'intervals of [%]'}, 'range': [40, 101]},
-        'yaxis': {'title': {'text': 'hold the truth [%]'}, 'range': [40, 101]},
+        'xaxis': {'title': {'text': 'intervals promise [%]'}, 'range': [low, 104.0]},
+        'yaxis': {'title': {'text': 'hold the true value [%]'}, 'range': [low, 104.0]},
     }
     count = held[0].runs if held else 0
-    caption = f'{count} intervals of named effects; narrower ones scaled from those of 95 %'
-    return Figure(data, layout, 'Do intervals hold?', caption, 360)
+    caption = (
+        'Of all intervals of 95 %, 95 in 100 should hold the true value. A point on the dotted '
+        'line is as promised; below it (grey) intervals are too narrow, above it wider than '
+        f'needed. {count} intervals of named effects, narrower ones scaled from those of 95 %; '
+        'bars: how well the shares are known (95 %).'
+    )
+    return Figure(data, layout, 'Do intervals hold the true value?', caption, 400)
+
+
+def _as_promised(low: float) -> list[dict[str, Any]]:
+    """Draw the line of intervals that hold as often as they promise, and what is too narrow."""
+    return [
+        {
+            'x': [low, 104.0, 104.0],
+            'y': [low, 104.0, low],
+            'mode': 'lines',
+            'fill': 'toself',
+            'fillcolor': BAND,
+            'name': 'too narrow',
+            'hoverinfo': 'skip',
+            'line': {'width': 0},
+        },
+        {
+            'x': [low, 104.0],
+            'y': [low, 104.0],
+            'mode': 'lines',
+            'name': 'as promised',
+            'line': {'color': ERROR, 'width': 2, 'dash': 'dot'},
+        },
+    ]
 
 
 def _smallest(page: Page, found: Sequence[Power]) -> None:

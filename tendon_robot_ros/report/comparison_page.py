@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..common.words import capital, mm
-from ..comparison.result import Comparison, ModelErrors
+from ..comparison.result import Comparison
 from . import comparison_text as say
 from .arm_text import Fault
 from .error_plots import Step, angles, per_marker, per_posture, staircase, tip_boxes
@@ -39,24 +39,20 @@ def add_verdict(page: Page, comparison: Comparison) -> None:
     worst = f'Worst is {say.worst(comparison, comparison.best)}'
     lines = [say.verdict(comparison), worst, say.next_step(comparison)]
     page.box(filter(None, lines), 'verdict good' if good else 'verdict')
-    header = ['model', 'rms', 'tip, rms', 'worst', f'tip error ({say.error_name(comparison)})']
-    rows = [_row(comparison, model) for model in comparison.models]
+    header = ['model', *say.error_columns(comparison)]
+    rows = [[say.label(m), *say.errors(comparison, m)] for m in comparison.models]
     kinds = ['strong' if model is comparison.best else '' for model in comparison.models]
     if floor is not None:
-        rows.append(['noise floor: a perfect model', mm(floor), '', '', ''])
+        rows.append(['noise floor: a perfect model', mm(floor), '', ''])
         kinds.append('faint')
     page.table(header, rows, kinds)
     page.text(*(f'{capital(say.paired(test))}.' for test in comparison.paired_t
                 if test.posture is None))  # fmt: skip
     page.text(
         'Errors are distances between the model and the mean over the trials of a posture; rms is '
-        'over postures and markers, the tip is the last marker.'
+        'over postures and markers. The tip error is the distance at the last marker, trial by '
+        'trial: the mean over the trials of a posture, then over the postures.'
     )
-
-
-def _row(comparison: Comparison, model: ModelErrors) -> list[str]:
-    tip = say.interval(model.tip_error(comparison.error))
-    return [say.label(model), mm(model.rms), mm(model.tip_rms), mm(model.max), tip]
 
 
 def add_errors(page: Page, comparison: Comparison) -> None:

@@ -4,22 +4,40 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..common.words import PROGRAM, columns, commands, digits, mm, probability, times
+from ..common.words import (
+    PROGRAM,
+    columns,
+    commands,
+    digits,
+    mm,
+    postures,
+    probability,
+    times,
+)
 from ..comparison.result import Comparison, ModelErrors
 from ..comparison.statistics import Estimate, PairedT
+from ..data.dataset import at_rest
 
 GOOD_WITHIN_FLOORS = 1.3  # times the noise floor: as good as the measurements can tell
 
 
 def table(comparison: Comparison) -> str:
     """Return the table of all models."""
-    rows = [[size(comparison), 'rms', 'tip', 'worst', f'tip error ({error_name(comparison)})']]
-    for model in comparison.models:
-        tip = interval(model.tip_error(comparison.error))
-        rows.append([label(model), mm(model.rms), mm(model.tip_rms), mm(model.max), tip])
+    head = [size(comparison), *error_columns(comparison)]
+    rows = [[label(model), *errors(comparison, model)] for model in comparison.models]
     if comparison.noise_floor is not None:
-        rows.append(['noise floor (a perfect model)', mm(comparison.noise_floor), '', '', ''])
-    return columns(rows)
+        rows.append(['noise floor (a perfect model)', mm(comparison.noise_floor), '', ''])
+    return columns([head, *rows])
+
+
+def error_columns(comparison: Comparison) -> list[str]:
+    """Name the errors that a table of models shows."""
+    return ['rms', 'worst', f'tip error ({error_name(comparison)})']
+
+
+def errors(comparison: Comparison, model: ModelErrors) -> list[str]:
+    """Return the errors of a model, as `error_columns` names them."""
+    return [mm(model.rms), mm(model.max), interval(model.tip_error(comparison.error))]
 
 
 def sentences(comparison: Comparison) -> list[str]:
@@ -36,9 +54,11 @@ def size(comparison: Comparison) -> str:
     measured = comparison.measured
     fewest, most = int(measured.trials[measured.trials > 0].min()), int(measured.trials.max())
     trials = f'{most}' if fewest == most else f'{fewest} to {most}'
-    P, J = int((measured.trials > 0).sum()), len(measured.markers)
-    parts = (P, 'posture'), (trials, 'trial'), (J, 'marker')
-    return ' x '.join(f'{n} {name}{"" if str(n) == "1" else "s"}' for n, name in parts)
+    seen = measured.trials > 0
+    parts = (trials, 'trial'), (len(measured.markers), 'marker')
+    said = [f'{n} {name}{"" if str(n) == "1" else "s"}' for n, name in parts]
+    resting = int(at_rest(measured.inputs)[seen].sum())
+    return ' x '.join([postures(int(seen.sum()), resting), *said])
 
 
 def error_name(comparison: Comparison) -> str:
@@ -94,7 +114,8 @@ def worst(comparison: Comparison, model: ModelErrors) -> str:
     if marker is None:
         return f'{text}.'
     if marker == 0:
-        return f'{text}; the error is there from the first marker on.'
+        first, last = (mm(float(model.per_marker_rms[j])) for j in (0, -1))
+        return f'{text}; the first marker is off by {first} rms, the last by {last}.'
     return f'{text}; the error grows from {marker_name(comparison, marker)} on.'
 
 

@@ -15,7 +15,7 @@ from ..diagnosis.add import Addition
 from ..diagnosis.decide import Verdict
 from ..diagnosis.missing_moment import MissingMoment, missing_moment
 from ..diagnosis.prediction_errors import Errors
-from ..diagnosis.result import CandidateRow, Diagnosis
+from ..diagnosis.result import NOT_NEEDED, CandidateRow, Diagnosis
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from ..robot.description import EffectValues
@@ -204,7 +204,8 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
     if rows:
         page.table(header, rows, kinds, left=(5, 6))
         page.text(
-            '“Explains” is the share of the explainable error; “chance” is that of so large a '
+            '“Explains” is the share of the explainable error, squared and weighed by how well '
+            'each reading is known; “chance” is that of so large a '
             'remainder if this effect is the whole truth; “left-out postures” is the error on '
             'postures predicted from the others.'
         )
@@ -218,12 +219,12 @@ def _row(row: CandidateRow) -> list[str]:
     name = f'{row.name} (another value)' if row.present else row.name
     return [
         name,
-        f'{100.0 * row.explained:.0f} %',
+        '–' if row.status == NOT_NEEDED else f'{100.0 * row.explained:.0f} %',
         mm(row.error),
         mm(row.held_out),
         probability(row.probability).removeprefix('p ').removeprefix('= '),
         row.status,
-        quantities(row.parameters),
+        quantities(row.parameters, row.load),
     ]
 
 

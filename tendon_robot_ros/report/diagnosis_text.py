@@ -8,16 +8,27 @@ from typing import Any
 
 import numpy as np
 
-from ..common.words import commands, digits, listed, mm
-from ..diagnosis.decide import P_SINGLE_MIN, SEPARABLE_FROM_SD, Verdict
+from ..common.words import commands, digits, listed, mm, postures
+from ..diagnosis.decide import (
+    NOISE_WITHIN_FLOORS,
+    P_SINGLE_MIN,
+    SEPARABLE_FROM_SD,
+    Verdict,
+)
 from ..diagnosis.result import Diagnosis, EffectFinding, NextMeasurement
 from .arm_text import as_built, left_out, where_wrong
-from .numbers import described_quantity, quantities, short_quantities
+from .numbers import described_quantity, load_words, quantities, short_quantities
 
 
 def lines(diagnosis: Diagnosis) -> list[str]:
     """Return all lines: what was taken as exact, the verdict, what is left, what else."""
-    text = [size(diagnosis), *declared(diagnosis), *left_out(diagnosis), '', verdict(diagnosis)]
+    text = [
+        size(diagnosis),
+        *declared(diagnosis),
+        *left_out(diagnosis.details),
+        '',
+        verdict(diagnosis),
+    ]
     if not diagnosis.verdict.judged:
         return text
     text.append(diagnosis.remainder)
@@ -37,13 +48,10 @@ def size(diagnosis: Diagnosis) -> str:
     details = diagnosis.details
     if 'postures' not in details:
         return 'diagnosis'
-    counts = [
-        (details['postures'], 'posture'),
-        (details['trials'], 'trial'),
-        (details['markers'], 'marker'),
-    ]
+    counts = (details['trials'], 'trial'), (details['markers'], 'marker')
     parts = [f'{n} {name}{"" if n == 1 else "s"}' for n, name in counts]
-    return f'{details["robot"]} on {details["data"]}: {listed(parts)}'
+    measured = postures(details['postures'], details.get('at_rest', 0))
+    return f'{details["robot"]} on {details["data"]}: {listed([measured, *parts])}'
 
 
 def declared(diagnosis: Diagnosis) -> list[str]:
@@ -67,6 +75,8 @@ def declared(diagnosis: Diagnosis) -> list[str]:
         second = f'noise, from the trials: {mm(noise["position"], 2)} per coordinate'
     else:
         second = f'noise, as declared: {mm(noise["position"], 2)} per coordinate'
+    if noise.get('shift'):
+        second += f', {mm(noise["shift"], 2)} of all markers of a trial together'
     second += f', inputs {digits(100.0 * noise["trial"])} % per trial'
     second += (
         f', {digits(100.0 * noise["setting"])} % per setting (declared)'
@@ -99,7 +109,7 @@ def _share(diagnosis: Diagnosis) -> str:
 
 
 def _values(diagnosis: Diagnosis) -> str:
-    return '; '.join(f'{e.name}: {quantities(e.parameters)}' for e in diagnosis.effects)
+    return '; '.join(f'{e.name}: {quantities(e.parameters, e.load)}' for e in diagnosis.effects)
 
 
 def _for_accuracy(diagnosis: Diagnosis) -> str:
@@ -114,8 +124,8 @@ def _judged_by(diagnosis: Diagnosis) -> str:
 
 
 def _these_postures(diagnosis: Diagnosis) -> str:
-    postures = diagnosis.details.get('postures')
-    return f'these {postures} postures' if postures else 'these postures'
+    count = diagnosis.details.get('postures')
+    return f'these {count} postures' if count else 'these postures'
 
 
 def _what_is_off(diagnosis: Diagnosis) -> str:
@@ -152,18 +162,27 @@ def _what_remains(diagnosis: Diagnosis) -> str:
     """Say how far the best effects come, and what is left or fits better without physics."""
     floor = diagnosis.noise_floor
     if not diagnosis.effects:
-        ratio = digits(diagnosis.error_before / floor)
-        return f'no effect of the catalogue helps; the error is {ratio} times the noise'
+        size = f'{digits(diagnosis.error_before / floor)} times the noise'
+        if diagnosis.error_before < NOISE_WITHIN_FLOORS * floor:
+            size = f'not random, though it is only {size}'
+        return f'no effect of the catalogue helps; the error is {size}'
     best = next((row for row in diagnosis.candidates if row.status == 'best'), None)
-    values = ' with '.join(
-        f'{e.name} ({short_quantities(e.parameters)})' for e in diagnosis.effects
-    )
-    text = f'{values} removes {_share(diagnosis)}, but '
+    values = ' with '.join(f'{e.name} ({_short_values(e)})' for e in diagnosis.effects)
+    after = diagnosis.error_after
+    text = f'{values} lowers the error from {mm(diagnosis.error_before)} to {mm(after)}, but '
     if 'rival' in diagnosis.details and best is not None and best.probability > P_SINGLE_MIN:
         pattern = _pattern(diagnosis.details['rival']['name'])
         return f'{text}{pattern} fits better without any physics'
     sure = '' if best is None else f' (p {_p(best.probability)})'
-    return f'{text}what remains is {digits(diagnosis.error_after / floor)} times the noise{sure}'
+    size = f'{digits(after / floor)} times the noise'
+    if after < NOISE_WITHIN_FLOORS * floor:
+        return f'{text}what remains is not random{sure}, though it is only {size}'
+    return f'{text}what remains is {size}{sure}'
+
+
+def _short_values(effect: EffectFinding) -> str:
+    """Say the values without their intervals; of a force its size and direction."""
+    return short_quantities(effect.parameters) if effect.load is None else load_words(effect.load)
 
 
 def _pattern(name: str) -> str:
@@ -184,7 +203,9 @@ def _p(p: float) -> str:
 _FIELDS: dict[str, Callable[[Diagnosis], str]] = {
     'alike': lambda diagnosis: listed(diagnosis.cannot_tell_apart, 'or'),
     'best': lambda diagnosis: diagnosis.effects[0].name,
-    'best_values': lambda diagnosis: quantities(diagnosis.effects[0].parameters),
+    'best_values': lambda diagnosis: quantities(
+        diagnosis.effects[0].parameters, diagnosis.effects[0].load
+    ),
     'for_accuracy': _for_accuracy,
     'instead': _instead,
     'judged_by': _judged_by,

@@ -177,7 +177,7 @@ def tip_boxes(comparison: Comparison) -> Figure:
     }
     if apart:
         layout['boxmode'] = 'group'
-    caption = 'Distance between predicted and measured tip, trial by trial.'
+    caption = 'Tip error of every trial: the distance between predicted and measured tip.'
     return Figure(data, layout, 'Tip error', caption)
 
 
@@ -201,7 +201,7 @@ def staircase(steps: Sequence[Step], title: str = '', height: int = 360) -> Figu
         )
     layout = {
         'showlegend': len(groups) > 1,
-        'bargap': 0.35,
+        'bargap': 0.35 if len(groups) == 1 else 0.12,
         'margin': {'l': 56, 'r': 16, 't': 30, 'b': 44},
         'xaxis': {'type': 'category'},
         'yaxis': {'title': {'text': 'error, rms [mm]'}, 'rangemode': 'tozero'},
@@ -219,7 +219,9 @@ def _error_axis(comparison: Comparison, title: str) -> dict[str, Any]:
     """Return the axis of errors: logarithmic where the noise would else lie on the zero line."""
     floor = comparison.noise_floor
     wide = (
-        floor and max(model.tip_rms for model in comparison.models) > LOG_AXIS_FROM_FLOORS * floor
+        floor
+        and max(float(model.per_marker_rms[-1]) for model in comparison.models)
+        > LOG_AXIS_FROM_FLOORS * floor
     )
     kind = {'type': 'log', 'dtick': 1, 'minor': {'showgrid': True, 'gridcolor': '#f0f2f4'}}
     return {'title': {'text': title}, **(kind if wide else {'rangemode': 'tozero'})}

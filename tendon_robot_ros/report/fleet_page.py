@@ -29,13 +29,21 @@ def fleet_rows(rows: Sequence[FleetRow]) -> list[list[str]]:
 
 def when_text(row: FleetRow) -> str:
     """Say when something was measured, and how that is known where nobody wrote it down."""
-    when = row.when.removesuffix('+00:00').replace('T', ' ')
+    when = _readable(row.when)
     return f'{when} (its files)' if row.dated_by == 'file' else when
+
+
+def _readable(when: str) -> str:
+    """Show a time (ISO 8601, UTC) without its marks."""
+    return when.removesuffix('+00:00').replace('T', ' ')
 
 
 def change_lines(rows: Sequence[FleetRow]) -> list[str]:
     """Say what changed when."""
-    return [f'{c.robot}, {c.when} (since {c.since}): {c.text}' for c in changes(rows)]
+    return [
+        f'{c.robot}, {_readable(c.when)} (since {_readable(c.since)}): {c.text}'
+        for c in changes(rows)
+    ]
 
 
 def problems(rows: Sequence[FleetRow]) -> list[str]:

@@ -5,23 +5,26 @@ from __future__ import annotations
 import math
 from html import escape
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
 
-from ..common.colours import BAND, FLOOR
+from ..common.colours import FLOOR
 from ..common.words import columns, digits, mm, probability
 from ..comparison.compare import compare
 from ..data import DataSet
 from ..diagnosis.improvement import COLOURS, Floats, Improvement, ImprovementStep, total
 from ..effects import Catalogue
-from .arm_text import where_wrong
+from .arm_text import left_out, where_wrong
 from .comparison_page import add_shapes
 from .error_plots import per_marker, per_posture
 from .numbers import mm_list, quantities
 from .page import Figure, Page
 
 MARKERS_SHOWN_MAX = 4  # markers up to which each has its own number
+LABEL_WIDTH = 22  # letters of a step's name in a line below the curve
+TICKS_MM = [a * 10.0**b for b in range(-3, 4) for a in (1, 2, 5)]  # of the logarithmic axis
 WORST_POSTURES = 3  # that are named
 NOT_WRITTEN = 'Nothing was written: there is no step that lowers the error on left-out postures.'
 
@@ -29,16 +32,23 @@ NOT_WRITTEN = 'Nothing was written: there is no step that lowers the error on le
 def improvement_lines(found: Improvement) -> list[str]:
     """Return the table of the steps, values, and what remains."""
     made = [columns(step_table(found)), *sentences(found)]
-    made += [f'{name}: {quantities(values)}' for name, values in found.values.items()]
+    made += [f'{name}: {said}' for name, said in _values(found)]
     return [*made, *profile(found), *remains(found)]
+
+
+def _values(found: Improvement) -> list[tuple[str, str]]:
+    """Return effects and their values in words."""
+    loads = found.loads
+    return [(name, quantities(own, loads.get(name))) for name, own in found.values.items()]
 
 
 def step_table(found: Improvement) -> list[list[str]]:
     """Return a row per step: errors by kind, and what the step took off the left-out one."""
     kinds = list(found.steps[0].errors)
     few = len(found.markers) <= MARKERS_SHOWN_MAX
-    where = ' '.join(['all', *found.markers]) if few else 'all, tip'
-    rows = [['', *(f'{kind} {where} [mm]' for kind in kinds), 'took off, left out']]
+    where = ' '.join([' all', *found.markers]) if few else ' all, tip'
+    where = where if len(found.markers) > 1 else ''
+    rows = [['', *(f'{kind}{where} [mm]' for kind in kinds), 'took off, left out']]
     for k, step in enumerate(found.steps):
         errors = [numbers(step.errors[kind]) for kind in kinds]
         rows.append([_named(found, k), *errors, _fall(step) if k else ''])
@@ -48,7 +58,7 @@ def step_table(found: Improvement) -> list[list[str]]:
 def numbers(errors: Floats) -> str:
     """Show rms errors (J,) [m] in mm: of all markers, and of each one or of the last one."""
     own = errors if len(errors) <= MARKERS_SHOWN_MAX else errors[-1:]
-    shown = np.append(total(errors), own)
+    shown = np.append(total(errors), own) if len(errors) > 1 else errors
     return ' '.join(digits(1e3 * error, 3) for error in shown.tolist())
 
 
@@ -68,19 +78,24 @@ def sentences(found: Improvement) -> list[str]:
     first, last = found.steps[0], found.steps[found.taken]
     inside, before = found.chosen, total(first.left_out)
     said = [
-        f'Postures that had no part in the search are predicted to {mm(total(last.left_out))} '
-        f'({mm(float(last.left_out[-1]))} at marker {found.markers[-1]}), by the description as '
+        'Postures that had no part in the search are predicted to '
+        f'{_reached(found, last.left_out)}, by the description as '
         f'it was to {mm(before)}; the noise floor is {mm(found.noise_floor)}.',
-        'Where the number of steps is chosen without them as well: '
-        f'{mm(total(inside))} ({mm(float(inside[-1]))} at marker {found.markers[-1]}).',
+        f'Where the number of steps is chosen without them as well: {_reached(found, inside)}.',
     ]
     if found.taken + 1 < len(found.steps):
-        said.append('It stops there: what follows takes off no more than its scatter.')
+        said.append('It stops there: what follows takes off too little to be told from chance.')
     elif not found.more_at_work:
         said.append(f'It stops there: what remains is noise ({probability(found.probability)}).')
     else:
         said.append('It stops there: no other effect promises to lower the error.')
     return said
+
+
+def _reached(found: Improvement, errors: Floats) -> str:
+    """Say rms errors (J,) [m] of all markers, and of the last one where there are more."""
+    tip = f' ({mm(float(errors[-1]))} at marker {found.markers[-1]})' if len(errors) > 1 else ''
+    return f'{mm(total(errors))}{tip}'
 
 
 def profile(found: Improvement) -> list[str]:
@@ -111,6 +126,7 @@ def remains(found: Improvement) -> list[str]:
     said = [
         f'worst at marker {found.markers[-1]} when left out: {named}',
         *where_wrong(found.local_faults),
+        *left_out(found.left_out),
     ]
     return [*said, f'note: {found.more_at_work}'] if found.more_at_work else said
 
@@ -131,7 +147,7 @@ def improvement_page(found: Improvement, dataset: DataSet, catalogue: Catalogue)
     kinds = ['strong' if k == found.taken else '' for k in range(found.taken + 1)]
     page.table(header, rows, kinds + ['faint'] * (len(rows) - len(kinds)), left=[0])
     page.heading('Values')
-    page.text(*(f'`{name}`: {quantities(values)}' for name, values in found.values.items()))
+    page.text(*(f'`{name}`: {said}' for name, said in _values(found)))
     page.text(*profile(found))
     page.heading('What remains')
     page.text(*remains(found))
@@ -144,16 +160,14 @@ def improvement_page(found: Improvement, dataset: DataSet, catalogue: Catalogue)
 
 def curve(found: Improvement) -> Figure:
     """Draw the errors step by step; steps that were not taken are hollow."""
-    names = [escape(step.label) for step in found.steps]
+    names = ['<br>'.join(map(escape, wrap(step.label, LABEL_WIDTH))) for step in found.steps]
     data: list[dict[str, Any]] = [
         {
             'x': names,
             'y': mm_list([found.noise_floor] * len(names)),
             'name': 'noise floor',
             'mode': 'lines',
-            'line': {'color': FLOOR, 'width': 1},
-            'fill': 'tozeroy',
-            'fillcolor': BAND,
+            'line': {'color': FLOOR, 'width': 2, 'dash': 'dot'},
         }
     ]
     taken = ['circle' if k <= found.taken else 'circle-open' for k in range(len(names))]
@@ -169,9 +183,13 @@ def curve(found: Improvement) -> Figure:
             }
         )
     layout = {
-        'xaxis': {'type': 'category'},
-        'yaxis': {'title': {'text': 'rms error [mm]'},
-                  'rangemode': 'tozero'},
-    }  # fmt: skip
+        'xaxis': {'type': 'category', 'tickangle': -90},
+        'yaxis': {
+            'title': {'text': 'rms error, logarithmic [mm]'},
+            'type': 'log',
+            'tickvals': TICKS_MM,
+            'ticktext': [f'{tick:g}' for tick in TICKS_MM],
+        },
+    }
     title = 'The error falls step by step; hollow: not taken'
-    return Figure(data, layout, title, '', 420)
+    return Figure(data, layout, title, '', 460)

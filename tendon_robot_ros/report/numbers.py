@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ..common.words import UNIT_PREFIXES, digits
-from ..diagnosis.result import Value
+from ..common.words import UNIT_PREFIXES, digits, spoken
+from ..diagnosis.result import LoadVector, Value
 
 
 def plain(values: npt.ArrayLike, scale: float = 1.0, places: int = 4) -> list[float | None]:
@@ -31,6 +31,8 @@ def degrees_list(radians: npt.ArrayLike) -> list[float | None]:
 # -----------------------------------------------------------------------------
 # Fitted parameters as people read them: value ± half, in the unit that suits the size.
 
+ZEROS_MAX = 3  # zeros behind the point that are shown of nothing
+SIDE_WITHIN_RAD = 0.05  # [rad] from an axis within which a direction is that of the axis
 DECIMALS_MAX = 7  # places behind the point; what is smaller is shown with an exponent
 
 
@@ -59,24 +61,66 @@ def quantity(name: str, value: Value, size: float = 0.0) -> str:
 
     `size` [unit of the value] chooses the prefix together with the value.
     """
+    return f'{spoken(name)} = {_with_interval(name, value, size)}'
+
+
+def _with_interval(name: str, value: Value, size: float = 0.0) -> str:
     number, down, up = value.value, value.value - value.low, value.high - value.value
     half = 0.5 * (down + up)
     factor, unit = scale_of(value.unit, max(abs(number), half, size), name)
     note = f' ({value.note})' if value.note else ''
     if not math.isfinite(half) or half <= 0.0:
-        return f'{name} = {with_unit(digits(factor * number, 3), unit)}{note}'
+        return f'{with_unit(digits(factor * number, 3), unit)}{note}'
     places = decimals(factor * half)
     shown = rounded(factor * number, places)
     if abs(up - down) <= 0.2 * half:
-        return f'{name} = {with_unit(f"{shown} ± {rounded(factor * half, places)}", unit)}{note}'
+        return f'{with_unit(f"{shown} ± {rounded(factor * half, places)}", unit)}{note}'
     ends = f'{rounded(factor * value.low, places)} to {rounded(factor * value.high, places)}'
     extra = f', {value.note}' if value.note else ''
-    return f'{name} = {with_unit(shown, unit)} (95 %: {ends}{extra})'
+    return f'{with_unit(shown, unit)} (95 %: {ends}{extra})'
 
 
-def quantities(values: Mapping[str, Value]) -> str:
-    """Join the parameters of an effect."""
-    return ', '.join(quantity(name, v, _largest(values, v.unit)) for name, v in values.items())
+def quantities(values: Mapping[str, Value], load: LoadVector | None = None) -> str:
+    """Join the parameters of an effect; of a force also say its size and direction."""
+    said = [quantity(name, v, _largest(values, v.unit)) for name, v in values.items()]
+    return ', '.join([*said, *([] if load is None else [f'together {load_words(load)}'])])
+
+
+def load_words(load: LoadVector) -> str:
+    """Say '0.151 ± 0.004 N, along gravity, 86 ± 9° from the arm's axis'."""
+    size = _with_interval('', load.size)
+    told = [one for one in (_to_gravity(load), _to_axis(load)) if one]
+    return ', '.join([size, *(told or ['its direction is not told'])])
+
+
+def _to_gravity(load: LoadVector) -> str:
+    angle = load.from_gravity
+    if angle is None:
+        return ''
+    if angle.low <= 0.0:
+        return 'along gravity'
+    if angle.high >= math.pi:
+        return 'against gravity'
+    return f'{_with_interval("angle", angle)} from gravity'
+
+
+def _to_axis(load: LoadVector) -> str:
+    """Say the angle to the straight arm, and to which side of it where gravity does not tell."""
+    angle = load.from_axis
+    if angle is None:
+        return ''
+    if angle.low <= 0.0 or angle.high >= math.pi:
+        return f"along the arm's axis, towards its {'tip' if angle.low <= 0.0 else 'base'}"
+    said = f"{_with_interval('', angle)} from the arm's axis"
+    return said if load.from_gravity is not None else f'{said} towards {_side(load.around_axis)}'
+
+
+def _side(angle: float) -> str:
+    """Name a direction across the arm: one of its axes, or between them."""
+    quarter = round(angle / (0.5 * math.pi))
+    if abs(angle - quarter * 0.5 * math.pi) < SIDE_WITHIN_RAD:
+        return ('x', 'y', '-x', '-y')[quarter % 4]
+    return f'{round(math.degrees(angle)) % 360}° (x: 0°, y: 90°)'
 
 
 def short_quantities(values: Mapping[str, Value]) -> str:
@@ -85,14 +129,27 @@ def short_quantities(values: Mapping[str, Value]) -> str:
     for name, value in values.items():
         factor, unit = scale_of(value.unit, _largest(values, value.unit), name)
         places = decimals(0.2 * factor * max(_largest(values, value.unit), 1e-300))
-        parts.append(f'{name} {with_unit(rounded(factor * value.value, places), unit)}')
+        shown = with_unit(rounded(factor * value.value, places), unit)
+        parts.append(f'{spoken(name)} {shown}')
     return ', '.join(parts)
+
+
+def told_quantity(name: str, value: Value) -> str:
+    """Say 'force_y 0.000 N': as many places as the interval tells, without its ends."""
+    half = 0.5 * (value.high - value.low)
+    known = math.isfinite(half) and half > 0.0
+    factor, unit = scale_of(value.unit, max(abs(value.value), half if known else 0.0), name)
+    shown = factor * value.value
+    text = rounded(shown, decimals(factor * half)) if known else digits(shown, 3)
+    return f'{spoken(name)} {with_unit(text, unit)}'
 
 
 def described_quantity(name: str, unit: str, numbers: Sequence[float], count: int = 3) -> str:
     """Say what a description holds: 'relative_change 5/10 %'."""
     factor, shown = scale_of(unit, max(abs(number) for number in numbers), name)
-    return f'{name} {with_unit("/".join(digits(factor * n, count) for n in numbers), shown)}'
+    return (
+        f'{spoken(name)} {with_unit("/".join(digits(factor * n, count) for n in numbers), shown)}'
+    )
 
 
 def _largest(values: Mapping[str, Value], unit: str) -> float:
@@ -109,4 +166,6 @@ def decimals(half: float) -> int:
 def rounded(value: float, places: int) -> str:
     """Show a number with so many places behind the point, never as -0 nor as a row of zeros."""
     text = f'{value:.{places}f}' if places <= DECIMALS_MAX else digits(value, 3)
-    return text.removeprefix('-') if float(text) == 0.0 else text
+    if float(text) != 0.0:
+        return text
+    return f'{0.0:.{min(places, ZEROS_MAX)}f}' if places <= DECIMALS_MAX else '0'

@@ -1,15 +1,39 @@
-// Draws every figure of the page; what they hold stands in the page as JSON.
+// Draws every figure of the page, as wide as its place is; what they hold stands in the page as JSON.
 'use strict';
 (() => {
-  const draw = (place) => {
-    const figure = JSON.parse(place.nextElementSibling.textContent);
-    const narrow = place.clientWidth < 480;
-    if (narrow) {
-      figure.layout.font.size = 11;
-      figure.layout.margin = {...figure.layout.margin, l: 48, r: 8};
+  const NARROW = 480;  // [px] below which letters and margins are smaller
+  const fitted = (layout, width) => ({
+    width,
+    'font.size': width < NARROW ? Math.min(11, layout.font.size) : layout.font.size,
+    'margin.l': width < NARROW ? Math.min(48, layout.margin.l) : layout.margin.l,
+    'margin.r': width < NARROW ? Math.min(8, layout.margin.r) : layout.margin.r,
+    // a scene in space fills the shorter of the two
+    height: layout.scene ? Math.min(layout.height, width) : layout.height,
+  });
+  const follow = new ResizeObserver((entries) => {
+    for (const {target} of entries) {
+      const width = target.clientWidth;
+      if (!width || !target.described || width === target.drawnAt) continue;
+      target.drawnAt = width;
+      const now = fitted(target.described, width);
+      requestAnimationFrame(() => {  // its height must not change while sizes are told
+        target.style.height = `${now.height}px`;
+        Plotly.relayout(target, now);
+      });
     }
-    const options = {responsive: true, displaylogo: false, displayModeBar: false};
-    return Plotly.newPlot(place, figure.data, figure.layout, options);
+  });
+  const draw = async (place) => {
+    const {data, layout} = JSON.parse(place.nextElementSibling.textContent);
+    const {height, scene} = layout;
+    place.described = {font: {...layout.font}, margin: {...layout.margin}, height, scene};
+    place.drawnAt = place.clientWidth;
+    const {width, ...own} = fitted(place.described, place.drawnAt);
+    Object.assign(layout.font, {size: own['font.size']});
+    Object.assign(layout.margin, {l: own['margin.l'], r: own['margin.r']});
+    const options = {displaylogo: false, displayModeBar: false};
+    place.style.height = `${own.height}px`;
+    await Plotly.newPlot(place, data, {...layout, width, height: own.height}, options);
+    follow.observe(place);
   };
   const places = [...document.querySelectorAll('.plot')];
   Promise.all(places.map(draw)).then(() => { document.body.dataset.drawn = places.length; });

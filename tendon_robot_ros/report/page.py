@@ -48,7 +48,7 @@ class Page:
 
     def box(self, lines: Iterable[str], kind: str = '', title: str = '') -> None:
         """Add a box; kinds: verdict, those of `common.colours.KINDS`, and both together."""
-        head = f'<h3>{escape(title)}</h3>' if title else ''
+        head = f'<p class="title">{escape(title)}</p>' if title else ''
         body = ''.join(f'<p>{_marked(line)}</p>' for line in lines)
         self.parts.append(f'<div class="box {escape(kind)}">{head}{body}</div>')
 
@@ -151,7 +151,7 @@ def _figure(figure: Figure) -> str:
         allow_nan=False,
         separators=(',', ':'),
     ).replace('<', '\\u003c')
-    title = f'<h3>{escape(figure.title)}</h3>' if figure.title else ''
+    title = f'<p class="title">{escape(figure.title)}</p>' if figure.title else ''
     alt = ' '.join([figure.title or _axes(figure.layout), figure.caption]).strip()
     caption = f'<figcaption>{escape(figure.caption)}</figcaption>' if figure.caption else ''
     return (

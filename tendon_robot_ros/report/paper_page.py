@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..common.colours import MEASURED, look
+from ..common.colours import INK, MEASURED, look
 from ..common.words import capital, commands, digits, listed, mm
 from ..comparison.result import Comparison
 from ..comparison.statistics import half_width
@@ -120,30 +120,39 @@ def error_per_cell(comparison: Comparison, data: DataSet, p: int) -> Figure:
 
 def arrangements(motion: MotionExperiment, published: float) -> Figure:
     """Range of the tips for every arrangement of the wires in a group, against 50 mm."""
-    names = [one.name.replace(', ', '<br>') for one in motion.arrangements]
+    names = [one.name for one in motion.arrangements]
     across = np.array([one.across for one in motion.arrangements])
     low = across - [one.low for one in motion.arrangements]
     high = np.array([one.high for one in motion.arrangements]) - across
     bar = {
         'type': 'bar',
-        'x': names,
-        'y': mm_list(across),
-        'error_y': {**_bars(high), 'symmetric': False, 'arrayminus': mm_list(low)},
+        'orientation': 'h',
+        'y': names,
+        'x': mm_list(across),
+        'error_x': {**_bars(high), 'symmetric': False, 'arrayminus': mm_list(low)},
         'marker': {'color': look(0).colour},
         'name': 'ours; whisker: "180°" is ±1° to ±5°',
     }
     line = {
-        'x': names,
-        'y': mm_list([published] * len(names)),
+        'y': names,
+        'x': mm_list([published] * len(names)),
         'mode': 'lines',
-        'line': {'color': look(1).colour, 'dash': 'dash'},
+        'line': {'color': INK, 'dash': 'dash', 'width': 3},
         'name': 'published: 50 mm',
     }
     layout = {
-        'xaxis': {'type': 'category', 'tickangle': 0, 'tickfont': {'size': 11}},
-        'yaxis': {'title': {'text': 'tip positions, across [mm]'}, 'rangemode': 'tozero'},
-    }
-    return Figure([bar, line], layout, 'Three wires in a group', '')
+        # names stand above their bars: beside them they would take half of a phone
+        'yaxis': {'type': 'category', 'autorange': 'reversed', 'showticklabels': False,
+                  'showgrid': False},
+        'annotations': [
+            {'text': escape(name), 'x': 0.0, 'y': i, 'xanchor': 'left', 'yanchor': 'bottom',
+             'yshift': 11, 'showarrow': False}
+            for i, name in enumerate(names)
+        ],
+        'xaxis': {'title': {'text': 'tip positions, across [mm]'}, 'rangemode': 'tozero'},
+        'bargap': 0.62,
+    }  # fmt: skip
+    return Figure([bar, line], layout, 'Three wires in a group', '', 120 + 60 * len(names))
 
 
 def _bars(half: Any) -> dict[str, Any]:
@@ -329,7 +338,7 @@ def _diagnosis(diagnosis: Diagnosis) -> list[str]:
         f'{mm(diagnosis.noise_floor)} for a perfect model.'
     ]
     for effect in diagnosis.effects:
-        lines.append(f'Best: `{effect.name}`, {quantities(effect.parameters)}.')
+        lines.append(f'Best: `{effect.name}`, {quantities(effect.parameters, effect.load)}.')
     if diagnosis.cannot_tell_apart:
         lines.append(f'Cannot be told apart: {listed(diagnosis.cannot_tell_apart)}.')
     asked = diagnosis.next_measurement

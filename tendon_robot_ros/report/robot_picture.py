@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,23 +13,29 @@ from ..common.errors import NoEquilibriumError
 from ..model.model import Model
 from ..robot.estimates import bend_rates
 
-Floats = npt.NDArray[np.float64]
-BEND_RAD = 0.5 * np.pi  # [rad] that a posture of the picture bends a section by, if it may
-
-
-def draw_robot(model: Model, path: Path) -> None:
-    """Draw the robot into an image file."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10, 5), layout='constrained')
-    FigureCanvasAgg(figure)
+Floats = npt.NDArray[np.float64]
+BEND_RAD = 0.5 * np.pi  # [rad] that a posture of the picture bends a section by, if it may
+SIZE_IN, DPI, FONT = (8.0, 13.0), 150, 14.0  # 1200 px wide; at 400 px a letter has 9 px
+BELOW = {'loc': 'upper center', 'bbox_to_anchor': (0.5, -0.12), 'ncols': 2, 'frameon': False}
+
+
+def draw_robot(model: Model, path: Path) -> Figure:
+    """Draw the robot into an image file, and return the figure; legends stand below the axes."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
     spatial = bool(np.any(model.arrays.offset[..., 1]))
-    side = figure.add_subplot(1, 2, 1, projection='3d' if spatial else None)
-    _postures(side, model, spatial)
-    _cross_section(figure.add_subplot(1, 2, 2), model)
-    figure.suptitle(model.robot.name)
-    figure.savefig(path, dpi=120)
+    with rc_context({'font.size': FONT}):
+        figure = Figure(figsize=SIZE_IN, layout='constrained')
+        side = figure.add_subplot(2, 1, 1, projection='3d' if spatial else None)
+        _postures(side, model, spatial)
+        _cross_section(figure.add_subplot(2, 1, 2), model)
+        figure.suptitle(model.robot.name)
+        figure.savefig(path, dpi=DPI)
+    return figure
 
 
 def postures(model: Model) -> list[tuple[str, Floats]]:
@@ -67,33 +73,39 @@ def _postures(axes: Any, model: Model, spatial: bool) -> None:
     for label, points, colour in lines:
         x, y, z = 1e3 * points.T
         along = (x, y, z) if spatial else (x, z)
-        axes.plot(*along, '.-', color=colour, label=label, markersize=4, linewidth=1.2)
+        axes.plot(*along, '.-', color=colour, label=label, markersize=6, linewidth=1.8)
     axes.set_aspect('equal')
-    axes.set_xlabel('x [mm]')
+    axes.set_xlabel('x [mm]', labelpad=10.0 if spatial else None)
     if spatial:
         axes.view_init(elev=22.0, azim=-42.0)  # no tendon of three or six hides another
-        axes.set_ylabel('y [mm]')
-        axes.set_zlabel('z [mm]')
+        axes.locator_params(nbins=4)
+        axes.set_ylabel('y [mm]', labelpad=10.0)
+        axes.set_zlabel('z [mm]', labelpad=10.0)
     else:
         axes.set_ylabel('z [mm]')
         axes.grid(alpha=0.3)
-    axes.set_title('each input alone, the others at their lower limit', fontsize=10)
-    axes.legend(fontsize=8)
+    axes.set_title('each input alone, the others at their lower limit', fontsize=FONT)
+    axes.legend(**BELOW)
 
 
 def _cross_section(axes: Any, model: Model) -> None:
     robot = model.robot
-    colours = {section.name: COLOURS[i % len(COLOURS)] for i, section in enumerate(robot.sections)}
+    colours = {s.name: COLOURS[i % len(COLOURS)] for i, s in enumerate(robot.own_sections)}
     places = (model.arrays.offset, model.arrays.cells[:, 6:])
     largest = 1e3 * max(float(np.abs(at).max()) for at in places)
     angle = np.linspace(0.0, 2.0 * np.pi, 100)
     axes.plot(1.3 * largest * np.cos(angle), 1.3 * largest * np.sin(angle), color=FLOOR)
+    holes: dict[tuple[float, float], list[str]] = {}  # [mm], tendons that begin there
     for k, tendon in enumerate(robot.tendons):
         route = 1e3 * model.arrays.offset[: robot.tendon_cells[k], k]
-        axes.plot(*route.T, '-', color=colours[tendon.section], linewidth=1.0)
-        x, y = 1e3 * np.array(tendon.base)
-        axes.plot(x, y, 'o', color=colours[tendon.section])
-        axes.annotate(tendon.name, (x, y), xytext=(5, 5), textcoords='offset points', fontsize=8)
+        axes.plot(*route.T, '-', color=colours[tendon.section], linewidth=1.5)
+        own = holes.setdefault((1e3 * tendon.base[0], 1e3 * tendon.base[1]), [])
+        ring = 9.0 + 6.0 * len(own)  # [pt] around what begins at the same place
+        axes.plot(*route[0], 'o', color=colours[tendon.section], markersize=ring,
+                  fillstyle='none' if own else 'full', markeredgewidth=2.0)  # fmt: skip
+        own.append(tendon.name)
+    for hole, names in holes.items():
+        _name_beside(axes, hole, '\n'.join(names), largest)
     beside = 1e3 * model.arrays.cells[:, 6:]
     if beside.any():
         axes.plot(*beside.T, 'x', color=ERROR, label='weight of the cells')
@@ -101,13 +113,25 @@ def _cross_section(axes: Any, model: Model) -> None:
         axes.plot([], [], 'o', color=colour, label=f'ends in {name}')
     across = np.array(robot.gravity or (0.0, 0.0, 0.0))[:2]
     if across.any():  # a level arm: the way in which weights pull
-        end = 1.15 * largest * across / np.linalg.norm(across)
+        end = 0.8 * largest * across / np.linalg.norm(across)
         axes.annotate('', end, (0.0, 0.0), arrowprops={'arrowstyle': '->', 'color': ERROR})
-        axes.annotate('down', 0.5 * end, color=ERROR, fontsize=8)
+        axes.annotate('down', (0.0, 0.0), -0.35 * end, color=ERROR, ha='center', va='center')
     axes.set_aspect('equal')
-    axes.set_xlim(-1.8 * largest, 1.8 * largest)
+    axes.set_xlim(-2.7 * largest, 2.7 * largest)
+    axes.set_ylim(-1.7 * largest, 1.7 * largest)
     axes.set_xlabel('x [mm]')
     axes.set_ylabel('y [mm]')
     axes.grid(alpha=0.3)
-    axes.set_title('tendons from the base (dot) on, seen from the tip', fontsize=10)
-    axes.legend(fontsize=8, loc='lower right')
+    axes.set_title('tendons from the base (dot) on, seen from the tip', fontsize=FONT)
+    axes.legend(**BELOW)
+
+
+def _name_beside(axes: Any, hole: tuple[float, float], name: str, largest: float) -> None:
+    """Name a hole [mm] outside of the arm, joined to it by a line."""
+    size = max(float(np.hypot(*hole)), 1e-9)
+    beyond = 1.42 * largest * np.array(hole) / size
+    side = round(hole[0] / size)
+    axes.annotate(
+        name, hole, beyond, va='center', ha=('right', 'center', 'left')[side + 1],
+        arrowprops={'arrowstyle': '-', 'color': FLOOR},
+    )  # fmt: skip

@@ -121,20 +121,22 @@ def _sides(drawn: _Drawn) -> Figure:
         for side, name in enumerate(('x', 'x2')):
             points = {'x': plain(seen[:, side]), 'y': plain(seen[:, 2])}
             data.append({**rest, **points, 'xaxis': name})
-    towards = f'plane of bending, {np.degrees(drawn.azimuth):.0f}° from x [mm]'
     layout = {
         'showlegend': False,
         'margin': {'l': 46, 'r': 8, 't': 6, 'b': 40},
-        'xaxis': {'title': {'text': towards}, 'domain': [0.0, 0.64]},
+        'xaxis': {'title': {'text': 'in its plane [mm]'}, 'domain': [0.0, 0.64]},
         'xaxis2': {
-            'title': {'text': 'across it [mm]'},
+            'title': {'text': 'across [mm]'},
             'domain': [0.7, 1.0],
             'scaleanchor': 'x',
-            'nticks': 5,
+            'nticks': 4,
+            'tickangle': 0,
         },
         'yaxis': {'title': {'text': 'z [mm]'}, 'scaleanchor': 'x'},
     }
-    return Figure(data, layout, drawn.title, drawn.caption, height=340)
+    plane = round(np.degrees(drawn.azimuth))
+    caption = f'{drawn.caption}; bends in a plane {plane}° from x'
+    return Figure(data, layout, drawn.title, caption, height=340)
 
 
 def _spatial(comparison: Comparison, drawn: Sequence[_Drawn]) -> Figure:
@@ -182,7 +184,7 @@ def _camera(azimuth: float) -> dict[str, Any]:
     """Look across the plane of bending, without perspective, a little from above."""
     u, v = float(np.cos(azimuth)), float(np.sin(azimuth))
     return {
-        'eye': {'x': 1.4 * v, 'y': -1.4 * u, 'z': 0.2},
+        'eye': {'x': 1.4 * v, 'y': -1.4 * u, 'z': 0.7},
         'center': {'x': 0, 'y': 0, 'z': -0.05},
         'projection': {'type': 'orthographic'},
     }
@@ -200,7 +202,7 @@ def _scene(comparison: Comparison, chosen: list[int], camera: Trace) -> Trace:
         f'{axis}axis': {
             'title': {'text': f'{axis} [mm]'},
             'range': [float(middle[i] - 0.53 * size[i]), float(middle[i] + 0.53 * size[i])],
-            'nticks': 6,
+            'nticks': 4,
         }
         for i, axis in enumerate('xyz')
     }
