@@ -7,7 +7,11 @@ import shutil
 
 import processes
 
-WIDTHS = (1200, 400)  # desktop, phone [px]
+FRAMES = {
+    1200: 1200,
+    400: 400,
+    390: 1000,
+}  # desktop, phone, narrowed after loading: end, begin [px]
 HEAD = """<script>
 window.problems = [];
 for (const kind of ['error', 'warn']) {
@@ -19,8 +23,12 @@ addEventListener('unhandledrejection', (e) => problems.push(String(e.reason)));
 TAIL = """<script>
 const DRAWN = ['.scatterlayer .trace', '.barlayer .point', '.boxlayer .trace',
   '.heatmaplayer image', 'canvas'].join();
+const wait = () => {
+  if (!document.body.dataset.drawn) setTimeout(wait, 50);
+  else parent.postMessage('drawn', '*');
+};
+addEventListener('message', () => setTimeout(look, 500));
 const look = () => {
-  if (!document.body.dataset.drawn) { setTimeout(look, 50); return; }
   const plots = [...document.querySelectorAll('.plot')];
   parent.postMessage(JSON.stringify({
     problems,
@@ -34,9 +42,16 @@ const look = () => {
     text: document.body.innerText,
   }), '*');
 };
-look();
+wait();
 </script>"""
 LISTEN = """<script>addEventListener('message', (event) => {
+  if (event.data === 'drawn') {
+    const all = [...document.querySelectorAll('iframe')];
+    const shown = all.find((one) => one.contentWindow === event.source);
+    shown.style.width = shown.dataset.end;
+    setTimeout(() => event.source.postMessage('look', '*'), 100);
+    return;
+  }
   const found = document.createElement('pre');
   found.textContent = event.data;
   document.body.append(found);
@@ -49,27 +64,28 @@ def open_page(path, folder):
     page = page.rpartition('</body>')[0] + TAIL + '</body></html>'
     (folder / 'probed.html').write_text(page, encoding='utf-8')
     frames = [
-        f'<iframe src="probed.html" style="border:0;width:{width}px;height:2000px"></iframe>'
-        for width in WIDTHS
+        f'<iframe src="probed.html" data-end="{end}px" '
+        f'style="border:0;width:{begin}px;height:2000px"></iframe>'
+        for end, begin in FRAMES.items()
     ]
     outer = folder / 'frames.html'
     outer.write_text(f'<body style="margin:0">{LISTEN}{"".join(frames)}</body>')
     command = [shutil.which('chromium'), '--headless=new', '--no-sandbox', '--disable-gpu']
     command += ['--enable-unsafe-swiftshader', '--disable-dev-shm-usage']
     command += [f'--user-data-dir={folder}', '--virtual-time-budget=60000', '--dump-dom']
-    command += ['--window-size=1800,2200', outer.as_uri()]
+    command += ['--window-size=2800,2200', outer.as_uri()]
     run = processes.run(command)
     assert run.returncode == 0, run.stderr[-2000:]
     found = [
         json.loads(html.unescape(one)) for one in re.findall('<pre>(.*?)</pre>', run.stdout, re.S)
     ]
-    assert len(found) == len(WIDTHS), f'the page was never drawn:\n{run.stderr[-2000:]}'
+    assert len(found) == len(FRAMES), f'the page was never drawn:\n{run.stderr[-2000:]}'
     return {one['width']: one for one in found}
 
 
 def assert_fine(found):
     """Hold that everything is drawn, nothing is wider than the window, and nothing complains."""
-    assert sorted(found) == sorted(WIDTHS)
+    assert sorted(found) == sorted(FRAMES)
     for width, seen in found.items():
         assert seen['problems'] == []
         assert seen['loaded'] == [], 'the page must open without a network'

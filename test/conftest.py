@@ -91,17 +91,8 @@ def pytest_unconfigure():
 
 
 def pytest_configure(config):
-    """Compile the model once, before two workers would do it side by side."""
-    if hasattr(config, 'workerinput') or not config.getoption('numprocesses', None):
-        return
-    from tendon_robot_ros.effects import load_catalogue
-    from tendon_robot_ros.model.compile import is_compiled
+    """Compile the models once, before workers would do it side by side."""
+    if not hasattr(config, 'workerinput') and config.getoption('numprocesses', None):
+        from compiling import compile_all
 
-    if not is_compiled(load_catalogue()):
-        from tendon_robot_ros.control.loading import load
-        from tendon_robot_ros.robot import load_robot
-
-        load(
-            load_robot(Path(__file__).parents[1] / 'config/robots/kato_10_1.yaml'),
-            load_catalogue(),
-        )
+        compile_all()

@@ -2,7 +2,8 @@
 The commands, links and paths in the documents: how they are found, and how they are run.
 
 In a ```console block every line that begins with `$ ` is a command (a backslash at its end
-continues it), all other lines show output. ```python blocks run as they stand. The blocks of a
+continues it), all other lines show output. ```python blocks run as they stand. Blocks that only
+call this package are forked (forked.py), others run in a shell. The blocks of a
 page share one folder, so that a later one finds the files of an earlier one; it holds links to
 config/, data/ and examples/, and `python` is the one that runs the tests. The line before a block
 may say
@@ -17,12 +18,14 @@ terminal shows must appear before the next command is typed.
 
 import os
 import re
+import shlex
 import signal
 import sys
 import time
 from pathlib import Path
 
 import processes
+from forked import Forked
 from source_tree import ROOT, files
 
 BLOCK = re.compile(
@@ -31,6 +34,8 @@ BLOCK = re.compile(
     re.M | re.S,
 )
 COMMAND = re.compile(r'^\$ ((?:[^\n]*\\\n)*[^\n]*)$', re.M)
+CALLED = ['python', '-m', 'tendon_robot_ros']
+SHELL = re.compile(r'[|;&$`>*?~(]')  # what only a shell understands
 SHELLS = {'bash', 'sh', 'shell', 'zsh'}
 PAGES = [*files('README.md'), *files('CONTRIBUTING.md'), *files('docs/*.md'), *files('data/*.md')]
 
@@ -76,14 +81,41 @@ def environment():
     return os.environ | {'PATH': path, 'PYTHONPATH': str(ROOT), 'PYTHONUNBUFFERED': '1'}
 
 
+def calls_of_the_package(block):
+    """Return arguments and input of every call, None where something else stands in the block."""
+    found = []
+    for command in COMMAND.findall(block['text']):
+        words = shlex.split(command.replace('\\\n', ' '), comments=True)
+        given = words[words.index('<') + 1 :] if '<' in words else []
+        if words[:3] != CALLED or len(given) > 1 or SHELL.search(command):
+            return None
+        found.append((words[3 : len(words) - 2 * len(given)], *given))
+    return found
+
+
 def run(block, folder, timeout=120):
-    """Run a console or python block and refuse a failure."""
+    """Run a console or python block and refuse a failure; calls of the package are forked."""
+    calls = calls_of_the_package(block) if block['language'] == 'console' else None
+    if calls:
+        return ''.join(run_forked(*call, folder=folder, timeout=timeout) for call in calls)
     call = ['bash', '-c', commands(block['text'])]
     if block['language'] == 'python':
         call = [sys.executable, '-c', block['text']]
     result = processes.run(call, cwd=folder, env=environment(), timeout=timeout)
     assert result.returncode == 0, f'{block["text"]}\n{result.stdout}{result.stderr}'
     return result.stdout
+
+
+def run_forked(arguments, given=os.devnull, *, folder, timeout):
+    """Run a command of the package in a folder, with a file as its input."""
+    pipes = {'stdout': processes.PIPE, 'stderr': processes.PIPE}
+    with (
+        (folder / given).open() as file,
+        Forked(arguments, stdin=file, cwd=folder, env=environment(), **pipes) as process,
+    ):
+        out, err = process.communicate(timeout=timeout)
+    assert process.returncode == 0, f'{arguments}\n{out}{err}'
+    return out
 
 
 def runs(block, slow):

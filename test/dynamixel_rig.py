@@ -1,16 +1,25 @@
 """Emulated servos, the real driver node on them, and a sender of commands, for the tests."""
 
+import time
+
 import numpy as np
+import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from ros_station import Station, last, start, values
 from sensor_msgs.msg import JointState
 
+from tendon_robot_ros.drivers.dynamixel.control_table import (
+    MODELS,
+    TICKS_PER_TURN,
+    from_data_sheet,
+)
 from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.ros.shared.files import shared_file
 from tendon_robot_ros.ros.shared.messages import COMMAND
 
 ROBOT = 'kato_10_1'
 TENSION = [1.5, 0.4, 1.0, 0.3]  # [N]
+ANSWER = 0.03  # [s]; what is emulated is late with a busy machine
 PULL = [0.006, -0.006, 0.003, -0.003]  # [m]
 
 
@@ -22,6 +31,9 @@ class Rig:
     def __init__(self, mode, folder):
         self.mode = mode
         self.servos = EmulatorProcess(shared_file(f'config/robots/{ROBOT}.yaml'), kind=self.kind)
+        if self.kind == 'dynamixel':
+            patient = {**self.servos.content(), 'answer_time': ANSWER}
+            self.servos.config.write_text(yaml.safe_dump(patient))
         self.space = f'/{self.kind}_{mode}'
         self.folder = folder
         self.station = Station(self.space)
@@ -66,14 +78,24 @@ class Rig:
             lambda: np.allclose(self.measured(), self.command, atol=near), 'the command'
         )
 
-    def goals(self, seconds):
-        """Return what the servos accepted as goals lately: id to list of (time, value)."""
+    def goals(self, since):
+        """Return what the servos accepted as goals since a time [s]: id to list of values."""
         name = 'goal_current' if self.mode == 'tension' else 'goal_position'
         found = {i: [] for i in (1, 2, 3, 4)}
-        for when, identity, register, value in self.servos.ask(f'log {seconds}'):
-            if register == name:
-                found[identity].append((when, value))
+        log = self.servos.ask(f'log {time.monotonic() - since + 1.0}')
+        for when, identity, register, value in log:
+            if register == name and when >= since:
+                found[identity].append(value)
         return found
+
+    def counts(self, change):
+        """Return by how many counts of current, or ticks, goals change with a command."""
+        content = self.servos.content()
+        if self.mode == 'pull':
+            return change * TICKS_PER_TURN / (2.0 * np.pi * content['spool_radius'])
+        model = MODELS[content['model']]
+        line = from_data_sheet(model, content['spool_radius']).mean
+        return change * line.slope / model.current_unit
 
     def servo(self, identity):
         return self.servos.ask('state')['servos'][str(identity)]
@@ -98,7 +120,4 @@ class Rig:
 
 def steps(goals):
     """Largest step from goal to goal of any motor."""
-    jumps = [
-        np.abs(np.diff([value for _, value in sent])).max(initial=0) for sent in goals.values()
-    ]
-    return max(jumps)
+    return max(np.abs(np.diff(sent)).max(initial=0) for sent in goals.values())

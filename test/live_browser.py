@@ -166,7 +166,7 @@ class Browser:
 
     def recorded(self):
         """Return how many postures the page says are recorded."""
-        found = re.search(r'Recording \((\d+)\)', self.text())
+        found = re.search(r'Stop recording \((\d+)\)', self.text())
         return int(found[1]) if found else 0
 
     def picture(self, path):

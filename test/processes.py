@@ -23,6 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SET_DEATH_SIGNAL, SET_SUBREAPER = 1, 36  # prctl
 PATIENCE = 240.0  # [s] for a command; a test's own limit is longer (conftest.py)
 started = []
+kept = set()  # process ids of what is to stay until the tests end
 
 
 class Process(subprocess.Popen):
@@ -73,7 +74,7 @@ def children():
     for path in Path('/proc').glob('[0-9]*'):
         with contextlib.suppress(OSError, IndexError):  # it ended meanwhile
             state, parent = path.joinpath('stat').read_text().rpartition(')')[2].split()[:2]
-            if int(parent) == os.getpid() and state != 'Z':
+            if int(parent) == os.getpid() and state != 'Z' and int(path.name) not in kept:
                 line = path.joinpath('cmdline').read_bytes().replace(b'\0', b' ').decode()
                 if 'resource_tracker' not in line:  # Python keeps one for multiprocessing
                     found[int(path.name)] = line.strip()

@@ -8,8 +8,10 @@ import time
 os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
 
 import numpy as np
+import processes
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
+from forked import Forked
 from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
@@ -19,14 +21,16 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from tendon_robot_ros.common.processes import child_environment
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED, LISTEN
-from tendon_robot_ros.ros.shared.runtime import NodeProcess
+from tendon_robot_ros.ros.shared.runtime import NodeProcess, ros_arguments
 
 DISCOVERY = 30.0  # [s] for anything to happen, on a busy machine
-# A busy machine is late: no watchdog but the one that a test is about may act on that.
+# A busy machine is late: no watchdog but the one that a test is about may act on that. Half the
+# usual rate leaves it more time for the other tests.
 PATIENT = {
-    'driver': {'command_timeout': 0.5, 'stamp_tolerance': 5.0},
-    'controller': {'state_timeout': 1.0, 'stamp_tolerance': 5.0},
+    'driver': {'command_timeout': 0.5, 'stamp_tolerance': 5.0, 'rate': 100.0},
+    'controller': {'state_timeout': 1.0, 'stamp_tolerance': 5.0, 'rate': 100.0},
 }
 INPUTS = ('prox_left', 'prox_right', 'dist_left', 'dist_right')
 SETTLED = ('reached', 'nearest', 'at_limit')
@@ -179,6 +183,21 @@ def values(status):
     return {item.key: item.value for item in status.values}
 
 
+class ForkedNode(NodeProcess):
+    """A node as a process of its own, that starts without the cost of its imports."""
+
+    def __init__(self, name, parameters, namespace='/', output=None, extra=(), own=()):
+        self.name = name
+        self.process = Forked(
+            [name, *own, *ros_arguments(parameters, namespace), *extra],
+            stdin=processes.DEVNULL,
+            stdout=output,
+            stderr=output,
+            env=child_environment(),
+        )
+        processes.started.remove(self.process)  # a node may outlive the test that starts it
+
+
 def start(name, namespace, output, extra=(), **parameters):
     """Start a node as a process, with patience; its messages go to a file."""
     defaults = {
@@ -187,7 +206,7 @@ def start(name, namespace, output, extra=(), **parameters):
     }
     known = {**defaults[name], **PATIENT[name], **parameters}
     with open(output / f'{name}_{time.monotonic_ns()}.log', 'w', encoding='utf-8') as log:
-        return NodeProcess(name, known, namespace, log, extra)
+        return ForkedNode(name, known, namespace, log, extra)
 
 
 @contextlib.contextmanager
@@ -196,5 +215,6 @@ def holding(space, logs):
     with start('driver', space, logs), start('controller', space, logs):
         station = Station(space)
         station.until_code(station.controller, 'holding', timeout=120.0)  # compiles when cold
+        station.until_code(station.driver, 'following', 'released')
         with contextlib.closing(station):
             yield station

@@ -132,8 +132,11 @@ def test_a_lever_follows_slowly_within_its_interval_and_is_given_back():
     assert postures[0] >= 12
     again = parse_robot(dump_robot(adaptation.robot))
     assert again.fitted['hinge_friction']['parameters']['lever']['high'] == 0.42e-3
-    while adaptation.undo() is not None:
-        pass
+    undone = []
+    while (back := adaptation.undo()) is not None:
+        undone.append(back)
+    ways = [(p.after, p.before) for change in reversed(changes) for p in change.parameters]
+    assert [(p.before, p.after) for back in undone for p in back.parameters] == ways
     assert lever(adaptation.robot) == 0.30e-3
     assert adaptation.robot == described()
 

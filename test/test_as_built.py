@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,16 +11,26 @@ from simulated import CATALOGUE
 
 from tendon_robot_ros.comparison.predict import Predictor, free_parameters
 from tendon_robot_ros.comparison.statistics import chi2_isf
-from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.diagnosis.as_built import Kind
+from tendon_robot_ros.diagnosis.candidates import gain_p_value
 from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.diagnosis.fitter import Fitter
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
 from tendon_robot_ros.diagnosis.outliers import _moves, _without_inputs, find_outliers
+from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.slopes import imperfections
 from tendon_robot_ros.diagnosis.split import SplitPredictor
 from tendon_robot_ros.report.diagnosis_text import lines
+from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.robot.estimates import natural_sizes
+from tendon_robot_ros.simulation.hidden import Workmanship
+from tendon_robot_ros.simulation.measurements import simulate
+from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.workspace.postures import default_postures
 
 CASES = Path(__file__).parent / 'data' / 'as_built'
+ROBOTS = Path(__file__).parents[1] / 'config' / 'robots'
 TRUTH = yaml.safe_load((CASES / 'truth.yaml').read_text(encoding='utf-8'))
 
 
@@ -100,6 +111,73 @@ def test_under_tensions_a_gain_counts_for_a_hole_off_its_place_too():
     assert {kind.name: kind.plausible for kind in kinds}['channel_gain'] == 0.003
 
 
+def test_the_noise_of_inputs_acts_on_the_arm_as_it_is_built():
+    dataset = case('messy_000').select(case('messy_000').postures[:4])
+    session, split = (
+        Session(dataset, dataset.robot, CATALOGUE, 1),
+        SplitPredictor(Predictor(dataset, dataset.robot, CATALOGUE)),
+    )
+    n, seen = split.whole.cells, []
+    members = {'cell_kink': np.full(n, 0.05), 'channel_gain': np.array([0.2, 0.1])}
+    for at in ({}, members):
+        assert session.weigh({}, at)
+        split.around, share = at, session.noise.trial**2 / 5.0 + session.noise.setting**2
+        variance = np.zeros_like(dataset.mean)
+        for j in range(dataset.inputs.shape[1]):
+            sides = []
+            for side in (1e-3, -1e-3):
+                inputs = dataset.inputs.copy()
+                inputs[:, j] *= 1.0 + side
+                sides.append(split.markers({}, inputs))
+            variance += share * ((sides[0] - sides[1]) / 2e-3) ** 2
+        tip = variance[:, -1].sum(axis=1) + 3.0 * session.noise.position**2 / 5.0
+        seen.append([float(one[-3:].sum()) for one in session.whitener.variance])
+        np.testing.assert_allclose(seen[-1], tip, rtol=0.02)
+    assert np.abs(np.log(np.divide(*seen))).max() > 0.1, 'the arm as built answers otherwise'
+
+
+SLACK_POSTURES = [
+    [0.548, 0.298, 1.013],
+    [0.1, 0.1, 0.651],
+    [0.182, 0.182, 0.193],
+    [0.484, 0.282, 0.679],
+    [0.733, 0.165, 0.386],
+    [0.1, 0.233, 0.1],
+    [0.81, 0.585, 0.174],
+    [0.1, 0.1, 0.1],
+    [0.332, 0.912, 0.332],
+    [0.259, 0.215, 0.235],
+]
+
+
+def test_a_fit_never_rises_where_friction_turns_over(monkeypatch):
+    """Kinks decide which way a slack arm bends, and so how friction pulls: no slope tells."""
+    robot = load_robot(ROBOTS / 'spatial_3.yaml')
+    hidden = {'pre_curvature': {'angle_x': 0.004, 'angle_y': 0.0}}
+    plant = make_plant(robot, hidden, seed=103, work=Workmanship())
+    dataset = simulate(plant, np.array(SLACK_POSTURES), trials=3, seed=103)
+    session = Session(dataset, robot, CATALOGUE.sized(natural_sizes(robot)), 1)
+    assert session.weigh({})
+    candidate = next(c for c in session.candidates if c.label == 'pre_curvature')
+    places, found, start, go = [], [], None, Fitter._go
+    monkeypatch.setattr(Fitter, '_go', lambda self, at: places.append(at) or go(self, at))
+    for _ in range(3):
+        begun, fitter = len(places), session.fitters[0]
+        fit = start = fitter.fit(candidate.frees, start)
+        deviances = [place.deviance for place in places[begun:]]
+        assert (np.diff(deviances) <= 0.0).all(), deviances
+        found.append(fit.values[0])
+        split, random = session.splits[0], fit.built.random
+        split.around, sizes = fit.around, fit.built.sizes
+        white = session.whitener.white(dataset.mean - split.markers(fit.point))
+        worth = random.misfit(white, sizes) + random.cost(fit.around, sizes) + fit.built.penalty
+        assert worth == pytest.approx(deviances[-1], rel=1e-6), 'what it is worth is predicted'
+        assert fit.deviance < worth + 1e-6, 'no imperfections are more likely than the best'
+        session.weigh(fit.point, fit.around)
+    assert len(places) >= 5, 'some steps were taken'
+    np.testing.assert_allclose(found, found[0], atol=3e-4, err_msg='it stays where it was found')
+
+
 def small():
     """Return random effects of two kinds, with a residual drawn from them."""
     random = np.random.default_rng(4)
@@ -148,6 +226,16 @@ def test_readings_that_the_other_trials_contradict_are_found_and_no_others():
     assert np.isnan(found.without(changed).positions[8, 1]).all()
 
 
+def test_a_tip_that_three_inputs_may_move_anywhere_has_no_outliers():
+    """Only where fewer pull is anything left of the noise: that is no outlier."""
+    robot = load_robot(ROBOTS / 'spatial_3.yaml')
+    tip = (Marker('tip', robot.length),)
+    for seed in range(3):
+        plant = make_plant(robot, seed=seed, scatter=0.0)
+        dataset = simulate(plant, default_postures(robot, 12), seed=seed, markers=tip)
+        assert not find_outliers(Predictor(dataset, robot, CATALOGUE), {}).readings.any()
+
+
 def scattered(members, size, draws, seed=0):
     """Return the random effects of one kind that shows far beyond the noise, and residuals."""
     kinds = [Kind('cell_stiffness', '1', 0.03, tuple(map(str, range(members))))]
@@ -170,6 +258,36 @@ def test_a_scatter_that_shows_is_told_as_the_sd_of_so_many_normal_deviates(size)
         assert high == pytest.approx(found[0] * np.sqrt(12 / chi2_isf(0.975, 12)), rel=0.01)
         held += low <= size <= high
     assert 0.90 <= held / 200 <= 0.99
+
+
+def test_chance_pays_an_effect_along_imperfections_no_more_often_than_is_said():
+    """An effect that stands for two of six imperfections may make the others' spread small."""
+    random, _, residuals = scattered(6, 0.02, 300)
+    noise = np.random.default_rng(1).normal(size=residuals.shape)
+    slopes, freedoms, chances = 1e4 * np.eye(12)[:, :2], [], []
+    for residual in residuals + noise:
+        base = random.estimate(residual, np.zeros((12, 0)))
+        fit = random.estimate(residual, slopes, base.values)
+        shift = np.where(np.arange(12) < 2, residual, 0.0)
+        freedoms.append(random.freedom(shift, base.values))
+        worth = (SimpleNamespace(deviance=one.deviance, rank=2, frees=()) for one in (base, fit))
+        chances.append(gain_p_value(*worth, (), freedoms[-1]))
+    np.testing.assert_allclose(freedoms, 7.0, rtol=5e-3)  # six, and the prior as one more
+    for level in (0.05, 0.2):
+        assert np.mean(np.array(chances) < level) == pytest.approx(level, rel=0.4)
+
+
+def test_noise_alone_is_told_by_many_deviations():
+    random, _, residuals = scattered(6, 0.02, 1)
+    base = random.estimate(residuals[0], np.zeros((12, 0)))
+    beside = np.where(np.arange(12) < 6, 0.0, 1.0)  # no imperfection moves these
+    assert random.freedom(beside, base.values) == np.inf
+    few = (
+        SimpleNamespace(deviance=9.0, rank=2, frees=()),
+        SimpleNamespace(deviance=0.0, rank=2, frees=()),
+    )
+    assert gain_p_value(*few, ()) == pytest.approx(np.exp(-4.5))
+    assert gain_p_value(*few, (), 7.0) == pytest.approx((1 + 2 / 7 * 3.5 * np.expm1(1.0)) ** -3.5)
 
 
 def test_a_scatter_that_does_not_show_may_be_none():

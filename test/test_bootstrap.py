@@ -3,6 +3,7 @@
 import contextlib
 import os
 import pty
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -203,3 +204,18 @@ def test_another_distribution_is_left_aside(pretend):
     )
     assert 'ROS 2 humble is sourced; it is left aside' in result.stderr
     assert result.stdout == '\n'
+
+
+def test_the_oldest_versions_are_allowed():
+    """An environment of them cannot be made otherwise."""
+    asked = re.findall(r"'([\w-]+)>=([\d.]+)'", (ROOT / 'setup.py').read_text(encoding='utf-8'))
+    lines = (ROOT / 'tools/oldest.txt').read_text(encoding='utf-8').splitlines()
+    oldest = dict(line.lower().split('==') for line in lines if '==' in line)
+    held = [(name, version) for name, version in asked if name in oldest]
+    assert len(held) > 10
+    for name, version in held:
+        assert _numbers(oldest[name]) >= _numbers(version), name
+
+
+def _numbers(version):
+    return [int(part) for part in version.split('.')]

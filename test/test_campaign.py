@@ -15,18 +15,29 @@ import pytest
 import yaml
 from source_tree import ROOT
 
+from tendon_robot_ros.campaign import judge
 from tendon_robot_ros.campaign.cases import Case, Chance, Design, hidden_values, simulated
-from tendon_robot_ros.campaign.figures import Rate, coverage, powers
-from tendon_robot_ros.campaign.judge import CaseRow
+from tendon_robot_ros.campaign.figures import (
+    Rate,
+    coverage,
+    powers,
+    rates,
+    rates_by_hidden,
+    rates_by_robot,
+    to_json,
+)
+from tendon_robot_ros.campaign.judge import CaseRow, scatter_held
 from tendon_robot_ros.campaign.plan import plan_of, read_plan
 from tendon_robot_ros.campaign.running import earlier_rows, run_plan
 from tendon_robot_ros.campaign.table import GrowingTable
 from tendon_robot_ros.campaign.versions import Preparation
 from tendon_robot_ros.cli.main import main
-from tendon_robot_ros.common.errors import ClusterLostError, InputError, MissingExtraError
+from tendon_robot_ros.common.errors import ClusterLostError, InputError, NoEquilibriumError
 from tendon_robot_ros.common.workers import Workers
 from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.report.campaign_page import robot_rows, summary
+from tendon_robot_ros.simulation.hidden import Built
 
 pytest.importorskip('pyarrow')
 ROBOT = str(ROOT / 'config' / 'robots' / 'kato_10_1_single.yaml')
@@ -77,6 +88,37 @@ def test_processes_say_the_same_bit_for_bit_in_another_order_and_from_where_they
         found = run_plan(turned, tmp_path / 'out', workers, lambda *told: seen.append(told))
     assert seen[-1] == ('cases (1 were there)', 3, 3)
     assert without_time(found[::-1]) == without_time(rows)
+
+
+@pytest.mark.parametrize(
+    ('where', 'error'),
+    [
+        ('simulated', NoEquilibriumError('posture 3', ('tip_load',), 0.1)),
+        ('diagnose', ValueError('a mistake of this program')),
+    ],
+)
+def test_a_case_that_fails_is_counted_and_others_go_on(rows, tmp_path, monkeypatch, where, error):
+    asked, real = [], getattr(judge, where)
+
+    def second_fails(*arguments, **options):
+        asked.append(1)
+        if len(asked) == 2:
+            raise error
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(judge, where, second_fails)
+    with Workers() as workers:
+        found = run_plan(plan(), tmp_path / 'out', workers)
+        assert run_plan(plan(), tmp_path / 'out', workers) == found  # it is not judged again
+    assert len(asked) == 4
+    failed = found.pop(1)
+    assert without_time(found) == without_time([rows[0], *rows[2:]])
+    told = f'{type(error).__name__}: {error}'
+    assert (failed.key, failed.verdict, failed.problem) == (rows[1].key, judge.ERROR, told)
+    counted = rates([failed, *found])
+    assert counted['cases that ended in an error'] == Rate(1, 4)
+    assert counted['right, of all effects'] == Rate(1, 2)
+    assert f'1 x {told}' in summary([failed, *found])
 
 
 def test_a_folder_of_other_settings_is_refused(rows, tmp_path):
@@ -203,19 +245,63 @@ def test_coverage_of_normal_errors_is_nominal():
         assert low - 0.01 < nominal < high + 0.01
 
 
+def test_rates_are_told_of_every_robot_and_of_all_that_is_hidden():
+    made = [row(right=number < 3, number=number) for number in range(4)]
+    made += [replace(one, robot='other', right=True, truth=(9.0,)) for one in made[:2]]
+    made += [replace(row(right=False, number=9), visible=False)]
+    by_robot = rates_by_robot(made)
+    stand_out = 'right, of those that stand out of the noise'
+    assert [by_robot[name][stand_out] for name in ('arm', 'other')] == [Rate(3, 4), Rate(2, 2)]
+    one, other = rates_by_hidden(made)
+    assert (one.robot, one.right, one.right_if_seen) == ('arm', Rate(3, 5), Rate(3, 4))
+    assert (other.inside, one.inside) == (Rate(0, 2), Rate(5, 5))
+    assert to_json(made)['rates_by_robot']['other'][stand_out]['hits'] == 2
+    assert robot_rows(made)[0][1:] == ['arm', 'other']
+    assert robot_rows(made[:4]) == []
+
+
+def test_every_printed_size_of_the_scatter_counts():
+    """Two intervals of 95 % each hold both in 90 %: that is not what is asked."""
+    told = replace(row(), scatter_inside=0.5, scatter_told=2)
+    older = replace(row(number=1), scatter_inside=0.5)  # of a table without the number
+    (rates,) = rates_by_robot([told, older, row(number=2)]).values()
+    assert rates['scatter inside its interval, where it is told'] == Rate(1, 3)
+
+
+def test_a_size_that_is_not_printed_does_not_count():
+    built = Built(
+        np.array([0.03, -0.03]), np.array([[2e-3, 0.0], [2e-3, 0.0]]), *(np.zeros(3),) * 4
+    )
+    kind = {'unit': '1', 'size': 0.03, 'low': 0.02, 'high': 0.05, 'plausible': 0.03, 'told': 0}
+    kinds = [
+        {**kind, 'kind': 'cell_stiffness'},
+        {**kind, 'kind': 'cell_kink', 'low': 0.0},
+        {**kind, 'kind': 'rotation'},
+    ]
+    assert scatter_held({'kinds': kinds}, built) == [True]
+    kinds[1]['low'] = 3e-3
+    assert scatter_held({'kinds': kinds}, built) == [True, False], 'its plane alone has kinks'
+    assert scatter_held(None, built) == []
+
+
 def test_the_command_writes_table_and_page_and_goes_on(tmp_path, capsys, monkeypatch):
     pytest.importorskip('plotly')
     content = CHEAP | {'seeds': 1, 'clean': 1}
     (tmp_path / 'plan.yaml').write_text(yaml.safe_dump(content))
     call = ['campaign', str(tmp_path / 'plan.yaml'), '--output', str(tmp_path / 'out')]
 
-    def stop(*_):
-        raise KeyboardInterrupt
+    seen = []
+
+    def stop_at_second(*_):
+        seen.append(1)
+        if len(seen) == 2:
+            raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr('tendon_robot_ros.campaign.running.ChunkSize.saw', stop)
+        patch.setattr('tendon_robot_ros.campaign.running.ChunkSize.saw', stop_at_second)
         assert main([*call, '--workers', '1']) == 130
-    assert 'the same command goes on from there' in capsys.readouterr().err
+    assert 'stopped: 1 of 2 cases are in' in capsys.readouterr().err
+    assert '1 of 2 cases' in (tmp_path / 'out' / 'campaign.html').read_text()
     assert main([*call, '--workers', '1']) == 0
     printed = capsys.readouterr().out
     assert 'right, of all effects: 100 % (21 to 100; 1 of 1)' in printed
@@ -314,22 +400,14 @@ def test_certificates_of_dasks_own_settings_are_respected(tmp_path):
         assert address.startswith('tls://')
         with pytest.raises(InputError, match=r'tls://.*client.cert and key; dask names no cert'):
             Workers(cluster=address)
+        with (
+            dask.config.set({'distributed.comm.require-encryption': True}),
+            pytest.raises(InputError, match=r'--cluster tcp://x:1: expected tls://, as .*--proto'),
+        ):
+            Workers(cluster='tcp://x:1')
         mine = {'distributed.comm.tls.ca-file': certificate, 'distributed.comm.tls.client': one}
         with dask.config.set(mine), Workers(cluster=address) as workers:
             assert [number for _, (_, number) in workers.run(slow, [7])] == [7]
-
-
-def test_without_dask_a_cluster_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, 'distributed', None)
-    with pytest.raises(MissingExtraError, match=r'tendon_robot_ros\[cluster\]'):
-        Workers(cluster='tcp://127.0.0.1:9')
-
-
-def test_a_scheduler_that_is_not_there_is_one_line(monkeypatch):
-    pytest.importorskip('distributed')
-    monkeypatch.setattr('tendon_robot_ros.common.workers.CONNECT_S', 0.2)
-    with pytest.raises(InputError, match=r'--cluster tcp://127.0.0.1:9: no scheduler answers'):
-        Workers(cluster='tcp://127.0.0.1:9')
 
 
 def test_a_scheduler_that_dies_is_one_line_and_what_was_finished_has_come(cluster):

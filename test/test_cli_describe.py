@@ -11,11 +11,15 @@ import pytest
 import yaml
 from source_tree import ROOT
 
+from tendon_robot_ros.cli.describe import description
 from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.report.robot_picture import draw_robot
 from tendon_robot_ros.robot import load_robot, parse_robot
 from tendon_robot_ros.robot.estimates import handling, sag
 from tendon_robot_ros.robot.urdf import joint_angles, joint_names, transforms, urdf
+from tendon_robot_ros.tables.marker_order import _snapped
 
 ROBOTS = ROOT / 'config' / 'robots'
 KATO = str(ROBOTS / 'kato_10_1.yaml')
@@ -133,7 +137,11 @@ def test_new_robot_takes_answers_from_a_pipe_and_draws(monkeypatch, tmp_path, ca
     assert new_robot(monkeypatch, tmp_path, f'{answers}\n\nyes\n', '--output', 'plate.yaml') == 0
     plate = load_robot(tmp_path / 'plate.yaml')
     assert [s.name for s in plate.sections] == ['plate', *(s.name for s in robot.sections)]
-    assert plate.length == pytest.approx(robot.length, abs=2e-6)
+    assert plate.length == pytest.approx(robot.length, abs=2e-5)
+    size = description(robot).splitlines()[0]  # a plate is no section and no cell
+    assert description(plate).splitlines()[0] == f'{size}, on a base plate with holes'
+    ends = np.array([marker.arc_length for marker in default_markers(plate)[2:4]])
+    assert _snapped(ends, plate)[1].endswith('the ends of cells 2 and 3')
     tips = [Model(one).shape([3.0] + 8 * [0.1]).tip_position for one in (robot, plate)]
     assert np.hypot(*tips[1][:2]) != pytest.approx(np.hypot(*tips[0][:2]), rel=1e-3)
 
@@ -180,9 +188,8 @@ def test_an_arm_whose_sag_was_measured_sags_so_in_the_model(monkeypatch, tmp_pat
     robot = load_robot(tmp_path / 'arm.yaml').with_effect('tip_load', {'force_x': 2e-3 * 9.81})
     assert Model(robot).shape([0.0] * 4).tip_position[0] == pytest.approx(8e-3, rel=0.01)
     assert new_robot(monkeypatch, tmp_path, 'b\n2\n10\n6\nsag\n2\n80\n') == 1
-    assert (
-        '80 mm are more than 30 % of the arm of 120 mm; take a lighter' in capsys.readouterr().err
-    )
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert 'to 36 (30 % of the arm; if it sags more, take a lighter weight), got' in error
 
 
 @pytest.mark.parametrize(
@@ -191,6 +198,7 @@ def test_an_arm_whose_sag_was_measured_sags_so_in_the_model(monkeypatch, tmp_pat
         (27.0, 'left at its limit of 5 N bends by 0.875° only; is bending_stiffness too high'),
         (2.7e-4, 'left bends by 90° at 0.0051 N, with tensions from 0 to 5 N; is bending_st'),
         (0.027, None),
+        (0.27, None),
     ],
 )
 def test_what_no_arm_is_like_is_doubted(stiffness, doubt):
@@ -198,7 +206,12 @@ def test_what_no_arm_is_like_is_doubted(stiffness, doubt):
     section = robot.sections[0]
     section = replace(section, bending_stiffness=(stiffness,) * section.cells)
     lines = '\n'.join(handling(replace(robot, sections=(section,))))
-    assert (f'NOT PLAUSIBLE: {doubt}' in lines) if doubt else ('\nplausible: 90° take' in lines)
+    says = (
+        '90° take'
+        if stiffness < 0.1
+        else '5 N, the most that may pull, bend by 87.5° (90° take 5.1'
+    )
+    assert (f'NOT PLAUSIBLE: {doubt}' in lines) if doubt else (f'\nplausible: {says}' in lines)
 
 
 def test_the_sag_of_a_beam_of_many_cells_is_that_of_the_textbook():
@@ -214,6 +227,43 @@ def test_the_sag_of_a_beam_of_many_cells_is_that_of_the_textbook():
     beam = replace(robot, sections=(section,))  # 0.1 m, EI = 2e-3 N·m²
     assert sag(beam, force=0.1) == pytest.approx(0.1 * 0.1**3 / 3.0 / 2e-3, rel=1e-4)
     assert sag(beam, weight=0.1) == pytest.approx(0.1 * 0.1**3 / 8.0 / 2e-3, rel=1e-4)
+
+
+@pytest.mark.parametrize('name', ['kato_10_1', 'spatial_6', 'kato_1_1'])
+def test_legends_of_the_picture_hide_nothing_and_every_line_and_tendon_is_named(name, tmp_path):
+    robot = load_robot(ROBOTS / f'{name}.yaml')
+    figure = draw_robot(Model(robot), tmp_path / 'arm.png')
+    side, section = figure.axes
+    for axes in (side, section):
+        legend = axes.get_legend().get_window_extent()
+        assert not legend.overlaps(axes.get_position().transformed(figure.transFigure))
+    named = [text.get_text() for text in side.get_legend().get_texts()]
+    assert [line.get_label() for line in side.lines] == named and len(named) > 1
+    words = '\n'.join(text.get_text() for text in section.texts)
+    assert all(tendon.name in words for tendon in robot.tendons)
+    assert min(text.get_fontsize() for text in section.texts) * 400 / 8.0 / 72.0 > 9.0  # [px]
+
+
+@pytest.mark.parametrize('back', ['<', 'back'])
+def test_a_wrong_answer_is_taken_back_and_the_others_stay(back, monkeypatch, tmp_path, capsys):
+    """Radius 55 instead of 5.5: back over the two questions after it, and once too often."""
+    answers = f'{back}\narm\n1\n11\n7\nrod\n1\n200\n\n3\n55\n0.2\n{back}\n{back}\n5.5\n\n9\n0\n'
+    assert new_robot(monkeypatch, tmp_path, answers) == 0
+    robot = load_robot(tmp_path / 'arm.yaml')
+    assert (robot.cells, len(robot.tendons), robot.tension_limits) == (11, 3, (0.2, 9.0))
+    assert np.hypot(*robot.tendons[0].base) == pytest.approx(5.5e-3)
+    asked = capsys.readouterr().err
+    assert asked.count('Modulus E') == 1, 'what stays is not asked again'
+    assert 'off the centre by [mm] [55]: 5.5' in asked, 'the answer of before is the default'
+    assert 'Lowest tension [N] [0.2]: \n' in asked
+    assert '< goes back to the question before' in asked
+
+
+def test_going_back_over_a_choice_asks_what_follows_from_the_new_one(monkeypatch, tmp_path):
+    answers = 'arm\n2\n10\n6\nsag\n<\ntube\n2\n0.1\n60\n'
+    assert new_robot(monkeypatch, tmp_path, answers) == 0
+    stiffness = load_robot(tmp_path / 'arm.yaml').sections[0].bending_stiffness[0]
+    assert stiffness == pytest.approx(60e9 * np.pi * (16e-12 - 1.8e-3**4) / 64.0 / 0.006, rel=1e-3)
 
 
 def test_new_robot_needs_no_answer_at_all(monkeypatch, tmp_path):
@@ -233,7 +283,7 @@ def test_new_robot_needs_no_answer_at_all(monkeypatch, tmp_path):
             '\n' * 12 + 'horizontal' + '\n' * 5 + 'below\n',
             "or down or right or up or left, got 'below'",
         ),
-        ('\n' * 9 + '5\n2\n', "Highest tension [N]: expected a number from 5 to 100000, got '2'"),
+        ('\n' * 9 + '5\n2\n', "Highest tension [N]: expected a number above 5 to 100000, got '2'"),
     ],
 )
 def test_a_wrong_answer_from_a_pipe_is_one_line(answers, message, monkeypatch, tmp_path, capsys):

@@ -12,6 +12,7 @@ from tendon_robot_ros.common.errors import InputError, NoEquilibriumError
 from tendon_robot_ros.comparison.compare import bending_axes, compare, turns
 from tendon_robot_ros.data import Marker, load_dataset, save_dataset
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.report.comparison_text import worst
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Damage
 from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
@@ -49,7 +50,8 @@ def test_every_error_is_the_distance_from_the_trial_mean(hinges):
     distance = np.linalg.norm(own - hinges.positions.mean(axis=1), axis=2)
     np.testing.assert_allclose(model.distance, distance, atol=1e-12)
     assert model.rms == pytest.approx(np.sqrt((distance**2).mean()))
-    assert model.tip_rms == pytest.approx(np.sqrt((distance[:, -1] ** 2).mean()))
+    assert model.per_marker_rms[-1] == pytest.approx(np.sqrt((distance[:, -1] ** 2).mean()))
+    assert model.tip_error().mean == pytest.approx(model.tip_errors.mean())
     assert model.max == pytest.approx(distance.max())
     np.testing.assert_allclose(model.per_marker_rms, np.sqrt((distance**2).mean(axis=0)))
     tips = np.linalg.norm(own[:, None, -1] - hinges.positions[:, :, -1], axis=2)
@@ -60,7 +62,7 @@ def test_a_known_shift_is_the_error(kato):
     data = perfect(kato, noise=QUIET, trials=2)
     shifted = replace(data, positions=data.positions + [0.0, 3e-3, 4e-3])
     model = compare(shifted).models[0]
-    for value in (model.rms, model.tip_rms, model.max, *model.per_marker_rms):
+    for value in (model.rms, model.max, *model.per_marker_rms):
         assert value == pytest.approx(5e-3)
 
 
@@ -193,6 +195,24 @@ def test_another_robot_is_refused(hinges, kato):
         compare(hinges, [('kato', kato)])
     with pytest.raises(InputError, match="error: expected ci or sem, got 'sd'"):
         compare(hinges, error='sd')
+
+
+def test_an_error_that_begins_at_the_first_marker_is_told_at_both_ends(hinges):
+    found = compare(hinges)
+    object.__setattr__(found, 'grows_from', lambda model: 0)
+    first, last = 1e3 * found.best.per_marker_rms[[0, -1]]
+    said = worst(found, found.best)
+    assert said.endswith(f'first marker is off by {first:.3f} mm rms, the last by {last:.2f} mm.')
+
+
+def test_models_are_robots_or_pairs_with_a_name(hinges):
+    robot = hinges.robot
+    found = compare(hinges, [robot, replace(robot, effects={}), ('bare', robot)])
+    assert [model.name for model in found.models] == [robot.name, f'{robot.name} (2)', 'bare']
+    assert compare(hinges, robot).models[0].rms == found.models[2].rms != found.models[1].rms
+    for wrong in (['robot.yaml'], [('name', 'robot.yaml')], [3]):
+        with pytest.raises(InputError, match='models: expected robots, or pairs of a name and'):
+            compare(hinges, wrong)
 
 
 def test_a_model_without_equilibrium_is_named(hinges):

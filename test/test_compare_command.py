@@ -26,7 +26,7 @@ def test_the_json_reads_back_and_has_the_promised_keys(hinges, tmp_path, capsys)
     content = json.loads(out.read_text())
     assert content['format'] == 'tendon_robot_ros/comparison@1'
     model = content['models'][0]
-    assert {'name', 'rms', 'tip_rms', 'max', 'per_marker_rms', 'per_posture'} <= set(model)
+    assert {'name', 'rms', 'tip_error', 'max', 'per_marker_rms', 'per_posture'} <= set(model)
     assert [m['name'] for m in content['models']] == ['planar1', 'PCCA']
     assert len(model['per_posture']) == 12
     assert len(model['per_marker_rms']) == 15

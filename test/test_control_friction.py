@@ -10,9 +10,11 @@ from tendon_robot_ros.control import ControllerCore, Settings, Target, mismatch
 from tendon_robot_ros.control.friction_state import FeltTensions, forgetting
 from tendon_robot_ros.control.mismatch import STEP_SHARE, Mismatch, stability_margins
 from tendon_robot_ros.control.status import controller_status
+from tendon_robot_ros.control.tip_loop import _Step
 from tendon_robot_ros.control.trajectory import Playing
+from tendon_robot_ros.model.derivatives import tip_slopes
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.model.redundancy import Preferences
+from tendon_robot_ros.model.redundancy import Preferences, bounded_step
 from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
 from tendon_robot_ros.ros.shared.files import read_robot
 
@@ -267,6 +269,23 @@ def test_the_margin_of_the_gain_is_where_the_loop_begins_to_ring(samples):
             size.append(abs(goal))
         swings.append(max(size[-200:]) / max(size[200:400]))
     assert swings[0] < 0.1 and swings[1] > 10.0
+
+
+@pytest.mark.parametrize('tensions', [(0.83, 1.65, 0.43, 0.6), (0.64, 1.33, 0.65, 0.95)])
+def test_a_step_is_found_where_tendons_stick_whichever_way_they_are_pulled_a_little(tensions):
+    arm = model()
+    width, here = arm.limits[:, 1] - arm.limits[:, 0], arm.follow(None, arm.limits[:, 0])
+    goal = np.array(tensions)
+    here = arm.follow(here, goal)
+    wanted = here.tip_position + [-7e-3, 0.0, 7e-3]
+    slopes = tip_slopes(arm, here, here.memory)[:3] * width
+    little = bounded_step(slopes, 0.5 * (wanted - here.tip_position), goal, arm.limits, 0.02)
+    assert np.linalg.norm(arm.follow(here, little).tip_position - wanted) > 10e-3
+    for _ in range(12):
+        nothing = Mismatch.unknown(here.inputs, arm.limits, np.full(4, 1e-3))
+        step = _Step.at(arm, here, wanted, np.zeros(4), arm.limits, True)
+        here = arm.follow(here, goal := step.next_goal(nothing, goal))
+    assert np.linalg.norm(here.tip_position - wanted) < 1e-3
 
 
 LAG, PERIOD = 0.03, 0.02  # [s] of the drive, of the tracker

@@ -9,8 +9,10 @@ from control_rig import CYCLE, Rig, model, reachable
 
 from tendon_robot_ros.common.errors import InputError, NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore
+from tendon_robot_ros.control.loading import load
 from tendon_robot_ros.control.state import Target
 from tendon_robot_ros.control.trajectory import Playing
+from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
 
@@ -145,3 +147,7 @@ def test_a_target_that_comes_while_a_model_is_looked_at_is_met_with_it():
     done(work(lambda: False), None)
     rig.run(1.0)
     assert stiffer.shape(rig.tensions).tip_position == pytest.approx(new.position, abs=1e-4)
+
+
+def test_a_loaded_model_has_its_library_no_search_waits_for_it():
+    assert 'library' in vars(load(model().robot, load_catalogue()))

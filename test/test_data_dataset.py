@@ -9,6 +9,7 @@ from small_dataset import INPUTS, ROBOT, write
 
 from tendon_robot_ros.common.errors import DataSetError, InputError
 from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.data.dataset import at_rest
 from tendon_robot_ros.robot import parse_robot
 
 
@@ -23,6 +24,12 @@ def sequence(tmp_path):
     """Read the small data set as a sequence with a posture that was not measured."""
     inputs = INPUTS + 'turn,2,2\n'
     return load_dataset(write(tmp_path / 'small', dataset='path: sequence', inputs=inputs))
+
+
+def test_postures_at_rest_are_those_in_which_hardly_anything_pulls():
+    inputs = np.array([[0.2, 0.2], [0.2, 10.0], [np.nan, 0.0], [0.62, 0.2]])
+    assert at_rest(inputs).tolist() == [True, False, True, False]
+    assert not at_rest(np.zeros((2, 2))).any(), 'nothing pulls anywhere: nothing tells'
 
 
 def test_means_and_counts_leave_missing_markers_out(small):

@@ -126,7 +126,7 @@ def test_errors_and_candidates_are_tables(dataset):
     errors = comparison.frame()
     assert len(errors) == 12 * 15
     tip = errors[errors['marker'] == '15']['error']
-    assert np.sqrt((tip**2).mean()) == pytest.approx(comparison.best.tip_rms)
+    assert np.sqrt((tip**2).mean()) == pytest.approx(comparison.best.per_marker_rms[-1])
     away = errors[['measured_x', 'measured_y', 'measured_z']].to_numpy()
     away = away - errors[['predicted_x', 'predicted_y', 'predicted_z']].to_numpy()
     assert_allclose(np.linalg.norm(away, axis=1), errors['error'])

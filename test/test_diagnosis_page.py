@@ -12,12 +12,15 @@ from source_tree import ROOT
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.comparison.compare import compare
+from tendon_robot_ros.comparison.predict import free_parameters
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import Addition
 from tendon_robot_ros.diagnosis.decide import Verdict
+from tendon_robot_ros.diagnosis.into_description import with_values
 from tendon_robot_ros.diagnosis.missing_moment import blocks_of, missing_moment
 from tendon_robot_ros.diagnosis.prediction_errors import Errors
 from tendon_robot_ros.diagnosis.result import (
+    NOT_NEEDED,
     CandidateRow,
     Diagnosis,
     EffectFinding,
@@ -33,6 +36,8 @@ from tendon_robot_ros.report.diagnosis_page import (
 )
 from tendon_robot_ros.report.error_plots import heat_maps, moments
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.robot.description import Section
+from tendon_robot_ros.ros.viewer import page_parts
 from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import default_postures
@@ -83,6 +88,20 @@ def test_every_verdict_has_its_page(verdict):
     assert ('What else it could be' in said) == (verdict != 'cannot_judge')
     assert ('--add better.yaml' in said) == bool(effects)
     assert ('--partial' in said) == (verdict == 'outside_catalogue')
+
+
+def test_where_nothing_is_missing_no_effect_explains_anything():
+    found = diagnosis('adequate', ())
+    rows = tuple(replace(row, status=NOT_NEEDED, explained=0.0) for row in found.candidates)
+    said = text(diagnosis_page(replace(found, candidates=rows)))
+    assert NOT_NEEDED in said and not re.search(r'(?<![\d.])0 %', said)
+    shown = page_parts.verdict(replace(found, candidates=rows).to_json())
+    assert NOT_NEEDED in shown and '0 %' not in shown and 'lever 0.158 mm' in shown
+
+
+def test_a_diagnosis_that_judged_nothing_draws_why():
+    axes = diagnosis('cannot_judge', (), candidates=(), remainder='two trials').plot()
+    assert 'two trials' in axes.texts[0].get_text() and not axes.axison
 
 
 def test_the_page_says_what_it_rests_on_and_what_it_did_not_test():
@@ -145,6 +164,23 @@ def test_the_missing_bend_of_a_softer_block_is_found():
     expected = 0.05 * lacks.model_bend[:, 3:]
     np.testing.assert_allclose(lacks.bend[:, 3:], expected, atol=3e-4, rtol=0.1)
     np.testing.assert_allclose(lacks.bend[:, :3], 0.0, atol=2e-4)
+
+
+def test_a_base_plate_lacks_no_moment_and_has_no_stiffness_of_its_own():
+    """It does not bend: its 1000 N·m/rad would make a million of every small deviation."""
+    robot = load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml')
+    plate = Section('plate', 1, 1e-5, (1e3,), (1.0,), 'arc')
+    robot = replace(robot, sections=(plate, *robot.sections), effects={})
+    data = simulate(make_plant(robot, {'gravity': {}}, scatter=0.0), default_postures(robot, 6))
+    data = replace(data, gravity=(9.81, 0.0, 0.0))
+    lacks = missing_moment(data, robot, compare(data).measured, load_catalogue())
+    assert lacks.blocks[0] == 'cells 1 to 5' and lacks.blocks[-1] == 'cells 26 to 30'
+    assert np.nanmax(np.abs(lacks.moment)) < 1.0  # [N·m]
+    own = free_parameters(load_catalogue()['section_stiffness'], robot)
+    assert [free.label for free in own] == ['proximal', 'distal']
+    written = with_values(robot, load_catalogue(), zip(own, (0.1, -0.2), strict=True))
+    assert written.effects['section_stiffness'] == {'relative_change': (0.0, 0.1, -0.2)}
+    assert robot.cell_names[:3] == ('cell 0', 'cell 1', 'cell 2')
 
 
 def test_deviations_of_a_perfect_model_are_standard_normal():

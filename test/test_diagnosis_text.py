@@ -1,9 +1,13 @@
 """Every verdict in words: numbers in units that a person reads, reasons, and what to do."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from tendon_robot_ros.diagnosis.load import load_of
+from tendon_robot_ros.diagnosis.report_rows import explained_share
 from tendon_robot_ros.diagnosis.result import (
     CandidateRow,
     Diagnosis,
@@ -18,7 +22,13 @@ from tendon_robot_ros.report.diagnosis_text import (
     untested,
     verdict,
 )
-from tendon_robot_ros.report.numbers import quantities, quantity, short_quantities
+from tendon_robot_ros.report.numbers import (
+    load_words,
+    quantities,
+    quantity,
+    short_quantities,
+    told_quantity,
+)
 
 LEVER = Value(1.584e-4, 1.517e-4, 1.652e-4, 'm')
 HINGE = EffectFinding('hinge_friction', {'lever': LEVER}, 0.984)
@@ -41,6 +51,8 @@ FOUND = Diagnosis(
     (Value(1.0, 0.92, 1.0, '1', 'at its bound'), 'x = 1.00 (95 %: 0.92 to 1.00, at its bound)'),
     (Value(0.0, 0.0, 20.0, 'kg/m', 'not determined by these postures'),
      'x = 0 kg/m (95 %: 0 to 20, not determined by these postures)'),
+    (Value(1e-9, 0.0, 7e-6, '1/N', 'at its bound'),
+     'x = 0.000 1/N (95 %: 0.000 to 0.000007, at its bound)'),
 ])  # fmt: skip
 def test_values_are_shown_with_their_interval(value, text):
     assert quantity('x', value) == text
@@ -52,6 +64,94 @@ def test_changes_are_shown_in_percent_and_forces_in_one_unit():
     assert short_quantities(change) == 'relative_change -8.1 %'
     assert quantities(LOAD.parameters) == 'force_x = 2.46 ± 0.07 mN, force_y = -0.02 ± 0.10 mN'
     assert short_quantities(LOAD.parameters) == 'force_x 2.5 mN, force_y 0.0 mN'
+
+
+@pytest.mark.parametrize(('value', 'text'), [
+    (Value(-3.31e-7, -2e-3, 2e-3, 'N'), 'x 0 mN'),
+    (Value(2.95e-5, 2.6e-5, 3.3e-5, 'm'), 'x 30 µm'),
+    (Value(0.151, 0.147, 0.155, 'N'), 'x 0.151 N'),
+    (Value(0.151, -np.inf, np.inf, 'N'), 'x 0.151 N'),
+])  # fmt: skip
+def test_a_value_alone_has_as_many_places_as_its_interval_tells(value, text):
+    assert told_quantity('x', value) == text
+
+
+AXES = np.eye(3)
+FIRM, LEVEL = 1e-6 * AXES, (9.81, 0.0, 0.0)  # [N²]: 1 mN in every direction; x is down
+
+
+@pytest.mark.parametrize(('force', 'covariance', 'gravity', 'text'), [
+    ([0.1, 0.0, 0.0], FIRM, LEVEL,
+     "0.1000 ± 0.0020 N, along gravity, 90.0 ± 1.1° from the arm's axis"),
+    ([-0.1, 0.001, 0.0], FIRM, LEVEL,
+     "0.1000 ± 0.0020 N, against gravity, 90.0 ± 1.1° from the arm's axis"),
+    ([0.03, 0.0, 0.04], FIRM, LEVEL,
+     "50.0 ± 2.0 mN, 53 ± 2° from gravity, 37 ± 2° from the arm's axis"),
+    ([0.03, 0.0, 0.04], FIRM, None, "50.0 ± 2.0 mN, 37 ± 2° from the arm's axis towards x"),
+    ([0.0, -0.04, 0.03], FIRM, None, "50.0 ± 2.0 mN, 53 ± 2° from the arm's axis towards -y"),
+    ([0.03, 0.03, 0.0], FIRM, None,
+     "42.4 ± 2.0 mN, 90 ± 3° from the arm's axis towards 45° (x: 0°, y: 90°)"),
+    ([0.0, 0.001, 0.05], FIRM, None, "50.0 ± 2.0 mN, along the arm's axis, towards its tip"),
+    ([0.0, 0.0, -0.05], FIRM, None, "50.0 ± 2.0 mN, along the arm's axis, towards its base"),
+    ([0.001, 0.001, 0.0], FIRM, LEVEL,
+     '1.4 mN (95 %: 0.0 to 3.4), its direction is not told'),
+    ([0.1, 0.0, 0.0], None, LEVEL, "0.100 N, along gravity, 90.0° from the arm's axis"),
+])  # fmt: skip
+def test_a_force_is_told_by_its_size_and_direction(force, covariance, gravity, text):
+    assert load_words(load_of(force, covariance, gravity)) == text
+
+
+def test_intervals_of_size_and_angle_hold_the_true_ones():
+    """Forces with correlated errors: 95 % of the intervals hold size and both angles."""
+    random = np.random.default_rng(3)
+    true = np.array([0.06, 0.02, 0.05])
+    root = 2e-3 * random.normal(size=(3, 3))
+    exact, held = load_of(true, None, LEVEL), []
+    for _ in range(2000):
+        found = load_of(true + root @ random.normal(size=3), root @ root.T, LEVEL)
+        held.append([
+            told.low <= really.value <= told.high
+            for told, really in ((found.size, exact.size), (found.from_axis, exact.from_axis),
+                                 (found.from_gravity, exact.from_gravity))
+        ])  # fmt: skip
+    assert np.mean(held, axis=0) == pytest.approx([0.95] * 3, abs=0.02)
+
+
+def test_a_finding_that_is_a_force_says_so_in_the_verdict():
+    load = load_of([2.455e-3, -2e-5, 0.0], 1e-9 * AXES, LEVEL)
+    found = replace(FOUND, effects=(replace(LOAD, load=load),))
+    assert (
+        verdict(found)
+        .splitlines()[0]
+        .endswith(
+            ', force_y = -0.02 ± 0.10 mN, together 2.46 ± 0.06 mN, along gravity, '
+            "90.0 ± 1.4° from the arm's axis."
+        )
+    )
+    told = found.to_json()['effects'][0]['load']
+    assert told['size']['value'] == pytest.approx(2.455e-3, rel=1e-3)
+    assert told['from_axis']['unit'] == 'rad' and told['from_gravity']['low'] == 0.0
+
+
+def test_the_owner_of_a_value_is_said_in_words():
+    change = {'relative_change[distal]': Value(-0.081, -0.085, -0.077, '1')}
+    assert quantities(change) == 'relative_change of distal = -8.1 ± 0.4 %'
+    assert short_quantities(change) == 'relative_change of distal -8.1 %'
+    assert told_quantity(*change.popitem()) == 'relative_change of distal -8.1 %'
+
+
+def test_the_share_is_of_what_the_noise_leaves_even_where_it_was_declared_too_large():
+    def fit(chi2, freedom):
+        return SimpleNamespace(chi2=chi2, freedom=freedom, built=None)
+
+    def shares(base, best, other):
+        ranked = SimpleNamespace(fit=best)
+        evidence = SimpleNamespace(base=base, best=ranked, base_chi2=None, noise_scale=1.0)
+        return explained_share(evidence, best), explained_share(evidence, other)
+
+    assert shares(fit(4900, 1000), fit(1000, 1000), fit(2950, 1000)) == (1.0, pytest.approx(0.5))
+    small = shares(fit(490, 1000), fit(100, 1000), fit(295, 1000))  # the same, a tenth of it
+    assert small == (1.0, pytest.approx(0.5))
 
 
 def test_one_missing_effect():
@@ -154,9 +254,15 @@ def test_a_cause_outside_the_catalogue():
     found = replace(FOUND, verdict='outside_catalogue', error_after=7.75e-4,
                     candidates=(row(1e-30),))  # fmt: skip
     assert verdict(found) == (
-        'OUTSIDE THE CATALOGUE: hinge_friction (lever 0.16 mm) removes 98 % of the explainable '
-        'error, but what remains is 3.1 times the noise (p < 1e-6).'
+        'OUTSIDE THE CATALOGUE: hinge_friction (lever 0.16 mm) lowers the error from 2.00 mm to '
+        '0.775 mm, but what remains is 3.1 times the noise (p < 1e-6).'
     )
+    small = verdict(replace(found, error_after=2.4e-4))
+    assert small.endswith('but what remains is not random (p < 1e-6), though it is only 0.96 '
+                          'times the noise.')  # fmt: skip
+    load = load_of([0.0, 0.0, 0.05], FIRM)
+    loaded = verdict(replace(found, effects=(replace(LOAD, load=load),)))
+    assert "tip_load (50.0 ± 2.0 mN, along the arm's axis, towards its tip) lowers" in loaded
     beaten = replace(found, candidates=(row(0.2),), details={'rival': {'name': 'soft_cell'}})
     assert verdict(beaten).endswith('but a single soft cell fits better without any physics.')
     nothing = replace(found, effects=(), error_before=7.75e-4)
@@ -164,6 +270,8 @@ def test_a_cause_outside_the_catalogue():
         'OUTSIDE THE CATALOGUE: no effect of the catalogue helps; the error is 3.1 times the '
         'noise.'
     )
+    small = verdict(replace(nothing, error_before=2.35e-4))
+    assert small.endswith('the error is not random, though it is only 0.94 times the noise.')
 
 
 def test_nothing_missing_and_nothing_to_judge_by():
@@ -195,6 +303,8 @@ def test_what_is_taken_as_exact_stands_at_the_top():
                'tolerances': {'position': 2e-4, 'rotation': 2e-3, 'tension_gain': 0.01},
                'noise': {'source': 'declared', 'position': 1e-4, 'trial': 0.0, 'setting': 0.0},
                }  # fmt: skip
+    rested = replace(FOUND, details=details | {'postures': 13, 'at_rest': 1})
+    assert lines(rested)[0].startswith('arm on run: 13 postures (one at rest), 5 trials')
     assert lines(replace(FOUND, details=details))[:3] == [
         'arm on run: 1 posture, 5 trials and 1 marker',
         'declared tolerances (1 sd): position 0.20 mm, rotation 0.11°, tension_gain 1.0 %; '

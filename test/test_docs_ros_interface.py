@@ -59,7 +59,7 @@ def test_every_parameter_is_documented_as_it_is(node):
 @pytest.mark.parametrize('node', ['controller', 'driver'])
 def test_every_topic_and_service_is_documented(node):
     files = [f'{node}/node.py', 'shared/lifecycle.py', 'shared/inbox.py']
-    files += [f'{node}/model.py' if node == 'controller' else f'{node}/mock_arm.py']
+    files += [f'{node}/model.py' if node == 'controller' else f'{node}/backend.py']
     source = '\n'.join((ROOT / 'tendon_robot_ros' / 'ros' / name).read_text() for name in files)
     made = r"(?:create_(?:publisher|subscription|service)|subscribe)\(\s*\w+,\s*'([^']+)'"
     made += r"|Inbox\(\S+, \w+, '([^']+)'"

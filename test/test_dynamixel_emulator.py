@@ -11,8 +11,15 @@ from control_rig import ROBOTS
 
 from tendon_robot_ros.drivers.dynamixel.control_table import MODELS, REGISTERS
 from tendon_robot_ros.emulator import servo as servos
-from tendon_robot_ros.emulator.rig import ElasticArm, HangingWeights, Rig, SpringArm, Wire
-from tendon_robot_ros.emulator.servo import Load, Servo
+from tendon_robot_ros.emulator.rig import (
+    BALANCED_N,
+    ElasticArm,
+    HangingWeights,
+    Rig,
+    SpringArm,
+    Wire,
+)
+from tendon_robot_ros.emulator.servo import STEP_S, TICK, Load, Servo
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.plant import make_plant
 
@@ -189,6 +196,33 @@ def test_a_motor_winds_a_spring_as_far_as_its_current_less_friction_and_not_a_st
     assert np.diff(path).min() > -1e-6
 
 
+def test_a_motor_that_gives_way_holds_its_limit_and_its_drag_however_fast_another_lets_go():
+    """Two wires share a load; one is paid out, the other takes over what its current holds."""
+    compliance, radius, rate = np.array([[1.0, 0.9], [0.9, 1.0]]) * 1e-3, 0.013, 0.05
+    arm = ElasticArm(lambda tensions: compliance @ tensions, 2, highest=10.0)
+    motors = [Servo(MODELS['XL330-M077'], i) for i in (1, 2)]
+    rig = Rig(motors, [Wire(1, radius), Wire(2, radius)], arm)
+    motion, unit = motors[0].motion, motors[0].model.current_unit
+    for motor in motors:
+        for name, value in [('operating_mode', 5), ('current_limit', 361), ('torque_enable', 1)]:
+            assert write(motor, name, value) == 0
+    limit = (361 * unit * motors[0].model.torque_per_ampere + motion.friction) / radius
+    goal, beyond = np.zeros(2), 0.0
+    for target in ([0.008, 0.008], [0.012, 0.008], [0.012, 0.0]):  # [m]
+        while np.abs(goal - target).max() > 0.0:
+            goal += np.clip(target - goal, -rate * STEP_S, rate * STEP_S)
+            for motor, length in zip(motors, goal, strict=True):
+                write(motor, 'goal_position', round(length / (radius * TICK)))
+            rig.advance(STEP_S)
+            bound = limit + max(0.0, -motion.drag) / radius
+            assert rig.tensions[0] < bound + BALANCED_N
+            beyond = max(beyond, rig.tensions[0] - limit)
+    damping = 0.01 * motors[0].model.stall_torque / motors[0].model.no_load_speed  # [N·m·s/rad]
+    assert 0.5 < beyond / (damping * rate / radius**2) < 1.0  # it gives way a little more slowly
+    assert rig.highest[0] == pytest.approx(limit + beyond)
+    assert limit - 0.01 < rig.held[0] < limit + BALANCED_N
+
+
 def test_on_the_mock_arm_no_wire_pulls_more_than_its_motor_holds_and_all_come_to_rest():
     robot = load_robot(ROBOTS / 'kato_10_1.yaml')
     plant, radius = make_plant(robot), 0.013
@@ -223,6 +257,30 @@ def bus():
         bus.open()
         yield bus, line
         bus.close()
+
+
+@pytest.mark.parametrize('fast', [True, False])
+@pytest.mark.parametrize('again', [1, 3])
+def test_an_answer_that_comes_too_late_is_taken_for_no_other(bus, fast, again):
+    """A bus watchdog of 4 would be an overheated motor, a torque that is on a wrong supply."""
+    bus, line = bus
+    bus.fast = fast
+    for identity in (1, 2, 3, 4):
+        assert bus.ping(identity) == 1190
+        for name, value in (('torque_enable', 1), ('bus_watchdog', 4)):
+            line.servo(identity).put(name, value)
+    for block in (False, True):
+        for _ in range(again):
+            line.faults.delay = 0.06
+            if block:  # where this process was late as well there is an answer: its own
+                assert set(bus.block(98, 1, [1, 2]).values()) <= {b'\x04'}
+            else:
+                assert bus.read(1, 'bus_watchdog') in (None, 4)
+        line.faults.delay = 0.0
+        read = [bus.read(1, 'hardware_error_status') for _ in range(3)]
+        assert set(read) <= {None, 0} and read[-1] == 0
+        assert bus.block(70, 1, [1, 2]) == {1: b'\x00', 2: b'\x00'}
+        assert bus.read(1, 'torque_enable') == 1
 
 
 @pytest.mark.parametrize('fast', [True, False])

@@ -19,6 +19,7 @@ from tendon_robot_ros.drivers.dynamixel.motor import (
     LATELY,
     make_motors,
 )
+from tendon_robot_ros.drivers.safety import STOP_TIME_MIN_S
 
 pytest.importorskip('dynamixel_sdk')
 
@@ -48,6 +49,19 @@ def test_a_silent_servo_is_named_the_others_go_on_and_it_comes_back(arm):
     line.responder.silent.clear()
     until(driver, command, healthy)
     assert steps_are_small(line, driver, 0.0)
+
+
+def test_a_stop_does_not_wait_for_a_slow_bus(tense_arm):
+    """A cycle that is spent on reading is time that has passed all the same."""
+    driver, _, command = tense_arm
+    for _ in range(20):
+        driver.write(command)
+        time.sleep(0.02)  # as if the answers took so long
+        driver.read()
+        low = np.maximum(driver._goal - 5.0 * 0.01 / STOP_TIME_MIN_S, 0.2)  # of a limit of 5 N
+        driver.write(np.full(4, 0.2))
+        assert (driver._goal <= low + 1e-9).all()
+        until(driver, command, healthy)
 
 
 def test_all_silent_is_no_lost_port(tense_arm):

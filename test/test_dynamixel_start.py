@@ -16,7 +16,7 @@ from tendon_robot_ros.emulator.rig import SpringArm
 
 pytest.importorskip('dynamixel_sdk')
 
-from tendon_robot_ros.drivers.dynamixel import torque
+from tendon_robot_ros.drivers.dynamixel import homing, torque
 from tendon_robot_ros.drivers.dynamixel.bus import Bus
 
 
@@ -230,6 +230,41 @@ def test_a_motor_that_does_not_turn_is_refused_and_the_torque_is_off():
         )
         line.servo(3).motion.model = stiff
         with pytest.raises(DriverError, match=r'west \(id 3\): does not turn with 0\.1\d\d A'):
+            driver.enable()
+        assert not any(servo.torque for servo in line.rig.servos.values())
+
+
+@pytest.mark.parametrize('cycle', [1, 4])
+def test_a_computer_that_is_late_while_it_looks_for_slack_goes_on_from_where_the_motors_are(
+    cycle, monkeypatch
+):
+    """The watchdogs stop the motors, paying out or winding: neither stuck nor stalled."""
+    monkeypatch.setattr(homing, 'BACK_OFF_M', 0.008)
+    with emulated.line(slack=0.004) as line, driver_for(line, 'pull') as driver:
+        cycles, tripped = iter(range(100)), []
+
+        def late():
+            if next(cycles) == cycle:
+                end = time.monotonic() + emulated.SOON
+                while not tripped and time.monotonic() < end:
+                    tripped.extend(s for s in line.rig.servos.values() if s.tripped)
+            return False
+
+        driver.cancelled = late
+        driver.enable()
+        assert tripped
+        wound = [s.motion.ticks for s in line.rig.servos.values()]
+        taut = 0.004 + driver.config.home_tension / emulated.STIFFNESS
+        turns = np.abs(np.array(wound) - line.start_ticks)
+        ticks = [motor.wires[0].spool.ticks(taut) for motor in driver.motors.values()]
+        np.testing.assert_allclose(turns, np.abs(ticks), atol=30)
+
+
+def test_a_computer_that_is_always_late_does_not_find_the_slack(monkeypatch):
+    monkeypatch.setattr(homing, 'TRIPS_MAX', 1)
+    with emulated.line(slack=0.02) as line, driver_for(line, 'pull') as driver:
+        driver.cancelled = lambda: time.sleep(0.25)
+        with pytest.raises(DriverError, match='late again and again; torque is off'):
             driver.enable()
         assert not any(servo.torque for servo in line.rig.servos.values())
 

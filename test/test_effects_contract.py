@@ -57,6 +57,18 @@ def test_an_effect_alone_answers_all_that_is_asked_of_a_model(name):
     assert np.isfinite(model.derivatives(shape.batch, model.inputs)).all()
 
 
+def test_an_effect_that_scales_all_bends_alike_says_so():
+    """In an arm of one section without friction: one factor over cells and postures, not one."""
+    robot = planar()
+    bare = Model(robot).shapes(INPUTS).bend[..., 0]
+    scaling = []
+    for name in EFFECTS:
+        values = {'relative_change': (0.1,)} if name == 'section_stiffness' else VALUES[name]
+        ratio = Model(robot.with_effect(name, values)).shapes(INPUTS).bend[..., 0] / bare
+        scaling += [name] if np.ptp(ratio) < 1e-9 < abs(ratio[0, 0] - 1.0) else []
+    assert scaling == [effect.name for effect in CATALOGUE if effect.scales_bends]
+
+
 def test_the_catalogue_is_that_of_the_design_and_every_effect_stands_in_the_tests():
     assert tuple(EFFECTS) == BUILT_IN
     assert set(EFFECTS) == set(VALUES)

@@ -9,7 +9,7 @@ from tendon_robot_ros.common.errors import EffectError
 from tendon_robot_ros.effects import STAGES, Catalogue, Effect, Parameter, load_catalogue
 from tendon_robot_ros.model.compile import kernel_key, stages_source
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.simulation.imperfect import Built
+from tendon_robot_ros.simulation.hidden import Built
 from tendon_robot_ros.simulation.plant import parts_per_cell, real_robot
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import simulated
 
+from tendon_robot_ros.campaign import fleet
 from tendon_robot_ros.campaign.fleet import FleetRow, changes, found_below, when_of
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.data import save_dataset
@@ -89,6 +90,28 @@ def test_the_command_diagnoses_what_is_new_and_names_what_cannot_be_read(tmp_pat
     assert main([*call, '--json', str(tmp_path / 'fleet.json')]) == 0
     assert sorted((tmp_path / 'out' / 'table').iterdir()) == table, 'nothing was new'
     assert len(json.loads((tmp_path / 'fleet.json').read_text())['changes']) >= 2
+
+
+def test_a_measurement_at_which_the_program_fails_is_named_and_the_others_go_on(
+    tmp_path, capsys, monkeypatch
+):
+    pytest.importorskip('plotly')
+    for name in ('2026-01-10', '2026-05-20'):
+        save_dataset(simulated.measured(ROBOT, {}, count=4, trials=3), tmp_path / 'in' / name)
+    asked, real = [], fleet.diagnose
+
+    def first_fails(*arguments, **options):
+        asked.append(1)
+        if len(asked) == 1:
+            raise IndexError('a mistake of this program')
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(fleet, 'diagnose', first_fails)
+    call = ['fleet', str(tmp_path / 'in'), '--output', str(tmp_path / 'out'), '--workers', '1']
+    assert main(call) == 0
+    told = capsys.readouterr().out
+    assert 'left out: 2026-01-10: IndexError: a mistake of this program' in told
+    assert len(asked) == 2
 
 
 def test_a_folder_without_measurements_is_one_line(tmp_path, capsys):

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,11 +22,15 @@ from tendon_robot_ros.diagnosis.described_arm import (
     blocks_of_the_arm,
     profile_factors,
 )
-from tendon_robot_ros.diagnosis.improve import falls, shown
+from tendon_robot_ros.diagnosis.improve import fall, how_many, last_worthwhile, shown
 from tendon_robot_ros.diagnosis.improvement import total
 from tendon_robot_ros.diagnosis.promise import left_out_errors
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
-from tendon_robot_ros.report.improvement_page import improvement_lines
+from tendon_robot_ros.report.improvement_page import (
+    improvement_lines,
+    sentences,
+    step_table,
+)
 from tendon_robot_ros.robot import dump_robot, parse_robot
 from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
 from tendon_robot_ros.simulation.plant import make_plant
@@ -206,6 +211,21 @@ def test_the_command_writes_what_it_says(arm, tmp_path, capsys, monkeypatch):
     assert 'hollow: not taken' in html and '+ tip_load' in html and 'What remains' in html
 
 
+def test_an_error_of_the_only_marker_is_said_once(arm):
+    found = arm[2]
+    steps = [
+        replace(s, fitted=s.fitted[-1:], left_out=s.left_out[-1:], check=None) for s in found.steps
+    ]
+    tip = replace(
+        found, steps=tuple(steps), chosen=found.chosen[-1:], markers=found.markers[-1:], check=''
+    )
+    header, first, *_ = step_table(tip)
+    assert header[1:3] == ['fitted [mm]', 'left out [mm]']
+    assert ' ' not in first[1]
+    assert 'at marker' not in ' '.join(sentences(tip))
+    assert 'at marker' in ' '.join(sentences(found))
+
+
 def test_the_curve_is_drawn(arm):
     from matplotlib import pyplot as plt
 
@@ -241,11 +261,20 @@ def test_a_fall_within_its_scatter_is_not_taken():
     before = np.full((6, 1), 4e-6)
     uneven = before + np.array([[1e-6], [-3e-6], [3e-6], [-3e-6], [2e-6], [-1e-6]])
     better = 0.5 * before
-    taken, rows = falls(np.array([before, uneven, better]))
-    assert taken == 2
-    assert rows[1][0] < rows[1][1]
-    assert rows[2] == pytest.approx((2e-3 - np.sqrt(2e-6), 0.0))
-    assert falls(np.array([before, uneven]))[0] == 0
+    assert last_worthwhile(np.array([before, uneven, better])) == 2
+    gain, scatter = fall(before, uneven)
+    assert gain < scatter
+    assert fall(before, better) == pytest.approx((2e-3 - np.sqrt(2e-6), 0.0))
+    assert last_worthwhile(np.array([before, uneven])) == 0
+
+
+def test_a_search_says_how_many_steps_are_taken_and_other_postures_may_take_some_back():
+    own = [SimpleNamespace(left_out=np.full(6, one)) for one in (9.0, 4.0, 3.0, 2.0)]
+    nested = np.array([9.0, 5.0, 4.5, 4.0])[:, None, None] * np.ones((4, 6, 2))
+    assert how_many(own, nested) == 3, 'though the last falls are small'
+    assert how_many(own[:3], nested) == 2, 'no further than the search went'
+    nested[3] = 4.6
+    assert how_many(own, nested) == 2
 
 
 def test_a_step_that_needs_a_later_one_is_shown_with_it():

@@ -12,18 +12,16 @@ from tendon_robot_ros.common.errors import InputError, TendonRobotError
 from tendon_robot_ros.comparison.noise import Noise
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.effects import load_catalogue
-from tendon_robot_ros.investigation.choice import OpenQuestion, _added, choose
-from tendon_robot_ros.investigation.goal import Goal
+from tendon_robot_ros.investigation.choice import OpenQuestion, Room, _added, choose, pool
+from tendon_robot_ros.investigation.goal import Goal, InvestigationEnd, possible, settled
 from tendon_robot_ros.investigation.loop import Investigation
-from tendon_robot_ros.investigation.pool import Room, pool
 from tendon_robot_ros.investigation.record import empty_dataset
 from tendon_robot_ros.investigation.simulated_arm import SimulatedArm
-from tendon_robot_ros.investigation.stopping import InvestigationEnd, possible, settled
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
-from tendon_robot_ros.simulation.imperfect import Workmanship
+from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.plant import make_plant
 
 KATO = ROOT / 'config' / 'robots' / 'kato_10_1.yaml'

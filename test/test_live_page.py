@@ -19,6 +19,11 @@ from tendon_robot_ros.ros.viewer.state import ViewState
 
 pytestmark = pytest.mark.browser
 TENSIONS = [0.6, 0.1, 0.1, 0.3]
+STOP_AND_PANEL = """(() => {
+  const button = [...document.querySelectorAll('button')].find((b) => b.innerText === 'STOP');
+  const panel = document.querySelector('div[style*="max-height: 60%"]');
+  const [stop, whole] = [button, panel].map((one) => one.getBoundingClientRect());
+  return [stop.top, stop.bottom, whole.left, whole.right]; })()"""
 
 
 def free_port():
@@ -127,6 +132,9 @@ def test_a_desktop_and_a_phone_see_both_arms_from_base_to_tip(opened, tmp_path):
         return spans(browsers[1], tmp_path, is_measured, 230)
 
     browsers[1].until(seen_from_base_to_tip, 'the whole arm above the panel of a phone')
+    top, bottom, left, right = browsers[1].run(STOP_AND_PANEL)
+    assert 0 <= top < bottom <= 60, 'STOP is in sight, at the upper edge'
+    assert (left, right) == (0, 400), 'the panel is as wide as the screen'
     assert ERROR not in (MEASURED, PREDICTED)
 
 

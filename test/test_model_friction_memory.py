@@ -11,6 +11,7 @@ from reference import Reference
 from tendon_robot_ros.common.errors import RobotDescriptionError
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.ros.shared.files import read_robot
 from tendon_robot_ros.simulation.hidden import elastic_slip
 
 R, MU, LENGTH = 0.0055, 0.4, 2e-4
@@ -187,3 +188,17 @@ def test_hinge_friction_holds_the_bend_on_the_way_back():
 def test_memory_has_no_default_length():
     with pytest.raises(RobotDescriptionError, match='presliding_length'):
         Model(planar(2, {'friction_memory': {}}))
+
+
+def test_a_search_goes_to_the_end_of_a_narrow_valley_before_it_looks_elsewhere():
+    robot = read_robot('kato_10_1').with_effect('friction_memory', {'presliding_length': 2e-4})
+    robot = robot.with_effect('backbone_stiffness', {'relative_change': -0.03})
+    model = Model(robot.with_effect('tendon_friction', {'friction_coefficient': 0.363}))
+    here, place = model.follow(None, model.limits[:, 0]), np.array([0.0438, 0.0, 0.2029])
+    near = model.reach(place, guess=here, memory=here.memory, starts=0)
+    assert near.status == 'reached'
+    found = model.reach(place, guess=here, memory=here.memory, relax=True)
+    assert found.tensions.max() < 1.1 * near.tensions.max()
+    beyond = place + [5e-4, 0.0, 0.0]  # what takes 4 N against 4 N is left a little off
+    found = model.reach(beyond, guess=here, memory=here.memory, relax=True)
+    assert found.position_error < 5e-4 and found.tensions.max() < 2.0

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tendon_robot_ros.common.errors import InputError
-from tendon_robot_ros.common.patience import Patience
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.model.tip_task import Patience
 from tendon_robot_ros.robot import load_robot
 
 ROBOTS = Path(__file__).parent.parent / 'config' / 'robots'
@@ -140,6 +140,36 @@ def test_a_search_ends_between_its_steps_when_its_patience_does(robot):
     assert np.array_equal(found.tensions, here.inputs)  # not a step
     assert found.status == 'nearest'
     assert model.reach(there.tip_position, guess=here, give_up=Patience()).status == 'reached'
+
+
+def test_what_is_told_on_the_way_comes_nearer_every_time_and_ends_at_what_is_returned(model):
+    shapes = tips(model, 12)
+    for tensions, target in zip(shapes.inputs[:-1], shapes.tip_position[1:], strict=True):
+        told, guess = [], model.shape(tensions)
+        reach = model.reach(target, guess=guess, tell=told.append)
+        away = [np.linalg.norm(shape.tip_position - target)
+                for shape in (guess, *(one.shape for one in told))]  # fmt: skip
+        assert np.all(np.diff(away) < 0.0)
+        assert reach.position_error <= away[-1] + 1e-9
+        assert reach.status == 'reached'
+        for step in told:
+            same = model.shape(step.tensions, step.shape.state).tip_position
+            assert same == pytest.approx(step.shape.tip_position, abs=1e-9)
+
+
+def test_from_a_far_tip_where_tendons_stick_a_short_step_towards_the_target_is_told():
+    model = Model(load_robot(ROBOTS / 'spatial_3.yaml'))
+    told, shapes = [], tips(model, 11)
+    for tensions, target in zip(shapes.inputs[:-1], shapes.tip_position[1:], strict=True):
+        here, steps = model.shape(tensions), []
+        model.reach(target, guess=here, starts=0, tell=steps.append)
+        away = np.linalg.norm(target - here.tip_position)
+        for step in steps:
+            moved = step.shape.tip_position - here.tip_position
+            assert 0.0 < away - np.linalg.norm(target - step.shape.tip_position) <= 5.01e-3
+            assert away < 0.01 or moved @ (target - here.tip_position) > 0.0
+        told += steps[:1]
+    assert len(told) >= 8
 
 
 def test_a_direction_alone_is_met_by_a_gentle_bend_and_no_curl():

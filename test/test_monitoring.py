@@ -1,5 +1,7 @@
 """The monitor without ROS: alignment in time, stillness, recording, what is offered to add."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -9,9 +11,10 @@ from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring import History, Monitor, StillWindow
-from tendon_robot_ros.monitoring.job import Work, guide_of
+from tendon_robot_ros.monitoring.job import Course, Work, guide_of
 from tendon_robot_ros.ros.shared.files import read_robot
 from tendon_robot_ros.simulation.rehearsal import Story, choices, draw, refined, tour
+from tendon_robot_ros.workspace.postures import default_postures
 
 NAN = np.full(4, np.nan)
 
@@ -106,6 +109,16 @@ def test_every_settled_posture_is_recorded_once(model, tmp_path):
     assert again.positions == pytest.approx(dataset.positions)
 
 
+def test_a_recording_that_was_stopped_goes_on_until_it_lies_in_a_folder(model):
+    monitor, _ = watched(model, model, POSTURES)
+    monitor.recording = False
+    monitor.start_recording()
+    assert monitor.recording and len(monitor.recorded) == 3
+    monitor.kept = True  # diagnosed: the data set is written
+    monitor.start_recording()
+    assert monitor.recorded == []
+
+
 def test_a_marker_that_is_never_seen_is_left_out(model):
     monitor, compared = watched(model, model, POSTURES, missing=[4])
     assert np.isnan(compared.errors[4]).all()
@@ -150,6 +163,19 @@ def test_what_is_hidden_moves_the_tip_by_millimetres(name):
     tensions = np.array(POSTURES)
     moved = shown.shapes(tensions).tip_position - Model(robot).shapes(tensions).tip_position
     assert 1e-3 < np.linalg.norm(moved, axis=1).max() < 4e-2
+
+
+@pytest.mark.parametrize(('name', 'seeds'), [('kato_10_1', (110,)), ('spatial_3', (103, 106))])
+def test_what_is_drawn_shows_on_the_arm_that_it_is_drawn_for(name, seeds):
+    """A planar arm does not twist, and one that knows no gravity has no weight."""
+    robot, catalogue = read_robot(name), load_catalogue()
+    tensions = np.clip(default_postures(robot, 6), *robot.tension_limits)
+    for seed in seeds:
+        hidden = draw(robot, catalogue, '', seed)
+        model = Model(robot.with_effect(hidden.name, hidden.values), catalogue)
+        seen = model.measured(model.shapes(tensions).positions)[:, -1]
+        moved = seen - Model(robot).shapes(tensions).tip_position
+        assert np.linalg.norm(moved, axis=1).max() > 1e-3
 
 
 def test_the_tour_stays_where_the_tip_can_go(model):
@@ -198,3 +224,15 @@ def test_a_late_frame_is_compared_with_the_tensions_of_its_own_time(model):
     assert len(aligned) > 20
     assert max(aligned) < 1e-6
     assert np.median(newest) > 1e-3, 'the test would not see it'
+
+
+def test_how_far_a_diagnosis_is_never_goes_back_and_says_how_long_it_takes(capsys):
+    now = iter([0.0, 30.0, 60.0, 90.0, 95.0])
+    tell = Course(lambda: next(now))
+    tell('effects', 18, 18)
+    tell('effects again', 1, 1)
+    tell('effects again', 1, 2)
+    tell('2 effects', 3, 4)
+    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [one['part'] for one in told] == [0.42, 0.6, 0.6, 0.6]
+    assert told[1]['text'] == 'effects again 1/1 (60 %, about 40 s to go)'

@@ -17,8 +17,7 @@ from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.report.diagnosis_page import diagnosis_page
 from tendon_robot_ros.report.diagnosis_text import lines
-from tendon_robot_ros.simulation.hidden import plant_catalogue
-from tendon_robot_ros.simulation.imperfect import Built
+from tendon_robot_ros.simulation.hidden import Built, plant_catalogue
 from tendon_robot_ros.simulation.plant import make_plant, parts_per_cell, real_robot
 
 sys.path.insert(0, str(ROOT / 'tools'))

@@ -19,11 +19,16 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import EffectError, InputError, RobotDescriptionError
 from tendon_robot_ros.common.rotations import quaternions, towards
 from tendon_robot_ros.control import Refusal, loading
 from tendon_robot_ros.control.checks import direction
 from tendon_robot_ros.control.loading import Loader
+from tendon_robot_ros.data.folder.path_file import TendonRows
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.paths.plan import Pace
+from tendon_robot_ros.ros.commands import follow
 from tendon_robot_ros.ros.driver import backend as driver_backend
 from tendon_robot_ros.ros.shared import robot_client
 from tendon_robot_ros.ros.shared.files import read_mapping, read_robot
@@ -204,6 +209,43 @@ def test_a_loader_says_what_is_wrong_with_the_values():
         Loader(lambda: robot, []).result()
 
 
+ROOM = 'keep_out: [{name: lamp, sphere: {centre: [0.05, 0, 0.17], radius: 0.01}}]\n'
+
+
+@pytest.mark.parametrize('pull', [False, True])
+def test_a_file_of_the_tendons_is_refused_whose_way_enters_a_region(tmp_path, monkeypatch, pull):
+    """Both rows are outside of the ball, the way between them is not."""
+    room = tmp_path / 'room.yaml'
+    room.write_text(ROOM)
+    model = Model(read_robot('kato_10_1'))
+    shapes = [
+        model.shape(model.limits[:, 0]),
+        *(model.reach(tip).shape for tip in ([0.03, 0.0, 0.175], [0.07, 0.0, 0.165])),
+    ]
+    rows = np.array([shape.pulls if pull else shape.inputs for shape in shapes])
+    pilot = SimpleNamespace(
+        pull=pull, model=lambda: model, commands=lambda: (np.zeros(1), rows[:1])
+    )
+    played = []
+    monkeypatch.setattr(follow, 'run_tendons', lambda _, when, values: played.append(when))
+    options = SimpleNamespace(
+        path='wires.csv', backwards=False, plan=False, keep_out=str(room), anyway=False
+    )
+    outside = TendonRows(np.array([0.0, 1.0]), rows[:2])
+    follow._tendons(pilot, outside, options, Pace())
+    assert len(played) == 1
+    way = float(np.abs(rows[1] - rows[0]).max())
+    rate = Pace().pull if pull else Pace().tension
+    assert played[0][0] == pytest.approx(0.05) and played[0][-1] >= way / rate
+    into = TendonRows(np.array([0.0, 1.0]), rows[1:])
+    with pytest.raises(InputError, match=r'wires.csv: at \d\.\d\d s the arm would enter lamp'):
+        follow._tendons(pilot, into, options, Pace())
+    assert len(played) == 1
+    options.keep_out = None
+    follow._tendons(pilot, into, options, Pace())
+    assert len(played) == 2
+
+
 OWN = """
 from tendon_robot_ros.effects.effect import Effect, Parameter
 
@@ -240,3 +282,15 @@ def test_a_path_is_planned_with_the_effects_of_the_controllers_user(tmp_path, mo
         controller.destroy_node()
     assert robot.name == 'kato_10_1'
     assert catalogue['own'].parameters[0].name == 'change'
+
+
+def test_a_path_or_a_region_that_is_not_there_is_said_before_a_controller_is_asked_for(
+    monkeypatch, tmp_path, capsys
+):
+    monkeypatch.setattr(follow, 'Pilot', None)  # asking for it would be no InputError
+    there = tmp_path / 'path.csv'
+    there.write_text('x,y,z\n0,0,0.1\n')
+    assert main(['follow', str(tmp_path / 'none.csv')]) == 1
+    assert 'none.csv: is not there: name a CSV file or a recording' in capsys.readouterr().err
+    assert main(['follow', str(there), '--keep-out', str(tmp_path / 'none.yaml')]) == 1
+    assert 'none.yaml: cannot be read' in capsys.readouterr().err

@@ -7,8 +7,9 @@ import pytest
 import simulated
 from simulated import CATALOGUE, NOISE, measured
 
-from tendon_robot_ros.comparison.noise import Noise, Whitener, estimate_noise, input_slopes, rms
+from tendon_robot_ros.comparison.noise import Noise, Whitener, input_slopes, rms
 from tendon_robot_ros.comparison.predict import Predictor
+from tendon_robot_ros.comparison.repeatability import estimate_noise
 
 HIDDEN = {'hinge_friction': {'lever': 4e-4}}
 ROBOT = simulated.robot()
@@ -138,3 +139,63 @@ def test_the_mean_of_a_marker_that_a_trial_lost_has_the_inputs_of_the_others():
         root = whitener.root(p)
         white = root @ (np.diag(own) + g.T @ g) @ root.T
         np.testing.assert_allclose(white, np.eye(len(white)), atol=2e-3)
+
+
+def shifted(dataset, size, seed=0):
+    """Return the data set with all markers of a trial moved alike, 1 sd per coordinate [m]."""
+    P, Q = dataset.positions.shape[:2]
+    moves = np.random.default_rng(seed).normal(0.0, size, (P, Q, 1, 3))
+    return replace(dataset, positions=dataset.positions + moves)
+
+
+@pytest.mark.parametrize('trial', [0.0, 0.004])
+def test_a_shift_of_all_markers_of_a_trial_is_told_apart(trial):
+    found = []
+    for seed in range(12):
+        steady = measured(ROBOT, seed=seed, noise=replace(NOISE, trial=trial))
+        dataset = shifted(steady, 3e-4, seed)
+        found.append(estimate_noise(dataset, slopes_of(dataset)))
+    assert np.mean([one.shift for one in found]) == pytest.approx(3e-4, rel=0.05)
+    assert np.mean([one.position for one in found]) == pytest.approx(NOISE.position, rel=0.02)
+    assert np.mean([one.trial for one in found]) == pytest.approx(trial, rel=0.2, abs=1e-3)
+
+
+def test_where_nothing_shifts_no_shift_is_believed():
+    for seed in range(12):
+        dataset = measured(ROBOT, seed=seed)
+        assert estimate_noise(dataset, slopes_of(dataset)).shift == 0.0
+
+
+def test_what_shifts_with_the_trials_is_white_and_no_error_of_the_model():
+    rows, ignorant = [], []
+    for seed in range(20):
+        steady = measured(ROBOT, seed=seed, noise=replace(NOISE, setting=0.0))
+        dataset = shifted(steady, 3e-4, seed)
+        predictor = Predictor(dataset, ROBOT, CATALOGUE)
+        slopes, left = input_slopes(predictor, {}), dataset.mean - predictor.markers({})
+        noise = estimate_noise(dataset, slopes)
+        rows.append(Whitener(dataset, noise, slopes).white(left))
+        ignorant.append(Whitener(dataset, replace(noise, shift=0.0), slopes).white(left))
+    assert (np.array(rows) ** 2).mean() == pytest.approx(1.0, abs=0.06)
+    assert (np.array(ignorant) ** 2).mean() > 1.5
+
+
+def test_a_shift_weighs_what_lost_readings_leave_of_it():
+    dataset, random = measured(ROBOT), np.random.default_rng(2)
+    positions = dataset.positions.copy()
+    positions[random.random(positions.shape[:3]) < 0.1] = np.nan
+    dataset = replace(dataset, positions=positions)
+    noise = Noise(2e-4, 0.0, 0.0, np.inf, 'declared', shift=3e-4)
+    whitener = Whitener(dataset, noise, slopes_of(dataset))
+    for p in range(len(positions)):
+        moved = []
+        for trial in range(positions.shape[1]):  # what a shift does to the means, trial by trial
+            for axis in range(3):
+                there = positions.copy()
+                there[p, trial, :, axis] += noise.shift
+                moved.append((replace(dataset, positions=there).mean - dataset.mean)[p])
+        g = np.array(moved).reshape(len(moved), -1)
+        root = whitener.root(p)
+        own = noise.position**2 / np.repeat(dataset.counts[p], 3)
+        white = root @ (np.diag(own) + g.T @ g) @ root.T
+        np.testing.assert_allclose(white, np.eye(len(own)), atol=4e-3)

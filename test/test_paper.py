@@ -1,6 +1,7 @@
 """The paper's experiments: every published number is met, and the pieces do what they say."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.paper import displacement, experiments, motion, tension
 from tendon_robot_ros.paper import robots as play
 from tendon_robot_ros.paper.experiments import Row
+from tendon_robot_ros.paper.motion import Arrangement
 from tendon_robot_ros.paper.robots import at_view, pcca, with_cells
+from tendon_robot_ros.report.paper_page import arrangements
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.workspace.grid import pairs_of
 
@@ -122,3 +125,18 @@ def test_at_90_degrees_the_models_differ_as_published_at_equal_tension():
     gap, _ = experiments.gap(kato('2_1'))
     assert gap.tension == pytest.approx(7.6e-3, rel=0.15)
     assert gap.pull < gap.tension
+
+
+def test_names_of_bars_stand_above_them_also_on_a_phone():
+    """Beside or below the bars they ran into one another at 400 px."""
+    names = ['three at one place, arm 0.65 mm, 5 N each', 'one wire, <b>5 N']
+    made = [Arrangement(name, 0.05, 0.048, 0.053, 0.06) for name in names]
+    figure = arrangements(SimpleNamespace(arrangements=made), 0.05)
+    bars = figure.data[0]
+    assert bars['orientation'] == 'h' and bars['x'] == [50.0, 50.0]
+    assert not figure.layout['yaxis']['showticklabels']
+    told = figure.layout['annotations']
+    assert [one['text'] for one in told] == [names[0], 'one wire, &lt;b&gt;5 N']
+    assert [(one['x'], one['y'], one['yanchor']) for one in told] == [
+        (0.0, 0, 'bottom'), (0.0, 1, 'bottom')
+    ]  # fmt: skip

@@ -1,13 +1,15 @@
 """Patterns without physics find where and when a model fails."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import simulated
 from simulated import CATALOGUE, NOISE, measured
 
-from tendon_robot_ros.diagnosis.patterns import Patterns
+from tendon_robot_ros.diagnosis.evidence import pattern_text
+from tendon_robot_ros.diagnosis.patterns import Pattern, Patterns
 from tendon_robot_ros.diagnosis.session import Session
 
 ROBOT = replace(simulated.robot(), exact=True)  # scatter takes its share of every pattern
@@ -80,3 +82,14 @@ def test_on_clean_data_no_pattern_gains_much():
     fit, found = patterns_of(measured(ROBOT))
     for pattern in found.values():
         assert pattern.score > fit.chi2 + 2.0 * fit.rank - 9.21
+
+
+@pytest.mark.parametrize(
+    ('ratio', 'words'),
+    [(1.04, '4 % more than'), (0.96, '4 % less than'), (1.4, '1.4 times as much as'),
+     (0.5, '0.5 times as much as')],
+)  # fmt: skip
+def test_a_cell_that_bends_a_little_more_is_not_said_to_bend_as_it_should(ratio, words):
+    evidence = SimpleNamespace(session=SimpleNamespace(dataset=SimpleNamespace(postures=())))
+    pattern = Pattern('soft_cell', 0.0, 1, 4, ratio, alike=(4,))
+    assert f'cell 4 bends {words} it should.' in pattern_text(evidence, pattern)

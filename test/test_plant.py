@@ -123,6 +123,17 @@ def test_hidden_values_replace_those_of_the_owner():
     assert largest(real.positions, Model(robot(ARCS)).shapes(TENSIONS[ARCS]).positions) < 2e-4
 
 
+def test_what_tendons_have_one_each_is_theirs_in_finer_cells_too():
+    arm = robot(ARCS)
+    zeros = tuple((1e-3 * np.arange(1.0, len(arm.tendons) + 1.0)).tolist())
+    tensions = np.full(len(arm.inputs), 0.2)
+    plain, shifted = (
+        make_plant(arm, hidden, scatter=0.0).respond(tensions).pulls
+        for hidden in ({}, {'pull_zero': {'offset': zeros}})
+    )
+    assert plain - shifted == pytest.approx(zeros, abs=1e-9)
+
+
 def test_a_soft_cell_bends_in_proportion_and_the_others_do_not():
     plain, tensions = robot(ARCS, effects={}), TENSIONS[ARCS]
     soft = {'soft_cell': {'cell': 12, 'factor': 0.5}}

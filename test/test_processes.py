@@ -1,5 +1,6 @@
 """What tests start dies with its test, and with the process that runs the tests."""
 
+import os
 import signal
 import sys
 import time
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import processes
 import pytest
+from forked import Forked
 from processes import PIPE, Process, left, run
 from source_tree import files, parse
 
@@ -73,3 +75,31 @@ def test_tests_start_processes_in_no_other_way():
         for name in node.names
     }
     assert 'subprocess' not in imports, 'use processes.run or processes.Process'
+
+
+def test_what_is_forked_has_its_own_words_place_and_surroundings(tmp_path):
+    given = {**os.environ, 'PYTHONUNBUFFERED': '1'}
+    with Forked(['shape', '--help'], stdout=PIPE, stderr=PIPE, cwd=tmp_path, env=given) as process:
+        out, err = process.communicate(timeout=60.0)
+    assert (process.returncode, err) == (0, '')
+    assert out.startswith('usage: python -m tendon_robot_ros shape')
+    with Forked(['plot', 'none'], stdout=PIPE, stderr=PIPE, cwd=tmp_path) as process:
+        out, err = process.communicate(timeout=60.0)
+    assert (process.returncode, out) == (1, '')
+    assert err.startswith('error: none')
+
+
+def test_what_is_forked_is_a_child_and_dies_with_the_one_that_runs_the_tests():
+    code = (
+        'import processes\n'
+        'from forked import Forked\n'
+        'asks = Forked(["new-robot"], stdin=processes.PIPE, stdout=processes.DEVNULL)\n'
+        'assert asks.pid in processes.children()\n'
+        'print(asks.pid, *processes.kept, flush=True)\n'
+        'asks.wait()'
+    )
+    with Process([sys.executable, '-c', code], cwd=Path(__file__).parent, stdout=PIPE) as tests:
+        pids = [int(word) for word in tests.stdout.readline().split()]
+        tests.send_signal(signal.SIGKILL)
+        assert len(pids) == 2
+        assert all(map(gone, pids))

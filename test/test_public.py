@@ -87,9 +87,9 @@ def test_a_comparison_prints_and_draws_its_errors():
     dataset = load_dataset(ROOT / 'data' / 'hinge_friction' / 'fit')
     assert ': 12 postures x up to 5 trials x 15 markers of planar1; tension [N]' in repr(dataset)
     comparison = compare(dataset)
-    assert 'planar1: rms 2.66 mm, tip 4.9 mm; a perfect model: 0.245 mm' in repr(comparison)
+    assert 'planar1: rms 2.66 mm, tip error 4.43 mm; a perfect model: 0.245 mm' in repr(comparison)
     axes = comparison.plot()
-    assert axes.lines[0].get_ydata()[-1] == pytest.approx(1e3 * comparison.best.tip_rms)
+    assert axes.lines[0].get_ydata()[-1] == pytest.approx(1e3 * comparison.best.per_marker_rms[-1])
     across, along = comparison.plot_shapes('3').axes
     measured = next(line for line in across.lines if line.get_label() == 'measured')
     np.testing.assert_allclose(measured.get_ydata(), 1e3 * comparison.measured.mean[3, :, 2])

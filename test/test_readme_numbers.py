@@ -2,8 +2,7 @@
 
 import re
 
-import processes
-from documents import appears, environment, prepare, typed
+from documents import appears, prepare, run, typed
 from test_readme import README
 
 SECTION = 'Compare your model with measurements'
@@ -21,11 +20,6 @@ def test_the_commands_print_what_the_readme_shows(tmp_path):
     parts = list(shown())
     assert len(parts) == 5, 'five commands'
     for command, lines in parts:
-        run = processes.run(
-            ['bash', '-c', command],
-            cwd=tmp_path,
-            env=environment(),
-        )
-        assert run.returncode == 0, run.stderr
-        missing = [line for line in lines if not appears(line, run.stdout)]
-        assert not missing, f'{command}\nprints\n{run.stdout}'
+        printed = run({'text': f'$ {command}\n', 'language': 'console'}, tmp_path, timeout=240.0)
+        missing = [line for line in lines if not appears(line, printed)]
+        assert not missing, f'{command}\nprints\n{printed}'

@@ -224,6 +224,18 @@ def test_tables_and_figures_tell_who_does_not_see_them_what_they_are():
     assert root.find(".//div[@role='img']").get('aria-label') == 'cell Per cell.'
 
 
+def test_a_page_is_read_in_order_and_everything_in_it_has_a_name(planar):
+    html = comparison_page(planar).html()
+    body = html.partition('<body>')[2]
+    levels = [int(level) for level in re.findall(r'<h([1-6])', body)]
+    assert levels[0] == 1 and set(levels[1:]) == {2}, 'no level is left out'
+    assert '<html lang="en">' in html and body.startswith('<main>')
+    labels = re.findall(r'role="(?:img|region)" aria-label="([^"]*)"', body)
+    assert len(labels) == len(figures(comparison_page(planar))) + 1 and all(labels)
+    assert set(re.findall(r'tabindex="(-?\d+)"', body)) == {'0'}, 'in the order of the page'
+    assert ':focus-visible { outline: 3px' in html
+
+
 @pytest.mark.parametrize(
     ('shown', 'expected'),
     [

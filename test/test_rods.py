@@ -29,8 +29,9 @@ def test_rods_are_met_with_and_without_a_force_at_the_tip(cells, table, without,
         assert apart['median'] < median and apart['largest'] < most
 
 
-def test_a_diagnosis_names_the_twist_of_a_rod_with_its_size():
-    found = diagnose(rods.measured('twisting', 40, seed=0), workers=1)
+@pytest.mark.parametrize('exact', [True, False], ids=['exact', 'as built'])
+def test_a_diagnosis_names_the_twist_of_a_rod_with_its_size(exact):
+    found = diagnose(rods.measured('twisting', 40, seed=0, exact=exact), workers=1)
     assert found.verdict == 'missing_effect'
     assert [effect.name for effect in found.effects] == ['torsion']
     assert found.cannot_tell_apart == ()
@@ -38,6 +39,7 @@ def test_a_diagnosis_names_the_twist_of_a_rod_with_its_size():
         assert value.low <= rods.EI_OVER_GJ <= value.high
 
 
-def test_a_diagnosis_of_a_rod_that_does_not_twist_names_no_twist():
-    found = diagnose(rods.measured('stiff', 40, seed=0), workers=1)
+@pytest.mark.parametrize('exact', [True, False], ids=['exact', 'as built'])
+def test_a_diagnosis_of_a_rod_that_does_not_twist_names_no_twist(exact):
+    found = diagnose(rods.measured('stiff', 40, seed=0, exact=exact), workers=1)
     assert found.verdict == 'adequate'

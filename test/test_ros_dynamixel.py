@@ -16,10 +16,13 @@ pytest.importorskip('rclpy')
 pytest.importorskip('dynamixel_sdk')
 
 from dynamixel_rig import PULL, ROBOT, TENSION, Rig, steps
-from ros_station import LOW, Station, last, point, start
+from ros_station import LOW, Station, last, point, start, values
+
+from tendon_robot_ros.drivers.safety import CYCLE_MAX_S
 
 pytestmark = pytest.mark.ros
 WATCHDOG_TRIPPED = 255
+RELEASE_RATE = {'tension': 10.0, 'pull': 0.02}  # [N/s], [m/s], as the driver's parameters have it
 
 
 @pytest.fixture(scope='module', params=['tension', pytest.param('pull', marks=pytest.mark.slow)])
@@ -123,15 +126,18 @@ def test_a_second_driver_is_refused_the_port_and_says_who_has_it(rig):
 
 
 def test_silence_of_the_commands_lets_the_motors_go_slowly(rig):
-    rig.station.spin(0.7)  # the goals have settled
-    at_work = {i: sent[-1][1] for i, sent in rig.goals(0.5).items()}
     rig.sending = False
     stopped = time.monotonic()
-    rig.station.until_code(rig.station.driver, 'released')
-    released = time.monotonic()
-    goals = rig.goals(released - stopped)
-    assert steps(goals) < 0.7 * max(abs(value) for value in at_work.values())
-    assert len({value for _, value in goals[1]}) > 4  # a ramp and not a jump
+
+    def let_go():
+        said = last(rig.station.driver)
+        return values(said)['code'] == 'released' and 'no command' in said.message
+
+    rig.station.until(let_go, 'the end of the release')
+    goals = rig.goals(stopped)
+    assert steps(goals) <= rig.counts(RELEASE_RATE[rig.mode] * CYCLE_MAX_S) + 1  # a ramp, no jump
+    way = rig.counts(rig.command[0] - (LOW if rig.mode == 'tension' else 0.0))
+    assert max(goals[1]) - goals[1][-1] > 0.9 * way  # all of it was seen
     rest, near = (LOW, 0.05) if rig.mode == 'tension' else (0.0, 5e-4)
     rig.station.until(lambda: np.allclose(rig.measured(), rest, atol=near), 'rest')
     assert all(servo['torque_enable'] for servo in rig.servos.ask('state')['servos'].values())
@@ -200,11 +206,11 @@ def test_a_killed_driver_leaves_the_motors_to_their_watchdog_and_a_new_one_goes_
 
 
 def test_a_stopped_driver_ends_with_the_motors_at_rest(rig):
+    told = time.monotonic()
     rig.node.process.send_signal(signal.SIGTERM)
     rig.station.until(lambda: rig.node.process.poll() is not None, 'the end')
     assert rig.node.process.returncode == 0
-    goals = rig.goals(3.0)
-    assert steps(goals) < 300
+    assert steps(rig.goals(told)) < 300
     rig.station.driver.clear()
     rig.run()
     rig.until_following()

@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from documents import environment
+from forked import Forked
 from ros_station import INPUTS, Station, last, start, values
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -37,9 +38,8 @@ def station(tmp_path_factory):
 
 def command(station, folder, *arguments):
     """Run a command while the station listens."""
-    program = [sys.executable, '-m', 'tendon_robot_ros', *arguments]
-    process = processes.Process(
-        [*program, '--ros-args', '-r', f'__ns:={SPACE}'],
+    process = Forked(
+        [*arguments, '--ros-args', '-r', f'__ns:={SPACE}'],
         cwd=folder,
         stdout=processes.PIPE,
         stderr=processes.PIPE,

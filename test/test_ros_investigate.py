@@ -16,14 +16,16 @@ pytest.importorskip('rclpy')
 pytest.importorskip('serial')
 
 from geometry_msgs.msg import Point, Pose, PoseArray
-from ros_station import PATIENT, Station, last
+from ros_station import PATIENT, ForkedNode, Station, last
 
+from tendon_robot_ros.common.errors import TendonRobotError
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.emulator.process import EmulatorProcess
+from tendon_robot_ros.investigation.arm import BrokenMeasurementError
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import dump_robot, load_robot
 from tendon_robot_ros.ros.shared.messages import LISTEN
-from tendon_robot_ros.ros.shared.runtime import NodeProcess
+from tendon_robot_ros.ros.shared.running_arm import RunningArm
 
 pytestmark = pytest.mark.ros
 ROBOT = load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml')
@@ -57,7 +59,7 @@ class Tracked(Station):
         }  # fmt: skip
         self.log = stack.enter_context((folder / 'nodes.log').open('w'))
         for name, parameters in nodes.items():
-            stack.enter_context(NodeProcess(name, parameters, self.namespace, self.log))
+            stack.enter_context(ForkedNode(name, parameters, self.namespace, self.log))
 
     def look(self):
         """Publish what a tracker sees."""
@@ -129,6 +131,39 @@ def test_emulated_motors_find_the_load_and_the_controller_uses_it(made):
     high = ROBOT.tension_limits[1]
     if data.input == 'tension':
         assert np.nanmax(data.inputs) <= high
+
+
+class Hesitating:
+    """The part of a running arm that judges a measurement; its controller says these codes."""
+
+    measure, _goes_on = RunningArm.measure, RunningArm._goes_on
+
+    def __init__(self, *codes):
+        self.codes = list(codes)
+
+    @property
+    def status(self):
+        return {'code': self.codes[0]}
+
+    def wait(self, condition, timeout, what, strict=True):
+        del self.codes[:-1]
+        return condition()
+
+    def _measured(self, inputs, trials):
+        raise TendonRobotError(f'the controller says {self.codes[0]}')
+
+
+@pytest.mark.parametrize('codes', [('no_driver', 'holding'), ('holding',)])
+def test_a_driver_that_was_late_breaks_a_measurement_and_not_the_investigation(codes):
+    with pytest.raises(BrokenMeasurementError, match='it goes on'):
+        Hesitating(*codes).measure(np.zeros(4), 1)
+
+
+@pytest.mark.parametrize('codes', [('stopped',), ('driver_stopped',), ('no_driver', 'no_driver')])
+def test_a_robot_that_is_stopped_or_gone_ends_the_investigation(codes):
+    with pytest.raises(TendonRobotError, match=f'says {codes[0]}$') as caught:
+        Hesitating(*codes).measure(np.zeros(4), 1)
+    assert not isinstance(caught.value, BrokenMeasurementError)
 
 
 @pytest.mark.parametrize(

@@ -1,21 +1,23 @@
 """The monitor among other nodes: any order, restarts, drop-outs, two namespaces."""
 
 import json
+import re
 import signal
+from dataclasses import replace
 
 import numpy as np
+import processes
 import pytest
 
 pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
-from ros_station import LATCHED, Station, last, values
+from ros_station import LATCHED, ForkedNode, Station, last, values
 from std_msgs.msg import Float64, Float64MultiArray, String
 
 from tendon_robot_ros.robot import dump_robot
 from tendon_robot_ros.ros.shared.files import read_robot
-from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
 pytestmark = pytest.mark.ros
 LOADED = 120.0  # [s] a busy machine may need to load the model
@@ -23,6 +25,17 @@ TRACKER = 'tracker: {rate: 30.0, noise: 1.0e-4, missing: 0.1, lost: 0.1}'
 ROBOT = read_robot('kato_10_1')
 SOFT = ROBOT.with_effect('backbone_stiffness', {'relative_change': 0.1})
 INTERVAL = {'value': 0.0, 'low': -0.2, 'high': 0.2, 'unit': '1'}
+STRETCHED = replace(  # one channel pulls 3 % more than it says
+    ROBOT,
+    tendons=tuple(
+        replace(t, base=(1.03 * t.base[0], 0.0), end=(1.03 * t.end[0], 0.0))
+        if t.name == 'dist_left'
+        else t
+        for t in ROBOT.tendons
+    ),
+)
+EXACT_TRACKER = 'plant: {twin: true}\ntracker: {rate: 60.0, noise: 1.0e-4}\n'
+POINTS = [(0.1, 0.1), (-0.08, 0.14), (0.05, 0.18), (-0.12, 0.08), (0.12, 0.06)]
 FITTED = ROBOT.with_effect(
     'backbone_stiffness',
     {'relative_change': 0.0},
@@ -54,8 +67,18 @@ class Watched(Station):
             },
         }[name] | more
         with (self.folder / f'{name}.log').open('a') as log:
-            self.started.append(NodeProcess(name, parameters, self.namespace, log))
+            self.started.append(ForkedNode(name, parameters, self.namespace, log))
         return self.started[-1]
+
+    def watched(self):
+        return values(last(self.monitor)).get('watch', '')
+
+    def learned(self):
+        said = re.search(r'(\d+) of', self.watched())
+        return int(said[1]) if said else 0
+
+    def knows(self):
+        return self.watched() == 'as it was'
 
     def comparing(self):
         self.until_code(self.monitor, 'comparing', timeout=LOADED)
@@ -110,7 +133,7 @@ def test_in_any_order_with_drop_outs_and_restarts_the_monitor_compares(space):
 def test_a_stiffer_arm_is_followed_within_the_interval_and_undo_gives_the_old_model_back(space):
     """The arm is 10 % stiffer than its description, whose interval is 20 % to both sides."""
     said = space.hear(String, 'monitor/adaptation', LATCHED)
-    space.run('driver', config='plant: {twin: true}\ntracker: {rate: 60.0, noise: 1.0e-4}\n')
+    space.run('driver', config=EXACT_TRACKER)
     space.run('controller', model=dump_robot(FITTED))
     space.run('monitor', adapt=True, still_time=0.3, force_rate=0.0)
     space.comparing()
@@ -121,26 +144,79 @@ def test_a_stiffer_arm_is_followed_within_the_interval_and_undo_gives_the_old_mo
     def told():
         return json.loads(last(said).data) if said else {'changes': 0, 'postures': 0}
 
-    for x, z in [(0.1, 0.1), (-0.08, 0.14), (0.05, 0.18), (-0.12, 0.08), (0.12, 0.06)] * 2:
+    for x, z in POINTS * 2:
         before = told()['postures']
         space.go_to_point(x, z)
+        space.rolling.clear()
         space.until(lambda before=before: told()['postures'] > before, 'a posture')
+        space.until(lambda: space.rolling, 'the error there')
         if told()['changes']:
             break
     assert told()['changes'] == 1, told()
     (change,) = told()['last']['parameters']
     assert change['before'] == 0.0
     assert 0.05 < change['after'] <= 0.1, 'a quarter of the interval at most'
-    before = last(space.rolling).data
+    _, before = space.rolling[0]  # the model may be another by now
     space.until(lambda: space.text('controller', 'model') != dump_robot(FITTED), 'another model')
     stiffer = read_robot(space.text('controller', 'model')).effects['backbone_stiffness']
     assert stiffer['relative_change'] == pytest.approx(change['after'], rel=1e-4)
-    space.until(lambda: last(space.rolling).data < 0.4 * before, 'a smaller error at the tip')
-    assert space.trigger('monitor/undo').success
+    space.until(lambda: last(space.rolling).data < 0.4 * before.data, 'a smaller error at the tip')
+    undone = space.trigger('monitor/undo')
+    assert undone.success
+    assert undone.message == 'backbone_stiffness.relative_change is 0 again; adapt is false now'
     space.until(lambda: space.text('controller', 'model') == dump_robot(FITTED), 'the old model')
     space.until(lambda: values(last(space.monitor))['adapt'] == 'false', 'that nothing follows')
     log = (space.folder / 'recordings' / 'adaptation.jsonl').read_text().splitlines()
-    assert [json.loads(line)['what'] for line in log] == ['changed', 'undone']
+    changed, undone = map(json.loads, log)
+    assert (changed['what'], undone['what']) == ('changed', 'undone')
+    (before,), (after,) = changed['parameters'], undone['parameters']
+    assert (before['before'], before['after']) == (after['after'], after['before'])
+
+
+def learned_and_changed(space):
+    """Let the monitor learn the arm; then one of its channels pulls 3 % more than it says."""
+    for x, z in POINTS:
+        before = space.learned()  # the posture at the start may count as one
+        space.go_to_point(x, z)
+        space.until(
+            lambda before=before: space.learned() > before or space.knows(), 'one more posture'
+        )
+    space.until(space.knows, 'the arm as it is known', LOADED)
+    space.started[0].process.kill()
+    space.until_code(space.monitor, 'no_tracker', 'not_compared')
+    space.run('driver', robot=dump_robot(STRETCHED), config=EXACT_TRACKER)
+    space.comparing()
+    for x, z in POINTS:
+        space.go_to_point(x, z)
+        if values(last(space.monitor))['drift'] == 'true':
+            break
+    space.until_code(space.monitor, 'drifted')
+
+
+def test_after_an_alarm_investigate_drives_to_what_tells_the_change_and_names_it(space):
+    space.run('driver', robot=dump_robot(ROBOT), config=EXACT_TRACKER)
+    space.run('controller')
+    watching = {'reference_postures': float(len(POINTS)), 'tracker_noise': 1e-4}
+    space.run('monitor', still_time=0.3, force_rate=0.0, **watching)
+    space.comparing()
+    refused = space.trigger('monitor/change')
+    assert not refused.success
+    assert re.search(rf'no alarm: learning the arm: [01] of {len(POINTS)}', refused.message)
+    learned_and_changed(space)
+    found, told = space.folder / 'found', space.folder / 'investigate.log'
+    command = processes.package('investigate', '--output', found, '--speed', 2)
+    command += ['--ros-args', '-r', f'__ns:={space.namespace}']
+    with told.open('w') as log, processes.Process(command, stdout=log, stderr=log) as process:
+        space.until(lambda: process.poll() is not None, 'the end of investigate', LOADED)
+    said = told.read_text()
+    assert process.returncode == 0, said
+    assert 'has changed: gain of dist_left (+' in said
+    assert 'call monitor/learn' in said
+    log = json.loads((found / 'investigation.json').read_text())
+    assert log['outcome']['why'] == 'change_named'
+    assert log['changed'][0]['values']['relative_change'] == pytest.approx(0.03, abs=0.01)
+    space.trigger('monitor/learn')
+    space.until(lambda: space.watched().startswith('learning the arm'), 'another reference')
 
 
 @pytest.mark.slow
@@ -153,13 +229,16 @@ def test_record_diagnose_add_reach_the_controller_and_another_namespace_hears_no
             space.run(name)
         space.comparing()
         assert space.trigger('monitor/record').success
-        for x, z in ((0.1, 0.1), (-0.08, 0.14), (0.05, 0.18), (-0.12, 0.08), (0.12, 0.06)):
+        for x, z in POINTS:
             count = int(values(last(space.monitor))['postures'])
             space.go_to_point(x, z)
             space.until(
                 lambda count=count: int(values(last(space.monitor))['postures']) > count,
                 'a recorded posture',
             )
+        count = values(last(space.monitor))['postures']
+        assert f'stopped after {count} postures' in space.trigger('monitor/record').message
+        assert f'{count} postures are kept' in space.trigger('monitor/record').message
         assert space.trigger('monitor/diagnose').success
         space.until(lambda: space.verdicts, 'the verdict', timeout=LOADED)
         verdict = json.loads(last(space.verdicts).data)

@@ -14,6 +14,7 @@ pytest.importorskip('rclpy')
 pytest.importorskip('rosbags')
 
 from control_rig import ROBOTS
+from forked import Forked
 from ros_station import INPUTS, Station, last, start
 from rosbags.highlevel import AnyReader
 
@@ -45,8 +46,8 @@ def station(tmp_path_factory):
 
 
 def begin(folder, *arguments):
-    return processes.Process(
-        [*processes.package(*arguments), '--ros-args', '-r', f'__ns:={SPACE}'],
+    return Forked(
+        [*arguments, '--ros-args', '-r', f'__ns:={SPACE}'],
         cwd=folder,
         stdout=processes.PIPE,
         stderr=processes.PIPE,
@@ -54,7 +55,7 @@ def begin(folder, *arguments):
 
 
 def finish(station, process, timeout=300.0):
-    station.until(lambda: process.poll() is not None, f'the end of {process.args[3]}', timeout)
+    station.until(lambda: process.poll() is not None, f'the end of {process.args[0]}', timeout)
     return processes.CompletedProcess(process.args, process.returncode, *process.communicate())
 
 

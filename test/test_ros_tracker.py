@@ -7,12 +7,11 @@ pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseArray, PoseStamped
-from ros_station import INPUTS, LATCHED, Station, last, start, values
+from ros_station import INPUTS, LATCHED, ForkedNode, Station, last, start, values
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.ros.shared.files import read_robot
-from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
 pytestmark = pytest.mark.ros
 LOADED = 120.0  # [s] a busy machine may need to load the model
@@ -31,7 +30,7 @@ class Tracked(Station):
         self.measured = self.hear(PoseArray, 'monitor/measured')
         self.log = (folder / 'monitor.log').open('w')
         known = {'model': 'kato_10_1', 'markers': MARKERS, 'folder': str(folder), **parameters}
-        self.process = NodeProcess('monitor', known, f'/{name}', self.log)
+        self.process = ForkedNode('monitor', known, f'/{name}', self.log)
 
     def end(self):
         self.process.end()

@@ -9,9 +9,7 @@ pytest.importorskip('rclpy')
 pytest.importorskip('viser')
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from ros_station import LATCHED, Station, last, start, values
-
-from tendon_robot_ros.ros.shared.runtime import NodeProcess
+from ros_station import LATCHED, ForkedNode, Station, last, start, values
 
 pytestmark = pytest.mark.ros
 LOADED = 120.0  # [s] a busy machine may need to load the model
@@ -32,7 +30,7 @@ def shown(request, tmp_path):
         space, port = f'/{request.node.name[:40]}', free_port()
         log = (tmp_path / 'viewer.log').open('w+')
         made.append(log)
-        made.insert(0, NodeProcess('viewer', {'port': float(port), **parameters}, space, log))
+        made.insert(0, ForkedNode('viewer', {'port': float(port), **parameters}, space, log))
         station = Station(space)
         made.append(station)
         station.viewer = station.hear(DiagnosticStatus, 'viewer/status', LATCHED)
@@ -41,7 +39,7 @@ def shown(request, tmp_path):
 
     yield make
     for one in made:
-        (one.end if isinstance(one, NodeProcess) else one.close)()
+        (one.end if isinstance(one, ForkedNode) else one.close)()
 
 
 def hears(station, *names):

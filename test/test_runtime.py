@@ -304,6 +304,19 @@ def test_what_moves_motors_goes_first_where_it_may():
     assert priority_after('go_first()', nice=5) == 5
 
 
+@pytest.mark.skipif(not os.path.exists('/proc/self/autogroup'), reason='a kernel without sessions')
+def test_its_session_goes_first_too_where_it_may():
+    """Within it alone the nice value of what solves beside the commands would weigh."""
+    if os.getpriority(os.PRIO_PROCESS, 0) != 0:
+        pytest.skip('the tests themselves were started with another priority')
+    wanted = processes.run(['nice', '-n', str(FIRST_NICENESS), 'nice']).stdout.strip()
+    program = (
+        'from tendon_robot_ros.common.processes import go_first; go_first(); '
+        'print(open("/proc/self/autogroup").read())'
+    )
+    assert f' nice {wanted}\n' in processes.run([sys.executable, '-c', program]).stdout
+
+
 REALTIME = """
 import os, threading
 from tendon_robot_ros.common.processes import go_realtime, in_realtime

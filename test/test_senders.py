@@ -14,6 +14,8 @@ import pytest
 pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rclpy.qos import QoSProfile
 from ros_station import Station, last, point, stamp, start, values
 from sensor_msgs.msg import JointState
@@ -130,7 +132,7 @@ def named_at(heard, node, key, name):
 
 
 def assert_named_soon(robot, said, heard, *named):
-    """All name who speaks besides within `NAMED_S` of its first word."""
+    """All name who speaks besides within `NAMED_S` of its first word, whom they know by then."""
 
     def of_the_second():
         return [stamp(m) for _, m in said if '/second' in m.header.frame_id]
@@ -142,6 +144,13 @@ def assert_named_soon(robot, said, heard, *named):
         assert named_at(heard, *wanted) - of_the_second()[0] < NAMED_S
 
 
+def begin(robot, *transitions):
+    """Have the second node, which all others know by now, begin to speak."""
+    for transition in transitions:
+        request = ChangeState.Request(transition=Transition(id=transition))
+        assert robot.call(ChangeState, 'second/change_state', request).success
+
+
 @pytest.mark.ros
 def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
     robot.run('driver')
@@ -150,14 +159,16 @@ def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
     robot.go_to_point(0.06, 0.17)
     second = robot.hear(DiagnosticStatus, 'second/status', LATCHED)
     heard = robot.hear(DiagnosticArray, '/diagnostics', EVERY)
-    intruder = robot.run('controller', extra=('-r', '__node:=second'))
-    robot.until_code(second, 'driver_stopped', timeout=120.0)
-    assert f'it follows {robot.namespace}/controller (process' in last(second).message
-    robot.until(lambda: '/second (process' in last(robot.driver).message, 'the driver to say so')
+    intruder = robot.run('controller', extra=('-r', '__node:=second'), autostart=False)
+    robot.until_code(second, 'unconfigured', timeout=120.0)
     robot.until(
         lambda: values(last(robot.controller))['other_controllers'] == f'{robot.namespace}/second',
         'the first to say so',
     )
+    begin(robot, Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE)
+    robot.until_code(second, 'driver_stopped', timeout=120.0)
+    assert f'it follows {robot.namespace}/controller (process' in last(second).message
+    robot.until(lambda: '/second (process' in last(robot.driver).message, 'the driver to say so')
     robot.until(
         lambda: values(last(second))['other_controllers'] == f'{robot.namespace}/controller',
         'the second to say so',
@@ -194,10 +205,12 @@ def test_a_second_driver_is_named_by_all(robot):
     second = robot.hear(DiagnosticStatus, 'second/status', LATCHED)
     states = robot.hear(JointState, 'tendon_states', EVERY)
     heard = robot.hear(DiagnosticArray, '/diagnostics', EVERY)
-    robot.run('driver', extra=('-r', '__node:=second'))
+    robot.run('driver', extra=('-r', '__node:=second'), autostart=False)
     own = robot.namespace
-    robot.until(lambda: others(second) == f'{own}/driver', 'the second to say so', timeout=120.0)
+    robot.until_code(second, 'unconfigured', timeout=120.0)
     robot.until(lambda: others(robot.driver) == f'{own}/second', 'the first to say so')
+    begin(robot, Transition.TRANSITION_CONFIGURE)
+    robot.until(lambda: others(second) == f'{own}/driver', 'the second to say so')
     assert f'another publishes tendon_states: {own}/second' in last(robot.driver).message
     robot.until(lambda: '/second (process' in last(robot.controller).message, 'the controller')
     assert robot.code() == 'holding'  # with the first

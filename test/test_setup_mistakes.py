@@ -10,7 +10,9 @@ from simulated import CATALOGUE, measured
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.setup_mistakes import find_mistake
+from tendon_robot_ros.diagnosis.stepwise import Stepwise
 from tendon_robot_ros.report.diagnosis_text import lines
+from tendon_robot_ros.robot import parse_robot
 
 ROBOT = simulated.robot()
 FLOOR = 2e-4
@@ -91,3 +93,43 @@ PHYSICS = {
 def test_physics_is_no_mistake(hidden):
     dataset = measured(ROBOT, {hidden: PHYSICS[hidden]}, count=8)
     assert find_mistake(Predictor(dataset, ROBOT, CATALOGUE), FLOOR) is None
+
+
+LIMP = """
+name: limp
+sections: [{name: arm, cells: 11, cell_length: 0.02, bending_stiffness: 1.9, bends_as: arc}]
+tendons:
+- {name: tendon_1, section: arm, offset: [0.01, 0.0]}
+- {name: tendon_2, section: arm, offset: [-0.005, 0.0086603]}
+- {name: tendon_3, section: arm, offset: [-0.005, -0.0086603]}
+tension_limits: [0.4, 10.0]
+gravity: [9.81, 0.0, 0.0]
+effects: {gravity: {linear_density: 0.1364}}
+"""
+
+
+@pytest.fixture(scope='module')
+def limp():
+    return parse_robot(LIMP)
+
+
+def test_a_tip_load_that_a_miscount_could_nearly_do_is_named(limp):
+    dataset = measured(limp, {'tip_load': {'force_x': 0.1}}, count=8)
+    looked = find_mistake(Predictor(dataset, limp, CATALOGUE), FLOOR, 1e-3)
+    assert looked is not None and looked.name == 'cells'  # and leaves no more than usual
+    found = diagnose(dataset)
+    assert [effect.name for effect in found.effects] == ['tip_load']
+    force = found.effects[0].parameters['force_x']
+    assert force.low < 0.1 < force.high
+    Stepwise(dataset, limp, CATALOGUE)  # improve does not refuse it either
+
+
+def test_a_miscount_that_no_effect_explains_is_said(limp):
+    right = measured(limp, count=8)
+    arm = limp.sections[0]
+    shorter = replace(arm, cells=10, bending_stiffness=arm.bending_stiffness[:10],
+                      mass_profile=arm.mass_profile[:10])  # fmt: skip
+    along = tuple(replace(m, arc_length=m.arc_length * 10 / 11) for m in right.markers)
+    found = diagnose(replace(right, robot=replace(limp, sections=(shorter,)), markers=along))
+    assert found.verdict == 'cannot_judge'
+    assert 'with 11 cells instead of 10 in the arm' in found.details['mistake']['sentence']

@@ -11,7 +11,7 @@ from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.simulation.imperfect import Workmanship
+from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import SECTION_BEND_MAX_RAD, default_postures

@@ -19,15 +19,15 @@ from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import dump_robot, load_robot
-from tendon_robot_ros.simulation.imperfect import Workmanship
-from tendon_robot_ros.simulation.measurements import SimulatedNoise
-from tendon_robot_ros.simulation.plant import make_plant
-from tendon_robot_ros.simulation.raw_table import (
+from tendon_robot_ros.simulation.hidden import Workmanship
+from tendon_robot_ros.simulation.measurements import (
     Laboratory,
+    SimulatedNoise,
     raw_table,
     tracker_frame,
     write_table,
 )
+from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.tables import import_table
 from tendon_robot_ros.tables.recipe import load_recipe
 from tendon_robot_ros.workspace.postures import default_postures
@@ -171,6 +171,21 @@ def test_currents_with_a_torque_constant_give_tensions(calm):
     amps = amps.rename(columns=lambda name: name.replace('T', 'I').replace('[N]', '[mA]'))
     data = import_table(amps, ARM, {'up': 'y', 'spool': spool}).dataset
     assert_allclose(data.inputs[1:], default_postures(ARM, 4), atol=1e-3)
+
+
+def test_a_sequence_that_was_gone_through_twice_has_two_trials_of_each_posture():
+    """Rest, one, rest, two, rest, three, once more, and rest."""
+    frame = recorded(CALM, count=3, trials=2)
+    data = import_table(frame, ARM, {'up': 'y', 'path': 'sequence'}).dataset
+    assert (data.path, data.trials.tolist()) == ('sequence', [3, 2, 2, 2, 2, 2])
+    once = frame[frame['time_s'] < 0.55 * frame['time_s'].iloc[-1]]
+    assert import_table(once, ARM, {'up': 'y', 'path': 'sequence'}).dataset.trials.max() == 1
+
+
+def test_it_is_said_where_the_way_to_a_posture_is_taken_not_to_matter(calm):
+    told = 'from where the arm came to a posture is taken not to matter'
+    assert told not in import_table(calm, ARM, {'up': 'y'}).text()
+    assert told in import_table(calm, ARM, {'up': 'y', 'rest': 0.0}).text()
 
 
 def test_a_slipped_trial_is_named_and_left_out(noisy):

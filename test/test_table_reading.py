@@ -1,5 +1,7 @@
 """Files as laboratories have them: what can be read is read, the rest is refused in one line."""
 
+import shutil
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -9,10 +11,14 @@ pytest.importorskip('pandas')
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DataSetError, InputError
 from tendon_robot_ros.common.units import find_unit, read_quantity, split_name
-from tendon_robot_ros.tables import reading
-from tendon_robot_ros.tables.columns import guess_inputs, guess_markers, guess_time, names_of
+from tendon_robot_ros.tables.columns import (
+    RawTable,
+    guess_inputs,
+    guess_markers,
+    guess_time,
+    names_of,
+)
 from tendon_robot_ros.tables.formats import read_c3d
-from tendon_robot_ros.tables.raw_table import RawTable
 from tendon_robot_ros.tables.reading import read_table
 
 PLAIN = 'time,T1 [N],m_x\n0,1,2\n0.5,1.5,\n'
@@ -116,10 +122,12 @@ def test_text_among_numbers_is_found(tmp_path):
         table.numbers('m_x')
 
 
-def test_a_file_is_refused_by_its_size_before_it_is_read(tmp_path, monkeypatch):
-    monkeypatch.setattr(reading, 'BYTES_MAX', 10)
-    with pytest.raises(DataSetError, match='are not read at once; export 50 frames a second'):
-        read(tmp_path, PLAIN)
+def test_two_gigabytes_are_refused_by_their_size_before_they_are_read(tmp_path):
+    with (tmp_path / 'raw.csv').open('w') as file:
+        file.write(PLAIN)
+        file.truncate(2_000_000_000)  # it takes no room
+    with pytest.raises(DataSetError, match=r'has 2\.0 GB, .* are not read at once; export 50'):
+        read_table(tmp_path / 'raw.csv')
 
 
 @pytest.mark.parametrize('name', ['raw.xlsx', 'raw', 'raw.parquet', 'raw.c3d'])
@@ -291,5 +299,11 @@ def test_the_command_refuses_in_one_line_and_writes_nothing(tmp_path, capsys):
         error = capsys.readouterr().err
         assert message in error, error
         assert error.count('\n') == 1
+    (tmp_path / 'run').mkdir()
+    (tmp_path / 'run' / 'dataset.yaml').write_text('mine')
+    assert main([*call[:-1], str(tmp_path / 'run')]) == 1  # before 20 s of work
+    said = capsys.readouterr()
+    assert said.out == '' and 'run: holds a data set already; name a new folder' in said.err
+    shutil.rmtree(tmp_path / 'run')
     assert not out.exists()
     assert [path.name for path in tmp_path.iterdir()] == ['raw.csv']

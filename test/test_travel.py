@@ -89,7 +89,7 @@ def test_a_motor_that_its_watchdog_stopped_has_found_no_wire(free):
     with free.driver(free.line) as driver:
         trips = threading.Thread(target=trip)
         trips.start()
-        with pytest.raises(MovedError, match='its bus watchdog stopped it while it looked'):
+        with pytest.raises(MovedError, match='no resistance within home_travel'):
             driver.enable()
         trips.join()
 

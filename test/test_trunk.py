@@ -79,3 +79,17 @@ def test_the_order_in_which_effects_are_named_does_not_matter(both, monkeypatch)
     whole = ['wire_spring', 'gravity', 'backbone_stiffness']
     ways = [['wire_spring'], ['wire_spring', 'backbone_stiffness'], whole[:2], whole]
     assert joined == [*ways, *[['backbone_stiffness', 'gravity', 'wire_spring']] * 2]
+
+
+def test_where_an_effect_led_the_arm_may_have_no_equilibrium_without_it():
+    """It was the end of `diagnose data/trunk/base`."""
+    base = load_dataset(TRUNK / 'base')
+    session = Session(base, base.robot, load_catalogue(), workers=1)
+    assert session.weigh({})
+    fit = session.base_fit()
+    assert fit.built is not None
+    slack = {'pull_zero': np.ones_like(fit.built.around['pull_zero'])}  # a metre of every wire
+    away = replace(fit, built=replace(fit.built, around=slack))
+    with pytest.raises(ArithmeticError):
+        session.fitters[0].fit((), away)
+    assert session.base_fit([away]).deviance == pytest.approx(fit.deviance)

@@ -50,6 +50,19 @@ def test_the_page_leads_from_the_first_click_to_the_fallen_error():
     assert [text for _, text in state.marks] == ['gravity']
 
 
+def test_the_first_button_says_what_a_click_on_it_does_to_what_is_recorded():
+    state = ViewState()
+    state.hear_error(0.0, 5e-3)
+    said(state, kept='true')
+    assert state.record_label == '1  Record'
+    assert '1 stops' in said(state, recording='true', postures='49', kept='false')
+    assert state.record_label == '1  Stop recording (49)'
+    assert '1 records more' in said(state, postures='49', kept='false')
+    assert state.record_label == '1  Record on, from 49' and state.can_diagnose
+    said(state, postures='49', kept='true')  # diagnosed: a click begins another one
+    assert state.record_label == '1  Record'
+
+
 def test_a_new_diagnosis_forgets_the_verdict_before():
     state = ViewState()
     state.hear_verdict(published(Verdict.ADEQUATE))
@@ -73,10 +86,32 @@ def test_reset_is_offered_after_a_stop_only():
 
 
 def test_the_marker_that_is_off_most_is_named_as_of_now():
-    state = ViewState(marker_errors=(0.001, 0.004, 0.002))
-    assert state.per_marker() == 'this moment most at marker 2 of 3: 4.00 mm'
-    state.marker_errors = (0.001, float('nan'), 0.002)
-    assert state.per_marker() == 'this moment most at the tip: 2.00 mm'
+    state = ViewState()
+    assert state.per_marker() == ''
+    state.hear_markers(0.0, (0.001, 0.004, 0.002))
+    assert state.per_marker() == 'most at marker 2 of 3: 4.0 mm'
+    state.hear_markers(2.0, (0.001, float('nan'), 0.002))
+    assert state.per_marker() == 'most at the tip: 2.0 mm'
+    state.hear_markers(3.0, ())  # another arm
+    assert state.per_marker() == ''
+
+
+def test_numbers_of_the_page_do_not_jump_with_single_readings():
+    """An arm that is off by 2 mm; every other reading is anything up to 20 mm."""
+    state, random = ViewState(), np.random.default_rng(1)
+    shown, worst = set(), set()
+    for i in range(300):
+        now, wild = 0.2 * i, i % 4 == 3
+        state.hear_error(now, random.uniform(0.0, 0.02) if wild else 0.002)
+        state.hear_markers(now, (0.03, 0.0, 0.0) if wild else (0.0005, 0.001, 0.002))
+        if now > 1.5:
+            shown.add(round(1e3 * state.rolling(now), 1))
+            worst.add(state.per_marker())
+    assert shown == {2.0} and worst == {'most at the tip: 2.0 mm'}
+    assert np.isnan(state.rolling(now + 2.0)), 'what is old is not shown'
+    for i in range(8):  # what stays is shown within a second
+        state.hear_error(now + 0.2 * (i + 1), 0.005)
+    assert state.rolling(now + 1.6) == 0.005
 
 
 @pytest.mark.parametrize(('length', 'square'), [(0.0312, 0.02), (0.05, 0.05), (1.2, 1.0)])
@@ -113,6 +148,26 @@ def test_the_news_of_an_investigation_are_kept_until_the_next_one_begins():
     assert page_parts.investigation([]) == ''
 
 
+def test_after_an_alarm_the_page_offers_investigate_and_shows_what_has_changed():
+    state = ViewState()
+    state.hear_status(0.0, 'investigate', 0, 'free', {'code': 'waiting'})
+    drifted = 'no longer what the model says: looks like gain of left (97 %)'
+    said(state, drift='true', watch=drifted)
+    assert state.guide().startswith(f'The arm is {drifted}. Click Investigate')
+    for news in (
+        {'kind': 'change', 'text': '  looks like gain of left (97 %)', 'postures': 0},
+        {'kind': 'posture', 'text': 'posture 1: ...', 'number': 1},
+        {'kind': 'changed', 'text': '  1 postures: has changed: gain of left (+3.0 %)',
+         'postures': 1},
+    ):  # fmt: skip
+        state.hear_investigation(json.dumps(news))
+    assert [news['kind'] for news in state.investigation] == ['change', 'posture', 'changed']
+    assert 'Click Investigate' not in state.guide()
+    assert '<td>has changed: gain of left (+3.0 %)</td>' in page_parts.investigation(
+        state.investigation
+    )
+
+
 def test_a_tube_keeps_its_radius_around_a_bent_arm_and_does_not_turn():
     angle = np.linspace(0.0, np.pi, 40)
     nodes = 0.05 * np.c_[1.0 - np.cos(angle), np.zeros(40), np.sin(angle)]  # half a circle
@@ -135,6 +190,9 @@ def test_peaks_of_the_curve_are_cut_and_that_is_said():
 def test_the_progress_of_a_diagnosis_is_a_bar_until_it_is_done():
     assert 'value="7" max="23"' in page_parts.guide('wait', 'comparing effects 7/23')
     assert '<progress' not in page_parts.guide('wait', 'comparing effects 23/23')
+    whole = page_parts.guide('wait', 'effects again 1/1 (42 %, about 2 min to go)')
+    assert 'value="42" max="100"' in whole
+    assert '<progress aria-label' in page_parts.guide('wait', 'fitting what was found')
     assert 'role="status"' in page_parts.guide('wait', '')  # read out when it changes
 
 

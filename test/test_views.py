@@ -14,7 +14,7 @@ pytest.importorskip('rclpy')
 from builtin_interfaces.msg import Time
 from control_rig import ROBOTS
 from geometry_msgs.msg import PoseArray
-from ros_station import Station, last, start
+from ros_station import ForkedNode, Station, last, start
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -23,7 +23,6 @@ from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.urdf import joint_angles, joint_names, transforms, urdf
 from tendon_robot_ros.ros.commands.robot_model import stamped
 from tendon_robot_ros.ros.shared.messages import LATCHED
-from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
 SPACE = '/views'
 RVIZ = yaml.safe_load((ROOT / 'config' / 'robot.rviz').read_text())['Visualization Manager']
@@ -63,7 +62,7 @@ def running(tmp_path_factory):
     with (
         start('driver', SPACE, logs, **patient[0]),
         start('controller', SPACE, logs, **patient[1]),
-        NodeProcess('robot-model', {}, SPACE),
+        ForkedNode('robot-model', {}, SPACE),
     ):
         station = Station(SPACE)
         station.described = station.hear(String, 'robot_description', LATCHED)

@@ -2,13 +2,16 @@
 
 import os
 import signal
+import sys
+from concurrent.futures import Future
 from pathlib import Path
 
 import pytest
+import yaml
 from source_tree import ROOT
 
 from tendon_robot_ros.campaign.versions import Preparation, UserEffect, catalogue_of
-from tendon_robot_ros.common.errors import InputError
+from tendon_robot_ros.common.errors import ClusterLostError, InputError, MissingExtraError
 from tendon_robot_ros.common.workers import LostWork, Workers
 from tendon_robot_ros.effects import load_catalogue
 
@@ -47,6 +50,84 @@ def test_a_chunk_that_kills_every_worker_is_given_up(monkeypatch):
 def test_what_the_work_raises_is_raised_here():
     with Workers(2) as workers, pytest.raises(InputError, match='not this'):
         list(workers.run(refuse, [0]))
+
+
+class Immediate:
+    """An engine of one slot that does a chunk when it gets it, until it breaks."""
+
+    slots = 1
+
+    def __init__(self, chunks=99):
+        self.left = chunks
+
+    def submit(self, work, chunk):
+        self.left -= 1
+        if self.left < 0:
+            raise ClusterLostError('gone')
+        future = Future()
+        future.set_result(work(chunk))
+        return future
+
+    def is_loss(self, error):
+        return False
+
+
+def taken(engine, chunks):
+    """Yield (how many chunks were handed out when a result came, the result)."""
+    handed = []
+
+    def counted():
+        for chunk in chunks:
+            handed.append(chunk)
+            yield chunk
+
+    workers = Workers()
+    workers.engine = engine
+    for index, result in workers.run(abs, counted()):
+        yield len(handed), index, result
+
+
+def test_a_worker_has_its_next_chunk_before_its_result_is_taken():
+    assert list(taken(Immediate(), [-5, 6, -7])) == [(2, 0, 5), (3, 1, 6), (3, 2, 7)]
+
+
+def test_a_cluster_that_is_lost_at_the_next_chunk_has_given_its_last_result():
+    found = []
+
+    def take_all():
+        for each in taken(Immediate(2), [-5, 6, -7]):
+            found.append(each)
+
+    with pytest.raises(ClusterLostError, match='gone'):
+        take_all()
+    assert found == [(2, 0, 5), (3, 1, 6)]
+
+
+def test_without_dask_a_cluster_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'distributed', None)
+    with pytest.raises(MissingExtraError, match=r'tendon_robot_ros\[cluster\]'):
+        Workers(cluster='tcp://127.0.0.1:9')
+
+
+def test_a_scheduler_that_is_not_there_is_one_line(monkeypatch):
+    pytest.importorskip('distributed')
+    monkeypatch.setattr('tendon_robot_ros.common.workers.CONNECT_S', 0.2)
+    with pytest.raises(InputError, match=r'--cluster tcp://127.0.0.1:9: no scheduler answers'):
+        Workers(cluster='tcp://127.0.0.1:9')
+
+
+def test_the_settings_that_are_advised_are_settings_of_dask():
+    pytest.importorskip('distributed')
+    import dask.config
+
+    def leaves(content, path=()):
+        for key, value in content.items():
+            inner = isinstance(value, dict)
+            yield from leaves(value, (*path, key)) if inner else [('.'.join((*path, key)), value)]
+
+    advised = dict(leaves(yaml.safe_load((ROOT / 'config' / 'dask.yaml').read_text())))
+    assert len(advised) >= 4
+    assert [name for name, value in advised.items() if dask.config.get(name) == value] == []
 
 
 def test_workers_of_other_versions_are_refused():

@@ -1,0 +1,49 @@
+"""What a first shape waits for: imports, and code that is compiled once."""
+
+import sys
+
+import numpy as np
+from processes import run
+
+from tendon_robot_ros.model.kernel.layout import compiled, jit
+from tendon_robot_ros.model.kernel.linking import EntryCompiler
+
+WITHOUT_SCIPY = """
+import sys
+import numpy
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.robot import load_robot
+model = Model(load_robot('config/robots/kato_10_1_single.yaml'))
+model.shape(model.limits[:, 0])
+assert 'scipy.linalg' not in sys.modules
+import numba
+solve = numba.njit(lambda a, b: numpy.linalg.solve(a, numpy.dot(a, b)))
+assert numpy.allclose(solve(numpy.diag([2.0, 4.0]), numpy.array([1.0, 3.0])), [1.0, 3.0])
+"""
+
+
+def test_a_shape_comes_without_linear_algebra_and_numba_has_it_afterwards():
+    made = run([sys.executable, '-c', WITHOUT_SCIPY])
+    assert made.returncode == 0, made.stderr
+
+
+@compiled
+def halved(x):
+    return 0.5 * x
+
+
+@compiled
+def quartered(x):
+    return halved(halved(x))
+
+
+def test_parts_of_an_entry_are_linked_at_every_depth_and_have_no_machine_code():
+    entry = jit(pipeline_class=EntryCompiler)(lambda x: quartered(x) + halved(x))
+    assert entry(8.0) == 6.0
+    assert entry(np.float32(8.0)) == 6.0
+    for part in (halved, quartered):
+        for made in part.overloads.values():
+            engine = made.library.codegen._engine
+            assert not engine.is_symbol_defined(made.fndesc.llvm_func_name)
+    (first, *_) = entry.overloads.values()
+    assert first.library.get_pointer_to_function(first.fndesc.llvm_func_name)
