@@ -4,36 +4,59 @@ What control that knows friction gains: spread by the way, loads, paths, stiffne
 The arms are plants as they are built (scatter, kinks, gains, holes), with friction that remembers
 by another slip law than the model's, behind a driver with lag and noisy load cells; the tip is
 seen at 50 Hz with noise. The controller runs with its solver in place, in simulated time; ticks
-are measured in process time. Prints JSON; `--only orders` (or another part) for one.
+are measured in process time. Prints JSON; `--only orders` (or another part) for one. Orders that
+were broken off go on with the `--resume FILE` that they were given, a line per order and kind.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
+from control_rig import (
+    CYCLE,
+    DESCRIBED,
+    LAG,
+    TIP_NOISE,
+    TRACK_EVERY,
+    Rig,
+    load_of,
+    loaded,
+    robot_of,
+)
 from machine import machine, tell
 
-from tendon_robot_ros.common.errors import NoEquilibriumError
-from tendon_robot_ros.control import ControllerCore, Settings, Target, mismatch
-from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.control import Settings, Target, mismatch
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.redundancy import Balance, Preferences
 from tendon_robot_ros.model.tip_task import TipTask, tip_target
-from tendon_robot_ros.ros.shared.files import read_robot
-from tendon_robot_ros.simulation.hidden import with_elastic_slip
-from tendon_robot_ros.simulation.imperfect import Workmanship
-from tendon_robot_ros.simulation.plant import make_plant
 
-CYCLE, LAG = 0.005, 0.02  # [s]
-TENSION_NOISE, TIP_NOISE = 0.005, 2e-4  # [N], [m] 1 sd
-TRACK_EVERY, PREDICT_EVERY = 4, 6  # cycles: 50 Hz, 33 Hz
-LENGTH = {'friction_memory': {'presliding_length': 2e-4}}  # [m]
-STILL_N = 1e-6  # [N] an arm whose tensions change by less stands still
-MOVE_S = 1.6  # [s] for a target
-FITTED = {}  # arm -> the description that was calibrated on it
+KINDS = {  # of control, for the orders
+    'today': {'knows': ''},
+    'from_below': {'knows': '', 'approach': 'from_below'},
+    'memory': {},
+    'memory_from_below': {'approach': 'from_below'},
+    'memory_model': {'approach': 'model'},
+    'law': {'knows': 'law'},
+    'recorded': {'knows': 'recorded'},
+    'law_from_below': {'knows': 'law', 'approach': 'from_below'},
+    'law_model': {'knows': 'law', 'approach': 'model'},
+    'closed': {'tip_gain': 5.0},
+    'closed_law': {'knows': 'law', 'tip_gain': 5.0},
+}
+PATHS = (  # ahead: with look_ahead; told: the model has the load
+    'open',
+    'fixed',
+    'fixed_ahead',
+    'learned',
+    'learned_ahead',
+    'told_ahead',
+)
+FIXED = {'SLOPE_DOUBT': 1e-9, 'SLOPE_DOUBT_LEAST': 1e-6}  # the model's own Jacobian
 LIMITS = {  # what issue 20 asks for
     'open_loop_spread_share': 0.15,
     'closed_loop_spread_noises': 1.5,
@@ -44,97 +67,6 @@ LIMITS = {  # what issue 20 asks for
     'stiffness_tip_mm': 0.2,
     'tick_ms': {'kato_10_1': 0.3, 'spatial_6': 1.5},
 }
-
-
-def robot_of(name, remembers=True):
-    robot = read_robot(name)
-    for effect, values in LENGTH.items() if remembers else ():
-        robot = robot.with_effect(effect, values)
-    return robot
-
-
-def calibrated(name, plant):
-    """Return the description that fits 40 postures of the plant best, of a small grid."""
-    robot = robot_of(name)
-    low, high = np.array([robot.tension_limits] * len(robot.inputs)).T
-    postures = low + np.random.default_rng(11).random((40, len(low))) * 0.2 * (high - low)
-    seen = plant.model.sequence(postures).tip_position
-    best, least = robot, np.inf
-    friction = robot.effects['tendon_friction']['friction_coefficient']
-    for share in (0.9, 1.0, 1.1):
-        for softer in (-0.03, 0.0, 0.03):
-            for length in (0.5e-4, 0.7e-4, 1e-4, 1.4e-4, 2e-4, 2.8e-4):
-                made = robot.with_effect('backbone_stiffness', {'relative_change': softer})
-                made = made.with_effect(
-                    'tendon_friction', {'friction_coefficient': share * friction}
-                ).with_effect('friction_memory', {'presliding_length': length})
-                try:
-                    away = Model(made).sequence(postures).tip_position - seen
-                except NoEquilibriumError:  # of a description that is none of this arm
-                    continue
-                if (off := float((away**2).sum())) < least:
-                    best, least = made, off
-    return best
-
-
-def stands(rig):
-    """Nothing happens beside the controller."""
-
-
-class Rig:
-    """A controller core, a driver with lag and noise, and a plant that is not its model."""
-
-    def __init__(self, name='kato_10_1', knows=True, seed=1, exact=False, **settings):
-        robot = robot_of(name)
-        work = Workmanship().times(0.0 if exact else 1.0)
-        self.plant = make_plant(
-            robot, work=work, seed=seed, catalogue=with_elastic_slip(load_catalogue())
-        )
-        key = (name, seed, exact) if exact else (name, seed)
-        if key not in FITTED:
-            FITTED[key] = calibrated(name, self.plant)
-        described = FITTED[key] if knows else FITTED[key].without_effect('friction_memory')
-        self.core = ControllerCore(Model(described), Settings(drive_lag=LAG, **settings))
-        self.random, self.now, self.step = np.random.default_rng(seed), 0.0, 0
-        self.actual = self.core.model.limits[:, 0].copy()
-        self.respond()
-        self.tips, self.skipped = [], 0
-        self.run(0.1)
-
-    @property
-    def tip(self):
-        return self.arm.tip_position
-
-    def run(self, seconds, before=stands):
-        for _ in range(round(seconds / CYCLE)):
-            self.now, self.step = self.now + CYCLE, self.step + 1
-            before(self)
-            noise = TENSION_NOISE * self.random.normal(size=len(self.actual))
-            self.core.measured(self.now, np.maximum(self.actual + noise, 0.0), self.arm.pulls)
-            output = self.core.step(self.now)
-            if output is not None:
-                share = 1.0 - np.exp(-CYCLE / LAG)
-                self.actual = self.actual + share * (output.tensions - self.actual)
-            if before is not stands or np.abs(self.actual - self.answered).max() > STILL_N:
-                self.respond()
-            if self.step % PREDICT_EVERY == 0:
-                self.core.predict(self.now, lambda shape: None)
-            if self.core.settings.tip_gain > 0.0 and self.step % TRACK_EVERY == 0:
-                seen = self.tip + TIP_NOISE * self.random.normal(size=3)
-                self.core.loop.take(self.now, self.core, seen)
-            self.tips.append(self.tip.copy())
-
-    def respond(self):
-        try:
-            self.arm, self.answered = self.plant.respond(self.actual), self.actual
-        except NoEquilibriumError:  # Prandtl's sharp end: the plant's search goes in circles
-            self.skipped += 1
-
-    def go(self, position):
-        self.core.aim(Target(position))
-        begin = len(self.tips)
-        self.run(MOVE_S)
-        return np.array(self.tips[begin:])
 
 
 def targets(name, count=12):
@@ -150,77 +82,60 @@ def targets(name, count=12):
     return np.array(found)
 
 
-def orders(name, count, **settings):
-    """Visit the targets in random orders: spread by the way, error, overshoot."""
-    places, skipped = targets(name), 0
-    ends = np.empty((count, len(places), 3))
-    overshoots = []
-    for number in range(count):
-        rig = Rig(name, **settings)
-        for place in np.random.default_rng(number).permutation(len(places)):
-            here, tips = rig.tip.copy(), rig.go(places[place])
-            ends[number, place] = tips[-20:].mean(axis=0)
-            step = ends[number, place] - here
-            if np.linalg.norm(step) > 0.02:
-                beyond = ((tips - here) @ step).max() / (step @ step) - 1.0
-                overshoots.append(beyond)
-        skipped += rig.skipped
+def visited(name, number, **settings):
+    """Visit the targets in a random order: where the tip ends, and how far it was beyond."""
+    places, rig = targets(name), Rig(name, **settings)
+    ends, beyond = np.empty((len(places), 3)), []
+    for place in np.random.default_rng(number).permutation(len(places)):
+        here, tips = rig.tip.copy(), rig.go(places[place])
+        ends[place] = tips[-20:].mean(axis=0)
+        step = ends[place] - here
+        if np.linalg.norm(step) > 0.02:
+            beyond.append(((tips - here) @ step).max() / (step @ step) - 1.0)
+    return {'ends': ends.tolist(), 'beyond': beyond, 'skipped': rig.skipped}
+
+
+def told(name, rows):
+    """Return spread by the way, error and overshoot of the orders of one kind."""
+    ends = np.array([row['ends'] for row in rows])
     away = np.linalg.norm(ends - ends.mean(axis=0), axis=2)
+    beyond = np.concatenate([row['beyond'] for row in rows])
     return {
+        'orders': len(rows),
         'spread_mm': round(1e3 * float(np.sqrt((away**2).mean())), 3),
-        'spread_max_mm': round(1e3 * float(away.max()), 3),
-        'error_mm': round(1e3 * float(np.linalg.norm(ends - places, axis=2).mean()), 3),
-        'overshoot_p95': round(float(np.quantile(overshoots, 0.95)), 3),
-        'overshoot_max': round(float(np.max(overshoots)), 3),
-        'cycles_without_plant': skipped,
+        'error_mm': round(1e3 * float(np.linalg.norm(ends - targets(name), axis=2).mean()), 3),
+        'overshoot_p95': round(float(np.quantile(beyond, 0.95)), 3),
+        'overshoot_max': round(float(beyond.max()), 3),
     }
 
 
-def bench_orders(count, name, exact):
-    kinds = {
-        'today': {'knows': False},
-        'from_below': {'knows': False, 'approach': 'from_below'},
-        'memory': {},
-        'memory_from_below': {'approach': 'from_below'},
-        'memory_model': {'approach': 'model'},
-        'closed': {'tip_gain': 5.0},
-    }
-    made = {kind: orders(name, count, exact=exact, **made) for kind, made in kinds.items()}
-    today = made['today']['spread_mm']
-    for kind in ('from_below', 'memory', 'memory_from_below', 'memory_model'):
-        made[f'{kind}_spread_share'] = round(made[kind]['spread_mm'] / today, 3)
+def bench_orders(count, name, exact, kinds, file):
+    rows = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+    rows = [row for row in rows if (row['robot'], row['exact']) == (name, exact)]
+    done = {(row['kind'], row['number']) for row in rows}
+    for number in range(count):
+        for kind in kinds:
+            if (kind, number) in done:
+                continue
+            row = {'robot': name, 'exact': exact, 'kind': kind, 'number': number}
+            row |= visited(name, number, exact=exact, **KINDS[kind])
+            rows.append(row)
+            with file.open('a') as log:
+                log.write(json.dumps(row) + '\n')
+    made = {kind: told(name, [r for r in rows if r['kind'] == kind]) for kind in kinds}
     axes = 2.0 if name.startswith('kato') else 3.0  # that the arm moves in
-    noise = 1e3 * TIP_NOISE * np.sqrt(axes)  # [mm]
-    made['closed_loop_spread_noises'] = round(made['closed']['spread_mm'] / noise, 2)
+    noise, today = 1e3 * TIP_NOISE * np.sqrt(axes), made.get('today', {'spread_mm': np.nan})
+    for figures in made.values():
+        figures['share_of_today'] = round(figures['spread_mm'] / (today['spread_mm'] or np.nan), 3)
+        figures['spread_noises'] = round(figures['spread_mm'] / noise, 2)
     return made
 
 
-def loaded(rig, force):
-    rig.plant.model.arrays.set('tip_load', 'force_x', None, force)
-    rig.answered = np.inf
-
-
-def load_of(rig, distance):
-    """Return the force [N] along x that moves the standing tip by a distance [m]."""
-    low, high, last = 0.0, 1.0, rig.plant._state
-    for _ in range(30):
-        middle = 0.5 * (low + high)
-        loaded(rig, middle)
-        try:
-            tip = rig.plant.model.follow(last, last.inputs).tip_position
-        except NoEquilibriumError:  # far more than the arm holds
-            high = middle
-            continue
-        low, high = (middle, high) if np.linalg.norm(tip - rig.tip) < distance else (low, middle)
-    loaded(rig, 0.0)
-    return low
-
-
-def bench_load(count, gain, name, exact):
+def bench_load(count, gain, name, exact, knows):
     """Load the tip within 0.1 s: how far it is off, and for how long."""
     errors, settled, moved = [], [], []
     for number, place in enumerate(targets(name)[:count]):
-        rig = Rig(name, tip_gain=gain, seed=number, exact=exact, rate_limit=20.0)
+        rig = Rig(name, knows, tip_gain=gain, seed=number, exact=exact, rate_limit=20.0)
         rig.go(place)
         force, began = load_of(rig, 0.02), rig.now
 
@@ -252,59 +167,71 @@ def circle(name):
     return np.column_stack([np.hypot(*height[:2]) * turn, np.full(len(turn), height[2])])
 
 
-def bench_path(gain, lead, name, exact):
+def bench_path(gain, lead, name, exact, knows):
     """Follow circles at 100 mm/s under an unknown load."""
-    way, speed = circle(name), 0.1
-    round_s = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum()) / speed
-    made = {}
-    doubts = mismatch.SLOPE_DOUBT, mismatch.SLOPE_DOUBT_LEAST
-    for kind in ('open', 'fixed', 'fixed_ahead', 'learned', 'learned_ahead'):
-        none = (1e-9, 1e-6) if kind.startswith('fixed') else doubts
-        mismatch.SLOPE_DOUBT, mismatch.SLOPE_DOUBT_LEAST = none
-        closed = 0.0 if kind == 'open' else gain
+    made, kept = {}, {key: getattr(mismatch, key) for key in FIXED}
+    for kind in PATHS:
+        for key, value in (FIXED if kind.startswith('fixed') else kept).items():
+            setattr(mismatch, key, value)
         ahead = lead if kind.endswith('ahead') else 0.0
-        rig = Rig(name, tip_gain=closed, exact=exact, look_ahead=ahead)
-        rig.go(way[0])
-        loaded(rig, 0.5 * load_of(rig, 0.02))
-        rig.run(1.0)
-        began, wanted = rig.now, []
-
-        def send(rig, began=began, wanted=wanted):
-            share = (rig.now - began) / round_s % 1.0 * (len(way) - 1)
-            place = way[round(share)]
-            wanted.append(place)
-            if rig.step % TRACK_EVERY == 0:
-                rig.core.aim(Target(place))
-
-        first = len(rig.tips)
-        rig.run(3.0, send)
-        away = np.linalg.norm(np.array(rig.tips[first:]) - np.array(wanted), axis=1)[200:]
+        closed = 0.0 if kind == 'open' else gain
+        rig = Rig(name, knows, tip_gain=closed, exact=exact, look_ahead=ahead)
+        away = circled(rig, name, told=kind.startswith('told'))
         made[f'{kind}_rms_mm'] = round(1e3 * float(np.sqrt((away**2).mean())), 3)
-    mismatch.SLOPE_DOUBT, mismatch.SLOPE_DOUBT_LEAST = doubts
+    for key, value in kept.items():
+        setattr(mismatch, key, value)
     for fixed in ('fixed', 'fixed_ahead'):
-        share = made['learned_ahead_rms_mm'] / made[f'{fixed}_rms_mm']
-        made[f'share_of_{fixed}'] = round(share, 3)
+        for kind in ('learned', 'told'):
+            share = made[f'{kind}_ahead_rms_mm'] / made[f'{fixed}_rms_mm']
+            made[f'{kind}_share_of_{fixed}'] = round(share, 3)
     return made
 
 
-def bench_stiffness(count, gain, name, exact):
+def circled(rig, name, told):
+    """Load the tip, follow circles for 3 s: how far (k,) [m] it was off after the first second."""
+    way, speed = circle(name), 0.1
+    round_s = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum()) / speed
+    rig.go(way[0])
+    loaded(rig, force := 0.5 * load_of(rig, 0.02))
+    if told:
+        described = rig.core.model.robot.with_effect('tip_load', {'force_x': force})
+        rig.core.set_model(Model(described))
+    rig.run(1.0)
+    began, wanted = rig.now, []
+
+    def send(rig):
+        share = (rig.now - began) / round_s % 1.0 * (len(way) - 1)
+        place = way[round(share)]
+        wanted.append(place)
+        if rig.step % TRACK_EVERY == 0:
+            rig.core.aim(Target(place))
+
+    first = len(rig.tips)
+    rig.run(3.0, send)
+    return np.linalg.norm(np.array(rig.tips[first:]) - np.array(wanted), axis=1)[200:]
+
+
+def bench_stiffness(count, gain, name, exact, knows):
     """Co-contraction while the tip is held: how much stiffer, how far the tip moves meanwhile."""
-    factors, moved = [], []
+    factors, arms, moved = [], [], []
     for number, place in enumerate(targets(name)[:count]):
-        rig = Rig(name, seed=number, exact=exact, tip_gain=gain)
+        rig = Rig(name, knows, seed=number, exact=exact, tip_gain=gain)
         rig.go(place)
         rig.run(2.0)
         model, last = rig.core.model, rig.core.track.last
         before, tip = model.tip_stiffness(last).along([1, 0, 0]), rig.tip.copy()
+        arm = rig.stiffness()
         wants = Preferences(low_tension=0.5, stiffness=0.1, stiffness_direction=(1, 0, 0))
         rig.core.settings = Settings(preferences=wants, tip_gain=gain, drive_lag=LAG)
         begin = len(rig.tips)
         rig.run(12.0)
         after = model.tip_stiffness(rig.core.track.last).along([1, 0, 0])
         factors.append(after / before)
+        arms.append(rig.stiffness() / arm)
         moved.append(1e3 * np.linalg.norm(np.array(rig.tips[begin:]) - tip, axis=1).max())
     return {
         'factor': np.round(factors, 2).tolist(),
+        'factor_of_the_arm': np.round(arms, 2).tolist(),
         'tip_moved_mm': np.round(moved, 3).tolist(),
     }
 
@@ -341,17 +268,21 @@ def main():
     parser.add_argument('--gain', type=float, default=6.0)
     parser.add_argument('--lead', type=float, default=0.03)
     parser.add_argument('--robot', default='kato_10_1')
+    parser.add_argument('--knows', default='memory', choices=('', *DESCRIBED))
     parser.add_argument('--exact', action='store_true', help='an arm that is what is written')
+    parser.add_argument('--kinds', nargs='+', default=list(KINDS), choices=KINDS)
+    parser.add_argument('--resume', type=Path, help='file of orders: read first, then added to')
     parser.add_argument('--only', choices=('orders', 'load', 'path', 'stiffness', 'ticks'))
     parser.add_argument('--json', type=Path)
     options = parser.parse_args()
     arm = options.robot, options.exact
+    file = options.resume or Path(tempfile.mkdtemp()) / 'orders.jsonl'
     parts = {
         'ticks': bench_ticks,
-        'orders': lambda: bench_orders(options.orders, *arm),
-        'load': lambda: bench_load(options.places, options.gain, *arm),
-        'path': lambda: bench_path(options.gain, options.lead, *arm),
-        'stiffness': lambda: bench_stiffness(options.places, options.gain, *arm),
+        'orders': lambda: bench_orders(options.orders, *arm, options.kinds, file),
+        'load': lambda: bench_load(options.places, options.gain, *arm, options.knows),
+        'path': lambda: bench_path(options.gain, options.lead, *arm, options.knows),
+        'stiffness': lambda: bench_stiffness(options.places, options.gain, *arm, options.knows),
     }
     figures = {**machine(), 'asked': LIMITS}
     for name, part in parts.items():

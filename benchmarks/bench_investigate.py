@@ -28,15 +28,14 @@ from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.effects import load_catalogue
-from tendon_robot_ros.investigation.goal import Goal
+from tendon_robot_ros.investigation.goal import Goal, names_of, widest
 from tendon_robot_ros.investigation.loop import Investigation
 from tendon_robot_ros.investigation.simulated_arm import SimulatedArm
-from tendon_robot_ros.investigation.stopping import names_of, widest
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
-from tendon_robot_ros.simulation.imperfect import Workmanship
+from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.simulation.rehearsal import draw

@@ -13,7 +13,8 @@ wires carried.
 - `ended_ms`: until the process is gone that was asked to end;
 - `unheard`: publishers whose `false` after the trial was not heard;
 - `late`: trials with a motor above pretension after 100 ms;
-- `rise`: by how much a wire was tighter after the cause than at it [N].
+- `rise`: by how much a wire was tighter after the cause than at it [N];
+- `stolen_ms`: processor time that other virtual machines had of this one meanwhile.
 
 Motors whose port is gone get no command: they wait for their watchdog, then have no current, in
 pull mode they hold (docs/dynamixel.md): no figure then but `rise`. The watchdog is short where the
@@ -32,12 +33,15 @@ import time
 from pathlib import Path
 
 import numpy as np
-from chain import Chain, Load, at_once
+from chain import Chain, Load
 from emulated_bus import ROBOTS, driver_for
-from machine import machine, tell
+from machine import machine, stolen, tell
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
+from tendon_robot_ros.common.processes import go_realtime
+
+FINGER = 2  # priority of the person who stops: no part of what is measured
 SOON = 0.1  # [s]
 LEAST = {'tension': 0.8, 'pull': 0.0045}  # [N], [m] before a stop
 BEFORE = 0.1  # [s] of the trace before the cause
@@ -51,7 +55,7 @@ SETTLED = 5.0  # [s] that it may take to stand still
 FALLEN = 0.97  # of the current before: the release has begun
 SEEN = 0.02  # [s] at least so often
 NEAR = 0.03  # [N], four counts of current: at pretension
-FIGURES = 'from', 'sent_ms', 'begun_ms', 'rest_ms', 'rise', 'ended_ms'
+FIGURES = 'from', 'sent_ms', 'begun_ms', 'rest_ms', 'rise', 'ended_ms', 'stolen_ms'
 
 
 class Stops:
@@ -169,6 +173,8 @@ class Scale:
 
 def judge(trace, cause, scale):
     """Return the figures of one trial; None: not held when it was stopped, or not well seen."""
+    if not trace:
+        return None
     times = np.array([moment[0] for moment in trace]) - cause
     tensions = scale(np.array([moment[1] for moment in trace]))
     wires = np.array([moment[2] for moment in trace])
@@ -210,6 +216,7 @@ def trial(chain, stops, kind, scale, number):
     stop, undo = KINDS[kind]
     held = chain.up(chain.targets[number % len(chain.targets)], LEAST[chain.mode])
     held = held and settled(chain.user, STILL[chain.mode])
+    before = stolen()
     cause = stop(stops)
     sent, ended = time.monotonic() - cause, np.nan
     if kind in ENDS:
@@ -217,6 +224,7 @@ def trial(chain, stops, kind, scale, number):
         ended = 1e3 * (time.monotonic() - cause)
     chain.user.spin(max(0.0, cause + AFTER - time.monotonic()))
     trace = chain.servos.ask(f'trace {time.monotonic() - cause + BEFORE}')
+    lost = 1e3 * (stolen() - before)
     undo(stops)
     if not held:
         return None
@@ -225,7 +233,7 @@ def trial(chain, stops, kind, scale, number):
         return None
     if found['rest_ms'] > 1e3 * SOON:  # to find out why: [ms] and currents [A]
         found['trace'] = [[round(1e3 * (at - cause), 1), amperes] for at, amperes, *_ in trace]
-    return {**found, 'sent_ms': 1e3 * sent, 'ended_ms': ended}
+    return {**found, 'sent_ms': 1e3 * sent, 'ended_ms': ended, 'stolen_ms': lost}
 
 
 def measure(args, rows):
@@ -237,7 +245,7 @@ def measure(args, rows):
         args.logs, args.mode, args.arm, servos, args.robot, stop_time=args.stop_time,
         command_timeout=args.command_timeout,
     )  # fmt: skip
-    at_once(os.getpid(), 2)
+    go_realtime(FINGER)
     try:
         stops, scale = Stops(chain), Scale(chain)
         end = time.monotonic() + 60.0 * args.minutes
@@ -289,9 +297,9 @@ class Rows:
 def summary(rows, holds=False):
     if not rows:
         return {'trials': 0, 'late': 0}
-    columns = {key: np.array([row[key] for row in rows]) for key in FIGURES}
+    columns = {key: np.array([row.get(key, np.nan) for row in rows]) for key in FIGURES}
     figures = {'trials': len(rows), 'highest': round(float(columns['from'].max()), 2)}
-    for key in ('sent_ms',) if holds else ('sent_ms', 'begun_ms', 'rest_ms', 'ended_ms'):
+    for key in ('sent_ms', 'stolen_ms') if holds else FIGURES[1:4] + FIGURES[5:]:
         values = columns[key][~np.isnan(columns[key])]
         if len(values):
             p50, p99, worst = np.percentile(values, [50, 99, 100], method='higher')

@@ -17,9 +17,13 @@ from machine import machine
 
 from tendon_robot_ros.data import Marker
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.simulation.measurements import SimulatedNoise
+from tendon_robot_ros.simulation.measurements import (
+    Laboratory,
+    SimulatedNoise,
+    raw_table,
+    write_table,
+)
 from tendon_robot_ros.simulation.plant import make_plant
-from tendon_robot_ros.simulation.raw_table import Laboratory, raw_table, write_table
 from tendon_robot_ros.tables import import_table
 from tendon_robot_ros.workspace.postures import default_postures
 

@@ -3,8 +3,8 @@ The force at the tip from measured shape and tensions, on simulated arms as they
 
 Error against the force that bends the straight arm by a quarter of its length, how often the 95 %
 intervals hold, how often a touch elsewhere is told, and the processor time of an update. The bound
-is that of Cramer and Rao for one frame of an arm that is known exactly: no estimate without bias
-is better in that direction.
+is that of Cramer and Rao for these frames of an arm that is known exactly: no estimate without
+bias is better in that direction.
 
 example: python benchmarks/bench_tip_force.py --cases 60 --as-built
 """
@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring.built_arm import BuiltArm
 from tendon_robot_ros.monitoring.tip_force import TipForceObserver
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.simulation.imperfect import Workmanship
+from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import default_postures
 
@@ -51,27 +52,27 @@ def quarter_force(robot):
     return small
 
 
-def watched(robot, seed, level, references):
+def watched(robot, seed, level, references, frames):
     """Return a plant maker, and the arm as it is known from free reference postures."""
     markers = default_markers(robot)
     arm = BuiltArm(robot, load_catalogue(), markers, NOISE_M, max(level, 0.3))
     free = make_plant(robot, {}, seed=seed, work=Workmanship().times(level))
     rows = np.clip(default_postures(robot, max(references, 1), 100 + seed), *robot.tension_limits)
-    seen = looked(free, rows, markers, np.random.default_rng([seed, 6]))
+    seen = looked(free, rows, markers, np.random.default_rng([seed, 6]), frames)
     if references:
-        arm.fit(rows, seen)
+        arm.fit(rows, seen, frames)
     return arm, markers
 
 
-def looked(plant, rows, markers, random):
-    """Return what a tracker sees of postures (P, J, 3) [m]."""
+def looked(plant, rows, markers, random, frames=1):
+    """Return what a tracker sees of postures (P, J, 3) [m]: the mean of so many frames."""
     arcs = np.array([m.arc_length for m in markers])
     offsets = np.array([m.offset for m in markers])
     seen = plant.markers(rows, arcs, offsets)
-    return seen + random.normal(0.0, NOISE_M, seen.shape)
+    return seen + random.normal(0.0, NOISE_M / frames**0.5, seen.shape)
 
 
-def case(robot, full, seed, level, references, where='tip'):
+def case(robot, full, seed, level, references, frames, where='tip'):
     """Return error over the quarter force, whether three intervals hold, time, cell named."""
     random = np.random.default_rng([seed, 5])
     direction = random.normal(size=3)
@@ -82,17 +83,17 @@ def case(robot, full, seed, level, references, where='tip'):
     if where != 'tip':
         hidden = {'tether': {'cell': robot.cells // 2, 'force_x': float(full * (1 + seed % 3))}}
     plant = make_plant(robot, hidden, seed=seed, work=Workmanship().times(level))
-    arm, markers = watched(robot, seed, level, references)
+    arm, markers = watched(robot, seed, level, references, frames)
     rows = np.clip(default_postures(robot, 8, seed), *robot.tension_limits)
     tensions = rows[seed % 8]
     try:
-        seen = looked(plant, tensions[None], markers, random)[0]
+        seen = looked(plant, tensions[None], markers, random, frames)[0]
     except NoEquilibriumError:
         return None
     observer = TipForceObserver(arm)
-    observer.update(tensions, seen)
+    observer.update(tensions, seen, None, frames)
     begin = time.process_time()
-    found = observer.update(tensions, seen)
+    found = observer.update(tensions, seen, None, frames)
     spent = time.process_time() - begin
     if found is None:
         return None
@@ -100,7 +101,7 @@ def case(robot, full, seed, level, references, where='tip'):
     inside = np.abs(off) <= 1.96 * np.sqrt(np.diag(found.covariance))
     values, along = np.linalg.eigh(found.covariance)  # the best told direction first
     return {
-        'bound': bound(observer, tensions, force) / full,
+        'bound': bound(observer, tensions, force) / full / frames**0.5,
         'sd': np.sqrt(values) / full,
         'ellipsoid': float(off @ np.linalg.solve(found.covariance, off)) <= CHI2_3,
         'error': float(np.linalg.norm(off)) / full,
@@ -124,20 +125,21 @@ def bound(observer, tensions, force):
     return NOISE_M / np.linalg.svd(slopes)[1]
 
 
-def bench(name, count, level, references):
+def bench(name, count, level, references, frames):
     """Return the figures of a robot."""
     robot = load_robot(f'config/robots/{name}.yaml')
     full, half = quarter_force(robot), robot.cells // 2
-    both = {
-        where: [c for s in range(count) if (c := case(robot, full, s, level, references, where))]
-        for where in ('tip', 'side')
-    }
+    both = {'tip': [], 'side': []}
+    for where, seed in product(both, range(count)):
+        if (found := case(robot, full, seed, level, references, frames, where)) is not None:
+            both[where].append(found)
     tips, sides = both['tip'], both['side']
     near = [c['cell'] is not None and abs(c['cell'] - half) <= robot.cells // 6 for c in sides]
     return {
         'robot': name,
         'level': level,
         'reference postures': references,
+        'frames': frames,
         'quarter force [N]': full,
         'solved': f'{len(tips)} of {count}',
         'error, median [%]': round(100 * float(np.median([c['error'] for c in tips])), 2),
@@ -179,14 +181,18 @@ def main():
     """Print the figures, and write them as JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--cases', type=int, default=60)
+    parser.add_argument('--robots', nargs='+', default=ROBOTS)
     parser.add_argument('--as-built', action='store_true', help='with twenty references alone')
+    parser.add_argument('--frames', type=int, default=1, help='averaged, in every posture')
     parser.add_argument('--json', type=Path)
     args = parser.parse_args()
+    if args.frames < 1:
+        parser.error(f'--frames: expected 1 or more, got {args.frames}')
     rows = []
     for level, references in ((0.0, 20), (1.0, 0), (1.0, 20))[2 if args.as_built else 0 :]:
-        for name in ROBOTS:
+        for name in args.robots:
             with one_thread():  # as in the nodes
-                rows.append(bench(name, args.cases, level, references))
+                rows.append(bench(name, args.cases, level, references, args.frames))
             print(json.dumps(rows[-1], indent=1), flush=True)
     if args.json:
         args.json.write_text(json.dumps(rows, indent=1))

@@ -39,7 +39,6 @@ from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED, LISTEN
 from tendon_robot_ros.ros.shared.runtime import ros_arguments
 
 ANSWER = 0.03  # [s]; emulated servos are late when the machine is busy
-MOTORS = 20  # priority of what stands for hardware: above all that is measured
 LONG = 4.0  # [s] off: it does not activate itself
 PLANAR = ((0.06, 0.17), (-0.12, 0.08), (0.11, 0.05), (0.08, 0.15), (-0.1, 0.0))  # [m]
 PULLED = 2.0  # [N] by one wire of a spatial arm at each of its targets
@@ -89,20 +88,6 @@ class Forked:
     @property
     def runs(self):
         return self.code is None
-
-
-def at_once(process, priority=1):
-    """
-    Let a process run whatever the load, with its threads of now.
-
-    The electronics of a motor are no part of what is measured, nor is the finger that stops. Who
-    was started with `nice` lets others go first.
-    """
-    if os.getpriority(os.PRIO_PROCESS, 0) > 0:
-        return
-    with contextlib.suppress(PermissionError):
-        for thread in os.listdir(f'/proc/{process}/task'):
-            os.sched_setscheduler(int(thread), os.SCHED_RR, os.sched_param(priority))
 
 
 class Load:
@@ -219,7 +204,6 @@ class Chain:
         self.space = f'/chain_{os.getpid()}'
         self._forks = Nodes(self.robot)
         self.servos = EmulatorProcess(self.robot, '--arm', arm)
-        at_once(self.servos.process.pid, MOTORS)
         plain = {**self.servos.content(), 'answer_time': ANSWER}
         del plain['watchdog']  # the emulator runs at once: the driver's default holds
         for key, value in (servos or {}).items():

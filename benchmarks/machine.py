@@ -20,6 +20,13 @@ def machine():
     }
 
 
+def stolen():
+    """Return how long [s] other machines of the same computer have had this one's processors."""
+    stat = Path('/proc/stat')
+    fields = stat.read_text().split('\n', 1)[0].split() if stat.exists() else []
+    return int(fields[8]) / os.sysconf('SC_CLK_TCK') if len(fields) > 8 else 0.0
+
+
 def tell(figures, file=None):
     """Print figures as JSON, and write them to a file where one is named."""
     text = json.dumps(figures, indent=1)
