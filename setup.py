@@ -107,7 +107,7 @@ setup(
     install_requires=[
         'daqp>=0.7',  # quadratic programs of a few tensions, 20 µs each (docs/control.md)
         'matplotlib>=3.6',
-        'numba>=0.59',
+        'numba>=0.61',  # kernel/linking.py
         'numpy>=1.26',
         'pyyaml>=6.0',
         'scipy>=1.11',

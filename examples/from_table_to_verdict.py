@@ -47,6 +47,8 @@ print(errors.groupby('marker', sort=False)['error'].mean().round(4).to_dict())
 diagnosis = diagnose(dataset)
 print(diagnosis)
 diagnosis.plot().figure.savefig(output / 'diagnosis.png')
+if not diagnosis.effects:  # nothing is missing, or it cannot be told what: see what it prints
+    raise SystemExit('nothing to add')
 best = diagnosis.frame().iloc[0]
 print(f'{best.effect}: {best.parameter} = {1e3 * best.value / 9.81:.1f} g')
 
