@@ -27,14 +27,19 @@ const wait = () => {
   if (!document.body.dataset.drawn) setTimeout(wait, 50);
   else parent.postMessage('drawn', '*');
 };
-addEventListener('message', () => setTimeout(look, 500));
+// drawing the figures anew after the window has become narrower may take long
+const DEADLINE = 20e3;  // [ms]
+let asked;
+addEventListener('message', () => { asked = performance.now(); setTimeout(look, 500); });
 const look = () => {
   const plots = [...document.querySelectorAll('.plot')];
+  const beyond = plots.filter((plot) => plot.scrollWidth > plot.clientWidth + 1).length;
+  if (beyond && performance.now() < asked + DEADLINE) { setTimeout(look, 100); return; }
   parent.postMessage(JSON.stringify({
     problems,
     drawn: Number(document.body.dataset.drawn),
     empty: plots.filter((plot) => !plot.querySelector(DRAWN)).length,
-    beyond: plots.filter((plot) => plot.scrollWidth > plot.clientWidth + 1).length,
+    beyond,
     width: innerWidth,
     scroll: document.documentElement.scrollWidth,
     loaded: performance.getEntriesByType('resource').map((entry) => entry.name)

@@ -97,7 +97,8 @@ class Station:
             self.executor.spin_once(timeout_sec=0.05)
 
     def go(self, message, topic='controller/target_pose'):
-        """Send a target and wait until the mock arm is still there."""
+        """Send a target to who hears the driver, and wait until the mock arm is still there."""
+        self.until(lambda: self.controller and self.code() != 'no_driver', 'a driver')
         message.header.stamp = self.node.get_clock().now().to_msg()
         given = f'{message.header.stamp.sec}.{message.header.stamp.nanosec:09d}'
         self.send(topic, message)
