@@ -9,6 +9,7 @@ import importlib.util
 import os
 import shutil
 import signal
+import sys
 import tempfile
 from pathlib import Path
 
@@ -28,6 +29,10 @@ def own_domain():
     raise RuntimeError('all 101 ROS domains are taken by other test processes')
 
 
+# What tests import and start is compiled once, whatever this machine's settings are: each of
+# several hundred processes would else compile all sources for itself, which takes two seconds.
+sys.dont_write_bytecode = False
+os.environ.pop('PYTHONDONTWRITEBYTECODE', None)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup ignores it, and what is started inherits that
 SHARED = os.environ.setdefault('PYTEST_DEBUG_TEMPROOT', tempfile.gettempdir())
 DOMAIN, LOCK = own_domain()

@@ -1,11 +1,12 @@
 """Emulated servos, the real driver node on them, and a sender of commands, for the tests."""
 
+import threading
 import time
 
 import numpy as np
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
-from ros_station import Station, last, start, values
+from ros_station import Station, last, stamp, start, values
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.drivers.dynamixel.control_table import (
@@ -27,6 +28,7 @@ class Rig:
     """Emulated servos, the driver node on them, and a sender of commands."""
 
     kind = 'dynamixel'
+    near = 0.1, 1e-3  # [N], [m] of an arm to its command
 
     def __init__(self, mode, folder):
         self.mode = mode
@@ -40,8 +42,9 @@ class Rig:
         self.diagnostics = self.station.hear(DiagnosticArray, '/diagnostics')
         self.command = TENSION if mode == 'tension' else PULL
         self._publisher = self.station.node.create_publisher(JointState, 'tendon_command', COMMAND)
-        self._timer = self.station.node.create_timer(0.01, self._send)
-        self.sending = True
+        self.sending, self._open = True, True
+        self._sender = threading.Thread(target=self._send_on, name='sender', daemon=True)
+        self._sender.start()  # also while a test waits for a process
         self.node = None
 
     def run(self):
@@ -57,9 +60,13 @@ class Rig:
         self.station.until_code(self.station.driver, 'following', timeout=60.0)
         return self.node
 
+    def _send_on(self):
+        while self._open:
+            if self.sending:
+                self._send()
+            time.sleep(0.01)
+
     def _send(self):
-        if not self.sending:
-            return
         message = JointState(name=['prox_left', 'prox_right', 'dist_left', 'dist_right'])
         message.header.stamp = self.station.node.get_clock().now().to_msg()
         field = 'effort' if self.mode == 'tension' else 'position'
@@ -71,12 +78,16 @@ class Rig:
         return np.array(state.effort if self.mode == 'tension' else state.position)
 
     def until_following(self):
-        """Wait until the node follows and the arm is where it is told to be."""
-        near = 0.1 if self.mode == 'tension' else 1e-3
+        """Wait until the node follows, and the arm is now where it is told to be."""
+        begun, near = self.station.now(), self.near[self.mode == 'pull']
+
+        def there():
+            heard = self.station.states
+            fresh = heard and stamp(last(heard)) > begun
+            return fresh and np.allclose(self.measured(), self.command, atol=near)
+
+        self.station.until(there, 'the command', 40.0)
         self.station.until_code(self.station.driver, 'following', timeout=20.0)
-        self.station.until(
-            lambda: np.allclose(self.measured(), self.command, atol=near), 'the command'
-        )
 
     def goals(self, since):
         """Return what the servos accepted as goals since a time [s]: id to list of values."""
@@ -112,6 +123,8 @@ class Rig:
         self.station.until(reset, 'following after a reset', timeout=30.0)
 
     def close(self):
+        self._open = False
+        self._sender.join()
         if self.node is not None:
             self.node.end()
         self.station.close()

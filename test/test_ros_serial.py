@@ -20,14 +20,7 @@ class Rig(dynamixel_rig.Rig):
     """The same, with a board."""
 
     kind = 'serial'
-
-    def until_following(self):
-        """Wait until the node follows and the arm is where it is told to be."""
-        near = 0.15 if self.mode == 'tension' else 1e-3
-        self.station.until_code(self.station.driver, 'following', timeout=20.0)
-        self.station.until(
-            lambda: np.allclose(self.measured(), self.command, atol=near), 'the command', 40.0
-        )
+    near = 0.15, 1e-3
 
     def tensions(self):
         return np.array(self.servos.ask('state')['tensions'])
