@@ -12,7 +12,7 @@ from simulated import CATALOGUE
 from tendon_robot_ros.comparison.predict import Predictor, free_parameters
 from tendon_robot_ros.comparison.statistics import chi2_isf
 from tendon_robot_ros.data import Marker, load_dataset
-from tendon_robot_ros.diagnosis.as_built import Kind
+from tendon_robot_ros.diagnosis.as_built import Kind, SplitPredictor
 from tendon_robot_ros.diagnosis.candidates import gain_p_value
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.fitter import Fitter
@@ -20,7 +20,6 @@ from tendon_robot_ros.diagnosis.marginal import RandomEffects
 from tendon_robot_ros.diagnosis.outliers import _moves, _without_inputs, find_outliers
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.slopes import imperfections
-from tendon_robot_ros.diagnosis.split import SplitPredictor
 from tendon_robot_ros.report.diagnosis_text import lines
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes

@@ -1,5 +1,6 @@
 """docs/ros_interface.md names every topic, service, parameter and status code, with its unit."""
 
+import ast
 import math
 import re
 from importlib import import_module
@@ -80,6 +81,41 @@ def test_every_status_code_is_documented():
     codes |= set(re.findall(r"status\.say\(\s*[^,]+, '(\w+)'", text))
     assert len(codes) > 15
     assert [code for code in codes - {'mock_fault', 'reset'} if f'`{code}`' not in DOC] == []
+
+
+def told_in(path, function):
+    """List the keys that a function gives a status, in dicts or by assignment."""
+    tree = ast.parse((ROOT / 'tendon_robot_ros' / path).read_text())
+    (body,) = [
+        node
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef) and node.name == function
+    ]
+    for node in ast.walk(body):
+        keys = node.keys if isinstance(node, ast.Dict) else []
+        if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Store):
+            keys = [node.slice]
+        yield from (key.value for key in keys if isinstance(key, ast.Constant))
+
+
+@pytest.mark.parametrize(
+    ('node', 'path', 'function', 'count'),
+    [
+        ('controller', 'control/status.py', 'controller_status', 4),
+        ('controller', 'control/status.py', '_solution', 4),
+        ('controller', 'control/rebalance.py', 'values', 2),
+        ('controller', 'control/tip_loop.py', 'values', 3),
+        ('controller', 'ros/controller/node.py', '_tell', 4),
+        ('driver', 'ros/driver/node.py', '_tell', 9),
+        ('monitor', 'ros/monitor/node.py', '_values', 8),
+        ('monitor', 'ros/monitor/watching.py', 'values', 4),
+        ('monitor', 'ros/monitor/adapting.py', 'values', 3),
+    ],
+)
+def test_every_value_of_a_status_is_documented(node, path, function, count):
+    told = set(told_in(path, function))
+    assert len(told) >= count
+    assert [key for key in told if f'`{key}`' not in section(node)] == []
 
 
 def fill(message, content):

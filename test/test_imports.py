@@ -6,7 +6,7 @@ from collections import defaultdict
 from graphlib import CycleError, TopologicalSorter
 
 import processes
-from source_tree import ROOT, files, parse
+from source_tree import files, parse
 
 PACKAGE = 'tendon_robot_ros'
 ROS = {'rclpy', 'rcl_interfaces', 'std_srvs', 'tf2_ros', 'lifecycle_msgs', 'action_msgs'}
@@ -124,22 +124,6 @@ def test_a_class_name_means_one_thing():
             if isinstance(node, ast.ClassDef):
                 places[node.name].append(str(path))
     assert {name: where for name, where in places.items() if len(where) > 1} == {}
-
-
-def test_every_folder_says_what_is_in_it():
-    wrong = []
-    for path in MODULES:
-        if path.name != '__init__.py' or path.parts[1] == '__init__.py':
-            continue
-        told = ast.get_docstring(parse(path)) or ''
-        beside = [p for p in (ROOT / path).parent.glob('*.py') if p.name != '__init__.py']
-        if path.parts[1] in ('effects', 'cli') or path.parts[-2] == 'kernel':
-            continue  # one file per effect, one per command; the kernel has a page of its own
-        wrong += [f'{path} does not name {p.name}' for p in beside if p.name not in told]
-        named = {line.split('.py')[0] + '.py' for line in told.splitlines() if '.py   ' in line}
-        gone = [n for n in named if not (ROOT / path).with_name(n).is_file()]
-        wrong += [f'{path} names {name}, which is not there' for name in gone]
-    assert not wrong, '\n'.join(wrong)
 
 
 def light_modules():

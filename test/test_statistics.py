@@ -1,10 +1,17 @@
-"""Means, intervals and paired tests, against scipy."""
+"""Means, intervals, paired tests, tails and quantiles, against scipy."""
+
+import math
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from tendon_robot_ros.comparison import statistics as probability
 from tendon_robot_ros.comparison.statistics import estimate, half_width, paired_t
+
+RANDOM = np.random.default_rng(0)
+CASES = np.exp(RANDOM.uniform(0.0, 8.0, (60, 2)))
+AT = np.exp(RANDOM.normal(0.0, 0.7, 60))
 
 
 def test_intervals_and_tests_are_those_of_scipy():
@@ -22,3 +29,36 @@ def test_intervals_and_tests_are_those_of_scipy():
     assert paired_t(('a', 'b'), a[:1], b[:1], None) is None
     same = paired_t(('a', 'b'), a, a, None)
     assert (same.t, same.p) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(('freedoms', 'x'), list(zip(CASES.tolist(), AT.tolist(), strict=True)))
+def test_tails_agree_with_scipy(freedoms, x):
+    k, d = freedoms
+    close = {'rel': 1e-9, 'abs': 1e-290}
+    assert probability.chi2_sf(k * x, k) == pytest.approx(stats.chi2.sf(k * x, k), **close)
+    assert probability.f_sf(x, k, d) == pytest.approx(stats.f.sf(x, k, d), **close)
+    t = math.log(x) * 4.0
+    assert probability.t_sf(t, k) == pytest.approx(stats.t.sf(t, k), **close)
+
+
+@pytest.mark.parametrize('freedom', [1.0, 2.5, 30.0, 900.0])
+@pytest.mark.parametrize('p', [1e-12, 1e-4, 0.05, 0.7])
+def test_quantiles_agree_with_scipy(freedom, p):
+    assert probability.chi2_isf(p, freedom) == pytest.approx(stats.chi2.isf(p, freedom), rel=1e-9)
+    if p > 1e-6:  # 1 - p has no digits left
+        quantile = pytest.approx(stats.t.ppf(p, freedom), rel=1e-7)
+        assert probability.t_ppf(p, freedom) == quantile
+    assert probability.normal_ppf(p) == pytest.approx(stats.norm.ppf(p), rel=1e-9)
+
+
+def test_nothing_to_judge_by_is_no_alarm():
+    assert probability.chi2_sf(5.0, 0.0) == 1.0
+    assert probability.chi2_sf(-1.0, 3.0) == 1.0
+    assert probability.f_sf(0.0, 3.0, 5.0) == 1.0
+
+
+def test_a_minimum_is_found_to_the_precision():
+    where, low = probability.minimum(lambda x: (x - 0.3) ** 2 + 2.0, -1.0, 4.0, 1e-4)
+    assert where == pytest.approx(0.3, abs=1e-4)
+    assert low == pytest.approx(2.0, abs=1e-7)
+    assert probability.minimum(lambda x: x, 0.0, 1.0, 1e-3)[0] < 1e-3

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import Fault, Reading
-from tendon_robot_ros.drivers.safety import SafetyRules
+from tendon_robot_ros.drivers.safety import SafetyRules, approach
 from tendon_robot_ros.drivers.supervisor import CYCLE_MAX_S, Supervisor
 
 INPUTS = ('left', 'right')
@@ -354,3 +354,14 @@ def test_pull_mode_does_not_start_without_a_measured_pull():
 def test_rules_that_cannot_be_held_are_refused(changes):
     with pytest.raises(DriverError, match='safety rules'):
         rules(**changes)
+
+
+@given(st.lists(st.tuples(*[st.floats(-10, 10)] * 2), min_size=1), st.floats(0.0, 3.0))
+def test_approach_moves_straight_and_at_most_by_the_step(goals, step):
+    current = np.zeros(2)
+    for goal in goals:
+        after = approach(current, np.array(goal), np.full(2, step))
+        assert np.all(np.abs(after - current) <= step * (1 + 1e-12) + 1e-15)
+        way, done = np.array(goal) - current, after - current
+        assert abs(way[0] * done[1] - way[1] * done[0]) < 1e-9
+        current = after

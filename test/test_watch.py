@@ -16,10 +16,9 @@ from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring.built_arm import BuiltArm, widening
 from tendon_robot_ros.monitoring.change import ChangeFinder, ChangeFit
 from tendon_robot_ros.monitoring.drift import DriftAlarm, _ChangeBegun
-from tendon_robot_ros.monitoring.handover import dump_change, load_change
 from tendon_robot_ros.monitoring.possible_changes import changes_of
 from tendon_robot_ros.monitoring.tip_force import TipForceObserver
-from tendon_robot_ros.monitoring.watch import ArmWatch, WatchSettings
+from tendon_robot_ros.monitoring.watch import ArmWatch, WatchSettings, dump_change, load_change
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.plant import make_plant

@@ -13,9 +13,9 @@ from ..comparison.noise import Whitener, input_slopes
 from ..comparison.predict import Predictor
 from ..comparison.repeatability import estimate_noise
 from ..data import DataSet, Marker
+from ..diagnosis.as_built import SplitPredictor
 from ..diagnosis.marginal import RandomEffects
 from ..diagnosis.slopes import imperfections
-from ..diagnosis.split import SplitPredictor
 from ..effects import Catalogue
 from ..robot import Robot
 from ..robot.estimates import natural_sizes

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 MEASURED, PREDICTED, ERROR = '#d55e00', '#0072b2', '#5f6974'  # on every page, picture and in RViz
+BEFORE, HELD_OUT = MEASURED, MEASURED  # errors: of the model as described, of left-out postures
 INK = '#1b1f24'
 BAND = 'rgba(120, 130, 140, 0.25)'
 FLOOR = ERROR

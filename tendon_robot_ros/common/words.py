@@ -28,7 +28,9 @@ def mm(metres: float | None, count: int = 3) -> str:
 
 def with_unit(text: str, unit: str) -> str:
     """Put a unit behind a number; pure numbers have none."""
-    return text if unit == '1' else f'{text} {unit}'
+    if unit in ('', '1'):
+        return text
+    return f'{text}{unit}' if unit.startswith('°') else f'{text} {unit}'
 
 
 def spoken(key: str) -> str:

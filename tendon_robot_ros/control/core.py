@@ -15,13 +15,12 @@ from .checks import Refusal
 from .friction_state import Approach, Arrival, FeltTensions
 from .jog import Jog, Twist, follow_twist, start_jog
 from .model_change import change_model
-from .pull_path import Way
 from .rebalance import Rebalance
 from .seeking import TargetSearch, seek
 from .solver import GiveUp, InPlace, Solver
 from .state import MeasuredState, Output, Settings, ShapeTracker, Target
 from .tip_loop import TipLoop
-from .trajectory import Playing, look_and_play, play_pulls
+from .trajectory import Playing, Way, look_and_play, play_pulls
 
 if TYPE_CHECKING:
     from ..model.model import Model

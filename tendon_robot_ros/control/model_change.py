@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Reach
     from .jog import Jog
-    from .pull_path import Way
     from .tip_loop import TipLoop
-    from .trajectory import Playing
+    from .trajectory import Playing, Way
 
 Array = NDArray[np.float64]
 

@@ -1,23 +1,35 @@
 """
-The arm as it is built: the imperfections that nobody declares, and how they move the markers.
+The arm as it is built: the imperfections that nobody declares, and the model that has them.
 
 Every arm has them: cells whose stiffness scatters or that are kinked at rest, tensions and holes
 that are a little off, a tracker whose frame is. They are the same in every posture. One cell (or
-tendon) is one column: the derivative of all markers by its imperfection.
+tendon) is one column: the derivative of all markers by its imperfection. `SplitPredictor` predicts
+an arm whose cells and tendons are each their own.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.predict import CELLS, Predictor
-from ..robot import Robot
+from ..comparison.conditions import Conditions
+from ..comparison.predict import (
+    CELLS,
+    FreeParameter,
+    Point,
+    Predictor,
+    SettledShapes,
+)
+from ..effects import Catalogue
+from ..model.shape import ShapeBatch
+from ..robot import Robot, Section
+from ..robot.description import EffectValues
 
 Floats = npt.NDArray[np.float64]
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
@@ -37,6 +49,8 @@ PLAUSIBLE_SIZES: dict[str, tuple[str, float, float]] = {
     ROTATION: ('rad', math.radians(0.3), 1e-3),
 }
 PLAUSIBLE_LENGTH = 0.2  # [m] of the arm up to which plausible lengths are these; then they grow
+REST = 'pre_curvature'  # the effect whose parameters are the bends at rest
+PUSH, WEIGHT = 'push', 'gravity'  # a force at the middle of a cell; the effect that it uses
 
 
 @dataclass(frozen=True)
@@ -102,3 +116,188 @@ def planar_axis(robot: Robot) -> int | None:
     offsets = np.array([end for tendon in robot.tendons for end in (tendon.base, tendon.end)])
     flat = np.abs(offsets).max(axis=0) < 1e-6
     return 0 if flat[1] else 1 if flat[0] else None
+
+
+class SplitPredictor(Predictor):
+    """
+    A predictor of the same arm with a section per cell, so that every cell may be its own.
+
+    It predicts the arm with the imperfections `around`; none: as described.
+    """
+
+    def __init__(self, predictor: Predictor) -> None:
+        """Split the robot of a predictor."""
+        self.whole = predictor.robot
+        super().__init__(
+            predictor.dataset,
+            split_robot(predictor.robot, predictor.model.catalogue),
+            predictor.model.catalogue,
+        )
+        self.around: Members = {}
+        self._spread: dict[FreeParameter, tuple[FreeParameter, ...]] = {}
+        ends = np.cumsum([section.cells for section in self.whole.sections])
+        self._spans = [
+            slice(end - s.cells, end) for end, s in zip(ends, self.whole.sections, strict=True)
+        ]
+        self._offsets = self.model.arrays.offset.copy()
+        layout, effect = self.model.arrays.layout, self.model.catalogue[REST]
+        self.rests = [layout.rows[REST, parameter.name] for parameter in effect.parameters]
+
+    @contextmanager
+    def as_described(self) -> Iterator[None]:
+        """Predict without imperfections while the block runs."""
+        around, self.around = self.around, {}
+        try:
+            yield
+        finally:
+            self.around = around
+
+    def kinds(self) -> tuple[Kind, ...]:
+        """Return what may be off; a registration that is declared is a parameter of the fit."""
+        cells = self.whole.cell_names
+        axis = planar_axis(self.whole)
+        kinks = [f'{cell} towards {xy}' for cell in cells for xy in 'xy']
+        labels = {CELLS: list(cells), KINK: kinks}
+        if axis is not None:
+            labels |= {KINK: kinks[axis::2], ACROSS: kinks[1 - axis :: 2]}
+        labels[GAIN] = list(self.whole.inputs)  # of a tension: with a hole off its place
+        if self.dataset.input == 'displacement':
+            labels |= {HOLE: [t.name for t in self.whole.tendons], ZERO: list(self.whole.inputs)}
+        known = self.whole.tolerances
+        labels |= {name: list('xyz') for name in (POSITION, ROTATION) if name not in known}
+        made, larger = [], max(self.whole.length / PLAUSIBLE_LENGTH, 1.0)
+        for name, members in labels.items():
+            unit, plausible, _ = PLAUSIBLE_SIZES[name]
+            usual = plausible * (larger if unit == 'm' else 1.0)
+            size = float(known.get(KINK if name == ACROSS else name, usual))
+            if size > 0.0:
+                made.append(Kind(name, unit, size, tuple(members)))
+        return tuple(made)
+
+    def markers(
+        self,
+        point: Point,
+        inputs: Floats | None = None,
+        stiffness: Floats | None = None,
+        near: SettledShapes | None = None,
+    ) -> Floats | None:
+        """Predict marker positions of the arm as built; see `Predictor.markers`."""
+        given = self.given(self.inputs if inputs is None else inputs)
+        return super().markers(point, given, stiffness, near)
+
+    def set_parameters(
+        self, point: Point, part: Conditions, stiffness: Floats | None = None
+    ) -> None:
+        """Set the parameters and imperfections; see `Predictor.set_parameters`."""
+        split = {
+            one: value
+            for free, value in point.items()
+            if free.effect != PUSH
+            for one in self.spread(free)
+        }
+        off, arrays = self.around, self.model.arrays
+        own = 1.0 + off.get(CELLS, np.zeros(self.whole.cells))
+        super().set_parameters(split, part, own if stiffness is None else own * stiffness)
+        arrays.offset[:] = self._offsets * (1.0 + off.get(HOLE, np.zeros(1))[None, :, None])
+        self._push({free: value for free, value in point.items() if free.effect == PUSH})
+        kinks = self.kinks()
+        if kinks.any():
+            arrays.values[self.rests, : len(kinks)] += kinks.T
+            arrays.on[arrays.layout.index[REST]] = 1
+
+    def kinks(self) -> Floats:
+        """Return the bend at rest of every cell (n, 2) [rad] by imperfections."""
+        axis, off = planar_axis(self.whole), self.around
+        kinks = np.zeros((self.whole.cells, 2))
+        if axis is None:
+            return np.asarray(kinks + off.get(KINK, kinks).reshape(-1, 2))
+        kinks[:, axis] = off.get(KINK, 0.0)
+        kinks[:, 1 - axis] = off.get(ACROSS, 0.0)
+        return kinks
+
+    def given(self, inputs: Floats) -> Floats:
+        """Return what arrives of inputs (P, m) [N] or [m]."""
+        off = self.around
+        return np.asarray(inputs * (1.0 + off.get(GAIN, 0.0)) + off.get(ZERO, 0.0))
+
+    def see(self, shapes: ShapeBatch) -> Floats:
+        """Return where the tracker, its frame a little off, sees the markers (b, J, 3) [m]."""
+        placed, off = super().see(shapes), self.around
+        if ROTATION in off:
+            x, y, z = off[ROTATION].tolist()
+            across = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # p @ it: turn x p
+            placed = placed + (placed.reshape(-1, 3) @ across).reshape(placed.shape)
+        return placed + off[POSITION] if POSITION in off else placed
+
+    @property
+    def pushable(self) -> bool:
+        """Whether forces at cells can be predicted: not where the arm has weight."""
+        return not self._on[self.model.arrays.layout.index[WEIGHT]]
+
+    def _push(self, forces: Point) -> None:
+        """Push one cell with a force, as a weight of that cell alone."""
+        arrays = self.model.arrays
+        force = np.array(list(forces.values()))
+        size = float(np.linalg.norm(force))
+        if size > 0.0:
+            cell = next(iter(forces)).column
+            assert cell is not None
+            arrays.gravity[:] = force / size
+            weight = self.model.catalogue[WEIGHT].parameters[0].name
+            arrays.set(WEIGHT, weight, cell, size / arrays.cells[cell, 2])
+
+    def value(self, free: FreeParameter) -> float:
+        """Value that the description gives a parameter; see `Predictor.value`."""
+        return super().value(self.spread(free)[0])
+
+    def spread(self, free: FreeParameter) -> tuple[FreeParameter, ...]:
+        """Return a free parameter of one section as those of its cells."""
+        if free.column is None or not free.parameter.per_section:
+            return (free,)
+        if free not in self._spread:
+            span = self._spans[free.column]
+            own = tuple(replace(free, column=i) for i in range(span.start, span.stop))
+            self._spread[free] = own
+        return self._spread[free]
+
+    def columns(self, free: FreeParameter) -> slice:
+        """Return the cells or tendons whose values a free parameter is; see `Predictor`."""
+        if free.column is None or not free.parameter.per_section:
+            return super().columns(free)
+        return self._spans[free.column]
+
+
+def split_robot(robot: Robot, catalogue: Catalogue) -> Robot:
+    """Return the same robot with every cell a section of its own."""
+    sections = tuple(
+        Section(
+            f'{s.name} {i + 1}',
+            1,
+            s.cell_length,
+            (s.bending_stiffness[i],),
+            (s.mass_profile[i],),
+            s.bends_as,
+        )
+        for s in robot.sections
+        for i in range(s.cells)
+    )
+    ends = {s.name: f'{s.name} {s.cells}' for s in robot.sections}
+    cells = [s.cells for s in robot.sections]
+    wide = {(e.name, p.name) for e in catalogue for p in e.parameters if p.per_section}
+    effects: dict[str, EffectValues] = {
+        name: {
+            key: tuple(np.repeat(value, cells).tolist())
+            if isinstance(value, tuple) and (name, key) in wide
+            else value
+            for key, value in values.items()
+        }
+        for name, values in robot.effects.items()
+    }
+    tendons = tuple(replace(tendon, section=ends[tendon.section]) for tendon in robot.tendons)
+    return replace(robot, sections=sections, tendons=tendons, effects=effects, fitted={})
+
+
+def typical_force(robot: Robot) -> float:
+    """Return a side force [N] at the tip that bends the arm by about a third of a radian."""
+    softness = sum(1.0 / k for section in robot.sections for k in section.bending_stiffness)
+    return 0.6 / (softness * robot.length)

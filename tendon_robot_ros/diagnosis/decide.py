@@ -1,5 +1,8 @@
 """
-Everything on which a verdict hangs, and everything that a verdict is: thresholds, and one table.
+The thresholds by which a verdict is found, and the one table of what a verdict is.
+
+`diagnose` decides by them. What belongs to one test alone stands beside it: outliers.py, the noise
+of trials in comparison/repeatability.py, drift in monitoring/drift.py.
 
 Nothing else decides what is said of a data set; the reports, the monitor and the live page read
 what is said from here.

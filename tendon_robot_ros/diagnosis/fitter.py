@@ -11,11 +11,10 @@ import numpy.typing as npt
 
 from ..comparison.noise import Whitener
 from ..comparison.predict import FreeParameter, Point, Predictor
-from .as_built import Imperfections, Members
+from .as_built import Imperfections, Members, SplitPredictor
 from .fit import Fit, Nuisance, with_imperfections
 from .marginal import RandomEffects, Sizes
 from .search import Search
-from .split import SplitPredictor
 
 Floats = npt.NDArray[np.float64]
 ROUNDS = 8  # of parameters, sizes of the imperfections and imperfections together

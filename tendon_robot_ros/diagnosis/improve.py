@@ -23,6 +23,7 @@ from ..data import DataSet
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from .add import Addition, more_at_work, with_origin
+from .as_built import SplitPredictor
 from .decide import P_SINGLE_MIN
 from .described_arm import route_changes, stiffness_change
 from .improvement import Improvement, ImprovementStep, total
@@ -31,7 +32,6 @@ from .local_tests import local_faults
 from .prediction_errors import Errors, predict
 from .report_rows import left_out, values_of
 from .slopes import imperfections
-from .split import SplitPredictor
 from .stepwise import POSTURES_MIN, STEPS_MAX, State, Stepwise
 
 Floats = npt.NDArray[np.float64]

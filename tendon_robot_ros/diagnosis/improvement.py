@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ..common.colours import GOOD, MEASURED, PREDICTED
+from ..common.colours import GOOD, HELD_OUT, PREDICTED
 from ..robot import Robot
 from .described_arm import PROFILE
 from .result import LoadVector, Value
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 FORMAT = 'tendon_robot_ros/improvement@1'
-COLOURS = {'fitted': PREDICTED, 'left out': MEASURED, 'check': GOOD}
+COLOURS = {'fitted': PREDICTED, 'left out': HELD_OUT, 'check': GOOD}
 
 
 @dataclass(frozen=True)

@@ -24,11 +24,10 @@ from ..comparison.noise import Whitener
 from ..comparison.predict import CELLS
 from ..comparison.statistics import false_discovery_control, normal_ppf, t_sf
 from ..robot import Robot
-from .as_built import ACROSS, GAIN, HOLE, KINK, ZERO, Kind
+from .as_built import ACROSS, GAIN, HOLE, KINK, ZERO, Kind, SplitPredictor
 from .decide import FALSE_DISCOVERY_RATE, LOCAL_FAULTS_MAX, LOCAL_SHARE_MIN
 from .fit import Fit
 from .slopes import imperfections
-from .split import SplitPredictor
 
 if TYPE_CHECKING:
     from .session import Session

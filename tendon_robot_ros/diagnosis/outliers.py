@@ -19,6 +19,8 @@ from .decide import FALSE_OUTLIER_PROBABILITY, MARKERS_OFF_SHARE, TRIALS_MIN, UN
 Floats = npt.NDArray[np.float64]
 REWEIGHTING_ROUNDS = 4  # of the robust scale
 TOLD_SHARE_MIN = 0.5  # of the noise of a reading, that inputs must not be able to explain
+TRIAL_LIMITS = 1.5  # times the limit of an input's deviation beyond which its trial is off
+TRIALS_OFF_SHARE = 0.5  # of the trials of a posture; the rest must agree
 SLOPES_OFF_SHARE = 0.3  # of what slopes took off; the model that they are of may lack something
 
 
@@ -69,10 +71,11 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
     distance = np.linalg.norm(left, axis=-1)
     explained = np.linalg.norm(along, axis=-1)
     readings = distance > _limit(distance, 3) + SLOPES_OFF_SHARE * explained
-    trials = np.abs(inputs) > 1.5 * _limit(np.where(inputs == 0.0, np.nan, np.abs(inputs)), 1)
+    moved = np.where(inputs == 0.0, np.nan, np.abs(inputs))
+    trials = np.abs(inputs) > TRIAL_LIMITS * _limit(moved, 1)
     counted = np.maximum(dataset.mask.sum(axis=2), 1)
     trials |= (readings.sum(axis=2) > MARKERS_OFF_SHARE * counted) & (counted > 2)
-    trials &= (trials.sum(axis=1) < 0.5 * dataset.trials)[:, None]  # the rest must agree
+    trials &= (trials.sum(axis=1) < TRIALS_OFF_SHARE * dataset.trials)[:, None]
     with warnings.catch_warnings():  # a marker that no trial of a posture saw is nowhere
         warnings.simplefilter('ignore', RuntimeWarning)
         middle = np.nanmedian(dataset.positions, axis=1, keepdims=True)

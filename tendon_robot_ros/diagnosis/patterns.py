@@ -11,12 +11,12 @@ import numpy.typing as npt
 from ..comparison.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point
 from ..comparison.statistics import chi2_sf
 from ..effects import Parameter
-from .cells import CellRelief
+from .as_built import PUSH, typical_force
+from .candidates import CellRelief
 from .decide import NEAR_SCORE
 from .fit import Fit
 from .fitter import Fitter
 from .slopes import pushes
-from .split import PUSH, typical_force
 
 Floats = npt.NDArray[np.float64]
 SAME_CELL_WITHIN = 3.84  # of the best deviance, that another cell would do as well (95 %)

@@ -16,9 +16,16 @@ from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
-from .as_built import Imperfections, Members
-from .candidates import Candidate, Ranked, candidates_of, gain_p_value, is_tested, nuisances_of
-from .cells import cell_slopes
+from .as_built import Imperfections, Members, SplitPredictor
+from .candidates import (
+    Candidate,
+    Ranked,
+    candidates_of,
+    cell_slopes,
+    gain_p_value,
+    is_tested,
+    nuisances_of,
+)
 from .decide import (
     ALARM_LEVEL,
     APART_FROM_SCORE,
@@ -35,7 +42,6 @@ from .fitter import AsBuilt, Fitter
 from .marginal import RandomEffects
 from .outliers import Outliers, without_unsettled
 from .slopes import imperfections
-from .split import SplitPredictor
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]

@@ -28,14 +28,16 @@ from .as_built import (
     PLAUSIBLE_SIZES,
     POSITION,
     REMAINDER,
+    REST,
     ROTATION,
+    WEIGHT,
     Imperfections,
     Kind,
     Members,
+    SplitPredictor,
     planar_axis,
     remainders,
 )
-from .split import REST, WEIGHT, SplitPredictor
 
 Floats = npt.NDArray[np.float64]
 ODD_SHARE = 0.3  # [1] that the slope of a cell may differ from those of its neighbours

@@ -34,8 +34,7 @@ from .described_arm import OF_THE_ARM, DescribedArm, arm_with, blocks_of_the_arm
 from .fit import Fit, Nuisance
 from .fitter import Fitter
 from .outliers import find_outliers, without_unsettled
-from .prediction_errors import predict
-from .promise import Joining, Ways, described, grown, left_out_errors, promised
+from .prediction_errors import Joining, Ways, described, grown, left_out_errors, predict, promised
 from .setup_hypotheses import Mistake
 from .setup_mistakes import find_mistake
 

@@ -16,7 +16,8 @@ Silence: the driver node's `command_timeout` (ros/driver/parameters.py), behind 
 `watchdog` (dynamixel/config.py) or the board's `command_timeout` (serial_board/config.py). How
 much wire a search for slack may wind: `home_travel` (dynamixel/homing.py, serial_board/driver.py).
 
-A new driver is one file here, one line in interface.py, and its document.
+A new driver is one file here, one line in interface.py, an emulator, a contract test and its page:
+the five steps of docs/extending.md.
 """
 
 from .interface import Driver, Fault, Reading, make_driver

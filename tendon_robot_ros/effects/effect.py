@@ -125,6 +125,8 @@ class Effect:
     divisible : bool
         Whether its law also holds for a cell divided into finer ones, with the parameters
         scaled as they say; else a plant leaves the cells whole.
+    takes_force : bool
+        Whether it takes tension or moment away from the arm, as friction does.
     scales_bends : bool
         Whether it makes all bends larger or smaller alike: postures hardly tell it from the others
         that do.
@@ -141,6 +143,7 @@ class Effect:
     contains: tuple[str, ...] = ()
     needs: str | None = None
     divisible: bool = False
+    takes_force: bool = False
     scales_bends: bool = False
     digest: str = field(default='', compare=False)
 

@@ -19,4 +19,5 @@ EFFECT = Effect(
     parameters=(Parameter('lever', 'm', 0.0, 0.5, 0.0, typical=0.05, of='radius'),),
     law=law,
     divisible=True,
+    takes_force=True,
 )

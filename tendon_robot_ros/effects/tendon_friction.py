@@ -30,4 +30,5 @@ EFFECT = Effect(
     ),
     law=law,
     divisible=True,
+    takes_force=True,
 )

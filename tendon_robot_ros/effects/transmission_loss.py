@@ -15,5 +15,6 @@ EFFECT = Effect(
     law=law,
     parameters=(Parameter('fraction', '1', 0.0, 0.9, 0.0, typical=0.1, tolerance='tension_gain'),),
     divisible=True,
+    takes_force=True,
     scales_bends=True,
 )

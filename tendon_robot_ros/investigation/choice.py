@@ -26,10 +26,9 @@ from ..common.errors import InputError, NoEquilibriumError
 from ..comparison.noise import Noise, Whitener, input_slopes
 from ..comparison.predict import FreeParameter, Point, Predictor, frees_of
 from ..data import DataSet
-from ..diagnosis.as_built import REMAINDER
+from ..diagnosis.as_built import REMAINDER, SplitPredictor
 from ..diagnosis.candidates import nuisances_of
 from ..diagnosis.slopes import imperfections
-from ..diagnosis.split import SplitPredictor
 from ..effects import Catalogue
 from ..model.model import Model
 from ..model.pulls import pull_shapes

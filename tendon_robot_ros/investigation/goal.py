@@ -14,12 +14,10 @@ from ..common.errors import InputError
 from ..common.words import listed, mm
 from ..comparison.predict import Predictor, frees_of
 from ..data import DataSet
-from ..diagnosis.decide import POSTURES_ENOUGH, SEPARABLE_FROM_SD, Verdict
+from ..diagnosis.decide import POSTURES_ENOUGH, POSTURES_MIN, SEPARABLE_FROM_SD, Verdict
 from ..diagnosis.result import Diagnosis
 from ..effects import Catalogue
 from .record import Round
-
-START_MIN = 3  # postures from which anything is judged
 
 
 @dataclass(frozen=True)
@@ -52,9 +50,9 @@ class Goal:
         for option, value, low, high in (
             ('--interval', 100.0 * self.interval, 0.1, 1000.0),
             ('--visible', 100.0 * self.visible, 0.01, 100.0),
-            ('--postures', self.postures, START_MIN, 1000),
+            ('--postures', self.postures, POSTURES_MIN, 1000),
             ('--minutes', self.minutes, 0.01, math.inf),
-            ('--start', self.start, START_MIN, self.postures),
+            ('--start', self.start, POSTURES_MIN, self.postures),
             ('--at-once', self.at_once, 1, 100),
             ('--trials', self.trials, 1, 100),
             ('--checks', self.checks, 0, 100),

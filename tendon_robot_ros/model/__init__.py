@@ -14,7 +14,7 @@ plot.py          arms drawn for notebooks
 derivatives.py   slopes of an equilibrium with respect to tensions and parameters; how stiff the
                  tip is
 compile.py       a robot as flat arrays, and the kernel composed from a catalogue and cached
-kernel/          the compiled laws; nothing else is compiled
+kernel/          the compiled laws; nothing else of the model is compiled
 
 Whoever changes what a cell does works in effects/ or in kernel/, not here.
 """

@@ -15,7 +15,6 @@ from .shape import FIELDS, Shape, ShapeBatch
 
 if TYPE_CHECKING:
     from .forward import ForwardModel
-    from .shape import Shape, ShapeBatch
 
 Floats = npt.NDArray[np.float64]
 Seen = Callable[[ShapeBatch], Floats]

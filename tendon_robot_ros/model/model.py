@@ -44,7 +44,7 @@ class Model(ForwardModel):
         return reach(self, position, direction, **options)  # type: ignore[arg-type]
 
     def tip_stiffness(self, shape: Shape, wires_held: bool = False) -> TipStiffness:
-        """Return how the tip gives way to a force on it; see `stiffness.tip_stiffness`."""
+        """Return how the tip gives way to a force on it; see `derivatives.tip_stiffness`."""
         return tip_stiffness(self, shape, wires_held)
 
     def pull_shape(

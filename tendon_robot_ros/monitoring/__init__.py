@@ -2,18 +2,16 @@
 Watching a robot against its model, without ROS: compare, record what is still, diagnose.
 
 monitor.py       prediction beside measurement, and the postures worth recording
-measurement.py   what was measured lately, when the arm stands still, the mean while nothing
-                 changes
+measurement.py   the last readings: whether the arm stands still, and their mean while it does
 built_arm.py     one arm as it was built, learned posture by posture
 tip_force.py     the force at the tip, and whether something touches elsewhere
-drift.py         a sequential test: is the arm still what it was; the drift alarm, its threshold
+drift.py         the drift alarm, a sequential test: is the arm still what it was; its threshold
 possible_changes.py  what may happen to an arm, and how it is said
-change.py        these changes, fitted to the postures since: the likeliest, and the posture that
-                 separates them
-handover.py      what an alarm knows as text, for an investigation to go on with
+change.py        after an alarm: each possible change fitted to the postures since; the likeliest,
+                 and the posture that separates those that are left
 recursive.py     a recursive estimate whose memory the data choose
 adaptation.py    parameters of the added effects follow the arm, within their intervals
-watch.py         learns the arm, then watches drift and force
+watch.py         learns the arm, then watches drift and force; hands an alarm over as text
 job.py           a diagnosis as a child process, and what came of it
 """
 

@@ -22,9 +22,8 @@ import numpy.typing as npt
 
 from ..comparison.predict import Point, Predictor
 from ..data import DataSet, Marker
-from ..diagnosis.as_built import GAIN, remainders
+from ..diagnosis.as_built import GAIN, SplitPredictor, remainders
 from ..diagnosis.slopes import imperfections
-from ..diagnosis.split import SplitPredictor
 from ..effects import Catalogue
 from ..model.shape import ShapeBatch
 from ..robot import Robot

@@ -26,8 +26,8 @@ import numpy.typing as npt
 
 from ..comparison.predict import Point, Predictor
 from ..data import DataSet
+from ..diagnosis.as_built import SplitPredictor
 from ..diagnosis.slopes import imperfections
-from ..diagnosis.split import SplitPredictor
 from .built_arm import BuiltArm
 from .possible_changes import PossibleChange, Suspect
 

@@ -28,6 +28,7 @@ from .change import ChangeFinder
 from .possible_changes import Suspect, changes_of
 
 Floats = npt.NDArray[np.float64]
+ALARM_POSTURES = 20_000.0  # without a change no alarm before, on average and at least
 BEGIN_EVERY = 4  # postures between two at which a change may begin
 BEGINNINGS_KEPT = 8
 STEP_SHARE = 0.1  # of a typical size, of a difference
@@ -71,7 +72,7 @@ class _Stood:
 class DriftAlarm:
     """Watches an arm posture by posture."""
 
-    def __init__(self, arm: BuiltArm, postures: float = 20000.0) -> None:
+    def __init__(self, arm: BuiltArm, postures: float = ALARM_POSTURES) -> None:
         """
         Begin; the arm has learned its reference postures.
 

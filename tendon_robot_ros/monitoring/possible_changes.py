@@ -18,6 +18,7 @@ from .built_arm import BuiltArm
 Floats = npt.NDArray[np.float64]
 USUAL_CHANGES = {CELLS: 0.1, GAIN: 0.03, POSITION: 2e-3, ROTATION: 0.01}  # 1 sd [their units]
 TRACKER = 'the tracker'
+SAID_PROBABILITY = 0.05  # of a change, from which it is named
 SIZES_TOLD = 2  # parameters of an effect, the largest ones
 
 
@@ -106,5 +107,9 @@ def changes_of(arm: BuiltArm) -> tuple[PossibleChange, ...]:
 
 def described(suspects: Sequence[Suspect]) -> str:
     """Say what it looks like."""
-    named = [f'{s.name} ({100.0 * s.probability:.0f} %)' for s in suspects if s.probability > 0.05]
+    named = [
+        f'{s.name} ({100.0 * s.probability:.0f} %)'
+        for s in suspects
+        if s.probability > SAID_PROBABILITY
+    ]
     return ', '.join(named) or 'nothing of the catalogue'

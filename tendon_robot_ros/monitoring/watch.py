@@ -1,10 +1,16 @@
-"""What is watched while the robot works: first its ways are learned, then drift and tip force."""
+"""
+What is watched while the robot works: first its ways are learned, then drift and tip force.
+
+What a drift alarm knows is handed over as text: the arm as it was before, and the postures since.
+"""
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,14 +18,75 @@ import numpy.typing as npt
 from ..common.errors import InputError
 from ..common.processes import ComputingThread
 from ..data import Marker
+from ..effects import Catalogue
 from ..model.model import Model
+from ..robot import dump_robot, parse_robot
 from .built_arm import BuiltArm
-from .drift import DriftAlarm, DriftState
-from .handover import dump_change
-from .possible_changes import described
+from .change import ChangeFinder
+from .drift import ALARM_POSTURES, DriftAlarm, DriftState
+from .possible_changes import changes_of, described
 from .tip_force import TipForce, TipForceObserver
 
 Floats = npt.NDArray[np.float64]
+FORMAT = 'tendon_robot_ros/change@1'
+SIZES = 'remainder', 'setting', 'widening'  # of an arm as it was learned
+
+
+def dump_change(finder: ChangeFinder) -> str:
+    """Return what is known of a change as JSON."""
+    arm = finder.arm
+    content: dict[str, Any] = {
+        'format': FORMAT,
+        'robot': dump_robot(arm.robot),
+        'markers': [
+            [m.name, m.arc_length, np.asarray(m.offset).tolist()]
+            for m in arm.split.dataset.markers
+        ],
+        'noise': arm.noise,
+        'level': arm.level,
+        **{name: float(getattr(arm, name)) for name in SIZES},
+        'mean': arm.mean.tolist(),
+        'covariance': arm.covariance.tolist(),
+        'postures': [[t.tolist(), y.tolist(), frames] for t, y, frames in finder.taken],
+    }
+    return json.dumps(content)
+
+
+def load_change(text: str, catalogue: Catalogue) -> ChangeFinder:
+    """
+    Return a finder that knows as much.
+
+    Parameters
+    ----------
+    text : str
+        As of `dump_change`.
+    catalogue : Catalogue
+        Of the effects that may have appeared.
+
+    Raises
+    ------
+    InputError
+        It is none, or of another version.
+
+    """
+    try:
+        content = json.loads(text)
+        known = content['format']
+    except (ValueError, KeyError, TypeError):
+        known = 'no JSON of a change'
+    if known != FORMAT:
+        raise InputError(f'change: expected {FORMAT}, got {known}: restart the monitor')
+    markers = [Marker(name, arc, tuple(offset)) for name, arc, offset in content['markers']]
+    robot = parse_robot(content['robot'], 'robot of the monitor')
+    arm = BuiltArm(robot, catalogue, markers, content['noise'], content['level'])
+    for name in SIZES:
+        setattr(arm, name, content[name])
+    finder = ChangeFinder(
+        arm.as_known(np.array(content['mean']), np.array(content['covariance'])), changes_of(arm)
+    )
+    for tensions, positions, frames in content['postures']:
+        finder.take(np.array(tensions), np.array(positions), frames)
+    return finder
 
 
 @dataclass(frozen=True)
@@ -27,7 +94,7 @@ class WatchSettings:
     """How it watches."""
 
     reference_postures: int = 30  # that the arm is learned from, while nothing touches it
-    alarm_postures: float = 20000.0  # without a change no alarm before, on average and at least
+    alarm_postures: float = ALARM_POSTURES  # without a change no alarm before, on average
     tracker_noise: float = 2e-4  # [m] 1 sd of a coordinate of a marker
 
 

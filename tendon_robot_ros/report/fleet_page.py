@@ -8,7 +8,7 @@ from typing import Any
 
 from ..campaign.fleet import FleetRow, changes, histories, tracked, words_of
 from ..campaign.judge import ERROR
-from ..common.colours import FLOOR, MEASURED, PREDICTED
+from ..common.colours import BEFORE, FLOOR, PREDICTED
 from ..common.words import columns, mm
 from .numbers import scale_of
 from .page import Figure, Page
@@ -82,7 +82,7 @@ def error_figure(history: Sequence[FleetRow]) -> Figure:
     """Draw the errors of a robot's description over time."""
     when = [row.when for row in history]
     kinds = (
-        ('as described', MEASURED, [row.before for row in history]),
+        ('as described', BEFORE, [row.before for row in history]),
         ('with what was named', PREDICTED, [row.after for row in history]),
         ('noise floor', FLOOR, [row.floor for row in history]),
     )

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ..common.words import UNIT_PREFIXES, digits, spoken
+from ..common.words import UNIT_PREFIXES, digits, spoken, with_unit
 from ..diagnosis.result import LoadVector, Value
 
 
@@ -48,11 +48,6 @@ def scale_of(unit: str, size: float, name: str = '') -> tuple[float, str]:
         return 1.0, '' if unit == '1' else unit
     scale, prefix = next(((s, p) for s, p in UNIT_PREFIXES if size >= 0.1 * s), (1.0, ''))
     return 1.0 / scale, prefix + unit
-
-
-def with_unit(number: str, unit: str) -> str:
-    """Join a number and its unit."""
-    return f'{number}{unit}' if not unit or unit.startswith('°') else f'{number} {unit}'
 
 
 def quantity(name: str, value: Value, size: float = 0.0) -> str:

@@ -21,7 +21,6 @@ from .streamed import Sampling, Stream
 POSTURES_PER_CUBE = 10  # wanted: fewer, and cubes stay empty by chance
 CUBES_MAX = 100.0  # along the arm
 KEPT = ('unfinished-0.npz', 'unfinished-1.npz')  # with friction, without: not yet ended
-FRICTION = frozenset({'tendon_friction', 'hinge_friction', 'transmission_loss'})
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,14 +198,14 @@ def _edge(robot: Robot, postures: int) -> float:
 def _without_friction(model: Model) -> Model | None:
     """Return the model without friction, None if it has none."""
     catalogue = model.catalogue
-    lossy = {
-        name
-        for name in model.robot.effects
-        if name in FRICTION or (catalogue[name].acts_on or '') in FRICTION
-    }
-    if not lossy & FRICTION:
+    friction = {name for name in model.robot.effects if catalogue[name].takes_force}
+    if not friction:
         return None
-    kept = {name: v for name, v in model.robot.effects.items() if name not in lossy}
+    kept = {
+        name: values
+        for name, values in model.robot.effects.items()
+        if name not in friction and catalogue[name].acts_on not in friction
+    }
     return Model(replace(model.robot, effects=kept), catalogue)
 
 

@@ -18,7 +18,7 @@ from .layout import (
 from .linear import assign, dot, largest, solve_small
 from .loads import loaded
 from .march import march
-from .stability import SAFE_LOAD_SHARE, descend, load_ratio
+from .newton import SAFE_LOAD_SHARE, descend, load_ratio
 from .stages import eyelet_acts, friction_travel_acts, memory_acts
 from .stick import solve_sliding
 from .turning import half_turns, unknowns

@@ -8,6 +8,7 @@ import yaml
 
 from ...common.errors import InputError
 from ...monitoring import MonitorSettings
+from ...monitoring.drift import ALARM_POSTURES
 from ...monitoring.watch import WatchSettings
 from ..shared.parameters import Parameters, Spec
 
@@ -89,7 +90,7 @@ SPECS = (
     ),
     Spec(
         'alarm_postures',
-        20000.0,
+        ALARM_POSTURES,
         'without a change no alarm before so many postures, on average',
         '',
         10.0,

@@ -19,8 +19,8 @@ from ...investigation.arm import BrokenMeasurementError, PostureMeasured
 from ...model.model import Model
 from ...monitoring import History, StillMeasurement, StillWindow
 from ...monitoring.change import ChangeFinder
-from ...monitoring.handover import load_change
 from ...monitoring.monitor import read_markers
+from ...monitoring.watch import load_change
 from ...robot import Robot
 from .messages import LISTEN, STATE, seconds
 from .parameters import RemoteText
