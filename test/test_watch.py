@@ -166,6 +166,52 @@ def test_innovations_that_vary_more_or_hang_together_widen(variance, shared, low
     assert low < widening([(score, told) for score in scores]) < high
 
 
+@pytest.fixture(scope='module')
+def well_known():
+    """Return an arm as it is built, learned from the mean of thirty frames, tensions as read."""
+    random, free = np.random.default_rng(3), make_plant(ROBOT, {}, seed=12, work=Workmanship())
+    arm = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE)
+    arm.fit(*averaged(free, postures(60, 1012), random), 30)
+    return arm, free, random
+
+
+def averaged(plant, rows, random):
+    markers = default_markers(ROBOT)
+    arcs, offsets = (np.array([getattr(m, k) for m in markers]) for k in ('arc_length', 'offset'))
+    read = rows * (1.0 + 0.001 * random.normal(size=rows.shape))
+    seen = plant.markers(rows, arcs, offsets)
+    return read, seen + random.normal(0.0, NOISE / np.sqrt(30.0), seen.shape)
+
+
+def test_noise_is_learned_at_its_size_and_innovations_vary_as_expected(well_known):
+    arm, free, random = well_known
+    assert arm.setting * arm.plausible[arm._gains[0]] == pytest.approx(0.001)
+    assert arm.remainder == 0.0
+    assert arm.widening < 1.7
+    arm, scores = arm.as_known(arm.mean, arm.covariance), []
+    for tensions, seen in zip(*averaged(free, postures(32, 5012), random), strict=True):
+        expected = arm.expected(tensions)
+        scores.append(arm.score(expected, seen.ravel(), 30))
+        arm.learn(expected, seen.ravel(), 30)
+    off, told = (np.sum([score[i] for score in scores], axis=0) for i in (0, 1))
+    both = np.linalg.solve(told + np.eye(len(off)), np.column_stack([off, told]))
+    assert 0.4 < off @ both[:, 0] / np.trace(both[:, 1:]) < 1.6  # all postures as one batch
+
+
+@pytest.mark.parametrize('cell', [6, 8, 11])
+def test_a_slightly_softer_cell_is_told_within_twenty_postures(well_known, cell):
+    arm, _, random = well_known
+    alarm = DriftAlarm(arm.as_known(arm.mean.copy(), arm.covariance.copy()), 21600.0)
+    soft = {'soft_cell': {'cell': cell, 'factor': 0.95}}
+    plant = make_plant(ROBOT, soft, seed=12, work=Workmanship())
+    told = [
+        alarm.update(tensions, seen, 30).alarm
+        for tensions, seen in zip(*averaged(plant, postures(20, 2012), random), strict=True)
+    ]
+    assert told[-1]
+    assert alarm.state.suspects[0].name in [f'stiffness of cell {cell + i}' for i in range(-2, 3)]
+
+
 def test_a_force_along_a_straight_arm_is_told_only_as_far_as_it_shows():
     """Frames that are averaged narrow what shows; along the arm the interval stays wide."""
     tensions, force = np.full(3, ROBOT.tension_limits[0]), 0.006

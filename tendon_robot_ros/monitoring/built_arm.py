@@ -3,9 +3,9 @@ One arm as it was built, learned posture by posture while nothing touches it.
 
 Its imperfections b (cells, kinks, gains, the tracker's frame; prior: plausible sizes) are
 estimated by an extended Kalman filter: y = f(T, b) + remainder + noise, around those that are
-known, for the references once more around those that were found. What no imperfection explains,
-another one in every posture and smooth along the arm, and the noise of the tensions as read have
-the sizes with which the filter predicts the reference postures best. How much more than it
+known by then. What no imperfection explains, another one in every posture and smooth along the
+arm, and the noise of the tensions as read have the sizes with which the filter, linear around
+what it found before, predicts the reference postures best. How much more than it
 expects its innovations vary where imperfections show, over one posture and over several in a row,
 is measured there, too (batch means). Tip force and drift alarm stand on it.
 """
@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -32,6 +33,7 @@ from ..robot.estimates import natural_sizes
 Floats = npt.NDArray[np.float64]
 REMAINDER_SHARES = (0.0, 0.0003, 0.001, 0.003, 0.01)  # of the length, at the tip
 SETTING_SIZES = (0.0, 0.0005, 0.001, 0.002, 0.005)  # relative 1 sd of a tension as read
+FITS = 2  # of the sizes
 BATCHES = 1, 4, 8  # postures in a row whose innovations are added up
 UPPER_SD = 2.33  # of the mean of batches: 99 %
 
@@ -151,7 +153,7 @@ class BuiltArm:
 
     def fit(self, tensions: Floats, positions: Floats, frames: int = 1) -> float:
         """
-        Learn from reference postures, once more for every size of the remainder; keep the best.
+        Learn from reference postures, the sizes of remainder and noise those that predict best.
 
         Parameters
         ----------
@@ -167,22 +169,25 @@ class BuiltArm:
 
         """
         self.forget()
-        base, best, sizes = self._linear(tensions, positions), -np.inf, (0.0, 0.0)
-        for share, setting in product(REMAINDER_SHARES, SETTING_SIZES):
-            self._vary(share, setting)
-            likelihood = self._learn_all(base, frames)
-            if likelihood > best:
-                best, sizes = likelihood, (share, setting)
-        self._vary(*sizes)
-        self._learn_all(base, frames)
-        base = self._linear(tensions, positions)  # once more, around what was found
-        scores = list[tuple[Floats, Floats]]()
-        self._learn_all(base, frames, scores)
+        for _ in range(FITS):  # around what the last one found: far from it all looks larger
+            base = self._linear(tensions, positions)
+            likelihood = partial(self._likelihood, base, frames)
+            self._vary(max(product(REMAINDER_SHARES, SETTING_SIZES), key=likelihood))
+            self._learn_all(base, frames)
+        scores = self._follow(tensions, positions, frames)
         self.widening = widening(scores[len(scores) // 3 :])
         return self.remainder
 
-    def _vary(self, share: float, setting: float) -> None:
+    def _likelihood(
+        self, base: Sequence[tuple[Floats, ...]], frames: int, sizes: tuple[float, float]
+    ) -> float:
+        """Return the log likelihood of postures under sizes of remainder and tensions' noise."""
+        self._vary(sizes)
+        return self._learn_all(base, frames)
+
+    def _vary(self, sizes: tuple[float, float]) -> None:
         """Set the sizes of the remainder [of the length] and of the noise of the tensions [1]."""
+        share, setting = sizes
         self.remainder = share * self.robot.length
         usual = self.plausible[self._gains]
         self.setting = setting / float(usual[0]) if len(usual) else 0.0
@@ -208,20 +213,31 @@ class BuiltArm:
             (e.markers - e.columns @ self.mean, e.columns, y) for e, y in seen if e is not None
         ]
 
-    def _learn_all(
-        self,
-        base: Sequence[tuple[Floats, ...]],
-        frames: int,
-        scores: list[tuple[Floats, Floats]] | None = None,
-    ) -> float:
+    def _learn_all(self, base: Sequence[tuple[Floats, ...]], frames: int) -> float:
+        """Learn from linear postures; return their log likelihood."""
         total = 0.0
         self.forget()
         for markers, columns, measured in base:
-            expected = Expected(markers + columns @ self.mean, columns)
-            if scores is not None:
-                scores.append(self.score(expected, measured, frames))
-            total += self.learn(expected, measured, frames)
+            total += self.learn(Expected(markers + columns @ self.mean, columns), measured, frames)
         return total
+
+    def _follow(
+        self, tensions: Floats, positions: Floats, frames: int
+    ) -> list[tuple[Floats, Floats]]:
+        """
+        Learn posture by posture, each around what is known by then; return the scores.
+
+        As the arm is watched later: linear around what was found in the end, the innovations
+        hang together, because what the postures do not tell is far from there meanwhile.
+        """
+        scores = list[tuple[Floats, Floats]]()
+        self.forget()
+        for inputs, seen in zip(tensions, positions, strict=True):
+            expected = self.expected(inputs)
+            if expected is not None:
+                scores.append(self.score(expected, seen.ravel(), frames))
+                self.learn(expected, seen.ravel(), frames)
+        return scores
 
     def score(
         self, expected: Expected, measured: Floats, frames: int = 1
