@@ -6,8 +6,8 @@ driver run as in use, each in its own process. The rate limit is lifted so that 
 the command at once; the model tells which target a command is for. A planar arm gets the points of
 a small circle at 200 Hz; `--robot spatial_6` a path round its base at 20 Hz, and tips all over
 its workspace at 2 Hz. Told are the command that has the tip at the target, and the first one after
-it that has the tip nearer. Prints JSON. Run alone: two cores are just enough for the three
-processes.
+it that has the tip nearer. The sender runs in real time where that is allowed, so that on a busy
+machine the controller is measured and not who measures. Prints JSON, with the load of the machine.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
+from tendon_robot_ros.common.processes import REALTIME_PRIORITY_MOCK, go_realtime, in_realtime
 from tendon_robot_ros.model.forward import TOLERANCE
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.ros.shared.files import read_robot
@@ -205,6 +206,17 @@ def _answers(sender: Sender, sent: np.ndarray, tips: np.ndarray) -> dict[int, fl
     return taken
 
 
+def streams(sender: Sender, robot: str, count: int) -> dict[str, object]:
+    """Measure the targets that belong to a robot."""
+    if robot == ROBOT:
+        return latencies(sender, count)
+    own, fewer = Model(read_robot(robot)), min(count, RANDOM_TARGETS)
+    return {
+        'path': latencies(sender, count, round_the_base(own), robot),
+        'all over': latencies(sender, fewer, all_over(own, fewer), robot),
+    }
+
+
 def main() -> dict[str, object]:
     """Measure, print and return the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -219,6 +231,8 @@ def main() -> dict[str, object]:
     result: dict[str, object] = {**machine(), 'robot': robot, 'model': model}
     rclpy.init()
     sender = Sender(namespace, robot)
+    go_realtime(REALTIME_PRIORITY_MOCK)
+    result['sender_in_realtime'] = in_realtime()
     with (
         open(os.devnull, 'w') as quiet,
         NodeProcess('driver', {'robot': robot, 'config': 'mock_twin'}, namespace, quiet),
@@ -227,13 +241,7 @@ def main() -> dict[str, object]:
         controller.end()
         controller, warm = first_command(sender, namespace, model, quiet)
         result |= {'start_warm_s': round(warm, 2), 'limit_start_warm_s': START_LIMIT_S}
-        if robot == ROBOT:
-            result |= latencies(sender, options.targets)
-        else:
-            own = Model(read_robot(robot))
-            result['path'] = latencies(sender, options.targets, round_the_base(own), robot)
-            count = min(options.targets, RANDOM_TARGETS)
-            result['all over'] = latencies(sender, count, all_over(own, count), robot)
+        result |= streams(sender, robot, options.targets)
         controller.end()
         if options.cold:
             with tempfile.TemporaryDirectory() as cache:
@@ -243,6 +251,7 @@ def main() -> dict[str, object]:
             result['start_cold_s'] = round(cold, 1)
     sender.destroy_node()
     rclpy.shutdown()
+    result['load'] = round(os.getloadavg()[0], 1)
     tell(result, options.json)
     return result
 

@@ -10,6 +10,7 @@ import pytest
 from control_rig import Rig, model, reachable
 from processes import run
 
+from tendon_robot_ros.common import processes
 from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.control import Target, Twist
 from tendon_robot_ros.control.solver import Worker
@@ -344,3 +345,97 @@ def test_in_pull_mode_wires_stay_where_they_were_measured_until_the_model_answer
     assert seen[9].tolist() == pulls.tolist()
     assert seen[-1] == pytest.approx(rig.core.solution.shape.pulls, abs=1e-9)
     assert np.abs(np.diff(seen, axis=0)).max() < 1e-3  # [m] in a cycle: no jump
+
+
+LENDS = """
+import os, time, threading
+from tendon_robot_ros.common.processes import LOAN_MAX_S, REALTIME_PRIORITY_LENT, go_realtime
+from tendon_robot_ros.control.solver import SOLVER, Worker
+
+LENT = os.SCHED_RR | os.SCHED_RESET_ON_FORK, REALTIME_PRIORITY_LENT
+worker, said = Worker(), []
+
+
+def lent(give_up=None):
+    return (os.sched_getscheduler(0), os.sched_getparam(0).sched_priority) == LENT
+
+
+def asked(work, urgent=True, looks=True):
+    said.clear()
+    worker.post('a', work, lambda *got: said.append(got), urgent=urgent)
+    end = time.monotonic() + 10.0
+    while not said and time.monotonic() < end:
+        time.sleep(0.002)
+        if looks:
+            worker.limit_realtime()
+        worker.serve()
+    return said[0][0]
+
+
+def endless(give_up):
+    began = time.monotonic()
+    while lent() and time.monotonic() - began < 1.0:
+        pass
+    return time.monotonic() - began
+
+
+before = asked(lent)
+go_realtime(but=[SOLVER])
+worker.lend_realtime()
+urgent, other = asked(lent), asked(lent, urgent=False)
+took = asked(endless)
+time.sleep(LOAN_MAX_S)
+waits, seen = threading.Event(), []
+
+
+def late(give_up):
+    waits.wait(10.0)
+    seen.append(lent())
+
+
+worker.post('b', late, lambda *got: None)
+worker.post('a', lent, lambda *got: None, urgent=True)
+waits.set()
+again = asked(lent)
+print(before, urgent, other, 0.4 * LOAN_MAX_S < took < LOAN_MAX_S + 0.2, seen[0], again)
+worker.close()
+"""
+
+
+def test_urgent_work_is_done_in_real_time_and_never_for_long_where_that_is_allowed():
+    allowed = run(['chrt', '-r', '5', 'true']).returncode == 0
+    said = run([sys.executable, '-c', LENDS])
+    wanted = (False, True, False, True, True, True) if allowed else (False,) * 6
+    assert said.stdout.split() == [str(one) for one in wanted], said.stderr
+
+
+def test_real_time_is_lent_for_its_share_of_the_time_only(monkeypatch):
+    now, lent = [0.0], []
+    monkeypatch.setattr(processes.time, 'monotonic', lambda: now[0])
+    monkeypatch.setattr(processes, '_scheduled', lambda *how: lent.append(how[2]) or True)
+    loan, sum_lent = processes.RealtimeLoan(), 0.0
+    for _ in range(10_000):  # asked for all the time
+        loan.begin(1)
+        now[0] += 1e-3
+        sum_lent += 1e-3 * (lent[-1] > 0)
+        loan.limit()
+    assert sum_lent == pytest.approx(processes.LOAN_SHARE * now[0], rel=0.1)
+    loan.end()
+    now[0] += 10.0
+    loan.begin(1)
+    now[0] += 0.99 * processes.LOAN_MAX_S
+    loan.limit()
+    assert lent[-1] == processes.REALTIME_PRIORITY_LENT
+    now[0] += 0.02 * processes.LOAN_MAX_S
+    loan.limit()
+    assert lent[-1] == 0
+
+
+def test_what_computes_comes_after_what_moves_motors():
+    order = [
+        processes.REALTIME_PRIORITY_LENT,
+        processes.REALTIME_PRIORITY_MOCK,
+        processes.REALTIME_PRIORITY_SECOND,
+        processes.REALTIME_PRIORITY,
+    ]
+    assert order == sorted(set(order))

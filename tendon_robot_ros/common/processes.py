@@ -45,6 +45,8 @@ FIRST_NICENESS = -15  # nice value; the kernel's own threads stay before it
 # of SCHED_RR, first what moves motors; what the kernel does for devices is at 50
 REALTIME_PRIORITY, REALTIME_PRIORITY_SECOND, REALTIME_PRIORITY_MOCK = 5, 4, 3
 REALTIME_PRIORITY_EMULATED = 20  # the electronics of a motor wait for no program
+REALTIME_PRIORITY_LENT = 1  # after all that moves motors
+LOAN_MAX_S, LOAN_SHARE = 0.05, 0.5  # [s] lent at once, [1] of the time in the long run
 
 
 def switch_often() -> None:
@@ -82,9 +84,69 @@ def go_realtime(
         return
     left = {thread.native_id for thread in threading.enumerate() if thread.name in but}
     for thread in {int(name) for name in os.listdir(f'/proc/{process or "self"}/task')} - left:
-        with contextlib.suppress(OSError):
+        _scheduled(thread, os.SCHED_RR | os.SCHED_RESET_ON_FORK, priority)
+
+
+class RealtimeLoan:
+    """
+    Has a thread that computes scheduled in real time while somebody waits for its answer.
+
+    Its priority is below that of what moves motors. The allowance runs down while it is lent and
+    fills up so that it is lent for `LOAN_SHARE` of the time at most. Whoever is in real time
+    himself calls `limit` often: then no computation that never ends keeps a processor from others.
+    """
+
+    def __init__(self) -> None:
+        """Begin with all of the allowance."""
+        self._lock = threading.Lock()
+        self._borrower: int | None = None
+        self._left, self._counted = LOAN_MAX_S, time.monotonic()
+
+    def begin(self, thread: int) -> None:
+        """Lend to a thread (its native id) for as long as the allowance lasts; never waits."""
+        if self._borrower is not None or not self._lock.acquire(blocking=False):
+            return
+        self._count()
+        if self._borrower is None and self._left > 0.0:
             policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
-            os.sched_setscheduler(thread, policy, os.sched_param(priority))
+            if _scheduled(thread, policy, REALTIME_PRIORITY_LENT):
+                self._borrower = thread
+        self._lock.release()
+
+    def end(self) -> None:
+        """Take it back."""
+        with self._lock:
+            self._count()
+            self._take_back()
+
+    def limit(self) -> None:
+        """Take it back where the allowance is used up; never waits."""
+        if self._borrower is None or not self._lock.acquire(blocking=False):
+            return
+        self._count()
+        if self._left <= 0.0:
+            self._take_back()
+        self._lock.release()
+
+    def _count(self) -> None:
+        before, self._counted = self._counted, time.monotonic()
+        passed = self._counted - before
+        more = LOAN_SHARE / (1.0 - LOAN_SHARE) if self._borrower is None else -1.0
+        self._left = min(self._left + more * passed, LOAN_MAX_S)
+
+    def _take_back(self) -> None:
+        if self._borrower is not None:
+            _scheduled(self._borrower, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, 0)
+            self._borrower = None
+
+
+def _scheduled(thread: int, policy: int, priority: int) -> bool:
+    """Have a thread scheduled so; whether that was allowed."""
+    try:
+        os.sched_setscheduler(thread, policy, os.sched_param(priority))
+    except OSError:  # not allowed, or ended meanwhile
+        return False
+    return True
 
 
 def in_realtime() -> bool:

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any, Protocol
 
 from ..common.errors import TendonRobotError
-from ..common.processes import ComputingThread, switch_often
+from ..common.processes import ComputingThread, RealtimeLoan, switch_often
 from ..model.tip_task import Patience
 
 GiveUp = Callable[[], bool]
@@ -42,7 +42,7 @@ class Solver(Protocol):
         budget : float [s]
             Time after which `give_up` says True, from when the work begins.
         urgent : bool
-            The answer is not to wait for the next cycle.
+            The answer is not to wait for the next cycle, nor for other programs.
 
         """
 
@@ -112,6 +112,7 @@ class Worker:
         self._answered: deque[Callable[[], None]] = deque()
         self._open: Counter[str] = Counter()
         self._ended = False
+        self._loan: RealtimeLoan | None = None
         switch_often()
         self._thread = ComputingThread(self._work, SOLVER, self._end)
         self._thread.start()
@@ -127,7 +128,18 @@ class Worker:
             self._waiting[kind] = job  # keeps the place in the queue of the one it replaces
             if self._running is not None and self._running[0] == kind:
                 self._running[1].give_up.end()
+            if urgent and self._loan is not None and self._thread.native_id is not None:
+                self._loan.begin(self._thread.native_id)  # also for what runs before it
             self._changed.notify()
+
+    def lend_realtime(self) -> None:
+        """Have urgent work done in real time from now on; call `limit_realtime` often."""
+        self._loan = RealtimeLoan()
+
+    def limit_realtime(self) -> None:
+        """Let what takes too long go on as other programs do."""
+        if self._loan is not None:
+            self._loan.limit()
 
     def tell(self, take: Callable[[], None]) -> None:
         """Have it called with the next answers, and these handed out at once."""
@@ -165,6 +177,8 @@ class Worker:
     def _work(self) -> None:
         while (taken := self._next()) is not None:
             kind, job = taken
+            if job.urgent and self._loan is not None:
+                self._loan.begin(threading.get_native_id())
             try:
                 job.result = job.work(job.give_up)
             except Exception as error:
@@ -174,6 +188,12 @@ class Worker:
             self._answered.append(partial(self._answer, kind, job))
             if job.urgent and not self._ended:
                 self._wake()
+            if self._loan is not None and not self._urgent():
+                self._loan.end()
+
+    def _urgent(self) -> bool:
+        with self._changed:
+            return any(job.urgent for job in self._waiting.values())
 
     def _next(self) -> tuple[str, _Job] | None:
         with self._changed:

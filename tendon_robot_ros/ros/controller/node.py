@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from ...common.errors import TendonRobotError
-from ...common.processes import REALTIME_PRIORITY_SECOND, go_realtime
+from ...common.processes import REALTIME_PRIORITY_SECOND, go_realtime, in_realtime
 from ...control import ControllerCore, Refusal
 from ...control.solver import SOLVER, Worker
 from ...control.status import controller_status
@@ -111,6 +111,8 @@ class ControllerNode(ManagedNode):
         self._prediction = Prediction(self, self._incoming.base, model)
         if goes_first():
             go_realtime(REALTIME_PRIORITY_SECOND, but=[SOLVER])
+            if in_realtime():  # the thread that limits it
+                self._solver.lend_realtime()
 
     def activate(self) -> None:
         """Begin to hear targets: who waits for a subscriber sends none in vain."""
@@ -222,6 +224,8 @@ class ControllerNode(ManagedNode):
     def _cycle(self) -> None:
         """Hear stops and states, publish a command."""
         self._stop_topic.poll()
+        if self._solver is not None:
+            self._solver.limit_realtime()
         for heard in self._measured.take():
             self._states(heard)
         core, now = self.core, time.monotonic()
