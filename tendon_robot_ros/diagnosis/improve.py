@@ -19,13 +19,16 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
+from ..comparison.predict import Predictor
 from ..data import DataSet
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from .add import Addition, more_at_work, with_origin
-from .as_built import SplitPredictor
+from .as_built import Imperfections, SplitPredictor
 from .decide import P_SINGLE_MIN
 from .described_arm import route_changes, stiffness_change
+from .fit import Fit
+from .improved_values import as_known
 from .improvement import Improvement, ImprovementStep, total
 from .load import loads_of
 from .local_tests import local_faults
@@ -219,7 +222,11 @@ def _result(
     steps = _steps(search, states, robots, errors, check, kept, taken)
     final, tips = states[taken], np.sqrt(errors[taken, :, -1])
     own = kept.index(taken)
-    made = _addition(search, steps[: own + 1], final, robots[taken], check)
+    predictor, _ = predict(search.dataset, robots[taken], search.catalogue)
+    exact = search.robot.exact
+    built = None if exact else imperfections(SplitPredictor(predictor), {})
+    known = as_known(search, final, predictor, built)
+    made = _addition(search, steps[: own + 1], final, known, robots[taken], check)
     postures = search.dataset.postures
     return Improvement(
         robot=with_origin(made, search.robot),
@@ -237,7 +244,7 @@ def _result(
         probability=made.probability,
         more_at_work=made.more_at_work,
         tips={postures[p]: float(tips[p]) for p in np.flatnonzero(np.isfinite(tips))},
-        local_faults=_faults(search, final, robots[taken]),
+        local_faults=_faults(search, final, predictor, built),
         left_out=left_out(search.dataset, search.outliers, search.unsettled),
     )
 
@@ -274,6 +281,7 @@ def _addition(
     search: Stepwise,
     steps: Sequence[ImprovementStep],
     final: State,
+    known: Fit,
     robot: Robot,
     check: DataSet | None,
 ) -> Addition:
@@ -294,18 +302,18 @@ def _addition(
     )
     chance = search.chance(final)
     more = more_at_work(fitted, chance) if chance <= P_SINGLE_MIN else ''
-    loads = loads_of(final.effects, search.predictor)
-    values = values_of(final.effects)
+    loads, values = loads_of(known, search.predictor), values_of(known)
     return Addition(robot, values, fitted, judged, chance, {}, more, loads=loads)
 
 
-def _faults(search: Stepwise, final: State, robot: Robot) -> tuple[dict[str, Any], ...]:
+def _faults(
+    search: Stepwise, final: State, predictor: Predictor, built: Imperfections | None
+) -> tuple[dict[str, Any], ...]:
     """Return where the improved description is wrong by more than what remains everywhere."""
-    predictor, _ = predict(search.dataset, robot, search.catalogue)
-    found = imperfections(SplitPredictor(predictor), {})
+    found = built or imperfections(SplitPredictor(predictor), {})
     if found is None:
         return ()
     faults = local_faults(
         found.kinds, found.moves, final.whitener, final.fit, search.noise.freedom
     )
-    return tuple(fault.to_json(robot, search.dataset.postures) for fault in faults)
+    return tuple(fault.to_json(predictor.robot, search.dataset.postures) for fault in faults)

@@ -88,8 +88,9 @@ def place_markers(shapes: ShapeBatch, arc_length: Floats, offset: Floats) -> Flo
     cells, share, at_end = _places(shapes.cell_length.tobytes(), arc_length.tobytes())
     if at_end and not offset.any():
         return shapes.positions[:, cells]
-    ends = shapes.frames[:, cells], shapes.positions[:, cells]
-    frames, points = ends if at_end else _inside(shapes, cells, share)
+    frames, points = shapes.frames[:, cells], shapes.positions[:, cells]
+    if not at_end:
+        frames, points = _inside(shapes, cells, share, bool(offset.any()))
     return np.asarray(points + np.einsum('bjrc,jc->bjr', frames, offset))
 
 
@@ -109,32 +110,32 @@ def _places(cell_lengths: bytes, arc_lengths: bytes) -> tuple[npt.NDArray[np.int
 
 
 def _inside(
-    shapes: ShapeBatch, cells: npt.NDArray[np.intp], share: Floats
+    shapes: ShapeBatch, cells: npt.NDArray[np.intp], share: Floats, turned: bool
 ) -> tuple[Floats, Floats]:
-    """Frames (b, j, 3, 3) and points (b, j, 3) at a share of the way through cells."""
-    base = np.broadcast_to(np.eye(3), (len(shapes), 1, 3, 3))
-    frames = np.concatenate([base, shapes.frames], axis=1)[:, cells]
-    points = np.concatenate([np.zeros((len(shapes), 1, 3)), shapes.positions], axis=1)
-    step = np.linalg.norm(np.diff(points, axis=1), axis=2)[:, cells]
-    points = points[:, cells]
-    bend = shapes.bend[:, cells]
-    angle = np.linalg.norm(bend, axis=2)
+    """Frames (b, j, 3, 3), where asked for as they turn, and points (b, j, 3) inside cells."""
+    points = np.zeros((len(shapes), shapes.positions.shape[1] + 1, 3))
+    frames = np.empty((*points.shape, 3))
+    points[:, 1:], frames[:, 0], frames[:, 1:] = shapes.positions, np.eye(3), shapes.frames
+    step = np.sqrt(np.square(np.diff(points, axis=1)).sum(axis=2))[:, cells]
+    points, frames, bend = points[:, cells], frames[:, cells], shapes.bend[:, cells]
+    angle = np.sqrt(np.square(bend).sum(axis=2))
     toward = np.where(
         angle[..., None] > 1e-300, bend / np.maximum(angle, 1e-300)[..., None], [1.0, 0.0]
     )
     hinge = shapes.hinge[cells]
-    after = share > 0.5
-    turned = angle * np.where(hinge, after, share)
+    turn = angle * np.where(hinge, share > 0.5, share)
     # the cell's own length now (it may be compressed): chord / chord of a unit cell
     unit = np.where(hinge, np.cos(0.5 * angle), np.sinc(0.5 * angle / np.pi))
     length = step / np.maximum(unit, 1e-12)
-    across, along = _point(turned, angle, share, hinge, length)
+    across, along = _point(turn, angle, share, hinge, length)
     twist = shapes.twist[:, cells]
     toward = turned_in_plane(toward, 0.5 * twist)  # half of it lies before the bend
     local = np.concatenate([toward * across[..., None], along[..., None]], axis=2)
-    inside = frames @ bent(toward, turned)
-    inside[..., :2] = turned_in_plane(inside[..., :2], -(share * twist)[..., None])
-    return inside, points + np.einsum('bjrc,bjc->bjr', frames, local)
+    points += (frames @ local[..., None])[..., 0]
+    if turned:
+        frames = frames @ bent(toward, turn)
+        frames[..., :2] = turned_in_plane(frames[..., :2], -(share * twist)[..., None])
+    return frames, points
 
 
 def _point(
