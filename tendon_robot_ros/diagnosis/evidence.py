@@ -124,8 +124,9 @@ def remainder_text(evidence: Evidence, chosen: Ranked | None, verdict: Verdict) 
 
 def best_pattern(evidence: Evidence, chosen: Ranked | None) -> Pattern | None:
     """Return the pattern that takes a third or more of what is left, if there is one."""
-    fit = chosen.fit if chosen else evidence.base
-    patterns = Patterns(evidence.session.fitters[0], fit).all()
+    fit, patterns = evidence.base, evidence.patterns
+    if chosen is not None:
+        fit, patterns = chosen.fit, Patterns(evidence.session.fitters[0], chosen.fit).all()
     top = min(patterns, key=lambda pattern: pattern.score, default=None)
     excess = fit.chi2 - fit.freedom
     if top is None or fit.deviance - top.deviance < PATTERN_SHARE_MIN * excess:

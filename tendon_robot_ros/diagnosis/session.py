@@ -317,10 +317,10 @@ def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
     best: Ranked | None = None
     for size in range(2, EFFECTS_MAX + 1):
         extended = _extended(session, current)
+        if size == 2 and not any(session.holds(f) for f in extended):
+            extended += _pairs(session, order[:PAIRED_MAX], current)
         if not extended:
             break
-        if size == 2 and not any(session.holds(f) for f in extended):
-            extended += _pairs(session, order[:PAIRED_MAX], {f.candidate.label for f in extended})
         current = best = min(extended, key=lambda r: r.score)
         if session.holds(best):
             best = reweighed(session, best)
@@ -340,7 +340,7 @@ def joined(session: Session, best: Ranked) -> Ranked | None:
     while len(current.candidate.names) < EFFECTS_MAX:
         better = [
             r
-            for r in _hinted(session, current)
+            for r in _extended(session, current)
             if session.stands_out(current.fit, r, len(session.candidates))
             and r.score < current.score - APART_FROM_SCORE
         ]
@@ -348,13 +348,6 @@ def joined(session: Session, best: Ranked) -> Ranked | None:
             break
         current = reweighed(session, min(better, key=lambda r: r.score))
     return None if current is best else current
-
-
-def _hinted(session: Session, current: Ranked) -> list[Ranked]:
-    """Fit the extensions of an effect whose first step gains."""
-    order = [c for c in _extensions(session, current) if session.hints(current, c)]
-    starts = {c.label: current.fit for c in order}
-    return session.fit_joint(order, starts, f'{len(current.candidate.names) + 1} effects')
 
 
 def reweighed(session: Session, ranked: Ranked) -> Ranked:
@@ -366,10 +359,10 @@ def reweighed(session: Session, ranked: Ranked) -> Ranked:
 
 
 def _extended(session: Session, current: Ranked) -> list[Ranked]:
-    """Fit the current effects with each other one that the postures show there."""
-    have, combined = set(current.candidate.names), _extensions(session, current)
-    starts = {c.label: current.fit for c in combined}
-    return session.fit_joint(combined, starts, f'{len(have) + 1} effects')
+    """Fit the current effects with each other one whose first step gains."""
+    order = [c for c in _extensions(session, current) if session.hints(current, c)]
+    starts = {c.label: current.fit for c in order}
+    return session.fit_joint(order, starts, f'{len(current.candidate.names) + 1} effects')
 
 
 def _extensions(session: Session, current: Ranked) -> list[Candidate]:
@@ -383,16 +376,14 @@ def _extensions(session: Session, current: Ranked) -> list[Candidate]:
     ]
 
 
-def _pairs(session: Session, order: Sequence[Ranked], known: set[str]) -> list[Ranked]:
-    """Fit the pairs among the best single effects that are not fitted yet."""
+def _pairs(session: Session, order: Sequence[Ranked], known: Ranked) -> list[Ranked]:
+    """Fit the pairs among the best single effects; those with one of them are known."""
     pairs, starts = [], {}
+    order = [r for r in order if r is not known]
     for i, first in enumerate(order):
         for second in order[i + 1 :]:
             pair = first.candidate.with_(second.candidate)
-            names = set(pair.names)
-            if any(set(label.split(' + ')) == names for label in known) or _overlaps(
-                session.catalogue, second.candidate, set(first.candidate.names)
-            ):
+            if _overlaps(session.catalogue, second.candidate, set(first.candidate.names)):
                 continue
             pairs.append(pair)
             starts[pair.label] = first.fit
