@@ -8,6 +8,7 @@ one that a solver returned: at an equilibrium both are the same. A state (3n,) h
 """
 
 import math
+from functools import cache, lru_cache
 
 import numpy as np
 from scipy.optimize import brentq
@@ -23,6 +24,14 @@ def about_z(angle, x, y):
     return np.array([c * x - s * y, s * x + c * y])
 
 
+@lru_cache(1000)  # the tendons of a cell ask for the same
+def turn(x, y, z):
+    """Return the matrix of a rotation vector [rad]."""
+    matrix = Rotation.from_rotvec([x, y, z]).as_matrix()
+    matrix.flags.writeable = False
+    return matrix
+
+
 class Reference:
     """A robot's laws; cells count from 0."""
 
@@ -34,6 +43,9 @@ class Reference:
         self.n, self.ends = robot.cells, robot.tendon_cells
         self.starts = np.cumsum([0.0] + [s.cell_length for s in self.sections])
         self.rest = np.array([self.get('pre_curvature', f'angle_{c}') for c in 'xy'])
+        self.offset, self.eyelets, self.lost_at_rest = map(
+            cache, (self.offset, self.eyelets, self.lost_at_rest)
+        )
 
     def get(self, effect, parameter, default=0.0, section=None):
         """Return a parameter of an effect, neutral where the robot does not list it."""
@@ -65,11 +77,11 @@ class Reference:
 
     def bending(self, theta):
         """exp of the angle |theta| about z x theta."""
-        return Rotation.from_rotvec([-theta[1], theta[0], 0.0]).as_matrix()
+        return turn(-theta[1], theta[0], 0.0)
 
     def half_twist(self, twist):
         """Turn about the axis by half a twist."""
-        return Rotation.from_rotvec([0.0, 0.0, 0.5 * twist]).as_matrix()
+        return turn(0.0, 0.0, 0.5 * twist)
 
     def rotation(self, cell):
         """Turn of a cell (x, y, twist): half its twist, its bend, half its twist."""
@@ -110,13 +122,17 @@ class Reference:
         whole = math.hypot(length, np.linalg.norm(last - first))
         return whole - math.hypot(length - blend, math.sqrt(leaning))
 
+    def lost_at_rest(self, i, k):
+        """Path that tendon k loses in cell i of the arm at rest [m]."""
+        return self.lost(i, k, np.array([*self.rest, 0.0]))
+
     def travel(self, state):
         """Path lost since the rest shape (n, k) [m]."""
-        travel, rest = np.zeros((self.n, len(self.ends))), np.array([*self.rest, 0.0])
+        travel = np.zeros((self.n, len(self.ends)))
         for i, cell in enumerate(self.cells(state)):
             for k, cells in enumerate(self.ends):
                 if i < cells:
-                    travel[i, k] = self.lost(i, k, cell) - self.lost(i, k, rest)
+                    travel[i, k] = self.lost(i, k, cell) - self.lost_at_rest(i, k)
         return travel
 
     def tensions(self, inputs, state, signs=None):
