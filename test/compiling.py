@@ -3,13 +3,15 @@ Machine code that most tests need, made before they run: once, and on two proces
 
 Tests that begin side by side with an empty cache would each compile the same for themselves. What
 is made here: all that a controller, a diagnosis and a search of postures call, and the plants of
-simulations and of the mock arm, whose catalogue has a kernel of its own.
+simulations and of the mock arm, whose catalogue has a kernel of its own; and the bytecode of the
+tests, whose assertions pytest rewrites.
 """
 
 import os
 import sys
 
 import processes
+import pytest
 from source_tree import ROOT
 
 from tendon_robot_ros.control.loading import compiled_mark, load
@@ -44,7 +46,11 @@ def compile_plant():
     plant.shapes([TENSIONS])
 
 
-MADE = {'model': compile_model, 'plant': compile_plant}
+def compile_tests():
+    assert pytest.main(['--collect-only', '-qq', str(ROOT / 'test')]) == 0
+
+
+MADE = {'model': compile_model, 'plant': compile_plant, 'tests': compile_tests}
 
 
 def compile_all():
@@ -53,10 +59,16 @@ def compile_all():
     there = {
         'model': compiled_mark(catalogue).is_file(),
         'plant': is_compiled(plant_catalogue(catalogue)),
+        'tests': any((ROOT / 'test' / '__pycache__').glob('test_*')),
     }
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get('PYTHONPATH'))))
     at_work = [
-        processes.Process([sys.executable, __file__, what], env={**os.environ, 'PYTHONPATH': path})
+        processes.Process(
+            [sys.executable, __file__, what],
+            cwd=ROOT,
+            env={**os.environ, 'PYTHONPATH': path},
+            stdout=processes.DEVNULL,
+        )
         for what in MADE
         if not there[what]
     ]

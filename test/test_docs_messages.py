@@ -1,6 +1,7 @@
 """Every message that a page quotes is one that the code can print."""
 
 import ast
+import functools
 import re
 
 import pytest
@@ -27,6 +28,7 @@ def flat(node):
     return GAP
 
 
+@functools.cache
 def templates():
     """Return all texts in the sources, and those that a class of exceptions puts together."""
     found = set()
@@ -38,10 +40,8 @@ def templates():
                 found.add(flat(node))
             if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'DataSetError':
                 found.add('; '.join(flat(argument) for argument in node.args[1:]))
-    return {re.sub(r'\{[\w:.]*\}|%[sdg]', GAP, text) for text in found}
-
-
-TEMPLATES = [VARYING.sub(GAP, text) for text in templates() if len(text) > 8]
+    texts = {re.sub(r'\{[\w:.]*\}|%[sdg]', GAP, text) for text in found}
+    return [VARYING.sub(GAP, text) for text in texts if len(text) > 8]
 
 
 def pieces(message):
@@ -54,7 +54,7 @@ def is_printed(message):
     """Tell whether one text of the sources has all pieces in this order."""
     wanted = pieces(message)
     pattern = re.compile('.*'.join(re.escape(piece) for piece in wanted), re.S)
-    return bool(wanted) and any(pattern.search(text) for text in TEMPLATES)
+    return bool(wanted) and any(pattern.search(text) for text in templates())
 
 
 def quoted(page):

@@ -13,7 +13,7 @@ pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
-from ros_station import LATCHED, ForkedNode, Station, last, values
+from ros_station import LATCHED, PATIENT, ForkedNode, Station, last, values
 from std_msgs.msg import Float64, Float64MultiArray, String
 
 from tendon_robot_ros.robot import dump_robot
@@ -56,10 +56,11 @@ class Watched(Station):
     def run(self, name, **more):
         parameters = {
             'driver': {
+                **PATIENT['driver'],
                 'robot': dump_robot(SOFT),
                 'config': f'plant: {{twin: true}}\n{TRACKER}\n',
             },
-            'controller': {'model': 'kato_10_1'},
+            'controller': {**PATIENT['controller'], 'model': 'kato_10_1'},
             'monitor': {
                 'folder': str(self.folder / 'recordings'),
                 'path': 'from_straight',
