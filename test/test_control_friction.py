@@ -1,6 +1,7 @@
 """Friction that remembers in the controller, ways on which it ends well, regions, preferences."""
 
 import re
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -323,3 +324,91 @@ def test_a_delay_that_is_told_only_shifts_the_answer(monkeypatch):
     assert away[0] > 3e-3 > 3e-5 > away[-40]
     off, untold = (np.abs(tips[shift:] - at_once[:-shift]).max() for tips in (late, unknown))
     assert off < 0.005 * away[0] < 0.05 * away[0] < untold
+
+
+def test_the_filter_tells_the_noise_of_the_tracker_and_a_jump_is_none():
+    random, noise = np.random.default_rng(5), 2e-4
+    known = Mismatch.unknown(np.full(3, 1.0), LIMITS, DOUBT)
+    for step in range(300):
+        left = noise * random.normal(size=3) + (step > 200) * np.array([5e-3, 0.0, 0.0])
+        known = known.learned(left, 5.0, 0.02, DOUBT)
+        if step in (200, 205):
+            assert known.noise == pytest.approx(np.sqrt(3.0) * noise, rel=0.25)
+    away = known.offset - [5e-3, 0.0, 0.0]
+    assert np.linalg.norm(away) < 2.0 * known.rest < 4e-4
+
+
+def test_slopes_are_forgotten_on_the_way_and_not_while_standing():
+    known = Mismatch.unknown(np.full(3, 1.0), LIMITS, DOUBT)
+    slopes = np.array([[0.05, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, 0.0, 0.0]])
+    known = replace(known, slopes=slopes)
+    stood = known.learned(np.zeros(3), 5.0, 0.02, DOUBT, 0.0, 0.2)
+    went = known.learned(np.zeros(3), 5.0, 0.02, DOUBT, 0.1, 0.2)
+    assert stood.slopes == pytest.approx(slopes)
+    assert np.linalg.norm(went.slopes) < 0.05 * np.linalg.norm(slopes)
+    assert np.all(np.diag(went.spread)[1:] <= np.diag(known.spread)[1:] * (1.0 + 1e-9))
+
+
+def noisy(noise, seconds=3.0):
+    """Return the commands (n, m) [N] of an arm at a target with a noisy tracker, and its error."""
+    rig = Rig(tip_gain=5.0)
+    random = np.random.default_rng(6)
+    rig.run(0.05)
+    rig.core.aim(Target(model(False).shape(np.array(TARGETS[0])).tip_position))
+    commands = []
+    for _ in range(round(seconds / 0.02)):
+        rig.run(0.02)
+        seen = rig.shape.tip_position + [2e-3, 0.0, 0.0] + noise * random.normal(size=3)
+        rig.core.loop.take(rig.now, rig.core, seen)
+        commands.append(rig.core.command.copy())
+    off = rig.shape.tip_position + [2e-3, 0.0, 0.0] - rig.core.target.position
+    return np.array(commands), float(np.linalg.norm(off))
+
+
+def test_a_standing_arm_rests_within_the_noise_of_its_tracker():
+    commands, off = noisy(2e-4)
+    assert off < 3e-4
+    late = commands[-50:]  # of the last second
+    assert np.mean(np.any(np.diff(late, axis=0) != 0.0, axis=1)) < 0.3
+    assert noisy(0.0)[1] < 2e-5  # what a better tracker sees is gone to
+
+
+def test_an_arm_that_snaps_on_its_way_is_not_given_up_and_one_that_stays_away_is():
+    rig = Rig(tip_gain=5.0)
+    rig.run(0.05)
+    rig.core.aim(Target(model(False).shape(np.array(TARGETS[0])).tip_position))
+
+    def told(seconds, away):
+        for _ in range(round(seconds / 0.02)):
+            rig.run(0.02)
+            rig.core.loop.take(rig.now, rig.core, rig.shape.tip_position + away)
+        return controller_status(rig.core, rig.now).values['correction_frozen']
+
+    def far(steps):  # no jumps
+        for step in steps:
+            told(0.02, np.array([0.0, 0.015 * step, 0.0]))
+
+    assert told(1.0, np.zeros(3)) == ''
+    far(range(8))
+    assert told(0.1, np.array([0.0, 0.12, 0.0])) == ''
+    far(range(8, 0, -1))
+    assert told(0.5, np.zeros(3)) == ''
+    far(range(8))
+    assert told(1.5, np.array([0.0, 0.12, 0.0])) in ('it got no nearer', 'too far from the model')
+
+
+def test_the_closed_loop_begins_at_little_tension_where_friction_would_ask_for_much():
+    arm, random = model(), np.random.default_rng(9)
+    low, high = arm.limits.T
+    shares = random.random((10, 4))
+    for share in shares[[3, 9]]:
+        tip, most = arm.shape(low + 0.25 * (high - low) * share).tip_position, []
+        for gain in (0.0, 5.0):
+            rig = Rig(tip_gain=gain)
+            rig.run(0.05)
+            for tensions in TARGETS[:3]:
+                rig.go(tensions)
+            rig.core.aim(Target(tip))
+            most.append(rig.core.solution.tensions.max())
+        assert rig.core.solution.status == 'reached'
+        assert most[1] < 0.7 * most[0]

@@ -17,13 +17,18 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 FIRST_DOUBT = 0.5  # [1] variance of the offset at first: a third of it is believed at once
 TIP_NOISE_M = 3e-4  # [m] against which slopes are weighed
-SLOPE_DOUBT = 0.03  # [1] of the model's slopes, standard deviation of D
+SLOPE_DOUBT = 0.5  # [1] of the model's slopes, standard deviation of D
 SLOPE_DOUBT_LEAST = 0.05  # [1] of the arm's length over a tension's range
 SLOPE_FORGOTTEN_S = 2.0  # [s] in which it is as open again
+SLOPE_ALIKE_SHARE = 0.15  # [1] of the arm's length, over whose way the slopes stay alike
 WANDER = 0.05  # [1] of the way of the tip, by which the offset changes beside the slopes
 EXTRAPOLATED_MAX = 0.5  # [1] of the model's slopes, and of the way to there, that slopes may add
 ALIKE_SHARE = 0.25  # [1] of the arm's length, over which the model's error stays alike
 STEP_SHARE = 0.5  # [1] of what the tip is off, in one step of the goal
+NOISE_SAMPLES = 50  # of a standing arm, over which the tracker's noise is averaged
+STANDING_SHARE = 0.1  # [1] of `TIP_NOISE_M`, by which the model's tip moves between these
+JUMP_NOISES = 3.0  # [1] of the noise: what differs by more is none
+REST_DEVIATIONS = 1.5  # [1] of what the offset is known to: a tip that is nearer stays
 BISECTIONS, GAIN_MARGIN_MAX = 40, 1e3  # of a margin; [1] larger ones are not looked for
 
 
@@ -33,7 +38,7 @@ class Mismatch:
     What the filter knows at tensions `at`: the tip is off by `offset` + `slopes` (T - at).
 
     All three axes share one covariance, in units of the tracker's variance, of the offset and of
-    the slopes over the ranges of the tensions.
+    the slopes over the ranges of the tensions. `noise` [m] is the tracker's, over all axes.
     """
 
     at: Array  # (m,) [N]
@@ -41,6 +46,9 @@ class Mismatch:
     offset: Array  # (3,) [m]
     slopes: Array  # (3, m) [m] over the ranges
     spread: Array  # (1 + m, 1 + m)
+    noise: float = 0.0  # [m]
+    samples: int = 0  # from which that is
+    left: Array | None = None  # (3,) [m] by which the tip was off the model's last
 
     @classmethod
     def unknown(cls, at: Array, limits: Array, doubt: Array) -> Mismatch:
@@ -55,12 +63,17 @@ class Mismatch:
         step = np.eye(1 + len(share))
         step[0, 1:] = share
         spread = step @ self.spread @ step.T
-        return Mismatch(
-            tensions, self.range, self.offset + self.slopes @ share, self.slopes, spread
-        )
+        offset = self.offset + self.slopes @ share
+        return replace(self, at=tensions, offset=offset, spread=spread)
 
     def learned(
-        self, left: Array, gain: float, passed: float, doubt: Array, way: float = 0.0
+        self,
+        left: Array,
+        gain: float,
+        passed: float,
+        doubt: Array,
+        way: float = 0.0,
+        length: float = np.inf,
     ) -> Mismatch:
         """
         Return what is known after the tip was `left` (3,) [m] away from the model's.
@@ -75,10 +88,14 @@ class Mismatch:
             Of the slopes over the ranges, one standard deviation.
         way : float
             Of the model's tip since the last measurement [m].
+        length : float
+            Of the arm [m]: what is learned of slopes far away is none of them here.
 
         """
         share, most = 1.0 - np.exp(-gain * passed), (doubt / TIP_NOISE_M) ** 2
-        grown = self.spread.copy()
+        alike = np.exp(-way / (SLOPE_ALIKE_SHARE * length))
+        fades = np.array([1.0, *np.full(len(most), alike)])
+        grown = self.spread * np.outer(fades, fades) + np.diag([0.0, *(1.0 - alike**2) * most])
         # so that the standing filter's gain is `share`
         grown[0, 0] += share**2 / (1.0 - share) + (WANDER * way / TIP_NOISE_M) ** 2
         grown[1:, 1:] += np.diag(most) * passed / SLOPE_FORGOTTEN_S
@@ -88,9 +105,26 @@ class Mismatch:
         spread[1:, 1:] = top @ spread[1:, 1:] @ top  # no more open than at the beginning
         spread[0, 1:] = spread[1:, 0] = spread[0, 1:] @ top
         new = left - self.offset
-        slopes = self.slopes + np.outer(new, weights[1:])
+        slopes = alike * self.slopes + np.outer(new, weights[1:])
         offset = self.offset + weights[0] * new
-        return Mismatch(self.at, self.range, offset, slopes, 0.5 * (spread + spread.T))
+        noise, samples = self._noise(left, way)
+        spread = 0.5 * (spread + spread.T)
+        return Mismatch(self.at, self.range, offset, slopes, spread, noise, samples, left)
+
+    def _noise(self, left: Array, way: float) -> tuple[float, int]:
+        """Return the tracker's noise [m], and from how many samples of a standing arm it is."""
+        if self.left is None or way > STANDING_SHARE * TIP_NOISE_M:
+            return self.noise, self.samples
+        square, samples = 0.5 * float(((left - self.left) ** 2).sum()), self.samples + 1
+        if square > (JUMP_NOISES * max(self.noise, TIP_NOISE_M)) ** 2:
+            return self.noise, self.samples
+        mean = self.noise**2 + (square - self.noise**2) / min(samples, NOISE_SAMPLES)
+        return float(np.sqrt(mean)), samples
+
+    @property
+    def rest(self) -> float:
+        """How near [m] to its place the tip is as near as the tracker's noise lets anyone know."""
+        return REST_DEVIATIONS * self.noise * float(np.sqrt(self.spread[0, 0]))
 
     def part(self, tensions: Array, way: float) -> float:
         """Return which part [1] of the slopes counts at tensions (m,) [N] a way [m] from here."""

@@ -29,6 +29,7 @@ STREAM_BUDGET_SHARE = 0.8  # [1] of the time between targets of a stream; the sh
 FIRST_ANSWER_S = 0.006  # [s] in which a search that finds nothing on its way is cut for once
 # [1] of the length, [rad] between two targets of a stream
 STREAM_STEP_SHARE, STREAM_TURN_RAD = 0.1, 0.3
+MORE_TENSION_MAX = 0.1  # [1] of a tension's range, for a nearer tip that the loop finds anyway
 LEAD_SHARE_MAX = 0.1  # [1] of the length, by which targets are led
 
 
@@ -167,6 +168,7 @@ class _Question:
     model: Model
     settings: Settings
     target: Target  # without what the measured tip is off
+    asked: Target  # with it
     guess: Shape | None
     last: Shape | None  # the last shape, with what friction remembered
     felt: Array  # (m,) [N] that act now
@@ -206,6 +208,32 @@ class _Question:
         """Return where to begin; the same place is always found by the same tensions."""
         return None if self._below else self.guess
 
+    def _loose(self, here: Shape, give_up: GiveUp, tell: Tell | None) -> Reach:
+        """
+        Find tensions from where the closed loop brings the tip to its place.
+
+        From the state of friction that is, a model that is not the arm's may ask for much tension
+        against much tension, where it is furthest off. Then friction is left to the loop, and so
+        is by how much the tip was off elsewhere.
+        """
+        found: list[Reach] = []
+        if not (self.streamed or self.tracking or self.settings.pull_mode):
+            found.append(self.reach(None, self.guess, give_up, tell))
+            if not give_up():
+                found.append(replace(self, target=self.asked).reach(None, self.guess, give_up))
+        if not (found and give_up()):
+            found.insert(0, self.reach(here, self.guess or here, give_up, tell))
+        low, high = self.model.limits.T
+        most = [float(((one.tensions - low) / (high - low)).max()) for one in found]
+        there = [one.status == 'reached' for one in found]
+        least = min(size for size, is_there in zip(most, there, strict=True)
+                    if is_there or not any(there))  # fmt: skip
+        return next(
+            one
+            for one, size, is_there in zip(found, most, there, strict=True)
+            if size <= least + MORE_TENSION_MAX and is_there == any(there)
+        )
+
     def answer(self, give_up: GiveUp, tell: Tell | None = None) -> Approach:
         """Find tensions and the way there; `tell` of what is found meanwhile, if that is it."""
         model, settings = self.model, self.settings
@@ -216,6 +244,8 @@ class _Question:
             return from_below(model, direct) if self._below else straight(direct)
         here = model.follow(self.last, self.felt)
         past = here if model.remembers else None
+        if settings.tip_gain > 0.0 and self.kind == 'any' and not settings.keep_out:
+            return straight(self._loose(here, give_up, tell))
         direct = self.reach(past, self._guess() or past, give_up, tell)
 
         def again(there: Shape, tensions: Array) -> Reach:
@@ -250,10 +280,13 @@ def solution_of(
         None if shape is None or len(shape.bend) != model.robot.cells else shape
         for shape in (guess, core.track.last)
     )
+    asked, felt = target, core.felt_tensions()
     if target.position is not None:
         target = replace(target, position=target.position - core.tip_shift(target.position))
-    felt = core.felt_tensions()
-    return _Question(model, core.settings, target, guess, last, felt, streamed, tracking).answer
+    question = _Question(
+        model, core.settings, target, asked, guess, last, felt, streamed, tracking
+    )
+    return question.answer
 
 
 def _take(core: Seeker, search: TargetSearch, result: SearchResult) -> None:

@@ -36,7 +36,7 @@ TRACKER_JUMP_M = 0.02  # [m] between two measurements, beyond the model's way, t
 JUMP_SETTLED_S = 0.2  # [s] without a jump after one, before the tracker is believed again
 WORSE_FACTOR, WORSE_SHARE = 2.0, 0.1  # [1] of the error at first, and of the arm's length
 OFFSET_MAX_SHARE = 0.4  # [1] of the arm's length: further off, the model is not of this arm
-NEAR_SHARE = 0.05  # [1] of the arm's length: further off, what was learned is of another place
+ASTRAY_S = 0.3  # [s] for which it is: an arm that snaps on its way is there for a moment
 HALVES = 1.0, 0.5, 0.25, 0.125  # [1] of a step that would bring the tip no nearer
 SLIPPING = 1.0, 2.0, 4.0, 0.5, 0.25  # [1] of one that may let no tendon slip
 GAINED = 0.1  # [1] of what a step promises, that it must do
@@ -76,6 +76,7 @@ class TipLoop:
     _due: float = 0.0  # [s] since the filter last learned
     _asked: object = None  # the target for which the loop runs
     _began: float = np.inf  # [m] error at its beginning
+    _tame: float = -np.inf  # [s] when the error and the offset were last as they may be
     _left: str = ''  # why it was left for this target
     _compared: Array | None = None  # (3,) [m] the model's tip with which the last one was
 
@@ -180,13 +181,17 @@ class TipLoop:
         length, target = core.model.robot.length, core.target
         if target is not self._asked:
             self._asked, self._began, self._left = target, error, ''
+            self._tame = core.stepped
         if self.known is not None and not self._left:
+            why = ''
             if float(np.linalg.norm(self.known.offset)) > OFFSET_MAX_SHARE * length:
-                self._left = 'too far from the model'
+                why = 'too far from the model'
             elif error > WORSE_FACTOR * self._began + WORSE_SHARE * length:
-                self._left = 'it got no nearer'
-            if self._left:
-                self.tensions = self.known = None
+                why = 'it got no nearer'
+            if not why:
+                self._tame = core.stepped
+            elif core.stepped - self._tame > ASTRAY_S:
+                self._left, self.tensions, self.known = why, None, None
         return self._left
 
     def _look(self, now: float, core: Controller, position: Array) -> None:
@@ -211,7 +216,7 @@ class TipLoop:
             at, tip = (applied, here.tip_position) if then is None else then
             way = 0.0 if before is None else float(np.linalg.norm(tip - before))
             new = (known or Mismatch.unknown(at, limits, doubt)).moved(at)
-            new = new.learned(position - tip, gain, passed, doubt, way).moved(applied)
+            new = new.learned(position - tip, gain, passed, doubt, way, length).moved(applied)
             new = new.within(step.slopes)
             found = step.next_goal(new, step.walked(new, goal, towards))
             if keep_out and keep_out.clearance(model.follow(here, found).positions).distance < 0.0:
@@ -296,6 +301,8 @@ class _Step:
         """Return the tensions (m,) [N] at which the tip is nearer to where it is wanted."""
         there = self._there(goal)
         miss, width = self._left(there, known), self.limits[:, 1] - self.limits[:, 0]
+        if self.stands and np.linalg.norm(miss) < known.rest:
+            return goal  # friction would let the arm slip by what is noise
         slopes = _slopes(self.model, there, self.here) * width
         way = self._way(there)
         damping = STANDING_DAMPING if self.stands else STEP_DAMPING
