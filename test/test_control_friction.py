@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore, Settings, Target, mismatch
 from tendon_robot_ros.control.friction_state import FeltTensions, forgetting
 from tendon_robot_ros.control.mismatch import STEP_SHARE, Mismatch, stability_margins
@@ -412,3 +413,38 @@ def test_the_closed_loop_begins_at_little_tension_where_friction_would_ask_for_m
             most.append(rig.core.solution.tensions.max())
         assert rig.core.solution.status == 'reached'
         assert most[1] < 0.7 * most[0]
+
+
+def test_where_one_search_has_no_equilibrium_another_one_counts(monkeypatch):
+    rig = Rig(tip_gain=5.0)
+    rig.run(0.05)
+    rig.go(TARGETS[0])
+    arm, reach = model(), model().reach
+
+    def without_memory(**wanted):
+        if wanted['memory'] is not None:
+            raise NoEquilibriumError('the way there', (), 1.0)
+        return reach(**wanted)
+
+    monkeypatch.setattr(arm, 'reach', without_memory)
+    target = Target(model(False).shape(np.array(TARGETS[1])).tip_position)
+    rig.core.aim(target)
+    assert rig.core.target is target and rig.core.solution.status == 'reached'
+
+
+def test_a_search_that_stops_at_rounding_goes_on_beside_it(monkeypatch):
+    arm, tensions = model(), np.array(TARGETS[0])
+    here, shape, changes = arm.follow(None, arm.limits[:, 0]), arm.shape, [2e-9]
+
+    def stops(wanted, *past):
+        if np.array_equal(wanted, tensions):
+            raise NoEquilibriumError('here', (), changes[0])
+        return shape(wanted, *past)
+
+    there = arm.follow(here, tensions)
+    monkeypatch.setattr(arm, 'shape', stops)
+    beside = arm.follow(here, tensions)
+    assert beside.tip_position == pytest.approx(there.tip_position, abs=1e-6)
+    changes[0] = 1e-3
+    with pytest.raises(NoEquilibriumError):
+        arm.follow(here, tensions)

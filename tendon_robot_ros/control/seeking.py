@@ -216,23 +216,24 @@ class _Question:
         against much tension, where it is furthest off. Then friction is left to the loop, and so
         is by how much the tip was off elsewhere.
         """
-        found: list[Reach] = []
+        ways: list[tuple[_Question, Shape | None, Tell | None]] = [(self, here, tell)]
         if not (self.streamed or self.tracking or self.settings.pull_mode):
-            found.append(self.reach(None, self.guess, give_up, tell))
-            if not give_up():
-                found.append(replace(self, target=self.asked).reach(None, self.guess, give_up))
-        if not (found and give_up()):
-            found.insert(0, self.reach(here, self.guess or here, give_up, tell))
+            bare = replace(self, target=self.asked)
+            ways = [(self, None, tell), (bare, None, None), (self, here, None)]
+        found: list[Reach] = []
+        for count, (question, past, told) in enumerate(ways):
+            try:
+                if not (found and give_up()):
+                    made = question.reach(past, self.guess or past, give_up, told)
+                    found.insert(len(found) if past is None else 0, made)
+            except NoEquilibriumError:
+                if not found and count == len(ways) - 1:
+                    raise
+        there = [one for one in found if one.status == 'reached'] or found
         low, high = self.model.limits.T
-        most = [float(((one.tensions - low) / (high - low)).max()) for one in found]
-        there = [one.status == 'reached' for one in found]
-        least = min(size for size, is_there in zip(most, there, strict=True)
-                    if is_there or not any(there))  # fmt: skip
-        return next(
-            one
-            for one, size, is_there in zip(found, most, there, strict=True)
-            if size <= least + MORE_TENSION_MAX and is_there == any(there)
-        )
+        most = [float(((one.tensions - low) / (high - low)).max()) for one in there]
+        enough = min(most) + MORE_TENSION_MAX
+        return next(one for one, size in zip(there, most, strict=True) if size <= enough)
 
     def answer(self, give_up: GiveUp, tell: Tell | None = None) -> Approach:
         """Find tensions and the way there; `tell` of what is found meanwhile, if that is it."""

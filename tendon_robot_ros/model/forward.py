@@ -21,6 +21,9 @@ from .shape import FIELDS, ResultLayout, Shape, ShapeBatch
 
 Floats = npt.NDArray[np.float64]
 TOLERANCE = 1e-10  # [rad] as in the kernel
+# [rad] a last step so small is one of rounding at a kink of friction, which tensions that differ
+# by a share [1] do not meet
+ROUNDING, BESIDE = 1e-7, 1e-6
 THREADS = 2
 USEFUL_BEND_RAD = 1.5 * np.pi  # [rad] of one section: bends beyond it are rarely wanted
 
@@ -159,7 +162,13 @@ class ForwardModel:
         """
         if last is None:
             return self.shape(tensions)
-        return self.shape(tensions, last.state, last.memory if self.remembers else None)
+        past = last.memory if self.remembers else None
+        try:
+            return self.shape(tensions, last.state, past)
+        except NoEquilibriumError as error:
+            if not error.last_change < ROUNDING:
+                raise
+            return self.shape((1.0 + BESIDE) * self.tensions(tensions), last.state, past)
 
     def shapes(self, tensions: npt.ArrayLike, guesses: Floats | None = None) -> ShapeBatch:
         """
