@@ -1,5 +1,6 @@
 """What a first shape waits for: imports, and code that is compiled once."""
 
+import os
 import sys
 
 import numpy as np
@@ -20,6 +21,24 @@ import numba
 solve = numba.njit(lambda a, b: numpy.linalg.solve(a, numpy.dot(a, b)))
 assert numpy.allclose(solve(numpy.diag([2.0, 4.0]), numpy.array([1.0, 3.0])), [1.0, 3.0])
 """
+
+
+BESIDE = """
+from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.model.compile import compiled_beside, compose
+catalogue = load_catalogue()
+with compiled_beside(catalogue, 'residual'):
+    pass
+stats = compose(catalogue)('residual').residual.stats
+assert sum(stats.cache_hits.values()) == 1 and not stats.cache_misses, stats
+"""
+
+
+def test_what_a_process_compiles_beside_is_taken_from_the_cache(tmp_path):
+    made = run(
+        [sys.executable, '-c', BESIDE], env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)}
+    )
+    assert made.returncode == 0, made.stderr
 
 
 def test_a_shape_comes_without_linear_algebra_and_numba_has_it_afterwards():

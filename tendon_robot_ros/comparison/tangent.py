@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..model.compile import KernelArrays
+from ..model.arrays import KernelArrays
 from ..model.derivatives import TENSION_STEP
 from ..model.forward import ForwardModel
 

@@ -13,7 +13,8 @@ inputs.py        what a caller commands, by name or in order, checked
 plot.py          arms drawn for notebooks
 derivatives.py   slopes of an equilibrium with respect to tensions and parameters; how stiff the
                  tip is
-compile.py       a robot as flat arrays, and the kernel composed from a catalogue and cached
+arrays.py        a robot and its effects as the flat arrays that the kernel reads
+compile.py       the kernel composed from a catalogue, compiled and cached
 kernel/          the compiled laws; nothing else of the model is compiled
 
 Whoever changes what a cell does works in effects/ or in kernel/, not here.

@@ -15,7 +15,7 @@ from ..common.errors import NoEquilibriumError
 from ..effects import STAGES, Catalogue, load_catalogue
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
-from .compile import KernelArrays
+from .arrays import KernelArrays
 from .inputs import TensionsLike, tension_rows, tensions_of
 from .shape import FIELDS, ResultLayout, Shape, ShapeBatch
 
