@@ -89,24 +89,29 @@ def go_realtime(
 
 class RealtimeLoan:
     """
-    Has a thread that computes scheduled in real time while somebody waits for its answer.
+    Has a thread that computes scheduled in real time while it does.
 
-    Its priority is below that of what moves motors. The allowance runs down while it is lent and
-    fills up so that it is lent for `LOAN_SHARE` of the time at most. Whoever is in real time
-    himself calls `limit` often: then no computation that never ends keeps a processor from others.
+    Its priority is below that of what moves motors. The allowance runs down while it works and
+    fills up so that it works in real time for `LOAN_SHARE` of the time at most. Whoever is in real
+    time himself calls `limit` often: then no computation that never ends keeps a processor from
+    others. A thread that waits for work keeps what it has: given back at once, it would be while
+    the thread holds Python's lock, which others would have until it has a processor again.
     """
 
     def __init__(self) -> None:
         """Begin with all of the allowance."""
         self._lock = threading.Lock()
         self._borrower: int | None = None
+        self._working = False
         self._left, self._counted = LOAN_MAX_S, time.monotonic()
 
     def begin(self, thread: int) -> None:
         """Lend to a thread (its native id) for as long as the allowance lasts; never waits."""
-        if self._borrower is not None or not self._lock.acquire(blocking=False):
+        lent = self._working and self._borrower is not None
+        if lent or not self._lock.acquire(blocking=False):
             return
         self._count()
+        self._working = True
         if self._borrower is None and self._left > 0.0:
             policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
             if _scheduled(thread, policy, REALTIME_PRIORITY_LENT):
@@ -114,30 +119,27 @@ class RealtimeLoan:
         self._lock.release()
 
     def end(self) -> None:
-        """Take it back."""
+        """Count no more: the thread is about to wait for work."""
         with self._lock:
             self._count()
-            self._take_back()
+            self._working = False
 
     def limit(self) -> None:
         """Take it back where the allowance is used up; never waits."""
         if self._borrower is None or not self._lock.acquire(blocking=False):
             return
         self._count()
-        if self._left <= 0.0:
-            self._take_back()
+        if self._working and self._left <= 0.0:
+            _scheduled(self._borrower, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, 0)
+            self._borrower = None
         self._lock.release()
 
     def _count(self) -> None:
         before, self._counted = self._counted, time.monotonic()
         passed = self._counted - before
-        more = LOAN_SHARE / (1.0 - LOAN_SHARE) if self._borrower is None else -1.0
+        lent = self._working and self._borrower is not None
+        more = -1.0 if lent else LOAN_SHARE / (1.0 - LOAN_SHARE)
         self._left = min(self._left + more * passed, LOAN_MAX_S)
-
-    def _take_back(self) -> None:
-        if self._borrower is not None:
-            _scheduled(self._borrower, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, 0)
-            self._borrower = None
 
 
 def _scheduled(thread: int, policy: int, priority: int) -> bool:

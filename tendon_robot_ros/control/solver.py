@@ -42,7 +42,7 @@ class Solver(Protocol):
         budget : float [s]
             Time after which `give_up` says True, from when the work begins.
         urgent : bool
-            The answer is not to wait for the next cycle, nor for other programs.
+            The answer is not to wait for the next cycle, nor the work for other programs.
 
         """
 
@@ -133,7 +133,7 @@ class Worker:
             self._changed.notify()
 
     def lend_realtime(self) -> None:
-        """Have urgent work done in real time from now on; call `limit_realtime` often."""
+        """Have work done in real time from now on, for a while; call `limit_realtime` often."""
         self._loan = RealtimeLoan()
 
     def limit_realtime(self) -> None:
@@ -177,7 +177,7 @@ class Worker:
     def _work(self) -> None:
         while (taken := self._next()) is not None:
             kind, job = taken
-            if job.urgent and self._loan is not None:
+            if self._loan is not None:  # commands wait for it while it holds Python's lock
                 self._loan.begin(threading.get_native_id())
             try:
                 job.result = job.work(job.give_up)
