@@ -110,48 +110,58 @@ def _with_shift(
     """
     if not wholes:
         return position, trial, 0.0
-    before = _level(wholes, (trial / position) ** 2, 0.0)[0]
+    level = _Level(wholes)
+    before = level(trial**2 / position**2, 0.0)[0]
     inputs, shift = (trial / position) ** 2, 0.0  # variances over that of a coordinate
     for _ in range(SHIFT_ROUNDS):
-        shift = _likeliest(wholes, (inputs, None), -7.0, 9.0)
+        shift = level.likeliest((inputs, None), -7.0, 9.0)
         if inputs:
             low = math.log(inputs)
-            inputs = _likeliest(wholes, (None, shift), low - 12.0, low + 2.0)
-    if _level(wholes, 0.0, shift)[0] <= _level(wholes, inputs, shift)[0]:
+            inputs = level.likeliest((None, shift), low - 12.0, low + 2.0)
+    if level(0.0, shift)[0] <= level(inputs, shift)[0]:
         inputs = 0.0
-    after, variance = _level(wholes, inputs, shift)
+    after, variance = level(inputs, shift)
     if before - after < SHIFT_GAIN:
         return position, trial, 0.0
     return math.sqrt(variance), math.sqrt(inputs * variance), math.sqrt(shift * variance)
 
 
-def _likeliest(
-    wholes: list[tuple[Floats, Floats]],
-    known: tuple[float | None, float | None],
-    low: float,
-    high: float,
-) -> float:
-    """Return the likeliest of the two variances that is not known, between two logarithms."""
+class _Level:
+    """
+    The likelihood of two variances over that of a coordinate, given which the latter is known.
 
-    def cost(log: float) -> float:
-        inputs, shift = (math.exp(log) if one is None else one for one in known)
-        return _level(wholes, inputs, shift)[0]
+    Of every posture only the products of what inputs and shifts do, (P, m + 3, m + 3), and of that
+    with the deviations are needed (Woodbury).
+    """
 
-    return math.exp(minimum(cost, low, high, 0.02)[0])
+    def __init__(self, wholes: list[tuple[Floats, Floats]]) -> None:
+        moves, both = zip(*wholes, strict=True)
+        axes = [np.hstack([g, np.tile(np.eye(3), (len(g) // 3, 1))]) for g in both]
+        self._gram = np.stack([a.T @ a for a in axes])
+        along = [a.T @ move.T for a, move in zip(axes, moves, strict=True)]
+        self._seen = np.stack([c @ c.T for c in along])
+        self._freedom = np.array([len(move) - 1.0 for move in moves])
+        self._count = float(sum((len(move) - 1) * move.shape[1] for move in moves))
+        self._total = float(sum((move**2).sum() for move in moves))
 
+    def __call__(self, inputs: float, shift: float) -> tuple[float, float]:
+        """Return -2 log likelihood of the two variances, and that of a coordinate [m²]."""
+        size = np.sqrt(np.append(np.full(self._gram.shape[1] - 3, inputs), [shift] * 3))
+        scale = np.outer(size, size)
+        root = np.linalg.cholesky(np.eye(len(size)) + scale * self._gram)
+        logs = 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+        inverse = np.linalg.inv(root)
+        explained = float(((inverse @ (scale * self._seen)) * inverse).sum())
+        variance = max((self._total - explained) / self._count, 1e-24)
+        return float(self._freedom @ logs) + self._count * math.log(variance), variance
 
-def _level(
-    wholes: list[tuple[Floats, Floats]], inputs: float, shift: float
-) -> tuple[float, float]:
-    """Return -2 log likelihood of variances over that of a coordinate, and the latter [m²]."""
-    count = float(sum((len(moves) - 1) * moves.shape[1] for moves, _ in wholes))
-    logs = left = 0.0
-    for moves, g in wholes:
-        axes = np.tile(np.eye(3), (g.shape[0] // 3, 1))
-        b = np.hstack([math.sqrt(inputs) * g, math.sqrt(shift) * axes])
-        root = np.linalg.cholesky(np.eye(b.shape[1]) + b.T @ b)
-        logs += 2.0 * (len(moves) - 1) * float(np.log(np.diag(root)).sum())
-        through = np.linalg.solve(root, b.T @ moves.T)
-        left += float((moves**2).sum() - (through**2).sum())
-    variance = max(left / count, 1e-24)
-    return logs + count * math.log(variance), variance
+    def likeliest(
+        self, known: tuple[float | None, float | None], low: float, high: float
+    ) -> float:
+        """Return the likeliest of the two variances that is not known, between two logarithms."""
+
+        def cost(log: float) -> float:
+            inputs, shift = (math.exp(log) if one is None else one for one in known)
+            return self(inputs, shift)[0]
+
+        return math.exp(minimum(cost, low, high, 0.02)[0])
