@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from ..comparison.noise import Whitener, input_slopes
 from ..comparison.predict import Predictor
+from ..comparison.statistics import normal_ppf, t_ppf
 from .as_built import Imperfections
 from .described_arm import OF_THE_ARM
 from .fit import Fit, covariance_of
@@ -25,6 +26,7 @@ from .marginal import RandomEffects
 from .stepwise import State, Stepwise
 
 Floats = npt.NDArray[np.float64]
+FREEDOM_MIN, FREEDOM_MAX = 2.0, 1e4  # degrees of freedom that a value may have
 
 
 def as_known(
@@ -88,11 +90,24 @@ def covariance_as_built(
 
     known = covariance_of(fit.jacobian)
     answers = _answers(told @ known, whitener, plain)
-    by_arm = (random.columns * random.spread(sizes)).T @ answers
-    spread = answers.T @ answers + by_arm.T @ by_arm
-    return np.asarray(
-        _excess(random, sizes, residual, slopes) * spread + known @ precision @ known
-    )
+    by_arm = random.columns.T @ answers  # (r, q) of a mixture of unit size
+    spread = answers.T @ answers + by_arm.T @ (random.spread(sizes)[:, None] ** 2 * by_arm)
+    wider = _wider(random, sizes, by_arm, np.diag(spread))
+    scale = _excess(random, sizes, residual, slopes) * np.outer(wider, wider)
+    return np.asarray(scale * spread + known @ precision @ known)
+
+
+def _wider(random: RandomEffects, sizes: Floats, by_arm: Floats, variance: Floats) -> Floats:
+    """
+    Return by how much (q,) intervals widen since the sizes of imperfections are estimated.
+
+    Student's t of as many degrees of freedom as give the variance of a value its own uncertainty
+    (Satterthwaite 1946).
+    """
+    shares = np.array([(by_arm[random.owners == k] ** 2).sum(axis=0) for k in range(len(sizes))])
+    doubt = np.einsum('kq,kl,lq->q', shares, random.doubt(sizes), shares)
+    freedom = np.clip(2.0 * variance**2 / np.maximum(doubt, 1e-300), FREEDOM_MIN, FREEDOM_MAX)
+    return np.array([t_ppf(0.975, one) for one in freedom]) / normal_ppf(0.975)
 
 
 def _reweighed(rows: Floats, before: Whitener, after: Whitener) -> Floats:

@@ -155,17 +155,23 @@ class RandomEffects:
         along imperfections of a kind that the data hardly tell otherwise; infinite where noise
         alone could be the cause.
         """
-        told = (sizes > 0.0) & ~self.few
-        rows = len(self.columns)
-        work = Likelihood(self.parts, np.zeros(rows), np.zeros((rows, 0)), None)
-        information = work.slopes(sizes**2)[1][np.ix_(told, told)]
         spread = self.spread(sizes)
         along = np.divide(self.best(shift, sizes), spread, where=spread > 0.0, out=0.0 * spread)
-        turned = np.bincount(self.owners, along**2, len(self.kinds))[told]
-        variance = 2.0 * float(turned @ np.linalg.pinv(information, hermitian=True) @ turned)
+        turned = np.bincount(self.owners, along**2, len(self.kinds))
+        variance = float(turned @ self.doubt(sizes) @ turned)
         lifted = self.lift(self.root(sizes), shift)
         size = float(lifted @ lifted)
         return 2.0 * size**2 / variance if variance > 0.0 else np.inf
+
+    def doubt(self, sizes: Floats) -> Floats:
+        """Return the covariance (K, K) of the estimated variances; of few members they count."""
+        told = np.flatnonzero((sizes > 0.0) & ~self.few)
+        rows = len(self.columns)
+        work = Likelihood(self.parts, np.zeros(rows), np.zeros((rows, 0)), None)
+        information = work.slopes(sizes**2)[1][np.ix_(told, told)]
+        found = np.zeros((len(sizes), len(sizes)))
+        found[np.ix_(told, told)] = 2.0 * np.linalg.pinv(information, hermitian=True)
+        return found
 
     def misfit(self, errors: Floats, sizes: Floats) -> float:
         """Return the chi² of errors (N,) that only noise and the remainder explain."""
