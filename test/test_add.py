@@ -8,6 +8,7 @@ import simulated
 import yaml
 from measurements import blind, truth
 from simulated import CATALOGUE, measured
+from source_tree import ROOT
 
 from tendon_robot_ros.common.errors import EffectError, InputError
 from tendon_robot_ros.comparison.compare import compare
@@ -15,10 +16,13 @@ from tendon_robot_ros.comparison.noise import rms
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import add_effects, restore
+from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.diagnosis.outliers import find_outliers
 from tendon_robot_ros.robot import dump_robot, load_robot, parse_robot
 
 ROBOT = replace(simulated.robot(), exact=True)  # as those are that are simulated
 HINGES = {'hinge_friction': {'lever': 2e-4}}
+AS_BUILT = ROOT / 'test' / 'data' / 'as_built'
 NOWHERE = 'outside the catalogue'
 NAMED = {'none': NOWHERE, 'tether': NOWHERE, 'soft_cell': NOWHERE,
          'wrong_stiffness': 'backbone_stiffness'}  # fmt: skip
@@ -65,6 +69,29 @@ def test_the_staircase_is_what_the_descriptions_say(hinged):
     assert made.check.kind == 'left out'
     assert made.fitted.after <= made.check.after < 1.2 * made.fitted.after
     assert made.check.before == made.fitted.before
+
+
+@pytest.mark.parametrize('name', ['messy_002', 'messy_008', 'messy_s0'])
+def test_a_diagnosis_and_an_addition_tell_the_same_numbers_of_an_arm_as_built(name):
+    dataset = load_dataset(AS_BUILT / name / 'fit')
+    found = diagnose(dataset)
+    made = add_effects(dataset, [effect.name for effect in found.effects])
+    numbers = (made.fitted.before, made.fitted.after, made.fitted.floor)
+    said = (found.error_before, found.error_after, found.noise_floor)
+    assert said == pytest.approx(numbers, rel=0.02)
+    alone = made.fitted.after if made.fitted.alone is None else made.fitted.alone
+    assert found.error_alone == pytest.approx(alone, rel=0.02)
+    assert found.effects[0].explained == pytest.approx(min(made.fitted.gone, 1.0), abs=0.01)
+    best = next(row for row in found.candidates if row.status == 'best')
+    assert (best.error, best.explained) == (found.error_after, found.effects[0].explained)
+    for robot, error in ((dataset.robot, said[0]), (made.robot, said[1])):
+        markers = Predictor(dataset, robot, CATALOGUE).markers({})
+        left = rms(without_outliers(dataset).mean - markers)
+        assert error == pytest.approx(left, rel=0.02), 'each is that of a description'
+
+
+def without_outliers(dataset):
+    return find_outliers(Predictor(dataset, dataset.robot, CATALOGUE), {}).without(dataset)
 
 
 def test_the_file_says_where_its_values_come_from(hinged):

@@ -293,6 +293,34 @@ def test_a_wrong_answer_from_a_pipe_is_one_line(answers, message, monkeypatch, t
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize('points', ['down', 'unknown'])
+def test_a_hanging_arm_in_space_has_its_first_tendon_where_it_lies(points, monkeypatch, tmp_path):
+    weight = {'down': '0\n', 'unknown': ''}[points]
+    answers = f'arm\n1\n4\n6\n\n\n\n3\n5\n\n8\n0\n{points}\n{weight}\nchannel\n'
+    assert new_robot(monkeypatch, tmp_path, f'{answers}30\nred, green,blue\n') == 0
+    robot = load_robot(tmp_path / 'arm.yaml')
+    assert robot.inputs == ('red', 'green', 'blue')
+    angles = [np.degrees(np.arctan2(*t.base[::-1])) % 360.0 for t in robot.tendons]
+    assert angles == pytest.approx([30.0, 150.0, 270.0], abs=1e-4)
+    assert new_robot(monkeypatch, tmp_path, answers, '--output', 'as_ever.yaml') == 0
+    robot = load_robot(tmp_path / 'as_ever.yaml')
+    assert robot.inputs == ('tendon_1', 'tendon_2', 'tendon_3')
+    assert robot.tendons[0].base == (0.005, 0.0)
+
+
+def test_names_of_tendons_are_as_many_as_there_are_tendons(monkeypatch, tmp_path, capsys):
+    answers = 'arm\n1\n4\n6\n\n\n\n2\n5\n\n8\n0\n\n\nchannel\n'
+    for names in ('left', 'a,a', 'a,b=c', 'a,b,c'):
+        assert new_robot(monkeypatch, tmp_path, f'{answers}{names}\n') == 1
+        last = capsys.readouterr().err.splitlines()[-1]
+        assert (
+            f'expected 2 different names with commas between them, none with =, got {names!r}'
+            in last
+        )
+    assert new_robot(monkeypatch, tmp_path, f'{answers}left,right\n') == 0
+    assert load_robot(tmp_path / 'arm.yaml').inputs == ('left', 'right')
+
+
 def test_new_robot_replaces_no_file(monkeypatch, tmp_path, capsys):
     (tmp_path / 'arm.yaml').write_text('mine')
     assert new_robot(monkeypatch, tmp_path, '', '--output', 'arm.yaml') == 1

@@ -1,13 +1,12 @@
 """Every verdict in words: numbers in units that a person reads, reasons, and what to do."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tendon_robot_ros.diagnosis.load import load_of
-from tendon_robot_ros.diagnosis.report_rows import explained_share
+from tendon_robot_ros.diagnosis.report_rows import Left
 from tendon_robot_ros.diagnosis.result import (
     CandidateRow,
     Diagnosis,
@@ -141,17 +140,26 @@ def test_the_owner_of_a_value_is_said_in_words():
 
 
 def test_the_share_is_of_what_the_noise_leaves_even_where_it_was_declared_too_large():
-    def fit(chi2, freedom):
-        return SimpleNamespace(chi2=chi2, freedom=freedom, built=None)
+    def shares(before, best, other, floor):
+        left = Left(before, best, best, floor, False)
+        return left.share(best), left.share(other)
 
-    def shares(base, best, other):
-        ranked = SimpleNamespace(fit=best)
-        evidence = SimpleNamespace(base=base, best=ranked, base_chi2=None, noise_scale=1.0)
-        return explained_share(evidence, best), explained_share(evidence, other)
+    assert shares(5e-3, 1e-3, 3e-3, 1e-3) == (1.0, pytest.approx(0.5))
+    assert shares(5e-3, 1e-3, 3e-3, 2e-3) == (1.0, pytest.approx(0.5))  # of what is left
+    assert shares(5e-3, 1e-3, 6e-3, 1e-3) == (1.0, 0.0)
+    assert shares(1e-3, 1e-3, 1e-3, 2e-3) == (0.0, 0.0)
 
-    assert shares(fit(4900, 1000), fit(1000, 1000), fit(2950, 1000)) == (1.0, pytest.approx(0.5))
-    small = shares(fit(490, 1000), fit(100, 1000), fit(295, 1000))  # the same, a tenth of it
-    assert small == (1.0, pytest.approx(0.5))
+
+def test_what_the_effect_does_alone_and_with_the_arm_as_found_have_their_own_names():
+    found = replace(FOUND, error_alone=8e-4)
+    assert verdict(found).endswith(
+        'It explains 98 % of the explainable error with the arm as it was found, 68 % alone.'
+    )
+    assert (
+        'error: 2.00 mm as described -> 0.800 mm with hinge_friction alone -> 0.300 mm with the '
+        'arm as it was found as well (tolerances and imperfections), which is what `add` writes'
+    ) in lines(found)
+    assert not any(line.startswith('error: ') for line in lines(replace(FOUND, error_alone=3e-4)))
 
 
 def test_one_missing_effect():

@@ -1,14 +1,17 @@
 """Mistakes of the set-up are named as what they are, and arms without one are left alone."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import simulated
 from simulated import CATALOGUE, measured
 
+from tendon_robot_ros.common.rotations import upright_fit
 from tendon_robot_ros.comparison.predict import Predictor
-from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.diagnosis.diagnose import diagnose, implausible
+from tendon_robot_ros.diagnosis.result import EffectFinding, Value
 from tendon_robot_ros.diagnosis.setup_mistakes import find_mistake
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
 from tendon_robot_ros.report.diagnosis_text import lines
@@ -133,3 +136,70 @@ def test_a_miscount_that_no_effect_explains_is_said(limp):
     found = diagnose(replace(right, robot=replace(limp, sections=(shorter,)), markers=along))
     assert found.verdict == 'cannot_judge'
     assert 'with 11 cells instead of 10 in the arm' in found.details['mistake']['sentence']
+
+
+def registered(dataset):
+    """Return the data set as an import lays it onto the model as described, upright."""
+    robot = replace(dataset.robot, tolerances={'position': 2e-3, 'rotation': 0.035})
+    markers = Predictor(dataset, robot, CATALOGUE).markers({})
+    down = np.array(robot.gravity) / np.linalg.norm(robot.gravity)
+    turn, shift = upright_fit(dataset.mean.reshape(-1, 3), markers.reshape(-1, 3), down)
+    return replace(dataset, robot=robot, positions=dataset.positions @ turn.T + shift)
+
+
+def a_cell_too_few(dataset):
+    """Return the data set as it is of an arm of a cell less, its last marker at the tip."""
+    section = dataset.robot.sections[0]
+    count, cell = section.cells - 1, section.cell_length
+    shorter = replace(section, cells=count, bending_stiffness=section.bending_stiffness[:count],
+                      mass_profile=section.mass_profile[:count])  # fmt: skip
+    markers = tuple(replace(m, arc_length=m.arc_length - cell) for m in dataset.markers)
+    return replace(dataset, robot=replace(dataset.robot, sections=(shorter,)), markers=markers)
+
+
+def stiff(dataset, factor):
+    section = dataset.robot.sections[0]
+    changed = tuple(factor * k for k in section.bending_stiffness)
+    section = replace(section, bending_stiffness=changed)
+    return replace(dataset, robot=replace(dataset.robot, sections=(section,)))
+
+
+BESIDE = {
+    'spatial, a cell too few': (a_cell_too_few, 'cells', 'with 11 cells instead of 10 in the arm'),
+    'spatial, the modulus ten times too large': (
+        lambda d: stiff(d, 10.0), 'stiffness', 'with the bending stiffness divided by 10'),
+    'spatial, mN for N': (
+        lambda d: replace(d, inputs=1e-3 * d.inputs), 'unit_of_inputs',
+        'with all inputs multiplied by 1000'),
+    'planar, mN for N': (
+        lambda d: replace(d, inputs=1e-3 * d.inputs), 'unit_of_inputs',
+        'with all inputs multiplied by 1000'),
+    'planar, tensions ten times too large': (
+        lambda d: replace(d, inputs=10.0 * d.inputs), 'unit_of_inputs',
+        'with all inputs divided by 10'),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize('name', BESIDE)
+def test_a_mistake_beside_a_missing_effect_is_said_with_the_effect(name, limp):
+    make, mistake, sentence = BESIDE[name]
+    if name.startswith('planar'):
+        wrong = make(measured(ROBOT, {'hinge_friction': {'lever': 3e-4}}, count=8))
+    else:
+        right = measured(limp, {'tendon_friction': {'friction_coefficient': 0.12}}, count=8)
+        wrong = registered(make(right))
+    found = diagnose(wrong, workers=1)
+    assert found.details['mistake']['name'] == mistake
+    assert sentence in found.remainder
+    assert found.effects == ()
+
+
+def test_a_stiffness_that_no_rod_is_off_by_is_said(limp):
+    value = Value(1.4, 1.3, 1.5, '1')
+    found = SimpleNamespace(effects=[EffectFinding('backbone_stiffness',
+                                                   {'relative_change': value}, 1.0)])  # fmt: skip
+    assert implausible(found)[0].startswith('backbone_stiffness of +140 % is no tolerance: check')
+    usual = EffectFinding(
+        'backbone_stiffness', {'relative_change': replace(value, value=0.3)}, 1.0
+    )
+    assert implausible(SimpleNamespace(effects=[usual])) == []

@@ -15,11 +15,10 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, TextIO, TypeVar
+from typing import Any
 
 import yaml
 
@@ -34,6 +33,7 @@ from ..robot.estimates import (
     stiffness_from_sag,
 )
 from .describe import description
+from .questions import FIRST_WORDS, Questions
 
 NAME = 'new-robot'
 HELP = 'ask about a robot, write its description and draw it'
@@ -121,6 +121,9 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
     content |= _ask_down(questions, content.get('gravity', (0.0, 0.0, 0.0)), content['tendons'])
     if 'eyelet_wrap' in content['effects'] and _ask_plate(questions):
         content['sections'].insert(0, dict(PLATE))
+    if many > 2 and not content.get('gravity', [0.0])[0]:
+        _ask_turn(questions, content['tendons'])
+    _ask_names(questions, content['tendons'])
     return content
 
 
@@ -187,6 +190,24 @@ def _ask_down(
     angle = math.radians(degrees)
     down = (gravity[0] * math.cos(angle), -gravity[0] * math.sin(angle))
     return {'gravity': [round(down[0], 4) + 0.0, round(down[1], 4) + 0.0, 0.0]}
+
+
+def _ask_turn(questions: Questions, tendons: list[dict[str, Any]]) -> None:
+    """Ask where the first tendon lies in a base frame of the user's own; all turn with it."""
+    first = tendons[0]['name']
+    question = f'In your base frame {first} lies at [° from x towards y]'
+    angle = math.radians(questions.number(question, 0.0, -360.0, 360.0))
+    c, s = math.cos(angle), math.sin(angle)
+    for tendon in tendons if angle else ():
+        x, y = tendon['offset']
+        tendon['offset'] = [round(c * x - s * y, 9) + 0.0, round(s * x + c * y, 9) + 0.0]
+
+
+def _ask_names(questions: Questions, tendons: list[dict[str, Any]]) -> None:
+    """Ask what the tendons are called: tables and commands name them so."""
+    known = [tendon['name'] for tendon in tendons]
+    for tendon, name in zip(tendons, questions.names('Names of the tendons', known), strict=True):
+        tendon['name'] = name
 
 
 # -----------------------------------------------------------------------------
@@ -283,117 +304,3 @@ def _tendons(
         }
         for j, a in enumerate(angles)
     ]
-
-
-# -----------------------------------------------------------------------------
-# Questions on a terminal or a pipe; a person is asked again, a pipe gets an error.
-
-T = TypeVar('T')
-BACK = ('<', 'back')  # answers that go to the question before
-FIRST_WORDS = 'An empty answer takes the value in brackets; < goes back to the question before.'
-
-
-class _WentBack(Exception):
-    """Somebody wants to answer the question before once more."""
-
-
-class Questions:
-    """Asks one question per line; an empty answer takes the default, `<` goes back."""
-
-    def __init__(self, answers: TextIO, prompts: TextIO) -> None:
-        """Answers come from one stream, prompts go to another."""
-        self._answers, self._prompts = answers, prompts
-        self._person = answers.isatty()
-        self._given: list[str] = []  # answers, in order
-        self._turn = 0  # of the next question
-        self._before: dict[str, str] = {}  # question -> what was answered before going back
-
-    def until_answered(self, ask: Callable[[], T]) -> T:
-        """Return what `ask` makes of the answers; after a `<` what stays is answered as it was."""
-        while True:
-            self._turn = 0
-            try:
-                return ask()
-            except _WentBack:
-                if self._given:
-                    self._given.pop()
-
-    def text(self, question: str, default: str) -> str:
-        """Ask for a name."""
-
-        def read(answer: str) -> str:
-            if set(',=') & set(answer):
-                raise ValueError
-            return answer
-
-        return self._ask(question, default, 'a name without comma or equals sign', read)
-
-    def whole(self, question: str, default: int, low: int, high: int) -> int:
-        """Ask for a whole number within bounds."""
-
-        def read(answer: str) -> int:
-            value = int(answer)
-            if not low <= value <= high:
-                raise ValueError
-            return value
-
-        return self._ask(question, str(default), f'a whole number from {low} to {high}', read)
-
-    def tell(self, text: str) -> None:
-        """Say something before a question, unless that is answered already."""
-        if self._turn == len(self._given):
-            print(text, file=self._prompts)
-
-    def number(
-        self,
-        question: str,
-        default: float,
-        low: float,
-        high: float,
-        words: Mapping[str, float] = MappingProxyType({}),
-        above: bool = False,
-        why: str = '',
-    ) -> float:
-        """Ask for a number within bounds (or above `low`), or for a word that stands for one."""
-
-        def read(answer: str) -> float:
-            value = words[answer] if answer in words else float(answer)
-            if not low <= value <= high or (above and value == low):
-                raise ValueError
-            return value
-
-        bounds = f'a number {"above" if above else "from"} {low:g} to {high:g}'
-        expected = ' or '.join([f'{bounds} ({why})' if why else bounds, *words])
-        return self._ask(question, f'{default:g}', expected, read)
-
-    def choice(self, question: str, known: tuple[str, ...]) -> str:
-        """Ask for one of some words; the first is the default."""
-
-        def read(answer: str) -> str:
-            return known[known.index(answer)]
-
-        return self._ask(f'{question}: {", ".join(known)}', known[0], ' or '.join(known), read)
-
-    def _ask(self, question: str, default: str, expected: str, read: Callable[[str], T]) -> T:
-        self._turn += 1
-        if self._turn <= len(self._given):
-            return read(self._given[self._turn - 1])
-        default = self._before.get(question, default)
-        while True:
-            print(f'{question} [{default}]: ', end='', file=self._prompts, flush=True)
-            answer = self._answers.readline().strip()
-            if not self._person:
-                print(answer, file=self._prompts)
-            if answer in BACK:
-                raise _WentBack
-            try:
-                value = read(answer or default)
-            except ValueError:
-                message = f'{question}: expected {expected}, got {answer!r}'
-                if not self._person:
-                    raise InputError(message) from None
-                print(message, file=self._prompts)
-                continue
-            self._given.append(answer or default)
-            self._before[question] = answer or default
-            return value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import reprlib
 
 _SHORT = reprlib.Repr()  # a file may hold a value of any size; a message may not
@@ -40,12 +41,15 @@ class NoEquilibriumError(TendonRobotError):
     """The model finds no equilibrium for a posture."""
 
     def __init__(self, posture: str, effects: tuple[str, ...], last_change: float) -> None:
-        """Say at which posture, with which implicit effects, and how far it still moved [rad]."""
+        """Say at which posture, with which implicit effects, and how far it moved [rad]."""
         self.posture, self.effects, self.last_change = posture, effects, last_change
         names = ', '.join(effects) or 'no implicit effect'
+        still = ''
+        if math.isfinite(last_change):
+            still = f': the last step still changed a bend by {last_change:.2g} rad'
         super().__init__(
-            f'no equilibrium for {posture} with {names}: the last step still changed a bend by '
-            f'{last_change:.2g} rad; lower the tensions or loads, or check the units'
+            f'no equilibrium for {posture} with {names}{still}; lower the tensions or loads, or '
+            'check the units'
         )
 
 

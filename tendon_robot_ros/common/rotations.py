@@ -114,6 +114,16 @@ def rigid_fit(points: Array, onto: Array, weights: Array | None = None) -> tuple
     return turn, there - turn @ middle
 
 
+def upright_fit(points: Array, onto: Array, axis: Array) -> tuple[Array, Array]:
+    """Return the same as `rigid_fit` of a rotation about a unit vector (3,), and the shift."""
+    middle, there = points.mean(axis=0), onto.mean(axis=0)
+    a, b = points - middle, onto - there
+    along = (a @ axis) @ (b @ axis)
+    angle = math.atan2(float(axis @ np.cross(a, b).sum(axis=0)), float((a * b).sum() - along))
+    turn = np.array([rotated(unit, angle * axis) for unit in np.eye(3)]).T
+    return turn, there - turn @ middle
+
+
 def turn_angle(turn: Array) -> float:
     """Return the angle [rad] of a rotation matrix (3, 3)."""
     return math.acos(min(max((float(np.trace(turn)) - 1.0) / 2.0, -1.0), 1.0))

@@ -11,6 +11,11 @@ UNIT_PREFIXES = ((1e6, 'M'), (1e3, 'k'), (1.0, ''), (1e-3, 'm'), (1e-6, 'µ'), (
 PROGRAM = 'python -m tendon_robot_ros'
 
 
+def percent(share: float) -> str:
+    """Show a share; what is not all of it is never 100 %."""
+    return f'{int(100.0 * share) if share < 1.0 else 100} %'
+
+
 def digits(value: float, count: int = 2) -> str:
     """Show a number with so many significant digits, without an exponent where it is short."""
     if value == 0.0 or not math.isfinite(value):

@@ -41,6 +41,7 @@ missing_moment.py     which moment the model lacks where: what the pictures show
 A better description
 add.py                write effects into a description, and undo it
 into_description.py   what was found of an arm as built, in its description
+written.py            the description that a fit writes: effects alone, or the arm as found as well
 improve.py            effects join while the error on left-out postures falls
 improved_values.py    how far its values may be off, the arm being as it is built
 stepwise.py           the search for the one that joins next

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from functools import reduce
@@ -18,15 +19,15 @@ from ..data import DataSet
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from .candidates import Candidate, is_tested, why_untested
-from .decide import LEFT_OUT_SHARE_MAX, P_SINGLE_MIN
+from .decide import P_SINGLE_MIN
 from .fit import Fit
-from .into_description import with_members, with_tolerances, with_values
 from .load import loads_of
 from .outliers import find_outliers
-from .prediction_errors import Errors, errors_on, left_out
+from .prediction_errors import Errors, Staircase, errors_on
 from .report_rows import values_with_intervals
 from .result import EffectFinding, LoadVector, Value
 from .session import Session
+from .written import Written, written
 
 
 @dataclass(frozen=True)
@@ -74,22 +75,13 @@ class Addition:
                 for name, values in self.values.items()
             },
             'loads': {name: asdict(load) for name, load in self.loads.items()},
-            'fitted': vars(self.fitted),
-            'check': vars(self.check),
+            'fitted': self.fitted.to_json(),
+            'check': self.check.to_json(),
             'probability': self.probability,
             'moved': self.moved,
             'beside': self.beside,
             'more_at_work': self.more_at_work,
         }
-
-
-def changed_robot(robot: Robot, catalogue: Catalogue, fit: Fit, dataset: DataSet) -> Robot:
-    """Return the description with the fitted effects."""
-    values = list(zip(fit.frees, fit.values.tolist(), strict=False))
-    robot = with_values(robot, catalogue, values)
-    if robot.gravity is None and any(catalogue[f.effect].needs == 'gravity' for f in fit.frees):
-        robot = replace(robot, gravity=dataset.gravity)
-    return robot
 
 
 def with_origin(made: Addition, before: Robot) -> Robot:
@@ -226,31 +218,30 @@ def add_effects(
     dataset = session.dataset
     fit = fit_effects(session, names, _point(session, names, start))
     probability = fit.probability(session.freedom)
-    written = _written(session, fit)
+    made = written(session, fit)
     if probability <= P_SINGLE_MIN and session.accuracy:
-        fit, written = _by_accuracy(session, names, fit, written)
+        fit, made = _by_accuracy(session, names, fit, made)
     own = fit.probability(session.freedom) if session.use_accuracy else probability
     scale = 1.0 if own > P_SINGLE_MIN else max(1.0, fit.chi2 / max(fit.freedom, 1))
     values = values_with_intervals(session.fitters[0], fit, scale)
-    changed, after, beside = written
-    fitted = errors_on(dataset, described, changed, session.catalogue, 'fitted')
+    robots = Staircase(described, made.alone, made.robot)
+    fitted = errors_on(dataset, robots, session.catalogue, 'fitted')
     on_check = (
-        replace(fitted, kind='left out', after=after)
+        replace(fitted, kind='left out', alone=made.alone_left_out, after=made.left_out)
         if check is None
-        else errors_on(check, described, changed, session.catalogue, 'check')
+        else errors_on(check, robots, session.catalogue, 'check')
     )
     more = more_at_work(fitted, probability) if partial or probability <= P_SINGLE_MIN else ''
     by = session.accuracy if session.use_accuracy else None
     loads, moved = loads_of(fit, session.predictor, scale), fit.prior_z
-    made = Addition(changed, values, fitted, on_check, probability, moved, more, beside, by, loads)
-    return replace(made, robot=with_origin(made, described))
-
-
-Written = tuple[Robot, float, bool]  # description, its error [m] on postures left out, beside
+    added = Addition(
+        made.robot, values, fitted, on_check, probability, moved, more, made.beside, by, loads
+    )
+    return replace(added, robot=with_origin(added, described))
 
 
 def _by_accuracy(
-    session: Session, names: Sequence[str], fit: Fit, written: Written
+    session: Session, names: Sequence[str], fit: Fit, made: Written
 ) -> tuple[Fit, Written]:
     """
     Fit effects that are not the whole story again, weighed by the declared accuracy.
@@ -260,34 +251,14 @@ def _by_accuracy(
     never rises by it.
     """
     session.use_accuracy = True
-    try:
+    with suppress(NoEquilibriumError):
         again = fit_effects(session, names, fit.point) if session.weigh(fit.point) else fit
-        found = _written(session, again)
-    except NoEquilibriumError:
-        found = (written[0], np.inf, False)
-    if found[1] <= written[1]:
-        return again, found
+        found = written(session, again)
+        if found.left_out <= made.left_out:
+            return again, found
     session.use_accuracy = False
     session.weigh(fit.point, fit.around)
-    return fit, written
-
-
-def _written(session: Session, fit: Fit) -> Written:
-    """
-    Return the description to write, its error [m] on postures left out, and what it holds.
-
-    What was fitted beside the effects goes along where that lowers this error: tolerances that
-    moved, and imperfections, which of an exact arm are only noise.
-    """
-    plain = changed_robot(session.robot, session.catalogue, fit, session.dataset)
-    alone = left_out(session.fitters[0], fit, beside=False)
-    if fit.built is None and not fit.nuisances:
-        return plain, alone, False
-    together = left_out(session.fitters[0], fit)
-    if together > LEFT_OUT_SHARE_MAX * alone:
-        return plain, alone, False
-    moved = with_tolerances(plain, session.catalogue, fit)
-    return with_members(moved, fit, session.dataset.input), together, True
+    return fit, made
 
 
 def add_effect(dataset: DataSet, name: str, **options: Any) -> Addition:

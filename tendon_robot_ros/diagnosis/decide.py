@@ -42,12 +42,17 @@ ODD_FROM_FLOORS = 10.0  # noise floors of error from which a mistake of the set-
 FRAME_TURNED_MIN_DEG = 10.0  # by which the frame of the tracker is turned in a mistake
 FRAME_OFF_SHARE_MIN = 0.1  # of the length of the arm, by which it is shifted in one
 GROSS_FROM_FLOORS = 20.0  # and from which the frame of the tracker may be far off
+FRAME_HARDLY_KNOWN_RAD = 0.017  # tolerance of its rotation from which the model has found it
+FRAME_LEVEL_RAD = 0.05  # below which only the turn about the vertical was found so
 ERROR_SHARE_LEFT_MAX = 0.1  # of the error, that a mistake may leave
 EXPLAINED_WITHIN_FLOORS = 8.0  # or so many noise floors, if that is more
 ERROR_SHARE_LEFT_LIMIT = 0.3  # of the error, that it may leave in any case
 PLAIN_WITHIN_FLOORS = (
     1.2  # floors of an arm built as usual; a mistake that leaves more is no proof
 )
+PARTLY_LEFT_MAX = 0.6  # of the error, that a mistake may leave where effects are at work as well
+PARTLY_TRIED_MAX = 3  # such mistakes without which the measurements are judged again
+STIFFNESS_FACTOR_MAX = 2.0  # by which a stiffness or an offset may be off and be a tolerance
 MISTAKE_HANDICAP = 6.0  # of score against effects: some twenty ways of miscounting are tried
 AS_GOOD_WITHIN = 1.3  # times the least error left: then the plainest mistake is said
 ODD_FROM_SPREADS = 4.0  # times the error of all other markers, that two exchanged ones have

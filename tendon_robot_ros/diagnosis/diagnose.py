@@ -23,6 +23,7 @@ from .decide import (
     PLAIN_WITHIN_FLOORS,
     POSTURES_MIN,
     SAME_WITHIN_CHI2,
+    STIFFNESS_FACTOR_MAX,
     STRAY_SD_MAX,
     Verdict,
 )
@@ -37,11 +38,11 @@ from .evidence import (
 from .next_measurement import propose
 from .outliers import find_outliers
 from .patterns import Pattern
-from .report_rows import details_of, finding, rows_of
+from .report_rows import details_of, finding, left_by, rows_of
 from .result import Diagnosis
 from .session import Progress, Session, joined, several
 from .setup_hypotheses import Mistake
-from .setup_mistakes import find_mistake
+from .setup_mistakes import find_mistake, partly_mistaken
 
 
 @one_thread()
@@ -85,14 +86,45 @@ def diagnose(
     usual = usual_floor(session)
     mistake = find_mistake(session.predictor, session.whitener.floor(), usual)
     if mistake is None:
-        return _judge(session)
+        return _looked_through(session, _judge(session))
     plain = mistake.after <= PLAIN_WITHIN_FLOORS * usual
-    if plain and mistake.mended is None:
+    if plain and not mistake.doubtful:
         return _mistaken(session, mistake)
     diagnosis = _judge(session)  # an effect that explains all is the better story
     if not diagnosis.verdict.may_add:
         return _mistaken(session, mistake)
     return _likelier(session, mistake, diagnosis) if plain else diagnosis
+
+
+def _looked_through(session: Session, diagnosis: Diagnosis) -> Diagnosis:
+    """
+    Return a diagnosis, or the mistake without which effects explain what they do not here.
+
+    Asked where nothing explains a gross error, or only a stiffness that no rod is off by: each
+    mistake that takes much of it is mended, and the measurements are judged again.
+    """
+    odd = implausible(diagnosis)
+    explained = diagnosis.verdict is not Verdict.OUTSIDE_CATALOGUE
+    if explained and not odd:
+        return diagnosis
+    for mistake in partly_mistaken(session.predictor, session.whitener.floor()):
+        again = _judge_mended(session, mistake)
+        if again is None or again.verdict is Verdict.OUTSIDE_CATALOGUE or implausible(again):
+            continue
+        if again.error_after < diagnosis.error_after or not explained:
+            names = listed([effect.name for effect in again.effects])
+            rest = f', and with {names} to {mm(again.error_after)}' if names else ''
+            return _mistaken(session, replace(mistake, rest=rest))
+    caveats = [*diagnosis.details['caveats'], *odd]
+    return replace(diagnosis, details={**diagnosis.details, 'caveats': caveats})
+
+
+def _judge_mended(session: Session, mistake: Mistake) -> Diagnosis | None:
+    """Judge the measurements without a mistake; None where nothing can be judged then."""
+    dataset = mistake.mended
+    assert dataset is not None
+    mended = Session(dataset, dataset.robot, session.catalogue, session.workers, session.progress)
+    return _judge(mended) if mended.weigh({}) else None
 
 
 def _likelier(session: Session, mistake: Mistake, diagnosis: Diagnosis) -> Diagnosis:
@@ -106,6 +138,25 @@ def _likelier(session: Session, mistake: Mistake, diagnosis: Diagnosis) -> Diagn
     names = listed([effect.name for effect in diagnosis.effects])
     mend = f'{mistake.mend}; if that is as described, add {names}, which explains it as well'
     return _mistaken(session, mistake if gain < -APART_FROM_SCORE else replace(mistake, mend=mend))
+
+
+def implausible(diagnosis: Diagnosis) -> list[str]:
+    """Say which found values no rod and no tendon is off by; nothing where all may be."""
+    said = []
+    for effect in diagnosis.effects:
+        for key, value in effect.parameters.items():
+            change = value.value
+            if effect.name == 'transmission_loss':
+                change = -change
+            elif not key.startswith('relative_change'):
+                continue
+            if not 1.0 / STIFFNESS_FACTOR_MAX < 1.0 + change < STIFFNESS_FACTOR_MAX:
+                said.append(
+                    f'{effect.name} of {100.0 * change:+.0f} % is no tolerance: check the unit of '
+                    'the inputs, how the bending stiffness was worked out (modulus, diameter), '
+                    'the offsets of the tendons and the number of cells'
+                )
+    return said
 
 
 def _score_mended(session: Session, mistake: Mistake) -> float:
@@ -261,28 +312,26 @@ def _result(
     following: object,
 ) -> Diagnosis:
     session = evidence.session
-    measured = session.dataset.mean
-    after = chosen[0].fit.markers if chosen else evidence.base.markers
-    as_described = session.predictor.markers({})
-    assert as_described is not None
+    left = left_by(session, chosen[0].fit if chosen else evidence.base)
     untested = tuple(
         c.names[0]
         for c in evidence.not_tested
         if c.names[0] not in {name for r in chosen for name in r.candidate.names}
     )
-    effects = tuple(item for r in chosen for item in finding(evidence, r))
+    effects = tuple(item for r in chosen for item in finding(evidence, r, left))
     return Diagnosis(
         verdict=verdict,
         effects=effects,
         cannot_tell_apart=together,
         not_tested=untested,
         out_of_tolerance=tuple(strays),
-        error_before=rms(measured - as_described),
-        error_after=rms(measured - after),
-        noise_floor=session.whitener.floor(),
+        error_before=left.before,
+        error_after=left.after,
+        error_alone=left.alone,
+        noise_floor=left.floor,
         next_measurement=following,  # type: ignore[arg-type]
-        remainder=remainder_text(evidence, chosen[0] if chosen else None, verdict),
-        candidates=rows_of(evidence, chosen, together, verdict),
+        remainder=remainder_text(evidence, chosen[0] if chosen else None, verdict, left.after),
+        candidates=rows_of(evidence, chosen, together, verdict, left),
         details=details_of(evidence, chosen, together, verdict),
     )
 

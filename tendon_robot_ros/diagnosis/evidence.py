@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from ..comparison.noise import rms
 from .candidates import Candidate, Ranked
 from .decide import (
     ALARM_LEVEL,
@@ -39,8 +38,6 @@ class Evidence:
     best: Ranked | None = None
     competing: Pattern | None = None
     scale: float = 1.0  # chi² over freedom of the best, where nothing is adequate
-    base_chi2: float | None = None  # of the base with the best fit's imperfections, once known
-    noise_scale: float = 1.0  # of the variance, where the best fit needs less than is declared
 
     @cached_property
     def patterns(self) -> list[Pattern]:
@@ -100,11 +97,13 @@ def competing_pattern(evidence: Evidence, score: float) -> Pattern | None:
 # What remains unexplained, in plain words from the patterns that fit it.
 
 
-def remainder_text(evidence: Evidence, chosen: Ranked | None, verdict: Verdict) -> str:
-    """Say how much remains after the chosen effects (or none), and what it looks like."""
+def remainder_text(
+    evidence: Evidence, chosen: Ranked | None, verdict: Verdict, left: float
+) -> str:
+    """Say that so much [m] remains after the chosen effects (or none), and what it looks like."""
     session = evidence.session
     fit = chosen.fit if chosen else evidence.base
-    left, floor = rms(session.dataset.mean - fit.markers), session.whitener.floor()
+    floor = session.whitener.floor()
     is_noise = left < NOISE_WITHIN_FLOORS * floor
     text = f'What is left ({1e3 * left:.2f} mm) ' + (
         f'equals your repeatability ({1e3 * floor:.2f} mm).'

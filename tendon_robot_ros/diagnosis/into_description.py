@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..comparison.predict import CELLS, FreeParameter
+from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
 from ..robot.description import EffectValues
@@ -49,6 +50,15 @@ def _entry(
     for column, value in own:
         each[column or 0] = value
     return tuple(each)
+
+
+def changed_robot(robot: Robot, catalogue: Catalogue, fit: Fit, dataset: DataSet) -> Robot:
+    """Return the description with the fitted effects."""
+    values = list(zip(fit.frees, fit.values.tolist(), strict=False))
+    robot = with_values(robot, catalogue, values)
+    if robot.gravity is None and any(catalogue[f.effect].needs == 'gravity' for f in fit.frees):
+        robot = replace(robot, gravity=dataset.gravity)
+    return robot
 
 
 def with_tolerances(robot: Robot, catalogue: Catalogue, fit: Fit) -> Robot:

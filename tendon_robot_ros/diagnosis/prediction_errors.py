@@ -6,8 +6,10 @@ Errors of a prediction: before, after, on postures left out; and what slopes alo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -44,20 +46,44 @@ class Errors:
     before: float
     after: float
     floor: float | None  # of a perfect model; None: nothing tells the noise
+    alone: float | None = None  # with the effects, the arm otherwise as described; None: as after
 
     @property
     def gone(self) -> float | None:
         """Share of the error above the floor that is gone; None where there was none."""
-        floor = self.floor or 0.0
-        return (self.before - self.after) / (self.before - floor) if self.before > floor else None
+        return share_gone(self.before, self.after, self.floor or 0.0)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data for JSON; an effect without an equilibrium alone has no error."""
+        unknown = self.alone is not None and not math.isfinite(self.alone)
+        return {**vars(self), 'alone': None if unknown else self.alone}
 
 
-def errors_on(
-    dataset: DataSet, before: Robot, after: Robot, catalogue: Catalogue, kind: str
-) -> Errors:
-    """Compare two descriptions, just as they stand, with the measurements of a data set."""
-    old = predict(dataset, before, catalogue)[1]
-    predictor, new = predict(dataset, after, catalogue)
+def share_gone(before: float, after: float, floor: float) -> float | None:
+    """
+    Return which share of the explainable error is gone, at most 1; None where there was none.
+
+    Explainable is what lies above the noise floor, or above what is left, where that is less:
+    noise that was declared too large does not make an error unexplainable.
+    """
+    least = min(floor, after)
+    return (before - after) / (before - least) if before > least else None
+
+
+@dataclass(frozen=True)
+class Staircase:
+    """The descriptions on the way: as described, with effects alone, and as it is written."""
+
+    before: Robot
+    alone: Robot
+    after: Robot
+
+
+def errors_on(dataset: DataSet, robots: Staircase, catalogue: Catalogue, kind: str) -> Errors:
+    """Compare descriptions, just as they stand, with the measurements of a data set."""
+    old = predict(dataset, robots.before, catalogue)[1]
+    predictor, new = predict(dataset, robots.after, catalogue)
+    same = robots.alone is robots.after
     slopes = input_slopes(predictor, {})
     noise = estimate_noise(dataset, slopes)
     floor = None if noise is None else Whitener(dataset, noise, slopes).floor()
@@ -68,7 +94,14 @@ def errors_on(
         rms(dataset.mean - old),
         rms(dataset.mean - new),
         floor,
+        None if same else rms_of(dataset, robots.alone, catalogue),
     )
+
+
+def rms_of(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> float:
+    """Return the rms [m] of a description, just as it stands; nan without an equilibrium."""
+    markers = Predictor(dataset, robot, catalogue).markers({})
+    return np.nan if markers is None else rms(dataset.mean - markers)
 
 
 def predict(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> tuple[Predictor, Floats]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..common.words import mm, spoken
-from ..comparison.noise import rms
 from ..comparison.statistics import chi2_isf, normal_ppf
 from ..data import DataSet
 from ..data.dataset import at_rest
@@ -31,54 +30,15 @@ from .interval import intervals
 from .load import loads_of
 from .local_tests import faults_of
 from .outliers import Outliers
+from .prediction_errors import share_gone
 from .result import NOT_NEEDED, CandidateRow, EffectFinding, Value
 from .session import Session
+from .written import described_by, error_of, written
 
 if TYPE_CHECKING:
     from .evidence import Evidence
 
 NOISE_KEYS = ('position', 'shift', 'trial', 'setting', 'source')
-
-
-def explained_share(evidence: Evidence, fit: Fit) -> float:
-    """
-    1 - (chi²_c - s nu_c) / (chi²_0 - s nu_0), clipped to [0, 1].
-
-    Of an arm as built: both with the imperfections of the best candidate's fit and no remainder,
-    so that scatter which only a wrong model needs counts as its error. The scale s of the noise
-    is 1, or chi² over nu of the best where that is less: noise that was declared too large does
-    not make the error of a model unexplainable.
-    """
-    base = evidence.base
-    if evidence.base_chi2 is None:
-        evidence.base_chi2 = _comparable_chi2(evidence, base)
-        if evidence.best is not None:
-            least = _comparable_chi2(evidence, evidence.best.fit)
-            evidence.noise_scale = min(1.0, least / max(evidence.best.fit.freedom, 1))
-    excess = evidence.base_chi2 - evidence.noise_scale * base.freedom
-    if excess <= 0.0:
-        return 0.0
-    after = _comparable_chi2(evidence, fit) - evidence.noise_scale * fit.freedom
-    return float(np.clip(1.0 - after / excess, 0.0, 1.0))
-
-
-def _comparable_chi2(evidence: Evidence, fit: Fit) -> float:
-    """Chi² of a fit, with the imperfections of the best candidate's where there are some."""
-    best = evidence.best
-    if best is None or best.fit.built is None or fit.built is None:
-        return fit.chi2
-    sizes = best.fit.built.sizes.copy()
-    sizes[-1] = 0.0
-    return _chi2_with(evidence.session.fitters[0], fit, sizes)
-
-
-def _chi2_with(fitter: Fitter, fit: Fit, sizes: np.ndarray) -> float:
-    """Chi² of a fit's parameters with imperfections of given sizes."""
-    fitter.resume(fit)
-    fitter.take(sizes)
-    markers = fitter.predictor.markers(fit.point)
-    white = fitter.lift(fitter.residual(fit.markers if markers is None else markers))
-    return float(white @ white) + sum(z * z for z in fit.prior_z.values())
 
 
 def values_of(fit: Fit, scale: float = 1.0) -> dict[str, dict[str, Value]]:
@@ -123,10 +83,35 @@ def _note(fit: Fit, i: int, half: float) -> str:
     return ''
 
 
-def finding(evidence: Evidence, ranked: Ranked) -> list[EffectFinding]:
+@dataclass(frozen=True)
+class Left:
+    """Rms errors [m] on the fitted postures, each that of a description as it stands."""
+
+    before: float  # as described
+    alone: float  # with the effects, the arm otherwise as described
+    after: float  # as `add` writes it
+    floor: float  # of a perfect model
+    beside: bool  # whether what is written has the arm as it was found as well
+
+    def share(self, error: float) -> float:
+        """Return which share of the explainable error is gone where so much is left, 0 to 1."""
+        gone = share_gone(self.before, error, min(self.floor, self.after))
+        return 0.0 if gone is None else float(np.clip(gone, 0.0, 1.0))
+
+
+def left_by(session: Session, fit: Fit) -> Left:
+    """Return the errors of the descriptions that a fit would write."""
+    made = written(session, fit)
+    alone = error_of(session, made.alone)
+    after = error_of(session, made.robot) if made.beside else alone
+    before = error_of(session, session.robot)
+    return Left(before, alone, after, session.whitener.floor(), made.beside)
+
+
+def finding(evidence: Evidence, ranked: Ranked, left: Left) -> list[EffectFinding]:
     """Return the effects of a candidate, with what they explain together."""
     values = values_with_intervals(evidence.session.fitters[0], ranked.fit, evidence.scale)
-    share = explained_share(evidence, ranked.fit)
+    share = left.share(left.after)
     loads = loads_of(ranked.fit, evidence.session.predictor, evidence.scale)
     present = evidence.session.robot.effects
     return [
@@ -136,14 +121,22 @@ def finding(evidence: Evidence, ranked: Ranked) -> list[EffectFinding]:
 
 
 def rows_of(
-    evidence: Evidence, chosen: Sequence[Ranked], together: Sequence[str], verdict: Verdict
+    evidence: Evidence,
+    chosen: Sequence[Ranked],
+    together: Sequence[str],
+    verdict: Verdict,
+    left: Left,
 ) -> tuple[CandidateRow, ...]:
-    """Return the candidate table, best first; where nothing is missing nothing is explained."""
+    """
+    Return the candidate table, best first; where nothing is missing nothing is explained.
+
+    The error of every candidate is of the same kind as that which is told of the chosen one.
+    """
     ranked = list(evidence.singles)
     ranked += [r for r in chosen if r not in ranked]
     rows = []
     for r in sorted(ranked, key=lambda r: r.score):
-        rows.append(_row(evidence, r, chosen, together, verdict))
+        rows.append(_row(evidence, r, chosen, together, verdict, left))
         evidence.session.progress('postures left out', len(rows), len(ranked))
     return tuple(rows)
 
@@ -154,6 +147,7 @@ def _row(
     chosen: Sequence[Ranked],
     together: Sequence[str],
     verdict: Verdict,
+    left: Left,
 ) -> CandidateRow:
     fit, session = ranked.fit, evidence.session
     needed = verdict is not Verdict.ADEQUATE
@@ -170,7 +164,7 @@ def _row(
         for effect, items in values_of(fit, evidence.scale).items()
         for key, value in items.items()
     }
-    error = rms(session.dataset.mean - fit.markers)
+    error = error_of(session, described_by(session, fit, left.beside))
     inflate = np.sqrt(max(ranked.held_out, 1e-12) / max(fit.chi2, 1e-12))
     loads = loads_of(fit, session.predictor, evidence.scale)
     return CandidateRow(
@@ -179,7 +173,7 @@ def _row(
         fit.chi2,
         fit.freedom,
         ranked.probability,
-        explained_share(evidence, fit) if needed else 0.0,
+        left.share(error) if needed else 0.0,
         error,
         float(error * inflate),
         status,

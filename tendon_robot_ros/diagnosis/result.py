@@ -62,7 +62,7 @@ class EffectFinding:
 
     name: str
     parameters: dict[str, Value]
-    explained: float  # share of the explainable error that this verdict explains, 0 to 1
+    explained: float  # share of the explainable error that is gone with what `add` writes, 0 to 1
     present: bool = False
     load: LoadVector | None = None  # of an effect that is a force: its size and direction
 
@@ -85,7 +85,7 @@ class CandidateRow:
     freedom: int
     probability: float
     explained: float
-    error: float  # [m] rms
+    error: float  # [m] rms of the description with it, of the kind of `error_after`
     held_out: float  # [m] rms, postures predicted from the others (linear)
     status: str  # 'best', 'cannot be told apart', 'adequate, less likely', 'rejected', NOT_NEEDED
     present: bool
@@ -113,14 +113,15 @@ class Diagnosis:
     cannot_tell_apart: tuple[str, ...]
     not_tested: tuple[str, ...]
     out_of_tolerance: tuple[str, ...]
-    error_before: float  # [m] rms over postures and markers
-    error_after: float
-    noise_floor: float
+    error_before: float  # [m] rms over postures and markers, of the description as it stands
+    error_after: float  # [m] of the description that `add` writes; see `error_alone`
+    noise_floor: float  # [m] of a perfect model
     next_measurement: NextMeasurement | None
     remainder: str
     candidates: tuple[CandidateRow, ...]
     details: dict[str, Any] = field(default_factory=dict)
     format: str = FORMAT
+    error_alone: float = math.nan  # [m] with the effects, the arm otherwise as it was described
 
     def __post_init__(self) -> None:
         """Take a verdict by its name as well."""

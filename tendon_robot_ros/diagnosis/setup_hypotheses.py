@@ -6,15 +6,22 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations, product
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ..common.rotations import rigid_fit, turn_angle
+from ..common.rotations import rigid_fit, turn_angle, upright_fit
 from ..comparison.noise import rms
 from ..comparison.predict import Predictor
 from ..data import DataSet
-from .decide import FRAME_OFF_SHARE_MIN, FRAME_TURNED_MIN_DEG
+from ..robot import Robot
+from .decide import (
+    FRAME_HARDLY_KNOWN_RAD,
+    FRAME_LEVEL_RAD,
+    FRAME_OFF_SHARE_MIN,
+    FRAME_TURNED_MIN_DEG,
+)
 
 Floats = npt.NDArray[np.float64]
 INPUTS_PERMUTED_MAX = (
@@ -25,6 +32,11 @@ UNIT_FACTORS = {
     4.448: 'pounds', 1.0 / 4.448: 'newtons as pounds', 10.0: 'a decimal point',
     0.1: 'a decimal point', 2.0: 'a double count', 0.5: 'half a count',
     25.4: 'inches', 1.0 / 25.4: 'millimetres as inches',
+}  # fmt: skip
+STIFFNESS_FACTORS = {
+    10.0: 'a decimal point', 0.1: 'a decimal point', 100.0: 'N/cm² for N/mm²',
+    0.01: 'N/mm² for N/cm²', 1000.0: 'MPa for GPa', 0.001: 'GPa for MPa',
+    16.0: 'the radius of the rod for its diameter', 0.0625: 'its diameter for the radius',
 }  # fmt: skip
 CELLS_MISCOUNTED_MAX = 3
 
@@ -37,19 +49,57 @@ class Mistake:
     sentence: str  # 'with ... the error falls'
     mend: str
     after: float  # [m] rms
-    mended: DataSet | None = field(default=None, repr=False)  # where an effect may do the same
+    mended: DataSet | None = field(default=None, repr=False)  # without it, where that can be made
+    doubtful: bool = False  # whether an effect may do much the same
+    rest: str = ''  # what becomes of the error that it leaves
 
     def text(self, before: float) -> str:
         """Say it with the error before and after."""
         if not math.isfinite(before):
             return (
                 f'the model finds no equilibrium; {self.sentence} it does, and is off by '
-                f'{1e3 * self.after:.2g} mm: {self.mend}'
+                f'{1e3 * self.after:.2g} mm{self.rest}: {self.mend}'
             )
         return (
             f'{self.sentence} the error falls from {1e3 * before:.3g} to '
-            f'{1e3 * self.after:.2g} mm: {self.mend}'
+            f'{1e3 * self.after:.2g} mm{self.rest}: {self.mend}'
         )
+
+
+def off(predictor: Predictor, measured: Floats, markers: Floats) -> float:
+    """
+    Return the rms [m] between measured and predicted postures (P, J, 3).
+
+    Up to the tracker's frame where that was found with the model itself: a mistake turned it, too.
+    """
+    return rms(_moved(measured, _frame(predictor, measured, markers)) - markers)
+
+
+Frame = tuple[Floats, Floats] | None  # rotation (3, 3) and shift (3,) [m]
+
+
+def _frame(predictor: Predictor, measured: Floats, markers: Floats) -> Frame:
+    """Return how the tracker's frame would lie; None where it is known as it is."""
+    known, seen = predictor.robot.tolerances.get('rotation', 0.0), np.isfinite(measured)
+    if known < FRAME_HARDLY_KNOWN_RAD or not np.isfinite(markers).all():
+        return None
+    points, onto = measured[seen.all(axis=2)], markers[seen.all(axis=2)]
+    gravity = predictor.parts[0].gravity
+    size = float(np.linalg.norm(gravity))
+    if known < FRAME_LEVEL_RAD and size > 0.0:
+        return upright_fit(points, onto, gravity / size)
+    return rigid_fit(points, onto)
+
+
+def _moved(positions: Floats, frame: Frame) -> Floats:
+    return positions if frame is None else positions @ frame[0].T + frame[1]
+
+
+def _mended(predictor: Predictor, predicted: Floats, **changes: Any) -> DataSet:
+    """Return the data set with changes, in the frame that suits what is predicted best."""
+    made = replace(predictor.dataset, robot=predictor.robot)
+    frame = _frame(predictor, made.mean, predicted)
+    return replace(made, positions=_moved(made.positions, frame), **changes)
 
 
 def _swapped(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
@@ -85,7 +135,7 @@ def _exchanges(predictor: Predictor) -> Iterator[tuple[int, ...]]:
 def _in_order(predictor: Predictor, order: Sequence[int]) -> float:
     """Return the error [m] with inputs in another order."""
     moved = predictor.markers({}, predictor.inputs[:, list(order)])
-    return np.inf if moved is None else rms(predictor.dataset.mean - moved)
+    return np.inf if moved is None else off(predictor, predictor.dataset.mean, moved)
 
 
 def _swap(names: Sequence[str], order: Sequence[int], after: float) -> Mistake:
@@ -111,7 +161,7 @@ def _loose(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
                 'input_loose',
                 f'if input {name} never reached the arm',
                 f'look whether {name} is connected, and its wire taut',
-                rms(predictor.dataset.mean - moved),
+                off(predictor, predictor.dataset.mean, moved),
             )
 
 
@@ -125,13 +175,13 @@ def _rows(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
             'rows_moved',
             f'with the postures moved by one row {"down" if shift > 0 else "up"}',
             f'a {one}: one was left out, or is double',
-            rms((np.roll(measured, shift, axis=0) - markers)[kept]),
+            off(predictor, np.roll(measured, shift, axis=0)[kept], markers[kept]),
         )
     yield Mistake(
         'rows_moved',
         'with the postures in reverse order',
         f'a {one}',
-        rms(measured[::-1] - markers),
+        off(predictor, measured[::-1], markers),
     )
 
 
@@ -151,7 +201,7 @@ def _axes(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
                 'axes',
                 f'with the axes of the tracker taken as ({columns})',
                 f'write {columns} into the columns x, y, z of shapes.csv',
-                rms(turned - markers),
+                off(predictor, turned, markers),
             )
 
 
@@ -179,7 +229,7 @@ def _numbered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         'markers_from_the_tip',
         'with the markers numbered from the tip to the base',
         'turn the order of the markers in shapes.csv around',
-        rms(predictor.dataset.mean[:, ::-1] - markers),
+        off(predictor, predictor.dataset.mean[:, ::-1], markers),
     )
 
 
@@ -196,15 +246,53 @@ def _units(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
                 f'with all inputs {how}',
                 f'check their unit in inputs.csv {"[N]" if tension else "[m]"}; if that is right, '
                 f'{described} of the description',
-                rms(predictor.dataset.mean - moved),
+                off(predictor, predictor.dataset.mean, moved),
+                _mended(predictor, moved, **_scaled_inputs(predictor.dataset, factor)),
             )
         if np.isfinite(markers).all():
             yield Mistake(
                 'unit_of_positions',
                 f'with all positions {how}',
                 'check their unit in shapes.csv [m]',
-                rms(predictor.dataset.mean * factor - markers),
+                off(predictor, predictor.dataset.mean * factor, markers),
             )
+
+
+def _scaled_inputs(dataset: DataSet, factor: float) -> dict[str, Any]:
+    each = dataset.trial_inputs
+    return {
+        'inputs': dataset.inputs * factor,
+        'trial_inputs': None if each is None else each * factor,
+    }
+
+
+def _stiffness(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try a bending stiffness far beyond what any rod is off: a wrong unit, or diameter."""
+    for factor, why in STIFFNESS_FACTORS.items():
+        stiffer = np.full(predictor.model.arrays.chain.n, factor)
+        moved = predictor.markers({}, stiffness=stiffer)
+        if moved is None:
+            continue
+        how = f'multiplied by {factor:g}' if factor > 1.0 else f'divided by {1.0 / factor:g}'
+        yield Mistake(
+            'stiffness',
+            f'with the bending stiffness {how}',
+            f'check how it was worked out ({why}?): modulus, diameter, length of a cell',
+            off(predictor, predictor.dataset.mean, moved),
+            _mended(predictor, moved, robot=_stiffer(predictor.robot, factor)),
+        )
+
+
+def _stiffer(robot: Robot, factor: float) -> Robot:
+    sections = tuple(
+        section
+        if section.is_plate
+        else replace(
+            section, bending_stiffness=tuple(factor * k for k in section.bending_stiffness)
+        )
+        for section in robot.sections
+    )
+    return replace(robot, sections=sections)
 
 
 def _gravity(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
@@ -221,7 +309,7 @@ def _gravity(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
                 'gravity',
                 f'with gravity [{vector}]',
                 f'write gravity: [{vector}] into dataset.yaml',
-                rms(predictor.dataset.mean - moved),
+                off(predictor, predictor.dataset.mean, moved),
             )
 
 
@@ -245,11 +333,9 @@ def _cells(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         )
         sections = (*robot.sections[:s], other, *robot.sections[s + 1 :])
         longer = replace(robot, sections=sections, fitted={})
-        share = longer.length / robot.length
-        for where, along in (('stay', 1.0), ('go along', share)):
+        for where, along in _along(dataset, robot, longer):
             spots = tuple(
-                replace(m, arc_length=min(m.arc_length * along, longer.length))
-                for m in dataset.markers
+                replace(m, arc_length=s) for m, s in zip(dataset.markers, along, strict=True)
             )
             mended = replace(dataset, robot=longer, markers=spots)
             moved = Predictor(mended, longer, predictor.model.catalogue).markers({})
@@ -258,9 +344,20 @@ def _cells(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
                     'cells',
                     f'with {count} cells instead of {section.cells} in {place} (markers {where})',
                     f'count the cells of {place}',
-                    rms(dataset.mean - moved),
-                    mended,
+                    off(predictor, dataset.mean, moved),
+                    _mended(predictor, moved, robot=longer, markers=spots),
+                    True,
                 )
+
+
+def _along(dataset: DataSet, robot: Robot, longer: Robot) -> Iterator[tuple[str, list[float]]]:
+    """Yield where markers (J,) [m] may be on an arm of another length: as counted from where."""
+    places = dataset.arc_lengths
+    yield 'stay', np.minimum(places, longer.length).tolist()
+    yield 'go along', np.minimum(places * (longer.length / robot.length), longer.length).tolist()
+    from_tip = places + (longer.length - robot.length)
+    if from_tip.min() > -1e-9 * robot.length:
+        yield 'as far from the tip', np.clip(from_tip, 0.0, longer.length).tolist()
 
 
 def _spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
@@ -287,12 +384,13 @@ def _spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
                 'markers_elsewhere',
                 f'with all markers {how}',
                 'check arc_length of the markers in dataset.yaml: from the base, along the arm',
-                rms(dataset.mean - moved),
-                mended,
+                off(predictor, dataset.mean, moved),
+                _mended(predictor, moved, markers=spots),
+                True,
             )
 
 
-OF_INPUTS = (_swapped, _units)  # that can be why there is no equilibrium
+OF_INPUTS = (_swapped, _units, _stiffness)  # that can be why there is no equilibrium
 # The plainest first: what a free registration can do, some of the others can do as well. It can
 # also do what a tilted base does, which is an effect: only a gross error is laid to it.
 DISCRETE = (
@@ -301,6 +399,7 @@ DISCRETE = (
     _numbered,
     _rows,
     _units,
+    _stiffness,
     _gravity,
     _spots,
     _cells,

@@ -22,10 +22,12 @@ from .decide import (
     GROSS_FROM_FLOORS,
     ODD_FROM_FLOORS,
     ODD_FROM_SPREADS,
+    PARTLY_LEFT_MAX,
+    PARTLY_TRIED_MAX,
     STILL_FROM_FLOORS,
     STILL_SHARE_MAX,
 )
-from .setup_hypotheses import DISCRETE, HYPOTHESES, OF_INPUTS, Mistake
+from .setup_hypotheses import DISCRETE, HYPOTHESES, OF_INPUTS, Mistake, off
 
 Floats = npt.NDArray[np.float64]
 
@@ -50,7 +52,7 @@ def find_mistake(predictor: Predictor, floor: float, usual: float = 0.0) -> Mist
     few = _frozen(predictor, markers, floor) or _exchanged(predictor, markers)
     if few is not None:
         return few
-    before = rms(predictor.dataset.mean - markers)
+    before = off(predictor, predictor.dataset.mean, markers)
     if before < ODD_FROM_FLOORS * floor:
         return None
     tries = HYPOTHESES if before > GROSS_FROM_FLOORS * floor else DISCRETE
@@ -58,6 +60,26 @@ def find_mistake(predictor: Predictor, floor: float, usual: float = 0.0) -> Mist
     mistakes = [one for tried in tries for one in tried(predictor, markers)]
     likely = [one for one in mistakes if one.after < min(enough, ERROR_SHARE_LEFT_LIMIT * before)]
     return _plainest(likely, max(floor, 0.3 * usual))
+
+
+def partly_mistaken(predictor: Predictor, floor: float) -> list[Mistake]:
+    """
+    Return the mistakes that explain much of a gross error, the best of each kind, best first.
+
+    For measurements of an arm that lacks an effect as well: what remains is judged again.
+    """
+    markers = predictor.markers({})
+    if markers is None:
+        return []
+    before = off(predictor, predictor.dataset.mean, markers)
+    if before < GROSS_FROM_FLOORS * floor:
+        return []
+    best: dict[str, Mistake] = {}
+    for one in (one for tried in DISCRETE for one in tried(predictor, markers)):
+        mendable = one.mended is not None and one.after < PARTLY_LEFT_MAX * before
+        if mendable and one.after < best.get(one.name, one).after * (1.0 + 1e-12):
+            best[one.name] = one
+    return sorted(best.values(), key=lambda one: one.after)[:PARTLY_TRIED_MAX]
 
 
 def _shapeless(predictor: Predictor, floor: float) -> Mistake | None:

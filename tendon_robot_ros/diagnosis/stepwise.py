@@ -27,12 +27,12 @@ from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
-from .add import changed_robot
 from .candidates import Candidate, joining_effects
 from .decide import P_SINGLE_MIN
 from .described_arm import OF_THE_ARM, DescribedArm, arm_with, blocks_of_the_arm
 from .fit import Fit, Nuisance
 from .fitter import Fitter
+from .into_description import changed_robot
 from .outliers import find_outliers, without_unsettled
 from .prediction_errors import Joining, Ways, described, grown, left_out_errors, predict, promised
 from .setup_hypotheses import Mistake
@@ -118,7 +118,7 @@ class Stepwise:
     def _doubtful_mistake(self) -> Mistake | None:
         """Return the mistake that effects may explain better; refuse one that they do not."""
         mistake = find_mistake(self.predictor, self.plain.floor())
-        if mistake is not None and mistake.mended is None:
+        if mistake is not None and not mistake.doubtful:
             self._refuse(mistake)
         return mistake
 

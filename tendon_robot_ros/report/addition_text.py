@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from ..common.words import columns, digits, mm
+import math
+
+from ..common.words import columns, digits, mm, percent
 from ..diagnosis.add import Addition
 from ..diagnosis.prediction_errors import Errors
 from .numbers import quantities
 
+AS_FOUND = (
+    'with the effects and the arm as it was found beside them (tolerances that moved, cells, '
+    'tendons, tracker), which the file holds, too'
+)
 NOT_WRITTEN = 'Nothing was written: the error on postures that were not used would rise.'
 
 
@@ -23,16 +29,24 @@ def addition_lines(made: Addition) -> list[str]:
 
 def error_table(made: Addition) -> str:
     """Return the table of errors before, after, and of a perfect model."""
-    rows = [['error (rms)', 'before', 'after', 'noise floor', 'gone']]
-    return columns(rows + [_row(errors) for errors in (made.fitted, made.check)])
+    alone = ['effects alone'] if made.beside else []
+    rows = [['error (rms)', 'before', *alone, 'after', 'noise floor', 'gone']]
+    return columns(rows + [_row(errors, made.beside) for errors in (made.fitted, made.check)])
 
 
-def _row(errors: Errors) -> list[str]:
+def _row(errors: Errors, beside: bool) -> list[str]:
     count = f'{errors.postures} posture{"" if errors.postures == 1 else "s"}'
     share = errors.gone
-    gone = '' if share is None else f'{100.0 * min(share, 1.0):.0f} %'
+    gone = '' if share is None else percent(share)
     where = f'{errors.kind}: {count} of {errors.data}'
-    return [where, mm(errors.before), mm(errors.after), mm(errors.floor), gone]
+    alone = [_alone(errors)] if beside else []
+    return [where, mm(errors.before), *alone, mm(errors.after), mm(errors.floor), gone]
+
+
+def _alone(errors: Errors) -> str:
+    """Show the error of the effects alone; without the arm as found there may be no shape."""
+    known = errors.alone is not None and math.isfinite(errors.alone)
+    return mm(errors.alone) if known else 'no equilibrium'
 
 
 def never_used(made: Addition) -> str:
@@ -44,8 +58,10 @@ def never_used(made: Addition) -> str:
 
 
 def warnings(made: Addition) -> list[str]:
-    """Say which tolerances moved, what else is at work, and when a check got worse."""
+    """Say what else is written and at work, which tolerances moved, when a check got worse."""
     sentences = []
+    if made.beside:
+        sentences.append(f'after: {AS_FOUND}')
     if made.moved:
         moves = ', '.join(f'{name} by {digits(z)} sd' for name, z in made.moved.items())
         where = 'in the file, too' if made.beside else 'not in the file'

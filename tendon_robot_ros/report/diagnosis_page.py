@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..common.errors import NoEquilibriumError
-from ..common.words import PROGRAM, capital, listed, mm, probability
+from ..common.words import PROGRAM, capital, listed, mm, percent, probability
 from ..comparison.compare import compare
 from ..comparison.result import Comparison
 from ..data import DataSet
@@ -67,7 +68,7 @@ def pictures_of(
     models = [(BEFORE, robot)]
     if diagnosis.effects:
         after = changed or with_effects(diagnosis, robot)
-        models.append((f'with {" and ".join(effect.name for effect in diagnosis.effects)}', after))
+        models.append((_with_what(diagnosis, changed is not None), after))
     left_out = set(diagnosis.details.get('unsettled') or ())
     if left_out:
         dataset = dataset.select(set(dataset.postures) - left_out)
@@ -77,6 +78,14 @@ def pictures_of(
         return None
     lacks = [missing_moment(dataset, one, comparison.measured, catalogue) for _, one in models]
     return Pictures(comparison, lacks[0], lacks[1] if len(lacks) > 1 else None)
+
+
+def _with_what(diagnosis: Diagnosis, written: bool) -> str:
+    """Name the description with the effects: as it is written, or with them alone."""
+    names = f'with {" and ".join(effect.name for effect in diagnosis.effects)}'
+    if not diagnosis_text.with_arm(diagnosis):
+        return names
+    return f'{names} and the arm as found' if written else f'{names} alone'
 
 
 def with_effects(diagnosis: Diagnosis, robot: Robot) -> Robot:
@@ -138,8 +147,12 @@ def add_verdict(page: Page, diagnosis: Diagnosis) -> None:
     """Add the verdict and what to do now."""
     lines = diagnosis_text.verdict(diagnosis).split('\n')
     if diagnosis.verdict.judged:
-        lines.append(diagnosis.remainder)
+        said = [line.replace('->', '→') for line in diagnosis_text.errors(diagnosis)]
+        lines += [*map(capital, said), diagnosis.remainder]
     page.box(lines, f'verdict {diagnosis.verdict.colour}')
+    caveats = [f'{capital(caveat)}.' for caveat in diagnosis.details.get('caveats', ())]
+    if caveats:
+        page.box(caveats, 'warn', 'Mind')
     following = next_measurement(diagnosis)
     if following:
         page.box([following], 'warn', 'Next measurement')
@@ -161,8 +174,10 @@ def add_staircase(page: Page, diagnosis: Diagnosis, made: Addition | None) -> No
     partly = not diagnosis.adds
     page.heading('A part of the error falls' if partly else 'The error falls')
     if made is None:
-        steps = [
-            Step('before', diagnosis.error_before),
+        steps = [Step('before', diagnosis.error_before)]
+        if diagnosis_text.with_arm(diagnosis):
+            steps.append(Step('effects alone', diagnosis.error_alone, 'after', model=2))
+        steps += [
             Step('after', diagnosis.error_after, 'after'),
             Step('noise floor', diagnosis.noise_floor, 'floor'),
         ]
@@ -180,6 +195,8 @@ def _steps(errors: Errors) -> list[Step]:
         Step('before', errors.before, 'before', group),
         Step('after', errors.after, 'after', group),
     ]
+    if errors.alone is not None and math.isfinite(errors.alone):
+        steps.insert(1, Step('effects alone', errors.alone, 'after', group, 2))
     if errors.floor is not None:
         steps.append(Step('noise floor', errors.floor, 'floor', group))
     return steps
@@ -202,10 +219,12 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
         rows.append(_row(row))
         kinds.append({'best': 'strong', 'rejected': 'faint'}.get(row.status, ''))
     if rows:
+        found = diagnosis_text.with_arm(diagnosis)
+        with_what = 'the effect and the arm as it was found' if found else 'the effect'
         page.table(header, rows, kinds, left=(5, 6))
         page.text(
-            '“Explains” is the share of the explainable error, squared and weighed by how well '
-            'each reading is known; “chance” is that of so large a '
+            '“Explains” is the share of the error above the noise floor that goes away; “error '
+            f'left” is that of the description with {with_what}; “chance” is that of so large a '
             'remainder if this effect is the whole truth; “left-out postures” is the error on '
             'postures predicted from the others.'
         )
@@ -219,7 +238,7 @@ def _row(row: CandidateRow) -> list[str]:
     name = f'{row.name} (another value)' if row.present else row.name
     return [
         name,
-        '–' if row.status == NOT_NEEDED else f'{100.0 * row.explained:.0f} %',
+        '–' if row.status == NOT_NEEDED else percent(row.explained),
         mm(row.error),
         mm(row.held_out),
         probability(row.probability).removeprefix('p ').removeprefix('= '),

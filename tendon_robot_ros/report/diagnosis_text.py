@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ..common.words import commands, digits, listed, mm, postures
+from ..common.words import commands, digits, listed, mm, percent, postures
 from ..diagnosis.decide import (
     NOISE_WITHIN_FLOORS,
     P_SINGLE_MIN,
     SEPARABLE_FROM_SD,
     Verdict,
 )
+from ..diagnosis.prediction_errors import share_gone
 from ..diagnosis.result import Diagnosis, EffectFinding, NextMeasurement
 from .arm_text import as_built, left_out, where_wrong
 from .numbers import described_quantity, load_words, quantities, short_quantities
@@ -31,7 +32,7 @@ def lines(diagnosis: Diagnosis) -> list[str]:
     ]
     if not diagnosis.verdict.judged:
         return text
-    text.append(diagnosis.remainder)
+    text += [*errors(diagnosis), diagnosis.remainder]
     text += [f'mind: {caveat}' for caveat in diagnosis.details.get('caveats', ())]
     text += where_wrong(diagnosis.details.get('local_faults', ()))
     text += as_built(diagnosis)
@@ -102,10 +103,34 @@ def verdict(diagnosis: Diagnosis) -> str:
 
 
 def _share(diagnosis: Diagnosis) -> str:
-    """Say how much of the explainable error goes away."""
-    share = diagnosis.effects[0].explained
-    percent = int(100.0 * share) if share < 1.0 else 100
-    return f'{percent} % of the explainable error'
+    """Say how much of the explainable error goes away, with the arm as it was found or without."""
+    share = percent(diagnosis.effects[0].explained)
+    if not with_arm(diagnosis):
+        return f'{share} of the explainable error'
+    least = min(diagnosis.noise_floor, diagnosis.error_after)
+    alone = share_gone(diagnosis.error_before, diagnosis.error_alone, least) or 0.0
+    return (
+        f'{share} of the explainable error with the arm as it was found, '
+        f'{percent(max(alone, 0.0))} alone'
+    )
+
+
+def with_arm(diagnosis: Diagnosis) -> bool:
+    """Tell whether what would be written has the arm as it was found, beside the effects."""
+    alone = diagnosis.error_alone
+    return bool(np.isfinite(alone) and diagnosis.effects and alone != diagnosis.error_after)
+
+
+def errors(diagnosis: Diagnosis) -> list[str]:
+    """Say whose errors the numbers are, where there is more than one after the verdict."""
+    if not with_arm(diagnosis):
+        return []
+    names = listed([effect.name for effect in diagnosis.effects])
+    return [
+        f'error: {mm(diagnosis.error_before)} as described -> {mm(diagnosis.error_alone)} with '
+        f'{names} alone -> {mm(diagnosis.error_after)} with the arm as it was found as well '
+        '(tolerances and imperfections), which is what `add` writes'
+    ]
 
 
 def _values(diagnosis: Diagnosis) -> str:

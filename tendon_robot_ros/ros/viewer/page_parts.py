@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.colours import BAD, ERROR, GOOD, INK, KINDS, MEASURED, PREDICTED, WARN, rgb
-from ...common.words import mm
+from ...common.words import mm, percent
 from ...diagnosis.result import NOT_NEEDED, LoadVector, Value
 from ...report.numbers import load_words, told_quantity
 
@@ -230,7 +230,7 @@ def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
         if row.get('load'):
             values += f'; together {load_words(_load_of(row["load"]))}'
         explained = None if row['status'] == NOT_NEEDED else row.get('explained')
-        share = '–' if explained is None else f'{100 * explained:.0f} %'
+        share = '–' if explained is None else percent(explained)
         rows.append(
             f'<tr><td>{escape(row["name"])}</td><td>{escape(values)}</td>'
             f'<td style="text-align:right">{share}<br><small>{escape(row["status"])}</small></td>'
