@@ -1,7 +1,9 @@
 """A laboratory's table becomes the data set that was simulated, wherever the tracker stands."""
 
 import csv
+import re
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from source_tree import ROOT
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DataSetError, InputError
+from tendon_robot_ros.common.rotations import rigid_fit
 from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.model.model import Model
@@ -24,6 +27,7 @@ from tendon_robot_ros.simulation.measurements import (
     Laboratory,
     SimulatedNoise,
     raw_table,
+    simulate,
     tracker_frame,
     write_table,
 )
@@ -186,6 +190,65 @@ def test_it_is_said_where_the_way_to_a_posture_is_taken_not_to_matter(calm):
     told = 'from where the arm came to a posture is taken not to matter'
     assert told not in import_table(calm, ARM, {'up': 'y'}).text()
     assert told in import_table(calm, ARM, {'up': 'y', 'rest': 0.0}).text()
+
+
+def walked(seed=4, **hidden):
+    """Return a table of an arm that goes from posture to posture in any order, and its visits."""
+    plant = make_plant(ARM, hidden, seed=3, work=EXACT)
+    postures = default_postures(ARM, 4)
+    truth = simulate(plant, postures, noise=QUIET, trials=5, seed=seed, markers=PLACES,
+                     path='visits')  # fmt: skip
+    turn, shift = tracker_frame(ARM.gravity, CALM)
+    visits, places, rows = truth.visits, [], []
+    for v, (p, q) in enumerate(zip(visits.rows, visits.trials, strict=True)):
+        if v and visits.commands[p] == visits.commands[visits.rows[v - 1]]:
+            continue  # nothing moves
+        places.append((visits.commands[p], truth.positions[p, q]))
+        seen = 1e3 * (truth.positions[p, q] @ turn.T + shift)
+        rows.append(np.append(truth.inputs_by_trial[p, q], seen.ravel()))
+    hold, share = np.ones((32, 1)), 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 17) / 17.0)
+    table = [hold * rows[0]]
+    for here, there in pairwise(rows):
+        table += [here + share[:, None] * (there - here), hold * there]
+    values = np.concatenate(table)
+    names = ['time_s', *(f'T{i + 1} [N]' for i in range(3))]
+    names += [f'm{j + 1}_{axis} [mm]' for j in range(len(PLACES)) for axis in 'xyz']
+    times = np.arange(len(values)) / 20.0
+    return pandas.DataFrame(np.column_stack([times, values]), columns=names), places
+
+
+def test_visits_in_any_order_come_out_of_a_table_as_they_were_made(tmp_path):
+    frame, truth = walked(friction_memory={'presliding_length': 4e-4, 'exponent': 1.0})
+    imported = import_table(frame, ARM, {'up': 'y', 'path': 'visits'})
+    data, visits = imported.dataset, imported.dataset.visits
+    assert data.path == 'visits' and 'without letting go' in imported.text()
+    assert visits.fresh.tolist() == [True] + [False] * (len(truth) - 1)
+    names = {command: visits.commands[visits.rows[v]] for v, (command, _) in enumerate(truth)}
+    assert [visits.commands[row] for row in visits.rows] == [names[c] for c, _ in truth]
+    seen = data.positions[visits.rows, visits.trials]
+    true = np.array([places for _, places in truth])
+    turn, shift = rigid_fit(seen.reshape(-1, 3), true.reshape(-1, 3))
+    assert_allclose(seen @ turn.T + shift, true, atol=2e-5)
+    again = load_dataset(imported.save(tmp_path / 'visits'))
+    assert again.postures == data.postures
+    assert again.visits.rows.tolist() == visits.rows.tolist()
+    assert load_recipe(tmp_path / 'visits' / 'import.yaml').path == 'visits'
+
+
+def test_trials_that_differ_by_the_way_ask_for_visits_and_others_do_not(calm):
+    frame, _ = walked(friction_memory={'presliding_length': 4e-4, 'exponent': 1.0})
+    look = '\n'.join(import_table(frame, ARM, {'up': 'y'}).look)
+    assert 'apart where the arm came from different ones' in look and '--path visits' in look
+    assert not any('different ones' in line for line in import_table(calm, ARM, {'up': 'y'}).look)
+
+
+def test_the_way_is_said_and_a_sequence_of_an_arm_that_was_let_go_is_contradicted(noisy):
+    text = import_table(noisy, ARM, {'up': 'y'}).text()
+    assert 'every posture was loaded from the straight arm (path: from_straight); if' in text
+    assert 'LOOK     before' not in text
+    wrong = import_table(noisy, ARM, {'up': 'y', 'path': 'sequence'})
+    said = r'before (\d+) of \1 loaded postures all inputs were let go \(below 0.1\d* N\)'
+    assert any(re.match(said, line) for line in wrong.look)
 
 
 def test_a_slipped_trial_is_named_and_left_out(noisy):

@@ -20,6 +20,7 @@ from typing import Any
 
 from ..common.errors import InputError
 from ..common.units import read_unit
+from ..data.dataset import PATHS
 from ..data.folder.folder import refuse_dataset_in
 from ..robot import load_robot
 from ..tables import import_table
@@ -84,8 +85,11 @@ def _add_still(group: argparse._ArgumentGroup) -> None:
     add('--same', metavar='X', help=what)
     what = 'where all inputs are below this the arm rests, as 0.2N or 0.5mm; 0: it never does'
     add('--rest', metavar='X', help=what)
-    what = 'sequence: every posture was reached from the one before'
-    add('--path', choices=('from_straight', 'sequence'), help=what)
+    what = (
+        'sequence: every posture was reached from the one before, in rounds of the same order; '
+        'visits: the same in any order (default: from_straight, each loaded from the straight arm)'
+    )
+    add('--path', choices=PATHS, help=what)
     what = "the tracker's file begins so much after that of the inputs (default: found)"
     add('--delay', type=float, metavar='S', help=what)
 

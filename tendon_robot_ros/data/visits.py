@@ -108,12 +108,20 @@ class Split:
 
 
 def split_by_order(
-    names: Sequence[str], commands: IntArray, trials: IntArray, measured: BoolArray
+    names: Sequence[str],
+    commands: IntArray,
+    trials: IntArray,
+    measured: BoolArray,
+    fresh: BoolArray | None = None,
 ) -> Split:
-    """Split commands (V,) that followed each other, the first from the straight arm."""
-    before = np.append(STRAIGHT, commands[:-1])
+    """
+    Split commands (V,) that followed each other.
+
+    The first came from the straight arm, and every one that is `fresh` (V,).
+    """
+    fresh = np.arange(len(commands)) == 0 if fresh is None else fresh
+    before = np.where(fresh, STRAIGHT, np.append(STRAIGHT, commands[:-1]))
     pairs, posture = _pairs(commands, before)
-    fresh = np.arange(len(commands)) == 0
     return _split(names, pairs, posture, Visits((), posture, fresh, measured, trials))
 
 

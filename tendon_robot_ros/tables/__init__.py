@@ -13,6 +13,7 @@ choices.py        the columns and units that a recipe leaves open
 traces.py         columns to inputs and markers over time, in SI units
 clocks.py         how the clock of the tracker's file runs against that of the inputs
 measuring.py      where the arm stood still: cleaned, named by posture and trial
+history.py        how the arm came to its postures: what is assumed, what contradicts it, visits
 marker_order.py   which marker is where on the arm
 registration.py   how the tracker's frame lies in the base's, with the model's help
                   (of a live tracker: ros/monitor/measured.py)

@@ -22,6 +22,7 @@ from ..effects import Catalogue, load_catalogue
 from ..robot import Robot, load_robot
 from .choices import Taken, choose_columns
 from .columns import FloatArray, RawTable, from_frame, marker_label
+from .history import FROM_STRAIGHT, SEQUENCE, VISITS, as_visits, frames_only, way_shows
 from .imported import ImportedTable
 from .marker_order import AS_GIVEN, MarkerOrder, order_markers
 from .measuring import StillMeasurements, measure
@@ -82,6 +83,8 @@ def import_table(
     catalogue = catalogue or load_catalogue(())
     dataset, frame, left_out = _registered(raw, recipe, catalogue)
     final, look = _known_frame(dataset, frame, taken.recipe)
+    if recipe.path == FROM_STRAIGHT and not measured.rest and taken.recipe.time is not None:
+        look = (*look, *way_shows(measured.segments, measured.begins))
     predicted = Predictor(final, final.robot, catalogue).markers({})
     assert predicted is not None  # it was, before
     return ImportedTable(
@@ -95,7 +98,13 @@ def import_table(
         predicted=predicted,
         dropped=(*_columns_dropped(taken), *measured.dropped, *_trials_dropped(left_out)),
         assumed=(*taken.assumed, *measured.assumed, *_markers_assumed(order, taken)),
-        look=(*look, *_frame_look(frame), *_offset_look(final, predicted, catalogue)),
+        look=(
+            *measured.look,
+            *frames_only(final),
+            *look,
+            *_frame_look(frame),
+            *_offset_look(final, predicted, catalogue),
+        ),
     )
 
 
@@ -200,8 +209,12 @@ def _in_tracker_frame(
     placed = tuple(Marker(m.name or '', m.arc_length or 0.0, m.offset) for m in markers)
     members = list(order.members)
     segments = [_picked(one, members) for one in measured.segments]
-    described = Description(taken.kind, taken.recipe.path, None, None, 0.0, 0.0, None, {}, placed)
-    return segments_dataset(name, segments, robot, described, placed), markers
+    path = SEQUENCE if taken.recipe.path == VISITS else taken.recipe.path
+    described = Description(taken.kind, path, None, None, 0.0, 0.0, None, {}, placed)
+    dataset = segments_dataset(name, segments, robot, described, placed)
+    if taken.recipe.path == VISITS:
+        dataset = as_visits(dataset, segments, measured.begins)
+    return dataset, markers
 
 
 def _picked(segment: Segment, members: Sequence[int]) -> Segment:

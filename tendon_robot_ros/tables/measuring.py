@@ -25,6 +25,7 @@ from ..data.recording.still_segments import (
 from ..robot import Robot
 from .choices import Taken
 from .columns import FloatArray, marker_label
+from .history import FROM_STRAIGHT, SEQUENCE, let_go_between, way_assumed, way_contradicted
 from .recipe import MarkerColumns, Recipe
 from .traces import NOTHING_CUT, CutReadings, Traces, cut_out
 
@@ -39,11 +40,6 @@ JUMP_MIN_M = 5e-4  # [m] a tracker's ordinary noise is no jump
 SAME = (0.002, 0.01, 0.08)
 GAP_RATIO = 2.5  # times, between the scatter of trials and the steps of postures
 REST_SHARE = 0.3  # of the segments that are at rest where an arm rests between trials
-
-NO_REST = (
-    'from where the arm came to a posture is taken not to matter, though it did not rest between '
-    'them: with friction it does; let it rest next time, or say --path sequence'
-)
 
 
 @dataclass(frozen=True)
@@ -71,6 +67,13 @@ class StillMeasurements:
     drifts: tuple[float, ...]  # [s/s] that its clock loses
     dropped: tuple[str, ...]
     assumed: tuple[str, ...]
+    look: tuple[str, ...] = ()  # what contradicts how the arm is said to have come
+
+    @property
+    def begins(self) -> list[int]:
+        """Which segments are the first of a recording."""
+        counts = [len(piece.segments) for piece in self.pieces]
+        return np.cumsum([0, *counts[:-1]]).tolist()
 
 
 def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasurements:
@@ -84,6 +87,7 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
 
     """
     recipe, kind = taken.recipe, taken.kind
+    unit = 'N' if kind == 'tension' else 'm'
     rule = Rule(recipe.speed or SPEED_LIMITS_M_S[0], recipe.duration, recipe.change).fill(
         robot, kind
     )
@@ -92,7 +96,7 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
     if recipe.time is not None:
         motions = [motion(one.recording, one.inputs, rule) for one in traces]
         rule = _still_rule([m for m in motions if m is not None], traces, rule, recipe)
-    sequence = recipe.path == 'sequence'
+    from_straight = recipe.path == FROM_STRAIGHT
     pieces = [_piece(one, moved, rule) for one, moved in zip(traces, motions, strict=True)]
     if recipe.zero:
         pieces = _from_zero(pieces)
@@ -103,17 +107,18 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
     same = _guess_same(found) if recipe.same is None else recipe.same
     rest = recipe.rest
     if rest is None:
-        rest = 0.0 if sequence else _guess_rest(found, same)
+        rest = _guess_rest(found, same) if from_straight else 0.0
         if rest:
-            size = f'{digits(rest, 3)} {"N" if kind == "tension" else "m"}'
+            size = f'{digits(rest, 3)} {unit}'
             assumed.append(f'where all inputs are below {size} the arm rests')
     pieces = [_without_rest(piece, rest, first=index == 0) for index, piece in enumerate(pieces)]
     dropped += _told(pieces, recipe.markers or ())
     kept = [one for piece in pieces for one in piece.segments]
-    assumed += [NO_REST] * (not (sequence or rest or recipe.time is None))
+    assumed.append(way_assumed(recipe.path, rest, recipe.time is not None))
+    counts = [_let_go(piece, same) for piece in pieces if piece.motion is not None]
     return StillMeasurements(
         tuple(pieces),
-        tuple(_named(kept, replace(rule, change=same), sequence)),
+        tuple(_named(kept, replace(rule, change=same), recipe.path == SEQUENCE)),
         rule,
         same,
         rest,
@@ -121,7 +126,13 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
         tuple(one.drift for one in traces if one.delay is not None),
         tuple(dropped),
         tuple(assumed),
+        tuple(way_contradicted(recipe.path, counts, unit)),
     )
+
+
+def _let_go(piece: Piece, same: float) -> tuple[int, int, float]:
+    """Count the loaded segments of a recording before which all inputs were let go."""
+    return let_go_between(piece.recording.state_times, piece.inputs, piece.segments, same)
 
 
 def _named(segments: list[Segment], rule: Rule, sequence: bool) -> list[Segment]:

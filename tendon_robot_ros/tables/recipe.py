@@ -13,7 +13,7 @@ import yaml
 from ..common.errors import DataSetError, short
 from ..common.units import UNITS, find_unit
 from ..common.yaml_reading import Reader, parse_yaml
-from ..data.dataset import LOADINGS
+from ..data.dataset import PATHS
 from ..data.markers import Vector
 from .columns import ColumnUse
 
@@ -170,7 +170,7 @@ def read_recipe(content: Any, source: str = 'recipe', folder: Path | None = None
         change=still.some('change', 1e-9, 1e4, 'N or m'),
         same=top.some('same', 1e-12, 1e4, 'N or m'),
         rest=top.some('rest', 0.0, 1e4, 'N or m'),
-        path=top.choice('path', LOADINGS, default='from_straight'),
+        path=top.choice('path', PATHS, default='from_straight'),
         frame=_frame(top),
         leave_out=_left_out(top),
     )
