@@ -7,6 +7,7 @@ import yaml
 from measurements import blind
 
 from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.cli.options import load_measurements
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.robot import load_robot
@@ -248,3 +249,16 @@ def test_two_effects_are_added_by_one_command(capsys, folder):
     assert lines[0].startswith('hinge_friction: lever = ')
     assert lines[1].startswith('backbone_stiffness: relative_change = ')
     assert list(load_robot('both.yaml').fitted) == ['hinge_friction', 'backbone_stiffness']
+
+
+def test_another_description_keeps_what_an_import_declared_of_the_frame(folder, capsys):
+    robot = folder / 'l' / 'fit' / 'robot.yaml'
+    own = robot.read_text(encoding='utf-8')
+    (folder / 'other.yaml').write_text(own, encoding='utf-8')
+    robot.write_text(f'{own}\ntolerances: {{position: 0.0012, rotation: 0.035}}\n')
+    data = load_measurements(str(folder / 'l' / 'fit'), str(folder / 'other.yaml'))
+    assert data.robot.tolerances == {'position': 0.0012, 'rotation': 0.035}
+    assert 'beside --robot: position 1.2 mm, rotation 2.0° (1 sd)' in capsys.readouterr().err
+    (folder / 'known.yaml').write_text(f'{own}\ntolerances: {{position: 0.0002}}\n')
+    data = load_measurements([str(folder / 'l' / 'fit')], str(folder / 'known.yaml'))
+    assert data.robot.tolerances == {'position': 0.0002, 'rotation': 0.035}

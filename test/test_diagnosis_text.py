@@ -18,6 +18,7 @@ from tendon_robot_ros.report.diagnosis_text import (
     alike,
     lines,
     next_measurement,
+    trust_lines,
     untested,
     verdict,
 )
@@ -320,3 +321,17 @@ def test_what_is_taken_as_exact_stands_at_the_top():
         'noise, as declared: 0.10 mm per coordinate, inputs 0 % per trial; none declared for how '
         'inputs are set',
     ]
+
+
+def test_a_trust_that_could_not_be_worked_out_says_why():
+    outside = replace(FOUND, verdict='outside_catalogue')
+    assert trust_lines(FOUND) == []
+    (said,) = trust_lines(replace(outside, details={'trust': None}))
+    assert 'could not be simulated' in said
+    known = {'runs': 0, 'alarm_rate': None, 'alarm_rate_low': 0.0, 'alarm_rate_high': 1.0,
+             'detectable': {}, 'checked': 0, 'detected': 0}  # fmt: skip
+    (said,) = trust_lines(replace(outside, details={'trust': known}))
+    assert 'no simulation of your postures ended' in said
+    known |= {'runs': 9, 'alarm_rate': 0.0, 'alarm_rate_high': 0.3}
+    assert trust_lines(replace(outside, details={'trust': known}))[-1].endswith('it says nothing.')
+    assert len(trust_lines(replace(FOUND, details={'trust': known}))) == 2

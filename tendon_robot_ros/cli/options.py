@@ -8,13 +8,14 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from ..common.errors import InputError
+from ..common.errors import InputError, TendonRobotError
 from ..common.files import new_file
 from ..common.units import TYPED_LENGTHS, read_quantity
 from ..robot import load_robot
@@ -25,12 +26,14 @@ if TYPE_CHECKING:
 from collections.abc import Sequence
 
 from ..data import DataSet, join, load_dataset
+from ..data.folder.folder import described_robot
 from ..data.recording.importing import import_bag, summary
 from ..data.recording.reader import is_bag
 from ..robot import Robot, dump_robot
 
 # lengths of the arm: a target farther off, or nearer to the base, is in another unit
 FAR_LENGTHS, NEAR_LENGTHS = 10.0, 0.01
+FRAME_TOLERANCES = ('position', 'rotation')  # of the tracker, in a robot.yaml
 REFUSED_EXIT_CODE = 2  # nothing was written because that would not help
 
 
@@ -291,9 +294,35 @@ def load_measurements(paths: str | Sequence[str], robot: Robot | str | None) -> 
         As `load_dataset` and `import_bag`.
 
     """
-    if not isinstance(paths, str):
-        return join([load_measurements(path, robot) for path in paths])
-    path = paths
+    given = [paths] if isinstance(paths, str) else paths
+    dataset = join([_measurements(path, robot) for path in given])
+    return dataset if robot is None else _with_frame(dataset, given)
+
+
+def _with_frame(dataset: DataSet, paths: Sequence[str]) -> DataSet:
+    """
+    Let the frame of the tracker move as far as the data sets say, whatever description is judged.
+
+    How well it is known belongs to the measurements: an import writes it into their robot.yaml.
+    """
+    from ..report.diagnosis_text import tolerance
+
+    kept: dict[str, float] = {}
+    for path in paths:
+        with suppress(TendonRobotError):  # a data set without a description of its own
+            own = described_robot(path).tolerances
+            for key in set(FRAME_TOLERANCES) & set(own) - set(dataset.robot.tolerances):
+                kept[key] = max(kept.get(key, 0.0), own[key])
+    if not kept:
+        return dataset
+    words = ', '.join(tolerance(key, kept[key]) for key in FRAME_TOLERANCES if key in kept)
+    print(f'kept from {" ".join(paths)} beside --robot: {words} (1 sd)', file=sys.stderr)
+    robot = replace(dataset.robot, tolerances={**dataset.robot.tolerances, **kept})
+    return replace(dataset, robot=robot)
+
+
+def _measurements(path: str, robot: Robot | str | None) -> DataSet:
+    """Read one data set, or the still segments of one recording."""
     if not is_bag(path):
         return load_dataset(path, robot)
     imported = import_bag(path, robot)

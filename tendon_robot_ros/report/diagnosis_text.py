@@ -60,7 +60,7 @@ def declared(diagnosis: Diagnosis) -> list[str]:
     details = diagnosis.details
     if 'tolerances' not in details:
         return []
-    tolerances = [_tolerance(name, size) for name, size in details['tolerances'].items()]
+    tolerances = [tolerance(name, size) for name, size in details['tolerances'].items()]
     if details.get('exact', True):
         first = (
             f'declared tolerances (1 sd): {", ".join(tolerances)}; '
@@ -87,7 +87,8 @@ def declared(diagnosis: Diagnosis) -> list[str]:
     return [first, second]
 
 
-def _tolerance(name: str, size: float) -> str:
+def tolerance(name: str, size: float) -> str:
+    """Say a declared tolerance in the unit that suits it."""
     if name in ('position', 'pull_zero'):
         return f'{name} {mm(size, 2)}'
     if name in ('rotation', 'cell_kink'):
@@ -354,11 +355,28 @@ def _predicted(step: NextMeasurement) -> str:
 # How far to trust a diagnosis, in words.
 
 
+NOT_SIMULATED = (
+    'How often this procedure raises a false alarm could not be simulated: the description has no '
+    'equilibrium in some posture, or nothing tells the noise.'
+)
+NONE_ENDED = (
+    'How often this procedure raises a false alarm is not known: no simulation of your postures '
+    'ended in the time that it has. Try it on a machine that does nothing else.'
+)
+OF_THE_CATALOGUE = (
+    'All of this is about effects of the catalogue; of a cause outside it it says nothing.'
+)
+
+
 def trust_lines(diagnosis: Diagnosis) -> list[str]:
     """Return what the bootstrap says; nothing where it was not asked for."""
-    trust = diagnosis.details.get('trust')
-    if not trust or not trust['runs']:
+    if 'trust' not in diagnosis.details:
         return []
+    trust = diagnosis.details['trust']
+    if trust is None:
+        return [NOT_SIMULATED]
+    if not trust['runs']:
+        return [NONE_ENDED]
     low, high = 100.0 * trust['alarm_rate_low'], 100.0 * trust['alarm_rate_high']
     sentences = [
         f'With nothing missing, this procedure raises an alarm in '
@@ -373,6 +391,8 @@ def trust_lines(diagnosis: Diagnosis) -> list[str]:
             f'Of {trust["checked"]} simulated robots with an effect of such a size, '
             f'{share:.0f} % raised it.'
         )
+    if diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE:
+        sentences.append(OF_THE_CATALOGUE)
     return sentences
 
 

@@ -14,7 +14,7 @@ from ..common.words import capital, mm
 from ..comparison.result import Comparison, Floats
 from ..diagnosis.missing_moment import MissingMoment
 from .comparison_text import posture_name
-from .numbers import degrees_list, mm_list, plain
+from .numbers import LOG_TICKS, degrees_list, mm_list, plain
 from .page import Figure
 
 POSTURES_WITH_OWN_BOXES = 6  # postures up to which each has its own boxes
@@ -223,8 +223,10 @@ def _error_axis(comparison: Comparison, title: str) -> dict[str, Any]:
         and max(float(model.per_marker_rms[-1]) for model in comparison.models)
         > LOG_AXIS_FROM_FLOORS * floor
     )
-    kind = {'type': 'log', 'dtick': 1, 'minor': {'showgrid': True, 'gridcolor': '#f0f2f4'}}
-    return {'title': {'text': title}, **(kind if wide else {'rangemode': 'tozero'})}
+    return {
+        'title': {'text': title},
+        **({'type': 'log', **LOG_TICKS} if wide else {'rangemode': 'tozero'}),
+    }
 
 
 def places(comparison: Comparison) -> list[float | None]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..common.colours import FLOOR
-from ..common.words import columns, digits, mm, probability
+from ..common.words import capital, columns, digits, mm, probability
 from ..comparison.compare import compare
 from ..data import DataSet
 from ..diagnosis.improvement import COLOURS, Floats, Improvement, ImprovementStep, total
@@ -19,12 +19,11 @@ from ..effects import Catalogue
 from .arm_text import left_out, where_wrong
 from .comparison_page import add_shapes
 from .error_plots import per_marker, per_posture
-from .numbers import mm_list, quantities
+from .numbers import LOG_TICKS, mm_list, quantities
 from .page import Figure, Page
 
 MARKERS_SHOWN_MAX = 4  # markers up to which each has its own number
 LABEL_WIDTH = 22  # letters of a step's name in a line below the curve
-TICKS_MM = [a * 10.0**b for b in range(-3, 4) for a in (1, 2, 5)]  # of the logarithmic axis
 WORST_POSTURES = 3  # that are named
 NOT_WRITTEN = 'Nothing was written: there is no step that lowers the error on left-out postures.'
 
@@ -148,9 +147,9 @@ def improvement_page(found: Improvement, dataset: DataSet, catalogue: Catalogue)
     page.table(header, rows, kinds + ['faint'] * (len(rows) - len(kinds)), left=[0])
     page.heading('Values')
     page.text(*(f'`{name}`: {said}' for name, said in _values(found)))
-    page.text(*profile(found))
+    page.text(*map(capital, profile(found)))
     page.heading('What remains')
-    page.text(*remains(found))
+    page.text(*map(capital, remains(found)))
     models = [('as described', dataset.robot), ('improved', found.robot)]
     comparison = compare(dataset, models, catalogue)
     page.figures([per_marker(comparison), per_posture(comparison)], 'two')
@@ -187,8 +186,7 @@ def curve(found: Improvement) -> Figure:
         'yaxis': {
             'title': {'text': 'rms error, logarithmic [mm]'},
             'type': 'log',
-            'tickvals': TICKS_MM,
-            'ticktext': [f'{tick:g}' for tick in TICKS_MM],
+            **LOG_TICKS,
         },
     }
     title = 'The error falls step by step; hollow: not taken'

@@ -18,6 +18,11 @@ def plain(values: npt.ArrayLike, scale: float = 1.0, places: int = 4) -> list[fl
     return [float(value) if np.isfinite(value) else None for value in array]
 
 
+TICKS = [a * 10.0**b for b in range(-3, 4) for a in (1, 2, 5)]
+# of a logarithmic axis
+LOG_TICKS = {'tickvals': TICKS, 'ticktext': [f'{tick:g}' for tick in TICKS]}
+
+
 def mm_list(metres: npt.ArrayLike) -> list[float | None]:
     """Return lengths in mm."""
     return plain(metres, 1e3)

@@ -86,6 +86,20 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
     return _by_history(dataset, commands) if visits else dataset
 
 
+def described_robot(folder: str | Path) -> Robot:
+    """
+    Return the robot that a data set names itself.
+
+    Raises
+    ------
+    DataSetError, RobotDescriptionError
+        As `load_dataset`.
+
+    """
+    path = Path(folder) / 'dataset.yaml'
+    return find_robot(read_fields(read_text(path), str(path)), Path(folder))
+
+
 def _by_history(dataset: DataSet, commands: Commands) -> DataSet:
     """Return the trials of each posture apart by where the arm came from."""
     code, known = commands.table.codes['posture'], commands.trials is not None
