@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..common.errors import InputError, TendonRobotError
-from ..common.words import digits, listed, mm
+from ..common.words import digits, listed, mm, scale_of
 from ..common.workers import LostWork, Workers
 from ..common.yaml_reading import parse_yaml
 from ..data import DataSet, load_dataset
@@ -308,10 +308,12 @@ def _moved(old: FleetRow, new: FleetRow, names: Sequence[str]) -> list[str]:
             continue
         if then[1] > first[2] or then[2] < first[1]:
             unit = new.unit[new.parameter.index(name)]
+            scale, shown = scale_of(unit, max(map(abs, (*first, *then))), name.split()[-1])
             ends = [
-                f'{digits(v)} ({digits(low)} to {digits(high)})' for v, low, high in (first, then)
+                f'{digits(scale * v)} ({digits(scale * low)} to {digits(scale * high)})'
+                for v, low, high in (first, then)
             ]
-            told.append(f'{name}: {ends[0]} before, now {ends[1]} {unit}')
+            told.append(f'{name}: {ends[0]} before, now {ends[1]} {shown}'.rstrip())
     return told
 
 

@@ -11,6 +11,20 @@ UNIT_PREFIXES = ((1e6, 'M'), (1e3, 'k'), (1.0, ''), (1e-3, 'm'), (1e-6, 'µ'), (
 PROGRAM = 'python -m tendon_robot_ros'
 
 
+def scale_of(unit: str, size: float, name: str = '') -> tuple[float, str]:
+    """Return the factor and the unit in which a person reads values of a size."""
+    if unit.startswith('rad'):
+        return 180.0 / math.pi, '°' + unit.removeprefix('rad')
+    if unit == '1' and name.startswith('relative_change'):
+        return 100.0, '%'
+    if unit == 'kg/m' and size < 0.1:
+        return 1e3, 'g/m'
+    if unit in ('1', 'kg/m') or unit.startswith('1/'):
+        return 1.0, '' if unit == '1' else unit
+    scale, prefix = next(((s, p) for s, p in UNIT_PREFIXES if size >= 0.1 * s), (1.0, ''))
+    return 1.0 / scale, prefix + unit
+
+
 def percent(share: float) -> str:
     """Show a share; what is not all of it is never 100 %."""
     return f'{int(100.0 * share) if share < 1.0 else 100} %'

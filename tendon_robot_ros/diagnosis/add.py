@@ -224,13 +224,7 @@ def add_effects(
     own = fit.probability(session.freedom) if session.use_accuracy else probability
     scale = 1.0 if own > P_SINGLE_MIN else max(1.0, fit.chi2 / max(fit.freedom, 1))
     values = values_with_intervals(session.fitters[0], fit, scale)
-    robots = Staircase(described, made.alone, made.robot)
-    fitted = errors_on(dataset, robots, session.catalogue, 'fitted')
-    on_check = (
-        replace(fitted, kind='left out', alone=made.alone_left_out, after=made.left_out)
-        if check is None
-        else errors_on(check, robots, session.catalogue, 'check')
-    )
+    fitted, on_check = _errors(session, made, check)
     more = more_at_work(fitted, probability) if partial or probability <= P_SINGLE_MIN else ''
     by = session.accuracy if session.use_accuracy else None
     loads, moved = loads_of(fit, session.predictor, scale), fit.prior_z
@@ -238,6 +232,16 @@ def add_effects(
         made.robot, values, fitted, on_check, probability, moved, more, made.beside, by, loads
     )
     return replace(added, robot=with_origin(added, described))
+
+
+def _errors(session: Session, made: Written, check: DataSet | None) -> tuple[Errors, Errors]:
+    """Return the errors on the fitted postures, and on a check set or postures left out."""
+    robots = Staircase(session.robot, made.alone, made.robot)
+    fitted = errors_on(session.dataset, robots, session.catalogue, 'fitted')
+    if check is not None:
+        return fitted, errors_on(check, robots, session.catalogue, 'check')
+    alone = made.alone_left_out if made.beside else None
+    return fitted, replace(fitted, kind='left out', alone=alone, after=made.left_out)
 
 
 def _by_accuracy(

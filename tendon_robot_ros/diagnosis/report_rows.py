@@ -99,8 +99,11 @@ class Left:
         return 0.0 if gone is None else float(np.clip(gone, 0.0, 1.0))
 
 
-def left_by(session: Session, fit: Fit) -> Left:
-    """Return the errors of the descriptions that a fit would write."""
+def left_by(session: Session, fit: Fit | None) -> Left:
+    """Return the errors of the descriptions that a fit would write; None: nothing is written."""
+    if fit is None:
+        before = error_of(session, session.robot)
+        return Left(before, before, before, session.whitener.floor(), False)
     made = written(session, fit)
     alone = error_of(session, made.alone)
     after = error_of(session, made.robot) if made.beside else alone

@@ -9,8 +9,7 @@ from typing import Any
 from ..campaign.fleet import FleetRow, changes, histories, tracked, words_of
 from ..campaign.judge import ERROR
 from ..common.colours import BEFORE, FLOOR, PREDICTED
-from ..common.words import columns, mm
-from .numbers import scale_of
+from ..common.words import columns, mm, scale_of
 from .page import Figure, Page
 
 COLUMNS = ('robot', 'when', 'measurements', 'verdict', 'error', 'with it', 'noise floor')

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ..common.words import UNIT_PREFIXES, digits, spoken, with_unit
+from ..common.words import digits, scale_of, spoken, with_unit
 from ..diagnosis.result import LoadVector, Value
 
 
@@ -39,20 +39,6 @@ def degrees_list(radians: npt.ArrayLike) -> list[float | None]:
 ZEROS_MAX = 3  # zeros behind the point that are shown of nothing
 SIDE_WITHIN_RAD = 0.05  # [rad] from an axis within which a direction is that of the axis
 DECIMALS_MAX = 7  # places behind the point; what is smaller is shown with an exponent
-
-
-def scale_of(unit: str, size: float, name: str = '') -> tuple[float, str]:
-    """Return the factor and the unit in which a person reads values of a size."""
-    if unit.startswith('rad'):
-        return 180.0 / math.pi, '°' + unit.removeprefix('rad')
-    if unit == '1' and name.startswith('relative_change'):
-        return 100.0, '%'
-    if unit == 'kg/m' and size < 0.1:
-        return 1e3, 'g/m'
-    if unit in ('1', 'kg/m') or unit.startswith('1/'):
-        return 1.0, '' if unit == '1' else unit
-    scale, prefix = next(((s, p) for s, p in UNIT_PREFIXES if size >= 0.1 * s), (1.0, ''))
-    return 1.0 / scale, prefix + unit
 
 
 def quantity(name: str, value: Value, size: float = 0.0) -> str:

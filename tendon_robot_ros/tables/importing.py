@@ -83,8 +83,6 @@ def import_table(
     catalogue = catalogue or load_catalogue(())
     dataset, frame, left_out = _registered(raw, recipe, catalogue)
     final, look = _known_frame(dataset, frame, taken.recipe)
-    if recipe.path == FROM_STRAIGHT and not measured.rest and taken.recipe.time is not None:
-        look = (*look, *way_shows(measured.segments, measured.begins))
     predicted = Predictor(final, final.robot, catalogue).markers({})
     assert predicted is not None  # it was, before
     return ImportedTable(
@@ -99,8 +97,7 @@ def import_table(
         dropped=(*_columns_dropped(taken), *measured.dropped, *_trials_dropped(left_out)),
         assumed=(*taken.assumed, *measured.assumed, *_markers_assumed(order, taken)),
         look=(
-            *measured.look,
-            *frames_only(final),
+            *_way_look(final, measured, taken.recipe),
             *look,
             *_frame_look(frame),
             *_offset_look(final, predicted, catalogue),
@@ -314,6 +311,14 @@ def _markers_assumed(order: MarkerOrder, taken: Taken) -> list[str]:
     if order.twice:
         names = listed(labels[j] for j in order.twice)
         said.append(f'{names}: at the place of another marker, left out')
+    return said
+
+
+def _way_look(dataset: DataSet, measured: StillMeasurements, recipe: Recipe) -> list[str]:
+    """Say what contradicts the way on which the arm is taken to have come to its postures."""
+    said = [*measured.look, *frames_only(dataset)]
+    if recipe.path == FROM_STRAIGHT and not measured.rest and recipe.time is not None:
+        said += way_shows(measured.segments, measured.begins)
     return said
 
 

@@ -96,7 +96,6 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
     if recipe.time is not None:
         motions = [motion(one.recording, one.inputs, rule) for one in traces]
         rule = _still_rule([m for m in motions if m is not None], traces, rule, recipe)
-    from_straight = recipe.path == FROM_STRAIGHT
     pieces = [_piece(one, moved, rule) for one, moved in zip(traces, motions, strict=True)]
     if recipe.zero:
         pieces = _from_zero(pieces)
@@ -107,15 +106,13 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
     same = _guess_same(found) if recipe.same is None else recipe.same
     rest = recipe.rest
     if rest is None:
-        rest = _guess_rest(found, same) if from_straight else 0.0
+        rest = _guess_rest(found, same) if recipe.path == FROM_STRAIGHT else 0.0
         if rest:
-            size = f'{digits(rest, 3)} {unit}'
-            assumed.append(f'where all inputs are below {size} the arm rests')
+            assumed.append(f'where all inputs are below {digits(rest, 3)} {unit} the arm rests')
     pieces = [_without_rest(piece, rest, first=index == 0) for index, piece in enumerate(pieces)]
     dropped += _told(pieces, recipe.markers or ())
     kept = [one for piece in pieces for one in piece.segments]
     assumed.append(way_assumed(recipe.path, rest, recipe.time is not None))
-    counts = [_let_go(piece, same) for piece in pieces if piece.motion is not None]
     return StillMeasurements(
         tuple(pieces),
         tuple(_named(kept, replace(rule, change=same), recipe.path == SEQUENCE)),
@@ -126,13 +123,18 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
         tuple(one.drift for one in traces if one.delay is not None),
         tuple(dropped),
         tuple(assumed),
-        tuple(way_contradicted(recipe.path, counts, unit)),
+        _way_look(pieces, recipe.path, same, unit),
     )
 
 
-def _let_go(piece: Piece, same: float) -> tuple[int, int, float]:
-    """Count the loaded segments of a recording before which all inputs were let go."""
-    return let_go_between(piece.recording.state_times, piece.inputs, piece.segments, same)
+def _way_look(pieces: Sequence[Piece], path: str, same: float, unit: str) -> tuple[str, ...]:
+    """Say where inputs contradict that the arm came from one posture to the next."""
+    counts = [
+        let_go_between(piece.recording.state_times, piece.inputs, piece.segments, same)
+        for piece in pieces
+        if piece.motion is not None
+    ]
+    return tuple(way_contradicted(path, counts, unit))
 
 
 def _named(segments: list[Segment], rule: Rule, sequence: bool) -> list[Segment]:
