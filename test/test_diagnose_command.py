@@ -1,6 +1,7 @@
 """The commands `diagnose`, `add` and `remove`: what they print, write, and refuse."""
 
 import json
+import shutil
 
 import pytest
 import yaml
@@ -252,13 +253,14 @@ def test_two_effects_are_added_by_one_command(capsys, folder):
 
 
 def test_another_description_keeps_what_an_import_declared_of_the_frame(folder, capsys):
-    robot = folder / 'l' / 'fit' / 'robot.yaml'
+    copy = shutil.copytree(blind('l') / 'fit', folder / 'copy')  # the others are links
+    robot = copy / 'robot.yaml'
     own = robot.read_text(encoding='utf-8')
     (folder / 'other.yaml').write_text(own, encoding='utf-8')
     robot.write_text(f'{own}\ntolerances: {{position: 0.0012, rotation: 0.035}}\n')
-    data = load_measurements(str(folder / 'l' / 'fit'), str(folder / 'other.yaml'))
+    data = load_measurements(str(copy), str(folder / 'other.yaml'))
     assert data.robot.tolerances == {'position': 0.0012, 'rotation': 0.035}
     assert 'beside --robot: position 1.2 mm, rotation 2.0° (1 sd)' in capsys.readouterr().err
     (folder / 'known.yaml').write_text(f'{own}\ntolerances: {{position: 0.0002}}\n')
-    data = load_measurements([str(folder / 'l' / 'fit')], str(folder / 'known.yaml'))
+    data = load_measurements([str(copy)], str(folder / 'known.yaml'))
     assert data.robot.tolerances == {'position': 0.0002, 'rotation': 0.035}
