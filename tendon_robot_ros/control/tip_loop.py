@@ -45,8 +45,8 @@ ONE_SIDED_SHARES = 5e-4, 5e-3, 0.02, 0.06  # [1] of a tension's range, for slope
 PACE = 2.0  # [1] of `tip_gain`: how fast the way to a set point shrinks
 STANDS_SHARE = 2e-3  # [1] of a tension's range: nearer to its goal, the arm counts as standing
 ARRIVED_SHARE = 2e-4  # [1] of a tension's range: nearer, the command is at its goal
-WALK_DOUBT_M, WALK_OFF_M = 5e-5, 2e-4  # [m] of a step of a walk; from the target, that ends it
-WALK_SHARE_MAX = 0.01  # [1] of a tension's range, in one step of a walk
+WALK_DOUBT_M, WALK_OFF_M = 1.5e-3, 2e-4  # [m] of a step of a walk; from the target, that ends it
+WALK_SHARE_MAX = 0.002  # [1] of a tension's range, in one step of a walk
 NULL_BELOW = 1e-3  # [1] of the largest slope: combinations of tensions that move no tip
 PASSED_MAX = 64  # measurements that are kept for a tracker that is late
 
