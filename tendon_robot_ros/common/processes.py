@@ -45,7 +45,7 @@ FIRST_NICENESS = -15  # nice value; the kernel's own threads stay before it
 # of SCHED_RR, first what moves motors; what the kernel does for devices is at 50
 REALTIME_PRIORITY, REALTIME_PRIORITY_SECOND, REALTIME_PRIORITY_MOCK = 5, 4, 3
 REALTIME_PRIORITY_EMULATED = 20  # the electronics of a motor wait for no program
-REALTIME_PRIORITY_LENT = 1  # after all that moves motors
+REALTIME_PRIORITY_LENT = 2  # after all that moves motors, the mock arm too
 LOAN_MAX_S, LOAN_SHARE = 0.05, 0.5  # [s] lent at once, [1] of the time in the long run
 
 
