@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,11 +12,25 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import InputError, TendonRobotError
 from tendon_robot_ros.comparison.noise import Noise
 from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.effects import load_catalogue
-from tendon_robot_ros.investigation.choice import OpenQuestion, Room, _added, choose, pool
-from tendon_robot_ros.investigation.goal import Goal, InvestigationEnd, possible, settled
+from tendon_robot_ros.investigation.choice import (
+    OpenQuestion,
+    Room,
+    _added,
+    _LinearDesign,
+    choose,
+    pool,
+)
+from tendon_robot_ros.investigation.goal import (
+    Goal,
+    InvestigationEnd,
+    only_wide,
+    possible,
+    settled,
+)
 from tendon_robot_ros.investigation.loop import Investigation
-from tendon_robot_ros.investigation.record import empty_dataset
+from tendon_robot_ros.investigation.record import Round, empty_dataset
 from tendon_robot_ros.investigation.simulated_arm import SimulatedArm
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
@@ -62,6 +77,45 @@ def test_a_load_and_a_curvature_are_told_apart_where_they_differ_not_where_they_
     chosen = choose(both, empty, rows, catalogue, 2)
     same = choose(both, empty, np.repeat(rows[:1], 2, axis=0), catalogue, 2)
     assert sum(c.gain for c in chosen) > sum(c.gain for c in same) + 1.0
+
+
+def test_once_only_an_interval_is_too_wide_the_posture_that_narrows_it_is_chosen():
+    """The second posture tells more in all, of a parameter that is known well already."""
+    robot = replace(load_robot(KATO), effects={}, tolerances={}, exact=True)
+    empty = empty_dataset(SimulatedArm(make_plant(robot, {}, scatter=0.0)), 'none', 1)
+    noise, low = Noise(1e-4, 0.0, 0.0, np.inf, 'declared'), robot.tension_limits[0]
+    rows = np.array([[low] * 4, [low, 0.8, low, 0.8], [0.8, low, 0.8, low], [0.8, low, low, 0.8]])
+    question, catalogue = OpenQuestion(('tip_load',), {}, noise), load_catalogue()
+    narrows = replace(question, narrows=True)
+
+    def widest(choice):
+        design = _LinearDesign(question, empty, catalogue)
+        shown = dict(zip(map(tuple, rows.tolist()), design.offered(rows)[0], strict=True))
+        precision = np.eye(design.size)
+        for one in choice:
+            own = shown[tuple(one.inputs.tolist())]
+            precision += own.T @ own
+        return np.linalg.inv(precision)[:3, :3].diagonal().max()
+
+    for count in (1, 2, 3):
+        by_volume, by_width = (
+            widest(choose(asked, empty, rows, catalogue, count)) for asked in (question, narrows)
+        )
+        assert by_width <= by_volume * (1.0 + 1e-9)
+    first = choose(narrows, empty, rows, catalogue, 1)[0]
+    assert first.gain == pytest.approx(-0.5 * np.log(widest([first])), rel=1e-6)
+
+
+def test_a_class_counts_only_when_its_interval_is_as_narrow_as_asked():
+    held = SimpleNamespace(
+        verdict=Verdict.AMBIGUOUS, cannot_tell_apart=['a', 'b'], next_measurement=None
+    )
+    wide = Round(5, str(Verdict.AMBIGUOUS), ['a', 'b'], ['a', 'b'], 0.3, '')
+    narrow = replace(wide, postures=6, widest=0.2)
+    assert settled(held, [wide, wide], Goal(), 5) is None
+    assert only_wide(held, [wide, wide], Goal())
+    assert settled(held, [wide, narrow], Goal(), 6) is InvestigationEnd.INSEPARABLE
+    assert not only_wide(held, [wide, narrow], Goal())
 
 
 @pytest.fixture(scope='module')

@@ -176,7 +176,7 @@ def well_known():
 
 
 def averaged(plant, rows, random):
-    markers = default_markers(ROBOT)
+    markers = default_markers(plant.robot)
     arcs, offsets = (np.array([getattr(m, k) for m in markers]) for k in ('arc_length', 'offset'))
     read = rows * (1.0 + 0.001 * random.normal(size=rows.shape))
     seen = plant.markers(rows, arcs, offsets)
@@ -196,6 +196,22 @@ def test_noise_is_learned_at_its_size_and_innovations_vary_as_expected(well_know
     off, told = (np.sum([score[i] for score in scores], axis=0) for i in (0, 1))
     both = np.linalg.solve(told + np.eye(len(off)), np.column_stack([off, told]))
     assert 0.4 < off @ both[:, 0] / np.trace(both[:, 1:]) < 1.6  # all postures as one batch
+
+
+def test_where_an_arm_hardly_bends_and_kinks_turn_its_friction_over_nothing_is_told():
+    """Both tendons of a section pull nearly alike: the markers may be 1 mm off the tangent."""
+    robot = load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml')
+    random, free = np.random.default_rng(3), make_plant(robot, {}, seed=3, work=Workmanship())
+    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
+    rows = np.clip(default_postures(robot, 60, 1003), *robot.tension_limits)
+    arm.fit(*averaged(free, rows, random), 30)
+    alarm, turning = DriftAlarm(arm, 21600.0), np.array([[0.318, 0.422, 0.402, 0.299]])
+    (read,), (seen,) = averaged(free, turning, random)
+    expected = arm.expected(read)
+    assert np.abs(expected.markers - seen.ravel()).max() > 5e-4
+    assert np.abs(expected.bent).max() > 2e-4
+    assert np.abs(arm.expected(np.array([0.1, 0.5, 0.1, 0.3])).bent).max() < 5e-6
+    assert alarm.update(read, seen, 30).evidence < 100.0
 
 
 @pytest.mark.parametrize('cell', [6, 8, 11])

@@ -13,6 +13,10 @@ P the precision of theta and b, Pbb its block of b, primed with the posture (Bay
 a subset, Chaloner and Verdinelli 1995). Effects that look alike in what was measured leave a
 direction of theta unknown, so that the posture that separates them tells most; so does the one
 that narrows a parameter, and one is chosen less where imperfections do what the effects do.
+
+Once it is only an interval that is too wide, the widest one counts, which a volume may leave as it
+is: worth is then 1/2 log(v / v'), v the largest variance of theta in units of the prior, whose
+sizes are those that an interval is compared with.
 """
 
 from __future__ import annotations
@@ -164,6 +168,7 @@ class OpenQuestion:
     effects: tuple[str, ...]  # that may act
     point: Point  # the best guess of their parameters; those that it lacks are as described
     noise: Noise
+    narrows: bool = False  # it is their widest interval that is too wide, nothing else
 
 
 @dataclass(frozen=True)
@@ -267,6 +272,9 @@ class _LinearDesign:
     def gain(self, precision: Floats, rows: Floats) -> float:
         """Information [nat] about the effects that a posture adds to a precision."""
         k = len(self.frees)
+        if self.question.narrows:
+            before, after = (_largest(p, k) for p in (precision, precision + rows.T @ rows))
+            return 0.5 * float(np.log(before / after))
         return 0.5 * (_added(precision, rows) - _added(precision[k:, k:], rows[:, k:]))
 
     def _as_if(self, pool: Floats) -> tuple[DataSet, slice]:
@@ -318,6 +326,12 @@ class _LinearDesign:
         sizes = [kind.plausible for kind in built.kinds if kind.name != REMAINDER]
         members = [len(kind) for kind in built.kinds if kind.name != REMAINDER]
         return list(built.moves * np.repeat(sizes, members)[:, None, None, None])
+
+
+def _largest(precision: Floats, count: int) -> float:
+    """Return the largest variance of the first so many."""
+    units = np.eye(len(precision))[:, :count]
+    return float(np.diag(np.linalg.solve(precision, units)).max())
 
 
 def _added(precision: Floats, rows: Floats) -> float:

@@ -226,16 +226,17 @@ def settled(
     """
     Tell whether it is enough; the last of the rounds is this diagnosis.
 
-    A verdict counts when the one before, on fewer postures, was the same. Adequate is the model
-    when no effect is left that may move the tip visibly.
+    A verdict counts when the one before, on fewer postures, was the same; a name, or a class,
+    when its interval is as narrow as asked. Adequate is the model when no effect is left that may
+    move the tip visibly.
     """
     verdict, now = diagnosis.verdict, rounds[-1]
     if verdict is Verdict.CANNOT_JUDGE:
         return InvestigationEnd.MISTAKE if 'mistake' in diagnosis.details else None
     before = rounds[-2] if len(rounds) > 1 else None
     again = before is not None and (before.verdict, before.names) == (now.verdict, now.names)
+    narrow = now.widest is not None and now.widest <= goal.interval
     if verdict in NAMING and not diagnosis.cannot_tell_apart:
-        narrow = now.widest is not None and now.widest <= goal.interval
         return InvestigationEnd.NAMED if again and narrow else None
     if verdict is Verdict.ADEQUATE:
         sure = again and postures >= POSTURES_ENOUGH and not now.possible
@@ -243,7 +244,18 @@ def settled(
     if verdict is Verdict.OUTSIDE_CATALOGUE:
         enough = before is not None and before.verdict == now.verdict
         return InvestigationEnd.OUTSIDE if enough and postures >= POSTURES_ENOUGH else None
-    return InvestigationEnd.INSEPARABLE if _inseparable(diagnosis, rounds) else None
+    return InvestigationEnd.INSEPARABLE if narrow and _inseparable(diagnosis, rounds) else None
+
+
+def only_wide(diagnosis: Diagnosis, rounds: Sequence[Round], goal: Goal) -> bool:
+    """Tell whether it is named, or an inseparable class, and only the interval is too wide."""
+    now = rounds[-1]
+    if now.widest is None or now.widest <= goal.interval:
+        return False
+    if diagnosis.cannot_tell_apart:
+        return _inseparable(diagnosis, rounds)
+    named_before = len(rounds) > 1 and rounds[-2].names == now.names
+    return diagnosis.verdict in NAMING and (named_before or set(now.in_question) <= set(now.names))
 
 
 def adequate_again(rounds: Sequence[Round]) -> bool:

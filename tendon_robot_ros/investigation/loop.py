@@ -46,6 +46,7 @@ from .goal import (
     in_question,
     may_act,
     names_of,
+    only_wide,
     possible,
     settled,
     short,
@@ -198,7 +199,6 @@ class Investigation:
 
     def question(self) -> OpenQuestion:
         """Return what is not known yet."""
-        names = self.asked
         found: Sequence[Any] = () if self.diagnosis is None else self.diagnosis.effects
         values = {
             (effect.name, key): value.value
@@ -210,11 +210,19 @@ class Investigation:
             for free in frees_of([e.name for e in found], self.catalogue, self.arm.robot)
             if (free.effect, free.key) in values
         }
-        return OpenQuestion(tuple(names), point, self._noise())
+        return OpenQuestion(tuple(self.asked), point, self._noise(), self._only_wide)
+
+    @property
+    def _only_wide(self) -> bool:
+        """Whether only an interval is too wide."""
+        rounds = self.record.rounds
+        return self.diagnosis is not None and only_wide(self.diagnosis, rounds, self.goal)
 
     @property
     def asked(self) -> list[str]:
         """Names of the effects that the next posture is to tell of."""
+        if self.diagnosis is not None and self._only_wide:
+            return [effect.name for effect in self.diagnosis.effects]
         if self.diagnosis is None and self._suspected:
             return self._suspected[:IN_QUESTION_MAX]
         names = [] if self.diagnosis is None else in_question(self.diagnosis)
@@ -254,7 +262,8 @@ class Investigation:
         """Measure a posture that was chosen."""
         asked = self.asked
         names = listed(asked, 'or') if len(asked) <= 3 else f'{len(asked)} effects'
-        why = f'tells {digits(choice.gain)} nat of {names}'
+        what = f'the widest interval of {names}' if self._only_wide else names
+        why = f'tells {digits(choice.gain)} nat of {what}'
         self.measurer.next(choice.inputs, why, {'gain': choice.gain, 'asked': asked})
 
     # -------------------------------------------------------------------------

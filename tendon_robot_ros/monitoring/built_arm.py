@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 
@@ -23,12 +23,12 @@ import numpy.typing as npt
 
 from ..comparison.predict import Point, Predictor
 from ..data import DataSet, Marker
-from ..diagnosis.as_built import GAIN, SplitPredictor, remainders
+from ..diagnosis.as_built import GAIN, KINK, PLAUSIBLE_SIZES, SplitPredictor, remainders
 from ..diagnosis.slopes import imperfections
 from ..effects import Catalogue
 from ..model.shape import ShapeBatch
 from ..robot import Robot
-from ..robot.estimates import natural_sizes
+from ..robot.estimates import bend_rates, end_sections, natural_sizes
 
 Floats = npt.NDArray[np.float64]
 REMAINDER_SHARES = (0.0, 0.0003, 0.001, 0.003, 0.01)  # of the length, at the tip
@@ -44,6 +44,7 @@ class Expected:
 
     markers: Floats  # (3 J,) [m] of the model and of the imperfections as they are known
     columns: Floats  # (3 J, q) [m] per sd
+    bent: Floats  # (3 J, 2 m) [m] what is not linear of it, within what is not known
 
 
 class BuiltArm:
@@ -93,6 +94,7 @@ class BuiltArm:
         self.plausible = np.concatenate(usual) if usual else np.zeros(0)  # (q,) 1 sd, each a unit
         names = np.repeat([kind.name for kind in self.kinds], [len(kind) for kind in self.kinds])
         self._gains = np.flatnonzero(names == GAIN)
+        self._kinked = usual_kinks(robot, level) if self.kinds else np.zeros(m)
         self._members: dict[str, Floats] | None = None
         self.forget()
 
@@ -107,10 +109,47 @@ class BuiltArm:
         """Return what is expected under tensions (m,) [N]; None without equilibrium."""
         inputs = np.maximum(tensions, 0.0)[None]
         shapes = self.shapes(inputs, point or {})
-        columns = None if shapes is None else self._columns(inputs, point or {})
-        if shapes is None or columns is None:
+        if shapes is None:
             return None
-        return Expected(self.split.see(shapes).ravel(), columns)
+        beside = self._beside(inputs)
+        columns = self._columns(inputs, point or {})
+        if columns is None:
+            return None
+        here = self.split.see(shapes).ravel()
+        return Expected(here, columns, self._bent(inputs, here, columns, beside))
+
+    def _beside(self, inputs: Floats) -> tuple[Floats, Floats] | None:
+        """
+        Return steps (4 m, m) [N] of what arrives of tensions, and the markers there (4 m, 3 J).
+
+        They do as much more and less as a usual kink does, then half of it. The model is as it
+        was last set.
+        """
+        steps = np.diag(self._kinked)
+        steps = np.vstack([steps, -steps, 0.5 * steps, -0.5 * steps])
+        here = self.split.given(inputs)
+        near = np.maximum(here + steps, 0.0)
+        shapes = self.split.shapes(near, None) if steps.any() else None
+        if shapes is None:
+            return None
+        return near - here, self.split.see(shapes).reshape(len(near), -1)
+
+    def _bent(
+        self, inputs: Floats, here: Floats, columns: Floats, beside: tuple[Floats, Floats] | None
+    ) -> Floats:
+        """
+        Return by how much markers beside a posture are off a parabola there, (3 J, 2 m) [m].
+
+        An arm that hardly bends has friction either way: which one, kinks decide that nobody
+        knows. The tangent tells nothing of it. What is off the tangent at a step, without four
+        times what it is at half of it, is nothing where the model is smooth.
+        """
+        if beside is None or not len(self._gains):
+            return np.zeros((len(here), 0))
+        steps, there = beside
+        per_newton = columns[:, self._gains] / self.plausible[self._gains] / inputs.clip(1e-9)
+        whole, half = np.split(there - here - steps @ per_newton.T, 2)
+        return np.asarray((whole - 4.0 * half).T)
 
     def shapes(self, inputs: Floats, point: Point) -> ShapeBatch | None:
         """Shapes under tensions (1, m) [N] with the imperfections as they are known."""
@@ -133,7 +172,13 @@ class BuiltArm:
         """Covariance of seen coordinates under a remainder of 1 m sd at the tip [1]."""
         return np.asarray(self._rest[np.ix_(rows, rows)])
 
-    def scatter(self, rows: npt.NDArray[np.bool_], columns: Floats, frames: int = 1) -> Floats:
+    def scatter(
+        self,
+        rows: npt.NDArray[np.bool_],
+        columns: Floats,
+        frames: int = 1,
+        bent: Floats | None = None,
+    ) -> Floats:
         """
         Covariance (r, r) [m²] of seen coordinates that is new in every posture.
 
@@ -145,11 +190,16 @@ class BuiltArm:
             As of `Expected`: a tension that is read wrongly is as a gain that is off.
         frames : int
             Of which the coordinates are the mean.
+        bent : (3 J, k) [m], optional
+            As of `Expected`.
 
         """
         read = self.setting * columns[rows][:, self._gains]
         noise = self.noise**2 / frames * np.eye(int(rows.sum()))
-        return np.asarray(self.remainder**2 * self.rest(rows) + read @ read.T + noise)
+        noise += read @ read.T
+        if bent is not None:
+            noise += bent[rows] @ bent[rows].T
+        return np.asarray(self.remainder**2 * self.rest(rows) + noise)
 
     def fit(self, tensions: Floats, positions: Floats, frames: int = 1) -> float:
         """
@@ -179,7 +229,7 @@ class BuiltArm:
         return self.remainder
 
     def _likelihood(
-        self, base: Sequence[tuple[Floats, ...]], frames: int, sizes: tuple[float, float]
+        self, base: Sequence[tuple[Expected, Floats]], frames: int, sizes: tuple[float, float]
     ) -> float:
         """Return the log likelihood of postures under sizes of remainder and tensions' noise."""
         self._vary(sizes)
@@ -197,7 +247,7 @@ class BuiltArm:
         rows = np.isfinite(measured)
         columns = expected.columns[rows]
         off = measured[rows] - expected.markers[rows]
-        scatter = self.scatter(rows, expected.columns, frames)
+        scatter = self.scatter(rows, expected.columns, frames, expected.bent)
         spread = columns @ self.covariance @ columns.T + scatter
         root = np.linalg.cholesky(spread)
         white = np.linalg.solve(root, off)
@@ -206,19 +256,22 @@ class BuiltArm:
         self.covariance = self.covariance - gain.T @ gain
         return float(-0.5 * white @ white - np.log(np.diag(root)).sum())
 
-    def _linear(self, tensions: Floats, positions: Floats) -> list[tuple[Floats, ...]]:
-        """Return prediction, columns and measurement of postures: linear, at no imperfections."""
+    def _linear(self, tensions: Floats, positions: Floats) -> list[tuple[Expected, Floats]]:
+        """Return what is expected of postures, linear, at no imperfections; and measurements."""
         seen = [(self.expected(t), p.ravel()) for t, p in zip(tensions, positions, strict=True)]
         return [
-            (e.markers - e.columns @ self.mean, e.columns, y) for e, y in seen if e is not None
+            (replace(e, markers=e.markers - e.columns @ self.mean), y)
+            for e, y in seen
+            if e is not None
         ]
 
-    def _learn_all(self, base: Sequence[tuple[Floats, ...]], frames: int) -> float:
+    def _learn_all(self, base: Sequence[tuple[Expected, Floats]], frames: int) -> float:
         """Learn from linear postures; return their log likelihood."""
         total = 0.0
         self.forget()
-        for markers, columns, measured in base:
-            total += self.learn(Expected(markers + columns @ self.mean, columns), measured, frames)
+        for free, measured in base:
+            expected = replace(free, markers=free.markers + free.columns @ self.mean)
+            total += self.learn(expected, measured, frames)
         return total
 
     def _follow(
@@ -245,7 +298,7 @@ class BuiltArm:
         """Return C' S^-1 nu (q,) of a posture (3 J,) [m], and what is expected of its square."""
         rows = np.isfinite(measured)
         columns = expected.columns[rows]
-        scatter = self.scatter(rows, expected.columns, frames)
+        scatter = self.scatter(rows, expected.columns, frames, expected.bent)
         spread = columns @ self.covariance @ columns.T + scatter
         weighted = np.linalg.solve(spread, columns)
         off = measured[rows] - expected.markers[rows]
@@ -267,6 +320,13 @@ class BuiltArm:
         ends = np.cumsum([len(kind) for kind in self.kinds])[:-1]
         own = np.split(mean * self.plausible, ends) if self.kinds else []
         return {kind.name: values for kind, values in zip(self.kinds, own, strict=True)}
+
+
+def usual_kinks(robot: Robot, level: float) -> Floats:
+    """Return how much of each input (m,) [N] bends a cell as its usual kink does."""
+    cells = np.array([section.cells for section in robot.sections])[end_sections(robot)]
+    kink = level * PLAUSIBLE_SIZES[KINK][1]
+    return np.asarray(kink * cells / np.linalg.norm(bend_rates(robot), axis=1))
 
 
 def widening(scores: Sequence[tuple[Floats, Floats]]) -> float:

@@ -114,7 +114,7 @@ class DriftAlarm:
         columns, shown = expected.columns[rows], shown[rows]
         innovation = measured[rows] - expected.markers[rows]
         covariance = columns @ arm.covariance @ columns.T + arm.scatter(
-            rows, expected.columns, frames
+            rows, expected.columns, frames, expected.bent
         )
         gain = arm.covariance @ columns.T @ np.linalg.inv(covariance)
         inverse = np.linalg.inv(arm.widening * covariance)
