@@ -125,12 +125,12 @@ def bound(observer, tensions, force):
     return NOISE_M / np.linalg.svd(slopes)[1]
 
 
-def bench(name, count, level, references, frames):
+def bench(name, seeds, level, references, frames):
     """Return the figures of a robot."""
     robot = load_robot(f'config/robots/{name}.yaml')
     full, half = quarter_force(robot), robot.cells // 2
     both = {'tip': [], 'side': []}
-    for where, seed in product(both, range(count)):
+    for where, seed in product(both, seeds):
         if (found := case(robot, full, seed, level, references, frames, where)) is not None:
             both[where].append(found)
     tips, sides = both['tip'], both['side']
@@ -141,7 +141,7 @@ def bench(name, count, level, references, frames):
         'reference postures': references,
         'frames': frames,
         'quarter force [N]': full,
-        'solved': f'{len(tips)} of {count}',
+        'solved': f'{len(tips)} of {len(seeds)}',
         'error, median [%]': round(100 * float(np.median([c['error'] for c in tips])), 2),
         **along_axes(tips),
         'ellipsoids of 95 % hold [%]': percent([c['ellipsoid'] for c in tips]),
@@ -181,6 +181,7 @@ def main():
     """Print the figures, and write them as JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--cases', type=int, default=60)
+    parser.add_argument('--first', type=int, default=0, help='seed')
     parser.add_argument('--robots', nargs='+', default=ROBOTS)
     parser.add_argument('--as-built', action='store_true', help='with twenty references alone')
     parser.add_argument('--frames', type=int, default=1, help='averaged, in every posture')
@@ -188,11 +189,11 @@ def main():
     args = parser.parse_args()
     if args.frames < 1:
         parser.error(f'--frames: expected 1 or more, got {args.frames}')
-    rows = []
+    rows, seeds = [], range(args.first, args.first + args.cases)
     for level, references in ((0.0, 20), (1.0, 0), (1.0, 20))[2 if args.as_built else 0 :]:
         for name in args.robots:
             with one_thread():  # as in the nodes
-                rows.append(bench(name, args.cases, level, references, args.frames))
+                rows.append(bench(name, seeds, level, references, args.frames))
             print(json.dumps(rows[-1], indent=1), flush=True)
     if args.json:
         args.json.write_text(json.dumps(rows, indent=1))
