@@ -174,24 +174,9 @@ def median(values):
     return float(np.median(values)) if len(values) else float('nan')
 
 
-def summary(name, rows):
-    """Return the figures of a robot."""
-    own = [row['investigation'] for row in rows]
-    both = [r for r in rows if r['fixed']['right'] and r['investigation']['right']]
-    tried = [r for r in both if 'random_s' in r]
+def postures(both, tried):
+    """Return how many postures it took where both are right, and over random ones."""
     return {
-        'robot': name,
-        'hidden effects': len(rows),
-        'right, fixed twelve': sum(row['fixed']['right'] for row in rows),
-        'right, investigation': sum(one['right'] for one in own),
-        'another name, fixed and investigation': [
-            sum(bool(one['names']) and not one['right'] for one in kind)
-            for kind in ([row['fixed'] for row in rows], own)
-        ],
-        'called adequate, fixed and investigation': [
-            sum(row['fixed']['verdict'] == Verdict.ADEQUATE for row in rows),
-            sum(one['why'] == 'model_adequate' for one in own),
-        ],
         'where both are right: postures, median': median(
             [r['investigation']['postures'] for r in both]
         ),
@@ -212,6 +197,28 @@ def summary(name, rows):
         'as good from posture, over random ones, median': median(
             [first_enough(r) / (r['random'] or RANDOM[-1] + 1) for r in tried]
         ),
+    }
+
+
+def summary(name, rows):
+    """Return the figures of a robot."""
+    own = [row['investigation'] for row in rows]
+    both = [r for r in rows if r['fixed']['right'] and r['investigation']['right']]
+    tried = [r for r in both if 'random_s' in r]
+    return {
+        'robot': name,
+        'hidden effects': len(rows),
+        'right, fixed twelve': sum(row['fixed']['right'] for row in rows),
+        'right, investigation': sum(one['right'] for one in own),
+        'another name, fixed and investigation': [
+            sum(bool(one['names']) and not one['right'] for one in kind)
+            for kind in ([row['fixed'] for row in rows], own)
+        ],
+        'called adequate, fixed and investigation': [
+            sum(row['fixed']['verdict'] == Verdict.ADEQUATE for row in rows),
+            sum(one['why'] == 'model_adequate' for one in own),
+        ],
+        **postures(both, tried),
         'measurements': sum(row['visits'] for row in rows),
         'most beyond a tension limit [N]': max(row['beyond'] for row in rows),
         'nearest to the ball [mm]': 1e3 * min(row['clearance'] for row in rows),
