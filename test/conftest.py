@@ -13,6 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import hypothesis
 import processes
 import pytest
 
@@ -41,6 +42,10 @@ os.environ['ROS_DOMAIN_ID'] = str(DOMAIN)
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ['MPLBACKEND'] = 'Agg'
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # as the package itself says, but earlier
+# how long an example takes is no property of what is tested, but of what else this machine does
+QUIET = [hypothesis.HealthCheck.too_slow]
+hypothesis.settings.register_profile('busy', deadline=None, suppress_health_check=QUIET)
+hypothesis.settings.load_profile('busy')
 LIMIT, LONG = 600.0, 3600.0  # [s] for any test with what it sets up; for one marked slow or blind
 RERUNS = 2  # processes that talk to each other are late on a busy machine
 

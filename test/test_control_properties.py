@@ -60,7 +60,7 @@ def tell(core, now, kind, *values):
 
 
 @pytest.mark.filterwarnings('ignore::RuntimeWarning')  # squares of 1e308
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.lists(messages, max_size=25), st.booleans())
 def test_no_sequence_of_messages_breaks_limits_or_rates(sequence, pull_mode):
     core = ControllerCore(model(), Settings(rate_limit=RATE, pull_mode=pull_mode))

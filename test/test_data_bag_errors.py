@@ -150,7 +150,7 @@ def exported(tmp_path_factory):
     return [mcap, export_bag(data, folder / 'sqlite3', 'sqlite3') / 'sqlite3.db3']
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     storage=st.integers(0, 1),
     end=st.floats(0.0, 1.0) | st.just(1.0),

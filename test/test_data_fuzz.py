@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_array_equal
@@ -34,7 +34,7 @@ def damaged(draw):
     return name.partition('.')[0], data
 
 
-@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=400)
 @given(damaged())
 @example(('dataset', b'a: ' + b'[' * 3000))
 @example(('dataset', b'gravity: 2000-99-99'))
@@ -65,7 +65,7 @@ CELL = st.sampled_from(['1', ' 2 ', '', 'nan', '"3"', '-1e-3', 'x', '0x1', '1_0'
 NAME = st.sampled_from(['a', ' a', 'é', '"q"', '', 'nan'])
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.lists(st.tuples(NAME, CELL, CELL).filter(any), min_size=1, max_size=6))
 def test_blocks_parsed_at_once_are_what_cells_parsed_one_by_one_are(rows):
     dtype = np.dtype([('name', object), ('x', float), ('y', float)])
@@ -115,7 +115,7 @@ def datasets(draw):
     )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(datasets())
 def test_what_is_written_is_read_back_exactly(data):
     with tempfile.TemporaryDirectory() as folder:

@@ -8,7 +8,7 @@ import numpy as np
 import processes
 import pytest
 from emulated import arm_in, goals, healthy, settled, steps_are_small, until
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tendon_robot_ros.common.errors import DriverError
@@ -279,7 +279,6 @@ def test_a_motor_gives_way_from_what_it_carries_and_no_goal_rises(pulled_arm):
     assert [motor.weakened for motor in driver.motors.values()] == [None] * 4
 
 
-@settings(deadline=None)
 @given(
     lately=st.lists(st.integers(-400, 400), max_size=8),
     shares=st.lists(st.floats(0.0, 1.0, exclude_min=True), min_size=1, max_size=20),

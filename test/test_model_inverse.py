@@ -44,7 +44,7 @@ def test_the_shape_of_a_solution_is_the_model_s_own_under_its_tensions(model):
     assert again.pulls == pytest.approx(reach.pulls, abs=1e-9)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3))
 def test_tensions_stay_within_limits_wherever_the_target_is(target):
     model = Model(load_robot(ROBOTS / 'kato_10_1.yaml'))
