@@ -31,7 +31,7 @@ def test_a_blind_case_is_consistent_with_what_it_hides(letter):
     assert found.cannot_tell_apart == ()
     for key, value in found.effects[0].parameters.items():
         assert value.low <= hidden['parameters'][key] <= value.high
-    assert found.effects[0].explained > 0.98
+    assert found.effects[0].explained > 0.95  # of the error, not of its square
     assert found.error_after < 1.3 * found.noise_floor < found.error_before
 
 
