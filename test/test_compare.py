@@ -156,6 +156,15 @@ def test_markers_beside_the_centreline_tell_no_angles(kato):
     assert compare(perfect(kato, markers=beside)).measured.angles is None
 
 
+def test_the_centreline_is_drawn_where_a_posture_has_fewer_trials(kato):
+    """A table has no inputs where a trial was not measured."""
+    data = perfect(kato, trials=2, markers=[Marker('a', 0.0), Marker('b', 0.2)])
+    positions, inputs = np.array(data.positions), np.repeat(data.inputs[:, None], 2, axis=1)
+    positions[1, 1], inputs[1, 1] = np.nan, np.nan
+    found = compare(replace(data, positions=positions, trial_inputs=inputs))
+    assert np.isfinite(found.models[0].centreline).all()
+
+
 def test_models_are_tested_against_each_other(hinges):
     pcca = replace(hinges.robot, effects={})
     found = compare(hinges, [('FKM', hinges.robot), ('PCCA', pcca)])

@@ -167,8 +167,9 @@ def _angles(positions: Floats, axes: Floats) -> Floats:
 def _centreline(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> Floats:
     """Return the ends of the cells (P, n, 3) [m] as the tracker would see them."""
     cells = default_markers(robot)
-    shape = (*dataset.positions.shape[:2], len(cells), 3)
-    unseen = replace(dataset, markers=cells, positions=np.zeros(shape), orientations=None)
+    there = np.where(dataset.trial_mask, 0.0, np.nan)[..., None, None]  # not all were measured
+    places = np.broadcast_to(there, (*there.shape[:2], len(cells), 3))
+    unseen = replace(dataset, markers=cells, positions=places, orientations=None)
     return _predict(Predictor(unseen, robot, catalogue))
 
 

@@ -17,6 +17,7 @@ from .columns import FloatArray
 
 FROM_STRAIGHT, SEQUENCE, VISITS = 'from_straight', 'sequence', 'visits'
 LET_GO_SHARE = 0.2  # of the way from the lowest input to the smallest load, that is let go
+LOADED_MIN = 3  # postures from which that is told
 MOSTLY = 0.8  # of the postures, before which the arm was let go
 APART_MIN_M = 3e-4  # [m] between trials, from which the way is said to count
 APART_FROM_SAME = 2.0  # times what trials with the same way differ by
@@ -38,11 +39,25 @@ IN_ORDER = {
 }
 
 
-def way_assumed(path: str, rest: float, timed: bool) -> str:
-    """Say how the arm is taken to have come to its postures, and what to say if it did not."""
+def way_assumed(
+    path: str, rest: float, timed: bool, counts: Sequence[tuple[int, int, float]]
+) -> str:
+    """
+    Say how the arm is taken to have come to its postures, and what to say if it did not.
+
+    `counts` are of `let_go_between`, recording by recording.
+    """
     if path != FROM_STRAIGHT:
         return IN_ORDER[path]
-    return ROWS if not timed else RESTED if rest else NO_REST
+    if not timed:
+        return ROWS
+    return RESTED if rest or _was_let_go(counts) else NO_REST
+
+
+def _was_let_go(counts: Sequence[tuple[int, int, float]]) -> bool:
+    """Tell whether inputs were let go before most loaded postures, however short."""
+    let_go, of = sum(count for count, _, _ in counts), sum(of for _, of, _ in counts)
+    return of >= LOADED_MIN and let_go >= MOSTLY * of
 
 
 def let_go_between(
@@ -85,9 +100,9 @@ def let_go_between(
 
 def way_contradicted(path: str, counts: Sequence[tuple[int, int, float]], unit: str) -> list[str]:
     """Say that an arm that was let go before its postures did not come from one to the next."""
-    let_go, of = sum(count for count, _, _ in counts), sum(of for _, of, _ in counts)
-    if path == FROM_STRAIGHT or of < 3 or let_go < MOSTLY * of:
+    if path == FROM_STRAIGHT or not _was_let_go(counts):
         return []
+    let_go, of = sum(count for count, _, _ in counts), sum(of for _, of, _ in counts)
     level = max(level for _, _, level in counts)
     return [
         f'before {let_go} of {of} loaded postures all inputs were let go (below '

@@ -112,7 +112,8 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
     pieces = [_without_rest(piece, rest, first=index == 0) for index, piece in enumerate(pieces)]
     dropped += _told(pieces, recipe.markers or ())
     kept = [one for piece in pieces for one in piece.segments]
-    assumed.append(way_assumed(recipe.path, rest, recipe.time is not None))
+    counts = _let_go(pieces, same)
+    assumed.append(way_assumed(recipe.path, rest, recipe.time is not None, counts))
     return StillMeasurements(
         tuple(pieces),
         tuple(_named(kept, replace(rule, change=same), recipe.path == SEQUENCE)),
@@ -123,18 +124,17 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
         tuple(one.drift for one in traces if one.delay is not None),
         tuple(dropped),
         tuple(assumed),
-        _way_look(pieces, recipe.path, same, unit),
+        tuple(way_contradicted(recipe.path, counts, unit)),
     )
 
 
-def _way_look(pieces: Sequence[Piece], path: str, same: float, unit: str) -> tuple[str, ...]:
-    """Say where inputs contradict that the arm came from one posture to the next."""
-    counts = [
+def _let_go(pieces: Sequence[Piece], same: float) -> list[tuple[int, int, float]]:
+    """Count, recording by recording, the postures before which inputs were let go."""
+    return [
         let_go_between(piece.recording.state_times, piece.inputs, piece.segments, same)
         for piece in pieces
         if piece.motion is not None
     ]
-    return tuple(way_contradicted(path, counts, unit))
 
 
 def _named(segments: list[Segment], rule: Rule, sequence: bool) -> list[Segment]:
