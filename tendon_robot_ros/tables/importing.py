@@ -38,6 +38,7 @@ from .registration import (
 from .traces import make_traces
 
 OFFSET_STEP_M = 1e-3  # [m] of a derivative
+MOVED_AT_BASE_M = 2e-3  # [m] from which a marker does not sit at the base
 TRIALS_SHOWN = 6  # of those that were left out
 APART_RAD = 0.3  # [rad] between gravity as the robot says it and as the tracker does
 
@@ -99,6 +100,7 @@ def import_table(
         look=(
             *_way_look(final, measured, taken.recipe),
             *look,
+            *_base_look(final),
             *_frame_look(frame),
             *_offset_look(final, predicted, catalogue),
         ),
@@ -320,6 +322,22 @@ def _way_look(dataset: DataSet, measured: StillMeasurements, recipe: Recipe) -> 
     if recipe.path == FROM_STRAIGHT and not measured.rest and recipe.time is not None:
         said += way_shows(measured.segments, measured.begins)
     return said
+
+
+def _base_look(dataset: DataSet) -> list[str]:
+    """Say that what would sit at the base moves: the arm is longer than its description."""
+    first = dataset.markers[0]
+    places = dataset.mean[:, 0]
+    if first.arc_length > 0.5 * dataset.robot.sections[0].cell_length or len(places) < 2:
+        return []
+    moved = float(np.nanmax(np.linalg.norm(places - np.nanmedian(places, axis=0), axis=1)))
+    if not moved > MOVED_AT_BASE_M:
+        return []
+    return [
+        f'marker {first.name} moves by {mm(moved)}, and would sit at the base: is the arm longer '
+        f'than its {mm(dataset.robot.length)}? Check cells and cell_length of the robot, or say '
+        'where markers sit (--markers)'
+    ]
 
 
 def _frame_look(frame: TrackerFrame) -> list[str]:
