@@ -88,9 +88,8 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
     """
     recipe, kind = taken.recipe, taken.kind
     unit = 'N' if kind == 'tension' else 'm'
-    rule = Rule(recipe.speed or SPEED_LIMITS_M_S[0], recipe.duration, recipe.change).fill(
-        robot, kind
-    )
+    rule = Rule(recipe.speed or SPEED_LIMITS_M_S[0], recipe.duration, recipe.change)
+    rule = rule.fill(robot, kind)
     motions: list[ArmMotion | None] = [None] * len(traces)
     dropped, assumed = _zeros(traces), [one.clocks for one in traces if one.clocks]
     if recipe.time is not None:
