@@ -131,6 +131,9 @@ def test_an_addition_shows_both_kinds_of_postures(hinges):
     assert 'Error on postures never used: 2.50 mm → 0.270 mm (floor 0.220 mm).' in said
     for label in ('postures that were fitted', 'postures never used', '2.66', '0.270'):
         assert label in said
+    in_turn = replace(made, check=replace(check, kind='left out'))
+    said = text(diagnosis_page(diagnosis('missing_effect'), None, in_turn))
+    assert 'postures left out in turn' in said and 'postures never used' not in said
 
 
 def test_found_values_go_into_the_description():

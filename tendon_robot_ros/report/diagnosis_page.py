@@ -189,8 +189,15 @@ def add_staircase(page: Page, diagnosis: Diagnosis, made: Addition | None) -> No
     page.figures([staircase(steps, height=300)])
 
 
+GROUPS = {
+    'fitted': 'postures that were fitted',
+    'left out': 'postures left out in turn',
+    'check': 'postures never used',
+}
+
+
 def _steps(errors: Errors) -> list[Step]:
-    group = 'postures that were fitted' if errors.kind == 'fitted' else 'postures never used'
+    group = GROUPS[errors.kind]
     steps = [
         Step('before', errors.before, 'before', group),
         Step('after', errors.after, 'after', group),
