@@ -106,7 +106,7 @@ BAD = [
      "'ark'"),
     (('sections', 1, 'name'), 'near', "sections: expected names that differ, got 'near'"),
     (('sections', 0, 'stiff'), 1.0, "sections[0].stiff: expected one of name, cells, cell_length, "
-     "bending_stiffness, mass_profile, mass_offset, bends_as, got 'stiff'"),
+     "bending_stiffness, mass_profile, bends_as, mass_offset, got 'stiff'"),
     (('sections', 0, 'mass_offset'), [3.0, 0.0], 'sections[0].mass_offset: expected an offset '
      'below 1 m (is it in mm?), got [3.0, 0.0]'),
     (('sections', 0, 'mass_offset'), [[0.0, 0.0], [0.0, 0.001]], 'sections[0].mass_offset: '

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -221,17 +221,7 @@ def parse_robot(text: str, source: str = 'robot') -> Robot:
 
 
 def _robot(top: Reader) -> Robot:
-    top.only(
-        'name',
-        'sections',
-        'tendons',
-        'tension_limits',
-        'effects',
-        'gravity',
-        'tolerances',
-        'fitted',
-        'exact',
-    )
+    top.only(*(key.name for key in fields(Robot) if key.name != 'source'))
     sections = tuple(_section(item) for item in top.items('sections'))
     top.unique('sections', [section.name for section in sections])
     tendons = tuple(_tendon(item, sections) for item in top.items('tendons'))
@@ -259,15 +249,7 @@ def _robot(top: Reader) -> Robot:
 
 
 def _section(item: Reader) -> Section:
-    item.only(
-        'name',
-        'cells',
-        'cell_length',
-        'bending_stiffness',
-        'mass_profile',
-        'mass_offset',
-        'bends_as',
-    )
+    item.only(*(key.name for key in fields(Section)))
     cells = item.whole('cells', 1, 10000)
     return Section(
         name=item.name('name'),
