@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from tendon_robot_ros.common.errors import TendonRobotError
+from tendon_robot_ros.common.errors import RobotDescriptionError, TendonRobotError
 from tendon_robot_ros.robot.keep_out import (
     Box,
     KeepOut,
     Plane,
     Region,
     Sphere,
+    joined,
     load_keep_out,
     parse_keep_out,
 )
@@ -125,3 +126,13 @@ def test_what_is_wrong_is_one_line(text, told):
 def test_a_file_that_is_not_there_is_one_line(tmp_path):
     with pytest.raises(TendonRobotError, match='cannot be read'):
         load_keep_out(tmp_path / 'none.yaml')
+
+
+def test_regions_of_two_texts_are_one_and_each_counts_once():
+    lamp = '{name: lamp, sphere: {centre: [0.08, 0, 0.12], radius: 0.02}, margin: 0.005}'
+    post = '{name: post, box: {centre: [0, 0.1, 0.1], size: [0.2, 0.02, 0.2]}}'
+    made = parse_keep_out(joined(f'[{lamp}]', '', f'keep_out: [{post}, {lamp}]\n'))
+    assert made == parse_keep_out(f'[{lamp}, {post}]')
+    assert not parse_keep_out(joined('', ''))
+    with pytest.raises(RobotDescriptionError, match='lamp'):
+        joined(f'[{lamp}]', f'[{lamp.replace("0.02", "0.03")}]')

@@ -104,6 +104,30 @@ def test_out_of_reach_nothing_moves(station, tmp_path):
     assert commanded(station) == pytest.approx(before)
 
 
+def test_regions_hold_on_the_way_to_a_path_and_for_the_controller(station, tmp_path):
+    """The path lies beyond a ball, and the arm before it."""
+    ball = '[{name: lamp, sphere: {centre: [0.05, 0, 0.17], radius: 0.01}}]\n'
+    (tmp_path / 'room.yaml').write_text(f'keep_out: {ball}')
+    (tmp_path / 'beyond.csv').write_text('x,y,z\n0.07,0,0.165\n0.072,0,0.165\n')
+    station.go_to_point(0.03, 0.175)
+    before = commanded(station)
+    done = command(station, tmp_path, 'follow', 'beyond.csv', '--keep-out', 'room.yaml')
+    assert done.returncode == 1
+    assert done.stderr.startswith('error: beyond.csv: at ') and 'would enter lamp' in done.stderr
+    assert commanded(station) == pytest.approx(before)
+    post = '{keep_out: [{name: post, sphere: {centre: [0, 0.1, 0.1], radius: 0.01}}]}'
+    assert station.set('controller', 'keep_out', post).successful
+    station.tips.clear()
+    done = command(
+        station, tmp_path, 'follow', 'beyond.csv', '--keep-out', 'room.yaml', '--anyway'
+    )
+    assert values(last(station.controller))['kept_out_of'] == 'lamp', done
+    away = [message.pose.position for _, message in station.tips]
+    assert min(np.hypot(at.x - 0.05, at.z - 0.17) for at in away) > 0.0095
+    assert station.text('controller', 'keep_out') == post
+    assert station.set('controller', 'keep_out', '').successful
+
+
 def test_tensions_from_a_file_are_played(station, tmp_path):
     rows = ['time,' + ','.join(INPUTS), '0,0.5,0.1,0.1,0.5', '1,0.9,0.1,0.1,0.7']
     (tmp_path / 'tensions.csv').write_text('\n'.join(rows) + '\n')

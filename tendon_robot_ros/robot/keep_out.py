@@ -18,6 +18,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
+import yaml
 
 from ..common.errors import InputError
 from ..common.rotations import rotated
@@ -134,11 +135,19 @@ def load_keep_out(path: str | Path) -> KeepOut:
         The file cannot be read; a region is not valid: which, what was expected and what came.
 
     """
+    return parse_keep_out(_read(path), str(path))
+
+
+def text_of(named: str) -> str:
+    """Return the YAML text of regions that are named by a path, or given as text."""
+    return named if '\n' in named or '{' in named or not named else _read(named)
+
+
+def _read(path: str | Path) -> str:
     try:
-        text = Path(path).read_text(encoding='utf-8')
+        return Path(path).read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f'{path}: cannot be read: {error}') from None
-    return parse_keep_out(text, str(path))
 
 
 def parse_keep_out(text: str, source: str = 'keep_out') -> KeepOut:
@@ -165,6 +174,27 @@ def parse_keep_out(text: str, source: str = 'keep_out') -> KeepOut:
     regions = tuple(_region(item) for item in reader.items('keep_out'))
     reader.unique('keep_out', [region.name for region in regions])
     return KeepOut(regions)
+
+
+def joined(*texts: str) -> str:
+    """
+    Return the regions of several YAML texts as one; a region that two of them have counts once.
+
+    Raises
+    ------
+    InputError, RobotDescriptionError
+        Two regions that differ have the same name.
+
+    """
+    items: list[object] = []
+    for text in texts:
+        parse_keep_out(text)  # says what is wrong with it
+        content: Any = parse_yaml(text) or []
+        content = content if isinstance(content, list) else content['keep_out']
+        items += [item for item in content if item not in items]
+    made = yaml.safe_dump({'keep_out': items}, default_flow_style=None)
+    parse_keep_out(made)
+    return made
 
 
 def _region(item: Reader) -> Region:

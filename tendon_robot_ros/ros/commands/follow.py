@@ -15,6 +15,7 @@ import argparse
 import math
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,14 +24,17 @@ from numpy.typing import NDArray
 
 from ...common.errors import InputError
 from ...common.files import refuse_ending
+from ...control.checks import Refusal
 from ...control.keeping_out import entered
 from ...control.trajectory import Playing
 from ...data.folder.path_file import TendonRows, TipRows, read_path
 from ...data.recording.reader import is_bag, read_moves
+from ...model.model import Model
+from ...model.shape import Shape
 from ...paths.path import PathRun, TipPath, set_points, tip_path
 from ...paths.plan import Pace, Plan, plan, retreat, stretched, thinned
 from ...report.path_run import draw_run, lines
-from ...robot.keep_out import load_keep_out
+from ...robot.keep_out import KeepOut, load_keep_out, text_of
 from ..controller.incoming import POINTS_MAX
 from ..shared.robot_client import Pilot, add_controller
 from ..shared.runtime import ros
@@ -125,7 +129,16 @@ def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) 
         print(problem)
     elif detour := planned.detour():
         print(detour)
-    return None if options.plan else run_tips(pilot, planned, TARGET_RATE_HZ)
+    if regions and not options.anyway:
+        here = _standing(pilot, model)
+        if problem := _crossing(model, here, planned, pace.tension, regions):
+            if not options.plan:
+                raise InputError(f'{options.path}: {problem}')
+            print(problem)
+    if options.plan:
+        return None
+    with pilot.keeping_out(text_of(options.keep_out)) if regions else nullcontext():
+        return run_tips(pilot, planned, TARGET_RATE_HZ)
 
 
 def _tendons(
@@ -150,9 +163,25 @@ def _in_time(pilot: Pilot, times: Array, values: Array, rate: float) -> Array:
 
 def _entering(pilot: Pilot, times: Array, values: Array, file: str) -> str:
     """Say when rows (n, m) of the tendons would take the arm into a region of a file, else ''."""
-    model, now = pilot.model(), pilot.commands()[1][-1]
-    here = model.pull_shape(now) if pilot.pull else model.shape(now)
-    refusal = entered(model, here, times, values, load_keep_out(file), pilot.pull)
+    model = pilot.model()
+    here = _standing(pilot, model)
+    return _said(entered(model, here, times, values, load_keep_out(file), pilot.pull))
+
+
+def _crossing(model: Model, here: Shape, planned: Plan, rate: float, regions: KeepOut) -> str:
+    """Say when the arm would enter a region on the way to a path or along it, else ''."""
+    way, times = np.abs(planned.tensions[0] - here.inputs), planned.path.times
+    times = times + float(way.max()) / rate
+    return _said(entered(model, here, times, planned.tensions, regions, False))
+
+
+def _standing(pilot: Pilot, model: Model) -> Shape:
+    """Return the arm as it is commanded now."""
+    now = pilot.commands()[1][-1]
+    return model.pull_shape(now) if pilot.pull else model.shape(now)
+
+
+def _said(refusal: Refusal | None) -> str:
     return '' if refusal is None else str(refusal).removeprefix('tendon_trajectory: ')
 
 

@@ -8,7 +8,7 @@ from ...common.errors import InputError
 from ...control import Settings
 from ...control.friction_state import APPROACHES
 from ...model.redundancy import Preferences
-from ...robot.keep_out import KeepOut, load_keep_out, parse_keep_out
+from ...robot.keep_out import KeepOut, parse_keep_out, text_of
 from ..shared.lifecycle import AUTOSTART
 from ..shared.parameters import COMMAND_MODE, Parameters, Spec
 
@@ -120,8 +120,8 @@ SPECS = (
 
 def keep_out_of(text: str) -> KeepOut:
     """Read regions from the path of a file, or from YAML text."""
-    path = not ('\n' in text or '{' in text or not text)
-    made = load_keep_out(text) if path else parse_keep_out(text)
+    inside = text_of(text)
+    made = parse_keep_out(inside, 'keep_out' if inside == text else text)
     if len(made.regions) > REGIONS_MAX:
         raise InputError(
             f'keep_out: expected at most {REGIONS_MAX} regions, got {len(made.regions)}'

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -23,6 +24,7 @@ from ...control.loading import load
 from ...control.trajectory import Playing
 from ...effects import load_catalogue
 from ...model.model import Model
+from ...robot.keep_out import joined, text_of
 from .files import read_robot
 from .messages import COMMAND, LATCHED, LISTEN, duration, pose_stamped
 from .parameters import RemoteText
@@ -242,18 +244,48 @@ class Pilot(RobotClient):
 
     def model(self) -> Model:
         """Load the model that the controller uses, with its effects."""
-        texts: list[str] = []
         files: list[list[str]] = []
-        model = RemoteText(self, self._controller, 'model')
-        effects = RemoteText(self, self._controller, 'effects')
+        text, effects = self._text('model'), RemoteText(self, self._controller, 'effects')
 
         def asked() -> bool:
-            model.ask(texts.append)
             effects.ask_list(files.append)
-            return bool(texts and files)
+            return bool(files)
 
-        self.wait(asked, 10.0, f'the parameters model and effects of {self._controller}')
-        return load(read_robot(texts[0]), load_catalogue(files[0]))
+        self.wait(asked, 10.0, f'the parameter effects of {self._controller}')
+        return load(read_robot(text), load_catalogue(files[0]))
+
+    @contextmanager
+    def keeping_out(self, regions: str) -> Iterator[None]:
+        """Have the controller keep the arm out of regions, YAML text, besides its own."""
+        remote, own = RemoteText(self, self._controller, 'keep_out'), self._text('keep_out')
+        self._put(remote, joined(text_of(own), regions))
+        try:
+            yield
+        finally:
+            self._put(remote, own)
+
+    def _text(self, parameter: str) -> str:
+        """Return a text parameter of the controller."""
+        texts: list[str] = []
+        remote = RemoteText(self, self._controller, parameter)
+
+        def asked() -> bool:
+            remote.ask(texts.append)
+            return bool(texts)
+
+        self.wait(asked, 10.0, f'the parameter {parameter} of {self._controller}')
+        return texts[0]
+
+    def _put(self, remote: RemoteText, value: str) -> None:
+        """Set a parameter of the controller, or raise why it is not taken."""
+        answers: list[tuple[bool, str]] = []
+        remote.put(value, lambda taken, why: answers.append((taken, why)))
+        end = time.monotonic() + 10.0
+        while not answers and time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=0.05)  # also after Ctrl-C
+        taken, why = answers[0] if answers else (False, f'{self._controller} does not answer')
+        if not taken:
+            raise TendonRobotError(f'the regions of {self._controller} were not changed: {why}')
 
     def play(self, trajectory: Playing) -> str:
         """Send a trajectory of the tendons; return its stamp."""
