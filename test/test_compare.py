@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy  # which imports its parts when they are asked for
 from measurements import blind
-from scipy import stats
 from source_tree import ROOT
 
 from tendon_robot_ros.common.errors import InputError, NoEquilibriumError
@@ -169,7 +169,7 @@ def test_models_are_tested_against_each_other(hinges):
     pcca = replace(hinges.robot, effects={})
     found = compare(hinges, [('FKM', hinges.robot), ('PCCA', pcca)])
     overall, *each = found.paired_t
-    expected = stats.ttest_rel(*(m.tip_errors.mean(axis=1) for m in found.models))
+    expected = scipy.stats.ttest_rel(*(m.tip_errors.mean(axis=1) for m in found.models))
     assert (overall.models, overall.posture, overall.n) == (('FKM', 'PCCA'), None, 12)
     assert overall.p == pytest.approx(expected.pvalue)
     assert [test.posture for test in each] == list(hinges.postures)

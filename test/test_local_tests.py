@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy  # which imports its parts when they are asked for
 import simulated
-from scipy import stats
 from simulated import CATALOGUE, measure, measured, postures
 
 from tendon_robot_ros.comparison.statistics import false_discovery_control
@@ -44,7 +44,8 @@ def faults(dataset, robot=ROBOT):
 def test_the_false_discovery_rate_is_that_of_scipy():
     rng = np.random.default_rng(0)
     for p in (rng.uniform(size=50), rng.beta(0.3, 3.0, size=200), np.array([0.02]), np.ones(3)):
-        np.testing.assert_allclose(false_discovery_control(p), stats.false_discovery_control(p))
+        expected = scipy.stats.false_discovery_control(p)
+        np.testing.assert_allclose(false_discovery_control(p), expected)
 
 
 def test_columns_of_places_are_whole_or_those_of_one_posture(design):
@@ -96,7 +97,7 @@ def test_where_nothing_is_wrong_hardly_ever_a_place_is_named(design):
     named = sum(
         bool(faults_among(*design[:2], fitted(design, rng), design[2])) for _ in range(runs)
     )
-    limit = stats.binom.ppf(0.999, runs, FALSE_DISCOVERY_RATE)
+    limit = scipy.stats.binom.ppf(0.999, runs, FALSE_DISCOVERY_RATE)
     assert 0 < named <= limit
 
 
@@ -113,7 +114,7 @@ def test_of_the_places_that_are_named_hardly_any_is_false(design):
         false = [f for f in named if not names & {(alike, f.place.posture) for alike in f.alike}]
         wrong += len(false) / max(len(named), 1)
         right += len(named) - len(false)
-    assert wrong <= stats.binom.ppf(0.999, runs, FALSE_DISCOVERY_RATE)
+    assert wrong <= scipy.stats.binom.ppf(0.999, runs, FALSE_DISCOVERY_RATE)
     assert right > 1.8 * runs
 
 
@@ -127,7 +128,7 @@ def test_sizes_come_with_intervals_that_hold(design):
         if first.place.name == 'cell 8 towards x':
             inside.append(first.low <= 2.0 <= first.high)
     assert len(inside) > 100
-    assert stats.binom.cdf(sum(inside), len(inside), 0.95) > 1e-3
+    assert scipy.stats.binom.cdf(sum(inside), len(inside), 0.95) > 1e-3
 
 
 @pytest.mark.parametrize('seed', range(3))

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy import stats
+import scipy  # which imports its parts when they are asked for
 
 from tendon_robot_ros.comparison import statistics as probability
 from tendon_robot_ros.comparison.statistics import estimate, half_width, paired_t
@@ -17,11 +17,11 @@ AT = np.exp(RANDOM.normal(0.0, 0.7, 60))
 def test_intervals_and_tests_are_those_of_scipy():
     random = np.random.default_rng(0)
     a, b = random.normal(3.0, 1.0, 12), random.normal(2.0, 1.0, 12)
-    interval = stats.ttest_1samp(a, 0.0).confidence_interval(0.95)
+    interval = scipy.stats.ttest_1samp(a, 0.0).confidence_interval(0.95)
     made = estimate([*a, np.nan])
     assert (made.low, made.high, made.n) == pytest.approx((interval.low, interval.high, 12))
-    assert half_width(a, 'sem') == pytest.approx(stats.sem(a))
-    expected = stats.ttest_rel(a, b)
+    assert half_width(a, 'sem') == pytest.approx(scipy.stats.sem(a))
+    expected = scipy.stats.ttest_rel(a, b)
     test = paired_t(('a', 'b'), a, b, None)
     limits = expected.confidence_interval(0.95)
     assert (test.t, test.p, test.n) == pytest.approx((expected.statistic, expected.pvalue, 12))
@@ -35,20 +35,21 @@ def test_intervals_and_tests_are_those_of_scipy():
 def test_tails_agree_with_scipy(freedoms, x):
     k, d = freedoms
     close = {'rel': 1e-9, 'abs': 1e-290}
-    assert probability.chi2_sf(k * x, k) == pytest.approx(stats.chi2.sf(k * x, k), **close)
-    assert probability.f_sf(x, k, d) == pytest.approx(stats.f.sf(x, k, d), **close)
+    assert probability.chi2_sf(k * x, k) == pytest.approx(scipy.stats.chi2.sf(k * x, k), **close)
+    assert probability.f_sf(x, k, d) == pytest.approx(scipy.stats.f.sf(x, k, d), **close)
     t = math.log(x) * 4.0
-    assert probability.t_sf(t, k) == pytest.approx(stats.t.sf(t, k), **close)
+    assert probability.t_sf(t, k) == pytest.approx(scipy.stats.t.sf(t, k), **close)
 
 
 @pytest.mark.parametrize('freedom', [1.0, 2.5, 30.0, 900.0])
 @pytest.mark.parametrize('p', [1e-12, 1e-4, 0.05, 0.7])
 def test_quantiles_agree_with_scipy(freedom, p):
-    assert probability.chi2_isf(p, freedom) == pytest.approx(stats.chi2.isf(p, freedom), rel=1e-9)
+    expected = scipy.stats.chi2.isf(p, freedom)
+    assert probability.chi2_isf(p, freedom) == pytest.approx(expected, rel=1e-9)
     if p > 1e-6:  # 1 - p has no digits left
-        quantile = pytest.approx(stats.t.ppf(p, freedom), rel=1e-7)
+        quantile = pytest.approx(scipy.stats.t.ppf(p, freedom), rel=1e-7)
         assert probability.t_ppf(p, freedom) == quantile
-    assert probability.normal_ppf(p) == pytest.approx(stats.norm.ppf(p), rel=1e-9)
+    assert probability.normal_ppf(p) == pytest.approx(scipy.stats.norm.ppf(p), rel=1e-9)
 
 
 def test_nothing_to_judge_by_is_no_alarm():
