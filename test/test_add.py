@@ -18,6 +18,7 @@ from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import add_effects, restore
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.outliers import find_outliers
+from tendon_robot_ros.report.addition_text import warnings
 from tendon_robot_ros.robot import dump_robot, load_robot, parse_robot
 
 ROBOT = replace(simulated.robot(), exact=True)  # as those are that are simulated
@@ -83,11 +84,35 @@ def test_a_diagnosis_and_an_addition_tell_the_same_numbers_of_an_arm_as_built(na
     assert found.error_alone == pytest.approx(alone, rel=0.02)
     assert found.effects[0].explained == pytest.approx(min(made.fitted.gone, 1.0), abs=0.01)
     best = next(row for row in found.candidates if row.status == 'best')
+    assert best.held_out == pytest.approx(made.check.after, rel=0.02)
     assert (best.error, best.explained) == (found.error_after, found.effects[0].explained)
     for robot, error in ((dataset.robot, said[0]), (made.robot, said[1])):
         markers = Predictor(dataset, robot, CATALOGUE).markers({})
         left = rms(without_outliers(dataset).mean - markers)
         assert error == pytest.approx(left, rel=0.02), 'each is that of a description'
+
+
+@pytest.mark.parametrize('name', ['messy_002', 'messy_s0'])
+def test_all_that_the_file_says_otherwise_is_named(name):
+    dataset = load_dataset(AS_BUILT / name / 'fit')
+    found = diagnose(dataset)
+    made = add_effects(dataset, [effect.name for effect in found.effects])
+    assert made.beside
+    (line,) = [one for one in warnings(made) if one.startswith('after: ')]
+    before, after = dataset.robot, made.robot
+    for key in set(before.effects) | set(after.effects):
+        changed = before.effects.get(key) != after.effects.get(key)
+        assert (key in line) == (changed and key not in made.values), key
+    stiff = [[k for s in r.sections for k in s.bending_stiffness] for r in (before, after)]
+    changes = 100.0 * (np.array(stiff[1]) / np.array(stiff[0]) - 1.0)
+    changes = changes[changes != 0.0]
+    told = f'stiffness of {len(changes)} cells ({changes.min():+.2g} to {changes.max():+.2g} %)'
+    assert told in line
+    moved = sum(a.base != b.base for a, b in zip(before.tendons, after.tendons, strict=True))
+    assert f'offset of {moved} tendons' in line
+    same = replace(after, sections=before.sections, tendons=before.tendons, effects=before.effects)
+    rest = replace(same, fitted=before.fitted, gravity=before.gravity, source=before.source)
+    assert rest == before, 'nothing else is written'
 
 
 def without_outliers(dataset):

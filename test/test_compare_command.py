@@ -5,12 +5,17 @@ import json
 import numpy as np
 import pytest
 from measurements import blind
+from source_tree import ROOT
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import InputError
+from tendon_robot_ros.common.words import mm
 from tendon_robot_ros.comparison.compare import compare
+from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.comparison.saved import from_json, load_comparison, to_json
 from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.diagnosis.outliers import find_outliers
+from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.report.comparison_text import kind
 
 
@@ -54,7 +59,9 @@ def test_the_table_says_where_and_what_to_do(capsys):
     assert ' '.join(lines[0].split()[:9]) == '12 postures x 5 trials x 15 markers rms'
     assert lines[1].startswith('planar1 (FKM + 3 effects)')
     assert lines[2].startswith('PCCA  ')
-    assert lines[4].startswith('worst: posture 10 (left 2.34 N, right 2.13 N), rms 4.64 mm; ')
+    assert lines[4].startswith(
+        'worst of planar1: posture 10 (left 2.34 N, right 2.13 N), rms 4.64 mm; '
+    )
     assert lines[4].endswith('the error grows from cell 3 on.')
     assert 'planar1 23.7 mm less than PCCA (95 %: ' in lines[5]
     assert lines[-1] == (
@@ -82,3 +89,28 @@ def test_a_model_with_friction_is_called_fkm_whatever_else_it_has():
     ]  # fmt: skip
     assert kind(('gravity', 'tendon_friction')) == 'FKM + gravity'
     assert kind(('gravity', 'tendon_friction', 'torsion')) == 'FKM + 2 effects'
+
+
+@pytest.mark.parametrize('name', ['messy_002', 'messy_s0'])
+def test_readings_that_a_diagnosis_leaves_out_are_named_with_its_noise_floor(
+    name, tmp_path, capsys
+):
+    folder = ROOT / 'test' / 'data' / 'as_built' / name / 'fit'
+    assert main(['compare', str(folder), '--report', str(tmp_path / 'page.html')]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    dataset = load_dataset(folder)
+    kept = find_outliers(Predictor(dataset, dataset.robot, load_catalogue()), {}).without(dataset)
+    floor = mm(compare(kept).noise_floor)
+    assert floor != mm(compare(dataset).noise_floor)
+    start = next(i for i, line in enumerate(lines) if line.startswith('noise floor'))
+    assert lines[start + 1].startswith('diagnose leaves out')
+    told = f'without that the noise floor is {floor}, and diagnose starts from it'
+    assert told in lines[start + 1 : start + 4]
+    assert told[1:] in (tmp_path / 'page.html').read_text(encoding='utf-8')
+
+
+def test_nothing_is_said_of_readings_where_none_is_left_out(capsys):
+    assert main(['compare', str(blind('b') / 'fit')]) == 0
+    out = capsys.readouterr().out
+    assert 'diagnose leaves out' not in out
+    assert '\nworst: posture 10' in out, 'of one model it is clear whose posture that is'

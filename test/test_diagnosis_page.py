@@ -136,6 +136,23 @@ def test_an_addition_shows_both_kinds_of_postures(hinges):
     assert 'postures left out in turn' in said and 'postures never used' not in said
 
 
+def test_what_became_of_the_file_stands_where_it_was_asked_for(hinges, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    asked = ['diagnose', str(blind('b') / 'fit'), '--report', 'page.html']
+    for more, told in (([], '--add better.yaml'), (['--add', 'new.yaml'], 'written: new.yaml')):
+        assert main([*asked, *more]) == 0
+        body = (tmp_path / 'page.html').read_text(encoding='utf-8').partition('<body>')[2]
+        assert told in body
+        assert ('Add it to the robot description' in body) == (not more)
+    lacking = diagnosis_page(diagnosis('outside_catalogue'), outcome='Nothing was added.')
+    assert 'Nothing was added.' in text(lacking) and '--add better.yaml' not in text(lacking)
+
+
+def test_the_page_says_what_the_chance_beside_the_best_means():
+    said = text(diagnosis_page(diagnosis('missing_effect')))
+    assert 'above 0.001 it may be; “best” is the likeliest of those' in said
+
+
 def test_found_values_go_into_the_description():
     robot = load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml')
     changed = with_effects(diagnosis('several', (HINGE, STIFF)), robot)

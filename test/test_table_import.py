@@ -33,7 +33,7 @@ from tendon_robot_ros.simulation.measurements import (
 )
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.tables import import_table
-from tendon_robot_ros.tables.recipe import load_recipe
+from tendon_robot_ros.tables.recipe import load_recipe, read_recipe
 from tendon_robot_ros.workspace.postures import default_postures
 
 THREE = load_robot(ROOT / 'config/robots/spatial_3.yaml')
@@ -482,3 +482,36 @@ def test_gravity_is_told_by_the_up_of_the_tracker(calm):
     assert_allclose(data.gravity, [-9.80665, 0.0, 0.0], atol=0.15)
     wrong = import_table(calm, ARM, {'up': '-y', 'frame': {'method': 'model'}})
     assert 'gravity of the robot and up of the tracker are 180° apart' in ' '.join(wrong.look)
+    (told,) = import_table(calm, replace(ARM, gravity=None), {'up': 'y'}).look
+    assert told.startswith(
+        'up is told (y), but the description has no gravity: the tracker is not'
+    )
+    zero = replace(ARM, gravity=(0.0, 0.0, 0.0))
+    assert 'gravity is zero: up is not used' in ' '.join(
+        import_table(calm, zero, {'up': 'y'}).look
+    )
+
+
+def in_grams(frame):
+    """Write tensions in grams, and say so in the header."""
+    other = frame.copy()
+    for name in [n for n in frame.columns if '[N]' in n]:
+        other[name] = frame[name] / 9.80665e-3
+    return other.rename(columns=lambda name: name.replace('[N]', '[gf]'))
+
+
+def test_a_unit_given_by_hand_that_the_table_contradicts_is_said(calm):
+    grams = in_grams(calm)
+    assert not import_table(grams, ARM, {'up': 'y'}).look
+    wrong = import_table(grams, ARM, replace(read_recipe({'up': 'y'}), input_unit='mN'))
+    assert wrong.look[0] == (
+        'the table says gf of T1 [gf], T2 [gf], T3 [gf], and mN was taken, 9.81 times as little: '
+        'if the table is right, leave out --unit inputs=mN (or take the unit out of import.yaml)'
+    )
+    right = import_table(calm, ARM, replace(read_recipe({'up': 'y'}), input_unit='N'))
+    assert not right.look
+    columns = [name for name in calm.columns if '[mm]' in name]
+    metres = calm.rename(columns=lambda name: name.replace('[mm]', '[m]'))
+    look = import_table(metres, ARM, {'up': 'y', 'positions': 'mm'}).look[0]
+    assert look.startswith('the table says m of ') and ', and mm was taken, 1000 times as' in look
+    assert columns[0].replace('[mm]', '[m]') in look

@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from source_tree import ROOT
 
 pytest.importorskip('pandas')
 
@@ -307,3 +308,51 @@ def test_the_command_refuses_in_one_line_and_writes_nothing(tmp_path, capsys):
     shutil.rmtree(tmp_path / 'run')
     assert not out.exists()
     assert [path.name for path in tmp_path.iterdir()] == ['raw.csv']
+
+
+def test_arguments_in_each_others_place_are_told_apart(tmp_path, capsys, monkeypatch):
+    """A robot, a folder or a data set where a table is meant, and tables behind options."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'raw.csv').write_text(PLAIN)
+    (tmp_path / 'arm.yaml').write_text('name: arm\n')
+    (tmp_path / 'data').mkdir()
+    (tmp_path / 'data' / 'dataset.yaml').write_text('input: tension\n')
+    (tmp_path / 'tables').mkdir()
+    before = sorted(tmp_path.rglob('*'))
+    for call, message in (
+        (
+            'arm.yaml raw.csv --output run',
+            'arm.yaml: is no table; a robot description goes behind',
+        ),
+        ('run raw.csv --robot arm.yaml --output out', 'run: is not there; tables stand first'),
+        ('data --robot arm.yaml --output run', 'data: is a folder, and no table; compare it: '),
+        ('tables --robot arm.yaml --output run', 'is a folder, and no table; name the tables in'),
+        ('--robot raw.csv --output run', '--robot raw.csv: is a table; tables stand alone'),
+        ('--recipe raw.csv --output run', '--recipe raw.csv: is a table; tables stand alone'),
+        ('raw.csv --robot arm.yaml --output new.csv', '--output new.csv: expected the folder'),
+        ('raw.csv --robot arm.yaml --output arm.yaml', '--output arm.yaml: expected the folder'),
+    ):
+        assert main(['import-table', *call.split()]) == 1, call
+        said = capsys.readouterr()
+        assert message in said.err, said.err
+        assert said.out == '' and said.err.count('\n') == 1
+    assert sorted(tmp_path.rglob('*')) == before
+
+
+@pytest.mark.parametrize('command', ['compare raw.csv', 'diagnose raw.csv',
+                                     'improve raw.csv --output new.yaml',
+                                     'add tip_load --data raw.csv --output new.yaml',
+                                     'compare data/hinge_friction/fit/shapes.csv'])  # fmt: skip
+def test_a_table_where_a_data_set_is_meant_is_sent_to_its_import(
+    tmp_path, capsys, monkeypatch, command
+):
+    (tmp_path / 'raw.csv').write_text(PLAIN)
+    (tmp_path / 'data').symlink_to(ROOT / 'data')
+    monkeypatch.chdir(tmp_path)
+    assert main(command.split()) == 1
+    said = capsys.readouterr().err
+    path = next(word for word in command.split() if word.endswith('.csv'))
+    assert said == (
+        f'error: {path}: is a table, and no data set; make one of it: python -m tendon_robot_ros '
+        f'import-table {path} --robot ARM.yaml --output run\n'
+    )

@@ -7,7 +7,10 @@ import pytest
 import simulated
 from simulated import CATALOGUE, NOISE, measured
 
+from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.comparison.predict import Predictor
+from tendon_robot_ros.data import save_dataset
+from tendon_robot_ros.diagnosis import trust as trust_module
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.trust import (
@@ -96,3 +99,18 @@ def test_power_and_rates_are_as_tables_say():
     assert wilson(0, 100) == pytest.approx((0.0, 0.0370), abs=1e-3)
     assert wilson(5, 100) == pytest.approx((0.0215, 0.1118), abs=1e-3)
     assert wilson(0, 0) == (0.0, 1.0)
+
+
+def test_how_long_it_takes_is_said_and_shown(tmp_path, capsys, monkeypatch):
+    dataset = measured(ROBOT, count=3, trials=3)
+    shown = []
+    assess(dataset, workers=1, seconds=1.0, progress=lambda *one: shown.append(one))
+    assert {total for _, _, total in shown} == {1}, 'seconds end it'
+    done = [one for _, one, _ in shown]
+    assert done == sorted(done) and done[0] == 0
+    assert shown[0][0] == '0 simulated with nothing missing [s]'
+    assert shown[-1][0].endswith('simulated with an effect [s]')
+    save_dataset(dataset, tmp_path / 'data')
+    monkeypatch.setattr(trust_module, 'assess', lambda *_, **__: None)
+    assert main(['diagnose', str(tmp_path / 'data'), '--trust']) == 0
+    assert 'simulating your postures; that takes about 50 s' in capsys.readouterr().err

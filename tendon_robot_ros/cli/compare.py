@@ -19,10 +19,17 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..common.errors import InputError
+from ..common.words import mm
 from ..comparison.compare import compare
+from ..comparison.predict import Predictor
+from ..comparison.result import Comparison
 from ..comparison.saved import to_json
 from ..comparison.statistics import ERRORS
 from ..data import DataSet
+from ..diagnosis.outliers import find_outliers
+from ..diagnosis.report_rows import left_out as left_out_details
+from ..effects import Catalogue
+from ..report.arm_text import left_out
 from ..report.comparison_text import sentences, table
 from ..robot import Robot, load_robot
 from .options import add_data, add_effect_files, add_json, effects_of, emit, load_measurements
@@ -58,13 +65,24 @@ def run(args: argparse.Namespace) -> int:
     dataset = load_measurements(args.data, args.model[0] if args.model else None)
     catalogue = effects_of(args)
     comparison = compare(dataset, _models(args, dataset), catalogue, args.error)
-    lines = [table(comparison), *sentences(comparison)]
+    notes = _contradicted(dataset, comparison, catalogue)
+    lines = [table(comparison), *notes, *sentences(comparison)]
     if args.report:
         from ..report.comparison_page import write_comparison
 
-        lines.append(f'report: {write_comparison(comparison, args.report)}')
+        lines.append(f'report: {write_comparison(comparison, args.report, notes)}')
     emit(args, to_json(comparison), '\n'.join(lines))
     return 0
+
+
+def _contradicted(dataset: DataSet, comparison: Comparison, catalogue: Catalogue) -> list[str]:
+    """Name readings that a diagnosis leaves out, and the noise floor that it has therefore."""
+    outliers = find_outliers(Predictor(dataset, dataset.robot, catalogue), {})
+    if not outliers.any or comparison.noise_floor is None:
+        return []
+    kept = compare(outliers.without(dataset), dataset.robot, catalogue).noise_floor
+    names = left_out(left_out_details(dataset, outliers, ()), 'diagnose leaves out')
+    return [*names, f'without that the noise floor is {mm(kept)}, and diagnose starts from it']
 
 
 def _models(args: argparse.Namespace, dataset: DataSet) -> list[tuple[str, Robot]]:

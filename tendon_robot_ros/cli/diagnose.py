@@ -15,6 +15,7 @@ example: python -m tendon_robot_ros diagnose data/hinge_friction/fit --add bette
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import replace
 from typing import Any
 
@@ -61,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--trust',
         action='store_true',
         help='simulate your postures: how often a false alarm, how small an effect is seen '
-        '(a minute at most)',
+        '(about a minute more)',
     )
     add('--workers', type=int, default=2, metavar='N', help='at a time (default: 2)')
     add_overwrite(parser)
@@ -88,17 +89,15 @@ def run(args: argparse.Namespace) -> int:
     if made is not None:
         report_lines += [addition_text.never_used(made), *addition_text.warnings(made)]
         content['added'] = made.to_json()
-    page = _reported(args, diagnosis, dataset, catalogue, made) if args.report else None
     written = made is not None and made.helps and args.add and _may_add(args, diagnosis)
+    outcome = _outcome(args, diagnosis, made) if args.add else ''
+    page = ''
+    if args.report:
+        page = _reported(args, diagnosis, dataset, catalogue, made, outcome)
     if made is not None and written:
         write_description(made.robot, args.add)
-        report_lines.append(next_step(args.add))
-    elif args.add:
-        worse = made is not None and not made.helps
-        report_lines.append(addition_text.NOT_WRITTEN if worse else _refusal(diagnosis))
     content['written'] = args.add if written else None
-    if page is not None:
-        report_lines.append(page)
+    report_lines += filter(None, (outcome, page))
     emit(args, content, '\n'.join(report_lines))
     return REFUSED_EXIT_CODE if args.add and not written and _outside(diagnosis) else 0
 
@@ -107,8 +106,9 @@ def _assessed(
     args: argparse.Namespace, diagnosis: Diagnosis, dataset: DataSet, show: Progress
 ) -> Diagnosis:
     """Put what a bootstrap says beside the verdict."""
-    from ..diagnosis.trust import assess
+    from ..diagnosis.trust import SECONDS, assess
 
+    print(f'simulating your postures; that takes about {SECONDS:.0f} s', file=sys.stderr)
     trust = assess(dataset, args.effect_file, args.workers, progress=show)
     details = {**diagnosis.details, 'trust': None if trust is None else trust.to_json()}
     return replace(diagnosis, details=details)
@@ -144,12 +144,21 @@ def _reported(
     dataset: DataSet,
     catalogue: Catalogue,
     made: Addition | None,
+    outcome: str,
 ) -> str:
     """Write the page."""
     from ..report.diagnosis_page import pictures_of, write_diagnosis
 
     pictures = pictures_of(diagnosis, dataset, catalogue, None if made is None else made.robot)
-    return f'report: {write_diagnosis(diagnosis, pictures, args.report, made)}'
+    page = write_diagnosis(diagnosis, pictures, args.report, made, outcome.replace('    ', '; '))
+    return f'report: {page}'
+
+
+def _outcome(args: argparse.Namespace, diagnosis: Diagnosis, made: Addition | None) -> str:
+    """Say what becomes of the file that --add names."""
+    if made is not None and not made.helps:
+        return addition_text.NOT_WRITTEN
+    return next_step(args.add) if _may_add(args, diagnosis) else _refusal(diagnosis)
 
 
 def _refusal(diagnosis: Diagnosis) -> str:

@@ -14,12 +14,15 @@ example: python -m tendon_robot_ros import-table raw.csv --robot arm.yaml --up y
 from __future__ import annotations
 
 import argparse
+import os
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
 from ..common.errors import InputError
+from ..common.files import TABLE_ENDINGS
 from ..common.units import read_unit
+from ..common.words import PROGRAM
 from ..data.dataset import PATHS
 from ..data.folder.folder import refuse_dataset_in
 from ..robot import load_robot
@@ -29,6 +32,7 @@ from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe, load_recipe
 from .options import add_effect_files, input_size, length
 
 HELP = 'make a data set of a table of tensions and markers over time'
+YAML_ENDINGS = ('.yaml', '.yml')
 INPUT_KINDS = ('force', 'length', 'angle', 'counts', 'current')
 
 
@@ -98,6 +102,7 @@ def run(args: argparse.Namespace) -> int:
     """Import, tell, write."""
     from ..effects import load_catalogue
 
+    _refuse_swapped(args)
     refuse_dataset_in(args.output, args.overwrite)
     recipe = load_recipe(args.recipe) if args.recipe else Recipe()
     if args.raw:  # another recording: its trials are others, and its clocks began at other times
@@ -114,6 +119,35 @@ def run(args: argparse.Namespace) -> int:
     print(f'written: {folder}    every choice: {folder}/import.yaml    look: {folder}/import.png')
     print(f'next:    python -m tendon_robot_ros compare {folder}')
     return 0
+
+
+def _refuse_swapped(args: argparse.Namespace) -> None:
+    """Raise InputError, before any work, where a file or folder stands in place of another."""
+    for path in args.raw:
+        if path.lower().endswith(YAML_ENDINGS):
+            raise InputError(
+                f'{path}: is no table; a robot description goes behind --robot, an import.yaml '
+                'behind --recipe'
+            )
+        if os.path.isdir(path):
+            remedy = (
+                f'compare it: {PROGRAM} compare {path}'
+                if os.path.isfile(os.path.join(path, 'dataset.yaml'))
+                else 'name the tables in it; the folder to write goes behind --output'
+            )
+            raise InputError(f'{path}: is a folder, and no table; {remedy}')
+        if not os.path.splitext(path)[1] and not os.path.exists(path):
+            raise InputError(
+                f'{path}: is not there; tables stand first, the folder to write behind --output'
+            )
+    for option, path in (('--robot', args.robot), ('--recipe', args.recipe)):
+        if path and path.lower().endswith(TABLE_ENDINGS):
+            raise InputError(f'{option} {path}: is a table; tables stand alone, without an option')
+    if os.path.isfile(args.output) or args.output.lower().endswith(TABLE_ENDINGS):
+        raise InputError(
+            f'--output {args.output}: expected the folder to write; tables stand alone, without '
+            'an option'
+        )
 
 
 def _pairs(option: str, texts: list[str]) -> dict[str, str]:

@@ -11,6 +11,8 @@ from pathlib import Path
 
 from .errors import DataSetError, InputError
 
+TEXT_ENDINGS = ('.csv', '.txt', '.tsv', '.dat')
+TABLE_ENDINGS = (*TEXT_ENDINGS, '.parquet', '.c3d')  # of laboratories
 PICTURE_ENDINGS = ('.png', '.svg', '.pdf')
 
 

@@ -44,6 +44,7 @@ class Addition:
     beside: bool = False  # whether tolerances that moved and imperfections are written, too
     accuracy: float | None = None  # [m] declared, that weighed; None: repeatability alone did
     loads: dict[str, LoadVector] = field(default_factory=dict)  # of effects that are forces
+    described: Robot | None = None  # before
 
     @property
     def helps(self) -> bool:
@@ -229,8 +230,9 @@ def add_effects(
     by = session.accuracy if session.use_accuracy else None
     loads, moved = loads_of(fit, session.predictor, scale), fit.prior_z
     added = Addition(
-        made.robot, values, fitted, on_check, probability, moved, more, made.beside, by, loads
-    )
+        made.robot, values, fitted, on_check, probability, moved, more, made.beside, by, loads,
+        described,
+    )  # fmt: skip
     return replace(added, robot=with_origin(added, described))
 
 

@@ -30,6 +30,7 @@ from .interval import intervals
 from .load import loads_of
 from .local_tests import faults_of
 from .outliers import Outliers
+from .prediction_errors import left_out as predicted_left_out
 from .prediction_errors import share_gone
 from .result import NOT_NEEDED, CandidateRow, EffectFinding, Value
 from .session import Session
@@ -168,7 +169,6 @@ def _row(
         for key, value in items.items()
     }
     error = error_of(session, described_by(session, fit, left.beside))
-    inflate = np.sqrt(max(ranked.held_out, 1e-12) / max(fit.chi2, 1e-12))
     loads = loads_of(fit, session.predictor, evidence.scale)
     return CandidateRow(
         ranked.candidate.label,
@@ -178,7 +178,7 @@ def _row(
         ranked.probability,
         left.share(error) if needed else 0.0,
         error,
-        float(error * inflate),
+        predicted_left_out(session.fitters[0], fit, left.beside),
         status,
         ranked.candidate.present,
         next(iter(loads.values()), None),

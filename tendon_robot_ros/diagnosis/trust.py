@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -25,6 +25,7 @@ from .fit import Fit
 from .session import Progress, Session
 
 Floats = npt.NDArray[np.float64]
+SECONDS = 50.0  # [s] of simulations
 DETECTED_SHARE = 0.8  # share of cases in which such a size raises the alarm
 
 
@@ -148,7 +149,7 @@ def assess(
     dataset: DataSet,
     files: Sequence[str] = (),
     workers: int = 1,
-    seconds: float = 50.0,
+    seconds: float = SECONDS,
     runs: int = 200,
     progress: Progress | None = None,
 ) -> Trust | None:
@@ -168,7 +169,7 @@ def assess(
     runs : int
         Largest number of clean simulations; half as many with an effect hidden.
     progress : callable, optional
-        Called with (what, done, total).
+        Called with (what, done, total), in seconds: they, not the simulations, end it.
 
     Returns
     -------
@@ -191,10 +192,14 @@ def assess(
     ]
     job = Job(dataset, robot, session.noise, tuple(files))
     start, quiet, loud = time.monotonic(), Tally(), Tally()
+
+    def told(what: str) -> None:
+        show(f'{what} [s]', min(round(time.monotonic() - start), round(seconds)), round(seconds))
+
     with Workers(workers) as spread:
         early, late = start + 0.65 * seconds, start + seconds
-        quiet.collect(spread.run(job.alarm, clean, early), len(clean), 'alarm rate', show)
-        loud.collect(spread.run(job.alarm, sized, late), len(sized), 'sizes', show)
+        quiet.collect(spread.run(job.alarm, clean, early), 'simulated with nothing missing', told)
+        loud.collect(spread.run(job.alarm, sized, late), 'simulated with an effect', told)
     low, high = wilson(quiet.hits, quiet.runs)
     return Trust(quiet.runs, quiet.hits, low, high, seen, loud.runs, loud.hits)
 
@@ -253,12 +258,13 @@ class Tally:
     hits: int = 0
 
     def collect(
-        self, alarms: Iterable[tuple[int, object]], total: int, what: str, show: Progress
+        self, alarms: Iterable[tuple[int, object]], what: str, told: Callable[[str], None]
     ) -> None:
         """Count what comes; simulations without equilibrium do not count."""
-        for done, (_, alarm) in enumerate(alarms):
-            show(what, done + 1, total)
+        told(f'0 {what}')
+        for _, alarm in alarms:
             self.runs += isinstance(alarm, bool)
+            told(f'{self.runs} {what}')
             self.hits += alarm is True
 
 

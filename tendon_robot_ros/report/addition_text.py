@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
-from ..common.words import columns, digits, mm, percent
+import numpy as np
+
+from ..common.words import columns, digits, listed, mm, percent
 from ..diagnosis.add import Addition
 from ..diagnosis.prediction_errors import Errors
 from .numbers import quantities
 
-AS_FOUND = (
-    'with the effects and the arm as it was found beside them (tolerances that moved, cells, '
-    'tendons, tracker), which the file holds, too'
-)
+AS_FOUND = 'with the effects and the arm as it was found beside them'
 NOT_WRITTEN = 'Nothing was written: the error on postures that were not used would rise.'
 
 
@@ -57,11 +57,48 @@ def never_used(made: Addition) -> str:
     return f'error on postures {which}: {mm(check.before)} -> {mm(check.after)}{floor}'
 
 
+def also_written(made: Addition) -> list[str]:
+    """Name what the file says otherwise than the description before, beside the effects added."""
+    robot, before = made.robot, made.described
+    if before is None:
+        return []
+    said = []
+    stiffness = _changes(
+        [k for s in before.sections for k in s.bending_stiffness],
+        [k for s in robot.sections for k in s.bending_stiffness],
+    )
+    if stiffness:
+        said.append(f'stiffness of {_count(stiffness, "cell")}')
+    offsets = _changes(*([np.hypot(*t.base) for t in one.tendons] for one in (before, robot)))
+    if offsets:
+        said.append(f'offset of {_count(offsets, "tendon")}')
+    said += [
+        name
+        for name, values in robot.effects.items()
+        if name not in made.values and values != before.effects.get(name)
+    ]
+    return [*said, 'gravity'] if robot.gravity != before.gravity else said
+
+
+def _changes(before: Sequence[float], after: Sequence[float]) -> list[float]:
+    """Return the relative changes of those values that changed."""
+    pairs = zip(before, after, strict=True)
+    return [float(new / old - 1.0) for old, new in pairs if new != old and old]
+
+
+def _count(changes: Sequence[float], what: str) -> str:
+    """Say how many changed, and between which changes."""
+    low, high = (f'{100.0 * change:+.2g}' for change in (min(changes), max(changes)))
+    size = f'{low} %' if low == high else f'{low} to {high} %'
+    return f'{len(changes)} {what}{"" if len(changes) == 1 else "s"} ({size})'
+
+
 def warnings(made: Addition) -> list[str]:
     """Say what else is written and at work, which tolerances moved, when a check got worse."""
     sentences = []
     if made.beside:
-        sentences.append(f'after: {AS_FOUND}')
+        also = also_written(made)
+        sentences.append(f'after: {AS_FOUND}; the file holds that, too: {listed(also)}')
     if made.moved:
         moves = ', '.join(f'{name} by {digits(z)} sd' for name, z in made.moved.items())
         where = 'in the file, too' if made.beside else 'not in the file'

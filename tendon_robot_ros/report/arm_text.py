@@ -63,7 +63,7 @@ def _scatter(kind: dict[str, Any]) -> str:
     return f'{KIND_NAMES[kind["kind"]]} {amount(kind["size"], kind["unit"])} ({low} to {high})'
 
 
-def left_out(details: Mapping[str, Any]) -> list[str]:
+def left_out(details: Mapping[str, Any], how: str = 'left out') -> list[str]:
     """Name the readings and trials that the others contradict, and postures that do not settle."""
     unsettled = details.get('unsettled') or []
     outliers = details.get('outliers') or []
@@ -72,20 +72,20 @@ def left_out(details: Mapping[str, Any]) -> list[str]:
     sentences = []
     if unsettled:
         named = [f'posture {name}' for name in unsettled]
-        sentences.append(f'left out, because the description has no equilibrium: {listed(named)}')
+        sentences.append(f'{how}, because the description has no equilibrium: {listed(named)}')
     if trials:
-        sentences.append(f'left out, because the other trials contradict it: {listed(trials)}')
+        sentences.append(f'{how}, because the other trials contradict it: {listed(trials)}')
     if 0 < len(readings) <= READINGS_LISTED_MAX:
         named = [
             f'marker {o["marker"]} in trial {o["trial"]} of posture {o["posture"]} '
             f'({mm(o["distance"])})'
             for o in readings
         ]
-        sentences.append(f'left out, because the other trials contradict it: {listed(named)}')
+        sentences.append(f'{how}, because the other trials contradict it: {listed(named)}')
     elif readings:
         far = max(o['distance'] for o in readings)
         sentences.append(
-            f'left out: {len(readings)} readings of single markers that the other trials '
+            f'{how}: {len(readings)} readings of single markers that the other trials '
             f'contradict (by up to {mm(far)})'
         )
     return sentences

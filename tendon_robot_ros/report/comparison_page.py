@@ -16,16 +16,17 @@ from .shape_plots import chosen_postures, shape_figures, shape_key
 POSTURES_WITH_ANGLES = 4  # postures whose angular displacements are drawn
 
 
-def write_comparison(comparison: Comparison, path: str | Path) -> Path:
+def write_comparison(comparison: Comparison, path: str | Path, notes: Sequence[str] = ()) -> Path:
     """Write the page; it opens without a network."""
-    return comparison_page(comparison).write(path)
+    return comparison_page(comparison, notes).write(path)
 
 
-def comparison_page(comparison: Comparison) -> Page:
-    """Return the page: what to know first, then shapes, then errors."""
+def comparison_page(comparison: Comparison, notes: Sequence[str] = ()) -> Page:
+    """Return the page: what to know first, with notes of the measurements, then errors, shapes."""
     measured = comparison.measured
     page = Page(f'Models against measurements: {measured.data}', say.size(comparison))
     add_verdict(page, comparison)
+    page.text(*(f'{capital(note)}.' for note in notes))
     add_errors(page, comparison)
     add_shapes(page, comparison)
     add_angles(page, comparison)
@@ -36,7 +37,7 @@ def add_verdict(page: Page, comparison: Comparison) -> None:
     """Add the verdict, the table of models and the tests between them."""
     floor = comparison.noise_floor
     good = floor is not None and comparison.best.rms < say.GOOD_WITHIN_FLOORS * floor
-    worst = f'Worst is {say.worst(comparison, comparison.best)}'
+    worst = capital(say.where_worst(comparison))
     lines = [say.verdict(comparison), worst, say.next_step(comparison)]
     page.box(filter(None, lines), 'verdict good' if good else 'verdict')
     header = ['model', *say.error_columns(comparison)]

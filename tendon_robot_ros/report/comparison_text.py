@@ -42,8 +42,7 @@ def errors(comparison: Comparison, model: ModelErrors) -> list[str]:
 
 def sentences(comparison: Comparison) -> list[str]:
     """Return what to know: where the best model is worst, which model is better, what to do."""
-    best = comparison.best
-    lines = [f'worst: {worst(comparison, best)}']
+    lines = [where_worst(comparison)]
     lines += [paired(test) for test in comparison.paired_t if test.posture is None]
     last = f'{verdict(comparison)} {next_step(comparison)}'
     return [*lines, last.strip().replace('`', '')]
@@ -103,6 +102,13 @@ def posture_name(comparison: Comparison, posture: int) -> str:
     measured = comparison.measured
     inputs = dict(zip(measured.input_names, measured.inputs[posture].tolist(), strict=True))
     return f'posture {measured.postures[posture]} ({commands(inputs, measured.input)})'
+
+
+def where_worst(comparison: Comparison) -> str:
+    """Say where the best model is worst, and which it is where there are several."""
+    best = comparison.best
+    of = '' if len(comparison.models) == 1 else f' of {best.name}'
+    return f'worst{of}: {worst(comparison, best)}'
 
 
 def worst(comparison: Comparison, model: ModelErrors) -> str:

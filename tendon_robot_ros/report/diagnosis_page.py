@@ -13,7 +13,7 @@ from ..comparison.compare import compare
 from ..comparison.result import Comparison
 from ..data import DataSet
 from ..diagnosis.add import Addition
-from ..diagnosis.decide import Verdict
+from ..diagnosis.decide import P_SINGLE_MIN, Verdict
 from ..diagnosis.missing_moment import MissingMoment, missing_moment
 from ..diagnosis.prediction_errors import Errors
 from ..diagnosis.result import NOT_NEEDED, CandidateRow, Diagnosis
@@ -111,14 +111,21 @@ def with_effects(diagnosis: Diagnosis, robot: Robot) -> Robot:
 
 
 def write_diagnosis(
-    diagnosis: Diagnosis, pictures: Pictures | None, path: str | Path, made: Addition | None = None
+    diagnosis: Diagnosis,
+    pictures: Pictures | None,
+    path: str | Path,
+    made: Addition | None = None,
+    outcome: str = '',
 ) -> Path:
     """Write the page; it opens without a network."""
-    return diagnosis_page(diagnosis, pictures, made).write(path)
+    return diagnosis_page(diagnosis, pictures, made, outcome).write(path)
 
 
 def diagnosis_page(
-    diagnosis: Diagnosis, pictures: Pictures | None = None, made: Addition | None = None
+    diagnosis: Diagnosis,
+    pictures: Pictures | None = None,
+    made: Addition | None = None,
+    outcome: str = '',
 ) -> Page:
     """
     Return the page of a diagnosis.
@@ -130,10 +137,12 @@ def diagnosis_page(
         Without them the page has words and tables only.
     made : Addition, optional
         What was added, with the errors on postures that were not used.
+    outcome : str
+        Where a file was asked for: what became of it; else what to type is said.
 
     """
     page = Page('Diagnosis', diagnosis_text.size(diagnosis))
-    add_verdict(page, diagnosis)
+    add_verdict(page, diagnosis, outcome)
     if diagnosis.verdict.judged:
         add_staircase(page, diagnosis, made)
         add_alternatives(page, diagnosis)
@@ -143,8 +152,8 @@ def diagnosis_page(
     return page
 
 
-def add_verdict(page: Page, diagnosis: Diagnosis) -> None:
-    """Add the verdict and what to do now."""
+def add_verdict(page: Page, diagnosis: Diagnosis, outcome: str = '') -> None:
+    """Add the verdict, and what to do now, or what was done."""
     lines = diagnosis_text.verdict(diagnosis).split('\n')
     if diagnosis.verdict.judged:
         said = [line.replace('->', '→') for line in diagnosis_text.errors(diagnosis)]
@@ -156,7 +165,7 @@ def add_verdict(page: Page, diagnosis: Diagnosis) -> None:
     following = next_measurement(diagnosis)
     if following:
         page.box([following], 'warn', 'Next measurement')
-    page.text(*filter(None, [to_do(diagnosis)]))
+    page.text(*filter(None, [outcome or to_do(diagnosis)]))
 
 
 def to_do(diagnosis: Diagnosis) -> str:
@@ -231,9 +240,10 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
         page.table(header, rows, kinds, left=(5, 6))
         page.text(
             '“Explains” is the share of the error above the noise floor that goes away; “error '
-            f'left” is that of the description with {with_what}; “chance” is that of so large a '
-            'remainder if this effect is the whole truth; “left-out postures” is the error on '
-            'postures predicted from the others.'
+            f'left” is that of the description with {with_what}; “left-out postures” is the error '
+            'on postures left out in turn; “chance” is that of so large a remainder if this '
+            f'effect is the whole truth: above {P_SINGLE_MIN:g} it may be; “best” is the '
+            'likeliest of those, or of all where none may be.'
         )
     untested = diagnosis_text.untested(diagnosis)
     page.text(

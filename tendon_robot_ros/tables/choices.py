@@ -9,7 +9,7 @@ import numpy as np
 
 from ..common.errors import DataSetError, InputError
 from ..common.units import UNITS, find_unit
-from ..common.words import listing
+from ..common.words import digits, listing
 from ..robot import Robot
 from .columns import (
     ColumnUse,
@@ -36,6 +36,7 @@ class Taken:
     unused: tuple[str, ...]
     assumed: tuple[str, ...]
     kind: str  # 'tension' or 'displacement'
+    look: tuple[str, ...] = ()  # what a table says otherwise than its reader
 
 
 def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> Taken:
@@ -63,7 +64,45 @@ def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> 
         recipe = replace(recipe, zero=turned)
         if turned:
             assumed.append('motors count from where they are when the arm first stands still')
-    return Taken(recipe, reasons, tuple(dict.fromkeys(unused)), tuple(assumed), kind)
+    look = tuple(_units_contradicted(tables, recipe))
+    return Taken(recipe, reasons, tuple(dict.fromkeys(unused)), tuple(assumed), kind, look)
+
+
+def _units_contradicted(tables: Sequence[RawTable], recipe: Recipe) -> list[str]:
+    """
+    Say where a table says another unit than was taken.
+
+    It is no refusal: headers of loggers are wrong as well, and then what a person says must count.
+    """
+    inputs = (recipe.inputs or {}).values()
+    taken = {use.column: ('inputs', use.unit) for use in inputs}
+    columns = [column for marker in recipe.markers or () for column in marker.columns]
+    taken |= dict.fromkeys(columns, ('positions', recipe.positions or ''))
+    taken |= {column: ('time', unit) for column, unit in (recipe.time or {}).items()}
+    found: dict[tuple[str, str, str], list[str]] = {}
+    for name in (name for table in tables for name in names_of(table)):
+        what, text = taken.get(name.column, ('', ''))
+        unit = find_unit(text)
+        if name.unit is None or unit is None or unit.kind == name.unit.kind == 'counts':
+            continue
+        if (name.unit.kind, name.unit.factor) != (unit.kind, unit.factor):
+            found.setdefault((what, name.unit.text, unit.text), []).append(name.column)
+    return [
+        f'the table says {written} of {listing(own)}, and {text} was taken'
+        f'{_times(written, text)}: if the table is right, leave out --unit {what}={text} (or take '
+        'the unit out of import.yaml)'
+        for (what, written, text), own in found.items()
+    ]
+
+
+def _times(written: str, taken: str) -> str:
+    """Say how much larger or smaller values are by a unit than by that of the table."""
+    one, other = find_unit(taken), find_unit(written)
+    if one is None or other is None or one.kind != other.kind:
+        return ', another kind of quantity'
+    ratio = one.factor / other.factor
+    large = f'{digits(max(ratio, 1.0 / ratio), 3)} times as {"much" if ratio > 1.0 else "little"}'
+    return f', {large}'
 
 
 def _choose_times(

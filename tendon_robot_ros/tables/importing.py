@@ -98,6 +98,7 @@ def import_table(
         dropped=(*_columns_dropped(taken), *measured.dropped, *_trials_dropped(left_out)),
         assumed=(*taken.assumed, *measured.assumed, *_markers_assumed(order, taken)),
         look=(
+            *taken.look,
             *_way_look(final, measured, taken.recipe),
             *look,
             *_base_look(final),
@@ -276,7 +277,17 @@ def _gravity(
         return None, (f'nothing says {told}',) if known is None else ()
     seen = gravity_of(frame, recipe.up)
     if known is None or not np.linalg.norm(known):
-        return (seen if known is None else None), ()
+        at = ', '.join(f'{g:.2g}' for g in seen)
+        return (seen if known is None else None), (
+            f'up is told ({recipe.up}), but the description '
+            + (
+                'has no gravity: the tracker is not levelled by it, and gravity is taken as '
+                f'[{at}] m/s² from the frame as found; say where the arm points (gravity in the '
+                'description, new-robot asks for it)'
+                if known is None
+                else 'says that gravity is zero: up is not used, and no weight is looked for'
+            ),
+        )
     cosine = float(np.dot(known, seen) / (STANDARD_GRAVITY * np.linalg.norm(known)))
     apart = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
     if apart < APART_RAD:

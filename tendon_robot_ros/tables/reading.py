@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ..common.dataframes import pandas
 from ..common.errors import DataSetError, MissingExtraError, short
+from ..common.files import TABLE_ENDINGS, TEXT_ENDINGS
 from ..common.units import find_unit
 from .columns import MISSING, RawTable, is_number, table_of
 from .formats import is_optitrack, is_vicon, optitrack_header, read_c3d, vicon_header
@@ -17,8 +18,6 @@ BYTES_MAX = 1_000_000_000  # of a file: its numbers and their parse must fit int
 HEAD = 1 << 16  # bytes that tell what kind of file it is
 BLOCK = 1 << 24  # bytes that are counted at once
 DELIMITERS = {',': 'commas', ';': 'semicolons', '\t': 'tabs'}
-TEXT_ENDINGS = ('.csv', '.txt', '.tsv', '.dat')
-ENDINGS = (*TEXT_ENDINGS, '.parquet', '.c3d')
 
 
 def read_table(path: str | Path) -> RawTable:
@@ -36,7 +35,9 @@ def read_table(path: str | Path) -> RawTable:
     shown, path = str(path), Path(path)
     if not path.is_file():
         problem = 'is a folder' if path.is_dir() else 'is not there'
-        raise DataSetError(shown, problem, f'name a file that ends with {", ".join(ENDINGS)}')
+        raise DataSetError(
+            shown, problem, f'name a file that ends with {", ".join(TABLE_ENDINGS)}'
+        )
     size = path.stat().st_size
     if size > BYTES_MAX:
         raise DataSetError(
@@ -55,7 +56,7 @@ def read_table(path: str | Path) -> RawTable:
         raise DataSetError(
             shown,
             f'is no table that can be read ({ending or "no ending"})',
-            f'save it as CSV; known endings: {", ".join(ENDINGS)}',
+            f'save it as CSV; known endings: {", ".join(TABLE_ENDINGS)}',
         )
     return _read_text(shown, path)
 

@@ -84,7 +84,8 @@ def read_text(path: Path) -> str:
         raise DataSetError(
             str(path),
             f'cannot be read ({error.strerror})',
-            'name a folder with dataset.yaml, inputs.csv and shapes.csv',
+            'name a folder with dataset.yaml, inputs.csv and shapes.csv; of a table import-table '
+            'makes one',
         ) from None
 
 

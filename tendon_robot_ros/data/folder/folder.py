@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from ...common.errors import DataSetError
-from ...common.files import new_folder
+from ...common.files import TABLE_ENDINGS, new_folder
+from ...common.words import PROGRAM
 from ...robot import Robot, dump_robot, load_robot
 from ..dataset import DataSet
 from ..joining import divide
@@ -51,6 +53,7 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
 
     """
     folder = Path(folder)
+    refuse_table(folder)
     path = folder / 'dataset.yaml'
     fields = read_fields(read_text(path), str(path))
     if robot is None:
@@ -84,6 +87,16 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
         **{key: value for key, value in vars(description).items() if key not in TAKEN},
     )
     return _by_history(dataset, commands) if visits else dataset
+
+
+def refuse_table(path: Path) -> None:
+    """Raise DataSetError where a file stands in place of the folder: a table is to be imported."""
+    if path.suffix.lower() in TABLE_ENDINGS and os.path.isfile(path):
+        raise DataSetError(
+            str(path),
+            'is a table, and no data set',
+            f'make one of it: {PROGRAM} import-table {path} --robot ARM.yaml --output run',
+        )
 
 
 def described_robot(folder: str | Path) -> Robot:
