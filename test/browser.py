@@ -40,6 +40,7 @@ const look = () => {
     drawn: Number(document.body.dataset.drawn),
     empty: plots.filter((plot) => !plot.querySelector(DRAWN)).length,
     beyond,
+    tall: plots.filter((plot) => plot.clientHeight > 1.25 * plot.clientWidth).length,
     width: innerWidth,
     scroll: document.documentElement.scrollWidth,
     loaded: performance.getEntriesByType('resource').map((entry) => entry.name)

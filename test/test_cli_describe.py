@@ -163,6 +163,7 @@ def test_where_the_first_tendon_lies_is_asked_with_a_picture(
     asked = capsys.readouterr().err
     assert '     270 left --o-- 90 right     tendon_1 is the first tendon.\n' in asked
     assert 'tendon_2 and so on follow counter-clockwise, 120° apart.\n' in asked
+    assert 'In your base frame' not in asked, 'gravity has told that frame'
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,17 @@ def arc(radius, lengths, towards=0.0):
     return np.stack([across * np.cos(towards), across * np.sin(towards), along], axis=1)
 
 
+def test_markers_that_were_never_seen_together_have_no_order():
+    lengths = np.array([0.03, 0.06, 0.09, 0.12])
+    postures = np.array([arc(r, lengths, t) for r, t in ((1e5, 0), (0.1, 0), (0.08, 2), (0.1, 4))])
+    postures[:2, 1], postures[2:, 2] = np.nan, np.nan
+    with pytest.raises(DataSetError, match='some markers are never seen together'):
+        order_markers(postures, ARM)
+    postures[2:, 1] = np.nan
+    order = order_markers(postures, ARM)
+    assert (order.members, order.unseen) == ((0, 2, 3), (1,))
+
+
 def test_order_and_places_follow_from_the_straight_arm():
     lengths = np.array([0.012, 0.03, 0.066, 0.12])
     postures = np.array([arc(r, lengths, t) for r, t in ((1e5, 0), (0.1, 0), (0.08, 2), (0.1, 4))])

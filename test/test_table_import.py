@@ -412,6 +412,9 @@ def test_recordings_one_after_the_other_are_trials_of_the_same_postures(calm):
         (lambda f: f.assign(time_s=f['time_s'].where(f.index != 40)),
          'row 41: time_s is empty; every row needs its time'),
         (lambda f: f.drop(columns='T2 [N]'), 'no columns for the inputs one, two, three'),
+        (lambda f: f.assign(**{'T2 [N]': np.nan}),
+         r'there is no number in T2 \[N\]; name another column: --column INPUT=COLUMN'),
+        (lambda f: f.assign(**{c: np.nan for c in f if '[mm]' in c}), 'no marker was ever seen'),
         (lambda f: f[[c for c in f.columns if '_y' not in c]], 'no columns of a marker'),
         (lambda f: f.rename(columns=lambda c: c.replace('T1 [N]', 'T1')), 'unit of T1'),
         (lambda f: f.rename(columns=lambda c: c.replace('T1 [N]', 'T1 [mN]')), None),
@@ -429,6 +432,17 @@ def test_a_bad_table_is_one_line(calm, change, message):
     with pytest.raises((DataSetError, InputError), match=message) as refusal:
         import_table(change(calm), ARM, {'up': 'y'})
     assert '\n' not in str(refusal.value)
+
+
+def test_a_marker_that_was_never_seen_is_said_and_left_out(calm):
+    columns = import_table(calm, ARM, {'up': 'y'}).recipe.markers[1].columns
+    imported = import_table(calm.assign(**dict.fromkeys(columns, np.nan)), ARM, {'up': 'y'})
+    assert len(imported.dataset.markers) == len(PLACES) - 1
+    name = columns[0].removesuffix('_x [mm]').replace('_', ' ')
+    assert f'{name}: not seen while the arm stood still, left out' in imported.assumed
+    places = imported.dataset.arc_lengths
+    expected = Model(ARM).shapes(imported.dataset.inputs).markers(places, imported.dataset.offsets)
+    assert_allclose(imported.dataset.mean, expected, atol=3e-4)
 
 
 def test_an_arm_that_never_stands_still_is_refused(calm):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import planar, spatial, two_sections
+from browser import assert_fine, open_page
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tendon_robot_ros.cli.main import main
@@ -294,5 +295,8 @@ def test_the_command_shows_all_tendons_of_an_arm_in_space(tmp_path, capsys):
         assert_allclose(tips, arrays['tips'][:50], atol=1e-9)
     page = (out / 'workspace.html').read_text(encoding='utf-8')
     assert 'Section along the x-z plane' in page
+    seen = open_page(out / 'workspace.html', tmp_path)
+    assert_fine(seen)
+    assert seen[400]['tall'] == 0, 'with one scale for both axes height is only empty'
     assert main([*call, '--step', '1', '--output', str(tmp_path / 'b')]) == 1
     assert '--step: --view of an arm in a plane sweeps pairs' in capsys.readouterr().err

@@ -121,7 +121,7 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
     content |= _ask_down(questions, content.get('gravity', (0.0, 0.0, 0.0)), content['tendons'])
     if 'eyelet_wrap' in content['effects'] and _ask_plate(questions):
         content['sections'].insert(0, dict(PLATE))
-    if many > 2 and not content.get('gravity', [0.0])[0]:
+    if many > 2 and not any(content.get('gravity', ())[:2]):  # else gravity tells it
         _ask_turn(questions, content['tendons'])
     _ask_names(questions, content['tendons'])
     return content

@@ -324,6 +324,9 @@ def _markers_assumed(order: MarkerOrder, taken: Taken) -> list[str]:
     if order.twice:
         names = listed(labels[j] for j in order.twice)
         said.append(f'{names}: at the place of another marker, left out')
+    if order.unseen:
+        names = listed(labels[j] for j in order.unseen)
+        said.append(f'{names}: not seen while the arm stood still, left out')
     return said
 
 

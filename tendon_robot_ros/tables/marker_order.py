@@ -31,6 +31,7 @@ class MarkerOrder:
     reason: str
     off_arm: tuple[int, ...] = ()  # fixed beside the base, say
     twice: tuple[int, ...] = ()
+    unseen: tuple[int, ...] = ()  # in no still segment
 
 
 def order_markers(
@@ -57,13 +58,33 @@ def order_markers(
         The markers do not fit on the arm, or their count is another one.
 
     """
+    unseen = tuple(np.flatnonzero(~np.isfinite(positions).any(axis=(0, 2))).tolist())
+    there = [j for j in range(positions.shape[1]) if j not in unseen]
+    found = _order_seen(positions[:, there], robot, given, name)
+    one, two, three = (
+        tuple(there[j] for j in members) for members in (found.members, found.off_arm, found.twice)
+    )
+    return MarkerOrder(one, found.arc_lengths, found.reason, two, three, unseen)
+
+
+def _order_seen(
+    positions: FloatArray, robot: Robot, given: Sequence[float | None], name: str
+) -> MarkerOrder:
+    """MarkerOrder markers that were seen."""
     apart = _distances(positions)
     twice = tuple(
-        j for j in range(len(apart)) if any(apart[i, j] < SAME_PLACE_M for i in range(j))
+        j for j in range(len(apart)) if any(0.0 <= apart[i, j] < SAME_PLACE_M for i in range(j))
     )
     members = [j for j in range(len(apart)) if j not in twice]
     if len(members) == 1:
         return MarkerOrder((members[0],), _alone(robot, given, name), 'the only marker', (), twice)
+    if (apart[np.ix_(members, members)] < 0.0).any():
+        raise DataSetError(
+            name,
+            'some markers are never seen together while the arm stands still: nothing tells their '
+            'order',
+            'say each place in an import.yaml (arc_length of markers)',
+        )
     base, _ = _ends(positions, apart, members)
     members.sort(key=lambda j: float(apart[base, j]))
     below_tip = robot.length - _lengths_to_tip(positions[:, members], apart, members)

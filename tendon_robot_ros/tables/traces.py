@@ -157,6 +157,7 @@ def _trace(
             positions[:, j, axis] = seen.numbers(column) * factor
     lost = (positions == 0.0).all(axis=2)
     positions[lost | ~np.isfinite(positions).all(axis=2)] = np.nan
+    _refuse_nothing(told, seen, recipe, inputs, positions)
     clocks, delay, drift = '', clock[0], clock[1] or 0.0
     if recipe.time is None:
         _refuse_recording(seen.name, positions)
@@ -174,6 +175,21 @@ def _trace(
     track = Track(times, positions, turned)
     recording = Recording(seen.name, state_times, [], (track,), (), [], None, None)
     return Traces(recording, inputs, int(lost.sum()), cut, delay, drift, clocks)
+
+
+def _refuse_nothing(
+    told: RawTable, seen: RawTable, recipe: Recipe, inputs: FloatArray, positions: FloatArray
+) -> None:
+    """Refuse tensions and markers of which the tables hold no number at all."""
+    uses = (recipe.inputs or {}).values()
+    pulled = [use.unit in UNITS['force'] or use.unit in UNITS['current'] for use in uses]
+    empty = ~np.isfinite(inputs).any(axis=0) & pulled  # a wire may be slack all the time
+    if empty.any():
+        names = [use.column for use, none in zip(uses, empty.tolist(), strict=True) if none]
+        problem = f'there is no number in {listing(names)}'
+        raise DataSetError(told.name, problem, 'name another column: --column INPUT=COLUMN')
+    if not np.isfinite(positions).any():
+        raise DataSetError(seen.name, 'no marker was ever seen', 'export the markers again')
 
 
 def _refuse_recording(name: str, positions: FloatArray) -> None:
