@@ -79,6 +79,7 @@ def test_robots_of_one_name_are_named_by_their_files(tmp_path, capsys):
     out = capsys.readouterr().out
     assert 'before (FKM' in out
     assert 'do not differ (paired t over 12 postures, p = 1' in out
+    assert 'The best model by rms, before, is off by' in out
     assert main(['compare', str(blind('b') / 'fit'), '--model', models[0], models[0]]) == 1
     assert 'expected different files' in capsys.readouterr().err
 

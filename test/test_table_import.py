@@ -445,6 +445,24 @@ def test_a_marker_that_was_never_seen_is_said_and_left_out(calm):
     assert_allclose(imported.dataset.mean, expected, atol=3e-4)
 
 
+def test_a_recipe_whose_places_are_those_of_other_markers_is_contradicted(calm):
+    """Markers without labels are numbered anew in every recording."""
+    first = import_table(calm, ARM, {'up': 'y'})
+    assert not first.look
+    markers = first.recipe.markers
+    names = [name for marker in markers for name in marker.columns]
+    moved = [name for marker in (*markers[1:], markers[0]) for name in marker.columns]
+    again = import_table(
+        calm.rename(columns=dict(zip(names, moved, strict=True))), ARM, first.recipe
+    )
+    (told,) = [line for line in again.look if line.startswith('markers ')]
+    assert 'of the arm between them: they sit in another order, or elsewhere' in told
+    free = replace(first.recipe, markers=None)
+    same = import_table(calm.rename(columns=dict(zip(names, moved, strict=True))), ARM, free)
+    assert not same.look
+    assert_allclose(same.dataset.mean, first.dataset.mean, atol=1e-9)
+
+
 def test_an_arm_that_never_stands_still_is_refused(calm):
     moving = calm.copy()
     column = next(name for name in calm.columns if '[mm]' in name)

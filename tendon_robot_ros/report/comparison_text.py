@@ -128,7 +128,7 @@ def worst(comparison: Comparison, model: ModelErrors) -> str:
 def verdict(comparison: Comparison) -> str:
     """Compare the best model with the repeatability."""
     best, floor = comparison.best, comparison.noise_floor
-    who = 'The model' if len(comparison.models) == 1 else f'The best model, {best.name},'
+    who = 'The model' if len(comparison.models) == 1 else f'{_best(comparison)}, {best.name},'
     if floor is None:
         return (
             'Nothing tells how well you can measure: record every posture at least three times, '
@@ -141,6 +141,13 @@ def verdict(comparison: Comparison) -> str:
             'times your repeatability.'
         )
     return f'{who} is off by {times(ratio)} your repeatability.'
+
+
+def _best(comparison: Comparison) -> str:
+    """Say by what the best model is the best, where its tip error is not told from another's."""
+    tests = [one for one in comparison.paired_t if one.posture is None]
+    alike = any(one.low <= 0.0 <= one.high and comparison.best.name in one.models for one in tests)
+    return f'The best model{" by rms" if alike else ""}'
 
 
 def next_step(comparison: Comparison) -> str:

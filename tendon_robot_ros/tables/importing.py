@@ -24,7 +24,7 @@ from .choices import Taken, choose_columns
 from .columns import FloatArray, RawTable, from_frame, marker_label
 from .history import FROM_STRAIGHT, SEQUENCE, VISITS, as_visits, frames_only, way_shows
 from .imported import ImportedTable
-from .marker_order import AS_GIVEN, MarkerOrder, order_markers
+from .marker_order import AS_GIVEN, MarkerOrder, order_markers, places_contradicted
 from .measuring import StillMeasurements, measure
 from .reading import read_table
 from .recipe import FrameChoice, MarkerColumns, Recipe, load_recipe, read_recipe
@@ -102,6 +102,7 @@ def import_table(
             *_way_look(final, measured, taken.recipe),
             *look,
             *_base_look(final),
+            *places_contradicted(final),
             *_frame_look(frame),
             *_offset_look(final, predicted, catalogue),
         ),

@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from ..common.errors import DataSetError
-from ..common.words import listed
-from ..data import default_markers
+from ..common.words import listed, mm
+from ..data import DataSet, default_markers
 from ..robot import Robot
 from .columns import FloatArray
 
@@ -19,6 +19,7 @@ SAME_PLACE_M = 1e-3  # [m] markers that are never farther apart are one that was
 BELOW_BASE_CELLS = 0.5  # cells that a marker may seem to be below the base and still be on the arm
 END_WITHIN_SHARE = 0.3  # of a cell's length: that near to the ends of cells, markers are at them
 EVEN_WITHIN_SHARE = 0.06  # of the spacing: that near to even spacing, markers are evenly spaced
+LONGER_SHARE = 0.05  # of the arm, by which a chord is longer than its arc: not these markers
 ROUND_M = 1e-4  # [m] arc lengths that were measured
 
 
@@ -113,6 +114,31 @@ def _order_seen(
     places, reason = _snapped(below_tip[on_arm], robot)
     off = [j for j in members if j not in kept]
     return MarkerOrder(kept, places, reason, tuple(off), twice)
+
+
+def places_contradicted(dataset: DataSet) -> list[str]:
+    """
+    Say that two markers are farther apart than the arm between them is long.
+
+    Places that an import.yaml of another recording gives are those of other markers then.
+    """
+    positions, arc_lengths = dataset.mean, dataset.arc_lengths
+    with np.errstate(invalid='ignore'):
+        chords = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
+    apart = np.where(np.isfinite(chords), chords, 0.0).max(axis=0)
+    beside = np.linalg.norm(dataset.offsets, axis=1)
+    between = np.abs(arc_lengths[:, None] - arc_lengths) + beside[:, None] + beside
+    over = apart - between
+    i, j = sorted(np.unravel_index(int(over.argmax()), over.shape))
+    robot = dataset.robot
+    if over[i, j] < max(LONGER_SHARE * robot.length, robot.sections[-1].cell_length):
+        return []
+    first, second = (dataset.markers[k].name for k in (i, j))
+    return [
+        f'markers {first} and {second} are up to {mm(float(apart[i, j]))} apart, with '
+        f'{mm(float(between[i, j]))} of the arm between them: they sit in another order, or '
+        'elsewhere (take markers out of import.yaml to have them ordered, or say --markers)'
+    ]
 
 
 def _distances(positions: FloatArray) -> FloatArray:
