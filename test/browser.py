@@ -40,6 +40,12 @@ const look = () => {
     drawn: Number(document.body.dataset.drawn),
     empty: plots.filter((plot) => !plot.querySelector(DRAWN)).length,
     beyond,
+    turned: plots.filter(({layout}) => layout.sliders || layout.updatemenus).map((plot) => {
+      const active = () => (plot.layout.sliders || plot.layout.updatemenus)[0].active || 0;
+      const before = active();
+      plot.dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowRight'}));
+      return plot.tabIndex === 0 && active() !== before;
+    }),
     tall: plots.filter((plot) => plot.clientHeight > 1.25 * plot.clientWidth).length,
     width: innerWidth,
     scroll: document.documentElement.scrollWidth,
@@ -97,4 +103,5 @@ def assert_fine(found):
         assert seen['loaded'] == [], 'the page must open without a network'
         assert seen['drawn'] > 0
         assert (seen['empty'], seen['beyond']) == (0, 0)
+        assert all(seen['turned']), 'sliders and menus go by keys'
         assert seen['scroll'] <= width

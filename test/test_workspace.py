@@ -297,6 +297,7 @@ def test_the_command_shows_all_tendons_of_an_arm_in_space(tmp_path, capsys):
     assert 'Section along the x-z plane' in page
     seen = open_page(out / 'workspace.html', tmp_path)
     assert_fine(seen)
+    assert seen[1200]['turned'] == [True, True]
     assert seen[400]['tall'] == 0, 'with one scale for both axes height is only empty'
     assert main([*call, '--step', '1', '--output', str(tmp_path / 'b')]) == 1
     assert '--step: --view of an arm in a plane sweeps pairs' in capsys.readouterr().err

@@ -29,6 +29,18 @@
       });
     }
   });
+  // plotly's sliders and menus hear the mouse only: arrow keys take their next step, or the last
+  const turn = (event) => {
+    const by = {ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1}[event.key];
+    const {sliders, updatemenus} = event.currentTarget.layout;
+    const list = sliders ? 'sliders' : 'updatemenus', chooser = (sliders || updatemenus || [])[0];
+    if (!by || !chooser) return;
+    event.preventDefault();
+    const steps = chooser.steps || chooser.buttons;
+    const next = ((chooser.active || 0) + by + steps.length) % steps.length;
+    Plotly[steps[next].method](event.currentTarget, ...steps[next].args);
+    Plotly.relayout(event.currentTarget, {[`${list}[0].active`]: next});
+  };
   const draw = async (place) => {
     const {data, layout} = JSON.parse(place.nextElementSibling.textContent);
     const {height, scene} = layout, equal = 'scaleanchor' in (layout.yaxis || {});
@@ -42,6 +54,7 @@
     place.style.height = `${own.height}px`;
     await Plotly.newPlot(place, data, {...layout, width, height: own.height}, options);
     follow.observe(place);
+    place.addEventListener('keydown', turn);
   };
   const places = [...document.querySelectorAll('.plot')];
   Promise.all(places.map(draw)).then(() => { document.body.dataset.drawn = places.length; });

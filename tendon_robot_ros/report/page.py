@@ -16,6 +16,7 @@ from ..common.errors import MissingExtraError
 from ..common.files import new_file
 
 FOLDER = Path(__file__).parent
+KEYS = 'Tab comes here, arrow keys show the next.'
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif'
 
 
@@ -152,10 +153,13 @@ def _figure(figure: Figure) -> str:
         separators=(',', ':'),
     ).replace('<', '\\u003c')
     title = f'<p class="title">{escape(figure.title)}</p>' if figure.title else ''
-    alt = ' '.join([figure.title or _axes(figure.layout), figure.caption]).strip()
-    caption = f'<figcaption>{escape(figure.caption)}</figcaption>' if figure.caption else ''
+    chosen = {'sliders', 'updatemenus'} & set(figure.layout)  # page.js hears the keys
+    words = ' '.join(filter(None, [figure.caption, KEYS if chosen else '']))
+    alt = ' '.join([figure.title or _axes(figure.layout), words]).strip()
+    caption = f'<figcaption>{escape(words)}</figcaption>' if words else ''
+    role = 'role="application" tabindex="0"' if chosen else 'role="img"'
     return (
-        f'<figure>{title}<div class="plot" role="img" aria-label="{escape(alt)}" '
+        f'<figure>{title}<div class="plot" {role} aria-label="{escape(alt)}" '
         f'style="height:{figure.height}px"></div>'
         f'<script type="application/json">{content}</script>{caption}</figure>'
     )
