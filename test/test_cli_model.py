@@ -176,7 +176,7 @@ def test_a_mistake_in_a_command_is_one_line(arguments, message, capsys):
         ),
         (
             ['--position', '60,0,150', '--unit', 'm'],
-            '--position: 60,0,150 m is 1.616e+05 mm from the',
+            '--position: 60,0,150 m is 161600 mm from the',
         ),
         (
             ['--position', 'nan,0,0'],

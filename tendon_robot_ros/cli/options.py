@@ -18,6 +18,7 @@ from tqdm import tqdm
 from ..common.errors import InputError, TendonRobotError
 from ..common.files import new_file
 from ..common.units import TYPED_LENGTHS, read_quantity
+from ..common.words import digits
 from ..robot import load_robot
 
 if TYPE_CHECKING:
@@ -207,7 +208,7 @@ def position(option: str, text: str | None, unit: str, reach: float) -> list[flo
     if away > FAR_LENGTHS * reach or 0.0 < away < NEAR_LENGTHS * reach:
         other = next((u for u in ('mm', 'm') if u != unit), 'mm')
         raise InputError(
-            f'{option}: {text} {unit} is {1e3 * away:.4g} mm from the base of an arm of '
+            f'{option}: {text} {unit} is {digits(1e3 * away, 4)} mm from the base of an arm of '
             f'{1e3 * reach:.4g} mm; if {other} is meant, say --unit {other}'
         )
     return values
