@@ -101,8 +101,7 @@ def import_table(
             *taken.look,
             *_way_look(final, measured, taken.recipe),
             *look,
-            *_base_look(final),
-            *places_contradicted(final),
+            *_places_look(final),
             *_frame_look(frame),
             *_offset_look(final, predicted, catalogue),
         ),
@@ -339,19 +338,21 @@ def _way_look(dataset: DataSet, measured: StillMeasurements, recipe: Recipe) -> 
     return said
 
 
-def _base_look(dataset: DataSet) -> list[str]:
-    """Say that what would sit at the base moves: the arm is longer than its description."""
+def _places_look(dataset: DataSet) -> list[str]:
+    """Say that markers cannot sit where they would: the arm is longer, or they are others."""
     first = dataset.markers[0]
     places = dataset.mean[:, 0]
+    said = places_contradicted(dataset)
     if first.arc_length > 0.5 * dataset.robot.sections[0].cell_length or len(places) < 2:
-        return []
+        return said
     moved = float(np.nanmax(np.linalg.norm(places - np.nanmedian(places, axis=0), axis=1)))
     if not moved > MOVED_AT_BASE_M:
-        return []
+        return said
     return [
+        *said,
         f'marker {first.name} moves by {mm(moved)}, and would sit at the base: is the arm longer '
         f'than its {mm(dataset.robot.length)}? Check cells and cell_length of the robot, or say '
-        'where markers sit (--markers)'
+        'where markers sit (--markers)',
     ]
 
 

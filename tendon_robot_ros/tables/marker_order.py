@@ -79,13 +79,7 @@ def _order_seen(
     members = [j for j in range(len(apart)) if j not in twice]
     if len(members) == 1:
         return MarkerOrder((members[0],), _alone(robot, given, name), 'the only marker', (), twice)
-    if (apart[np.ix_(members, members)] < 0.0).any():
-        raise DataSetError(
-            name,
-            'some markers are never seen together while the arm stands still: nothing tells their '
-            'order',
-            'say each place in an import.yaml (arc_length of markers)',
-        )
+    _refuse_apart(apart[np.ix_(members, members)], name)
     base, _ = _ends(positions, apart, members)
     members.sort(key=lambda j: float(apart[base, j]))
     below_tip = robot.length - _lengths_to_tip(positions[:, members], apart, members)
@@ -114,6 +108,17 @@ def _order_seen(
     places, reason = _snapped(below_tip[on_arm], robot)
     off = [j for j in members if j not in kept]
     return MarkerOrder(kept, places, reason, tuple(off), twice)
+
+
+def _refuse_apart(apart: FloatArray, name: str) -> None:
+    """Refuse markers (J, J) of which two were never seen together."""
+    if (apart < 0.0).any():
+        raise DataSetError(
+            name,
+            'some markers are never seen together while the arm stands still: nothing tells their '
+            'order',
+            'say each place in an import.yaml (arc_length of markers)',
+        )
 
 
 def places_contradicted(dataset: DataSet) -> list[str]:
