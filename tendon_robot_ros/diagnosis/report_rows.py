@@ -93,6 +93,7 @@ class Left:
     after: float  # as `add` writes it
     floor: float  # of a perfect model
     beside: bool  # whether what is written has the arm as it was found as well
+    left_out: float = np.nan  # what is written, on postures left out in turn
 
     def share(self, error: float) -> float:
         """Return which share of the explainable error is gone where so much is left, 0 to 1."""
@@ -109,7 +110,8 @@ def left_by(session: Session, fit: Fit | None) -> Left:
     alone = error_of(session, made.alone)
     after = error_of(session, made.robot) if made.beside else alone
     before = error_of(session, session.robot)
-    return Left(before, alone, after, session.whitener.floor(), made.beside)
+    floor = session.whitener.floor()
+    return Left(before, alone, after, floor, made.beside, made.left_out)
 
 
 def finding(evidence: Evidence, ranked: Ranked, left: Left) -> list[EffectFinding]:
@@ -178,11 +180,26 @@ def _row(
         ranked.probability,
         left.share(error) if needed else 0.0,
         error,
-        predicted_left_out(session.fitters[0], fit, left.beside),
+        _held_out(session, ranked, left, error, status),
         status,
         ranked.candidate.present,
         next(iter(loads.values()), None),
     )
+
+
+def _held_out(session: Session, ranked: Ranked, left: Left, error: float, status: str) -> float:
+    """
+    Return the error [m] on postures left out in turn.
+
+    Of what is written as `add` tells it, of what competes with it in the same way; of the others
+    by slopes alone, which takes no time.
+    """
+    if status == 'best':
+        return left.left_out
+    if status in ('rejected', NOT_NEEDED):
+        chi2 = max(ranked.fit.chi2, 1e-12)
+        return float(error * np.sqrt(max(ranked.held_out, 1e-12) / chi2))
+    return predicted_left_out(session.fitters[0], ranked.fit, left.beside)
 
 
 def details_of(

@@ -86,7 +86,7 @@ class CandidateRow:
     probability: float
     explained: float
     error: float  # [m] rms of the description with it, of the kind of `error_after`
-    held_out: float  # [m] rms of the same on postures left out in turn
+    held_out: float  # [m] rms of the same on postures left out in turn (of rejected ones linear)
     status: str  # 'best', 'cannot be told apart', 'adequate, less likely', 'rejected', NOT_NEEDED
     present: bool
     load: LoadVector | None = None  # of an effect that is a force: its size and direction

@@ -241,9 +241,10 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
         page.text(
             '“Explains” is the share of the error above the noise floor that goes away; “error '
             f'left” is that of the description with {with_what}; “left-out postures” is the error '
-            'on postures left out in turn; “chance” is that of so large a remainder if this '
-            f'effect is the whole truth: above {P_SINGLE_MIN:g} it may be; “best” is the '
-            'likeliest of those, or of all where none may be.'
+            'on postures left out in turn (of rejected effects by slopes alone); “chance” is that '
+            'of so large a remainder if this effect is the whole truth: above '
+            f'{P_SINGLE_MIN:g} it may be; “best” is the likeliest of those, or of all where none '
+            'may be.'
         )
     untested = diagnosis_text.untested(diagnosis)
     page.text(
