@@ -27,10 +27,13 @@ BESIDE = """
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.compile import compiled_beside, compose
 catalogue = load_catalogue()
-with compiled_beside(catalogue, 'residual'):
+with compiled_beside(catalogue, 'residual', 'residual'):
     pass
-stats = compose(catalogue)('residual').residual.stats
+kernel = compose(catalogue)
+kernel('layout').address_of(kernel('residual').residual)
+stats = kernel('residual').residual.stats
 assert sum(stats.cache_hits.values()) == 1 and not stats.cache_misses, stats
+assert not kernel('sweep').step.overloads, 'what nobody asked for is not compiled'
 """
 
 

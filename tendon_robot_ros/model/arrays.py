@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import nullcontext
 from types import ModuleType
 from typing import Any
@@ -61,13 +62,14 @@ class KernelArrays:
             self._read(name, values)
         acting = {e.stage for e in catalogue if self.on[self.layout.index[e.name]]}
         linked = bool(acting & LINKING_STAGES) or bool(self.helix.any())
-        with compiled_beside(catalogue, 'response') if linked else nullcontext():
+        beside = compiled_beside(catalogue, *LINKED['respond']) if linked else nullcontext()
+        with beside:
             self.chain = self._chain()
-            for part in ('newton', 'solve', 'shape') if linked else ():
-                self.part(part)
-        radius = np.float64(self.chain.radius).view(np.int64)
-        self._words = np.array(self.chain._replace(radius=radius), dtype=np.int64)
-        self.address = int(self._words.ctypes.data)  # of the chain's fields, for the kernel
+            radius = np.float64(self.chain.radius).view(np.int64)
+            self._words = np.array(self.chain._replace(radius=radius), dtype=np.int64)
+            self.address = int(self._words.ctypes.data)  # of the chain's fields, for the kernel
+            if linked:
+                self.link(['residual', 'newton', 'settle'])
         if linked:
             self.link()
 
@@ -159,16 +161,16 @@ class KernelArrays:
             **at,
         )
 
-    def link(self) -> None:
+    def link(self, fields: Iterable[str] = LINKED) -> None:
         """
-        Compile what explicit models do without, if that is not yet done.
+        Compile what explicit models do without, if that is not yet done: all, or some fields.
 
         Before anything that asks the kernel for residuals or their responses: without it they call
         the address 0.
         """
         address_of = self.part('layout').address_of
-        for place, (part, name) in LINKED.items():
-            field = self.chain._fields.index(place)
+        for place in fields:
+            field, (part, name) = self.chain._fields.index(place), LINKED[place]
             if not self._words[field]:
                 self._words[field] = address_of(getattr(self.part(part), name))
 

@@ -175,14 +175,15 @@ from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.compile import compose
 
 end_with_parent()
-compose(load_catalogue())({part!r})
+kernel = compose(load_catalogue())
+kernel('layout').address_of(kernel({part!r}).{entry})
 """
 
 
 @contextmanager
-def compiled_beside(catalogue: Catalogue, part: str) -> Iterator[None]:
+def compiled_beside(catalogue: Catalogue, part: str, entry: str) -> Iterator[None]:
     """
-    Have a process of its own compile a module of the kernel meanwhile, and wait for it.
+    Have a process of its own compile an entry of a module of the kernel meanwhile; wait for it.
 
     Nothing happens where it is compiled, where one processor is all there is, and with effects
     that another process would have to be told of.
@@ -191,7 +192,7 @@ def compiled_beside(catalogue: Catalogue, part: str) -> Iterator[None]:
     if is_compiled(catalogue, part) or not told or os.cpu_count() == 1:
         yield
         return
-    command = [sys.executable, '-c', BESIDE.format(part=part)]
+    command = [sys.executable, '-c', BESIDE.format(part=part, entry=entry)]
     with subprocess.Popen(command, env=child_environment(), stderr=subprocess.DEVNULL):
         yield
 

@@ -27,6 +27,7 @@ from .layout import (
     TORQUE_BY_TURN,
     TRAVELS,
     TURNS,
+    ZERO,
     compiled,
     floats,
     inlined,
@@ -131,7 +132,7 @@ def pass_tensions(chain, system, i, row, s):
     and by_own say how much there is.
     """
     kt, width, tendon = system.kt, system.width, words(chain.tendon)
-    active, count = words(system.active), 0
+    active, count = words(system.active), ZERO
     for k in range(kt):
         change = floats(system.tensions + 8 * width * (kt * i + k))
         direct = floats(system.direct + 24 * k)
@@ -179,7 +180,7 @@ def slide_together(system, i, row, s, count):
                 left[count * p + q] = (1.0 if p == q else 0.0) - share
                 q += 1
             elif share != 0.0:
-                add_row(at, share, changes + 8 * width * other, 0, width)
+                add_row(at, share, changes + 8 * width * other, ZERO, width)
                 for a in range(own):
                     side[width + a] += share * all_direct[3 * other + a]
     solved = solve_rows(system.left, system.side, count, width + own)
@@ -210,7 +211,7 @@ def gather_cell(chain, system, i, row, s):
                     share += slopes[BY_TORQUE + 3 * a + m] * floats(s)[width * (kt + m) + k]
             for b in range(size):
                 pivot[3 * a + b] += share * floats(system.direct)[3 * k + b]
-            add_row(bends + 8 * width * a, -share, changes + 8 * width * k, 0, width)
+            add_row(bends + 8 * width * a, -share, changes + 8 * width * k, ZERO, width)
     if not loads:
         return
     for a in range(size):
@@ -262,7 +263,7 @@ def complete_tensions(chain, system, i):
                 share = floats(system.direct)[3 * k + a]
                 if share != 0.0:
                     at = system.tensions + 8 * width * (kt * i + k)
-                    add_row(at, share, bends + 8 * width * a, 0, width)
+                    add_row(at, share, bends + 8 * width * a, ZERO, width)
 
 
 @compiled
@@ -274,11 +275,11 @@ def answer_row(system, i, r, s, extra, out):
         next_answers[j] = answers[j] if j >= turn else 0.0
     for a in range(size):
         share = floats(system.by_own)[3 * r + a] + extra[a]
-        add_row(out + 8 * width * r, share, system.bends + 8 * width * (size * i + a), 0, width)
+        add_row(out + 8 * width * r, share, system.bends + 8 * width * (size * i + a), ZERO, width)
     for k in range(kt):
         if answers[k] != 0.0:
             at = system.tensions + 8 * width * (kt * i + k)
-            add_row(out + 8 * width * r, answers[k], at, 0, width)
+            add_row(out + 8 * width * r, answers[k], at, ZERO, width)
 
 
 @compiled

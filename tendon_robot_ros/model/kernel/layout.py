@@ -31,12 +31,22 @@ fused = part(forceinline=True, fastmath={'contract'})
 
 
 # Numba compiles a function anew for every literal that it is called with; these are none.
-YES, NONE = np.bool_(True), np.int64(-1)
+YES, NONE, ZERO, ONE = np.bool_(True), np.int64(-1), np.int64(0), np.int64(1)
 
 
 def entry(*signature):
-    """Compile something that Python calls: cached, for one signature or as called."""
-    return jit(*signature, cache=True, pipeline_class=EntryCompiler)
+    """
+    Have something compiled that Python calls: cached, when it is called.
+
+    What has a signature is called by its address, and compiled when that is asked for.
+    """
+
+    def make(function):
+        made = jit(cache=True, pipeline_class=EntryCompiler)(function)
+        made.called_as = signature
+        return made
+
+    return make
 
 
 # Chain: the robot and its effects; n cells, k tendons, m inputs; addresses of
@@ -55,7 +65,7 @@ Chain = namedtuple(
     'n k m wide cells offset tendon values on gravity radius step residual respond newton settle '
     'helix beside',
 )
-LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT, MASS_X, MASS_Y = range(8)
+LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT, MASS_X, MASS_Y = np.arange(8)
 COLUMNS = 8
 
 # The state of a posture: bends (n, 2) [rad], and behind them twists (n,) [rad], which count only
@@ -146,7 +156,9 @@ clock_gettime: Any = types.ExternalFunction('clock_gettime', types.int32(types.i
 
 
 def address_of(function):
-    """Return the address of an entry that was compiled for one explicit signature."""
+    """Compile an entry that has a signature, if that is not yet done; return its address."""
+    if not function.overloads:
+        function.compile(*function.called_as)
     (made,) = function.overloads.values()
     return made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from .derivatives import output_slopes
-from .layout import address, chain_at, compiled, entry, floats, keep, workspace
+from .layout import ONE, ZERO, address, chain_at, compiled, entry, floats, keep, workspace
 from .linear import solve_rows, solve_small
 from .shape import accept, balance, mean_pulls, predict, wire_pulls
 from .turning import unknowns
@@ -57,7 +57,7 @@ def taut_step(jacobian, f, inputs, target, damping, trial):
     """Damped Newton step of the taut wires, tensions kept from below zero, into `trial`."""
     m = inputs.shape[0]
     free = np.empty(m, np.int64)
-    count = 0
+    count = ZERO
     for j in range(m):
         trial[j] = inputs[j]
         if not math.isnan(target[j]) and (inputs[j] > 0.0 or f[j] < 0.0):
@@ -154,7 +154,7 @@ def spring_step(slopes, f, inputs, target, stretch, move):
     """
     m = inputs.shape[0]
     taut = np.empty(m, np.int64)
-    count, top = 0, 0.0
+    count, top = ZERO, 0.0
     for j in range(m):
         move[j] = 0.0
         gap = f[j] + stretch * inputs[j]
@@ -171,7 +171,7 @@ def spring_step(slopes, f, inputs, target, stretch, move):
         part[p, p] += stretch
         step[p, 0] = f[taut[p]] + stretch * inputs[taut[p]]
         high = max(high, inputs[taut[p]])
-    solved = solve_rows(address(part), address(step), count, 1)
+    solved = solve_rows(address(part), address(step), count, ONE)
     keep(part)
     if not solved:
         return -1.0
