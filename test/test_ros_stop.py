@@ -107,7 +107,6 @@ def test_every_topic_that_a_person_may_write_to_hears_publishers_of_any_kind(run
             'stop': ('controller', 'driver'),
             'tendon_command': ('driver',),
             'tendon_states': ('controller',),
-            'measured_tip': ('controller',),
             'controller/target_pose': ('controller',),
             'controller/target_point': ('controller',),
             'controller/delta_twist': ('controller',),
@@ -138,6 +137,18 @@ def test_every_topic_that_a_person_may_write_to_hears_publishers_of_any_kind(run
     }
     passed_on = {f'{SPACE}/_stop_heard', f'{SPACE}/driver/status'}  # from node to node
     assert subscribed - passed_on == set(written)
+
+
+def test_a_tracker_is_heard_while_the_loop_is_closed(running):
+    def ears():
+        found = running.node.get_subscriptions_info_by_topic(f'{SPACE}/measured_tip')
+        return [one.qos_profile.reliability for one in found if one.node_name == 'controller']
+
+    assert not ears()
+    assert running.set('controller', 'tip_gain', 0.01).successful
+    running.until(lambda: ears() == [ReliabilityPolicy.BEST_EFFORT], 'an ear for trackers')
+    assert running.set('controller', 'tip_gain', 0.0).successful
+    running.until(lambda: not ears(), 'a tracker that nobody hears')
 
 
 @pytest.mark.parametrize(('qos', 'ways'), [(COMMAND, 2), (LISTEN, 1)])

@@ -72,7 +72,7 @@ def check_frame(frame: str, known: Sequence[str], what: str) -> None:
 def finite(values: Sequence[float], what: str) -> Array:
     """Return the values as an array; refuse nan and inf."""
     array = np.array(values, dtype=float)
-    if not np.all(np.isfinite(array)):
+    if not np.isfinite(array).all():
         raise Refusal('not_finite', f'{what}: expected finite numbers, got {array.tolist()}')
     return array
 
@@ -136,6 +136,8 @@ def by_name(
         Name the message and its field.
 
     """
+    if tuple(names) == tuple(inputs) and len(values) == len(names):
+        return np.array(values, dtype=float)  # as nearly always
     unknown = [name for name in names if name not in inputs]
     missing = [name for name in inputs if name not in names]
     if unknown or missing or len(names) != len(inputs):

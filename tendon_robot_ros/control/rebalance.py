@@ -45,6 +45,7 @@ class Rebalance:
     _aim: Array | None = None  # (m,) [N] where it leads
     _over: bool = False
     _looked: float = -np.inf  # [s]
+    _said: tuple[TipStiffness, dict[str, str]] | None = None  # the words for a stiffness
 
     def step(self, core: Standing, now: float) -> None:
         """Have the solver look for the next posture, and at the stiffness now and then."""
@@ -116,14 +117,19 @@ class Rebalance:
 
     def values(self) -> dict[str, str]:
         """Say how stiff the tip is, for the status."""
-        if self.stiffness is None:
+        stiffness = self.stiffness
+        if stiffness is None:
             return {}
-        softest, towards = self.stiffness.softest
-        axes = (self.stiffness.along(axis) for axis in np.eye(3))
-        return {
+        if self._said is not None and self._said[0] is stiffness:
+            return self._said[1]
+        softest, towards = stiffness.softest
+        axes = (stiffness.along(axis) for axis in np.eye(3))
+        words = {
             'tip_stiffness': ', '.join(f'{value:.3g}' for value in axes) + ' N/m along x, y, z',
             'tip_softest': f'{softest:.3g} N/m along ({", ".join(f"{x:.2f}" for x in towards)})',
         }
+        self._said = stiffness, words
+        return words
 
 
 def _nearer(balance: Balance, here: Shape, wanted: Array, longest: float) -> Reach | None:

@@ -222,7 +222,9 @@ class MockDriver(Driver):
         return lost
 
     def _noise(self, sd: float) -> Array:
-        return self._random.normal(0.0, sd, len(self.inputs)) if sd > 0.0 else 0.0 * self._actual
+        if sd > 0.0:
+            return self._random.normal(0.0, sd, len(self.inputs))
+        return np.zeros(len(self.inputs))
 
     def _require_open(self, what: str) -> None:
         if not self._is_open:
@@ -241,8 +243,10 @@ class MockDriver(Driver):
         inputs = self._actual.copy()
         if self.mode == 'pull':
             inputs[~self._on] = np.nan  # slack
-        if self._given is not None and np.array_equal(inputs, self._given, equal_nan=True):
-            return
+        if self._given is not None:
+            same = inputs == self._given
+            if same.all() or (same | (np.isnan(inputs) & np.isnan(self._given))).all():
+                return
         self._given = inputs
         respond = self.plant.respond if self.mode == 'tension' else self.plant.respond_to_pulls
         try:

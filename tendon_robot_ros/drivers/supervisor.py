@@ -133,14 +133,16 @@ class Supervisor:
 
     def _accept(self, command: Array | None) -> None:
         """Take a command, clipped to the limits."""
-        if command is None or not np.all(np.isfinite(command)):
+        if command is None or not np.isfinite(command).all():
             return
         self._asked = bounded(command, self.rules.limits)
         self._asked_at, self._let_go = self._now, ''
         outside = np.abs(command - self._asked) > 1e-9
-        self._clipped = tuple(
-            name for name, bad in zip(self.rules.inputs, outside, strict=True) if bad
-        )
+        self._clipped = ()
+        if outside.any():
+            self._clipped = tuple(
+                name for name, bad in zip(self.rules.inputs, outside, strict=True) if bad
+            )
 
     def _watch(self, reading: Reading) -> list[str]:
         """Latch hardware errors; after a lost connection begin again at the measured state."""

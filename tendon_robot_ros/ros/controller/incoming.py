@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from ...control import Refusal, Target, Twist
 from ...control.checks import by_name, check_frame, check_stamp, direction, finite, position
 from ...control.trajectory import Playing, checked
 from ...model.model import Model
-from ..shared.messages import Frames, seconds
+from ..shared.messages import Frames, nanoseconds_now, seconds
 from ..shared.parameters import Parameters
 
 Array = NDArray[np.float64]
@@ -84,15 +85,16 @@ class Incoming:
         """Return tensions [N] and wire pulls [m]; nan where not observable."""
         self._stamp(message.header, 'tendon_states')
         inputs, names = self._model.inputs, message.name
-        tensions = []
+        found = []
         for quantity, values in (('effort', message.effort), ('position', message.position)):
             values = values or [np.nan] * len(names)
-            tensions.append(by_name(names, values, inputs, 'tendon_states', quantity))
-            if np.isinf(tensions[-1]).any():
+            found.append(by_name(names, values, inputs, 'tendon_states', quantity))
+            if any(map(math.isinf, values)):
                 raise Refusal('not_finite', f'tendon_states: {quantity} is infinite')
-        if np.isnan(tensions).all():
+        tensions, pulls = found
+        if not any(map(math.isfinite, (*message.effort, *message.position))):
             raise Refusal('not_finite', 'tendon_states: neither effort nor position is a number')
-        return tensions[0], tensions[1]
+        return tensions, pulls
 
     def trajectory(self, message: JointTrajectory) -> Playing | None:
         """Return a trajectory of tensions, or of wire pulls in pull mode; None ends one."""
@@ -127,7 +129,7 @@ class Incoming:
         return self._frames.to_base(header.frame_id, what)
 
     def _stamp(self, header: Header, what: str) -> None:
-        now = 1e-9 * self._node.get_clock().now().nanoseconds
+        now = 1e-9 * nanoseconds_now(self._node)
         check_stamp(seconds(header.stamp), now, self._parameters['stamp_tolerance'], what)
 
 

@@ -17,6 +17,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -29,7 +30,7 @@ from ...model.model import Model
 from ...robot.keep_out import KeepOut
 from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic, hear_anybody
 from ..shared.lifecycle import LEVELS, ManagedNode, Status
-from ..shared.messages import COMMAND, JOINTS, LATCHED, LISTEN, joint_state
+from ..shared.messages import COMMAND, JOINTS, LATCHED, LISTEN, refilled, stamp_now
 from ..shared.parameters import Parameters
 from ..shared.runtime import goes_first, repeat, run
 from ..shared.senders import OtherPublishers, Received, Senders, signature
@@ -72,10 +73,12 @@ class ControllerNode(ManagedNode):
         self._targets: list[Subscription] = []
         self._signature, self._drivers = signature(self), Senders()
         self._speaking = threading.Lock()
+        self._command = JointState()
         self._commands = self.create_publisher(JointState, 'tendon_command', COMMAND)
         self._controllers = OtherPublishers(self, self._commands)
         self._measured = Inbox(self, JointState, 'tendon_states', JOINTS)
-        self.create_subscription(PoseStamped, 'measured_tip', self._tip, LISTEN)
+        self._tracker: Subscription | None = None
+        self._hear_tip()
         stop = Service(self, Trigger, '~/stop', self._stop)
         self._stop_topic = StopTopic(self, self._stop_said, self._stop_gone, [stop])
         if self.parameters['driver_status']:
@@ -186,8 +189,19 @@ class ControllerNode(ManagedNode):
         def take(core: ControllerCore, incoming: Incoming) -> None:
             core.loop.take(time.monotonic(), core, incoming.measured_tip(message))
 
-        if self.parameters['tip_gain'] > 0.0:
-            self._take('tip', take)
+        self._take('tip', take)
+
+    def _hear_tip(self) -> None:
+        """Subscribe to the tracker while the loop is closed: nobody is woken in vain."""
+        if (self.parameters['tip_gain'] > 0.0) == (self._tracker is not None):
+            return
+        if self._tracker is not None:
+            self.destroy_subscription(self._tracker)
+            self._tracker = None
+        else:
+            self._tracker = self.create_subscription(
+                PoseStamped, 'measured_tip', self._tip, LISTEN
+            )
 
     def _take(self, kind: str, action: Callable[[ControllerCore, Incoming], None]) -> None:
         """Use a message, or say why not."""
@@ -239,11 +253,10 @@ class ControllerNode(ManagedNode):
         if output is not None:
             pulls = output.pulls
             tensions = output.tensions if pulls is None else None
-            stamp = self.get_clock().now().to_msg()
-            command = joint_state(stamp, core.model.inputs, pulls, tensions)
             with self._speaking:
                 if not core.latch:  # a stop that came meanwhile has the last word
-                    self._publish(command)
+                    self._command.name = core.model.inputs
+                    self._publish(refilled(self._command, stamp_now(self), pulls, tensions))
         if now - self._told >= STATUS_LOOK_PERIOD_S:
             self._told = now
             self._tell(core, now)
@@ -255,7 +268,7 @@ class ControllerNode(ManagedNode):
     def _let_go(self) -> None:
         """Have the driver release at once: a command without tendons. Silence does it later."""
         with self._speaking:
-            self._publish(joint_state(self.get_clock().now().to_msg(), ()))
+            self._publish(JointState(header=Header(stamp=stamp_now(self))))
 
     def _idle(self, now: float) -> None:
         """Publish that it waits for a transition: the last status would go on being heard."""
@@ -352,6 +365,7 @@ class ControllerNode(ManagedNode):
 
     def _retune(self) -> None:
         """Apply changed parameters."""
+        self._hear_tip()
         if self.core is not None:
             self.core.settings = parameters.settings(self.parameters, self._keep_out)
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from ...common.errors import TendonRobotError
@@ -25,7 +26,7 @@ from ...drivers.tendon_check import due
 from ..shared.files import read_robot
 from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic
 from ..shared.lifecycle import ERROR, OK, WARN, ManagedNode, Status
-from ..shared.messages import JOINTS, STATE, joint_state, seconds
+from ..shared.messages import JOINTS, STATE, nanoseconds_now, refilled, seconds, stamp_now
 from ..shared.parameters import Parameters
 from ..shared.runtime import asked_to_end, goes_first, repeat, run, when_asked_to_end
 from ..shared.senders import OtherPublishers, Received, Senders, signature
@@ -59,7 +60,8 @@ class DriverNode(ManagedNode):
         self._refusal: Refusal | None = None
         self._check_due = ''  # why the tendons are to be checked
         self._cycle: Cycle | None = None
-        self._signature, self._senders = signature(self), Senders()
+        self._senders = Senders()
+        self._state = JointState(header=Header(frame_id=signature(self)))
         self._states = self.create_publisher(JointState, 'tendon_states', STATE)
         self._drivers = OtherPublishers(self, self._states)
         self._commands = Inbox(self, JointState, 'tendon_command', JOINTS)
@@ -154,7 +156,7 @@ class DriverNode(ManagedNode):
             return
         message = heard.message
         try:
-            now = 1e-9 * self.get_clock().now().nanoseconds
+            now = 1e-9 * nanoseconds_now(self)
             check_stamp(
                 seconds(message.header.stamp),
                 now,
@@ -183,14 +185,10 @@ class DriverNode(ManagedNode):
         """Publish a state; runs in the motor thread."""
         self._cycle = cycle
         assert self.loop is not None
-        states = joint_state(
-            self.get_clock().now().to_msg(),
-            self.loop.driver.inputs,
-            cycle.reading.pulls,
-            cycle.reading.tensions,
-        )
-        states.header.frame_id = self._signature
-        self._states.publish(states)
+        message, reading = self._state, cycle.reading
+        message.name = self.loop.driver.inputs
+        refilled(message, stamp_now(self), reading.pulls, reading.tensions)
+        self._states.publish(message)
 
     def _tell(self) -> None:
         """Publish the status."""

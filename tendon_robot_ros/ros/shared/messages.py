@@ -29,6 +29,19 @@ def seconds(stamp: Time) -> float:
     return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
 
 
+def nanoseconds_now(node: Node) -> int:
+    """Return the time of a node's clock [ns]; rclpy makes an object of it that costs more."""
+    clock = node.get_clock().handle
+    with clock:
+        return int(clock.get_now().nanoseconds)
+
+
+def stamp_now(node: Node) -> Time:
+    """Return the time of a node's clock as a stamp."""
+    now = nanoseconds_now(node)
+    return Time(sec=now // 10**9, nanosec=now % 10**9)
+
+
 def duration(time: float) -> Duration:
     """Return a time [s] as a message."""
     nanoseconds = round(1e9 * time)
@@ -68,12 +81,16 @@ def joint_state(
     stamp: Time, names: Sequence[str], position: Array | None = None, effort: Array | None = None
 ) -> JointState:
     """Return a joint message: position = wire pull [m], effort = tension [N]."""
-    message = JointState(name=list(names))
+    return refilled(JointState(name=list(names)), stamp, position, effort)
+
+
+def refilled(
+    message: JointState, stamp: Time, position: Array | None, effort: Array | None
+) -> JointState:
+    """Return a joint message with new values: to make one for every cycle costs more."""
     message.header.stamp = stamp
-    if position is not None:
-        message.position = position.tolist()
-    if effort is not None:
-        message.effort = effort.tolist()
+    message.position = () if position is None else position.tolist()
+    message.effort = () if effort is None else effort.tolist()
     return message
 
 

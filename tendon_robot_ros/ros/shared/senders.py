@@ -84,6 +84,7 @@ class Taker[M]:
         """Take the subscription of rclpy's C++ part and the kind of its messages."""
         self._handle, self._kind = handle, kind
         self.refused = 0  # bytes of the last message that was too long
+        self._info = _Info()  # of the last message
         try:
             self._take = ctypes.CDLL('librcl.so').rcl_take_serialized_message
             self._free = ctypes.CDLL('librcutils.so').rcutils_uint8_array_fini
@@ -97,8 +98,7 @@ class Taker[M]:
         """Return the next message, None where there is none; the handle must be entered."""
         if self._bytes is None:
             return self._plain()
-        info = _Info()
-        pointer = ctypes.c_void_p(self._handle.pointer)
+        info, pointer = self._info, ctypes.c_void_p(self._handle.pointer)
         while True:
             if self._take(pointer, ctypes.byref(self._bytes), ctypes.byref(info), None) != TAKEN:
                 return None
@@ -165,7 +165,9 @@ class SenderProcess:
         found = PROCESS.search(name)
         if found is not None and found['machine'] == _machine() != 'unknown':
             with contextlib.suppress(OSError):
-                self._file = os.open(f'/proc/{found["process"]}/stat', os.O_RDONLY)
+                # of its main thread: the kernel need not add up those of all
+                number = found['process']
+                self._file = os.open(f'/proc/{number}/task/{number}/stat', os.O_RDONLY)
 
     @property
     def died(self) -> bool:
