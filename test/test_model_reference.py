@@ -100,6 +100,25 @@ def test_one_cell():
     check(planar(1, {'straight_tendon': {'fraction': 1.0}}, 'hinge'), [0.0, 2.0])
 
 
+def test_a_cell_that_bends_far_among_others_that_do_not():
+    robot = planar(4, {'straight_tendon': {'fraction': 1.0}}, length=0.02)
+    (only,) = robot.sections
+    stiffness = tuple(k * (0.04 if i == 2 else 1.0) for i, k in enumerate(only.bending_stiffness))
+    robot = replace(robot, sections=(replace(only, bending_stiffness=stiffness),))
+    bends = np.abs(Model(robot).shape([0.0, 0.5]).bend[:, 0])
+    assert bends[2] > 1.6 and bends[[0, 1, 3]].max() < 0.4  # half_turn: series and closed form
+    check(robot, [0.0, 0.5])
+
+
+@pytest.mark.parametrize('largest', [1e-3, 0.05, 1.0])
+def test_tendons_on_opposite_sides_that_hardly_slide(largest):
+    """Those that travel alike share their direction of friction, of opposite sign."""
+    robot = two_sections(6, {'tendon_friction': TYPICAL['tendon_friction']})
+    random = np.random.default_rng(5)
+    for _ in range(5):
+        check(robot, largest * random.random(len(robot.inputs)))
+
+
 def test_the_papers_recursion_to_the_letter():
     """Equations 2, 8, 9 and 10 of Kato et al. 2015 for a plane, in ten lines."""
     robot = load_robot(ROOT / 'config/robots/kato_10_1.yaml')

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
-from .shape import FIELDS, Shape, ShapeBatch
+from .shape import Shape, ShapeBatch
 
 if TYPE_CHECKING:
     from .forward import ForwardModel
@@ -256,7 +256,8 @@ def shown(
     """Return what inputs (b, m) [N] and states (b, 3n) [rad] show, without solving."""
     b, form = len(inputs), model.form
     block = np.zeros(b * form.size)
-    fields = {name: form.rows(block, name, b) for name in FIELDS}
+    fields = form.views(block, b)
+    fields.pop('change')
     fields['inputs'][:], fields['state'][:] = inputs, states
     past = model.arrays.fresh_memory() if memory is None else memory
     model.arrays.part('shape').show_postures(

@@ -16,7 +16,7 @@ from ..effects import STAGES, Catalogue, load_catalogue
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
 from .arrays import KernelArrays
-from .inputs import TensionsLike, tension_rows, tensions_of
+from .inputs import TensionsLike, are_tensions, tension_rows, tensions_of
 from .shape import FIELDS, ResultLayout, Shape, ShapeBatch
 
 Floats = npt.NDArray[np.float64]
@@ -132,7 +132,10 @@ class ForwardModel:
         """
         form = self.form
         block = np.zeros(form.size + form.memory)
-        block[: form.m] = self.tensions(tensions)
+        if are_tensions(tensions, self.robot):
+            block[: form.m] = tensions
+        else:
+            block[: form.m] = self.tensions(tensions)
         if guess is not None:
             flat = np.asarray(guess, float).reshape(-1)
             block[form.m : form.m + len(flat)] = flat  # the state follows the inputs
@@ -207,13 +210,16 @@ class ForwardModel:
         """
         b, form = len(inputs), self.form
         block = np.empty(b * form.size)
-        fields = {name: form.rows(block, name, b) for name in FIELDS}
+        fields = form.views(block, b)
+        changes = fields.pop('change')
         fields['inputs'][:] = inputs
         fields['state'][:] = 0.0
         if guesses is not None:
             flat = guesses.reshape(b, -1)
             fields['state'][:, : flat.shape[1]] = flat
-        past = self.arrays.fresh_memory() if memory is None else memory
+        past = self._straight if memory is None and not carry else memory
+        if past is None:
+            past = self.arrays.fresh_memory()
         where, remembered = self.arrays.address, past.ctypes.data
 
         def part(begin: int, end: int) -> None:
@@ -226,7 +232,7 @@ class ForwardModel:
             with ThreadPoolExecutor(THREADS) as pool:
                 list(pool.map(part, edges[:-1], edges[1:]))
         batch = ShapeBatch(**fields, cell_length=form.cell_length, hinge=form.hinge)
-        return batch, form.rows(block, 'change', b)
+        return batch, changes
 
     @cached_property
     def form(self) -> ResultLayout:
@@ -250,10 +256,11 @@ class ForwardModel:
     def scratch(self) -> int:
         """Address of this thread's scratch memory."""
         own = self._own
-        if not hasattr(own, 'address'):
+        try:
+            address: int = own.address
+        except AttributeError:
             own.memory = self.arrays.scratch()
-            own.address = own.memory.ctypes.data
-        address: int = own.address
+            own.address = address = own.memory.ctypes.data
         return address
 
     def measured(self, points: Floats) -> Floats:
@@ -263,7 +270,14 @@ class ForwardModel:
             self.arrays.part('shape').measured(self.arrays.address, moved.reshape(-1, 3))
         return moved
 
+    @cached_property
+    def _straight(self) -> Floats:
+        """Friction memory of the straight arm; it stays so."""
+        return self.arrays.fresh_memory()
+
     def _refuse(self, inputs: Floats, changes: Floats) -> None:
+        if changes.max(initial=0.0) < TOLERANCE:
+            return
         bad = np.flatnonzero(~(changes < TOLERANCE))
         if len(bad):
             named = ', '.join(

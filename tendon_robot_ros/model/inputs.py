@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,14 @@ from ..robot import Robot
 
 Floats = npt.NDArray[np.float64]
 TensionsLike = Mapping[str, float] | Sequence[float] | Floats
+
+
+def are_tensions(tensions: object, robot: Robot) -> TypeGuard[Floats]:
+    """Tell whether these are numbers (m,) that may be tensions, in order; False: look closer."""
+    if not (isinstance(tensions, np.ndarray) and tensions.shape == (len(robot.inputs),)):
+        return False
+    values = tensions.tolist()
+    return bool(min(values) >= 0.0 and sum(values) < math.inf)  # NaN is neither
 
 
 def tensions_of(robot: Robot, tensions: TensionsLike) -> Floats:
@@ -25,12 +34,8 @@ def tensions_of(robot: Robot, tensions: TensionsLike) -> Floats:
         Unknown names, or values that are negative or not finite.
 
     """
-    if isinstance(tensions, np.ndarray) and tensions.shape == (len(robot.inputs),):
-        for value in tensions.tolist():
-            if not 0.0 <= value < math.inf:
-                break
-        else:
-            return tensions.astype(float)
+    if are_tensions(tensions, robot):
+        return tensions.astype(float)
     values = finite('tensions', _ordered('tensions', robot, tensions, 0.0), len(robot.inputs))
     if (values < 0.0).any():
         raise InputError(f'tensions: expected none below 0 N, got {values}')
@@ -53,7 +58,7 @@ def tension_rows(robot: Robot, tensions: npt.ArrayLike) -> Floats:
             f'tensions: expected (postures, {len(robot.inputs)}) numbers for '
             f'{", ".join(robot.inputs)}, got shape {rows.shape}'
         )
-    if not (np.isfinite(rows).all() and (rows >= 0.0).all()):
+    if not (rows.min(initial=0.0) >= 0.0 and rows.max(initial=0.0) < math.inf):
         raise InputError('tensions: expected finite numbers not below 0 N')
     return rows
 

@@ -72,11 +72,12 @@ class ResultLayout:
             for name, start in self.starts.items()
         }
 
-    def rows(self, block: Floats, name: str, count: int) -> Floats:
-        """Field (count, ...) of a block of `count` postures."""
-        shape = self.fields[name]
-        start = self.starts[name] * count
-        return block[start : start + count * math.prod(shape)].reshape(count, *shape)
+    def views(self, block: Floats, count: int) -> dict[str, Floats]:
+        """Return the fields (count, ...) of a block of `count` postures."""
+        return {
+            name: block[count * where.start : count * where.stop].reshape(count, *shape)
+            for name, (where, shape) in self.one.items()
+        }
 
 
 # -----------------------------------------------------------------------------
@@ -156,15 +157,7 @@ def _point(
 # -----------------------------------------------------------------------------
 # What the model returns: shapes, batches of shapes, and tension solutions.
 
-FIELDS = (
-    'inputs',
-    'state',
-    'tendon_tensions',
-    'frames',
-    'positions',
-    'tendon_pulls',
-    'pulls',
-)
+FIELDS = 'inputs', 'state', 'tendon_tensions', 'frames', 'positions', 'tendon_pulls', 'pulls'
 
 
 def bends_in(state: Floats) -> Floats:

@@ -192,9 +192,6 @@ def fill_travel(chain, i, x, y, s, c, twist, scale, work, leaning):
     travel, tendon = floats(work.travel), words(chain.tendon)
     moment_arms = floats(work.moment_arms)
     a, ux, uy, sin_half, cos_half = polar(x, y, s, c)
-    x0, y0 = rest(0.0, 0.0, chain, section_of(chain, i))
-    s0, c0 = half_turn(x0 * x0 + y0 * y0)
-    a0, ux0, uy0, sin0, cos0 = polar(x0, y0, s0, c0)
     for k in range(chain.k):
         at = chain.k * i + k
         if i >= tendon[2 * k]:
@@ -203,13 +200,26 @@ def fill_travel(chain, i, x, y, s, c, twist, scale, work, leaning):
         lost, along, side, about = path_lost(
             chain, i, k, a, ux, uy, sin_half, cos_half, scale, twist, leaning
         )
-        if a0 > 0.0:
-            lost -= path_lost(chain, i, k, a0, ux0, uy0, sin0, cos0, scale, 0.0, leaning)[0]
         travel[at] = lost
         if leaning:
             floats(work.axial)[at] = about
         moment_arms[2 * at] = along * ux - side * uy
         moment_arms[2 * at + 1] = along * uy + side * ux
+    x0, y0 = rest(0.0, 0.0, chain, section_of(chain, i))
+    if x0 != 0.0 or y0 != 0.0:
+        take_rest_off(chain, i, x0, y0, scale, work, leaning)
+
+
+@inlined
+def take_rest_off(chain, i, x0, y0, scale, work, leaning):
+    """Take from the travel of cell i what its rest bend (x0, y0) [rad] says."""
+    s, c = half_turn(x0 * x0 + y0 * y0)
+    a, ux, uy, sin_half, cos_half = polar(x0, y0, s, c)
+    for k in range(chain.k):
+        if a > 0.0 and i < words(chain.tendon)[2 * k]:
+            floats(work.travel)[chain.k * i + k] -= path_lost(
+                chain, i, k, a, ux, uy, sin_half, cos_half, scale, 0.0, leaning
+            )[0]
 
 
 @compiled

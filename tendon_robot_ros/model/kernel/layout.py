@@ -28,6 +28,8 @@ compiled = part()
 inlined = part(forceinline=True)
 # with fused multiply-add: where no difference of equal products has to be exactly zero
 fused = part(forceinline=True, fastmath={'contract'})
+# sums in any order: where they only say which way a search goes
+reordered = part(fastmath={'contract', 'reassoc'})
 
 
 # Numba compiles a function anew for every literal that it is called with; these are none.

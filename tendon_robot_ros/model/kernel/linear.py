@@ -2,7 +2,7 @@
 
 import math
 
-from .layout import compiled, floats
+from .layout import compiled, floats, reordered
 
 
 @compiled
@@ -31,7 +31,7 @@ def largest(values):
     return top
 
 
-@compiled
+@reordered
 def dot(a, b):
     """Inner product."""
     total = 0.0

@@ -61,7 +61,7 @@ def remember(chain, inputs, bend, work, past, now):
             at = chain.k * i + k
             here = floats(work.travel)[at]
             sign[at], travel[at] = slip_direction(
-                chain, work, past, at, section_of(chain, i), here, slides, YES
+                chain, work, past, at, section_of(chain, i), here, 0.0, slides, YES
             )
 
 
@@ -163,14 +163,14 @@ def place(chain, bend, work):
 @compiled
 def wire_pulls(chain, bend, work, pulls):
     """Wire pull (k,) [m] of every tendon, as commanded: its travel, stretch and winding."""
-    tendon, tensions, travel = words(chain.tendon), floats(work.tensions), floats(work.travel)
-    totals, n, k = floats(pulls), chain.n, chain.k
+    tendon, tensions = words(chain.tendon), floats(work.tensions)
+    totals, k = floats(pulls), chain.k
     tendon_travel(chain, bend, offset_scale(1.0, chain, 0), work)
     for j in range(k):
-        totals[j] = 0.0
-    for i in range(n):
-        for j in range(k):
-            totals[j] += travel[k * i + j]
+        total = 0.0
+        for i in range(tendon[2 * j]):
+            total += floats(work.travel)[k * i + j]
+        totals[j] = total
     if stretch_acts(chain):
         for j in range(k):
             for i in range(tendon[2 * j]):

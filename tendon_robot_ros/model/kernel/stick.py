@@ -25,7 +25,7 @@ from .stages import torsion_acts
 SLIPPING_FROM = 0.9999  # [1] direction of friction that counts as slipping
 SLIP_START_TRAVEL = 3.0  # [1] travel, over the slip length, of a tendon that begins to slip
 SLIP_CLEAR_TRAVEL = 8.0  # [1] and of one whose direction of friction no travel nearby changes
-STEP_SETTLED_RAD = 1e-7  # [rad] step after which plain Newton ends the search
+STEP_SETTLED_RAD = 1e-4  # [rad] step after which plain Newton ends the search
 STEP_SHRINKING_RAD = 0.1  # [rad] step after which the slip length shrinks
 
 
@@ -129,12 +129,14 @@ def solve_sliding(chain, inputs, x, work, past, wide, shrink, most):
         imbalance(chain, address(x), work, past, address(f))
         respond_at(chain.respond)(chain, address(x), address(f), 1, work, past, address(move), 0)
         long = largest(move)
-        if not long < math.inf or (long < STEP_SETTLED_RAD and width == SLIP_LENGTH):
+        if not long < math.inf:
             break
         share = min(1.0, 1.0 / max(long, 1e-300))
         for j in range(size):
             move[j] *= share
             x[j] += move[j]
+        if long < STEP_SETTLED_RAD and width == SLIP_LENGTH:
+            break
         new_width = max(shrink * width, SLIP_LENGTH) if long < STEP_SHRINKING_RAD else width
         take_over(chain, work, move, own, width, new_width)
         width = new_width

@@ -44,7 +44,7 @@ def smooth_sign(travel, slip_rate):
 
 
 @inlined
-def slip_direction(chain, work, past, at, section, here, slides, remembers):
+def slip_direction(chain, work, past, at, section, here, slip_rate, slides, remembers):
     """
     Direction s of friction at entry `at` of the travel (n, k), and what has travelled [m].
 
@@ -54,6 +54,8 @@ def slip_direction(chain, work, past, at, section, here, slides, remembers):
         Entry chain.k i + k of the arrays (n, k).
     here : float
         Travel of the tendon in cell i [m].
+    slip_rate : float
+        One over the slip length [1/m]; not used where friction remembers.
     slides, remembers : bool
         Whether the travel beyond counts, and whether friction remembers.
 
@@ -64,12 +66,11 @@ def slip_direction(chain, work, past, at, section, here, slides, remembers):
         return memory(
             0.0, floats(past.sign)[at], travel - floats(past.travel)[at], chain, section
         ), travel
-    slip = 1.0 / floats(work.slip)[0]
     if slides:
         return friction_travel(
-            smooth_sign(here, slip), smooth_sign(beyond, slip), chain, section
+            smooth_sign(here, slip_rate), smooth_sign(beyond, slip_rate), chain, section
         ), beyond
-    return smooth_sign(here, slip), here
+    return smooth_sign(here, slip_rate), here
 
 
 @fused
@@ -99,15 +100,23 @@ def fast_exp(x):
 
 
 @inlined
-def times_power(t, passed, s):
-    """t passed ** s, without the power where s is saturated."""
+def times_power(t, passed, s, log_passed):
+    """t passed ** s, without the power where s is saturated; log(passed) once it is known."""
     if s == 1.0:
-        return t * passed
+        return t * passed, log_passed
     if s == -1.0:
-        return t / passed
+        return t / passed, log_passed
     if not passed > 0.0:
-        return t * passed**s
-    return t * fast_exp(s * fast_log(passed))
+        return t * passed**s, log_passed
+    if log_passed == 0.0:
+        log_passed = fast_log(passed)
+    return t * fast_exp(s * log_passed), log_passed
+
+
+@inlined
+def size_of(x, y):
+    """Size of a bend [rad]; no root where it is along x."""
+    return abs(x) if y == 0.0 else math.sqrt(x * x + y * y)
 
 
 @inlined
@@ -137,6 +146,17 @@ def active_stages(chain, shaped):
 
 
 @inlined
+def share_passed(chain, work, i, bx, by, next_x, next_y, wraps):
+    """Tension behind the eyelet of cell i over that before it, for a tendon that slides."""
+    section = section_of(chain, i)
+    turning = size_of(bx, by) * floats(work.half)[2 * i]
+    if wraps:
+        x, y = 0.5 * (bx + next_x), 0.5 * (by + next_y)
+        turning = wrap(turning, size_of(x, y) * half_turn(x * x + y * y)[0], chain, section)
+    return eyelet(1.0, turning, chain, section)
+
+
+@inlined
 def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, moment_arms, scale, flags):
     """
     Take the tensions over the eyelet between cells i and i + 1 (eq. 10).
@@ -160,14 +180,11 @@ def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, moment_arms, scale
     friction, straight, wraps, slides, remembers = flags
     tensions, tendon, at = floats(work.tensions), words(chain.tendon), chain.k * i
     section = section_of(chain, i)
-    passed, x0, y0 = 1.0, 0.0, 0.0
+    passed, x0, y0, slip_rate, log_passed = 1.0, 0.0, 0.0, 0.0, 0.0
+    last, last_sign = -1.0, 0.0  # tendons on opposite sides travel alike
     if friction:
-        turning = math.sqrt(bx * bx + by * by) * floats(work.half)[2 * i]
-        if wraps:
-            x, y = 0.5 * (bx + next_x), 0.5 * (by + next_y)
-            q = x * x + y * y
-            turning = wrap(turning, math.sqrt(q) * half_turn(q)[0], chain, section)
-        passed = eyelet(1.0, turning, chain, section)
+        slip_rate = 1.0 / floats(work.slip)[0]
+        passed = share_passed(chain, work, i, bx, by, next_x, next_y, wraps)
         x0, y0 = rest(0.0, 0.0, chain, section)
         x0, y0 = scale * (bx - x0), scale * (by - y0)
     offsets, lever = floats(chain.offset), floats(moment_arms)
@@ -182,8 +199,16 @@ def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, moment_arms, scale
                     here = floats(work.travel)[at + k]
                 else:
                     here = offsets[2 * (at + k)] * x0 + offsets[2 * (at + k) + 1] * y0
-                s, _ = slip_direction(chain, work, past, at + k, section, here, slides, remembers)
-                t = times_power(t, passed, s)
+                if slides or remembers:
+                    s, _ = slip_direction(
+                        chain, work, past, at + k, section, here, slip_rate, slides, remembers
+                    )
+                else:
+                    if abs(here) != last:
+                        last = abs(here)
+                        last_sign = smooth_sign(last, slip_rate)
+                    s = math.copysign(last_sign, here)
+                t, log_passed = times_power(t, passed, s, log_passed)
             mx += t * lever[2 * j]
             my += t * lever[2 * j + 1]
             total += t

@@ -99,6 +99,12 @@ def half_turn(q):
     if not q < SERIES_BELOW:
         a = math.sqrt(q)
         return math.sin(0.5 * a) / a, math.cos(0.5 * a)
+    return gentle_turn(q)
+
+
+@fused
+def gentle_turn(q):
+    """(S, C) of a bend whose square q [rad²] is below `SERIES_BELOW`."""
     z = 0.25 * q
     z2 = z * z
     z4 = z2 * z2
@@ -146,8 +152,13 @@ def arc_factor(q, s, c):
 @compiled
 def half_turns(chain, bend, work):
     """Fill work.half (n, 2): S and C of every cell."""
-    half, bends = floats(work.half), floats(bend)
-    for i in range(chain.n):
+    half, bends, far = floats(work.half), floats(bend), 0
+    for i in range(chain.n):  # without a branch, so that several cells are computed at once
+        x, y = bends[2 * i], bends[2 * i + 1]
+        q = x * x + y * y
+        half[2 * i], half[2 * i + 1] = gentle_turn(q)
+        far += 0 if q < SERIES_BELOW else 1
+    for i in range(chain.n if far > 0 else 0):
         x, y = bends[2 * i], bends[2 * i + 1]
         half[2 * i], half[2 * i + 1] = half_turn(x * x + y * y)
 
