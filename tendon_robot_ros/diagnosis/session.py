@@ -9,6 +9,7 @@ from contextlib import suppress
 import numpy as np
 import numpy.typing as npt
 
+from ..comparison.cell_errors import cell_errors
 from ..comparison.noise import Noise, Whitener, input_slopes
 from ..comparison.predict import FreeParameter, Point, Predictor
 from ..comparison.repeatability import estimate_noise
@@ -110,6 +111,9 @@ class Session:
         Imperfections are linear around those that are given (`at`), and inputs act on an arm that
         has these: friction turns over where a cell is kinked the other way.
         """
+        bowed = cell_errors(self.predictor, point)
+        for predictor in (*self.predictors, *self.splits):
+            predictor.bowed = bowed
         slopes = self._input_slopes(point, at)
         self.noise = estimate_noise(self.dataset, slopes)
         if self.noise is None:
@@ -119,9 +123,8 @@ class Session:
         )
         changes = cell_slopes(self.predictor, self.nuisances, point)
         self._columns = {free: -self.whitener.white(change) for free, change in changes.items()}
-        self.imperfections = self.random = None
-        if self.splits:
-            self.imperfections = imperfections(self.splits[0], point, at)
+        self.imperfections = imperfections(self.splits[0], point, at) if self.splits else None
+        self.random = None
         if self.imperfections is not None:
             columns = self.whitener.white(self.imperfections.moves).T
             owners, kinds = self.imperfections.owners, self.imperfections.kinds
