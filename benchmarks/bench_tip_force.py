@@ -91,10 +91,11 @@ def case(robot, full, seed, level, references, frames, where='tip'):
     except NoEquilibriumError:
         return None
     observer = TipForceObserver(arm)
-    observer.update(tensions, seen, None, frames)
-    begin = time.process_time()
-    found = observer.update(tensions, seen, None, frames)
-    spent = time.process_time() - begin
+    spent, found = [], None
+    for _ in range(2):  # at a posture that is new to it, then once more
+        begin = time.process_time()
+        found = observer.update(tensions, seen, None, frames)
+        spent.append(1e3 * (time.process_time() - begin))
     if found is None:
         return None
     off = found.force - force
@@ -107,7 +108,7 @@ def case(robot, full, seed, level, references, frames, where='tip'):
         'error': float(np.linalg.norm(off)) / full,
         'sorted': np.abs(along.T @ off) / full,
         'holds': inside,
-        'ms': 1e3 * spent,
+        'ms': spent,
         'cell': found.cell,
     }
 
@@ -149,7 +150,9 @@ def bench(name, seeds, level, references, frames):
         'false touch elsewhere [%]': percent([c['cell'] is not None for c in tips]),
         'touch elsewhere told [%]': percent([c['cell'] is not None for c in sides]),
         'within a sixth of the cells [%]': percent(near),
-        'update, median [ms of a processor]': round(float(np.median([c['ms'] for c in tips])), 2),
+        'update at a new posture, and again, median [ms of a processor]': medians(
+            np.array([c['ms'] for c in tips])
+        ),
     }
 
 

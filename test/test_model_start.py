@@ -5,9 +5,13 @@ import sys
 
 import numpy as np
 from processes import run
+from source_tree import ROOT
 
+from tendon_robot_ros.effects import catalogue
 from tendon_robot_ros.model.kernel.layout import compiled, jit
 from tendon_robot_ros.model.kernel.linking import EntryCompiler
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.robot import load_robot
 
 WITHOUT_SCIPY = """
 import sys
@@ -69,3 +73,13 @@ def test_parts_of_an_entry_are_linked_at_every_depth_and_have_no_machine_code():
             assert not engine.is_symbol_defined(made.fndesc.llvm_func_name)
     (first, *_) = entry.overloads.values()
     assert first.library.get_pointer_to_function(first.fndesc.llvm_func_name)
+
+
+def test_a_model_is_built_without_reading_what_is_installed(monkeypatch):
+    robot = load_robot(ROOT / 'config/robots/spatial_3.yaml')
+    effects = catalogue.load_catalogue()
+    Model(robot, effects)  # compiles where nothing is
+    read = []
+    monkeypatch.setattr(catalogue, 'entry_points', lambda **group: read.append(group) or [])
+    Model(robot, effects)
+    assert not read

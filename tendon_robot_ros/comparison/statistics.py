@@ -26,6 +26,7 @@ def chi2_sf(x: float, freedom: float) -> float:
     return _gamma_q(0.5 * freedom, 0.5 * x)
 
 
+@cache
 def chi2_isf(p: float, freedom: float) -> float:
     """Chi² that is exceeded with probability p (between 1e-290 and 1)."""
     high = max(freedom, 1.0)

@@ -188,8 +188,9 @@ def compiled_beside(catalogue: Catalogue, part: str, entry: str) -> Iterator[Non
     Nothing happens where it is compiled, where one processor is all there is, and with effects
     that another process would have to be told of.
     """
-    told = load_catalogue().digest == catalogue.digest
-    if is_compiled(catalogue, part) or not told or os.cpu_count() == 1:
+    alone = os.cpu_count() == 1 or is_compiled(catalogue, part)
+    # who asks for the usual effects reads what is installed: not for every model
+    if alone or load_catalogue().digest != catalogue.digest:
         yield
         return
     command = [sys.executable, '-c', BESIDE.format(part=part, entry=entry)]

@@ -21,7 +21,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.predict import Point, Predictor
+from ..comparison.predict import Point, Predictor, SettledShapes
 from ..data import DataSet, Marker
 from ..diagnosis.as_built import GAIN, KINK, PLAUSIBLE_SIZES, SplitPredictor, remainders
 from ..diagnosis.slopes import imperfections
@@ -112,7 +112,7 @@ class BuiltArm:
         if shapes is None:
             return None
         beside = self._beside(inputs)
-        columns = self._columns(inputs, point or {})
+        columns = self.columns(inputs, point or {})
         if columns is None:
             return None
         here = self.split.see(shapes).ravel()
@@ -151,10 +151,12 @@ class BuiltArm:
         whole, half = np.split(there - here - steps @ per_newton.T, 2)
         return np.asarray((whole - 4.0 * half).T)
 
-    def shapes(self, inputs: Floats, point: Point) -> ShapeBatch | None:
+    def shapes(
+        self, inputs: Floats, point: Point, near: SettledShapes | None = None
+    ) -> ShapeBatch | None:
         """Shapes under tensions (1, m) [N] with the imperfections as they are known."""
         self.split.around = self.members
-        ((_, shapes),) = self.split.settle(point, self.split.given(inputs))
+        ((_, shapes),) = self.split.settle(point, self.split.given(inputs), near=near)
         return shapes
 
     def forget(self) -> None:
@@ -304,7 +306,7 @@ class BuiltArm:
         off = measured[rows] - expected.markers[rows]
         return weighted.T @ off, columns.T @ weighted
 
-    def _columns(self, inputs: Floats, point: Point) -> Floats | None:
+    def columns(self, inputs: Floats, point: Point) -> Floats | None:
         """Return what each imperfection of a plausible size does (3 J, q) [m]."""
         size = 3 * len(self.whole.dataset.markers)
         if not self.kinds:

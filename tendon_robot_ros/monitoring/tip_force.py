@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.predict import FreeParameter, free_parameters
+from ..comparison.predict import FreeParameter, SettledShapes, free_parameters
 from ..comparison.statistics import chi2_isf
 from ..diagnosis.slopes import pushes
 from .built_arm import BuiltArm
@@ -83,6 +83,7 @@ class TipForceObserver:
         self._described = np.array([arm.whole.value(free) for free in self._frees])
         self._typical = self._frees[0].parameter.typical
         self._last = np.zeros(3)
+        self._near: SettledShapes | None = None  # where the last shape was found
         self.kept: _KeptWhitening | None = None  # of the last estimate
         self.slopes: Floats | None = None  # (3 J, 3) [m/N] of what was seen last
 
@@ -132,9 +133,10 @@ class TipForceObserver:
 
     def shown(self, force: Floats, inputs: Floats, markers: bool) -> Floats | None:
         """Markers (3 J,) [m], or wire pulls (m,) [m], that are expected under a force."""
-        shapes = self.arm.shapes(inputs, self.point(force))
+        shapes = self.arm.shapes(inputs, self.point(force), self._near)
         if shapes is None:
             return None
+        self._near = SettledShapes(shapes.inputs, shapes.state)
         return self.arm.split.see(shapes).ravel() if markers else np.array(shapes.pulls[0])
 
     @property
@@ -308,10 +310,10 @@ class _Fit:
             return np.asarray(np.diag(1.0 / sd[self.rows]))
         arm, kept = observer.arm, observer.kept
         if kept is None or not kept.serves(arm, seen, here):
-            expected = arm.expected(seen.inputs[0], observer.point(force))
-            if expected is None:
+            columns = arm.columns(seen.inputs, observer.point(force))
+            if columns is None:
                 return None
-            kept = _KeptWhitening(expected.columns, arm.covariance, seen, here, self._moved())
+            kept = _KeptWhitening(columns, arm.covariance, seen, here, self._moved())
         elif seen.frames == kept.seen.frames:
             return kept.factor
         observer.kept = kept = replace(kept, seen=seen, factor=kept.inverse_root(arm, seen))
