@@ -9,6 +9,7 @@ import time
 import numpy as np
 import processes
 import pytest
+import yaml
 from emulated_board import needs_compiler
 from source_tree import ROOT
 
@@ -16,43 +17,50 @@ pytest.importorskip('rclpy')
 pytest.importorskip('serial')
 
 from geometry_msgs.msg import Point, Pose, PoseArray
-from ros_station import PATIENT, ForkedNode, Station, last
+from ros_station import PATIENT, ForkedNode, Station
 
 from tendon_robot_ros.common.errors import TendonRobotError
-from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.data import default_markers, load_dataset
 from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.investigation.arm import BrokenMeasurementError
-from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import dump_robot, load_robot
 from tendon_robot_ros.ros.shared.messages import LISTEN
 from tendon_robot_ros.ros.shared.running_arm import RunningArm
+from tendon_robot_ros.simulation.plant import make_plant
 
 pytestmark = pytest.mark.ros
-ROBOT = load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml')
-LOADED = ROBOT.with_effect('tip_load', {'force_x': 0.003})
+FORCES = {'kato_10_1': 0.003, 'spatial_3': 0.01}  # [N] across the tip
 NOISE = 2e-4  # [m]
-PATIENCE = 280.0  # [s]
+LOOSE = 0.3  # [N] that no wire of a released arm has
+PATIENCE = 500.0  # [s]
+ANSWER = 0.03  # [s]; what is emulated is late with a busy machine
 
 
 class Tracked(Station):
     """Emulated motors, the nodes on them, and a tracker that sees what the motors pull."""
 
-    def __init__(self, kind, mode, folder, stack):
-        super().__init__(f'/investigate_{kind}_{mode}')
-        self.folder, self.model = folder, Model(LOADED)
+    def __init__(self, kind, mode, name, folder, stack):
+        super().__init__(f'/investigate_{kind}_{mode}_{name}')
+        self.robot = load_robot(ROOT / 'config' / 'robots' / f'{name}.yaml')
+        loaded = self.robot.with_effect('tip_load', {'force_x': FORCES[name]})
+        self.folder, self.arm = folder, make_plant(loaded)  # that the motors wind
+        self.markers = default_markers(self.robot)
         described = folder / 'loaded.yaml'
-        described.write_text(dump_robot(LOADED))
+        described.write_text(dump_robot(loaded))
         self.motors = stack.enter_context(EmulatorProcess(described, kind=kind))
+        if kind == 'dynamixel':
+            patient = {**self.motors.content(), 'answer_time': ANSWER}
+            self.motors.config.write_text(yaml.safe_dump(patient))
         self.random, self.tensions = np.random.default_rng(1), None
         self.publisher = self.node.create_publisher(PoseArray, 'measured_shape', LISTEN)
         self.node.create_timer(0.04, self.look)
         nodes = {
             'driver': {
-                **PATIENT['driver'], 'robot': 'kato_10_1', 'backend': kind,
+                **PATIENT['driver'], 'robot': name, 'backend': kind,
                 'config': str(self.motors.config), 'command_mode': mode,
             },
             'controller': {
-                **PATIENT['controller'], 'model': 'kato_10_1', 'command_mode': mode,
+                **PATIENT['controller'], 'model': name, 'command_mode': mode,
                 'state_timeout': 5.0,
             },
             'monitor': {'folder': str(folder / 'recordings'), 'path': 'from_straight'},
@@ -64,10 +72,12 @@ class Tracked(Station):
     def look(self):
         """Publish what a tracker sees."""
         self.tensions = np.array(self.motors.ask('state')['tensions'])
-        seen = self.model.shape(np.maximum(self.tensions, 0.0)).positions
+        arcs = np.array([marker.arc_length for marker in self.markers])
+        offsets = np.array([marker.offset for marker in self.markers])
+        seen = self.arm.respond(np.maximum(self.tensions, 0.0)).markers(arcs, offsets)
         seen = seen + self.random.normal(0.0, NOISE, seen.shape)
         message = PoseArray()
-        message.header.frame_id = f'{ROBOT.name}_base'
+        message.header.frame_id = f'{self.robot.name}_base'
         message.header.stamp = self.node.get_clock().now().to_msg()
         message.poses = [Pose(position=Point(x=x, y=y, z=z)) for x, y, z in seen.tolist()]
         self.publisher.publish(message)
@@ -94,43 +104,49 @@ class Tracked(Station):
 
 @pytest.fixture
 def made(request, tmp_path):
-    kind, mode = request.param
     with contextlib.ExitStack() as stack:
-        station = Tracked(kind, mode, tmp_path, stack)
+        station = Tracked(*request.param, tmp_path, stack)
         stack.callback(station.close)
         station.until_code(station.controller, 'holding', timeout=120.0)
         yield station
 
 
-def kinds(*all_):
-    board = pytest.mark.slow, needs_compiler
-    return [
-        pytest.param((kind, mode), id=f'{kind}-{mode}', marks=marks or board)
-        for kind, mode, marks in all_
-    ]
+STATIONS = {
+    f'{kind}-{mode}-{name}': (kind, mode, name)
+    for kind, mode in (('serial', 'tension'), ('serial', 'pull'), ('dynamixel', 'pull'))
+    for name in FORCES
+}
 
 
+def ends_well(made, process):
+    """Wait until an investigation has ended; look at what it has found and written."""
+    made.until_said(process, 'written: ')
+    end = time.monotonic() + 60.0
+    while process.poll() is None and time.monotonic() < end:
+        made.spin(0.1)
+    assert process.returncode == 0, made.said()
+    (verdict,) = (line for line in made.said().splitlines() if line.startswith('CONSISTENT WITH'))
+    assert 'tip_load' in verdict
+    assert 'the controller uses it' in made.said()
+    data = load_dataset(made.folder / 'found' / 'data')
+    _, high = made.robot.tension_limits
+    if data.input == 'tension':
+        assert np.nanmax(data.inputs) <= high
+    better = load_robot(made.folder / 'found' / 'better.yaml')
+    assert better.effects['tip_load']['force_x'] == pytest.approx(
+        FORCES[made.robot.name], rel=0.15
+    )
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     'made',
-    kinds(
-        ('serial', 'tension', ()),
-        ('serial', 'pull', ()),
-    ),
+    [pytest.param(one, id=name, marks=needs_compiler) for name, one in STATIONS.items()],
     indirect=True,
 )
 def test_emulated_motors_find_the_load_and_the_controller_uses_it(made):
     with made.investigating() as process:
-        made.until_said(process, 'written: ')
-        end = time.monotonic() + 60.0
-        while process.poll() is None and time.monotonic() < end:
-            made.spin(0.1)
-    assert process.returncode == 0, made.said()
-    assert 'consistent with tip_load' in made.said()
-    assert 'the controller uses it' in made.said()
-    data = load_dataset(made.folder / 'found' / 'data')
-    high = ROBOT.tension_limits[1]
-    if data.input == 'tension':
-        assert np.nanmax(data.inputs) <= high
+        ends_well(made, process)
 
 
 class Hesitating:
@@ -166,19 +182,19 @@ def test_a_robot_that_is_stopped_or_gone_ends_the_investigation(codes):
     assert not isinstance(caught.value, BrokenMeasurementError)
 
 
-@pytest.mark.parametrize(
-    'made', kinds(('serial', 'tension', (pytest.mark.ros, needs_compiler))), indirect=True
-)
-def test_interrupted_it_lets_the_arm_go_and_keeps_what_it_has(made):
+@pytest.mark.parametrize('made', [STATIONS['dynamixel-pull-kato_10_1']], indirect=True)
+def test_interrupted_it_lets_the_arm_go_and_goes_on_where_it_was(made):
     with made.investigating() as process:
         made.until_said(process, 'posture 3:')
-        made.until(lambda: made.tensions.max() > 0.3, 'the third posture')
+        made.until(lambda: made.tensions.max() > LOOSE, 'the third posture')
         process.send_signal(signal.SIGINT)
         end = time.monotonic() + 60.0
         while process.poll() is None and time.monotonic() < end:
             made.spin(0.1)
         assert process.returncode == 130
         made.spin(1.0)
-        assert made.tensions.max() < 0.3
-        assert list(last(made.commands).effort) == pytest.approx([ROBOT.tension_limits[0]] * 4)
+        assert made.tensions.max() < LOOSE
     assert len(load_dataset(made.folder / 'found' / 'data').postures) == 2
+    with made.investigating('--resume', '--checks', '1') as process:
+        ends_well(made, process)
+    assert 'posture 3:' in made.said() and 'posture 2:' not in made.said()
