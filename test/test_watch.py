@@ -122,6 +122,18 @@ def test_a_change_is_told_within_twenty_postures_and_named(learned, hidden, name
     assert watch.state is None
 
 
+def test_one_odd_posture_alone_raises_no_alarm_and_the_next_one_does(learned):
+    watch, rows = watching(learned), postures(2, 12)
+    loaded = make_plant(ROBOT, {'tip_load': {'force_x': 0.004}}, seed=4, work=Workmanship())
+    first, second = (
+        watch.stands(tensions, positions)
+        for tensions, positions in zip(rows, looked(loaded, rows, 5), strict=True)
+    )
+    assert first.evidence > watch.alarm.threshold
+    assert not first.alarm
+    assert second.alarm
+
+
 def test_a_large_load_is_told_with_its_size_and_not_taken_for_a_tilted_base():
     """It bends the arm by a quarter of its length: far beyond its tangent."""
     force = 0.012

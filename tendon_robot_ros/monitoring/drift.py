@@ -10,8 +10,10 @@ gains (Willsky and Jones 1976). With theta ~ N(0, T) each change gives a likelih
 
 whose mean without a change is 1: an e-process. Averaged over the changes and added up over the
 postures at which one may have begun, it is an e-detector (Shin, Ramdas, Rinaldo 2023): an alarm at
-a sum of A comes without a change on average after A beginnings at the earliest. What it looks like
-is then fitted to the postures since (`change.py`).
+a sum of A comes without a change on average after A beginnings at the earliest. It takes two
+postures: without the one that speaks most for a change the sum still has to be `CONFIRMED`. A
+single one may be off as no innovation of a linear filter is, where kinks turn friction. What it
+looks like is then fitted to the postures since (`change.py`).
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from .possible_changes import Suspect, changes_of
 
 Floats = npt.NDArray[np.float64]
 ALARM_POSTURES = 20_000.0  # without a change no alarm before, on average and at least
+CONFIRMED = 50.0  # of the sum that has to be left without the posture that speaks most for it
 BEGIN_EVERY = 4  # postures between two at which a change may begin
 BEGINNINGS_KEPT = 8
 STEP_SHARE = 0.1  # of a typical size, of a difference
@@ -55,7 +58,24 @@ class _ChangeBegun:
         self.followed = np.zeros((len(mean), changes))  # what the filter took for imperfections
         self.told = np.zeros((changes, changes))
         self.seen = np.zeros(changes)
-        self.postures = 0
+        self.parts = list[tuple[Floats, Floats]]()  # of told and seen, of every posture since
+
+    @property
+    def postures(self) -> int:
+        """How many came since."""
+        return len(self.parts)
+
+    def take(self, told: Floats, seen: Floats) -> None:
+        """Take what a posture tells (c, c) and shows (c,)."""
+        self.told, self.seen = self.told + told, self.seen + seen
+        self.parts.append((told, seen))
+
+    def without(self, at: int) -> tuple[Floats, Floats]:
+        """Return what all postures but that of a number tell and show."""
+        if not 0 <= at - self.at < len(self.parts):
+            return self.told, self.seen
+        told, seen = self.parts[at - self.at]
+        return self.told - told, self.seen - seen
 
 
 @dataclass(frozen=True)
@@ -129,10 +149,8 @@ class DriftAlarm:
         for begun in self._beginnings:
             signature = shown - columns @ begun.followed
             weighted = inverse @ signature
-            begun.told += signature.T @ weighted
-            begun.seen += weighted.T @ innovation
+            begun.take(signature.T @ weighted, weighted.T @ innovation)
             begun.followed += gain @ signature
-            begun.postures += 1
         arm.learn(expected, measured, frames)
         self.state = self._judged(stood)
         return self.state
@@ -146,13 +164,27 @@ class DriftAlarm:
 
     def _judged(self, stood: _Stood) -> DriftState:
         """Add up the evidence, and name what it speaks for."""
-        which = range(len(self._changes))
-        logs = np.array([[self._log_ratio(b, i) for i in which] for b in self._beginnings])
-        evidence = float(np.exp(np.minimum(logs, 600.0)).mean(axis=1).sum())
-        begun = self._beginnings[int(np.argmax(logs.max(axis=1)))]
-        alarm = self.state.alarm or evidence >= self.threshold
+        logs = self._logs()
+        evidence = _sum(logs)
+        place, change = np.unravel_index(int(np.argmax(logs)), logs.shape)
+        begun = self._beginnings[int(place)]
+        enough = evidence >= self.threshold and self._confirmed(begun, int(change))
+        alarm = self.state.alarm or enough
         suspects = self._suspects(begun, stood) if alarm else ()
         return DriftState(alarm, evidence, begun.postures, suspects)
+
+    def _confirmed(self, begun: _ChangeBegun, change: int) -> bool:
+        """Tell whether more than the one posture speaks for a change that speaks most for it."""
+        numbers = range(begun.at, begun.at + begun.postures)
+        most = min(numbers, key=lambda at: self._log_ratio(begun, change, at))
+        return _sum(self._logs(most)) >= CONFIRMED
+
+    def _logs(self, without: int = -1) -> Floats:
+        """Return the log likelihood ratios (beginnings, changes), of all postures but one."""
+        which = range(len(self._changes))
+        return np.array(
+            [[self._log_ratio(b, i, without) for i in which] for b in self._beginnings]
+        )
 
     def _suspects(self, begun: _ChangeBegun, stood: _Stood) -> tuple[Suspect, ...]:
         """Name changes by their probability, the most likely first; not at every posture."""
@@ -176,11 +208,11 @@ class DriftAlarm:
         first = next((i for i, one in enumerate(since) if one.odd), 0)
         return since[first if first < BEGIN_EVERY else 0 :]
 
-    def _log_ratio(self, begun: _ChangeBegun, i: int) -> float:
+    def _log_ratio(self, begun: _ChangeBegun, i: int, without: int = -1) -> float:
         """Return the log likelihood ratio of a change that began there against none."""
         place = self._places[i]
-        scale = self._spread[place]
-        told, seen = begun.told[place, place] * np.outer(scale, scale), begun.seen[place] * scale
+        scale, (told, seen) = self._spread[place], begun.without(without)
+        told, seen = told[place, place] * np.outer(scale, scale), seen[place] * scale
         both = told + np.eye(len(seen))
         gained = float(seen @ np.linalg.solve(both, seen))
         return 0.5 * gained - 0.5 * float(np.linalg.slogdet(both)[1])
@@ -210,3 +242,8 @@ class DriftAlarm:
             moved = whole.markers({free: value + step}, inputs)
             columns.append(np.zeros(here.size) if moved is None else (moved - here).ravel() / step)
         return np.column_stack([*columns, built / self.arm.plausible])
+
+
+def _sum(logs: Floats) -> float:
+    """Return the evidence: averaged over the changes, added up over the beginnings."""
+    return float(np.exp(np.minimum(logs, 600.0)).mean(axis=1).sum())
