@@ -47,6 +47,7 @@ KINDS = {  # of control, for the orders
     'law_from_below': {'knows': 'law', 'approach': 'from_below'},
     'law_model': {'knows': 'law', 'approach': 'model'},
     'closed': {'tip_gain': 5.0},
+    'closed_from_below': {'tip_gain': 5.0, 'approach': 'from_below'},
     'closed_law': {'knows': 'law', 'tip_gain': 5.0},
 }
 PATHS = (  # ahead: with look_ahead; told: the model has the load

@@ -398,6 +398,21 @@ def test_an_arm_that_snaps_on_its_way_is_not_given_up_and_one_that_stays_away_is
     assert told(1.5, np.array([0.0, 0.12, 0.0])) in ('it got no nearer', 'too far from the model')
 
 
+def test_the_closed_loop_is_kept_on_a_way_that_bends_over():
+    rig = Rig(tip_gain=5.0, approach='from_below')
+    rig.run(0.05)
+    rig.core.aim(Target(rig.shape.tip_position + [2e-3, 0.0, 0.0]))
+    away, left = 0.0, ''
+    for _ in range(100):
+        rig.run(0.02)
+        rig.core.loop.take(rig.now, rig.core, rig.shape.tip_position + [1e-3, 0.0, 0.0])
+        away = max(away, np.linalg.norm(rig.shape.tip_position - rig.core.target.position))
+        left = left or rig.core.loop._left
+    assert away > 0.15 * model().robot.length and left == ''
+    off = rig.shape.tip_position + [1e-3, 0.0, 0.0] - rig.core.target.position
+    assert np.linalg.norm(off) < 1e-4
+
+
 def test_the_closed_loop_begins_at_little_tension_where_friction_would_ask_for_much():
     arm, random = model(), np.random.default_rng(9)
     low, high = arm.limits.T

@@ -179,6 +179,7 @@ class Controller(Protocol):
     target: Target | None
     wanted: Array | None  # (3,) [m]
     solution: Reach | None
+    via: list[Array]  # (m,) [N] each, on the way to the solution
     felt: FeltTensions
     command: Array | None  # (m,) [N]
     driver_stopped: str

@@ -188,7 +188,7 @@ class TipLoop:
                 why = 'too far from the model'
             elif error > WORSE_FACTOR * self._began + WORSE_SHARE * length:
                 why = 'it got no nearer'
-            if not why:
+            if not why or core.via:  # a way that bends over is meant to lead away
                 self._tame = core.stepped
             elif core.stepped - self._tame > ASTRAY_S:
                 self._left, self.tensions, self.known = why, None, None
