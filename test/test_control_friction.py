@@ -399,11 +399,11 @@ def test_an_arm_that_snaps_on_its_way_is_not_given_up_and_one_that_stays_away_is
 
 
 def test_the_closed_loop_is_kept_on_a_way_that_bends_over():
-    rig = Rig(tip_gain=5.0, approach='from_below')
+    rig = Rig(tip_gain=5.0, approach='from_below', rate_limit=3.0)
     rig.run(0.05)
     rig.core.aim(Target(rig.shape.tip_position + [2e-3, 0.0, 0.0]))
     away, left = 0.0, ''
-    for _ in range(100):
+    for _ in range(200):
         rig.run(0.02)
         rig.core.loop.take(rig.now, rig.core, rig.shape.tip_position + [1e-3, 0.0, 0.0])
         away = max(away, np.linalg.norm(rig.shape.tip_position - rig.core.target.position))
