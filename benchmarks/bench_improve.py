@@ -4,7 +4,8 @@ How often the 95 % intervals of `improve` hold: two effects hidden in arms as th
 Every draw is an arm of its own (finer cells, imperfections of a laboratory, undeclared),
 twelve postures of five trials. Values of the hidden effects count, and where it joins the
 tracker's frame; what else joins is listed as beside. The search stops by its own errors on
-left-out postures, as what is written does; it is not made again without each posture.
+left-out postures, as what is written does, and takes the arm as it was found by them, too; it is
+not made again without each posture.
 
 example: python benchmarks/bench_improve.py --robot spatial_3 --draws 20
 """
@@ -18,12 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from tendon_robot_ros.common.processes import one_thread
-from tendon_robot_ros.diagnosis.as_built import SplitPredictor
-from tendon_robot_ros.diagnosis.improve import inner, last_worthwhile
-from tendon_robot_ros.diagnosis.improved_values import as_known
-from tendon_robot_ros.diagnosis.prediction_errors import predict
-from tendon_robot_ros.diagnosis.report_rows import values_of
-from tendon_robot_ros.diagnosis.slopes import imperfections
+from tendon_robot_ros.diagnosis.as_found import as_found
+from tendon_robot_ros.diagnosis.improve import inner
+from tendon_robot_ros.diagnosis.prediction_errors import last_worthwhile
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.robot import load_robot
@@ -45,6 +43,7 @@ class Draw:
     seed: int
     inside: dict[str, bool]  # effect.parameter -> whether its interval holds
     off: dict[str, float]  # error in half intervals
+    half: dict[str, float]  # half intervals
     missed: tuple[str, ...]
     wrong: tuple[str, ...]
 
@@ -86,16 +85,18 @@ def judge(robot_name, hidden, level, markers, seed):
     data = simulate(plant, default_postures(robot, 12), trials=5, seed=seed, markers=where)
     found = searched(data, robot)
     known = {**truth, FRAME: frame_of(plant.built)}
-    inside, off = {}, {}
+    inside, off, half = {}, {}, {}
     for name, values in found.items():
         for key, value in values.items() if name in known else ():
             label, true = f'{name}.{key}', known[name][key]
             inside[label] = value.low <= true <= value.high
-            off[label] = 2.0 * (value.value - true) / (value.high - value.low)
+            half[label] = 0.5 * (value.high - value.low)
+            off[label] = (value.value - true) / half[label]
     return Draw(
         seed,
         inside,
         off,
+        half,
         tuple(name for name in hidden if name not in found),
         tuple(name for name in found if name not in known),
     )
@@ -106,9 +107,8 @@ def searched(data, robot):
     search = Stepwise(data, robot, load_catalogue())
     states = search.path()
     final = states[last_worthwhile(inner(states))]
-    predictor, _ = predict(search.dataset, search.written(final), search.catalogue)
-    built = imperfections(SplitPredictor(predictor), {})
-    return values_of(as_known(search, final, predictor, built))
+    found = as_found(search, final)
+    return found.values if found.is_worthwhile else found.values_of_the_search
 
 
 def markers_of(robot, count):
@@ -151,6 +151,8 @@ def main():
     for name in dict.fromkeys(label.split('.')[0] for d in draws for label in d.inside):
         held = [v for d in draws for label, v in d.inside.items() if label.split('.')[0] == name]
         print(f'{name}: {sum(held)} of {len(held)} values inside their 95 % intervals')
+        halves = [v for d in draws for label, v in d.half.items() if label.split('.')[0] == name]
+        print(f'{name}: half intervals {np.median(halves):.2g} (median, SI units)')
 
 
 if __name__ == '__main__':

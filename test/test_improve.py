@@ -22,9 +22,9 @@ from tendon_robot_ros.diagnosis.described_arm import (
     blocks_of_the_arm,
     profile_factors,
 )
-from tendon_robot_ros.diagnosis.improve import fall, how_many, last_worthwhile, shown
+from tendon_robot_ros.diagnosis.improve import how_many, shown
 from tendon_robot_ros.diagnosis.improvement import total
-from tendon_robot_ros.diagnosis.prediction_errors import left_out_errors
+from tendon_robot_ros.diagnosis.prediction_errors import fall, last_worthwhile, left_out_errors
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
 from tendon_robot_ros.report.improvement_page import (
     improvement_lines,

@@ -11,7 +11,14 @@ from simulated import CATALOGUE, measure, measured, postures
 from tendon_robot_ros.comparison.statistics import false_discovery_control
 from tendon_robot_ros.diagnosis.decide import FALSE_DISCOVERY_RATE
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.local_tests import Place, PlaceColumns, faults_among, faults_of
+from tendon_robot_ros.diagnosis.local_tests import (
+    Place,
+    PlaceColumns,
+    _places,
+    faults_among,
+    faults_of,
+    is_absurd,
+)
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.report.arm_text import marks, of_inputs, where_wrong
 from tendon_robot_ros.report.comparison_page import add_shapes
@@ -129,6 +136,28 @@ def test_sizes_come_with_intervals_that_hold(design):
             inside.append(first.low <= 2.0 <= first.high)
     assert len(inside) > 100
     assert scipy.stats.binom.cdf(sum(inside), len(inside), 0.95) > 1e-3
+
+
+def test_where_a_place_asks_for_more_than_a_cell_can_have_none_is_named():
+    """A description of another arm: what is wrong is nowhere in particular."""
+    dataset = measured(simulated.robot('spatial_3'), seed=1)
+    (*others, last), fewer = dataset.robot.sections, slice(2, None)
+    short = replace(
+        last,
+        cells=last.cells - 2,
+        bending_stiffness=last.bending_stiffness[fewer],
+        mass_profile=last.mass_profile[fewer],
+    )
+    robot = replace(dataset.robot, sections=(*others, short))
+    less = dataset.robot.length - robot.length
+    markers = tuple(replace(m, arc_length=max(m.arc_length - less, 0.0)) for m in dataset.markers)
+    session, fit = base_of(replace(dataset, robot=robot, markers=markers), robot)
+    found = session.imperfections
+    places, columns = _places(found.kinds, found.moves, session.whitener)
+    every = faults_among(places, columns, fit.residual, fit.jacobian)
+    assert any(is_absurd(fault) for fault in every)
+    told = faults_of(session, fit)
+    assert len(told) == next(i for i, fault in enumerate(every) if is_absurd(fault))
 
 
 @pytest.mark.parametrize('seed', range(3))

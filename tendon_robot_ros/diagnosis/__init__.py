@@ -43,7 +43,7 @@ add.py                write effects into a description, and undo it
 into_description.py   what was found of an arm as built, in its description
 written.py            the description that a fit writes: effects alone, or the arm as found as well
 improve.py            effects join while the error on left-out postures falls
-improved_values.py    how far its values may be off, the arm being as it is built
+as_found.py           what was found, fitted again with the arm as it is built: values, last step
 stepwise.py           the search for the one that joins next
 described_arm.py      what may change of the arm itself: stiffness along it, routes of tendons
 prediction_errors.py  the error before, after, and left out; what slopes alone promise of it

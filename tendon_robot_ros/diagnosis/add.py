@@ -207,6 +207,8 @@ def add_effects(
     NoEquilibriumError
 
     """
+    if not names:
+        raise InputError('add: expected the name of an effect, got none')
     described = robot or dataset.robot
     session = Session(dataset, described, catalogue or load_catalogue(), workers=1)
     session.leave_out_unsettled()
@@ -217,13 +219,8 @@ def add_effects(
         )
     session.leave_out(find_outliers(session.predictor, {}))
     dataset = session.dataset
-    fit = fit_effects(session, names, _point(session, names, start))
-    probability = fit.probability(session.freedom)
-    made = written(session, fit)
-    if probability <= P_SINGLE_MIN and session.accuracy:
-        fit, made = _by_accuracy(session, names, fit, made)
-    own = fit.probability(session.freedom) if session.use_accuracy else probability
-    scale = 1.0 if own > P_SINGLE_MIN else max(1.0, fit.chi2 / max(fit.freedom, 1))
+    found = settle(session, names, _point(session, names, start))
+    fit, made, probability, scale = found.fit, found.made, found.probability, found.scale
     values = values_with_intervals(session.fitters[0], fit, scale)
     fitted, on_check = _errors(session, made, check)
     more = more_at_work(fitted, probability) if partial or probability <= P_SINGLE_MIN else ''
@@ -234,6 +231,28 @@ def add_effects(
         described,
     )  # fmt: skip
     return replace(added, robot=with_origin(added, described))
+
+
+@dataclass(frozen=True)
+class Settled:
+    """Effects fitted together, weighed as suits, and the description to write."""
+
+    fit: Fit
+    made: Written
+    probability: float  # that repeatability alone leaves as much
+    scale: float  # chi² over freedom where the fit is not adequate, else 1
+
+
+def settle(session: Session, names: Sequence[str], start: Point | None = None) -> Settled:
+    """Fit effects together; what repeatability cannot explain is weighed by the accuracy."""
+    fit = fit_effects(session, names, start)
+    probability = fit.probability(session.freedom)
+    made = written(session, fit)
+    if probability <= P_SINGLE_MIN and session.accuracy:
+        fit, made = _by_accuracy(session, names, fit, made)
+    own = fit.probability(session.freedom) if session.use_accuracy else probability
+    scale = 1.0 if own > P_SINGLE_MIN else max(1.0, fit.chi2 / max(fit.freedom, 1))
+    return Settled(fit, made, probability, scale)
 
 
 def _errors(session: Session, made: Written, check: DataSet | None) -> tuple[Errors, Errors]:
@@ -291,8 +310,6 @@ def add_effect(dataset: DataSet, name: str, **options: Any) -> Addition:
 def fit_effects(session: Session, names: Sequence[str], start: Point | None = None) -> Fit:
     """Fit effects together, one joining after the other; weights are retaken twice at the fit."""
     own = [_candidate(session, name) for name in dict.fromkeys(names)]
-    if not own:
-        raise InputError('add: expected the name of an effect, got none')
     fit = _joined(session, own) if start is None else _fit(session, _together(own), start)
     for _ in range(2):
         session.weigh(fit.point, fit.around)
@@ -330,7 +347,7 @@ def _joined(session: Session, own: Sequence[Candidate]) -> Fit:
 
 
 def _together(candidates: Sequence[Candidate]) -> Candidate:
-    return reduce(Candidate.with_, candidates)
+    return reduce(Candidate.with_, candidates, Candidate((), (), True))
 
 
 def _fit(session: Session, candidate: Candidate, start: Fit | Point | None) -> Fit:

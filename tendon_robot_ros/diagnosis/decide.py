@@ -75,6 +75,8 @@ SHOWN_SHARE_MIN = 0.3  # of what is plausible, that a scatter of which no member
 TOLD_SPAN_MAX = 30.0  # upper over lower end of its interval, up to which a scatter is told
 FALSE_DISCOVERY_RATE = 0.05  # among the places at which the best model is said to be wrong
 LOCAL_FAULTS_MAX = 8  # places that are named
+LOCAL_BEND_MAX_RAD = 0.5  # that one cell may be kinked by to be called so
+LOCAL_CHANGE_MAX = 3.0  # relative, of the stiffness of one cell, by slopes
 LOCAL_SHARE_MIN = 0.02  # of what a fault does, that a fit must not be able to do as well
 
 # -----------------------------------------------------------------------------

@@ -6,34 +6,37 @@ after the other by the error on left-out postures; but an error that has chosen 
 good. So the whole search is made again without each posture (or group of postures), and predicts
 it: nested cross-validation. The error of these predictions after every step is what is reported.
 How many steps are taken a search says by its own left-out errors: the last one that lowers them by
-more than their scatter between postures.
+more than their scatter between postures. The last step of all is the arm as it was found (cells,
+inputs, the tracker's frame), where it lowers them as well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
+from ..common.processes import one_thread
 from ..comparison.predict import Predictor
 from ..data import DataSet
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from .add import Addition, more_at_work, with_origin
-from .as_built import Imperfections, SplitPredictor
+from .as_built import SplitPredictor
+from .as_found import AsFound, as_found, as_found_without, of_the_search
 from .decide import P_SINGLE_MIN
 from .described_arm import route_changes, stiffness_change
-from .fit import Fit
-from .improved_values import as_known
-from .improvement import Improvement, ImprovementStep, total
+from .improvement import AS_FOUND, Improvement, ImprovementStep, total
 from .load import loads_of
 from .local_tests import local_faults
-from .prediction_errors import Errors, predict
+from .prediction_errors import Errors, fall, last_worthwhile, predict
 from .report_rows import left_out, values_of
+from .result import LoadVector, Value
 from .slopes import imperfections
 from .stepwise import POSTURES_MIN, STEPS_MAX, State, Stepwise
 
@@ -42,6 +45,7 @@ Progress = Callable[[str, int, int], None]
 GROUPS_MAX = 16  # groups of postures that the search is made without
 
 
+@one_thread()
 def improve(
     dataset: DataSet,
     robot: Robot | None = None,
@@ -81,7 +85,32 @@ def improve(
     states = search.path(show=lambda k: show('searching', k, most))
     search.refuse_mistake(states[-1])
     paths = _paths(search, held, len(states), workers, show)
-    return _result(search, states, *_predicted(search, paths, len(states)), check)
+    errors, chosen = _predicted(search, paths, len(states))
+    way = _Way(search, states, errors, how_many(states, errors), chosen)
+    if not search.robot.exact:
+        way = replace(way, found=as_found(search, way.final))
+    if way.found is not None and way.found.is_worthwhile:
+        way = _with_the_arm(way, way.found, paths, workers)
+    return _result(way, check)
+
+
+@dataclass(frozen=True)
+class _Way:
+    """The steps of a search, and the errors of those that did not know some postures."""
+
+    search: Stepwise
+    states: list[State]
+    errors: Floats  # (K, P, J) [m²] after every step
+    taken: int
+    chosen: Floats  # (P, J) [m²] where the number of steps was chosen without them as well
+    found: AsFound | None = None  # the arm after the steps that are taken; None: it is exact
+    last: Floats | None = None  # (P, J) [m²] with the arm as found; None: not tried
+    arm_taken: bool = False  # whether the arm as it was found is the last step
+
+    @property
+    def final(self) -> State:
+        """The last step that is taken, the arm as it was found apart."""
+        return self.states[self.taken]
 
 
 def _held(dataset: DataSet) -> list[npt.NDArray[np.int64]]:
@@ -143,34 +172,6 @@ def _predicted(
     return errors, chosen
 
 
-def fall(before: Floats, after: Floats) -> tuple[float, float]:
-    """Return how far the rms falls between squared errors (P, J) of postures, and its scatter."""
-    seen = np.isfinite(before).any(axis=1)
-    old, new = (np.nanmean(squares[seen], axis=1) for squares in (before, after))
-    width = float(np.sqrt(old.mean()) + np.sqrt(new.mean()))
-    change = old - new
-    scatter = float(change.std(ddof=1)) / np.sqrt(len(change))
-    return float(change.mean()) / width, scatter / width
-
-
-def last_worthwhile(errors: Floats) -> int:
-    """
-    Return the last step that lowers the error of what was taken before by more than its scatter.
-
-    Parameters
-    ----------
-    errors : (K, P, J) [m²]
-        Squared errors of the predictions of left-out postures after 0, 1, ... steps.
-
-    """
-    taken = 0
-    for k in range(1, len(errors)):
-        gain, scatter = fall(errors[taken], errors[k])
-        if gain > scatter:
-            taken = k
-    return taken
-
-
 def inner(states: Sequence[State]) -> Floats:
     """Return the squared errors (K, P, 1) [m²] by which a search chooses, postures left out."""
     return np.array([state.left_out[:, None] for state in states])
@@ -200,6 +201,36 @@ def shown(errors: Floats, taken: int) -> list[int]:
     return [*kept, *range(taken + 1, len(squares))]
 
 
+def _with_the_arm(
+    way: _Way, found: AsFound, paths: Sequence[tuple[npt.NDArray[np.int64], list[State]]],
+    workers: int,
+) -> _Way:  # fmt: skip
+    """
+    Judge the arm as it was found as a last step, by searches that did not know the posture.
+
+    Every search takes it by its own left-out errors, as any other step. That of all postures
+    does; it is written where the error of the column falls as well.
+    """
+    search, by_accuracy = way.search, found.session.use_accuracy
+    last, chosen = way.errors[way.taken].copy(), way.chosen.copy()
+
+    def work(worker: int) -> None:
+        for held, path in paths[worker::workers]:
+            own, k = last_worthwhile(inner(path)), min(way.taken, len(path) - 1)
+            there = as_found_without(search, path[k], held, by_accuracy)
+            if there is not None and np.isfinite(there.markers[held]).all():
+                last[held] = there.squares[held]
+            if own != k:
+                there = as_found_without(search, path[own], held, by_accuracy)
+            if there is not None and there.is_worthwhile:
+                chosen[held] = there.squares[held]
+
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(work, range(workers)))
+    lower = float(np.nanmean(last)) < float(np.nanmean(way.errors[way.taken]))
+    return replace(way, last=last, chosen=chosen, arm_taken=lower)
+
+
 def _together(states: Sequence[State]) -> tuple[str, tuple[str, ...]]:
     """Return what joined in some steps, taken as one, and what left of what was there before."""
     joined = [state.joined for state in states]
@@ -208,31 +239,28 @@ def _together(states: Sequence[State]) -> tuple[str, tuple[str, ...]]:
     return ' + '.join(stayed), tuple(name for name in left if name not in joined)
 
 
-def _result(
-    search: Stepwise,
-    states: Sequence[State],
-    errors: Floats,
-    chosen: Floats,
-    check: DataSet | None,
-) -> Improvement:
-    """Choose the steps that are taken, and write the description."""
-    taken = how_many(states, errors)
+def _result(way: _Way, check: DataSet | None) -> Improvement:
+    """Write the description, and say how the error fell."""
+    search, states, final = way.search, way.states, way.final
     robots = [search.written(state) for state in states]
-    kept = shown(errors, taken)
-    steps = _steps(search, states, robots, errors, check, kept, taken)
-    final, tips = states[taken], np.sqrt(errors[taken, :, -1])
-    own = kept.index(taken)
-    predictor, _ = predict(search.dataset, robots[taken], search.catalogue)
-    exact = search.robot.exact
-    built = None if exact else imperfections(SplitPredictor(predictor), {})
-    known = as_known(search, final, predictor, built)
-    made = _addition(search, steps[: own + 1], final, known, robots[taken], check)
-    postures = search.dataset.postures
+    kept = shown(way.errors, way.taken)
+    steps = _steps(way, robots, check, kept)
+    own = kept.index(way.taken)
+    errors, robot = way.errors[way.taken], robots[way.taken]
+    if way.last is not None and way.found is not None:
+        step = _arm_step(way, way.last, way.found.robot, check)
+        place = own + 1 if way.arm_taken else len(steps)
+        steps = (*steps[:place], step, *steps[place:])
+        if way.arm_taken:
+            own, errors, robot = place, way.last, way.found.robot
+    predictor, markers = predict(search.dataset, robot, search.catalogue)
+    made = _addition(way, steps[: own + 1], robot, markers, check)
+    postures, tips = search.dataset.postures, np.sqrt(errors[:, -1])
     return Improvement(
         robot=with_origin(made, search.robot),
         steps=steps,
         taken=own,
-        chosen=np.sqrt(np.nanmean(chosen, axis=0)),
+        chosen=np.sqrt(np.nanmean(way.chosen, axis=0)),
         values=made.values,
         loads=made.loads,
         profile=stiffness_change(search.robot, final.fit.point),
@@ -244,30 +272,44 @@ def _result(
         probability=made.probability,
         more_at_work=made.more_at_work,
         tips={postures[p]: float(tips[p]) for p in np.flatnonzero(np.isfinite(tips))},
-        local_faults=_faults(search, final, predictor, built),
+        local_faults=_faults(way, predictor),
         left_out=left_out(search.dataset, search.outliers, search.unsettled),
+        as_built=way.found.scatter if way.found is not None and way.arm_taken else None,
     )
 
 
 def _steps(
-    search: Stepwise,
-    states: Sequence[State],
-    robots: Sequence[Robot],
-    errors: Floats,
-    check: DataSet | None,
-    kept: Sequence[int],
-    taken: int,
+    way: _Way, robots: Sequence[Robot], check: DataSet | None, kept: Sequence[int]
 ) -> tuple[ImprovementStep, ...]:
     """Return the steps that are shown, with those before them that are not."""
     return tuple(
-        ImprovementStep(
-            *_together(states[begin + 1 : k + 1]),
-            _errors(search.dataset, robots[k], search.catalogue),
-            np.sqrt(np.nanmean(errors[k], axis=0)),
-            None if check is None else _errors(check, robots[k], search.catalogue),
-            *fall(errors[min(max(begin, 0), taken)], errors[k]),
-        )
+        _step(way, _together(way.states[begin + 1 : k + 1]), robots[k], check,
+              way.errors[min(max(begin, 0), way.taken)], way.errors[k])
         for begin, k in zip([-1, *kept], kept, strict=False)
+    )  # fmt: skip
+
+
+def _arm_step(way: _Way, last: Floats, robot: Robot, check: DataSet | None) -> ImprovementStep:
+    """Return the arm as it was found as a step."""
+    return _step(way, (AS_FOUND, ()), robot, check, way.errors[way.taken], last)
+
+
+def _step(
+    way: _Way,
+    what: tuple[str, tuple[str, ...]],
+    robot: Robot,
+    check: DataSet | None,
+    before: Floats,
+    after: Floats,
+) -> ImprovementStep:
+    """Return a step with its errors, those left out (P, J) [m²] before and after it."""
+    search = way.search
+    return ImprovementStep(
+        *what,
+        _errors(search.dataset, robot, search.catalogue),
+        np.sqrt(np.nanmean(after, axis=0)),
+        None if check is None else _errors(check, robot, search.catalogue),
+        *fall(before, after),
     )
 
 
@@ -278,15 +320,14 @@ def _errors(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> Floats:
 
 
 def _addition(
-    search: Stepwise,
+    way: _Way,
     steps: Sequence[ImprovementStep],
-    final: State,
-    known: Fit,
     robot: Robot,
+    markers: Floats,
     check: DataSet | None,
 ) -> Addition:
     """Return what was added, with its errors, as descriptions hold it."""
-    kind = 'left out' if check is None else 'check'
+    search, kind = way.search, 'left out' if check is None else 'check'
     floor, count = search.plain.floor(), int((search.dataset.trials > 0).sum())
     first, last = steps[0], steps[-1]
     fitted = Errors(
@@ -300,19 +341,33 @@ def _addition(
         total(last.errors[kind]),
         floor if check is None else None,
     )
-    chance = search.chance(final)
+    fit = replace(way.final.fit, markers=markers)
+    chance = search.chance(replace(way.final, fit=fit))
     more = more_at_work(fitted, chance) if chance <= P_SINGLE_MIN else ''
-    loads, values = loads_of(known, search.predictor), values_of(known)
-    return Addition(robot, values, fitted, judged, chance, {}, more, loads=loads)
+    values, loads = _known(way)
+    return Addition(
+        robot, values, fitted, judged, chance, {}, more, beside=way.arm_taken, loads=loads
+    )
 
 
-def _faults(
-    search: Stepwise, final: State, predictor: Predictor, built: Imperfections | None
-) -> tuple[dict[str, Any], ...]:
+def _known(way: _Way) -> tuple[dict[str, dict[str, Value]], dict[str, LoadVector]]:
+    """Return the values and loads that are written, with their intervals."""
+    if way.found is None:
+        known = of_the_search(way.final)
+        return values_of(known), loads_of(known, way.search.predictor)
+    if way.arm_taken:
+        return way.found.values, way.found.loads
+    return way.found.values_of_the_search, way.found.loads_of_the_search
+
+
+def _faults(way: _Way, predictor: Predictor) -> tuple[dict[str, Any], ...]:
     """Return where the improved description is wrong by more than what remains everywhere."""
-    found = built or imperfections(SplitPredictor(predictor), {})
+    if way.found is not None and way.arm_taken:
+        return way.found.local_faults
+    found = imperfections(SplitPredictor(predictor), {})
     if found is None:
         return ()
+    search, final = way.search, way.final
     faults = local_faults(
         found.kinds, found.moves, final.whitener, final.fit, search.noise.freedom
     )

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Floats = npt.NDArray[np.float64]
+AS_FOUND = 'arm_as_found'  # the step that writes cells, inputs and the frame as they were found
 FORMAT = 'tendon_robot_ros/improvement@1'
 COLOURS = {'fitted': PREDICTED, 'left out': HELD_OUT, 'check': GOOD}
 
@@ -25,7 +26,7 @@ COLOURS = {'fitted': PREDICTED, 'left out': HELD_OUT, 'check': GOOD}
 class ImprovementStep:
     """A description on the way, and its errors: rms over postures, per marker (J,) [m]."""
 
-    joined: str  # effects, or 'bending_stiffness' along the arm, by ' + '; '' as it was
+    joined: str  # effects, 'bending_stiffness' along the arm, by ' + '; AS_FOUND; '' as it was
     left: tuple[str, ...]  # what was no longer needed with it
     fitted: Floats  # of the description, on the postures that it was fitted to
     left_out: Floats  # on postures that had no part in choosing and fitting
@@ -37,6 +38,7 @@ class ImprovementStep:
     def label(self) -> str:
         """Say what joined and what left."""
         joined = self.joined.replace(PROFILE, f'{PROFILE} along the arm')
+        joined = joined.replace(AS_FOUND, 'the arm as it was found')
         left = ''.join(f', without {name}' for name in self.left)
         return f'+ {joined}{left}' if self.joined else 'as described'
 
@@ -68,6 +70,7 @@ class Improvement:
     tips: dict[str, float]  # posture -> its error [m] at the last marker when it is left out
     local_faults: tuple[dict[str, Any], ...]  # where it is still wrong beyond the rest
     left_out: dict[str, Any]  # postures that do not settle, readings that others contradict
+    as_built: dict[str, Any] | None = None  # its scatter, where the arm as found was taken
 
     def __repr__(self) -> str:
         """Say what joined, and how the error on left-out postures fell."""
@@ -142,6 +145,7 @@ class Improvement:
             'more_at_work': self.more_at_work,
             'tips': self.tips,
             'local_faults': list(self.local_faults),
+            'as_built': self.as_built,
             **self.left_out,
         }
 

@@ -87,12 +87,18 @@ def _may_be_chance(across: Floats, spread: Floats, axis: Floats) -> bool:
     return float(seen @ np.linalg.pinv(known) @ seen) < chi2_isf(0.05, 2)
 
 
-def loads_of(fit: Fit, predictor: Predictor, scale: float = 1.0) -> dict[str, LoadVector]:
-    """Return the load of every effect of a fit that is a force; `scale` of its covariance."""
-    made = {}
+def loads_of(
+    fit: Fit, predictor: Predictor, scale: float = 1.0, covariance: Floats | None = None
+) -> dict[str, LoadVector]:
+    """
+    Return the load of every effect of a fit that is a force.
+
+    `scale` is of the covariance; default: the fit's.
+    """
+    made, known = {}, fit.covariance if covariance is None else covariance
     for effect in dict.fromkeys(free.effect for free in fit.frees):
         rows = vector_rows(fit.frees, effect)
-        spread = fit.covariance[np.ix_(rows, rows)]
+        spread = known[np.ix_(rows, rows)]
         if rows and np.isfinite(spread).all():
             made[effect] = load_of(fit.values[rows], spread, gravity_of(predictor), scale)
     return made

@@ -7,7 +7,8 @@ is what they leave of it, r what they leave of the measurements, and z = c_'r / 
 normal where nothing is wrong: the score test (Rao 1948) under the covariance of an arm as it is
 built. Among the places of one kind the false discovery rate is held by Benjamini and Hochberg's
 step (1995), at an equal share for every kind, so that it is held over all of them. What the
-strongest place explains is taken off before the next one is named.
+strongest place explains is taken off before the next one is named. Where one asks for a bend or a
+stiffness that no cell can have, the cause is not a place's, and no weaker one is named either.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +27,13 @@ from ..comparison.predict import CELLS
 from ..comparison.statistics import false_discovery_control, normal_ppf, t_sf
 from ..robot import Robot
 from .as_built import ACROSS, GAIN, HOLE, KINK, ZERO, Kind, SplitPredictor
-from .decide import FALSE_DISCOVERY_RATE, LOCAL_FAULTS_MAX, LOCAL_SHARE_MIN
+from .decide import (
+    FALSE_DISCOVERY_RATE,
+    LOCAL_BEND_MAX_RAD,
+    LOCAL_CHANGE_MAX,
+    LOCAL_FAULTS_MAX,
+    LOCAL_SHARE_MIN,
+)
 from .fit import Fit
 from .slopes import imperfections
 
@@ -106,7 +114,14 @@ def local_faults(
 
     """
     places, columns = _places(kinds, moves, whitener)
-    return faults_among(places, columns, fit.residual, fit.jacobian, freedom)
+    found = faults_among(places, columns, fit.residual, fit.jacobian, freedom)
+    return list(takewhile(lambda fault: not is_absurd(fault), found))
+
+
+def is_absurd(fault: LocalFault) -> bool:
+    """Tell whether a place asks for more than it can be off by: then the cause lies elsewhere."""
+    most = {CELLS: LOCAL_CHANGE_MAX, KINK: LOCAL_BEND_MAX_RAD, ACROSS: LOCAL_BEND_MAX_RAD}
+    return abs(fault.size) > most.get(fault.place.kind, np.inf)
 
 
 def faults_of(session: Session, fit: Fit) -> list[dict[str, Any]]:

@@ -116,8 +116,15 @@ def predict(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> tuple[Predi
 
 
 def left_out(fitter: Fitter, fit: Fit, beside: bool = True) -> float:
+    """Return the rms error [m] on postures that were not used; see `left_out_markers`."""
+    dataset = fitter.predictor.dataset
+    measured = dataset.trials > 0
+    return rms((dataset.mean - left_out_markers(fitter, fit, beside))[measured])
+
+
+def left_out_markers(fitter: Fitter, fit: Fit, beside: bool = True) -> Floats:
     """
-    Return the rms error [m] on postures that were not used: groups are left out in turn.
+    Predict postures (P, J, 3) [m] that were not used: groups are left out in turn.
 
     The change of the parameters that leaving a group out makes is taken from the slopes at the
     fit; the postures left out are then predicted by the model itself, as the description will
@@ -127,24 +134,63 @@ def left_out(fitter: Fitter, fit: Fit, beside: bool = True) -> float:
     measured = np.flatnonzero(dataset.trials > 0)
     groups = np.unique(dataset.groups[measured])  # postures of the same inputs tell of each other
     folds = min(FOLDS, len(groups))
-    frees = fit.all_frees if beside else fit.frees
-    low = [free.parameter.low for free in frees]
-    high = [free.parameter.high for free in frees]
     predicted = np.full_like(fit.markers, np.nan)
     for fold in range(folds):
         held = measured[np.isin(dataset.groups[measured], groups[fold::folds])]
         priors = np.ones(len(fit.jacobian) - len(owners), dtype=bool)
         used = np.append(~np.isin(owners, held), priors)
         step = np.linalg.lstsq(fit.jacobian[used], fit.residual[used], rcond=1e-10)[0]
-        moved = fit.values - step
-        values = np.clip(moved[: len(low)], low, high)
-        if fitter.built is not None:
-            units = moved[len(fit.all_frees) :]
-            fitter.go_around(written_members(fit, units) if beside else {})
-        markers = fitter.predictor.markers(dict(zip(frees, values.tolist(), strict=True)))
+        markers = written_markers(fitter, fit, fit.values - step, beside)
         if markers is not None:
             predicted[held] = markers[held]
-    return rms((dataset.mean - predicted)[measured])
+    return predicted
+
+
+def written_markers(
+    fitter: Fitter, fit: Fit, values: Floats, beside: bool = True
+) -> Floats | None:
+    """
+    Predict the markers (P, J, 3) [m] as a description says them that has values (q,) of a fit.
+
+    With the tolerances and imperfections that it can hold (`beside`), or without; inside of the
+    bounds of its parameters. None without equilibrium.
+    """
+    frees = fit.all_frees if beside else fit.frees
+    low = [free.parameter.low for free in frees]
+    high = [free.parameter.high for free in frees]
+    own = np.clip(values[: len(frees)], low, high)
+    if fitter.built is not None:
+        units = values[len(fit.all_frees) :]
+        fitter.go_around(written_members(fit, units) if beside else {})
+    return fitter.predictor.markers(dict(zip(frees, own.tolist(), strict=True)))
+
+
+def fall(before: Floats, after: Floats) -> tuple[float, float]:
+    """Return how far the rms falls between squared errors (P, J) of postures, and its scatter."""
+    seen = np.isfinite(before).any(axis=1)
+    old, new = (np.nanmean(squares[seen], axis=1) for squares in (before, after))
+    width = float(np.sqrt(old.mean()) + np.sqrt(new.mean()))
+    change = old - new
+    scatter = float(change.std(ddof=1)) / np.sqrt(len(change))
+    return float(change.mean()) / width, scatter / width
+
+
+def last_worthwhile(errors: Floats) -> int:
+    """
+    Return the last step that lowers the error of what was taken before by more than its scatter.
+
+    Parameters
+    ----------
+    errors : (K, P, J) [m²]
+        Squared errors of the predictions of left-out postures after 0, 1, ... steps.
+
+    """
+    taken = 0
+    for k in range(1, len(errors)):
+        gain, scatter = fall(errors[taken], errors[k])
+        if gain > scatter:
+            taken = k
+    return taken
 
 
 @dataclass(frozen=True)

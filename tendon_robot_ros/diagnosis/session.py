@@ -66,6 +66,7 @@ class Session:
         self._measured_by(dataset)
         self.outliers: Outliers | None = None
         self.unsettled: tuple[str, ...] = ()  # postures that were left out for it
+        self.held: Sequence[int] | npt.NDArray[np.int64] = ()  # postures without a part in fits
         self.nuisances = nuisances_of(robot, self.catalogue, self.predictor)
         self.candidates = candidates_of(robot, self.catalogue)
         self.accuracy = dataset.accuracy or 0.0
@@ -118,9 +119,8 @@ class Session:
         self.noise = estimate_noise(self.dataset, slopes)
         if self.noise is None:
             return False
-        self.whitener = Whitener(
-            self.dataset, self.noise, slopes, self.accuracy if self.use_accuracy else 0.0
-        )
+        accuracy = self.accuracy if self.use_accuracy else 0.0
+        self.whitener = Whitener(self.dataset, self.noise, slopes, accuracy).without(self.held)
         changes = cell_slopes(self.predictor, self.nuisances, point)
         self._columns = {free: -self.whitener.white(change) for free, change in changes.items()}
         self.imperfections = imperfections(self.splits[0], point, at) if self.splits else None

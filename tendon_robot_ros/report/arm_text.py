@@ -14,7 +14,6 @@ import numpy as np
 from ..common.words import digits, listed, mm
 from ..diagnosis.arm_report import is_told
 from ..diagnosis.decide import FALSE_DISCOVERY_RATE
-from ..diagnosis.result import Diagnosis
 
 KIND_NAMES = {
     'cell_stiffness': 'stiffness of the cells',
@@ -37,9 +36,8 @@ def amount(value: float, unit: str, sign: bool = False) -> str:
     return f'{"+" if sign and value > 0.0 else ""}{digits(scale * value, 2)}{mark}'
 
 
-def as_built(diagnosis: Diagnosis) -> list[str]:
+def as_built(report: Mapping[str, Any] | None) -> list[str]:
     """Say how much the arm scatters, with 95 % intervals, and what is out of line."""
-    report = diagnosis.details.get('as_built')
     if not report:
         return []
     scatter = ', '.join(_scatter(kind) for kind in report['kinds'] if is_told(kind))

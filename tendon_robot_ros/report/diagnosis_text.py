@@ -35,7 +35,7 @@ def lines(diagnosis: Diagnosis) -> list[str]:
     text += [*errors(diagnosis), diagnosis.remainder]
     text += [f'mind: {caveat}' for caveat in diagnosis.details.get('caveats', ())]
     text += where_wrong(diagnosis.details.get('local_faults', ()))
-    text += as_built(diagnosis)
+    text += as_built(diagnosis.details.get('as_built'))
     text += [
         line for line in (alike(diagnosis), untested(diagnosis), detectable(diagnosis)) if line
     ]

@@ -16,7 +16,7 @@ from ..comparison.compare import compare
 from ..data import DataSet
 from ..diagnosis.improvement import COLOURS, Floats, Improvement, ImprovementStep, total
 from ..effects import Catalogue
-from .arm_text import left_out, where_wrong
+from .arm_text import as_built, left_out, where_wrong
 from .comparison_page import add_shapes
 from .error_plots import per_marker, per_posture
 from .numbers import LOG_TICKS, mm_list, quantities
@@ -32,7 +32,7 @@ def improvement_lines(found: Improvement) -> list[str]:
     """Return the table of the steps, values, and what remains."""
     made = [columns(step_table(found)), *sentences(found)]
     made += [f'{name}: {said}' for name, said in _values(found)]
-    return [*made, *profile(found), *remains(found)]
+    return [*made, *profile(found), *as_built(found.as_built), *remains(found)]
 
 
 def _values(found: Improvement) -> list[tuple[str, str]]:
@@ -82,10 +82,10 @@ def sentences(found: Improvement) -> list[str]:
         f'it was to {mm(before)}; the noise floor is {mm(found.noise_floor)}.',
         f'Where the number of steps is chosen without them as well: {_reached(found, inside)}.',
     ]
-    if found.taken + 1 < len(found.steps):
-        said.append('It stops there: what follows takes off too little to be told from chance.')
-    elif not found.more_at_work:
+    if not found.more_at_work:
         said.append(f'It stops there: what remains is noise ({probability(found.probability)}).')
+    elif found.taken + 1 < len(found.steps):
+        said.append('It stops there: what follows takes off too little to be told from chance.')
     else:
         said.append('It stops there: no other effect promises to lower the error.')
     return said
@@ -147,7 +147,7 @@ def improvement_page(found: Improvement, dataset: DataSet, catalogue: Catalogue)
     page.table(header, rows, kinds + ['faint'] * (len(rows) - len(kinds)), left=[0])
     page.heading('Values')
     page.text(*(f'`{name}`: {said}' for name, said in _values(found)))
-    page.text(*map(capital, profile(found)))
+    page.text(*map(capital, [*profile(found), *as_built(found.as_built)]))
     page.heading('What remains')
     page.text(*map(capital, remains(found)))
     models = [('as described', dataset.robot), ('improved', found.robot)]
