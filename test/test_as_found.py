@@ -52,11 +52,10 @@ def found(search):
 
 def test_values_and_intervals_are_near_those_of_add(search, found):
     """It searched with other weights; what data tell of a value is much the same."""
-    added = add_effects(search.dataset, ['hinge_friction'], ROBOT).values['hinge_friction'][
-        'lever'
-    ]
-    own, half = found.values['hinge_friction']['lever'], 0.5 * (added.high - added.low)
-    assert abs(own.value - added['lever'].value) < 0.2 * half
+    added = add_effects(search.dataset, ['hinge_friction'], ROBOT).values
+    there, own = added['hinge_friction']['lever'], found.values['hinge_friction']['lever']
+    half = 0.5 * (there.high - there.low)
+    assert abs(own.value - there.value) < 0.2 * half
     assert 0.9 * half < 0.5 * (own.high - own.low) < 1.5 * half
     of_search = found.values_of_the_search['hinge_friction']['lever']
     assert of_search.value == found.state.fit.values[0] != own.value
