@@ -138,6 +138,16 @@ def test_pulls_of_any_posture_of_a_spatial_arm_are_met():
         assert np.allclose(model.pull_shape(asked).pulls, asked, rtol=0.0, atol=5e-6)
 
 
+@pytest.mark.parametrize('robot', ['spatial_3', 'spatial_6'])
+def test_pulls_of_the_spatial_arms_that_are_shipped_are_met(robot):
+    """All tendons pull hard, so that friction holds and turns at many guides."""
+    model = Model(load_robot(ROOT / f'config/robots/{robot}.yaml'))
+    random = np.random.default_rng(0)
+    for tensions in random.uniform(0.1, 2.0, (20, len(model.inputs))):
+        asked = model.shape(tensions).pulls
+        assert np.allclose(model.pull_shape(asked).pulls, asked, rtol=0.0, atol=5e-6)
+
+
 def test_the_same_lengths_give_the_same_arm_wherever_it_comes_from():
     model = Model(two_sections(8, REFINED, 'hinge'))
     pulls = model.shape([0.9, 0.1, 0.2, 0.7]).pulls

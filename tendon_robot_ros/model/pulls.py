@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
@@ -24,6 +25,8 @@ STRETCH_OFF_N = 0.1  # [N] that the stretched wires may be off
 # [m] gap that is no reason to refuse: friction near standstill turns within 2e-6
 GAP_ACCEPTED_M = 5e-6
 SPRING_COMPLIANCES = (1e-1, 1e-2, 1e-3, 1e-4)  # stretch of the wires, over the arm's compliance
+FINER_COMPLIANCES = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0003)  # where those end early
+PRETENSION = 0.25  # share of the limits, of taut wires that a last search begins with
 HELD_WITHIN_N = 1e-3  # [N] difference of tensions that counts as held
 SLACK_BELOW_N = 1e-6  # [N]
 SEARCH_STEPS_MAX, NEAR_SEARCH_STEPS_MAX = 20, 6  # steps of a search; of one that begins near
@@ -121,7 +124,7 @@ def _tensions(
     for begin in _beginnings(model, target, start):
         inputs, bends = np.array(begin.tensions), np.array([begin.bend, begin.bend])
         problem = (model.arrays.address, inputs, target, bends, past, model.scratch)
-        if not _settles(model, begin, problem, compliance):
+        if not _stiffened(model, begin, problem, compliance) and begin.held:
             continue
         left = float(model.arrays.part('pulls').solve_stiff_wires(*problem, SEARCH_STEPS_MAX))
         if left < gap:
@@ -142,12 +145,18 @@ class _Beginning:
     springs: tuple[float, ...] = SPRING_COMPLIANCES
     steps: int = SEARCH_STEPS_MAX
     enough: float = GAP_CLOSED_M  # [m]
+    held: bool = True  # goes on only where every spring held
 
 
 def _beginnings(
     model: ForwardModel, target: Floats, start: tuple[Floats, Floats] | None
 ) -> Iterator[_Beginning]:
-    """Yield what is tried: from near, from straight, and at last for wires that do not stretch."""
+    """
+    Yield what is tried: from near, from straight, and for wires that do not stretch.
+
+    Springs that stretch less than friction needs to turn (some µm) may not be met; wires that do
+    not stretch are met from there all the same, if not always by the same tensions: at last.
+    """
     if start is not None:
         yield _Beginning(*start, SPRING_COMPLIANCES[-1:], NEAR_SEARCH_STEPS_MAX, GAP_ACCEPTED_M)
     straight = np.zeros(3 * model.arrays.chain.n)
@@ -156,9 +165,13 @@ def _beginnings(
     yield _Beginning(taut, straight)
     yield _Beginning(pulled, straight, ())
     yield _Beginning(3.0 * taut, straight, ())
+    at_last = partial(_Beginning, bend=straight, enough=GAP_ACCEPTED_M, held=False)
+    yield at_last(pulled)
+    yield at_last(pulled, springs=FINER_COMPLIANCES)
+    yield at_last(PRETENSION * model.limits[:, 1] * (taut > 0.0), springs=())
 
 
-def _settles(
+def _stiffened(
     model: ForwardModel, begin: _Beginning, problem: tuple[Any, ...], compliance: float
 ) -> bool:
     """Take tensions and bends in place through the springs; tell whether each one held."""
@@ -166,7 +179,7 @@ def _settles(
         stretch = share * compliance
         gap = model.arrays.part('pulls').solve_elastic_wires(*problem, stretch, begin.steps)
         if not gap < STRETCH_OFF_N * stretch:
-            return False  # stiffer wires will do no better
+            return False  # stiffer springs will do no better
     return True
 
 
