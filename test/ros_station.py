@@ -33,6 +33,7 @@ PATIENT = {
     'controller': {'state_timeout': 1.0, 'stamp_tolerance': 5.0, 'rate': 100.0},
 }
 INPUTS = ('prox_left', 'prox_right', 'dist_left', 'dist_right')
+AGAIN = 'send it again later'  # what a status says that refuses a target for now
 SETTLED = ('reached', 'nearest', 'at_limit')
 LOW, HIGH = 0.1, 5.0  # [N]
 BASE = 'kato_10_1_base'
@@ -99,12 +100,23 @@ class Station:
     def go(self, message, topic='controller/target_pose'):
         """Send a target to who hears the driver, and wait until the mock arm is still there."""
         self.until(lambda: self.controller and self.code() != 'no_driver', 'a driver')
-        message.header.stamp = self.node.get_clock().now().to_msg()
-        given = f'{message.header.stamp.sec}.{message.header.stamp.nanosec:09d}'
-        self.send(topic, message)
+
+        def sent():
+            message.header.stamp = self.node.get_clock().now().to_msg()
+            self.send(topic, message)
+            return (
+                f'{message.header.stamp.sec}.{message.header.stamp.nanosec:09d}',
+                time.monotonic(),
+            )
+
+        given, at = sent()
 
         def arrived():
-            said = values(last(self.controller))
+            nonlocal given, at
+            status = last(self.controller)
+            if AGAIN in status.message and time.monotonic() - at > 1.0:
+                given, at = sent()  # as it asks for: the driver was late
+            said = values(status)
             return said.get('target_stamp') == given and said['code'] in SETTLED
 
         self.until(arrived, f'the arm at {message}')
