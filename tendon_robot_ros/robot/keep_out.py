@@ -147,7 +147,8 @@ def _read(path: str | Path) -> str:
     try:
         return Path(path).read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f'{path}: cannot be read: {error}') from None
+        reason = getattr(error, 'strerror', None) or 'not a text file'
+        raise InputError(f'{path}: cannot be read: {reason}') from None
 
 
 def parse_keep_out(text: str, source: str = 'keep_out') -> KeepOut:
