@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import simulated
 from arms import GRAVITY, TYPICAL, planar, spatial, two_sections
 from reference import Reference
 from scipy.optimize import brentq
@@ -116,6 +117,19 @@ def test_a_tendon_that_hardly_slides_is_solved(bends_as):
         strong = random.uniform(0.0, 1.0, 6)
         strong[1] = strong[2]  # symmetric: tendon 0 of the near section stays in the plane
         assert settled(robot, strong)
+
+
+@pytest.mark.parametrize(('name', 'count'), [('kato_10_1_single', 400), ('spatial_6', 150)])
+def test_cells_that_hardly_leave_the_dead_zone_of_their_hinge_are_solved(name, count):
+    """Slopes across the kink are those of neither side: Newton stalled at 1e-9 rad beside it."""
+    robot = simulated.robot(name)
+    robot = robot.with_effect('hinge_friction', {'lever': 2e-4})
+    robot = robot.with_effect('pre_curvature', {'angle_x': 0.01})
+    random = np.random.default_rng(0)
+    _, changes = Model(robot).solve(random.uniform(0.0, 1.6, (count, len(robot.inputs))))
+    assert (changes < 1e-10).all(), f'{(changes >= 1e-10).sum()} of {count} unsolved'
+    if name == 'kato_10_1_single':
+        assert all(settled(robot, [0.39587582 + e, 0.36640375]) for e in (-4e-4, 0.0, 4e-4))
 
 
 def test_the_guess_does_not_decide_the_answer():

@@ -34,11 +34,7 @@ from .layout import (
     words,
 )
 from .load_tangent import BEND_STEP, TENSION_STEP, compression_slopes, difference, load_slopes
-from .loads import (
-    NO_LOAD,
-    loaded,
-    plus,
-)
+from .loads import NO_LOAD, loaded, plus, scaled
 from .residual import moment_arms_of, tendon_moment
 from .stages import (
     eyelet,
@@ -53,9 +49,41 @@ from .sweep import active_stages, smooth_sign, tendons_about
 from .turning import follows_shape, half_turn, is_general, leans, twist_in
 
 MOMENT_STEP = 1e-6  # [rad] over a cell's compliance
+# of a step that meets a kink; how much of a difference its halves may differ by elsewhere [1]
+NARROWINGS_MAX, NARROWING, UNEVEN_SHARE = 3, 1e-3, 1e-3
 SINE_STEP = 1e-6  # [1]
 TRAVEL_STEP = 1e-9  # [m]
 SLIDING_FROM = 1.0 - 1e-9  # [1] square of a direction of friction that no more travel changes
+
+
+@compiled
+def bend_slope(chain, past, i, moment, toward, x, y):
+    """
+    Differentiate a cell's bend (x, y) along a step of what bends it.
+
+    Friction in a hinge and laws alike have kinks: over one a difference is the slope of neither
+    side, and Newton stalls beside it. So the step narrows until both its halves say the same.
+
+    Parameters
+    ----------
+    moment : tuple of float
+        Moment x and y [N·m] and sum of the tensions [N] on the cell.
+    toward : tuple of float
+        Step of them.
+    x, y : float
+        Bend there [rad].
+
+    """
+    zoom = 1.0
+    for _ in range(NARROWINGS_MAX):
+        up, down = plus(moment, scaled(zoom, toward)), plus(moment, scaled(-zoom, toward))
+        ax, ay = bend_cell(chain, past, i, *up)
+        bx, by = bend_cell(chain, past, i, *down)
+        uneven = abs(ax + bx - 2.0 * x) + abs(ay + by - 2.0 * y)
+        if not uneven > UNEVEN_SHARE * (abs(ax - bx) + abs(ay - by)):
+            break
+        zoom *= NARROWING
+    return (ax - bx) / zoom, (ay - by) / zoom
 
 
 @compiled
@@ -64,22 +92,13 @@ def compliances(chain, past, i, mx, my, total):
     stiffness = cell_stiffness(chain, i, section_of(chain, i))
     if is_linear(chain):
         return 1.0 / stiffness, 0.0, 0.0, 1.0 / stiffness, 0.0, 0.0
-    h, ht = MOMENT_STEP * stiffness, TENSION_STEP * (total + 0.01)
-    ax, ay = bend_cell(chain, past, i, mx + h, my, total)
-    bx, by = bend_cell(chain, past, i, mx - h, my, total)
-    cx, cy = bend_cell(chain, past, i, mx, my + h, total)
-    dx, dy = bend_cell(chain, past, i, mx, my - h, total)
-    ex, ey = bend_cell(chain, past, i, mx, my, total + ht)
-    fx, fy = bend_cell(chain, past, i, mx, my, total - ht)
+    h, ht, moment = MOMENT_STEP * stiffness, TENSION_STEP * (total + 0.01), (mx, my, total)
+    x, y = bend_cell(chain, past, i, mx, my, total)
+    a, b = bend_slope(chain, past, i, moment, (h, 0.0, 0.0), x, y)
+    c, d = bend_slope(chain, past, i, moment, (0.0, h, 0.0), x, y)
+    e, f = bend_slope(chain, past, i, moment, (0.0, 0.0, ht), x, y)
     h, ht = 0.5 / h, 0.5 / ht
-    return (
-        (ax - bx) * h,
-        (ay - by) * h,
-        (cx - dx) * h,
-        (cy - dy) * h,
-        (ex - fx) * ht,
-        (ey - fy) * ht,
-    )
+    return a * h, b * h, c * h, d * h, e * ht, f * ht
 
 
 @compiled
