@@ -240,6 +240,51 @@ def test_a_slightly_softer_cell_is_told_within_twenty_postures(well_known, cell)
     assert alarm.state.suspects[0].name in [f'stiffness of cell {cell + i}' for i in range(-2, 3)]
 
 
+ODD_POSTURES = {
+    'the frame of the tracker 2 mm off': (1.0, np.array([0.0, 2e-3, 0.0])),
+    'a tension read 20 % wrong': (np.array([1.2, 1.0, 1.0]), np.zeros(3)),
+    'everything 1 m off': (1.0, np.array([1.0, 0.0, 0.0])),
+}
+
+
+@pytest.mark.parametrize('seed', [12, 14])
+@pytest.mark.parametrize('what', ODD_POSTURES)
+def test_the_filter_learns_nothing_of_one_odd_posture_and_no_alarm_comes_of_it(
+    well_known, what, seed
+):
+    arm, free, random = well_known
+    read, seen = averaged(free, postures(31, 1000 * seed), random)
+    as_before = arm.as_known(arm.mean.copy(), arm.covariance.copy())
+    alarm, without = DriftAlarm(as_before, 21600.0), DriftAlarm(as_before.as_known(
+        arm.mean.copy(), arm.covariance.copy()), 21600.0)  # fmt: skip
+    gain, shift = ODD_POSTURES[what]
+    states = [alarm.update(gain * read[0], seen[0] + shift, 30)]
+    for tensions, positions in zip(read[1:], seen[1:], strict=True):
+        states.append(alarm.update(tensions, positions, 30))
+        without.update(tensions, positions, 30)
+    assert states[0].evidence > alarm.threshold
+    assert not any(state.alarm for state in states)
+    assert alarm.arm.mean == pytest.approx(without.arm.mean, abs=1e-12)
+    assert states[-1].evidence < 50.0
+
+
+def test_a_load_after_an_odd_posture_is_told_and_named_as_without_it(well_known):
+    arm, free, random = well_known
+    alarm = DriftAlarm(arm.as_known(arm.mean.copy(), arm.covariance.copy()), 21600.0)
+    read, seen = averaged(free, postures(8, 3012), random)
+    seen[1] += [0.0, 2e-3, 0.0]
+    for tensions, positions in zip(read, seen, strict=True):
+        assert not alarm.update(tensions, positions, 30).alarm
+    loaded = make_plant(ROBOT, {'tip_load': {'force_x': 0.004}}, seed=12, work=Workmanship())
+    told = [
+        alarm.update(tensions, positions, 30).alarm
+        for tensions, positions in zip(*averaged(loaded, postures(4, 4012), random), strict=True)
+    ]
+    assert told == [False, True, True, True]
+    assert alarm.state.suspects[0].name == 'tip_load'
+    assert alarm.state.suspects[0].values['force_x'] == pytest.approx(0.004, rel=0.1)
+
+
 def test_a_force_along_a_straight_arm_is_told_only_as_far_as_it_shows():
     """Frames that are averaged narrow what shows; along the arm the interval stays wide."""
     tensions, force = np.full(3, ROBOT.tension_limits[0]), 0.006

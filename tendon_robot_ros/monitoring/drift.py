@@ -12,8 +12,10 @@ whose mean without a change is 1: an e-process. Averaged over the changes and ad
 postures at which one may have begun, it is an e-detector (Shin, Ramdas, Rinaldo 2023): an alarm at
 a sum of A comes without a change on average after A beginnings at the earliest. It takes two
 postures: without the one that speaks most for a change the sum still has to be `CONFIRMED`. A
-single one may be off as no innovation of a linear filter is, where kinks turn friction. What it
-looks like is then fitted to the postures since (`change.py`).
+single one may be off as no innovation of a linear filter is, where kinks turn friction, or the
+tracker was wrong for once. Nor does the filter learn from it: a posture beyond its gate is held
+back, and learned only if the next one is beyond it, too; after four that are as expected it was
+odd, and no evidence. What it looks like is then fitted to the postures since (`change.py`).
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..comparison.statistics import chi2_sf
-from .built_arm import BuiltArm
+from .built_arm import BuiltArm, Expected
 from .change import ChangeFinder
 from .possible_changes import Suspect, changes_of
 
@@ -36,6 +38,7 @@ BEGIN_EVERY = 4  # postures between two at which a change may begin
 BEGINNINGS_KEPT = 8
 STEP_SHARE = 0.1  # of a typical size, of a difference
 ODD_PROBABILITY = 1e-6  # of the errors of a posture, from which it is surely after the change
+ODD_ALONE = 4  # postures after an odd one that are as expected, from which it counts for nothing
 LOOKED_AFTER = (0, 1, 3, 8, 16, 24)  # postures after an alarm, at which it is named anew
 SUSPECTS_TOLD = 5
 
@@ -76,6 +79,32 @@ class _ChangeBegun:
             return self.told, self.seen
         told, seen = self.parts[at - self.at]
         return self.told - told, self.seen - seen
+
+    def forget(self, at: int) -> None:
+        """Let the posture of a number count for nothing."""
+        if 0 <= at - self.at < len(self.parts):
+            self.told, self.seen = self.without(at)
+            told, seen = self.parts[at - self.at]
+            self.parts[at - self.at] = 0.0 * told, 0.0 * seen
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A posture beside what the filter expects of it."""
+
+    at: int  # its number
+    expected: Expected
+    measured: Floats  # (3 J,) [m]
+    frames: int
+    columns: Floats  # (r, q) [m per sd] of the imperfections, where markers were seen
+    shown: Floats  # (r, c) [m per unit] of the changes
+    innovation: Floats  # (r,) [m]
+    inverse: Floats  # (r, r) [1/m²] of its covariance, widened
+    gain: Floats  # (q, r) [sd per m] of the filter
+
+    def signature(self, begun: _ChangeBegun) -> Floats:
+        """Return what changes that began there do to the innovation (r, c) [m per unit]."""
+        return np.asarray(self.shown - self.columns @ begun.followed)
 
 
 @dataclass(frozen=True)
@@ -123,42 +152,83 @@ class DriftAlarm:
             Of which the positions are the mean.
 
         """
-        arm, measured = self.arm, positions.ravel()
-        expected = arm.expected(tensions)
-        rows = np.isfinite(measured)
-        if expected is None or not rows.any():
+        look = self._looked(tensions, positions, frames)
+        if look is None:
             return self.state
-        shown = self._signatures(tensions, expected.columns)
-        if shown is None:
-            return self.state
-        columns, shown = expected.columns[rows], shown[rows]
-        innovation = measured[rows] - expected.markers[rows]
-        covariance = columns @ arm.covariance @ columns.T + arm.scatter(
-            rows, expected.columns, frames, expected.bent
-        )
-        gain = arm.covariance @ columns.T @ np.linalg.inv(covariance)
-        inverse = np.linalg.inv(arm.widening * covariance)
+        odd = self._odd(look)
         if self._count % BEGIN_EVERY == 0:
-            known = arm.mean.copy(), arm.covariance.copy()
+            known = self.arm.mean.copy(), self.arm.covariance.copy()
             self._beginnings.append(_ChangeBegun(len(self._spread), *known, self._count))
             del self._beginnings[:-BEGINNINGS_KEPT]
-        odd = chi2_sf(float(innovation @ inverse @ innovation), len(innovation)) < ODD_PROBABILITY
+        if odd and self._held is not None:
+            self._follow(self._held)
+            look = self._looked(tensions, positions, frames) or look
         stood = _Stood(self._count, tensions, positions, frames, odd)
         self._recent.append(stood)
         self._count += 1
         for begun in self._beginnings:
-            signature = shown - columns @ begun.followed
-            weighted = inverse @ signature
-            begun.take(signature.T @ weighted, weighted.T @ innovation)
-            begun.followed += gain @ signature
-        arm.learn(expected, measured, frames)
+            signature = look.signature(begun)
+            weighted = look.inverse @ signature
+            begun.take(signature.T @ weighted, weighted.T @ look.innovation)
+        if odd and self._held is None:
+            self._held = look
+        else:
+            self._held = None
+            self._follow(look)
+        self._leave_out(stood)
         self.state = self._judged(stood)
         return self.state
+
+    def _leave_out(self, stood: _Stood) -> None:
+        """Forget an odd posture that the next ones leave alone; two of them are a change."""
+        single = self._single
+        if stood.odd:
+            self._single = stood.at if single is None else None
+        elif single is not None and stood.at - single >= ODD_ALONE:
+            for begun in self._beginnings:
+                begun.forget(single)
+            left = [one for one in self._recent if one.at != single]
+            self._recent, self._single = deque(left, self._recent.maxlen), None
+
+    def _looked(self, tensions: Floats, positions: Floats, frames: int) -> _Look | None:
+        """Compare a posture with what is expected; None where nothing can be."""
+        arm, measured = self.arm, positions.ravel()
+        expected = arm.expected(tensions)
+        rows = np.isfinite(measured)
+        if expected is None or not rows.any():
+            return None
+        shown = self._signatures(tensions, expected.columns)
+        if shown is None:
+            return None
+        columns = expected.columns[rows]
+        covariance = columns @ arm.covariance @ columns.T + arm.scatter(
+            rows, expected.columns, frames, expected.bent
+        )
+        return _Look(
+            self._count, expected, measured, frames,
+            columns, shown[rows], measured[rows] - expected.markers[rows],
+            np.linalg.inv(arm.widening * covariance),
+            arm.covariance @ columns.T @ np.linalg.inv(covariance),
+        )  # fmt: skip
+
+    def _odd(self, look: _Look) -> bool:
+        """Tell whether a posture is surely not as expected."""
+        chi2 = float(look.innovation @ look.inverse @ look.innovation)
+        return chi2_sf(chi2, len(look.innovation)) < ODD_PROBABILITY
+
+    def _follow(self, look: _Look) -> None:
+        """Let the filter learn from a posture, and note what it makes of every change."""
+        for begun in self._beginnings:
+            if begun.at <= look.at:
+                begun.followed += look.gain @ look.signature(begun)
+        self.arm.learn(look.expected, look.measured, look.frames)
 
     def restart(self) -> None:
         """Forget the evidence, after a change was looked after."""
         self._beginnings, self._count = list[_ChangeBegun](), 0
         self._recent: deque[_Stood] = deque(maxlen=BEGIN_EVERY * BEGINNINGS_KEPT)
+        self._held: _Look | None = None  # odd, and not learned from
+        self._single: int | None = None  # number of an odd posture without another one
         self.finder, self._since_alarm = None, 0
         self.state = DriftState(False, 0.0, 0)
 
