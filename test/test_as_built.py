@@ -92,6 +92,30 @@ def test_slopes_of_imperfections_are_those_of_settled_shapes(name, hidden):
             )
 
 
+@pytest.mark.parametrize('kind', ['tension', 'displacement'])
+@pytest.mark.parametrize('name', ['spatial_3', 'kato_10_1'])
+def test_slopes_of_kinks_are_those_of_settled_shapes_where_tendons_feel_kinks(name, kind):
+    """Friction that follows the travel beyond an eyelet, and motors that hold the wires' pulls."""
+    robot = load_robot(ROBOTS / f'{name}.yaml')
+    postures = default_postures(robot, 12, input=kind)
+    plant = make_plant(robot, work=Workmanship(), seed=3)
+    split = SplitPredictor(
+        Predictor(simulate(plant, postures, trials=1, seed=1, input=kind), robot, CATALOGUE)
+    )
+    n = sum(len(one) for one in split.kinds() if one.name == 'cell_kink')
+    at = {'cell_kink': 1.7e-3 * np.random.default_rng(0).normal(size=n)}
+    found = imperfections(split, {}, at)
+    k = [one.name for one in found.kinds].index('cell_kink')
+    for i in range(0, n, 5):
+        sides = []
+        for side in (1e-5, -1e-5):
+            split.around = {'cell_kink': at['cell_kink'] + side * np.eye(n)[i]}
+            sides.append(split.markers({}))
+        slope = (sides[0] - sides[1]) / 2e-5
+        moves = found.moves[found.owners == k][i]
+        np.testing.assert_allclose(moves, slope, atol=0.02 * np.abs(slope).max())
+
+
 def test_under_tensions_a_gain_counts_for_a_hole_off_its_place_too():
     """Without friction a tension and the radius at which it pulls act by their product alone."""
     dataset = case('messy_000')

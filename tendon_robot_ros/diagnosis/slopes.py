@@ -1,9 +1,10 @@
 """
 How imperfections move the markers: derivatives of an arm as it is built.
 
-By the implicit function theorem. A cell's stiffness and its bend at rest change its own balance
-only, so that one difference of residuals tells the rates of all cells, and one elimination how
-the bends of the arm answer to each. Where wire pulls are commanded, tensions answer as well.
+By the implicit function theorem. A cell's stiffness changes its own balance only, and so does its
+bend at rest where no travel of tendons counts: one difference of residuals tells the rates of all
+cells, and one elimination how the bends of the arm answer to each. Where wire pulls are commanded,
+tensions answer as well.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.predict import CELLS, Point, SettledShapes
+from ..comparison.predict import CELLS, Point
 from ..comparison.tangent import TAUT_FROM_N
 from ..model.derivatives import shown
 from ..model.shape import ShapeBatch
@@ -40,9 +41,6 @@ from .as_built import (
 )
 
 Floats = npt.NDArray[np.float64]
-ODD_SHARE = 0.3  # [1] that the slope of a cell may differ from those of its neighbours
-ODD_FACTOR = 2.5  # [1] by which it may differ from that in other postures
-NEIGHBOURS = 3  # cells on either side
 STEP = 1e-6  # [1], [rad]: of differences of what is settled already
 
 
@@ -60,10 +58,7 @@ def imperfections(
     if split.model.remembers:
         moves = np.concatenate([_differences(split, point, kind) for kind in kinds])
     else:
-        slopes = _all_parts(split, [slopes.of(kinds) for slopes in _settled(split, point)])
-        ends = np.cumsum([len(kind) for kind in kinds])[:-1]
-        own = zip(kinds, np.split(slopes, ends), strict=True)
-        moves = np.concatenate([_mended(split, point, kind, rows) for kind, rows in own])
+        moves = _all_parts(split, [slopes.of(kinds) for slopes in _settled(split, point)])
     columns = remainders(split)
     rest = Kind(REMAINDER, 'm', np.inf, tuple(map(str, range(len(columns)))))
     return Imperfections((*kinds, rest), np.concatenate([moves, columns]))
@@ -100,77 +95,19 @@ def _all_parts(split: SplitPredictor, parts: Sequence[Floats]) -> Floats:
 
 def _differences(split: SplitPredictor, point: Point, kind: Kind) -> Floats:
     """Return central differences (q, P, J, 3) of settled shapes by the members of a kind."""
-    near = split.settled
-
-    def settle() -> Floats | None:
-        return split.markers(point, near=near)
-
-    moves = np.zeros((len(kind), len(split.inputs), len(split.dataset.markers), 3))
-    for i in range(len(kind)):
-        moves[i] = _difference_by(split, kind, i, settle)
-    return moves
-
-
-def _difference_by(
-    split: SplitPredictor, kind: Kind, i: int, settle: Callable[[], Floats | None]
-) -> Floats | float:
-    """Return the central difference of what settles by one member; zero where nothing does."""
-    at, step, sides = split.around, PLAUSIBLE_SIZES[kind.name][2], []
+    near, at, step = split.settled, split.around, PLAUSIBLE_SIZES[kind.name][2]
     here = at.get(kind.name, np.zeros(len(kind)))
-    for side in (step, -step):
-        split.around = {**at, kind.name: here + side * np.eye(len(kind))[i]}
-        sides.append(settle())
+    moves = np.zeros((len(kind), len(split.inputs), len(split.dataset.markers), 3))
+    for i, unit in enumerate(step * np.eye(len(kind))):
+        sides = []
+        for moved in (here + unit, here - unit):
+            split.around = {**at, kind.name: moved}
+            sides.append(split.markers(point, near=near))
+        up, down = sides
+        if up is not None and down is not None:
+            moves[i] = (up - down) / (2.0 * step)
     split.around = at
-    up, down = sides
-    return 0.0 if up is None or down is None else np.asarray((up - down) / (2.0 * step))
-
-
-def _mended(split: SplitPredictor, point: Point, kind: Kind, moves: Floats) -> Floats:
-    """
-    Take differences where a slope (q, P, J, 3) is not as at the neighbours or in other postures.
-
-    Friction turns over within a tiny bend: the slope there is not what a kink of ordinary size
-    does.
-    """
-    if kind.name not in (KINK, ACROSS):
-        return moves
-    sizes = np.linalg.norm(moves, axis=(2, 3))
-    axes = len(kind) // split.whole.cells
-    usual = _usual(sizes.reshape(-1, axes, sizes.shape[1])).reshape(sizes.shape)
-    everywhere = np.median(usual, axis=1, keepdims=True)
-    least = ODD_SHARE * everywhere.max(initial=0.0) / 10.0
-    odd = np.abs(sizes - usual) > ODD_SHARE * usual + least
-    odd |= (sizes > ODD_FACTOR * everywhere + least) | (ODD_FACTOR * sizes < everywhere - least)
-    near = split.settled
-    assert near is not None
-    for i in np.flatnonzero(odd.any(axis=1)).tolist():
-        settle = partial(_settled_in, split, point, np.flatnonzero(odd[i]), near)
-        moves[i, odd[i]] = _difference_by(split, kind, i, settle)
     return moves
-
-
-def _settled_in(
-    split: SplitPredictor, point: Point, rows: npt.NDArray[np.intp], near: SettledShapes
-) -> Floats | None:
-    """Predict the markers (k, J, 3) of some postures; None where one has no equilibrium."""
-    placed, given = np.empty((len(rows), len(split.dataset.markers), 3)), split.given(split.inputs)
-    for part in split.parts:
-        own = np.flatnonzero(np.isin(rows, part.rows))
-        if len(own):
-            split.set_parameters(point, part)
-            shapes = split.shapes(given[rows[own]], near.of(rows[own]))
-            if shapes is None:
-                return None
-            placed[own] = split.see(shapes)
-    return placed
-
-
-def _usual(sizes: Floats) -> Floats:
-    """Return the median (n, ...) of each value and its neighbours along the arm."""
-    n = len(sizes)
-    reach = min(NEIGHBOURS, (n - 1) // 2)
-    windows = [np.clip(np.arange(n) + i, 0, n - 1) for i in range(-reach, reach + 1)]
-    return np.asarray(np.median(sizes[np.array(windows)], axis=0))
 
 
 @dataclass(frozen=True)
@@ -369,21 +306,40 @@ class _Slopes:
     def _kinks(self, kind: Kind) -> _Seen:
         """Return the derivatives by the bend at rest of every cell."""
         arrays, axis = self.model.arrays, planar_axis(self.split.whole)
+        rests = self.split.rests
+        if axis is not None:
+            rests = [rests[axis if kind.name == KINK else 1 - axis]]
         values, on = arrays.values.copy(), arrays.on.copy()
         arrays.on[arrays.layout.index[REST]] = 1
-        rates = []
-        for row in self.split.rests:
 
-            def arrange(side: float, row: int = row) -> None:
-                arrays.values[row] = values[row] + side * STEP
+        def kinked(side: float, row: int, cell: int | slice) -> None:
+            arrays.values[row] = values[row]
+            arrays.values[row, cell] += side * STEP
 
-            rates.append(self._own(arrange))
-            arrays.values[:] = values
-        arrays.on[:] = on
-        if axis is None:
-            both = np.stack(rates, axis=2)  # x and y of a cell one after the other
-            return self._along(both.reshape(len(both), -1, both.shape[-1]))
-        return self._along(rates[axis if kind.name == KINK else 1 - axis])
+        if self.model.sticks or self.split.dataset.input == 'displacement':
+            found = self._each_kink(kinked, rests)
+        else:
+            every = slice(None)
+            rates = [self._own(partial(kinked, row=row, cell=every)) for row in rests]
+            each = np.stack(rates, axis=2)  # x and y of a cell one after the other
+            found = self._along(each.reshape(len(each), -1, each.shape[-1]))
+        arrays.values[:], arrays.on[:] = values, on
+        return found
+
+    def _each_kink(self, kinked: Callable[..., None], rests: Sequence[int]) -> _Seen:
+        """
+        Return the derivatives by every kink, one at a time.
+
+        Tendons travel from the shape at rest: a kink is travel for the motors, and where travel
+        beyond an eyelet decides which way friction acts, it changes the balance of other cells.
+        """
+        inputs = self.shapes.inputs
+        width = np.full(len(inputs), 2.0 * STEP)
+        moved = [
+            self._difference(inputs, inputs, width, partial(kinked, row=row, cell=cell))
+            for cell, row in product(range(self.cells), rests)
+        ]
+        return _joined(moved)
 
 
 def _joined(moved: Sequence[_Seen]) -> _Seen:
