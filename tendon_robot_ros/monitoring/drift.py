@@ -140,6 +140,15 @@ class DriftAlarm:
         self.finder: ChangeFinder | None = None  # what has changed, since an alarm
         self.restart()
 
+    def restart(self) -> None:
+        """Forget the evidence, after a change was looked after."""
+        self._beginnings, self._count = list[_ChangeBegun](), 0
+        self._recent: deque[_Stood] = deque(maxlen=BEGIN_EVERY * BEGINNINGS_KEPT)
+        self._held: _Look | None = None  # odd, and not learned from
+        self._single: int | None = None  # number of an odd posture without another one
+        self.finder, self._since_alarm = None, 0
+        self.state = DriftState(False, 0.0, 0)
+
     def update(self, tensions: Floats, positions: Floats, frames: int = 1) -> DriftState:
         """
         Take a posture at which the arm stands.
@@ -222,15 +231,6 @@ class DriftAlarm:
             if begun.at <= look.at:
                 begun.followed += look.gain @ look.signature(begun)
         self.arm.learn(look.expected, look.measured, look.frames)
-
-    def restart(self) -> None:
-        """Forget the evidence, after a change was looked after."""
-        self._beginnings, self._count = list[_ChangeBegun](), 0
-        self._recent: deque[_Stood] = deque(maxlen=BEGIN_EVERY * BEGINNINGS_KEPT)
-        self._held: _Look | None = None  # odd, and not learned from
-        self._single: int | None = None  # number of an odd posture without another one
-        self.finder, self._since_alarm = None, 0
-        self.state = DriftState(False, 0.0, 0)
 
     def _judged(self, stood: _Stood) -> DriftState:
         """Add up the evidence, and name what it speaks for."""
