@@ -150,6 +150,42 @@ def test_a_large_load_is_told_with_its_size_and_not_taken_for_a_tilted_base():
     assert sum(s.probability for s in suspects) == pytest.approx(1.0)
 
 
+def test_a_load_that_the_arm_bends_over_for_is_found_from_another_start(monkeypatch):
+    """From no load at all the fit ends in a minimum that is none of it."""
+    robot = load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml')
+    random, free = np.random.default_rng(33), make_plant(robot, {}, seed=33, work=Workmanship())
+    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
+    rows = np.clip(default_postures(robot, 24, 1033), *robot.tension_limits)
+    arm.fit(*averaged(free, rows, random), 30)
+    hidden = {'tip_load': {'force_x': 0.011, 'force_z': 0.0168}}
+    loaded = make_plant(robot, hidden, seed=33, work=Workmanship())
+    rows = np.clip(default_postures(robot, 20, 2033), *robot.tension_limits)[:2]
+    finder = ChangeFinder(arm, changes_of(arm))
+    for tensions, positions in zip(*averaged(loaded, rows, random), strict=True):
+        finder.take(tensions, positions, 30)
+    first = finder.suspects()[0]
+    assert first.name == 'tip_load'
+    assert first.values['force_x'] == pytest.approx(0.011, rel=0.1)
+    assert first.values['force_z'] == pytest.approx(0.0168, rel=0.1)
+    monkeypatch.setattr('tendon_robot_ros.monitoring.change.CHANCE_MIN', -1.0)
+    assert finder.suspects()[0].name != 'tip_load', 'these postures show nothing'
+
+
+def test_a_tracker_that_was_moved_far_is_named_with_its_size_and_is_no_effect():
+    """Its frame turns by a rotation, not by its tangent: by that `base_misalignment` was it."""
+    arm = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE, 0.3)
+    finder = ChangeFinder(arm, changes_of(arm))
+    moved = {'rotation_y': np.radians(10.0), 'shift_x': 0.02}
+    plant, rows = make_plant(ROBOT, {'base_misalignment': moved}, scatter=0.0), postures(3, 3)
+    for tensions, positions in zip(rows, looked(plant, rows, 5), strict=True):
+        finder.take(tensions, positions)
+    first = finder.suspects()[0]
+    assert (first.name, first.is_effect) == ('the tracker', False)
+    assert first.probability > 0.99
+    assert first.values['rotation_y'] == pytest.approx(np.radians(10.0), rel=0.03)
+    assert first.values['shift_x'] == pytest.approx(0.02, rel=0.1)
+
+
 def test_the_posture_that_separates_two_changes_is_not_the_one_in_which_they_look_alike():
     """A stiffness that is off shows nothing of a straight arm; of one change nothing is asked."""
     arm = BuiltArm(replace(ROBOT, exact=True), load_catalogue(), default_markers(ROBOT), NOISE)

@@ -15,13 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ..monitoring.change import APART_PROBABILITY, ChangeFinder
-from ..monitoring.possible_changes import TRACKER, Suspect, described
+from ..monitoring.possible_changes import Suspect, described
 from .arm import PostureMeasured
 from .measuring import Measurer, News
 
 Floats = npt.NDArray[np.float64]
 ASKED_MAX = 12  # postures after an alarm, at most
-BASE = 'base_misalignment'
 
 
 def look_after(
@@ -73,13 +72,8 @@ def likely(suspects: Sequence[Suspect]) -> list[Suspect]:
 
 
 def no_effect(left: Sequence[Suspect]) -> bool:
-    """
-    Tell whether something has changed that no description has: a cell, a gain, the tracker.
-
-    What a bumped tracker does a shifted base does, too: of these two it is the tracker.
-    """
-    bumped = any(suspect.name == TRACKER for suspect in left)
-    return bool(left) and not any(s.is_effect and not (bumped and s.name == BASE) for s in left)
+    """Tell whether something has changed that no description has: a cell, a gain, the tracker."""
+    return bool(left) and not any(suspect.is_effect for suspect in left)
 
 
 def sizes(left: Sequence[Suspect]) -> str:

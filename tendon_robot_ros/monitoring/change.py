@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..comparison.predict import Point, Predictor
+from ..comparison.statistics import chi2_sf
 from ..data import DataSet
 from ..diagnosis.as_built import SplitPredictor
 from ..diagnosis.slopes import imperfections
@@ -40,6 +41,7 @@ SCALES = 1.0, 10.0, 100.0  # of a usual size, that a change may have
 ROUNDS_MAX = 12  # of Gauss-Newton
 STEP_LENGTHS = 1.0, 0.5, 0.2, 0.05
 SETTLED_GAIN = 0.01  # of log E, below which a fit ends
+CHANCE_MIN = 1e-6  # probability of what a change leaves, from which it explains the postures
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,7 @@ class ChangeFit:
     values: Floats  # (k,) [its units]
     log: float  # log E
     information: Floats  # (k, k) of the values, their prior included
+    chi2: float = 0.0  # that it leaves of the postures
 
     def suspect(self, probability: float) -> Suspect:
         """Return the change with a probability."""
@@ -136,6 +139,21 @@ class ChangeWork:
         finally:
             self.weights = usual
 
+    def explains(self, fit: ChangeFit) -> bool:
+        """Tell whether what a change leaves may be chance."""
+        return chi2_sf(fit.chi2, int(self.seen.rows.sum())) > CHANCE_MIN
+
+    def fit_from_afar(self, fit: ChangeFit) -> ChangeFit:
+        """
+        Fit an effect from a usual size of each of its values, either way; return the best.
+
+        A load under which the arm bends over has several minima, and the one that is reached from
+        no load at all may be none that it has.
+        """
+        starts = np.vstack([np.diag(fit.change.spread), -np.diag(fit.change.spread)])
+        found = [self._effect(fit.change, start) for start in starts]
+        return max([fit, *(one for one in found if one is not None)], key=lambda one: one.log)
+
     def shown(self, fit: ChangeFit) -> tuple[Floats, Floats] | None:
         """Return markers (P, 3 J) [m] under a change, and their slopes (P, 3 J, k)."""
         if not fit.change.is_effect:
@@ -169,8 +187,9 @@ class ChangeWork:
         prior = np.diag((SCALES[-1] * change.spread) ** -2.0)
         values = np.linalg.solve(told + prior, weights.product(columns, white))
         left = white[0] - columns[0] @ values, white[1] - columns[1] @ values
-        log = self._evidence(change, values, float(weights.product(left, left)), told)
-        return ChangeFit(change, values, log, told + prior)
+        chi2 = float(weights.product(left, left))
+        log = self._evidence(change, values, chi2, told)
+        return ChangeFit(change, values, log, told + prior, chi2)
 
     def _effect(self, change: PossibleChange, start: Floats | None = None) -> ChangeFit | None:
         """Fit an effect by Gauss-Newton, shortened steps, within its bounds."""
@@ -205,7 +224,7 @@ class ChangeWork:
                 break
         assert found is not None
         log = self._evidence(change, values, found[1], told)
-        return ChangeFit(change, values, log, told + prior)
+        return ChangeFit(change, values, log, told + prior, found[1])
 
     def _left(
         self, change: PossibleChange, values: Floats
@@ -303,6 +322,8 @@ class ChangeFinder:
         if work is None:
             return ()
         fits = [fit for change in self.changes if (fit := work.fit(change)) is not None]
+        if not any(work.explains(fit) for fit in fits):
+            fits = [work.fit_from_afar(fit) if fit.change.is_effect else fit for fit in fits]
         best = max(fit.log for fit in fits)
         near = [fit for fit in fits if fit.change.is_effect and fit.log > best - CLOSE_LOG]
         again = {fit.change.name: work.fit_around(fit) for fit in near}

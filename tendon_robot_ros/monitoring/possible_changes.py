@@ -10,14 +10,16 @@ import numpy.typing as npt
 
 from ..common.words import digits, mm, spoken, with_unit
 from ..comparison.predict import CELLS, FreeParameter, free_parameters
-from ..diagnosis.as_built import GAIN, POSITION, ROTATION
+from ..diagnosis.as_built import GAIN
 from ..diagnosis.load import load_of, vector_rows
 from ..report.numbers import load_words
 from .built_arm import BuiltArm
 
 Floats = npt.NDArray[np.float64]
-USUAL_CHANGES = {CELLS: 0.1, GAIN: 0.03, POSITION: 2e-3, ROTATION: 0.01}  # 1 sd [their units]
-TRACKER = 'the tracker'
+USUAL_CHANGES = {CELLS: 0.1, GAIN: 0.03}  # 1 sd, relative
+TRACKER, FRAME = 'the tracker', 'base_misalignment'  # a tracker that was bumped does what it does
+SHIFT = 'shift'  # of the frame; the other keys of the effect are a rotation
+USUAL_SHIFT, USUAL_ROTATION = 2e-3, 0.01  # [m], [rad] 1 sd of a bumped tracker
 SAID_PROBABILITY = 0.05  # of a change, from which it is named
 SIZES_TOLD = 2  # parameters of an effect, the largest ones
 
@@ -41,11 +43,12 @@ class PossibleChange:
     def suspect(self, probability: float, values: Floats) -> Suspect:
         """Return it with a probability and a size (k,) [its units]."""
         named = dict(zip(self.keys, values.tolist(), strict=True))
-        return Suspect(self.name, probability, named, self._size(values), self.is_effect)
+        of_catalogue = self.is_effect and self.name != TRACKER
+        return Suspect(self.name, probability, named, self._size(values), of_catalogue)
 
     def _size(self, values: Floats) -> str:
         if self.name == TRACKER:
-            moves = np.array([key.startswith(POSITION) for key in self.keys])
+            moves = np.array([key.startswith(SHIFT) for key in self.keys])
             moved, turned = np.linalg.norm(values[moves]), np.linalg.norm(values[~moves])
             return f'{mm(float(moved), 2)}, {digits(float(np.degrees(turned)))}°'
         if not self.is_effect:
@@ -83,25 +86,23 @@ def changes_of(arm: BuiltArm) -> tuple[PossibleChange, ...]:
         usual = np.array([free.parameter.typical for free in frees])
         keys = tuple(free.key for free in frees)
         down = arm.robot.gravity
-        made.append(PossibleChange(effect.name, keys, usual, frees, gravity=down))
-    count, frame = 0, dict[str, slice]()
+        name = effect.name
+        if name == FRAME:
+            name = TRACKER
+            usual = np.array(
+                [USUAL_SHIFT if k.startswith(SHIFT) else USUAL_ROTATION for k in keys]
+            )
+        made.append(PossibleChange(name, keys, usual, frees, gravity=down))
+    count = 0
     for kind in arm.kinds:
         here, count = range(count, count + len(kind)), count + len(kind)
         usual = np.full(1, USUAL_CHANGES.get(kind.name, 1.0))
-        if kind.name in (POSITION, ROTATION):
-            frame[kind.name] = slice(here.start, here.stop)
-        elif kind.name in USUAL_CHANGES:
+        if kind.name in USUAL_CHANGES:
             what = 'stiffness of' if kind.name == CELLS else 'gain of'
             made += [
                 PossibleChange(f'{what} {name}', ('relative_change',), usual, (), slice(i, i + 1))
                 for i, name in zip(here, kind.members, strict=True)
             ]
-    if frame:
-        places = sorted(frame.items(), key=lambda item: item[1].start)
-        keys = tuple(f'{name}_{axis}' for name, _ in places for axis in 'xyz')
-        spread = np.repeat([USUAL_CHANGES[name] for name, _ in places], 3)
-        whole = slice(places[0][1].start, places[-1][1].stop)
-        made.append(PossibleChange(TRACKER, keys, spread, (), whole))
     return tuple(made)
 
 
