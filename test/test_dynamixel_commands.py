@@ -36,13 +36,14 @@ def test_emulate_prints_a_port_that_the_driver_opens_and_obeys_its_input(robot_f
         assert content['port'] == emulator.port
         with make_driver('dynamixel', emulated.robot(), content, source='servos.yaml') as driver:
             driver.enable()
-            emulated.cycle(driver, [1.5, 0.2, 0.2, 0.2], 1.0)
+            command = [1.5, 0.2, 0.2, 0.2]
+            emulated.cycle(driver, command, 1.0)
             state = emulator.ask('state')
             assert state['servos']['1']['torque_enable'] == 1
             assert state['tensions'][0] > 0.5
             assert emulator.say('silent 2') == 'ok'
-            reading = emulated.until(driver, [1.5, 0.2, 0.2, 0.2], lambda r: r.faults)
-            assert reading.faults[0].inputs == ('north',)
+            alone = [('north',)]  # a busy machine makes others late, too, for a moment
+            emulated.until(driver, command, lambda r: [f.inputs for f in r.faults] == alone)
         assert {name for _, _, name, _ in emulator.ask('log 9')} >= {'goal_current'}
         emulator.say('quit')
         assert emulator.process.wait(10) == 0

@@ -147,15 +147,16 @@ def test_a_killed_controller_lets_the_motors_go_slowly(rig):
     station = rig.station
     rig.sending = False
     station.controller.clear()
-    controller = start('controller', rig.space, rig.folder, model=ROBOT, command_mode=rig.mode)
-    station.until_code(station.controller, 'holding', timeout=120.0)
-    station.send('controller/target_point', point(0.08, 0.15))
-    station.until(
-        lambda: np.abs(rig.measured()).max() > (0.5 if rig.mode == 'tension' else 2e-3),
-        'a bent arm',
-    )
-    controller.process.send_signal(signal.SIGKILL)
-    killed = time.monotonic()
+    known = {'model': ROBOT, 'command_mode': rig.mode}
+    with start('controller', rig.space, rig.folder, **known) as controller:
+        station.until_code(station.controller, 'holding', timeout=120.0)
+        station.send('controller/target_point', point(0.08, 0.15))
+        station.until(
+            lambda: np.abs(rig.measured()).max() > (0.5 if rig.mode == 'tension' else 2e-3),
+            'a bent arm',
+        )
+        controller.process.send_signal(signal.SIGKILL)
+        killed = time.monotonic()
     station.until_code(station.driver, 'releasing', 'released')
     said = time.monotonic() - killed
     rest, near = (LOW, 0.05) if rig.mode == 'tension' else (0.0, 5e-4)
