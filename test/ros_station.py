@@ -1,6 +1,7 @@
 """A node of the tests, and nodes of the package as processes of their own."""
 
 import contextlib
+import math
 import os
 import sys
 import time
@@ -26,6 +27,7 @@ from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED, LISTEN
 from tendon_robot_ros.ros.shared.runtime import NodeProcess, ros_arguments
 
 DISCOVERY = 30.0  # [s] for anything to happen, on a busy machine
+MATCHED = 0.2  # [s] until both sides of a topic know each other
 # A busy machine is late: no watchdog but the one that a test is about may act on that. Half the
 # usual rate leaves it more time for the other tests.
 PATIENT = {
@@ -67,11 +69,27 @@ class Station:
     def send(self, topic, message, qos=COMMAND):
         """Publish once, as soon as somebody listens."""
         key = topic, type(message)
-        if key not in self._publishers:
+        new = key not in self._publishers
+        if new:
             self._publishers[key] = self.node.create_publisher(type(message), topic, qos)
         publisher = self._publishers[key]
         self.until(lambda: publisher.get_subscription_count() > 0, f'a subscriber of {topic}')
+        if new:  # the subscriber may know the publisher later than it is known
+            self.spin(MATCHED)
         publisher.publish(message)
+
+    def send_until(self, topic, message, condition, what):
+        """Publish every second, as a person would, until something holds."""
+        sent = -math.inf
+
+        def held():
+            nonlocal sent
+            if time.monotonic() > sent + 1.0:
+                sent = time.monotonic()
+                self.send(topic, message)
+            return condition()
+
+        self.until(held, what)
 
     def spin(self, seconds):
         end = time.monotonic() + seconds

@@ -150,8 +150,9 @@ def test_a_killed_controller_lets_the_motors_go_slowly(rig):
     known = {'model': ROBOT, 'command_mode': rig.mode}
     with start('controller', rig.space, rig.folder, **known) as controller:
         station.until_code(station.controller, 'holding', timeout=120.0)
-        station.send('controller/target_point', point(0.08, 0.15))
-        station.until(
+        station.send_until(
+            'controller/target_point',
+            point(0.08, 0.15),
             lambda: np.abs(rig.measured()).max() > (0.5 if rig.mode == 'tension' else 2e-3),
             'a bent arm',
         )
