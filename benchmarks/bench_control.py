@@ -304,7 +304,7 @@ def main():
     parser.add_argument('--places', type=int, default=8)
     parser.add_argument('--gain', type=float, default=6.0)
     parser.add_argument('--lead', type=float, default=0.03)
-    parser.add_argument('--seconds', type=float, default=12.0, help='of co-contraction')
+    parser.add_argument('--seconds', type=float, default=45.0, help='of co-contraction')
     parser.add_argument('--robot', default='kato_10_1')
     parser.add_argument('--knows', default='memory', choices=('', *DESCRIBED))
     parser.add_argument('--exact', action='store_true', help='an arm that is what is written')

@@ -2,8 +2,7 @@
 What the model leaves over near the tensions that act, learned from the measured tip.
 
 The tip is y(T) = model(T) + d + D (T - T_now): a Kalman filter learns the offset d [m] and the
-correction D of the Jacobian [m/N]. How far D may be off is a share of the model's own Jacobian;
-what the filter does not know of it says how far a step may go.
+correction D of the Jacobian [m/N]. How far D may be off is a share of the model's own Jacobian.
 """
 
 from __future__ import annotations
@@ -143,11 +142,6 @@ class Mismatch:
         size = float(np.linalg.norm(self.slopes))
         most = EXTRAPOLATED_MAX * float(np.linalg.norm(slopes))
         return replace(self, slopes=self.slopes * min(1.0, most / max(size, 1e-12)))
-
-    def doubt_along(self, step: Array) -> float:
-        """Return how far [m] the slopes may miss the tip's motion by a step (m,) [N], 1 sd."""
-        share = step / self.range
-        return TIP_NOISE_M * float(np.sqrt(max(float(share @ self.spread[1:, 1:] @ share), 0.0)))
 
 
 def here_counts(way: float, length: float) -> float:

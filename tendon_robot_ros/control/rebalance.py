@@ -60,7 +60,7 @@ class Rebalance:
         if not self._is_for(core, target, wants):
             self._walk = (target, wants, core.model)
             self._aim, self._over = None, False
-            core.loop.towards = None
+            core.loop.lead(None, None)
         if not self._over:
             self._ask(core, target, wants, solution)
 
@@ -98,7 +98,7 @@ class Rebalance:
             if found is None or found[1] is None:
                 self._over = True
                 if closed and found is not None:
-                    core.loop.towards = found[0]  # it goes there as far as the tip allows
+                    core.loop.lead(solution, found[0])  # it goes there as far as the tip allows
             else:
                 self._aim, core.solution = found
 

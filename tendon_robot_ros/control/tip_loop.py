@@ -22,10 +22,11 @@ from ..common.errors import TendonRobotError
 from ..model.derivatives import tip_slopes
 from ..model.redundancy import STEP_DAMPING, bounded_step
 from .mismatch import STEP_SHARE, Mismatch, here_counts, slope_doubt
+from .walk import Walk, begun
 
 if TYPE_CHECKING:
     from ..model.model import Model
-    from ..model.shape import Shape
+    from ..model.shape import Reach, Shape
     from .solver import GiveUp
     from .state import Controller
 
@@ -45,9 +46,6 @@ ONE_SIDED_SHARES = 5e-4, 5e-3, 0.02, 0.06  # [1] of a tension's range, for slope
 PACE = 2.0  # [1] of `tip_gain`: how fast the way to a set point shrinks
 STANDS_SHARE = 2e-3  # [1] of a tension's range: nearer to its goal, the arm counts as standing
 ARRIVED_SHARE = 2e-4  # [1] of a tension's range: nearer, the command is at its goal
-WALK_DOUBT_M, WALK_OFF_M = 1.5e-3, 2e-4  # [m] of a step of a walk; from the target, that ends it
-WALK_SHARE_MAX = 0.002  # [1] of a tension's range, in one step of a walk
-NULL_BELOW = 1e-3  # [1] of the largest slope: combinations of tensions that move no tip
 PASSED_MAX = 64  # measurements that are kept for a tracker that is late
 
 
@@ -65,7 +63,6 @@ class TipLoop:
     tensions: Array | None = None  # (m,) [N] the goal, None: that of the model
     frozen: str = 'no tracker'  # why, '' while it works
     known: Mismatch | None = None
-    towards: Array | None = None  # (m,) [N] to which the freedom of the tensions leads
     _seen: tuple[float, Array, Array | None] | None = None  # [s], the tip, that of the model [m]
     _passed: deque[tuple[float, Array, Array]] = field(  # [s], tensions that acted, model's tip
         default_factory=lambda: deque(maxlen=PASSED_MAX)
@@ -79,13 +76,22 @@ class TipLoop:
     _tame: float = -np.inf  # [s] when the error and the offset were last as they may be
     _left: str = ''  # why it was left for this target
     _compared: Array | None = None  # (3,) [m] the model's tip with which the last one was
+    _led: tuple[Reach, Array] | None = None  # for which solution, to which tensions (m,) [N]
+    _walk: Walk | None = None  # there
 
     def reset(self) -> None:
         """Forget what was learned."""
         self.tensions, self.known, self._solution, self._due = None, None, None, 0.0
-        self.towards = None
-        self._compared = None
+        self._led = self._walk = self._compared = None
         self._passed.clear()
+
+    def lead(self, solution: Reach | None, towards: Array | None) -> None:
+        """Walk to tensions (m,) [N] as far as the tip of a solution stays; None: no walk."""
+        self._led = None if solution is None or towards is None else (solution, towards)
+
+    def _towards(self, solution: Reach) -> Array | None:
+        """Return where a walk leads (m,) [N] that is not over."""
+        return self._led[1] if self._led is not None and self._led[0] is solution else None
 
     def goal(self, core: Controller, solution: Array) -> Array:
         """Return the goal (m,) [N], within the limits."""
@@ -204,10 +210,9 @@ class TipLoop:
         limits, gain, passed = core.settings.limits(model), core.settings.tip_gain, self._due
         bias = np.zeros_like(applied) if core.felt.bias is None else core.felt.bias
         goal, last, self._due = self.goal(core, solution.tensions), core.track.last, 0.0
-        keep_out, towards = core.settings.keep_out, self.towards
+        keep_out, towards = core.settings.keep_out, self._towards(solution)
         then = self._then(now - core.settings.tracker_delay)
-        before = self._compared
-        stands = self._stands(core, goal)
+        before, was, stands = self._compared, self._walk, self._stands(core, goal)
 
         def work(give_up: GiveUp) -> _Found:
             here = model.follow(last, applied)
@@ -218,19 +223,30 @@ class TipLoop:
             new = (known or Mismatch.unknown(at, limits, doubt)).moved(at)
             new = new.learned(position - tip, gain, passed, doubt, way, length).moved(applied)
             new = new.within(step.slopes)
-            found = step.next_goal(new, step.walked(new, goal, towards))
+            if towards is None:
+                walk, found = None, step.next_goal(new, goal)
+            else:
+                walk = begun(was, towards, goal, new, at, length)
+                walk = walk.learned(at, position - tip, new, length, way)
+                walk, found = walk.step(step, goal, new, passed)
             if keep_out and keep_out.clearance(model.follow(here, found).positions).distance < 0.0:
                 found = goal  # where it is the arm was allowed
-            return _Found(new, found, here.tip_position, tip)
+            return _Found(new, found, here.tip_position, tip, walk)
 
         def done(found: _Found | None, error: TendonRobotError | None) -> None:
             if found is not None and core.model is model and core.target is not None:
                 self.known, self._compared = found.known, found.compared
                 self._passed.append((now, applied, found.tip))
                 if core.solution is solution:
-                    self.tensions, self._solution = found.goal, solution
+                    self._take_up(found, solution)
 
         core.solver.post('loop', work, done)
+
+    def _take_up(self, found: _Found, solution: Reach) -> None:
+        """Go to the next goal for a solution; a walk that is over is one no more."""
+        self.tensions, self._solution, self._walk = found.goal, solution, found.walk
+        if found.walk is not None and found.walk.over:
+            self._led = None
 
     def _stands(self, core: Controller, goal: Array) -> bool:
         """Whether the command is as good as at its goal."""
@@ -260,6 +276,7 @@ class _Found:
     goal: Array  # (m,) [N]
     tip: Array  # (3,) [m] the model's, now
     compared: Array  # (3,) [m] and when the tracker saw it
+    walk: Walk | None
 
 
 @dataclass(frozen=True)
@@ -282,24 +299,9 @@ class _Step:
         width = limits[:, 1] - limits[:, 0]
         return cls(model, here, _slopes(model, here, here) * width, wanted, bias, limits, stands)
 
-    def walked(self, known: Mismatch, goal: Array, towards: Array | None) -> Array:
-        """Return the goal (m,) [N] a little nearer to others at which the tip is the same."""
-        if towards is None:
-            return goal
-        low, high = self.limits.T
-        slopes, wish = self.slopes + known.slopes, (towards - goal) / (high - low)
-        free = wish - np.linalg.pinv(slopes, rcond=NULL_BELOW) @ (slopes @ wish)
-        step, size = free * (high - low), float(np.abs(free).max())
-        off = float(np.linalg.norm(self.wanted - self.here.tip_position - known.offset))
-        share = WALK_DOUBT_M / max(known.doubt_along(step), 1e-12)
-        share = min(1.0, share, WALK_SHARE_MAX / max(size, 1e-12))
-        return np.asarray(
-            np.clip(goal + max(0.0, 1.0 - off / WALK_OFF_M) * share * step, low, high)
-        )
-
     def next_goal(self, known: Mismatch, goal: Array) -> Array:
         """Return the tensions (m,) [N] at which the tip is nearer to where it is wanted."""
-        there = self._there(goal)
+        there = self.there(goal)
         miss, width = self._left(there, known), self.limits[:, 1] - self.limits[:, 0]
         if self.stands and np.linalg.norm(miss) < known.rest:
             return goal  # friction would let the arm slip by what is noise
@@ -310,7 +312,7 @@ class _Step:
         best, least = goal, 1.0
         for step, shares in self._steps(there, goal, miss, damping, slopes, part * known.slopes):
             for share in shares:
-                left = self._left(self._there(goal + share * step), known)
+                left = self._left(self.there(goal + share * step), known)
                 nearer = float(np.linalg.norm(left) / max(float(np.linalg.norm(miss)), 1e-12))
                 if nearer < least:
                     best, least = goal + share * step, nearer
@@ -353,7 +355,7 @@ class _Step:
         moves = []
         for side in np.concatenate([np.eye(m), -np.eye(m)]) * share:
             to = np.clip(goal + side * width, *self.limits.T)
-            moves.append(self._there(to).tip_position - there.tip_position)
+            moves.append(self.there(to).tip_position - there.tip_position)
         return np.array(moves).T / share
 
     def _one_sided_step(self, slopes: Array, goal: Array, wanted: Array) -> Array:
@@ -367,8 +369,9 @@ class _Step:
     def _way(self, there: Shape) -> float:
         return float(np.linalg.norm(there.tip_position - self.here.tip_position))
 
-    def _there(self, goal: Array) -> Shape:
-        return self.model.follow(self.here, np.maximum(goal + self.bias, 0.0))
+    def there(self, goal: Array, before: Shape | None = None) -> Shape:
+        """Return the shape under a goal (m,) [N] after another one; default: the one here."""
+        return self.model.follow(before or self.here, np.maximum(goal + self.bias, 0.0))
 
     def _left(self, there: Shape, known: Mismatch) -> Array:
         """Return how far (3,) [m] the tip will be from where it is wanted."""

@@ -343,9 +343,13 @@ def bounded_step(
     tensions: Floats,
     limits: Floats,
     damping: float = STEP_DAMPING,
+    least: Floats | None = None,
+    ways: Floats | None = None,
 ) -> Floats:
     """
     Return the tensions (m,) [N] within limits that move the tip as wanted by the least change.
+
+    min |J u - w|² + (damping |J|)² |u - least|², with u the change in shares of the ranges.
 
     Parameters
     ----------
@@ -357,13 +361,20 @@ def bounded_step(
     limits : (m, 2) [N]
     damping : float
         Share of the largest slope below which a direction of the tip is hardly followed [1].
+    least : (m,), optional
+        Change that is made where the tip allows it [1] of the ranges; default: none.
+    ways : (m,), optional
+        1: a tension that may only rise, -1: only fall; default: both.
 
     """
     low, width = limits[:, 0], limits[:, 1] - limits[:, 0]
     u = (tensions - low) / width
     size = float(np.linalg.norm(slopes, 2))
-    matrix = slopes.T @ slopes + (damping * size) ** 2 * np.eye(len(u)) + 1e-12 * np.eye(len(u))
-    made = _solved(
-        matrix, -slopes.T @ wanted, None, np.maximum(-u, -STEP_MAX), np.minimum(1.0 - u, STEP_MAX)
-    )
+    damped = (damping * size) ** 2 + 1e-12
+    first = np.zeros(len(u)) if least is None else least
+    down, up = np.maximum(-u, -STEP_MAX), np.minimum(1.0 - u, STEP_MAX)
+    if ways is not None:
+        down, up = np.where(ways > 0.0, 0.0, down), np.where(ways > 0.0, up, 0.0)
+    matrix = slopes.T @ slopes + damped * np.eye(len(u))
+    made = np.clip(_solved(matrix, -slopes.T @ wanted - damped * first, None, down, up), down, up)
     return np.asarray(low + np.clip(u + made, 0.0, 1.0) * width)

@@ -1,0 +1,227 @@
+"""
+A walk of the tensions that leaves the tip where it is; what the model misses is learned on it.
+
+Along a walk the measured tip is off the model's by d + l s, with s the mean way of the tensions
+in shares of their ranges: one leak l [m] for each axis of the tip, far less to learn than a
+Jacobian. A Kalman filter (Kalman 1960, J. Basic Eng. 82, 35) learns d and l, and the walk goes as
+fast as l is known. No tension turns round on it: friction would stick, and later let go of the arm
+all at once. As the walk moves the tip nowhere, the tip can be led anywhere by tensions that only
+go on, at different speeds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.redundancy import bounded_step
+
+if TYPE_CHECKING:
+    from ..model.shape import Shape
+    from .mismatch import Mismatch
+
+Array = NDArray[np.float64]
+LEAK_DOUBT = 1.0  # [1] of the arm's length over the ranges, 1 sd
+LEAK_ALIKE = 1.0  # [1] of the ranges, over which the leak changes by as much
+WANDER = 0.6  # [1] of the way of the model's tip, by which the offset changes beside the leak
+NOISE_SAMPLES = 50  # of a standing arm, from which on the tracker's noise is known
+NOISE_M, NOISE_LEAST_M = 2e-4, 1e-6  # [m] of the tracker on each axis: until it is; at least
+KNOWN_M, KNOWN_NOISES = 3e-5, 0.15  # [m]; [1] of that noise: so well the offset is known at first
+SPEED_MAX = 0.004  # [1/s] of the ranges
+DRIFT = 6e-5  # [m/s] by which the tip may leave its place, 1 sd
+OFF_M = 2e-4  # [m] from its place: there the walk waits
+STEP_SHARE = 0.2  # [1] of what the tip is off, in one step of the goal
+AHEAD, PROBE = 2e-3, 0.25  # [1] of the ranges, to where slopes are looked at; [1] more of one
+CONTROLLED = 0.01  # [1] of the largest slope: the tip is led in directions with at least that
+NULL_BELOW = 1e-3  # [1] of the largest slope: combinations of tensions that move no tip
+DAMPING = 0.02  # [1] of the largest slope, see `bounded_step`
+OVER = 0.01  # [1] of the ranges: nearer to its end a walk is over
+
+
+class Ahead(Protocol):
+    """Where the arm is and should be, as the model sees it, and what goals lead to."""
+
+    @property
+    def here(self) -> Shape:
+        """Where the arm is."""
+
+    @property
+    def wanted(self) -> Array:
+        """Where the tip should be (3,) [m]."""
+
+    @property
+    def limits(self) -> Array:
+        """Of the tensions (m, 2) [N]."""
+
+    def there(self, goal: Array, before: Shape | None = None) -> Shape:
+        """Return the shape under a goal (m,) [N] after another one; default: the one here."""
+
+
+@dataclass(frozen=True)
+class Leak:
+    """What is known of how the tip leaves the model along a walk; axes share one covariance."""
+
+    way: float  # [1] that the tensions have gone, mean share of their ranges
+    offset: Array  # (3,) [m]
+    slope: Array  # (3,) [m] over the ranges
+    spread: Array  # (2, 2) [m²] of both
+
+    def learned(self, way: float, left: Array, noise: float, length: float, moved: float) -> Leak:
+        """
+        Return what is known after the tip was `left` (3,) [m] away from the model's.
+
+        Parameters
+        ----------
+        way : float
+            That the tensions have gone when this was seen [1].
+        noise : float
+            Of the tracker on one axis [m].
+        length : float
+            Of the arm [m].
+        moved : float
+            Way of the model's tip since the last measurement [m].
+
+        """
+        on = way - self.way
+        step = np.array([[1.0, on], [0.0, 1.0]])
+        grown = step @ self.spread @ step.T
+        doubts = (WANDER * moved) ** 2, (LEAK_DOUBT * length) ** 2 * abs(on) / LEAK_ALIKE
+        grown += np.diag(doubts)
+        gain = grown[:, 0] / (grown[0, 0] + noise**2)
+        new = left - self.offset - self.slope * on
+        spread = grown - np.outer(gain, grown[0])
+        offset = self.offset + self.slope * on + gain[0] * new
+        slope = self.slope + gain[1] * new
+        return Leak(way, offset, slope, 0.5 * (spread + spread.T))
+
+    def speed(self) -> float:
+        """Return how fast [1/s] the walk may go by what is known of the leak."""
+        return min(SPEED_MAX, DRIFT / float(np.sqrt(self.spread[1, 1])))
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A walk of the tensions from where they are to where they are preferred."""
+
+    towards: Array  # (m,) [N]
+    ways: Array  # (m,) 1: a tension that rises, -1: that falls
+    begin: Array  # (m,) [N]
+    range: Array  # (m,) [N]
+    leak: Leak
+    held: Array  # (3,) [m] from where the tip is wanted, that it was off when the walk began
+    heading: Array | None = None  # (m,) [1] of the last step; None: the offset is not yet known
+    over: bool = False
+
+    def way(self, tensions: Array) -> float:
+        """Return how far [1] tensions (m,) [N] are on the walk."""
+        return float(self.ways @ ((tensions - self.begin) / self.range)) / len(self.ways)
+
+    def learned(
+        self, tensions: Array, left: Array, known: Mismatch, length: float, moved: float
+    ) -> Walk:
+        """Return what is known after a measurement at tensions (m,) [N]; see `Leak.learned`."""
+        leak = self.leak.learned(self.way(tensions), left, _noise(known), length, moved)
+        return replace(self, leak=leak)
+
+    def step(
+        self, ahead: Ahead, goal: Array, known: Mismatch, passed: float
+    ) -> tuple[Walk, Array]:
+        """
+        Return the walk and the next goal (m,) [N] on it.
+
+        Parameters
+        ----------
+        ahead : Ahead
+        goal : (m,) [N]
+            The last one.
+        known : Mismatch
+            What the filter of the loop knows: its noise, and how near the tip may rest.
+        passed : float
+            Since the last step [s].
+
+        """
+        there = ahead.there(goal)
+        moves = self._slopes(ahead, there, goal)
+        axes, sizes, _ = np.linalg.svd(moves, full_matrices=False)
+        axes = axes[:, sizes > CONTROLLED * sizes[0]].T  # (a, 3) in which tendons lead the tip
+        slopes = axes @ (moves + np.outer(self.leak.slope, self.ways) / len(goal))
+        off = ahead.wanted - ahead.here.tip_position - self.leak.offset
+        wish = (self.towards - goal) / self.range
+        free = wish - np.linalg.pinv(slopes, rcond=NULL_BELOW) @ (slopes @ wish)
+        free = np.where(self.ways * free > 0.0, free, 0.0)
+        longest = float(np.abs(free).max())
+        walk = self._started(off, free / max(longest, 1e-12), known)
+        if longest < OVER or walk.heading is None:
+            return replace(walk, over=longest < OVER), goal
+        near = max(0.0, 1.0 - float(np.linalg.norm(axes @ (off - walk.held))) / OFF_M)
+        on = free * min(1.0, near * walk.leak.speed() * passed / longest)
+        ahead_by = walk.leak.slope * (walk.way(there.inputs) - walk.leak.way)
+        miss = ahead.wanted - walk.held - there.tip_position - walk.leak.offset - ahead_by
+        wanted = axes @ (STEP_SHARE * miss)
+        return walk, bounded_step(slopes, wanted, goal, ahead.limits, DAMPING, on, walk.ways)
+
+    def _started(self, off: Array, heading: Array, known: Mismatch) -> Walk:
+        """Return the walk with its heading, once the offset is known; the tip is held there."""
+        if self.heading is None:
+            enough = max(KNOWN_M, KNOWN_NOISES * _noise(known))
+            if self.leak.spread[0, 0] > enough**2:
+                return self
+            size = max(float(np.linalg.norm(off)), 1e-12)
+            return replace(self, heading=heading, held=off * min(1.0, known.rest / size))
+        return replace(self, heading=heading)
+
+    def _slopes(self, ahead: Ahead, there: Shape, goal: Array) -> Array:
+        """
+        Return the motion of the tip (3, m) [m] over the ranges, by a little more of each tension.
+
+        Seen a little further on the walk, where tendons slide: of tendons that stick they differ.
+        """
+        low, high = ahead.limits.T
+        heading = self.ways if self.heading is None else self.heading
+
+        def tip(more: Array) -> Array:
+            to = np.clip(goal + AHEAD * (heading + more) * self.range, low, high)
+            return ahead.there(to, there).tip_position
+
+        base = tip(np.zeros(len(goal)))
+        moves = [tip(PROBE * one) - base for one in np.diag(self.ways)]
+        return self.ways * np.array(moves).T / (AHEAD * PROBE)
+
+
+def begun(
+    walk: Walk | None, towards: Array, goal: Array, known: Mismatch, tensions: Array, length: float
+) -> Walk:
+    """
+    Return a walk, or a new one if it leads elsewhere.
+
+    Parameters
+    ----------
+    walk : Walk or None
+        The last one.
+    towards, goal : (m,) [N]
+        Where it leads, where it begins.
+    known : Mismatch
+        What the filter of the loop knows.
+    tensions : (m,) [N]
+        That act.
+    length : float
+        Of the arm [m].
+
+    """
+    if walk is not None and walk.towards is towards:
+        return walk
+    doubt = _noise(known) * float(np.sqrt(known.spread[0, 0]))
+    spread = np.diag([doubt**2, (LEAK_DOUBT * length) ** 2])
+    leak = Leak(0.0, known.offset, np.zeros(3), spread)
+    ways = np.where(towards >= goal, 1.0, -1.0)
+    return Walk(towards, ways, tensions, known.range, leak, np.zeros(3))
+
+
+def _noise(known: Mismatch) -> float:
+    """Return the tracker's noise on one axis [m]."""
+    if known.samples < NOISE_SAMPLES:
+        return NOISE_M
+    return max(known.noise / float(np.sqrt(3.0)), NOISE_LEAST_M)

@@ -1,0 +1,107 @@
+"""A walk of the tensions that leaves the measured tip where it is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tendon_robot_ros.control import ControllerCore, Settings, Target
+from tendon_robot_ros.control.mismatch import Mismatch
+from tendon_robot_ros.control.walk import NOISE_M, SPEED_MAX, Leak, begun
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.model.redundancy import Preferences, bounded_step
+from tendon_robot_ros.ros.shared.files import read_robot
+
+LENGTH, CYCLE = 0.2, 0.005  # [m], [s]
+
+
+def leak(doubt=1.0):
+    return Leak(0.0, np.zeros(3), np.zeros(3), np.diag([doubt**2, LENGTH**2]))
+
+
+def test_an_offset_that_grows_along_the_way_is_learned():
+    known, offset, slope = leak(), np.array([0.01, -0.02, 0.0]), np.array([0.1, 0.05, -0.08])
+    for way in (0.0, 0.01, 0.03):
+        known = known.learned(way, offset + slope * way, 1e-7, LENGTH, 0.0)
+    assert known.slope == pytest.approx(slope, abs=1e-4)
+    assert known.offset == pytest.approx(offset + 0.03 * slope, abs=1e-6)
+
+
+def test_standing_still_the_offset_is_the_mean_of_what_was_seen_and_no_leak_is_learned():
+    random, known = np.random.default_rng(1), leak()
+    seen = NOISE_M * random.normal(size=(40, 3))
+    for left in seen:
+        known = known.learned(0.0, left, NOISE_M, LENGTH, 0.0)
+    assert known.offset == pytest.approx(seen.mean(axis=0), abs=1e-9)
+    assert known.spread[0, 0] == pytest.approx(NOISE_M**2 / 40, rel=1e-3)
+    assert known.spread[1, 1] == pytest.approx(LENGTH**2) and not known.slope.any()
+
+
+def test_the_better_the_leak_is_known_the_faster_the_walk_goes():
+    speeds = [replace(leak(), spread=np.diag([1e-10, sd**2])).speed() for sd in (0.2, 0.1, 1e-4)]
+    assert speeds[1] == pytest.approx(2.0 * speeds[0]) and speeds[2] == SPEED_MAX
+
+
+def test_tensions_that_may_only_rise_lead_the_tip_anywhere():
+    slopes = np.array([[1.0, -1.0, 0.5, -0.5], [0.2, -0.1, -0.4, 0.3], [0.0] * 4])
+    limits, tensions = np.array([[0.0, 5.0]] * 4), np.ones(4)
+    for angle in np.linspace(0.0, 6.0, 7):
+        wanted = 1e-4 * np.array([np.cos(angle), np.sin(angle), 0.0])
+        made = bounded_step(slopes, wanted, tensions, limits, 1e-4, ways=np.ones(4))
+        assert made.min() >= 1.0
+        assert slopes @ (made - tensions) / 5.0 == pytest.approx(wanted, abs=1e-7)
+
+
+def test_a_walk_to_where_the_arm_is_is_over():
+    here = np.full(4, 1.0)
+    known = Mismatch.unknown(here, np.array([[0.1, 5.0]] * 4), np.full(4, 0.05))
+    walk = begun(None, here, here, known, here, LENGTH)
+    assert begun(walk, here, here, known, here, LENGTH) is walk
+    assert begun(walk, here.copy(), here, known, here, LENGTH) is not walk
+
+
+class Rig:
+    """A controller whose arm rubs more than its model says; the tip is seen with noise."""
+
+    def __init__(self):
+        robot = read_robot('kato_10_1').with_effect(
+            'friction_memory', {'presliding_length': 2e-4}
+        )
+        rubs = {'friction_coefficient': 0.4}
+        self.arm = Model(robot.with_effect('tendon_friction', rubs))
+        self.core = ControllerCore(Model(robot), Settings(tip_gain=6.0))
+        self.shape, self.random = self.arm.shape(np.full(4, 0.1)), np.random.default_rng(1)
+        self.now, self.tips, self.commands = 0.0, [], []
+
+    def run(self, seconds):
+        for step in range(round(seconds / CYCLE)):
+            self.now += CYCLE
+            self.core.measured(self.now, self.shape.inputs, self.shape.pulls)
+            output = self.core.step(self.now)
+            if not np.array_equal(output.tensions, self.shape.inputs):
+                self.shape = self.arm.follow(self.shape, output.tensions)
+            if step % 6 == 0:
+                self.core.predict(self.now, lambda shape: None)
+            if step % 4 == 0:
+                noise = NOISE_M * self.random.normal(size=3)
+                self.core.loop.take(self.now, self.core, self.shape.tip_position + noise)
+            self.tips.append(self.shape.tip_position)
+            self.commands.append(output.tensions)
+
+
+def test_on_an_arm_that_rubs_more_no_tension_turns_round_and_the_tip_stays():
+    rig = Rig()
+    rig.run(0.1)
+    rig.core.aim(Target(np.array([-0.09, 0.0, 0.175])))
+    rig.run(4.0)
+    tip, tensions, begin = rig.tips[-1], rig.commands[-1], len(rig.tips)
+    before = rig.arm.tip_stiffness(rig.shape).along([1, 0, 0])
+    wants = Preferences(low_tension=0.5, stiffness=0.1, stiffness_direction=(1.0, 0.0, 0.0))
+    rig.core.settings = replace(rig.core.settings, preferences=wants)
+    rig.run(12.0)
+    away = np.linalg.norm(np.array(rig.tips[begin:]) - tip, axis=1)
+    risen = np.diff(np.array(rig.commands[begin:]), axis=0)
+    assert away.max() < 2e-4
+    assert risen.min() > -1e-12
+    assert np.all(rig.commands[-1] > tensions + 0.05)
+    assert rig.arm.tip_stiffness(rig.shape).along([1, 0, 0]) > 1.15 * before
