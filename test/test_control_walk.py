@@ -64,9 +64,7 @@ class Rig:
     """A controller whose arm rubs more than its model says; the tip is seen with noise."""
 
     def __init__(self):
-        robot = read_robot('kato_10_1').with_effect(
-            'friction_memory', {'presliding_length': 2e-4}
-        )
+        robot = read_robot('kato_10_1').with_effect('friction_memory', {'presliding_length': 2e-4})
         rubs = {'friction_coefficient': 0.4}
         self.arm = Model(robot.with_effect('tendon_friction', rubs))
         self.core = ControllerCore(Model(robot), Settings(tip_gain=6.0))

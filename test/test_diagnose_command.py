@@ -45,7 +45,7 @@ def test_a_missing_effect_is_named_added_and_shown(capsys, folder):
         'noise, from the trials: 0.20 mm per coordinate, inputs 0.39 % per trial, '
         '0.20 % per setting (declared)',
         '',
-        'CONSISTENT WITH tendon_stiffness: per_tendon = 0.22 ± 0.05 mN·m/rad.',
+        'CONSISTENT WITH tendon_stiffness: per_tendon = 0.22 mN·m/rad (95 %: 0.18 to 0.28).',
         'It explains 96 % of the explainable error.',
         'What is left (0.50 mm) equals your repeatability (0.45 mm).',
         'these measurements do not tell: stiffness of the cells, kinks at rest, kinks across the '

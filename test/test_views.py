@@ -130,20 +130,23 @@ def test_every_panel_of_the_layout_is_described_and_shown():
 @pytest.mark.ros
 def test_the_joints_move_the_urdf_to_where_the_model_is(running):
     running.go_to_point(0.06, 0.17)
-    running.spin(0.5)
     robot = load_robot(ROBOTS / 'kato_10_1.yaml')
     text = last(running.described).data
     assert text == urdf(robot, 'kato_10_1_')
     tree = ElementTree.fromstring(text)
     revolute = [j.get('name') for j in tree.iter('joint') if j.get('type') == 'revolute']
-    message = last(running.joints)
-    assert list(message.name) == revolute == list(joint_names(robot))
-    place = np.zeros(3)
-    turned = np.eye(3)
-    for _, _, rotation, up in transforms(robot, np.array(message.position), 'kato_10_1_'):
-        place = place + turned @ [0.0, 0.0, up]
-        turned = turned @ rotation
-    assert place == pytest.approx([0.06, 0.0, 0.17], abs=2e-4)
+    assert list(last(running.joints).name) == revolute == list(joint_names(robot))
+
+    def tip():
+        place = np.zeros(3)
+        turned = np.eye(3)
+        angles = np.array(last(running.joints).position)
+        for _, _, rotation, up in transforms(robot, angles, 'kato_10_1_'):
+            place = place + turned @ [0.0, 0.0, up]
+            turned = turned @ rotation
+        return place
+
+    running.until(lambda: np.allclose(tip(), [0.06, 0.0, 0.17], atol=2e-4), 'the tip there')
 
 
 def test_the_frames_are_those_of_the_urdf_from_base_to_tip():
