@@ -304,6 +304,22 @@ def test_the_filter_learns_nothing_of_one_odd_posture_and_no_alarm_comes_of_it(
     assert states[-1].evidence < 50.0
 
 
+def test_the_filter_stays_the_arm_that_was_when_the_tracker_is_moved_far(well_known):
+    """It followed by hundreds of sd, and ended without a positive covariance."""
+    arm, _, random = well_known
+    alarm = DriftAlarm(arm.as_known(arm.mean.copy(), arm.covariance.copy()), 21600.0)
+    moved = make_plant(ROBOT, {}, seed=12, work=Workmanship())
+    moved.built.position[:] += [0.012, 0.0, 0.016]
+    moved.built.rotation[:] += [0.0, np.radians(10.0), 0.0]
+    told = [
+        alarm.update(tensions, positions, 30).alarm
+        for tensions, positions in zip(*averaged(moved, postures(4, 6012), random), strict=True)
+    ]
+    assert told == [False, True, True, True]
+    assert alarm.arm.mean == pytest.approx(arm.mean, abs=1e-12)
+    assert alarm.state.suspects[0].name == 'the tracker'
+
+
 def test_a_load_after_an_odd_posture_is_told_and_named_as_without_it(well_known):
     arm, free, random = well_known
     alarm = DriftAlarm(arm.as_known(arm.mean.copy(), arm.covariance.copy()), 21600.0)

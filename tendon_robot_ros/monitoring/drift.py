@@ -13,9 +13,9 @@ postures at which one may have begun, it is an e-detector (Shin, Ramdas, Rinaldo
 a sum of A comes without a change on average after A beginnings at the earliest. It takes two
 postures: without the one that speaks most for a change the sum still has to be `CONFIRMED`. A
 single one may be off as no innovation of a linear filter is, where kinks turn friction, or the
-tracker was wrong for once. Nor does the filter learn from it: a posture beyond its gate is held
-back, and learned only if the next one is beyond it, too; after four that are as expected it was
-odd, and no evidence. What it looks like is then fitted to the postures since (`change.py`).
+tracker was wrong for once: where four as expected follow, it was odd, and no evidence. From what
+is beyond its gate the filter does not learn, be it odd or after a change: it stays the arm that
+was. What it looks like is then fitted to the postures since (`change.py`).
 """
 
 from __future__ import annotations
@@ -92,7 +92,6 @@ class _ChangeBegun:
 class _Look:
     """A posture beside what the filter expects of it."""
 
-    at: int  # its number
     expected: Expected
     measured: Floats  # (3 J,) [m]
     frames: int
@@ -144,7 +143,6 @@ class DriftAlarm:
         """Forget the evidence, after a change was looked after."""
         self._beginnings, self._count = list[_ChangeBegun](), 0
         self._recent: deque[_Stood] = deque(maxlen=BEGIN_EVERY * BEGINNINGS_KEPT)
-        self._held: _Look | None = None  # odd, and not learned from
         self._single: int | None = None  # number of an odd posture without another one
         self.finder, self._since_alarm = None, 0
         self.state = DriftState(False, 0.0, 0)
@@ -169,9 +167,6 @@ class DriftAlarm:
             known = self.arm.mean.copy(), self.arm.covariance.copy()
             self._beginnings.append(_ChangeBegun(len(self._spread), *known, self._count))
             del self._beginnings[:-BEGINNINGS_KEPT]
-        if odd and self._held is not None:
-            self._follow(self._held)
-            look = self._looked(tensions, positions, frames) or look
         stood = _Stood(self._count, tensions, positions, frames, odd)
         self._recent.append(stood)
         self._count += 1
@@ -179,10 +174,7 @@ class DriftAlarm:
             signature = look.signature(begun)
             weighted = look.inverse @ signature
             begun.take(signature.T @ weighted, weighted.T @ look.innovation)
-        if odd and self._held is None:
-            self._held = look
-        else:
-            self._held = None
+        if not odd:
             self._follow(look)
         self._leave_out(stood)
         self.state = self._judged(stood)
@@ -214,7 +206,7 @@ class DriftAlarm:
             rows, expected.columns, frames, expected.bent
         )
         return _Look(
-            self._count, expected, measured, frames,
+            expected, measured, frames,
             columns, shown[rows], measured[rows] - expected.markers[rows],
             np.linalg.inv(arm.widening * covariance),
             arm.covariance @ columns.T @ np.linalg.inv(covariance),
@@ -228,8 +220,7 @@ class DriftAlarm:
     def _follow(self, look: _Look) -> None:
         """Let the filter learn from a posture, and note what it makes of every change."""
         for begun in self._beginnings:
-            if begun.at <= look.at:
-                begun.followed += look.gain @ look.signature(begun)
+            begun.followed += look.gain @ look.signature(begun)
         self.arm.learn(look.expected, look.measured, look.frames)
 
     def _judged(self, stood: _Stood) -> DriftState:
