@@ -11,6 +11,7 @@ from simulated import CATALOGUE, measured
 from tendon_robot_ros.common.rotations import upright_fit
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.diagnosis.diagnose import diagnose, implausible
+from tendon_robot_ros.diagnosis.marker_places import in_one_place
 from tendon_robot_ros.diagnosis.result import EffectFinding, Value
 from tendon_robot_ros.diagnosis.setup_mistakes import find_mistake
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
@@ -203,3 +204,30 @@ def test_a_stiffness_that_no_rod_is_off_by_is_said(limp):
         'backbone_stiffness', {'relative_change': replace(value, value=0.3)}, 1.0
     )
     assert implausible(SimpleNamespace(effects=[usual])) == []
+
+
+@pytest.mark.parametrize('hidden', [{}, {'tip_load': {'force_x': 2e-3}}])
+@pytest.mark.parametrize(('end', 'how'), [('tip', 'stay'), ('base', 'as far from the tip')])
+def test_markers_cut_at_an_end_of_an_arm_with_cells_too_few_are_said(end, how, hidden):
+    """Markers in one place cannot be apart: the arm goes on, whatever effect is missing."""
+    robot = simulated.robot('spatial_3')
+    right = measured(robot, hidden, count=6)
+    section = robot.sections[0]
+    shorter = replace(section, cells=18, bending_stiffness=section.bending_stiffness[:18],
+                      mass_profile=section.mass_profile[:18])  # fmt: skip
+    described = replace(robot, sections=(shorter,))
+    shift = 0.0 if end == 'tip' else described.length - robot.length
+    places = np.clip(right.arc_lengths + shift, 0.0, described.length).tolist()
+    markers = tuple(replace(m, arc_length=s) for m, s in zip(right.markers, places, strict=True))
+    found = diagnose(replace(right, robot=described, markers=markers), workers=1)
+    assert found.verdict == 'cannot_judge'
+    sentence = found.details['mistake']['sentence']
+    assert 'are described in one place and are ' in sentence
+    assert f'; with 20 cells instead of 18 in the arm (markers {how})' in sentence
+
+
+def test_markers_that_sit_in_one_place_are_no_mistake():
+    dataset = measured(simulated.robot('spatial_3'), count=6)
+    twice = replace(dataset, markers=(*dataset.markers, replace(dataset.markers[-1], name='two')),
+                    positions=dataset.positions[:, :, [*range(20), 19]])  # fmt: skip
+    assert in_one_place(twice, twice.robot, FLOOR) == ([], 0.0)

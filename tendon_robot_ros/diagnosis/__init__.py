@@ -33,6 +33,7 @@ local_tests.py        where the best model is still wrong: cell, posture, tendon
 Before physics, and without it
 outliers.py           readings and trials that the others contradict
 setup_mistakes.py     mistakes of the set-up: which of them explains a gross error
+marker_places.py      where markers may sit, and which cannot sit where they are said to
 setup_hypotheses.py   what these mistakes are: swapped columns, turned axes, wrong units
 patterns.py           patterns without physics: does the catalogue lack the cause
 next_measurement.py   the posture that would separate what the present ones cannot

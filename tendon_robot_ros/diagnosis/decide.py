@@ -55,6 +55,7 @@ PARTLY_TRIED_MAX = 3  # such mistakes without which the measurements are judged 
 STIFFNESS_FACTOR_MAX = 2.0  # by which a stiffness or an offset may be off and be a tolerance
 MISTAKE_HANDICAP = 6.0  # of score against effects: some twenty ways of miscounting are tried
 AS_GOOD_WITHIN = 1.3  # times the least error left: then the plainest mistake is said
+CUT_AS_GOOD_WITHIN = 1.05  # the same of a number of cells where markers were cut at the tip
 ODD_FROM_SPREADS = 4.0  # times the error of all other markers, that two exchanged ones have
 STILL_SHARE_MAX = 0.05  # of the way that a marker should go, below which it is frozen
 STILL_FROM_FLOORS = 10.0  # noise floors that it should go by at least to be called so

@@ -88,7 +88,7 @@ def diagnose(
     if mistake is None:
         return _looked_through(session, _judge(session))
     plain = mistake.after <= PLAIN_WITHIN_FLOORS * usual
-    if plain and not mistake.doubtful:
+    if mistake.certain or (plain and not mistake.doubtful):
         return _mistaken(session, mistake)
     diagnosis = _judge(session)  # an effect that explains all is the better story
     if not diagnosis.verdict.may_add:

@@ -22,6 +22,7 @@ from .decide import (
     FRAME_OFF_SHARE_MIN,
     FRAME_TURNED_MIN_DEG,
 )
+from .marker_places import along
 
 Floats = npt.NDArray[np.float64]
 INPUTS_PERMUTED_MAX = (
@@ -52,6 +53,7 @@ class Mistake:
     mended: DataSet | None = field(default=None, repr=False)  # without it, where that can be made
     doubtful: bool = False  # whether an effect may do much the same
     rest: str = ''  # what becomes of the error that it leaves
+    certain: bool = False  # whether measurements alone show it, whatever the model lacks
 
     def text(self, before: float) -> str:
         """Say it with the error before and after."""
@@ -313,7 +315,7 @@ def _gravity(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
             )
 
 
-def _cells(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+def miscounted(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try another number of cells in a section, of the same length each."""
     robot, dataset = predictor.robot, predictor.dataset
     reach = range(-CELLS_MISCOUNTED_MAX, CELLS_MISCOUNTED_MAX + 1)
@@ -333,9 +335,9 @@ def _cells(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         )
         sections = (*robot.sections[:s], other, *robot.sections[s + 1 :])
         longer = replace(robot, sections=sections, fitted={})
-        for where, along in _along(dataset, robot, longer):
+        for where, places in along(dataset, robot, longer):
             spots = tuple(
-                replace(m, arc_length=s) for m, s in zip(dataset.markers, along, strict=True)
+                replace(m, arc_length=s) for m, s in zip(dataset.markers, places, strict=True)
             )
             mended = replace(dataset, robot=longer, markers=spots)
             moved = Predictor(mended, longer, predictor.model.catalogue).markers({})
@@ -350,16 +352,6 @@ def _cells(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
                 )
 
 
-def _along(dataset: DataSet, robot: Robot, longer: Robot) -> Iterator[tuple[str, list[float]]]:
-    """Yield where markers (J,) [m] may be on an arm of another length: as counted from where."""
-    places = dataset.arc_lengths
-    yield 'stay', np.minimum(places, longer.length).tolist()
-    yield 'go along', np.minimum(places * (longer.length / robot.length), longer.length).tolist()
-    from_tip = places + (longer.length - robot.length)
-    if from_tip.min() > -1e-9 * robot.length:
-        yield 'as far from the tip', np.clip(from_tip, 0.0, longer.length).tolist()
-
-
 def _spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try markers that sit elsewhere along the arm: nearer to the base, or the tip."""
     dataset, length = predictor.dataset, predictor.robot.length
@@ -370,22 +362,23 @@ def _spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         *((f'at {100 * s:.0f} % of their arc lengths', s, 0.0) for s in (0.8, 0.9, 1.1, 1.25)),
     ]  # fmt: skip
     for how, share, shift in moves:
-        along = [share * m.arc_length + shift for m in dataset.markers]
-        if min(along) < -1e-9 * length or max(along) > (1.0 + 1e-9) * length:
+        spots = [share * m.arc_length + shift for m in dataset.markers]
+        if min(spots) < -1e-9 * length or max(spots) > (1.0 + 1e-9) * length:
             continue
-        spots = tuple(
+        moved_to = tuple(
             replace(m, arc_length=s)
-            for m, s in zip(dataset.markers, np.clip(along, 0.0, length).tolist(), strict=True)
+            for m, s in zip(dataset.markers, np.clip(spots, 0.0, length).tolist(), strict=True)
         )
-        mended = replace(dataset, robot=predictor.robot, markers=spots)
+        mended = replace(dataset, robot=predictor.robot, markers=moved_to)
         moved = Predictor(mended, predictor.robot, predictor.model.catalogue).markers({})
         if moved is not None:
             yield Mistake(
                 'markers_elsewhere',
                 f'with all markers {how}',
-                'check arc_length of the markers in dataset.yaml: from the base, along the arm',
+                'check arc_length of the markers in dataset.yaml, from the base along the arm, '
+                'and the number of cells',
                 off(predictor, dataset.mean, moved),
-                _mended(predictor, moved, markers=spots),
+                _mended(predictor, moved, markers=moved_to),
                 True,
             )
 
@@ -402,7 +395,7 @@ DISCRETE = (
     _stiffness,
     _gravity,
     _spots,
-    _cells,
+    miscounted,
     _axes,
 )
 HYPOTHESES = (*DISCRETE, _registered)

@@ -8,14 +8,17 @@ the error before and after, and what mends it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
+from ..common.words import listed, mm
 from ..comparison.noise import rms
 from ..comparison.predict import Predictor
 from .decide import (
     AS_GOOD_WITHIN,
+    CUT_AS_GOOD_WITHIN,
     ERROR_SHARE_LEFT_LIMIT,
     ERROR_SHARE_LEFT_MAX,
     EXPLAINED_WITHIN_FLOORS,
@@ -27,7 +30,8 @@ from .decide import (
     STILL_FROM_FLOORS,
     STILL_SHARE_MAX,
 )
-from .setup_hypotheses import DISCRETE, HYPOTHESES, OF_INPUTS, Mistake, off
+from .marker_places import in_one_place, uncut
+from .setup_hypotheses import DISCRETE, HYPOTHESES, OF_INPUTS, Mistake, miscounted, off
 
 Floats = npt.NDArray[np.float64]
 
@@ -49,7 +53,11 @@ def find_mistake(predictor: Predictor, floor: float, usual: float = 0.0) -> Mist
     markers = predictor.markers({})
     if markers is None:
         return _shapeless(predictor, floor)
-    few = _frozen(predictor, markers, floor) or _exchanged(predictor, markers)
+    few = (
+        _cut(predictor, markers, floor)
+        or _frozen(predictor, markers, floor)
+        or _exchanged(predictor, markers)
+    )
     if few is not None:
         return few
     before = off(predictor, predictor.dataset.mean, markers)
@@ -98,6 +106,33 @@ def _plainest(likely: Sequence[Mistake], floor: float) -> Mistake | None:
     least = min(one.after for one in likely) + floor
     plain = next(one for one in likely if one.after <= AS_GOOD_WITHIN * least)
     return min((one for one in likely if one.name == plain.name), key=lambda one: one.after)
+
+
+def _cut(predictor: Predictor, markers: Floats, floor: float) -> Mistake | None:
+    """Find markers that are described in one place and are not: cut at the end of the arm."""
+    dataset, robot = predictor.dataset, predictor.robot
+    group, apart = in_one_place(dataset, robot, floor)
+    if not group:
+        return None
+    before, places = off(predictor, dataset.mean, markers), uncut(dataset, robot)
+    length = max(places.max(), robot.length) - min(places.min(), 0.0)
+    names = listed([dataset.markers[j].name for j in group])
+    one_place = f'markers {names} are described in one place and are {mm(apart)} apart'
+    better = [
+        one
+        for one in miscounted(predictor, markers)
+        if one.after < before
+        and one.mended is not None
+        and one.mended.robot.length > length - 0.5 * robot.sections[-1].cell_length
+    ]
+    least = min((one.after for one in better), default=np.inf)
+    for one in better:  # the fewest cells: beyond the last marker more of them do as well
+        if one.after <= CUT_AS_GOOD_WITHIN * least:
+            return replace(one, sentence=f'{one_place}; {one.sentence}', certain=True)
+    keep = np.delete(np.arange(len(dataset.markers)), group[1:])
+    mend = 'count the cells of the arm, or give these markers the places or offsets that they have'
+    after = off(predictor, dataset.mean[:, keep], markers[:, keep])
+    return Mistake('cells', f'{one_place}; without all but one', mend, after, certain=True)
 
 
 def _frozen(predictor: Predictor, markers: Floats, floor: float) -> Mistake | None:
