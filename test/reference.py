@@ -165,12 +165,11 @@ class Reference:
     def energy(self, state, tension):
         """Potential energy of the loads [J]."""
         gravity = np.array(self.robot.gravity or (0.0, 0.0, 0.0))
-        density = self.get('gravity', 'linear_density')
         compliance = self.get('axial_compression', 'compliance')
         force = np.array([self.get('tip_load', f'force_{c}') for c in 'xyz'])
         energy, frame, point = 0.0, np.eye(3), np.zeros(3)
         for i, section in enumerate(self.sections):
-            mass = density * self.profile[i] * section.cell_length
+            mass = self.mass(i)
             length = section.cell_length * (1.0 - compliance * tension[i].sum())
             cell, middle = self.cells(state)[i], np.array([0.0, 0.0, 0.5 * length])
             if section.bends_as == 'arc':
@@ -178,10 +177,36 @@ class Reference:
             if section.mass_offset:
                 beside = section.mass_offset[self.place(i)]
                 middle = middle + self.bending(0.5 * cell[:2]) @ [*beside, 0.0]
-            energy -= mass * gravity @ (point + frame @ self.half_twist(cell[2]) @ middle)
-            point = point + frame @ self.end(i, cell, length)
+            over, spring = self.bow(i, cell, frame)
+            at = point + frame @ self.half_twist(cell[2]) @ middle
+            energy += spring - mass * gravity @ (at + 0.5 * over)
+            point = point + frame @ self.end(i, cell, length) + over
             frame = frame @ self.rotation(cell)
         return energy - force @ point
+
+    def mass(self, i):
+        """Mass of cell i [kg]."""
+        density = self.get('gravity', 'linear_density')
+        return density * self.profile[i] * self.sections[i].cell_length
+
+    def bow(self, i, cell, frame):
+        """
+        How far a loaded rod ends beyond its arc [m], and the energy of that in the rod [J].
+
+        The next mode of its curvature after the mean one: q (1 - 2 s / L) along the cell, which
+        takes the end by q L² / 6 and costs EI q² L / 6.
+        """
+        length, none = self.sections[i].cell_length, (np.zeros(3), 0.0)
+        if self.sections[i].bends_as == 'hinge':
+            return none
+        beyond = sum(self.mass(j) for j in range(i + 1, self.n)) + 0.5 * self.mass(i)
+        force = np.array([self.get('tip_load', f'force_{c}') for c in 'xyz'])
+        force = force + beyond * np.array(self.robot.gravity or (0.0, 0.0, 0.0))
+        frame = frame @ self.half_twist(cell[2]) @ self.bending(0.5 * cell[:2])
+        rigidity = self.bending_stiffness(i) * length
+        across = force - (force @ frame[:, 2]) * frame[:, 2]
+        q = 0.5 * length * across / rigidity
+        return q * length**2 / 6.0, rigidity * q @ q * length / 6.0
 
     def place(self, i):
         """Which cell of its section cell i is."""
@@ -247,7 +272,8 @@ class Reference:
         for i, section in enumerate(self.sections):
             length = section.cell_length * (1.0 - compliance * tension[i].sum())
             cell = self.cells(state)[i]
-            points.append(points[-1] + frame @ self.end(i, cell, length))
+            over, _ = self.bow(i, cell, frame)
+            points.append(points[-1] + frame @ self.end(i, cell, length) + over)
             frame = frame @ self.rotation(cell)
         return np.array(points[1:])
 

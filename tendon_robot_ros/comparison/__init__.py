@@ -10,6 +10,5 @@ tangent.py      how settled postures follow what moves a little
 repeatability.py  what the trials of a posture tell of the noise
 noise.py        noise of the marker means, input noise through the model, the noise floor; how
                 large is what no model of a family explains
-cell_errors.py  how far loaded cells are from the rod that they stand for
 statistics.py   means with intervals, the paired t-test, tails of distributions
 """

@@ -116,7 +116,6 @@ class Predictor:
         )
         self.inputs = mean_inputs(dataset)
         self.visits = None if dataset.visits is None else dataset.visits.seen(dataset.trial_mask)
-        self.bowed: Floats | float = 0.0  # (P, J, 3) [m] beyond cells that are arcs, `cell_errors`
         self.settled: SettledShapes | None = None  # of the last prediction
         self._first: SettledShapes | None = None
 
@@ -167,7 +166,7 @@ class Predictor:
         self.settled = settled
         if self._first is None:  # later ones would make results depend on the order
             self._first = settled
-        return np.asarray(placed + self.bowed)
+        return placed
 
     def tangent(
         self, point: Point, frees: Sequence[FreeParameter], settled: SettledShapes

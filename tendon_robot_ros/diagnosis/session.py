@@ -9,7 +9,6 @@ from contextlib import suppress
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.cell_errors import cell_errors
 from ..comparison.noise import Noise, Whitener, input_slopes
 from ..comparison.predict import FreeParameter, Point, Predictor
 from ..comparison.repeatability import estimate_noise
@@ -112,9 +111,6 @@ class Session:
         Imperfections are linear around those that are given (`at`), and inputs act on an arm that
         has these: friction turns over where a cell is kinked the other way.
         """
-        bowed = cell_errors(self.predictor, point)
-        for predictor in (*self.predictors, *self.splits):
-            predictor.bowed = bowed
         slopes = self._input_slopes(point, at)
         self.noise = estimate_noise(self.dataset, slopes)
         if self.noise is None:

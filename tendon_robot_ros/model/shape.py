@@ -117,7 +117,7 @@ def _inside(
     points = np.zeros((len(shapes), shapes.positions.shape[1] + 1, 3))
     frames = np.empty((*points.shape, 3))
     points[:, 1:], frames[:, 0], frames[:, 1:] = shapes.positions, np.eye(3), shapes.frames
-    step = np.sqrt(np.square(np.diff(points, axis=1)).sum(axis=2))[:, cells]
+    chord = np.diff(points, axis=1)[:, cells]
     points, frames, bend = points[:, cells], frames[:, cells], shapes.bend[:, cells]
     angle = np.sqrt(np.square(bend).sum(axis=2))
     toward = np.where(
@@ -125,13 +125,19 @@ def _inside(
     )
     hinge = shapes.hinge[cells]
     turn = angle * np.where(hinge, share > 0.5, share)
+    twist = shapes.twist[:, cells]
+    toward = turned_in_plane(toward, 0.5 * twist)  # half of it lies before the bend
+    chord = (frames.swapaxes(2, 3) @ chord[..., None])[..., 0]
+    sine, cosine = np.sin(0.5 * angle)[..., None], np.cos(0.5 * angle)[..., None]
+    middle = np.concatenate([toward * sine, cosine], axis=2)  # the tangent there
+    step = (chord * middle).sum(axis=2)
     # the cell's own length now (it may be compressed): chord / chord of a unit cell
     unit = np.where(hinge, np.cos(0.5 * angle), np.sinc(0.5 * angle / np.pi))
     length = step / np.maximum(unit, 1e-12)
     across, along = _point(turn, angle, share, hinge, length)
-    twist = shapes.twist[:, cells]
-    toward = turned_in_plane(toward, 0.5 * twist)  # half of it lies before the bend
     local = np.concatenate([toward * across[..., None], along[..., None]], axis=2)
+    # what a loaded cell bows (kernel/bow.py): curvature that is linear along it
+    local += (share**2 * (3.0 - 2.0 * share))[..., None] * (chord - step[..., None] * middle)
     points += (frames @ local[..., None])[..., 0]
     if turned:
         frames = frames @ bent(toward, turn)

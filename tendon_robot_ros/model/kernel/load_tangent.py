@@ -4,6 +4,7 @@ Derivatives of what the loads say about a cell: of their moment, and of what it 
 Taken by central differences of the cell's own functions, in `loads`; see `tangent`.
 """
 
+from .bow import along_middle, bow_compliance
 from .layout import (
     BY_TORQUE,
     BY_TURN,
@@ -26,7 +27,7 @@ TENSION_STEP = 1e-4  # [1], and of 10 mN
 
 
 @inlined
-def bend_cell_of(chain, work, i, x, y, force, torque, own, general):
+def bend_cell_of(chain, work, i, x, y, force, torque, own, bow, general):
     """
     Moment (x, y, about) [N·m] on a cell bent by (x, y), where its end and its weight lie [m].
 
@@ -37,15 +38,19 @@ def bend_cell_of(chain, work, i, x, y, force, torque, own, general):
     force, torque, own : tuple of float
         Of all beyond at the cell's end, and its weight, in the frame that bends: (3,) [N], [N·m],
         [N].
+    bow : float
+        `bow.bow_compliance` [m/N]; without it all is linear in the loads.
     general : bool
         Whether cells twist or weight lies beside the axis; a constant.
 
     """
     s, c = half_turn(x * x + y * y)
     reach = floats(work.lengths)[i]
-    mx, my, middle = cell_moment(chain, i, x, y, s, c, force, torque, own, reach, general)
+    mx, my, middle, over = cell_moment(
+        chain, i, x, y, s, c, force, torque, own, reach, bow, general
+    )
     across, along = end_of(x * x + y * y, s, c, reach, cell(chain, i, HINGE))
-    end, about = (across * x, across * y, along), 0.0
+    end, about = plus((across * x, across * y, along), over), 0.0
     if general:
         start = plus(torque, plus(cross(end, force), cross(middle, own)))
         about = axial_moment(x, y, 2.0 * s * c, 2.0 * s * s, torque, start)
@@ -53,23 +58,23 @@ def bend_cell_of(chain, work, i, x, y, force, torque, own, general):
 
 
 @compiled
-def bent_cell(chain, work, i, x, y, force, torque, own):
+def bent_cell(chain, work, i, x, y, force, torque, own, bow):
     """Return `bend_cell_of` where loads do no more than bend."""
-    return bend_cell_of(chain, work, i, x, y, force, torque, own, False)
+    return bend_cell_of(chain, work, i, x, y, force, torque, own, bow, False)
 
 
 @compiled
-def general_cell(chain, work, i, x, y, force, torque, own):
+def general_cell(chain, work, i, x, y, force, torque, own, bow):
     """Return `bend_cell_of` where cells twist or weight lies beside the axis."""
-    return bend_cell_of(chain, work, i, x, y, force, torque, own, True)
+    return bend_cell_of(chain, work, i, x, y, force, torque, own, bow, True)
 
 
 @inlined
-def loaded_cell(chain, work, i, x, y, force, torque, own, general):
+def loaded_cell(chain, work, i, x, y, force, torque, own, bow, general):
     """Return `bend_cell_of`, by code compiled once for each kind of loads."""
     if general:
-        return general_cell(chain, work, i, x, y, force, torque, own)
-    return bent_cell(chain, work, i, x, y, force, torque, own)
+        return general_cell(chain, work, i, x, y, force, torque, own, bow)
+    return bent_cell(chain, work, i, x, y, force, torque, own, bow)
 
 
 @compiled
@@ -90,12 +95,12 @@ def load_slopes(chain, bend, work, i, row, general):
     f, wrench = bending_frame(chain, bend, work, i, general), floats(work.wrench + 48 * i)
     force, torque = (wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])
     own = scaled(floats(work.slip)[1], weight(chain, i))
-    loads = (local(f, force), local(f, torque), local(f, own))
+    loads, bow = (local(f, force), local(f, torque), local(f, own)), bow_compliance(chain, i)
     by_x = by_y = by_twist = NO_LOAD
     for a in range(2):
         dx, dy = (h, 0.0) if a == 0 else (0.0, h)
-        m, up, mid = loaded_cell(chain, work, i, x + dx, y + dy, *loads, general)
-        n, low, lowmid = loaded_cell(chain, work, i, x - dx, y - dy, *loads, general)
+        m, up, mid = loaded_cell(chain, work, i, x + dx, y + dy, *loads, bow, general)
+        n, low, lowmid = loaded_cell(chain, work, i, x - dx, y - dy, *loads, bow, general)
         by_x, by_y = by_y, difference(h, m, n)
         by_own = plus(
             cross(turned(f, difference(h, up, low)), force),
@@ -104,6 +109,8 @@ def load_slopes(chain, bend, work, i, row, general):
         for r in range(3):
             row[TORQUE_BY_OWN + 3 * r + a] = by_own[r]
     turn_slopes(chain, f, work, i, x, y, force, torque, own, row, general)
+    if bow > 0.0:
+        bow_slopes(f, x, y, half_turn(x * x + y * y), bow, plus(force, scaled(0.5, own)), row)
     if general:
         by_twist = twist_slopes(f, row)
     return by_x, by_y, by_twist
@@ -128,13 +135,13 @@ def turn_slopes(chain, f, work, i, x, y, force, torque, own, row, general):
     sinc, versine = 2.0 * s * c, 2.0 * s * s
     leaning = versine - arc_factor(x * x + y * y, s, c)
     wrench = (local(f, force), local(f, torque), local(f, own))
-    _, end, middle = loaded_cell(chain, work, i, x, y, *wrench, general)
+    _, end, middle = loaded_cell(chain, work, i, x, y, *wrench, 0.0, general)
     end, middle = turned(f, end), turned(f, middle)
     for r in range(3):
         unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
         wrench = (cross(force, unit), cross(torque, unit), cross(own, unit))
         wrench = (local(f, wrench[0]), local(f, wrench[1]), local(f, wrench[2]))
-        m, _, _ = loaded_cell(chain, work, i, x, y, *wrench, general)
+        m, _, _ = loaded_cell(chain, work, i, x, y, *wrench, 0.0, general)
         unit_here = local(f, unit)
         tx, ty = turn_moment(x, y, unit_here, sinc, versine, leaning)
         row[BY_TURN + r], row[BY_TURN + 3 + r] = m[0], m[1]
@@ -147,6 +154,45 @@ def turn_slopes(chain, f, work, i, x, y, force, torque, own, row, general):
         by_turn = plus(cross(cross(unit, end), force), cross(cross(unit, middle), own))
         for a in range(3):
             row[TORQUE_BY_TURN + 3 * a + r] = by_turn[a]
+
+
+@compiled
+def bow_slopes(f, x, y, half, bow, force, row):
+    """
+    Add to what a turn of a cell's frame does that the cell bows, to its moment and its torque.
+
+    Parameters
+    ----------
+    f : tuple of float
+        Frame that bends (9,).
+    x, y : float
+        Bend [rad].
+    half : tuple of float
+        Its half angle, see `turning`.
+    bow : float
+        `bow.bow_compliance` [m/N].
+    force : tuple of float
+        Of all beyond the middle, base frame (3,) [N].
+    row : pointer
+        Derivatives of the cell.
+
+    """
+    s, c = half
+    middle, own = (s * x, s * y, c), local(f, force)
+    g, gx, gy = along_middle(x, y, s, c, own)
+    turning = cross(middle, own)
+    for r in range(3):
+        unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
+        change = local(f, cross(force, unit))
+        h, hx, hy = along_middle(x, y, s, c, change)
+        row[BY_TURN + r] -= bow * (h * gx + g * hx)
+        row[BY_TURN + 3 + r] -= bow * (h * gy + g * hy)
+        # the torque is -B g m x F: that in the frame that bends, turned with it and by itself
+        own_change = plus(scaled(h, turning), scaled(g, cross(middle, change)))
+        row[BY_TURN + 6 + r] -= 0.5 * bow * own_change[2]
+        torque = plus(turned(f, own_change), scaled(g, cross(unit, turned(f, turning))))
+        for a in range(3):
+            row[TORQUE_BY_TURN + 3 * a + r] -= bow * torque[a]
 
 
 @compiled
@@ -180,9 +226,9 @@ def compression_slopes(chain, bend, work, i, total):
     force = (wrench[0], wrench[1], wrench[2])
     own = scaled(floats(work.slip)[1], weight(chain, i))
     loads, lengths = (local(f, force), NO_LOAD, local(f, own)), floats(work.lengths)
-    m, end, middle = general_cell(chain, work, i, x, y, *loads)
+    m, end, middle = general_cell(chain, work, i, x, y, *loads, 0.0)
     reach, lengths[i] = lengths[i], 0.0  # a weight beside the axis stays where it is
-    rest, _, beside = general_cell(chain, work, i, x, y, *loads)
+    rest, _, beside = general_cell(chain, work, i, x, y, *loads, 0.0)
     lengths[i] = reach
     m, middle = plus(m, scaled(-1.0, rest)), plus(middle, scaled(-1.0, beside))
     pull = plus(cross(turned(f, end), force), cross(turned(f, middle), own))

@@ -1,10 +1,21 @@
 """Moments of the loads on every bend, by virtual work, from the tip to the base."""
 
+from .bow import bow_compliance, bowed, bows
 from .layout import HINGE, MASS, MASS_X, MASS_Y, cell, compiled, floats, inlined, section_of
 from .stages import load, load_acts, tip_load, tip_load_acts
-from .turning import arc_factor, axial_moment, bending_frame, halved, is_general
+from .turning import (
+    arc_factor,
+    axial_moment,
+    bending_frame,
+    chain_frames,
+    halved,
+    is_general,
+    turned_axes,
+    twist_in,
+)
 
 NO_LOAD = (0.0, 0.0, 0.0)
+BASE_FRAME = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
 @compiled
@@ -102,12 +113,12 @@ def beside_moment(x, y, s, c, own, beside):
 
 
 @inlined
-def cell_moment(chain, i, x, y, s, c, force, torque, own, reach, general):
+def cell_moment(chain, i, x, y, s, c, force, torque, own, reach, bow, general):
     """
     Moment (x, y) on one bend of a force and a torque at the cell's end and of its own weight.
 
     All in the frame that bends; half an arc's bend moves its middle, a hinge's does not. Also
-    returns where the weight lies (x, y, z) [m].
+    returns where the weight lies (x, y, z) [m], and how far the cell's end bows (x, y, z) [m].
 
     Parameters
     ----------
@@ -121,6 +132,8 @@ def cell_moment(chain, i, x, y, s, c, force, torque, own, reach, general):
         The cell's weight (3,) [N].
     reach : float
         Length of the cell [m].
+    bow : float
+        `bow.bow_compliance` [m/N]; without it all is linear in the loads.
     general : bool
         Whether the weight may lie beside the axis; a constant, each kind has code of its own.
 
@@ -128,12 +141,15 @@ def cell_moment(chain, i, x, y, s, c, force, torque, own, reach, general):
     mx, my, lean, rise = middle_moment(
         x, y, s, c, force, torque, own, reach, cell(chain, i, HINGE)
     )
-    middle = (lean * x, lean * y, rise)
+    middle, over = (lean * x, lean * y, rise), NO_LOAD
+    if bow > 0.0:
+        ox, oy, over = bowed(bow, x, y, s, c, plus(force, scaled(0.5, own)))
+        mx, my, middle = mx + ox, my + oy, plus(middle, scaled(0.5, over))
     if not general:
-        return mx, my, middle
+        return mx, my, middle, over
     beside = (cell(chain, i, MASS_X), cell(chain, i, MASS_Y))
     ox, oy, arm = beside_moment(x, y, s, c, own, beside)
-    return mx + ox, my + oy, plus(middle, arm)
+    return mx + ox, my + oy, plus(middle, arm), over
 
 
 @compiled
@@ -160,6 +176,44 @@ def middle_moment(x, y, s, c, force, torque, own, cell_length, hinge):
     )
     ox, oy = shift_moment(0.5 * x, 0.5 * y, own, lean, -0.5 * half * s2 * quarter, -half * part)
     return tx + fx + 0.5 * ox, ty + fy + 0.5 * oy, 0.5 * lean, cell_length * s
+
+
+@compiled
+def place_cells(chain, bend, work):
+    """Fill frames and origins (`turning.chain_frames`), those of loaded cells as they bow."""
+    chain_frames(chain, bend, work)
+    if loaded(chain) and bows(chain):
+        if is_general(chain):
+            bow_cells(chain, bend, work, True)
+        else:
+            bow_cells(chain, bend, work, False)
+
+
+@inlined
+def bow_cells(chain, bend, work, general):
+    """Move work.origins by how far cells bow; entry 0 of the frames need not be the base's."""
+    bends, half, origins = floats(bend), floats(work.half), floats(work.origins)
+    scale, beyond, shift = floats(work.slip)[1], force_at_tip(chain), NO_LOAD
+    for i in range(chain.n):
+        beyond = plus(beyond, weight(chain, i))
+    for i in range(chain.n):
+        own, f = weight(chain, i), BASE_FRAME
+        across = scaled(scale, plus(beyond, scaled(-0.5, own)))
+        if i > 0:
+            f = bending_frame(chain, bend, work, i, general)
+        elif general:
+            f = turned_axes(BASE_FRAME, 0.5 * twist_in(chain, bend, i))
+        _, _, over = bowed(
+            bow_compliance(chain, i),
+            bends[2 * i],
+            bends[2 * i + 1],
+            half[2 * i],
+            half[2 * i + 1],
+            local(f, across),
+        )
+        shift, beyond = plus(shift, turned(f, over)), plus(beyond, scaled(-1.0, own))
+        for r in range(3):
+            origins[3 * i + 3 + r] += shift[r]
 
 
 @compiled
@@ -191,8 +245,19 @@ def fill_moments(chain, bend, work, general):
         wrench[0], wrench[1], wrench[2] = force
         wrench[3], wrench[4], wrench[5] = torque
         own, torque_here = scaled(scale, weight(chain, i)), local(f, torque)
-        mx, my, middle = cell_moment(
-            chain, i, x, y, s, c, local(f, force), torque_here, local(f, own), lengths[i], general
+        mx, my, middle, _ = cell_moment(
+            chain,
+            i,
+            x,
+            y,
+            s,
+            c,
+            local(f, force),
+            torque_here,
+            local(f, own),
+            lengths[i],
+            bow_compliance(chain, i),
+            general,
         )
         moments[2 * i], moments[2 * i + 1] = mx, my
         at = 3 * i

@@ -28,6 +28,7 @@ from .layout import (
     work_size,
 )
 from .linear import assign
+from .loads import place_cells
 from .stages import (
     friction_travel_acts,
     measurement,
@@ -39,7 +40,7 @@ from .stages import (
     winding_acts,
 )
 from .sweep import is_implicit, slip_direction
-from .turning import chain_frames, unknowns
+from .turning import unknowns
 
 GUESS_STEP_MAX = 0.3  # [rad] step of a bend over which a derivative is no guess
 
@@ -157,7 +158,7 @@ def posture(chain, inputs, work, past, now, bend, before):
 def place(chain, bend, work):
     """Fill work.lengths, work.frames and work.origins for the equilibrium's tensions."""
     scale_lengths(chain, work)
-    chain_frames(chain, bend, work)
+    place_cells(chain, bend, work)
 
 
 @compiled
