@@ -31,7 +31,14 @@ def bow_compliance(chain, i):
 
 
 @compiled
-def along_middle(x, y, s, c, f):
+def half_arc(x, y, s, c):
+    """`turning.arc_factor` of half the bend (x, y)."""
+    s2, c2 = halved(s, c)
+    return arc_factor(0.25 * (x * x + y * y), s2, c2)
+
+
+@compiled
+def along_middle(x, y, s, c, part, f):
     """
     Part of a force along the tangent in the middle of an arc [N], its slopes by the bend [N/rad].
 
@@ -41,18 +48,19 @@ def along_middle(x, y, s, c, f):
         Bend [rad].
     s, c : float
         sin(a / 2) / a [1/rad] and cos(a / 2) of its size a, see `turning`: m = (s x, s y, c).
+    part : float
+        `half_arc` [1].
     f : tuple of float
         Force (3,) [N], in the frame that bends; all that is returned is linear in it.
 
     """
     toward = f[0] * x + f[1] * y
-    s2, c2 = halved(s, c)
-    drop = 0.125 * arc_factor(0.25 * (x * x + y * y), s2, c2) * toward + 0.5 * s * f[2]
+    drop = 0.125 * part * toward + 0.5 * s * f[2]
     return s * toward + c * f[2], s * f[0] - drop * x, s * f[1] - drop * y
 
 
 @compiled
-def bowed(bow, x, y, s, c, f):
+def bowed(bow, x, y, s, c, part, f):
     """
     Moment (x, y) [N·m] on the bend of a cell that bows, and where that moves its end (3,) [m].
 
@@ -62,12 +70,12 @@ def bowed(bow, x, y, s, c, f):
         `bow_compliance` [m/N].
     x, y : float
         Bend [rad].
-    s, c : float
+    s, c, part : float
         As in `along_middle`.
     f : tuple of float
         Force of all beyond the middle (3,) [N], in the frame that bends.
 
     """
-    g, by_x, by_y = along_middle(x, y, s, c, f)
+    g, by_x, by_y = along_middle(x, y, s, c, part, f)
     over = (bow * (f[0] - g * s * x), bow * (f[1] - g * s * y), bow * (f[2] - g * c))
     return -bow * g * by_x, -bow * g * by_y, over

@@ -4,7 +4,7 @@ Derivatives of what the loads say about a cell: of their moment, and of what it 
 Taken by central differences of the cell's own functions, in `loads`; see `tangent`.
 """
 
-from .bow import along_middle, bow_compliance
+from .bow import along_middle, bow_compliance, half_arc
 from .layout import (
     BY_TORQUE,
     BY_TURN,
@@ -179,12 +179,13 @@ def bow_slopes(f, x, y, half, bow, force, row):
     """
     s, c = half
     middle, own = (s * x, s * y, c), local(f, force)
-    g, gx, gy = along_middle(x, y, s, c, own)
+    part = half_arc(x, y, s, c)
+    g, gx, gy = along_middle(x, y, s, c, part, own)
     turning = cross(middle, own)
     for r in range(3):
         unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
         change = local(f, cross(force, unit))
-        h, hx, hy = along_middle(x, y, s, c, change)
+        h, hx, hy = along_middle(x, y, s, c, part, change)
         row[BY_TURN + r] -= bow * (h * gx + g * hx)
         row[BY_TURN + 3 + r] -= bow * (h * gy + g * hy)
         # the torque is -B g m x F: that in the frame that bends, turned with it and by itself

@@ -1,6 +1,6 @@
 """Moments of the loads on every bend, by virtual work, from the tip to the base."""
 
-from .bow import bow_compliance, bowed, bows
+from .bow import bow_compliance, bowed, bows, half_arc
 from .layout import HINGE, MASS, MASS_X, MASS_Y, cell, compiled, floats, inlined, section_of
 from .stages import load, load_acts, tip_load, tip_load_acts
 from .turning import (
@@ -138,13 +138,9 @@ def cell_moment(chain, i, x, y, s, c, force, torque, own, reach, bow, general):
         Whether the weight may lie beside the axis; a constant, each kind has code of its own.
 
     """
-    mx, my, lean, rise = middle_moment(
-        x, y, s, c, force, torque, own, reach, cell(chain, i, HINGE)
+    mx, my, middle, over = middle_moment(
+        x, y, s, c, force, torque, own, reach, cell(chain, i, HINGE), bow
     )
-    middle, over = (lean * x, lean * y, rise), NO_LOAD
-    if bow > 0.0:
-        ox, oy, over = bowed(bow, x, y, s, c, plus(force, scaled(0.5, own)))
-        mx, my, middle = mx + ox, my + oy, plus(middle, scaled(0.5, over))
     if not general:
         return mx, my, middle, over
     beside = (cell(chain, i, MASS_X), cell(chain, i, MASS_Y))
@@ -153,12 +149,8 @@ def cell_moment(chain, i, x, y, s, c, force, torque, own, reach, bow, general):
 
 
 @compiled
-def middle_moment(x, y, s, c, force, torque, own, cell_length, hinge):
-    """
-    Moment (x, y) as in `cell_moment` of a weight on the axis, and where the cell's middle lies.
-
-    (towards the bend over the bend [m/rad], along z [m]).
-    """
+def middle_moment(x, y, s, c, force, torque, own, cell_length, hinge, bow):
+    """Return what `cell_moment` does for a weight on the axis."""
     q = x * x + y * y
     sinc, versine = 2.0 * s * c, 2.0 * s * s
     whole = arc_factor(q, s, c)
@@ -166,7 +158,7 @@ def middle_moment(x, y, s, c, force, torque, own, cell_length, hinge):
     if hinge > 0.5:
         half = 0.5 * cell_length
         fx, fy = shift_moment(x, y, force, half * sinc, -half * whole, -half * sinc)
-        return tx + fx, ty + fy, 0.0, half
+        return tx + fx, ty + fy, (0.0, 0.0, half), NO_LOAD
     s2, c2 = halved(s, c)
     s4, c4 = halved(s2, c2)
     part, quarter = arc_factor(0.25 * q, s2, c2), arc_factor(0.0625 * q, s4, c4)
@@ -175,7 +167,12 @@ def middle_moment(x, y, s, c, force, torque, own, cell_length, hinge):
         x, y, force, cell_length * versine, -half * s * part, -cell_length * whole
     )
     ox, oy = shift_moment(0.5 * x, 0.5 * y, own, lean, -0.5 * half * s2 * quarter, -half * part)
-    return tx + fx + 0.5 * ox, ty + fy + 0.5 * oy, 0.5 * lean, cell_length * s
+    mx, my = tx + fx + 0.5 * ox, ty + fy + 0.5 * oy
+    middle, over = (0.5 * lean * x, 0.5 * lean * y, cell_length * s), NO_LOAD
+    if bow > 0.0:
+        bx, by, over = bowed(bow, x, y, s, c, part, plus(force, scaled(0.5, own)))
+        mx, my, middle = mx + bx, my + by, plus(middle, scaled(0.5, over))
+    return mx, my, middle, over
 
 
 @compiled
@@ -203,14 +200,9 @@ def bow_cells(chain, bend, work, general):
             f = bending_frame(chain, bend, work, i, general)
         elif general:
             f = turned_axes(BASE_FRAME, 0.5 * twist_in(chain, bend, i))
-        _, _, over = bowed(
-            bow_compliance(chain, i),
-            bends[2 * i],
-            bends[2 * i + 1],
-            half[2 * i],
-            half[2 * i + 1],
-            local(f, across),
-        )
+        x, y, s, c = bends[2 * i], bends[2 * i + 1], half[2 * i], half[2 * i + 1]
+        part, bow = half_arc(x, y, s, c), bow_compliance(chain, i)
+        _, _, over = bowed(bow, x, y, s, c, part, local(f, across))
         shift, beyond = plus(shift, turned(f, over)), plus(beyond, scaled(-1.0, own))
         for r in range(3):
             origins[3 * i + 3 + r] += shift[r]
@@ -222,8 +214,8 @@ def load_moments(chain, bend, work):
     Fill work.load (n, 2) [N·m]: minus the gradient of the loads' potential energy by each bend.
 
     And work.torque (n,) that by each twist, where cells twist. work.half, work.frames and
-    work.origins are those of these bends. work.wrench (n, 6) becomes the force [N] and the torque
-    [N·m] at the end of each cell, of all beyond it.
+    work.origins are those of these bends, by `turning.chain_frames`. work.wrench (n, 6) becomes
+    the force [N] and the torque [N·m] at the end of each cell, of all beyond it.
     """
     if is_general(chain):
         fill_moments(chain, bend, work, True)
@@ -245,7 +237,7 @@ def fill_moments(chain, bend, work, general):
         wrench[0], wrench[1], wrench[2] = force
         wrench[3], wrench[4], wrench[5] = torque
         own, torque_here = scaled(scale, weight(chain, i)), local(f, torque)
-        mx, my, middle, _ = cell_moment(
+        mx, my, middle, over = cell_moment(
             chain,
             i,
             x,
@@ -266,6 +258,7 @@ def fill_moments(chain, bend, work, general):
             origins[at + 4] - origins[at + 1],
             origins[at + 5] - origins[at + 2],
         )
+        reach = plus(reach, turned(f, over))
         torque = plus(torque, plus(cross(reach, force), cross(turned(f, middle), own)))
         if general:
             floats(work.torque)[i] = axial_moment(

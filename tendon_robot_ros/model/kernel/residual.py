@@ -8,10 +8,10 @@ what it has just found, which settles faster, but ties every cell to all before 
 from .bending import bend_cell, twist_of
 from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import STEP, YES, compiled, entry, floats, words
-from .loads import load_moments, loaded, place_cells
+from .loads import load_moments, loaded
 from .stages import eyelet_acts, friction_travel_acts, offset_scale, torsion_acts
 from .sweep import active_stages, carry_tensions, tendons_about
-from .turning import follows_shape, half_turns
+from .turning import chain_frames, follows_shape, half_turns
 
 
 @compiled
@@ -56,7 +56,7 @@ def place_forces(chain, inputs, bend, work, past):
     carry_tensions(chain, inputs, bend, work, past, flags, moment_arms, scale)
     if loaded(chain):
         scale_lengths(chain, work)
-        place_cells(chain, bend, work)
+        chain_frames(chain, bend, work)
         load_moments(chain, bend, work)
 
 

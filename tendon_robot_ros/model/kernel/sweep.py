@@ -5,7 +5,7 @@ import math
 from .bending import bend_cell, bend_linear, is_linear, twist_of
 from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import STEP, YES, compiled, entry, floats, fused, inlined, section_of, words
-from .loads import load_moments, loaded, place_cells
+from .loads import load_moments, loaded
 from .stages import (
     actuation,
     eyelet,
@@ -21,7 +21,7 @@ from .stages import (
     wrap,
     wrap_acts,
 )
-from .turning import follows_shape, half_turn, half_turns
+from .turning import chain_frames, follows_shape, half_turn, half_turns
 
 
 @compiled
@@ -323,7 +323,7 @@ def prepare(chain, inputs, guess, work, past):
         if length_acts(chain):
             carry_tensions(chain, inputs, guess, work, past, flags, chain.offset, scale)
         scale_lengths(chain, work)
-        place_cells(chain, guess, work)
+        chain_frames(chain, guess, work)
         load_moments(chain, guess, work)
 
 
