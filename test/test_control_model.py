@@ -60,6 +60,22 @@ def test_another_model_moves_tensions_to_its_solution_at_the_rate_limit():
     assert tip == pytest.approx(reachable().position, abs=1e-4)
 
 
+def test_no_tendon_is_slacker_than_the_lowest_tension_raised_while_the_arm_stands():
+    rig = Rig()
+    rig.run(0.1)
+    target = Target(model().shape(np.array([0.5, 0.1, 0.1, 0.9])).tip_position)
+    rig.core.aim(target)
+    rig.run(1.0)
+    assert rig.tensions.min() < 0.2
+    rig.core.set_model(Model(replace(model().robot, tension_limits=(0.4, 5.0))))
+    rig.run(1.0)
+    tip = rig.core.model.shape(rig.tensions).tip_position
+    assert rig.tensions.min() >= 0.4 and tip == pytest.approx(target.position, abs=1e-4)
+    rig.core.aim(reachable())
+    least = [rig.run(CYCLE).tensions.min() for _ in range(100)]
+    assert min(least) >= 0.4
+
+
 def test_a_model_with_other_inputs_or_without_equilibrium_is_refused(monkeypatch):
     rig = Rig()
     rig.run(0.1)
