@@ -144,7 +144,7 @@ class Walk:
 
         """
         there = ahead.there(goal)
-        moves = self._slopes(ahead, there, goal)
+        moves, curve = self._slopes(ahead, there, goal)
         axes, sizes, _ = np.linalg.svd(moves, full_matrices=False)
         axes = axes[:, sizes > CONTROLLED * sizes[0]].T  # (a, 3) in which tendons lead the tip
         slopes = axes @ (moves + np.outer(self.leak.slope, self.ways) / len(goal))
@@ -157,10 +157,11 @@ class Walk:
         if longest < OVER or walk.heading is None:
             return replace(walk, over=longest < OVER), goal
         near = max(0.0, 1.0 - float(np.linalg.norm(axes @ (off - walk.held))) / OFF_M)
-        on = free * min(1.0, near * walk.leak.speed() * passed / longest)
+        share = min(1.0, near * walk.leak.speed() * passed / longest)
         ahead_by = walk.leak.slope * (walk.way(there.inputs) - walk.leak.way)
         miss = ahead.wanted - walk.held - there.tip_position - walk.leak.offset - ahead_by
-        wanted = axes @ (STEP_SHARE * miss)
+        wanted = axes @ (STEP_SHARE * miss - curve * share * longest)
+        on = share * free
         return walk, bounded_step(slopes, wanted, goal, ahead.limits, DAMPING, on, walk.ways)
 
     def _started(self, off: Array, heading: Array, known: Mismatch) -> Walk:
@@ -173,10 +174,11 @@ class Walk:
             return replace(self, heading=heading, held=off * min(1.0, known.rest / size))
         return replace(self, heading=heading)
 
-    def _slopes(self, ahead: Ahead, there: Shape, goal: Array) -> Array:
+    def _slopes(self, ahead: Ahead, there: Shape, goal: Array) -> tuple[Array, Array]:
         """
         Return the motion of the tip (3, m) [m] over the ranges, by a little more of each tension.
 
+        And by how much (3,) [m] over the ranges the tip moves otherwise on the walk itself.
         Seen a little further on the walk, where tendons slide: of tendons that stick they differ.
         """
         low, high = ahead.limits.T
@@ -188,7 +190,8 @@ class Walk:
 
         base = tip(np.zeros(len(goal)))
         moves = [tip(PROBE * one) - base for one in np.diag(self.ways)]
-        return self.ways * np.array(moves).T / (AHEAD * PROBE)
+        slopes = self.ways * np.array(moves).T / (AHEAD * PROBE)
+        return slopes, (base - there.tip_position) / AHEAD - slopes @ heading
 
 
 def begun(
