@@ -47,10 +47,14 @@ def typical(effect, robot):
 
 
 def hiding(effect, name):
-    """Return the owner's robot, and how to measure so that the effect can show."""
+    """
+    Return the owner's robot, and how to measure so that the effect can show.
+
+    The simulated arm is exact and its description says so: small effects are not lost in scatter.
+    """
     lacks = {'tendon_friction': ('tendon_friction', *simulated.SHAPING)}.get(effect, (effect,))
     gravity = (9.81, 0.0, 0.0) if effect == 'gravity' else (0.0, 0.0, 0.0)
-    robot = simulated.robot(name, lacks=lacks, gravity=gravity)
+    robot = simulated.robot(name, lacks=lacks, gravity=gravity, exact=True)
     path = 'sequence' if effect == 'friction_memory' else 'from_straight'
     kind = 'displacement' if CATALOGUE[effect].needs == 'pulls' else 'tension'
     return robot, {'path': path, 'input': kind, 'count': 20 if path == 'sequence' else 12}
