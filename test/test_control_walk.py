@@ -61,6 +61,25 @@ def test_a_walk_to_where_the_arm_is_is_over():
     assert begun(walk, here.copy(), here, known, here, LENGTH) is not walk
 
 
+def test_a_walk_goes_on_where_the_nearest_direction_that_holds_the_tip_would_turn_a_tension():
+    slopes = np.array([[-2.0, 1.0, -1.0, 1.5], [-0.1, 0.3, 0.2, -0.05]])
+    limits, here = np.array([[0.0, 5.0]] * 4), np.ones(4)
+    towards = here + 5.0 * np.array([0.2, 0.01, 0.01, 0.01])
+    wish = (towards - here) / 5.0
+    assert (wish - np.linalg.pinv(slopes) @ (slopes @ wish)).min() < 0.0
+    known = Mismatch.unknown(here, limits, np.full(4, 0.05))
+    free = begun(None, towards, here, known, here, LENGTH)._free(slopes, here, limits)
+    assert free.min() >= 0.0 and free.max() > 0.01
+    assert np.abs(slopes @ free).max() < 1e-3 * free.max()
+
+
+def test_a_leak_that_is_hardly_known_leads_no_tension():
+    vague = replace(leak(), slope=np.array([0.1, 0.0, 0.0]), spread=np.diag([1e-10, 0.1**2]))
+    assert vague.sure()[0] == pytest.approx(0.025)
+    known = replace(vague, spread=np.diag([1e-10, 1e-4**2]))
+    assert known.sure()[0] == pytest.approx(0.1, rel=1e-3)
+
+
 class Rig:
     """A controller whose arm rubs more than its model says; the tip is seen with noise."""
 

@@ -36,7 +36,8 @@ OFF_M = 2e-4  # [m] from its place: there the walk waits
 STEP_SHARE = 0.2  # [1] of what the tip is off, in one step of the goal
 AHEAD, PROBE = 2e-3, 0.25  # [1] of the ranges, to where slopes are looked at; [1] more of one
 CONTROLLED = 0.01  # [1] of the largest slope: the tip is led in directions with at least that
-NULL_BELOW = 1e-3  # [1] of the largest slope: combinations of tensions that move no tip
+FREE = 0.02  # [1] of the ranges: the step by which tensions that hold the tip are found
+FREE_DAMPING = 2e-3  # [1] of the largest slope, for that; see `bounded_step`
 DAMPING = 0.02  # [1] of the largest slope, see `bounded_step`
 OVER = 0.01  # [1] of the ranges: nearer to its end a walk is over
 
@@ -97,6 +98,11 @@ class Leak:
         slope = self.slope + gain[1] * new
         return Leak(way, offset, slope, 0.5 * (spread + spread.T))
 
+    def sure(self) -> Array:
+        """Return the leak (3,) [m] by which tensions are led: the less, the less it is known."""
+        square = float(self.slope @ self.slope)
+        return self.slope * (square / (square + 3.0 * float(self.spread[1, 1])))
+
     def speed(self) -> float:
         """Return how fast [1/s] the walk may go by what is known of the leak."""
         return min(SPEED_MAX, DRIFT / float(np.sqrt(self.spread[1, 1])))
@@ -147,11 +153,9 @@ class Walk:
         moves, curve = self._slopes(ahead, there, goal)
         axes, sizes, _ = np.linalg.svd(moves, full_matrices=False)
         axes = axes[:, sizes > CONTROLLED * sizes[0]].T  # (a, 3) in which tendons lead the tip
-        slopes = axes @ (moves + np.outer(self.leak.slope, self.ways) / len(goal))
+        slopes = axes @ (moves + np.outer(self.leak.sure(), self.ways) / len(goal))
         off = ahead.wanted - ahead.here.tip_position - self.leak.offset
-        wish = (self.towards - goal) / self.range
-        free = wish - np.linalg.pinv(slopes, rcond=NULL_BELOW) @ (slopes @ wish)
-        free = np.where(self.ways * free > 0.0, free, 0.0)
+        free = self._free(slopes, goal, ahead.limits)
         longest = float(np.abs(free).max())
         walk = self._started(off, free / max(longest, 1e-12), known)
         if longest < OVER or walk.heading is None:
@@ -163,6 +167,14 @@ class Walk:
         wanted = axes @ (STEP_SHARE * miss - curve * share * longest)
         on = share * free
         return walk, bounded_step(slopes, wanted, goal, ahead.limits, DAMPING, on, walk.ways)
+
+    def _free(self, slopes: Array, goal: Array, limits: Array) -> Array:
+        """Return how far (m,) [1] each tension may go on where slopes (a, m) [m] hold the tip."""
+        wish = np.maximum(self.ways * (self.towards - goal) / self.range, 0.0)
+        scale = FREE / max(float(wish.max()), FREE)
+        first, still = scale * self.ways * wish, np.zeros(len(slopes))
+        made = bounded_step(slopes, still, goal, limits, FREE_DAMPING, first, self.ways)
+        return np.asarray((made - goal) / self.range / scale)
 
     def _started(self, off: Array, heading: Array, known: Mismatch) -> Walk:
         """Return the walk with its heading, once the offset is known; the tip is held there."""
