@@ -75,16 +75,16 @@ def slip_direction(chain, work, past, at, section, here, slip_rate, slides, reme
 
 @fused
 def fast_log(x):
-    """log(x), by a series where x is near 1."""
-    w = (x - 1.0) / (x + 1.0)
-    if not abs(w) < 0.03:
+    """log(x), by a series where x is near 1: no second division behind that of the law."""
+    u = 1.0 - x
+    if not abs(u) < 0.04:
         return math.log(x)
-    z = w * w
-    return (
-        2.0
-        * w
-        * ((1.0 + z * (1.0 / 3.0)) + z * z * ((1.0 / 5.0 + z * (1.0 / 7.0)) + z * z * (1.0 / 9.0)))
-    )
+    u2 = u * u
+    u4 = u2 * u2
+    low = (1.0 + u * (1.0 / 2.0)) + u2 * (1.0 / 3.0 + u * (1.0 / 4.0))
+    middle = (1.0 / 5.0 + u * (1.0 / 6.0)) + u2 * (1.0 / 7.0 + u * (1.0 / 8.0))
+    high = (1.0 / 9.0 + u * (1.0 / 10.0)) + u2 * (1.0 / 11.0)
+    return -u * (low + u4 * (middle + u4 * high))
 
 
 @fused
