@@ -73,8 +73,9 @@ def off_by(model, rod):
     )
 
 
-def test_an_arm_in_space_with_friction_is_met_to_a_tenth_of_a_millimetre():
-    assert off_by(described(ROD), ROD).max() < 1e-4
+def test_an_arm_in_space_with_friction_is_met_to_thirty_micrometres():
+    """Cells that are arcs under a load, too, are 0.07 mm off."""
+    assert off_by(described(ROD), ROD).max() < 3e-5
 
 
 @pytest.mark.parametrize('friction', [0.12, 0.25])
