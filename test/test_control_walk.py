@@ -83,12 +83,12 @@ def test_a_leak_that_is_hardly_known_leads_no_tension():
 class Rig:
     """A controller whose arm rubs more than its model says; the tip is seen with noise."""
 
-    def __init__(self):
+    def __init__(self, seed=1):
         robot = read_robot('kato_10_1').with_effect('friction_memory', {'presliding_length': 2e-4})
         rubs = {'friction_coefficient': 0.4}
         self.arm = Model(robot.with_effect('tendon_friction', rubs))
         self.core = ControllerCore(Model(robot), Settings(tip_gain=6.0))
-        self.shape, self.random = self.arm.shape(np.full(4, 0.1)), np.random.default_rng(1)
+        self.shape, self.random = self.arm.shape(np.full(4, 0.1)), np.random.default_rng(seed)
         self.now, self.tips, self.commands = 0.0, [], []
 
     def run(self, seconds):
@@ -123,3 +123,49 @@ def test_on_an_arm_that_rubs_more_no_tension_turns_round_and_the_tip_stays():
     assert risen.min() > -1e-12
     assert np.all(rig.commands[-1] > tensions + 0.05)
     assert rig.arm.tip_stiffness(rig.shape).along([1, 0, 0]) > 1.15 * before
+
+
+def walked(seed):
+    """Return a rig at a target, after a short walk from there that is over, and its last goal."""
+    rig = Rig(seed)
+    rig.run(0.1)
+    rig.core.aim(Target(np.array([-0.09, 0.0, 0.175])))
+    rig.run(4.0)
+    loop, solution = rig.core.loop, rig.core.solution
+    towards = loop.goal(rig.core, solution.tensions) + 0.1
+    loop.lead(solution, towards)
+    rig.run(6.0)
+    assert np.all(np.abs(rig.commands[-1] - towards) < 0.1)
+    return rig
+
+
+@pytest.mark.parametrize('seed', [2, 3])
+def test_where_a_walk_is_over_the_tip_stays_and_no_tension_turns_round(seed):
+    rig = walked(seed)
+    begin, tip = len(rig.tips), rig.tips[-1]
+    rig.run(4.0)
+    assert np.diff(np.array(rig.commands[begin - 1 :]), axis=0).min() > -1e-12
+    assert np.linalg.norm(np.array(rig.tips[begin:]) - tip, axis=1).max() < 2e-5
+
+
+def test_a_load_after_a_walk_is_taken_by_the_ordinary_loop():
+    rig = walked(2)
+    tip = rig.tips[-1]
+    rig.arm = Model(rig.arm.robot.with_effect('tip_load', {'force_x': 0.002}))
+    rig.shape = rig.arm.follow(rig.shape, rig.shape.inputs)
+    assert np.linalg.norm(rig.shape.tip_position - tip) > 5e-3
+    rig.run(2.0)
+    assert np.linalg.norm(rig.tips[-1] - tip) < 2e-4
+
+
+def test_a_walk_that_is_over_sees_the_tip_creep_and_leads_it_back_by_tensions_that_go_on():
+    rig = walked(2)
+    begin, tip, solution = len(rig.tips), rig.tips[-1].copy(), rig.core.solution
+    rig.arm = Model(rig.arm.robot.with_effect('tip_load', {'force_x': 3e-5}))
+    rig.shape = rig.arm.follow(rig.shape, rig.shape.inputs)
+    moved = np.linalg.norm(rig.shape.tip_position - tip)
+    assert 1e-4 < moved < 3e-4
+    rig.run(6.0)
+    assert rig.core.solution is solution
+    assert np.linalg.norm(rig.tips[-1] - tip) < 1e-4
+    assert np.diff(np.array(rig.commands[begin - 1 :]), axis=0).min() > -1e-12

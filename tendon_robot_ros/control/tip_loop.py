@@ -90,7 +90,7 @@ class TipLoop:
         self._led = None if solution is None or towards is None else (solution, towards)
 
     def _towards(self, solution: Reach) -> Array | None:
-        """Return where a walk leads (m,) [N] that is not over."""
+        """Return where a walk leads (m,) [N] that is not left."""
         return self._led[1] if self._led is not None and self._led[0] is solution else None
 
     def goal(self, core: Controller, solution: Array) -> Array:
@@ -227,7 +227,7 @@ class TipLoop:
                 walk, found = None, step.next_goal(new, goal)
             else:
                 walk = begun(was, towards, goal, new, at, length)
-                walk = walk.learned(at, position - tip, new, length, way)
+                walk = walk.learned(at, position - tip, new, length, way, passed)
                 walk, found = walk.step(step, goal, new, passed)
             if keep_out and keep_out.clearance(model.follow(here, found).positions).distance < 0.0:
                 found = goal  # where it is the arm was allowed
@@ -243,9 +243,9 @@ class TipLoop:
         core.solver.post('loop', work, done)
 
     def _take_up(self, found: _Found, solution: Reach) -> None:
-        """Go to the next goal for a solution; a walk that is over is one no more."""
+        """Go to the next goal for a solution; a walk that is left is one no more."""
         self.tensions, self._solution, self._walk = found.goal, solution, found.walk
-        if found.walk is not None and found.walk.over:
+        if found.walk is not None and found.walk.left:
             self._led = None
 
     def _stands(self, core: Controller, goal: Array) -> bool:

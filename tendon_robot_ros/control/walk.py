@@ -7,6 +7,10 @@ Jacobian. A Kalman filter (Kalman 1960, J. Basic Eng. 82, 35) learns d and l, an
 fast as l is known. No tension turns round on it: friction would stick, and later let go of the arm
 all at once. As the walk moves the tip nowhere, the tip can be led anywhere by tensions that only
 go on, at different speeds.
+
+At its end the walk goes on holding the tip, so that no other filter takes over with other noise:
+the tensions stand until its own, slower now, sees the tip leave, and go on by little. The ordinary
+loop has the arm again where that one's filter sees the tip elsewhere than the walk does: a load.
 """
 
 from __future__ import annotations
@@ -40,6 +44,10 @@ FREE = 0.02  # [1] of the ranges: the step by which tensions that hold the tip a
 FREE_DAMPING = 2e-3  # [1] of the largest slope, for that; see `bounded_step`
 DAMPING = 0.02  # [1] of the largest slope, see `bounded_step`
 OVER = 0.01  # [1] of the ranges: nearer to its end a walk is over
+HELD_GAIN = 0.5  # [1/s] with which a walk that is over learns that the tip is elsewhere
+HELD_DEVIATIONS = 4.0  # [1] of what it knows the offset to: nearer, tensions stand
+HELD_MORE = 0.02  # [1] of the ranges, by which tensions go on to hold the tip
+ELSEWHERE = 3.0  # [1] of where the ordinary loop rests: so far both filters differ by a load only
 
 
 class Ahead(Protocol):
@@ -119,18 +127,31 @@ class Walk:
     leak: Leak
     held: Array  # (3,) [m] from where the tip is wanted, that it was off when the walk began
     heading: Array | None = None  # (m,) [1] of the last step; None: the offset is not yet known
-    over: bool = False
+    end: Array | None = None  # (m,) [N] where it was over: there the tip is held
+    left: bool = False  # to the ordinary loop
 
     def way(self, tensions: Array) -> float:
         """Return how far [1] tensions (m,) [N] are on the walk."""
         return float(self.ways @ ((tensions - self.begin) / self.range)) / len(self.ways)
 
     def learned(
-        self, tensions: Array, left: Array, known: Mismatch, length: float, moved: float
+        self,
+        tensions: Array,
+        left: Array,
+        known: Mismatch,
+        length: float,
+        moved: float,
+        passed: float,
     ) -> Walk:
         """Return what is known after a measurement at tensions (m,) [N]; see `Leak.learned`."""
-        leak = self.leak.learned(self.way(tensions), left, _noise(known), length, moved)
-        return replace(self, leak=leak)
+        noise, leak = _noise(known), self.leak
+        if self.end is not None:  # so that the standing filter's gain is `share`
+            share = 1.0 - float(np.exp(-HELD_GAIN * passed))
+            doubt = np.diag([noise**2 * share**2 / (1.0 - share), 0.0])
+            leak = replace(leak, spread=leak.spread + doubt)
+        leak = leak.learned(self.way(tensions), left, noise, length, moved)
+        apart = float(np.linalg.norm(known.offset - leak.offset))
+        return replace(self, leak=leak, left=apart > ELSEWHERE * max(known.rest, OFF_M))
 
     def step(
         self, ahead: Ahead, goal: Array, known: Mismatch, passed: float
@@ -158,15 +179,32 @@ class Walk:
         free = self._free(slopes, goal, ahead.limits)
         longest = float(np.abs(free).max())
         walk = self._started(off, free / max(longest, 1e-12), known)
-        if longest < OVER or walk.heading is None:
-            return replace(walk, over=longest < OVER), goal
-        near = max(0.0, 1.0 - float(np.linalg.norm(axes @ (off - walk.held))) / OFF_M)
-        share = min(1.0, near * walk.leak.speed() * passed / longest)
+        if self.end is None and longest < OVER:
+            return replace(walk, end=goal, left=walk.heading is None), goal
+        away = float(np.linalg.norm(axes @ (off - walk.held)))
+        if walk.heading is None or away < walk._rest:
+            return walk, goal
+        near = max(0.0, 1.0 - away / OFF_M) if self.end is None else 0.0
+        share = min(1.0, near * walk.leak.speed() * passed / max(longest, OVER))
         ahead_by = walk.leak.slope * (walk.way(there.inputs) - walk.leak.way)
         miss = ahead.wanted - walk.held - there.tip_position - walk.leak.offset - ahead_by
         wanted = axes @ (STEP_SHARE * miss - curve * share * longest)
         on = share * free
-        return walk, bounded_step(slopes, wanted, goal, ahead.limits, DAMPING, on, walk.ways)
+        made = bounded_step(slopes, wanted, goal, ahead.limits, DAMPING, on, walk.ways)
+        return walk, self._near_end(made)
+
+    def _near_end(self, tensions: Array) -> Array:
+        """Return tensions (m,) [N] no further than they may go to hold the tip."""
+        if self.end is None:
+            return tensions
+        more = HELD_MORE * self.range
+        return np.asarray(np.clip(tensions, self.end - more, self.end + more))
+
+    @property
+    def _rest(self) -> float:
+        """How near [m] to its place a tip is held that is led no more; 0 on the walk."""
+        doubt = float(np.sqrt(self.leak.spread[0, 0]))
+        return 0.0 if self.end is None else HELD_DEVIATIONS * doubt
 
     def _free(self, slopes: Array, goal: Array, limits: Array) -> Array:
         """Return how far (m,) [1] each tension may go on where slopes (a, m) [m] hold the tip."""
@@ -178,6 +216,8 @@ class Walk:
 
     def _started(self, off: Array, heading: Array, known: Mismatch) -> Walk:
         """Return the walk with its heading, once the offset is known; the tip is held there."""
+        if self.end is not None:
+            return self
         if self.heading is None:
             enough = max(KNOWN_M, KNOWN_NOISES * _noise(known))
             if self.leak.spread[0, 0] > enough**2:
