@@ -127,7 +127,7 @@ def bench_orders(count, name, exact, kinds, file):
                 log.write(json.dumps(row) + '\n')
     made = {kind: told(name, [r for r in rows if r['kind'] == kind]) for kind in kinds}
     axes = 2.0 if name.startswith('kato') else 3.0  # that the arm moves in
-    noise, today = 1e3 * TIP_NOISE * np.sqrt(axes), made.get('today', {'spread_mm': np.nan})
+    noise, today = 1e3 * TIP_NOISE * axes**0.5, made.get('today', {'spread_mm': np.nan})
     for kind, figures in made.items():
         figures['share_of_today'] = round(figures['spread_mm'] / (today['spread_mm'] or np.nan), 3)
         figures['spread_noises'] = round(figures['spread_mm'] / noise, 2)
