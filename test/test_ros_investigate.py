@@ -23,7 +23,10 @@ from tendon_robot_ros.common.errors import TendonRobotError
 from tendon_robot_ros.data import default_markers, load_dataset
 from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.investigation.arm import BrokenMeasurementError
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.monitoring import StillMeasurement
 from tendon_robot_ros.robot import dump_robot, load_robot
+from tendon_robot_ros.ros.shared import running_arm
 from tendon_robot_ros.ros.shared.messages import LISTEN
 from tendon_robot_ros.ros.shared.running_arm import RunningArm
 from tendon_robot_ros.simulation.plant import make_plant
@@ -180,6 +183,48 @@ def test_a_robot_that_is_stopped_or_gone_ends_the_investigation(codes):
     with pytest.raises(TendonRobotError, match=f'says {codes[0]}$') as caught:
         Hesitating(*codes).measure(np.zeros(4), 1)
     assert not isinstance(caught.value, BrokenMeasurementError)
+
+
+class Unloaded:
+    """A running arm whose description lacks a load; it goes where it is told at once."""
+
+    _measured, _command = RunningArm._measured, RunningArm._command
+    input, pull, path = 'displacement', True, 'sequence'
+
+    def __init__(self, name):
+        self.robot = load_robot(ROOT / 'config' / 'robots' / f'{name}.yaml')
+        self.truth = Model(self.robot.with_effect('tip_load', {'force_x': FORCES[name]}))
+        self._own, self._variances = Model(self.robot), []
+        self.markers = default_markers(self.robot)
+
+    def _go(self, target):
+        self.pulls = target
+
+    def _stand(self):
+        seen = self.seen(self.pulls)
+        return StillMeasurement(self.pulls, seen, NOISE, 15, 0.0, 0.6)
+
+    def seen(self, pulls):
+        arcs = np.array([marker.arc_length for marker in self.markers])
+        offsets = np.array([marker.offset for marker in self.markers])
+        return self.truth.pull_shape(pulls).markers(arcs, offsets)
+
+
+@pytest.mark.parametrize('pull', [0.0008, 0.0035, 0.01])
+def test_a_load_that_nobody_described_leaves_a_slack_wire_slack(pull):
+    arm = Unloaded('spatial_3')
+    inputs = np.array([np.nan, pull, np.nan])
+    assert (arm.truth.pull_shape(arm._command(inputs)).inputs[np.isnan(inputs)] == 0.0).all()
+
+
+def test_a_slack_wire_that_a_load_pulls_taut_is_recorded_at_its_length(monkeypatch):
+    """Let out by less than the load takes it is taut: its posture is another one."""
+    monkeypatch.setattr(running_arm, 'SLACK_TURN', 0.2)
+    arm = Unloaded('spatial_3')
+    inputs = np.array([np.nan, 0.0035, np.nan])
+    assert arm.truth.pull_shape(arm._command(inputs)).inputs[2] > 0.0
+    measured = arm._measured(inputs, 1)
+    assert np.abs(arm.seen(measured.inputs[0]) - measured.positions[0]).max() < 1e-6  # [m]
 
 
 def let_go(made, process):

@@ -22,6 +22,7 @@ from ...monitoring.change import ChangeFinder
 from ...monitoring.monitor import read_markers
 from ...monitoring.watch import load_change
 from ...robot import Robot
+from ...robot.estimates import natural_sizes
 from .messages import LISTEN, STATE, seconds
 from .parameters import RemoteText
 from .robot_client import WORKING_CODES, Pilot
@@ -36,7 +37,7 @@ STAND_TIMEOUT_S = 20.0  # [s] for an arm to stand and be seen
 MOVE_PATIENCE_S = 15.0  # [s] besides the time of a move
 MOVE_MIN_S = 0.4  # [s]
 SETTING_NOISE = 0.002  # [1] relative 1 sd of a measured input, as in the monitor
-SLACK_SHARE = 0.01  # of the length, that a slack wire is let out beyond its way
+SLACK_TURN = 0.6  # [rad] that an arm may bend beyond its description until a slack wire is taut
 OFF_SHARE, OFF_LIMIT_SHARE = 0.5, 0.02  # of what is asked, of the limit: off by more is broken
 SLIP_HINT = 'did its tendon slip, or does its motor stick?'
 GEARS_HINT = (
@@ -57,6 +58,8 @@ class RunningArm(Pilot):
 
     Where the driver measures tensions, postures are tensions, whatever it commands; else wire
     lengths, also where it commands lengths and tells tensions by the current of geared motors.
+    A wire that a posture leaves slack is let out by what the described arm needs and a little
+    more. What the description lacks may pull it taut all the same: its length is measured, too.
     Every posture is reached from the released arm (`from_straight`), or one after the
     other (`sequence`).
 
@@ -187,8 +190,7 @@ class RunningArm(Pilot):
                 self._refuse_slack(inputs, one.inputs)
         self._variances += [one.spread**2 / one.frames for one in stood]
         least = 0.0 if self.input == 'tension' else -np.inf  # a cell near none reads below it, too
-        read = [np.maximum(one.inputs, least) for one in stood]
-        taken = np.array([np.where(np.isnan(inputs), np.nan, one) for one in read])
+        taken = np.array([np.maximum(one.inputs, least) for one in stood])
         frames = sum(one.frames for one in stood)
         return PostureMeasured(np.array([one.positions for one in stood]), taken, frames)
 
@@ -234,7 +236,7 @@ class RunningArm(Pilot):
             pulls = self._own.pull_shape(inputs).pulls
         except (NoEquilibriumError, InputError) as error:
             raise BrokenMeasurementError(f'no shape at these wire pulls: {error}') from None
-        out = SLACK_SHARE * self.robot.length
+        out = SLACK_TURN * natural_sizes(self.robot)['radius']
         return np.where(np.isnan(inputs), pulls - out, inputs)
 
     def _shape(self, tensions: Array):  # type: ignore[no-untyped-def]
