@@ -103,6 +103,17 @@ def test_an_arm_that_stays_as_it_is_raises_no_alarm(learned):
     assert watch.text == 'as it was'
 
 
+def test_a_reference_that_was_misread_is_no_part_of_what_is_learned(learned):
+    _, rows, seen = learned
+    clean = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE)
+    clean.fit(np.delete(rows, 9, 0), np.delete(seen, 9, 0))
+    for wrong in (0.03, 1.0):  # [m]
+        arm = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE)
+        arm.fit(rows, seen + np.where(np.arange(len(rows)) == 9, wrong, 0.0)[:, None, None])
+        assert arm.widening == pytest.approx(clean.widening)
+        assert arm.mean == pytest.approx(clean.mean)
+
+
 @pytest.mark.parametrize(
     ('hidden', 'name'),
     [({'tip_load': {'force_x': 0.004}}, 'tip_load'), ({}, 'the tracker')],

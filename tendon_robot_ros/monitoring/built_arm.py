@@ -34,6 +34,7 @@ Floats = npt.NDArray[np.float64]
 REMAINDER_SHARES = (0.0, 0.0003, 0.001, 0.003, 0.01)  # of the length, at the tip
 SETTING_SIZES = (0.0, 0.0005, 0.001, 0.002, 0.005)  # relative 1 sd of a tension as read
 FITS = 2  # of the sizes
+FAR_FACTOR = 10.0  # [1] of the median: a reference further from the description is misread
 BATCHES = 1, 4, 8  # postures in a row whose innovations are added up
 UPPER_SD = 2.33  # of the mean of batches: 99 %
 
@@ -211,6 +212,7 @@ class BuiltArm:
         ----------
         tensions : (P, m) [N]
         positions : (P, J, 3) [m]
+            Postures that are ten times as far from the description as most are left out.
         frames : int
             Of which each position is the mean.
 
@@ -221,6 +223,8 @@ class BuiltArm:
 
         """
         self.forget()
+        near = self._near(tensions, positions)
+        tensions, positions = tensions[near], positions[near]
         for _ in range(FITS):  # around what the last one found: far from it all looks larger
             base = self._linear(tensions, positions)
             likelihood = partial(self._likelihood, base, frames)
@@ -229,6 +233,17 @@ class BuiltArm:
         scores = self._follow(tensions, positions, frames)
         self.widening = widening(scores[len(scores) // 3 :])
         return self.remainder
+
+    def _near(self, tensions: Floats, positions: Floats) -> npt.NDArray[np.bool_]:
+        """Tell which postures (P,) are about as far from the description as most of them."""
+        off = np.full(len(tensions), np.nan)
+        for i, (inputs, seen) in enumerate(zip(tensions, positions, strict=True)):
+            shapes = self.shapes(np.maximum(inputs, 0.0)[None], {})
+            if shapes is not None and np.isfinite(seen).any():
+                apart = self.split.see(shapes).reshape(seen.shape) - seen
+                off[i] = np.sqrt(np.nanmean(apart**2))
+        usual = np.nanmedian(off) if np.isfinite(off).any() else np.inf
+        return np.asarray(~(off > FAR_FACTOR * max(float(usual), self.noise)))
 
     def _likelihood(
         self, base: Sequence[tuple[Expected, Floats]], frames: int, sizes: tuple[float, float]
