@@ -26,6 +26,8 @@ from tendon_robot_ros.simulation.plant import make_plant
 pytest.importorskip('dynamixel_sdk')
 from tendon_robot_ros.drivers.dynamixel.bus import Bus
 
+SPOOL = 0.013  # [m]
+
 
 @pytest.fixture
 def servo():
@@ -196,31 +198,61 @@ def test_a_motor_winds_a_spring_as_far_as_its_current_less_friction_and_not_a_st
     assert np.diff(path).min() > -1e-6
 
 
-def test_a_motor_that_gives_way_holds_its_limit_and_its_drag_however_fast_another_lets_go():
-    """Two wires share a load; one is paid out, the other takes over what its current holds."""
-    compliance, radius, rate = np.array([[1.0, 0.9], [0.9, 1.0]]) * 1e-3, 0.013, 0.05
+def two_at_a_limit(shared):
+    """Two motors on an arm whose wires share a load, and what each winds and holds at most [N]."""
+    compliance = np.array([[1.0, shared], [shared, 1.0]]) * 1e-3  # [m/N]
     arm = ElasticArm(lambda tensions: compliance @ tensions, 2, highest=10.0)
     motors = [Servo(MODELS['XL330-M077'], i) for i in (1, 2)]
-    rig = Rig(motors, [Wire(1, radius), Wire(2, radius)], arm)
-    motion, unit = motors[0].motion, motors[0].model.current_unit
     for motor in motors:
         for name, value in [('operating_mode', 5), ('current_limit', 361), ('torque_enable', 1)]:
             assert write(motor, name, value) == 0
-    limit = (361 * unit * motors[0].model.torque_per_ampere + motion.friction) / radius
+    torque = 361 * motors[0].model.current_unit * motors[0].model.torque_per_ampere
+    friction = motors[0].motion.friction
+    rig = Rig(motors, [Wire(1, SPOOL), Wire(2, SPOOL)], arm)
+    return rig, (torque - friction) / SPOOL, (torque + friction) / SPOOL
+
+
+def aim(rig, wound):
+    for servo, length in zip(rig.servos.values(), wound, strict=True):
+        write(servo, 'goal_position', round(length / (SPOOL * TICK)))
+
+
+def drag(servo):
+    return max(0.0, -servo.motion.drag) / SPOOL
+
+
+def test_a_motor_that_gives_way_holds_its_limit_and_its_drag_however_fast_another_lets_go():
+    """One is paid out, the other takes over what its current holds."""
+    rig, _, limit = two_at_a_limit(shared=0.9)
+    servo, rate = rig.servos[1], 0.05  # [m/s]
     goal, beyond = np.zeros(2), 0.0
     for target in ([0.008, 0.008], [0.012, 0.008], [0.012, 0.0]):  # [m]
         while np.abs(goal - target).max() > 0.0:
             goal += np.clip(target - goal, -rate * STEP_S, rate * STEP_S)
-            for motor, length in zip(motors, goal, strict=True):
-                write(motor, 'goal_position', round(length / (radius * TICK)))
+            aim(rig, goal)
             rig.advance(STEP_S)
-            bound = limit + max(0.0, -motion.drag) / radius
-            assert rig.tensions[0] < bound + BALANCED_N
+            assert rig.tensions[0] < limit + drag(servo) + BALANCED_N
             beyond = max(beyond, rig.tensions[0] - limit)
-    damping = 0.01 * motors[0].model.stall_torque / motors[0].model.no_load_speed  # [N·m·s/rad]
-    assert 0.5 < beyond / (damping * rate / radius**2) < 1.0  # it gives way a little more slowly
+    damping = 0.01 * servo.model.stall_torque / servo.model.no_load_speed  # [N·m·s/rad]
+    assert 0.5 < beyond / (damping * rate / SPOOL**2) < 1.0  # it gives way a little more slowly
     assert rig.highest[0] == pytest.approx(limit + beyond)
     assert limit - 0.01 < rig.held[0] < limit + BALANCED_N
+
+
+@pytest.mark.parametrize('shared', [-0.7, -0.9, -0.97])
+def test_of_two_antagonists_at_their_limits_one_winds_and_one_holds_what_it_can(shared):
+    rig, winds, holds = two_at_a_limit(shared)
+    aim(rig, [0.0034, -0.0045])
+    for _ in range(500):
+        rig.advance(STEP_S)
+    assert rig.tensions == pytest.approx([3.4 / 1.1, 0.0], abs=0.05)  # the wires stretch, too
+    aim(rig, [0.0034, 0.02])
+    for _ in range(500):
+        rig.advance(STEP_S)
+        assert rig.tensions[0] < holds + drag(rig.servos[1]) + BALANCED_N
+        assert rig.tensions[1] < winds + BALANCED_N
+    assert rig.held[0] < holds + BALANCED_N
+    assert rig.tensions == pytest.approx([holds, winds], abs=0.01)
 
 
 def test_on_the_mock_arm_no_wire_pulls_more_than_its_motor_holds_and_all_come_to_rest():

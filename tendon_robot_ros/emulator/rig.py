@@ -206,7 +206,7 @@ class ElasticArm:
 MOMENTS_REMEMBERED_MAX = 20_000  # moments
 TIME_STEP_MAX_S = 0.1  # [s]; after a longer pause of this process the emulated world skips time
 SILENCE_STEP_MAX_S = 0.02  # [s]; and no watchdog takes a pause for silence
-TURNS_MAX, BALANCED_N = 8, 1e-3  # of every motor in a step, until nothing changes by more [N]
+ROUNDS_MAX, BALANCED_N = 50, 1e-3  # of all motors in a step; [N] by which wires may pull else
 
 
 @dataclass(frozen=True)
@@ -298,27 +298,43 @@ class Rig:
         Let all motors turn, until each balances what the wires pull after all have turned.
 
         One after the other: each is sent from where the step found it, against wires as the others
-        left them, again and again. Once would let a motor that gives way be passed by those that
-        turn after it: its wire would pull more than any motor holds.
+        leave them, again and again, until they pull what it turned against. Once would let a motor
+        that gives way be passed by those that turn after it: its wire would pull more than any
+        motor holds. Where wires share a load a round takes away little of the rest, so the first
+        begins where all would be if they went on as they do.
         """
-        wound = self.wound
-        self.tensions = self.arm.tensions(wound, step)
-        found = [servo.motion.angle for servo in self.servos.values()]
-        balanced = np.full(len(self.wires), np.nan)  # [N] when their motor turned
-        for _ in range(TURNS_MAX):
-            for servo, lever, wires, start in zip(
-                self.servos.values(), self._lever, self._of, found, strict=True
-            ):
-                here = servo.motion.angle
-                if not np.abs(self.tensions[wires] - balanced[wires]).max() < BALANCED_N:
-                    servo.motion.angle = start
-                    servo.step(step, Load([self._felt(i, lever[i], here - start) for i in wires]))
-                if servo.motion.angle != here:
-                    wound = wound + lever * (servo.motion.angle - here)
-                    self.tensions = self.arm.tensions(wound, 0.0)
-                balanced[wires] = self.tensions[wires]
-            if np.abs(self.tensions - balanced).max() < BALANCED_N:
+        found = self._angles()
+        self.tensions = self.arm.tensions(self.wound, step)
+        speeds = [servo.motion.speed for servo in self.servos.values()]
+        if any(speeds):
+            for servo, speed in zip(self.servos.values(), speeds, strict=True):
+                servo.motion.angle += speed * step
+            self.tensions = self.arm.tensions(self.wound, 0.0)
+        expected = dict.fromkeys(range(len(self.wires)), math.nan)  # [N] when their motor turned
+        for _ in range(ROUNDS_MAX):
+            if not self._turn(step, found.tolist(), expected):
                 return
+
+    def _turn(self, step: float, found: list[float], expected: dict[int, float]) -> bool:
+        """Let motors turn whose wires do not pull as expected; return whether there were any."""
+        wound, turned = self.wound, False
+        for servo, lever, wires, start in zip(
+            self.servos.values(), self._lever, self._of, found, strict=True
+        ):
+            pulls = [max(0.0, self.arm.resistance(i)[0]) for i in wires]
+            if all(
+                abs(pull - expected[i]) < BALANCED_N for i, pull in zip(wires, pulls, strict=True)
+            ):
+                continue
+            here, turned = servo.motion.angle, True
+            load = Load([self._felt(i, lever[i], here - start) for i in wires])
+            servo.motion.angle = start
+            servo.step(step, load)
+            expected |= zip(wires, load.pulls(servo.motion.angle - start), strict=True)
+            if servo.motion.angle != here:
+                wound = wound + lever * (servo.motion.angle - here)
+                self.tensions = self.arm.tensions(wound, 0.0)
+        return turned
 
     def _felt(self, wire: int, lever: float, turned: float) -> tuple[float, float, float]:
         """Return lever [m/rad], pull [N] and stiffness [N/m] of a wire before a motor turned."""

@@ -45,7 +45,11 @@ class Load:
 
     def torque(self, turned: float = 0.0) -> float:
         """Return the torque [N·m] after another so many radians."""
-        return sum(r * max(0.0, pull + k * r * turned) for r, pull, k in self.wires)
+        return sum(r * pull for (r, *_), pull in zip(self.wires, self.pulls(turned), strict=True))
+
+    def pulls(self, turned: float) -> list[float]:
+        """Return the tensions [N] after another so many radians."""
+        return [max(0.0, pull + k * r * turned) for r, pull, k in self.wires]
 
     def stiffness(self, turned: float) -> float:
         """Return how the torque changes there [N·m/rad]."""
@@ -67,6 +71,9 @@ class ServoMotion:
         [rad/s]
     current : float
         [A], signed like the torque.
+    drag : float
+        Against the speed [N·m]: viscous friction, and what keeps it from turning even faster when
+        a wire turns it at its top speed.
 
     """
 
@@ -74,16 +81,12 @@ class ServoMotion:
     angle: float = 0.0
     speed: float = 0.0
     current: float = 0.0
+    drag: float = 0.0
 
     @property
     def friction(self) -> float:
         """Dry friction of the gear at the output [N·m]."""
         return self.model.friction_current * self.model.torque_per_ampere
-
-    @property
-    def drag(self) -> float:
-        """Viscous friction at the output [N·m], against its speed."""
-        return self._damping * self.speed
 
     @property
     def ticks(self) -> int:
@@ -111,6 +114,7 @@ class ServoMotion:
         needed = torque / self.model.torque_per_ampere
         if abs(needed) <= limit:
             self.current, self.speed = needed, wanted
+            self.drag = self._damping * wanted
             self.angle += wanted * step
         else:
             self.drive_current(math.copysign(limit, needed), load, step)
@@ -123,7 +127,7 @@ class ServoMotion:
         """Turn for one step [s]: damping, friction and wires as they are at its end balance."""
         net = torque - load.torque()
         if abs(net) <= self.friction:
-            self.speed = 0.0
+            self.speed = self.drag = 0.0
             return
         net -= math.copysign(self.friction, net)
         torque -= math.copysign(self.friction, net)
@@ -137,6 +141,7 @@ class ServoMotion:
         top = self.model.no_load_speed
         self.speed = max(-top, min(top, turned / step))
         self.angle += self.speed * step
+        self.drag = torque - load.torque(self.speed * step)
 
 
 def drive(
@@ -239,7 +244,7 @@ class Servo:
         self._bytes[EEPROM_END:] = bytes(TABLE_END - EEPROM_END)
         self.put('status_return_level', 2)
         self.motion.angle = self.motion.ticks % control_table.TICKS_PER_TURN * TICK
-        self.motion.speed = self.motion.current = 0.0
+        self.motion.speed = self.motion.current = self.motion.drag = 0.0
         self.silence = 0.0  # [s] since the last instruction packet
         self._goals_to_defaults()
         self.refresh()
