@@ -165,5 +165,37 @@ def test_a_target_that_comes_while_a_model_is_looked_at_is_met_with_it():
     assert stiffer.shape(rig.tensions).tip_position == pytest.approx(new.position, abs=1e-4)
 
 
+@pytest.mark.parametrize('target', [False, True])
+def test_friction_stays_as_it_was_when_the_model_changes(target):
+    """Let go from much tension: from straight the tip would be elsewhere by 23 mm."""
+    old = model().robot.with_effect('friction_memory', {'presliding_length': 1e-4})
+    new = Model(old.with_effect('backbone_stiffness', {'relative_change': 0.02}))
+    rig = Rig()
+    rig.core.set_model(Model(old))
+    way = np.array([[0.1, 0.1, 0.1, 0.1], [1.4, 0.1, 0.1, 1.0], [0.5, 0.1, 0.1, 0.9]])
+    rig.run(0.1, see)
+    rig.core.play(rig.now, Playing(np.array([0.4, 0.8]), way[1:]))
+    rig.run(1.2, see)
+    place = rig.core.track.last.tip_position
+    if target:
+        rig.core.aim(Target(place))
+        rig.run(0.5, see)
+    assert rig.tensions == pytest.approx(way[-1], abs=1e-2)
+    rig.core.set_model(new)
+    rig.run(CYCLE, see)
+    followed, anew = new.sequence(way).tip_position[-1], new.shape(way[-1]).tip_position
+    assert np.linalg.norm(anew - followed) > 2e-2
+    if target:
+        rig.run(1.0, see)
+        arrived = new.sequence([*way, rig.tensions]).tip_position[-1]
+        assert arrived == pytest.approx(place, abs=1e-3)
+    else:
+        assert rig.core.track.last.tip_position == pytest.approx(followed, abs=1e-3)
+
+
+def see(rig):
+    rig.core.predict(rig.now, lambda shape: None)
+
+
 def test_a_loaded_model_has_its_library_no_search_waits_for_it():
     assert 'library' in vars(load(model().robot, load_catalogue()))

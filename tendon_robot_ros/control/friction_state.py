@@ -37,6 +37,7 @@ OVERSHOOT_MAX = 0.1  # [1] of the step of the tip, on a way that `model` chooses
 FORGOTTEN = 0.0, -1.0  # [1] what friction might be instead, of the state that is
 AS_GOOD_M = 2e-4  # [m] by which a way must be surer than the direct one
 LOOKS = 4  # at the tip on every leg
+CARRIED_ROUNDS, CARRIED_OFF = 40, 1e-3  # until directions stay, and by how much of full friction
 NEAR_SHARE = 0.004  # [1] of the range: tensions that have followed, but for the end of a lag
 NEAR_S, NEAR_TIMEOUT_S = 0.1, 0.5  # [s] of being near, or of waiting for it, before a way turns
 
@@ -127,6 +128,41 @@ class Arrival:
         if np.any(np.abs(measured - command) >= NEAR_SHARE * width):
             self._near = now
         return now - self._near >= NEAR_S or now - self._since > NEAR_TIMEOUT_S
+
+
+def carried(model: Model, before: Model, last: Shape | None, tensions: Array) -> Shape | None:
+    """
+    Return the shape in which friction is as another model had it; None: nothing is known of it.
+
+    The arm has not moved, only what is believed of it: the directions in which tendons were last
+    dragged stay. The travel from which they go on is that of the new model there, until which
+    they are set back: taken from the other one, all tendons would have slipped by the difference.
+
+    Parameters
+    ----------
+    model, before : Model
+        The one that comes, and the one that was.
+    last : Shape or None
+        As `before` had it.
+    tensions : (m,) [N]
+        That act now.
+
+    """
+    same = last is not None and (last.form.n, last.form.k) == (model.form.n, model.form.k)
+    if last is None or not same or not (model.remembers and before.remembers):
+        return None
+    signs = slice(len(last.state), len(last.state) + last.tendon_tensions.size)
+    directions, memory, shape = last.memory[signs].copy(), last.memory, last
+    try:
+        for _ in range(CARRIED_ROUNDS):
+            shape = model.shape(tensions, shape.state, memory)
+            if np.abs(shape.memory[signs] - directions).max() < CARRIED_OFF:
+                break
+            memory = shape.memory.copy()
+            memory[signs] = directions
+    except NoEquilibriumError:
+        return None
+    return shape
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..common.errors import TendonRobotError
 from ..common.rotations import rotated
-from .seeking import solution_of
+from .seeking import question_of
 from .state import Controller, Target
 
 if TYPE_CHECKING:
@@ -123,7 +123,6 @@ def follow_twist(core: Jogger, jog: Jog, passed: float) -> bool:
             core.solution = found.reach
             jog.reached(found.reach.shape)
 
-    core.solver.post(
-        'twist', solution_of(core, core.model, Target(position, direction), tracking=True), done
-    )
+    question = question_of(core, core.model, Target(position, direction), tracking=True)
+    core.solver.post('twist', question.answer, done)
     return core.jog is jog

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -10,13 +11,14 @@ from numpy.typing import NDArray
 
 from ..common.errors import InputError, TendonRobotError
 from .checks import check_inputs
-from .seeking import Seeker, seek, solution_of
+from .friction_state import carried
+from .seeking import Seeker, question_of, seek
 from .solver import GiveUp
 from .state import ShapeTracker, Target
 
 if TYPE_CHECKING:
     from ..model.model import Model
-    from ..model.shape import Reach
+    from ..model.shape import Reach, Shape
     from .jog import Jog
     from .tip_loop import TipLoop
     from .trajectory import Playing, Way
@@ -48,25 +50,39 @@ def change_model(
     except InputError as error:
         on_done(error)
         return
-    command, target = core.command, core.target
-    solve = None if target is None else solution_of(core, model, target)
+    command, target, last, before = core.command, core.target, core.track.last, core.model
+    question = None if target is None else question_of(core, model, target)
+    felt = command if command is None else core.felt_tensions()
 
-    def work(give_up: GiveUp) -> Reach | None:
-        if command is not None:
+    def work(give_up: GiveUp) -> tuple[Shape | None, Reach | None]:
+        here = None
+        if command is not None and felt is not None:
             model.shape(command)
-        return None if solve is None else solve(give_up).reach
+            here = carried(model, before, last, felt)
+        if question is None:
+            return here, None
+        return here, replace(question, last=here or question.last).answer(give_up).reach
 
-    def done(solution: Reach | None, error: TendonRobotError | None) -> None:
-        if error is None:
-            _use(core, model, target, solution)
+    def done(
+        found: tuple[Shape | None, Reach | None] | None, error: TendonRobotError | None
+    ) -> None:
+        if found is not None:
+            _use(core, model, target, *found)
         on_done(error)
 
     core.solver.post('model', work, done)
 
 
-def _use(core: Changing, model: Model, target: Target | None, solution: Reach | None) -> None:
+def _use(
+    core: Changing,
+    model: Model,
+    target: Target | None,
+    here: Shape | None,
+    solution: Reach | None,
+) -> None:
     """Change the model: what was asked for, and what was accepted, goes on with it."""
     core.model, core.jog, core.track = model, None, ShapeTracker(model)
+    core.track.last = here
     core.via = []
     core.loop.reset()
     if core.way is not None:

@@ -36,13 +36,6 @@ LEAD_SHARE_MAX = 0.1  # [1] of the length, by which targets are led
 Tell = Callable[[Reach], None]  # is given what a search has found so far
 
 
-class Answer(Protocol):
-    """Finds tensions and the way there; see `_Question.answer`."""
-
-    def __call__(self, give_up: GiveUp, tell: Tell | None = None) -> Approach:
-        """Find them."""
-
-
 class Seeker(Controller, Protocol):
     """A controller that looks for the tensions of a target."""
 
@@ -117,7 +110,7 @@ def _search_on(core: Seeker, search: TargetSearch, budget: float) -> None:
     Where nothing was within the first time, what is found when it ends is where another search
     begins.
     """
-    solve = solution_of(core, core.model, _ahead(core, search), search.streamed)
+    solve = question_of(core, core.model, _ahead(core, search), search.streamed).answer
     first = budget == FIRST_ANSWER_S
 
     def work(give_up: GiveUp) -> SearchResult:
@@ -162,7 +155,7 @@ def _ahead(core: Seeker, search: TargetSearch) -> Target:
 
 
 @dataclass(frozen=True)
-class _Question:
+class Question:
     """What the solver is asked: it reads nothing that the commanding thread changes."""
 
     model: Model
@@ -216,7 +209,7 @@ class _Question:
         against much tension, where it is furthest off. Then friction is left to the loop, and so
         is by how much the tip was off elsewhere.
         """
-        ways: list[tuple[_Question, Shape | None, Tell | None]] = [(self, here, tell)]
+        ways: list[tuple[Question, Shape | None, Tell | None]] = [(self, here, tell)]
         if not (self.streamed or self.tracking or self.settings.pull_mode):
             bare = replace(self, target=self.asked)
             ways = [(self, None, tell), (bare, None, None), (self, here, None)]
@@ -262,11 +255,11 @@ class _Question:
         return found
 
 
-def solution_of(
+def question_of(
     core: Controller, model: Model, target: Target, streamed: bool = False, tracking: bool = False
-) -> Answer:
+) -> Question:
     """
-    Return how to find tensions for a target from where the arm is.
+    Return the question of the tensions for a target, from where the arm is.
 
     Parameters
     ----------
@@ -284,10 +277,7 @@ def solution_of(
     asked, felt = target, core.felt_tensions()
     if target.position is not None:
         target = replace(target, position=target.position - core.tip_shift(target.position))
-    question = _Question(
-        model, core.settings, target, asked, guess, last, felt, streamed, tracking
-    )
-    return question.answer
+    return Question(model, core.settings, target, asked, guess, last, felt, streamed, tracking)
 
 
 def _take(core: Seeker, search: TargetSearch, result: SearchResult) -> None:
