@@ -8,6 +8,7 @@ the postures that separate what it may be are chosen, until one change is likely
 are over; named: the right change is the likeliest one then (of a cell: that one or one within two
 of it). Every draw is a line of FILE; begun again with the same FILE it goes on.
 
+`--misread S`: a reference posture is off by S mm in some direction (the tracker wrong for once).
 `--quiet N` lets an arm stand for N postures instead, one every four seconds; `--loaded`: with a
 payload, which its description knows.
 
@@ -49,8 +50,8 @@ TOLD_EVERY = 200  # postures of an arm that does not change, between two lines
 class Watch:
     """A simulated arm that is watched."""
 
-    def __init__(self, name, seed, loaded=False):
-        """Let it learn its reference postures."""
+    def __init__(self, name, seed, loaded=False, misread=0.0):
+        """Let it learn its reference postures; one is off by so much [m]."""
         self.robot, self.seed = load_robot(f'config/robots/{name}.yaml'), seed
         if loaded:
             force = LOAD_SHARE * natural_sizes(self.robot)['force']
@@ -59,7 +60,11 @@ class Watch:
         self.markers = default_markers(self.robot)
         self.plant = self.made({})
         self.arm = BuiltArm(self.robot, load_catalogue(), self.markers, NOISE.position)
-        self.arm.fit(*self.looked(self.plant, self.postures(REFERENCES, 1)), FRAMES)
+        read, seen = self.looked(self.plant, self.postures(REFERENCES, 1))
+        wrong = np.random.default_rng([seed, 5])
+        direction = wrong.normal(size=3)
+        seen[wrong.integers(REFERENCES)] += misread * direction / np.linalg.norm(direction)
+        self.arm.fit(read, seen, FRAMES)
         self.known = self.arm.mean.copy(), self.arm.covariance.copy()
 
     def made(self, hidden):
@@ -122,15 +127,18 @@ def changes(watch):
     yield 'the tracker 1 mm off', bumped, [TRACKER]
 
 
-def told(name, seed, have):
+def told(name, seed, have, misread):
     """Yield a row for every change of one arm that is not there yet."""
-    watch = Watch(name, seed)
+    watch = Watch(name, seed, misread=misread)
     for what, plant, right in changes(watch):
         if (name, seed, what) in have:
             continue
         begin, alarm = time.process_time(), watch.alarm()
         after = watch.stand(alarm, plant, watch.postures(WITHIN, 2))
-        row = {'robot': name, 'seed': seed, 'change': what, 'told after': after}
+        row = {
+            'robot': name, 'seed': seed, 'change': what, 'told after': after,
+            'widening': watch.arm.widening, 'left out': watch.arm.left_out,
+        }  # fmt: skip
         if alarm.finder is not None:
             first = alarm.state.suspects[0].name
             suspects, asked = watch.look_after(alarm.finder, plant)
@@ -151,6 +159,8 @@ def summary(rows):
         made.append({
             'robot': key[0], 'change': key[1],
             f'told within {WITHIN} postures': f'{len(heard)} of {len(own)}',
+            'references left out': sum(len(row['left out']) for row in own),
+            'widening, median': float(np.median([row['widening'] for row in own])),
             'after, median': float(np.median([r['told after'] for r in heard] or [np.nan])),
             'named at the alarm': sum(r['at once right'] for r in heard),
             'named after looking': sum(r['right'] for r in heard),
@@ -192,6 +202,7 @@ def main():
     parser.add_argument('--robot', nargs='+', default=['kato_10_1', 'spatial_3'])
     parser.add_argument('--cases', type=int, default=20, help='of each robot')
     parser.add_argument('--first', type=int, default=0, help='seed')
+    parser.add_argument('--misread', type=float, default=0.0, metavar='MM', help='of a reference')
     parser.add_argument('--quiet', type=int, default=0, metavar='N', help='postures, no change')
     parser.add_argument('--loaded', action='store_true', help='with a payload that is known')
     args = parser.parse_args()
@@ -207,7 +218,7 @@ def main():
             for name in args.robot:
                 if sum(key[:2] == (name, seed) for key in have) == 5:
                     continue
-                for row in told(name, seed, have):
+                for row in told(name, seed, have, 1e-3 * args.misread):
                     rows.append(row)
                     write(args.output, row)
                     print(json.dumps(row), flush=True)

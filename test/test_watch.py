@@ -13,10 +13,11 @@ from tendon_robot_ros.investigation.goal import Goal, InvestigationEnd
 from tendon_robot_ros.investigation.loop import Investigation
 from tendon_robot_ros.investigation.simulated_arm import SimulatedArm
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.monitoring.built_arm import BuiltArm, widening
+from tendon_robot_ros.monitoring.built_arm import BuiltArm
 from tendon_robot_ros.monitoring.change import ChangeFinder, ChangeFit
 from tendon_robot_ros.monitoring.drift import DriftAlarm, _ChangeBegun
 from tendon_robot_ros.monitoring.possible_changes import changes_of
+from tendon_robot_ros.monitoring.references import widening
 from tendon_robot_ros.monitoring.tip_force import TipForceObserver
 from tendon_robot_ros.monitoring.watch import ArmWatch, WatchSettings, dump_change, load_change
 from tendon_robot_ros.robot import load_robot
@@ -103,15 +104,41 @@ def test_an_arm_that_stays_as_it_is_raises_no_alarm(learned):
     assert watch.text == 'as it was'
 
 
-def test_a_reference_that_was_misread_is_no_part_of_what_is_learned(learned):
-    _, rows, seen = learned
-    clean = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE)
-    clean.fit(np.delete(rows, 9, 0), np.delete(seen, 9, 0))
-    for wrong in (0.03, 1.0):  # [m]
-        arm = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE)
-        arm.fit(rows, seen + np.where(np.arange(len(rows)) == 9, wrong, 0.0)[:, None, None])
-        assert arm.widening == pytest.approx(clean.widening)
-        assert arm.mean == pytest.approx(clean.mean)
+def learned_from(name, wrong=()):
+    """Return an arm as it is built, learned from 24 postures; some are off by so much [m]."""
+    robot = load_robot(ROOT / 'config' / 'robots' / f'{name}.yaml')
+    free, random = make_plant(robot, {}, seed=4, work=Workmanship()), np.random.default_rng(2)
+    rows = np.clip(default_postures(robot, 24, 7), *robot.tension_limits)
+    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
+    read, seen = averaged(free, rows, random)
+    for number, off in wrong:
+        seen[number] += off
+    arm.fit(read, seen, 30)
+    return arm
+
+
+@pytest.mark.parametrize('name', ['kato_10_1', 'spatial_3'])
+def test_misread_references_are_no_part_of_what_is_learned(name):
+    """With one 2 mm off the arm was known five times and more as badly."""
+    known, off = learned_from(name), np.array([1.2e-3, -1.6e-3, 0.0])
+    assert known.left_out == ()
+    for wrong in [(9, off)], [(9, 15.0 * off), (10, off), (23, 2.0 * off)]:
+        arm = learned_from(name, wrong)
+        assert list(arm.left_out) == [number for number, _ in wrong]
+        assert arm.widening == pytest.approx(known.widening, abs=0.5)
+        assert (arm.remainder, arm.setting) == (known.remainder, known.setting)
+        assert np.abs(arm.mean - known.mean).max() < 0.6, 'sd of what an arm is built to'
+
+
+def test_a_wrong_tension_and_a_hand_at_the_arm_are_misread_references_that_are_named(learned):
+    plant, rows, seen = learned
+    touched = make_plant(ROBOT, {'tip_load': {'force_x': 0.005}}, seed=4, work=Workmanship())
+    seen = seen.copy()
+    seen[5] = looked(touched, rows[5:6], 3)[0]
+    rows = rows.copy()
+    rows[9, np.argmax(rows[9])] *= 1.15
+    watch = watching((plant, rows, seen))
+    assert watch.text == 'as it was; left out as misread: reference 6 and 10'
 
 
 @pytest.mark.parametrize(

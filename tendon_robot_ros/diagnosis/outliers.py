@@ -21,6 +21,7 @@ REWEIGHTING_ROUNDS = 4  # of the robust scale
 TOLD_SHARE_MIN = 0.5  # of the noise of a reading, that inputs must not be able to explain
 TRIAL_LIMITS = 1.5  # times the limit of an input's deviation beyond which its trial is off
 TRIALS_OFF_SHARE = 0.5  # of the trials of a posture; the rest must agree
+SIZES_MIN = 10  # sizes that tell how large they usually are
 SLOPES_OFF_SHARE = 0.3  # of what slopes took off; the model that they are of may lack something
 
 
@@ -70,9 +71,9 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
         left[p, :, _untold_share(g) < TOLD_SHARE_MIN] = np.nan
     distance = np.linalg.norm(left, axis=-1)
     explained = np.linalg.norm(along, axis=-1)
-    readings = distance > _limit(distance, 3) + SLOPES_OFF_SHARE * explained
+    readings = distance > outlier_limits(distance, 3) + SLOPES_OFF_SHARE * explained
     moved = np.where(inputs == 0.0, np.nan, np.abs(inputs))
-    trials = np.abs(inputs) > TRIAL_LIMITS * _limit(moved, 1)
+    trials = np.abs(inputs) > TRIAL_LIMITS * outlier_limits(moved, 1)
     counted = np.maximum(dataset.mask.sum(axis=2), 1)
     trials |= (readings.sum(axis=2) > MARKERS_OFF_SHARE * counted) & (counted > 2)
     trials &= (trials.sum(axis=1) < TRIALS_OFF_SHARE * dataset.trials)[:, None]
@@ -151,10 +152,22 @@ def _untold_share(g: Floats) -> Floats:
     return np.asarray(1.0 - explained.reshape(-1, 3).mean(axis=1))
 
 
-def _limit(sizes: Floats, freedom: int) -> float:
-    """Return the size beyond which one is an outlier, from the robust spread of all."""
-    seen = sizes[np.isfinite(sizes)]
-    if len(seen) < 10:
-        return np.inf
-    spread = float(np.median(seen)) / np.sqrt(chi2_isf(0.5, freedom))
-    return float(spread * np.sqrt(chi2_isf(FALSE_OUTLIER_PROBABILITY / len(seen), freedom)))
+def outlier_limits(sizes: Floats, freedom: int | npt.NDArray[np.int64]) -> Floats:
+    """
+    Return the sizes (...) beyond which one is an outlier, from the robust spread of all.
+
+    A size is the norm of so many values of the same spread: one number for all, or one for each.
+    The largest of all sizes is beyond its limit by chance with `FALSE_OUTLIER_PROBABILITY`.
+    """
+    seen, many = np.isfinite(sizes), np.broadcast_to(freedom, sizes.shape)
+    if seen.sum() < SIZES_MIN:
+        return np.full(sizes.shape, np.inf)
+    spread = float(np.median(sizes[seen] / _norms(0.5, many)[seen]))
+    return spread * _norms(FALSE_OUTLIER_PROBABILITY / int(seen.sum()), many)
+
+
+def _norms(p: float, freedom: npt.NDArray[np.int64]) -> Floats:
+    """Return the norms that so many standard normal values each exceed with a probability."""
+    known, where = np.unique(freedom, return_inverse=True)
+    norms = np.array([np.sqrt(chi2_isf(p, int(one))) for one in known])
+    return np.asarray(norms[where].reshape(freedom.shape))

@@ -29,14 +29,15 @@ from ..effects import Catalogue
 from ..model.shape import ShapeBatch
 from ..robot import Robot
 from ..robot.estimates import bend_rates, end_sections, natural_sizes
+from .references import Reference, contradicted, widening
 
 Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
 REMAINDER_SHARES = (0.0, 0.0003, 0.001, 0.003, 0.01)  # of the length, at the tip
 SETTING_SIZES = (0.0, 0.0005, 0.001, 0.002, 0.005)  # relative 1 sd of a tension as read
 FITS = 2  # of the sizes
+LOOKS = 6  # at the references that count, at most
 FAR_FACTOR = 10.0  # [1] of the median: a reference further from the description is misread
-BATCHES = 1, 4, 8  # postures in a row whose innovations are added up
-UPPER_SD = 2.33  # of the mean of batches: 99 %
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,9 @@ class Expected:
     markers: Floats  # (3 J,) [m] of the model and of the imperfections as they are known
     columns: Floats  # (3 J, q) [m] per sd
     bent: Floats  # (3 J, 2 m) [m] what is not linear of it, within what is not known
+
+
+_Linear = tuple[Expected, Floats]  # at no imperfections, and (3 J,) [m] as measured
 
 
 class BuiltArm:
@@ -89,6 +93,7 @@ class BuiltArm:
         self._rest = rest.T @ rest  # (3 J, 3 J) of a remainder of 1 m sd at the tip
         self.remainder = 0.0  # [m] 1 sd at the tip
         self.setting = 0.0  # 1 sd of a tension as read, in plausible gains
+        self.left_out: tuple[int, ...] = ()  # of the references: misread
         self.widening = 1.0  # by which variances are larger than expected
         self.kinds = self.split.kinds() if self.level > 0.0 else ()
         usual = [np.full(len(kind), self.level * kind.plausible) for kind in self.kinds]
@@ -171,13 +176,13 @@ class BuiltArm:
         made.mean, made.covariance, made._members = mean, covariance, None
         return made
 
-    def rest(self, rows: npt.NDArray[np.bool_]) -> Floats:
+    def rest(self, rows: Bools) -> Floats:
         """Covariance of seen coordinates under a remainder of 1 m sd at the tip [1]."""
         return np.asarray(self._rest[np.ix_(rows, rows)])
 
     def scatter(
         self,
-        rows: npt.NDArray[np.bool_],
+        rows: Bools,
         columns: Floats,
         frames: int = 1,
         bent: Floats | None = None,
@@ -208,11 +213,13 @@ class BuiltArm:
         """
         Learn from reference postures, the sizes of remainder and noise those that predict best.
 
+        Those that are misread are left out (`left_out`): ten times as far from the description as
+        most, or contradicted by the others.
+
         Parameters
         ----------
         tensions : (P, m) [N]
         positions : (P, J, 3) [m]
-            Postures that are ten times as far from the description as most are left out.
         frames : int
             Of which each position is the mean.
 
@@ -223,18 +230,40 @@ class BuiltArm:
 
         """
         self.forget()
-        near = self._near(tensions, positions)
-        tensions, positions = tensions[near], positions[near]
-        for _ in range(FITS):  # around what the last one found: far from it all looks larger
-            base = self._linear(tensions, positions)
-            likelihood = partial(self._likelihood, base, frames)
-            self._vary(max(product(REMAINDER_SHARES, SETTING_SIZES), key=likelihood))
-            self._learn_all(base, frames)
-        scores = self._follow(tensions, positions, frames)
+        near = counts = self._near(tensions, positions)
+        for _ in range(LOOKS):
+            base = self._sized(tensions, positions, frames, counts)
+            before = counts
+            counts = near & ~contradicted([self._seen(one, frames) for one in base], before)
+            if np.array_equal(counts, before):
+                break
+        self.left_out = tuple(np.flatnonzero(~counts).tolist())
+        scores = self._follow(tensions[counts], positions[counts], frames)
         self.widening = widening(scores[len(scores) // 3 :])
         return self.remainder
 
-    def _near(self, tensions: Floats, positions: Floats) -> npt.NDArray[np.bool_]:
+    def _sized(
+        self, tensions: Floats, positions: Floats, frames: int, counts: Bools
+    ) -> list[_Linear | None]:
+        """Find the sizes that predict those best that count; return all of them, linear."""
+        for _ in range(FITS):  # around what the last one found: far from it all looks larger
+            base = self._linear(tensions, positions)
+            counted = [one for one, c in zip(base, counts, strict=True) if c and one is not None]
+            likelihood = partial(self._likelihood, counted, frames)
+            self._vary(max(product(REMAINDER_SHARES, SETTING_SIZES), key=likelihood))
+            self._learn_all(counted, frames)
+        return base
+
+    def _seen(self, one: _Linear | None, frames: int) -> Reference | None:
+        """Return a linear posture as the others may contradict it."""
+        if one is None:
+            return None
+        free, measured = one
+        rows = np.isfinite(measured)
+        scatter = self.scatter(rows, free.columns, frames, free.bent)
+        return Reference(measured[rows] - free.markers[rows], free.columns[rows], scatter)
+
+    def _near(self, tensions: Floats, positions: Floats) -> Bools:
         """Tell which postures (P,) are about as far from the description as most of them."""
         off = np.full(len(tensions), np.nan)
         for i, (inputs, seen) in enumerate(zip(tensions, positions, strict=True)):
@@ -246,7 +275,7 @@ class BuiltArm:
         return np.asarray(~(off > FAR_FACTOR * max(float(usual), self.noise)))
 
     def _likelihood(
-        self, base: Sequence[tuple[Expected, Floats]], frames: int, sizes: tuple[float, float]
+        self, base: Sequence[_Linear], frames: int, sizes: tuple[float, float]
     ) -> float:
         """Return the log likelihood of postures under sizes of remainder and tensions' noise."""
         self._vary(sizes)
@@ -273,16 +302,15 @@ class BuiltArm:
         self.covariance = self.covariance - gain.T @ gain
         return float(-0.5 * white @ white - np.log(np.diag(root)).sum())
 
-    def _linear(self, tensions: Floats, positions: Floats) -> list[tuple[Expected, Floats]]:
+    def _linear(self, tensions: Floats, positions: Floats) -> list[_Linear | None]:
         """Return what is expected of postures, linear, at no imperfections; and measurements."""
         seen = [(self.expected(t), p.ravel()) for t, p in zip(tensions, positions, strict=True)]
         return [
-            (replace(e, markers=e.markers - e.columns @ self.mean), y)
+            None if e is None else (replace(e, markers=e.markers - e.columns @ self.mean), y)
             for e, y in seen
-            if e is not None
         ]
 
-    def _learn_all(self, base: Sequence[tuple[Expected, Floats]], frames: int) -> float:
+    def _learn_all(self, base: Sequence[_Linear], frames: int) -> float:
         """Learn from linear postures; return their log likelihood."""
         total = 0.0
         self.forget()
@@ -344,28 +372,3 @@ def usual_kinks(robot: Robot, level: float) -> Floats:
     cells = np.array([section.cells for section in robot.sections])[end_sections(robot)]
     kink = level * PLAUSIBLE_SIZES[KINK][1]
     return np.asarray(kink * cells / np.linalg.norm(bend_rates(robot), axis=1))
-
-
-def widening(scores: Sequence[tuple[Floats, Floats]]) -> float:
-    """
-    Return by how much the variance of innovations exceeds what is expected of it, 1 at least.
-
-    Batch means: for scores d = sum C' S^-1 nu and their covariance V = sum C' S^-1 C over so many
-    postures in a row, d' (V + 1)^-1 d against its mean, tr V (V + 1)^-1. Innovations that hang
-    together make it larger for longer batches. The largest upper bound (99 %) counts.
-    """
-    worst = 1.0
-    for length in BATCHES:
-        ratios = []
-        for i in range(0, len(scores) - length + 1, length):
-            batch = scores[i : i + length]
-            seen = np.sum([d for d, _ in batch], axis=0)
-            told = np.sum([v for _, v in batch], axis=0)
-            both = np.linalg.solve(told + np.eye(len(seen)), np.column_stack([seen, told]))
-            mean = float(np.trace(both[:, 1:]))
-            if mean > 0.0:
-                ratios.append(float(seen @ both[:, 0]) / mean)
-        if len(ratios) > 2:
-            upper = np.mean(ratios) + UPPER_SD * np.std(ratios, ddof=1) / np.sqrt(len(ratios))
-            worst = max(worst, float(upper))
-    return worst

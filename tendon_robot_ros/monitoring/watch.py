@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from ..common.errors import InputError
 from ..common.processes import ComputingThread
+from ..common.words import listed
 from ..data import Marker
 from ..effects import Catalogue
 from ..model.model import Model
@@ -132,9 +133,16 @@ class ArmWatch:
         if state is None:
             have, of = len(self._references), self.settings.reference_postures
             return f'learning the arm: {have} of {of} postures'
-        if not state.alarm:
-            return 'as it was'
-        return f'no longer what the model says: looks like {described(state.suspects)}'
+        said = 'as it was'
+        if state.alarm:
+            said = f'no longer what the model says: looks like {described(state.suspects)}'
+        return said + self._misread
+
+    @property
+    def _misread(self) -> str:
+        """Name the references that are no part of what is known."""
+        numbers = [f'{i + 1}' for i in self._arm.left_out]
+        return f'; left out as misread: reference {listed(numbers)}' if numbers else ''
 
     def change(self) -> str:
         """
