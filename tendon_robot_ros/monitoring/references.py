@@ -10,8 +10,10 @@ known, y = x + C b + noise with b ~ N(0, 1),
     m = P sum C' S^-1 (y - x),   P^-1 = 1 + sum C' S^-1 C,
 
 the sums over the others. The norm of nu, whitened, is judged by the test for outliers of the
-diagnosis: against the robust spread of all. By how much a wrong reference has made S too large
-widens all alike, and hides none.
+diagnosis: against the robust spread of all, so that what a wrong reference adds to S hides none.
+Of a description that lacks an effect the norms vary more than chance has it, by a factor on their
+logarithms; the limit is then as much farther: a model that is wrong here and there makes no
+reference a misread one.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from ..diagnosis.outliers import outlier_limits
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 BATCHES = 1, 4, 8  # postures in a row whose innovations are added up
+MAD_SD = 1.4826  # 1 sd of a normal distribution over its median absolute deviation
 UPPER_SD = 2.33  # of the mean of batches: 99 %
 
 
@@ -63,7 +66,19 @@ def contradicted(references: Sequence[Reference | None], counts: Bools) -> Bools
         off = one.off - one.columns @ known @ others[:, -1]
         spread = one.columns @ known @ one.columns.T + one.scatter
         sizes[i], freedom[i] = np.sqrt(off @ np.linalg.solve(spread, off)), len(off)
-    return np.asarray(sizes > outlier_limits(sizes, freedom))
+    return _beyond(sizes, freedom)
+
+
+def _beyond(sizes: Floats, freedom: npt.NDArray[np.int64]) -> Bools:
+    """Tell which sizes are outliers, though of a model that lacks something they vary more."""
+    seen, limits = np.isfinite(sizes), outlier_limits(sizes, freedom)
+    if not np.isfinite(limits).all():
+        return np.zeros(len(sizes), dtype=np.bool_)
+    apart = np.log(np.where(seen, sizes, limits) / limits)
+    middle = float(np.median(apart[seen]))
+    varies = MAD_SD * float(np.median(np.abs(apart[seen] - middle)))
+    expected = float(np.median(np.sqrt(0.5 / freedom[seen])))  # of the logarithm of a norm
+    return np.asarray(seen & (apart - middle > -middle * max(1.0, varies / expected)))
 
 
 def _told(one: Reference) -> Floats:
