@@ -17,7 +17,7 @@ from tendon_robot_ros.monitoring.built_arm import BuiltArm
 from tendon_robot_ros.monitoring.change import ChangeFinder, ChangeFit
 from tendon_robot_ros.monitoring.drift import DriftAlarm, _ChangeBegun
 from tendon_robot_ros.monitoring.possible_changes import changes_of
-from tendon_robot_ros.monitoring.references import widening
+from tendon_robot_ros.monitoring.references import Reference, contradicted, widening
 from tendon_robot_ros.monitoring.tip_force import TipForceObserver
 from tendon_robot_ros.monitoring.watch import ArmWatch, WatchSettings, dump_change, load_change
 from tendon_robot_ros.robot import load_robot
@@ -250,6 +250,34 @@ def test_innovations_that_vary_more_or_hang_together_widen(variance, shared, low
     own, common = random.normal(size=(320, 4)), np.repeat(random.normal(size=(32, 4)), 10, axis=0)
     scores = np.sqrt(50.0 * variance) * (np.sqrt(1 - shared) * own + np.sqrt(shared) * common)
     assert low < widening([(score, told) for score in scores]) < high
+
+
+def references(random, count=30, sizes=1.0):
+    """Return postures of an arm of four imperfections; the errors of each so much larger."""
+    known = random.normal(size=4)
+    for size in np.broadcast_to(sizes, count):
+        columns = random.normal(size=(60, 4))
+        off = columns @ known + size * random.normal(size=60)
+        yield Reference(off, columns, np.eye(60))
+
+
+def test_of_good_references_one_in_a_thousand_arms_loses_one_and_of_misread_ones_all_are_found():
+    random, counts = np.random.default_rng(5), np.ones(30, dtype=bool)
+    good = [contradicted(list(references(random)), counts).any() for _ in range(400)]
+    assert sum(good) <= 3
+    off = np.where(np.isin(np.arange(30), [3, 4, 20]), 4.0, 1.0)
+    for wide in (1.0, 20.0):  # what is thought to be new in every posture
+        seen = [replace(r, scatter=wide * r.scatter) for r in references(random, 30, off)]
+        assert np.flatnonzero(contradicted(seen, counts)).tolist() == [3, 4, 20]
+    few = list(references(random, 9, np.append(np.ones(8), 50.0)))
+    assert not contradicted(few, counts[:9]).any(), 'nine cannot tell what is usual'
+    assert not contradicted([None, *few], counts[:10]).any()
+
+
+def test_where_a_model_is_wrong_here_and_there_no_reference_is_misread():
+    random, counts = np.random.default_rng(6), np.ones(30, dtype=bool)
+    off = np.exp(0.3 * random.normal(size=30))
+    assert not contradicted(list(references(random, 30, off)), counts).any()
 
 
 @pytest.fixture(scope='module')
