@@ -155,7 +155,7 @@ def _ahead(core: Seeker, search: TargetSearch) -> Target:
 
 
 @dataclass(frozen=True)
-class Question:
+class ReachQuestion:
     """What the solver is asked: it reads nothing that the commanding thread changes."""
 
     model: Model
@@ -209,7 +209,7 @@ class Question:
         against much tension, where it is furthest off. Then friction is left to the loop, and so
         is by how much the tip was off elsewhere.
         """
-        ways: list[tuple[Question, Shape | None, Tell | None]] = [(self, here, tell)]
+        ways: list[tuple[ReachQuestion, Shape | None, Tell | None]] = [(self, here, tell)]
         if not (self.streamed or self.tracking or self.settings.pull_mode):
             bare = replace(self, target=self.asked)
             ways = [(self, None, tell), (bare, None, None), (self, here, None)]
@@ -257,7 +257,7 @@ class Question:
 
 def question_of(
     core: Controller, model: Model, target: Target, streamed: bool = False, tracking: bool = False
-) -> Question:
+) -> ReachQuestion:
     """
     Return the question of the tensions for a target, from where the arm is.
 
@@ -277,7 +277,9 @@ def question_of(
     asked, felt = target, core.felt_tensions()
     if target.position is not None:
         target = replace(target, position=target.position - core.tip_shift(target.position))
-    return Question(model, core.settings, target, asked, guess, last, felt, streamed, tracking)
+    return ReachQuestion(
+        model, core.settings, target, asked, guess, last, felt, streamed, tracking
+    )
 
 
 def _take(core: Seeker, search: TargetSearch, result: SearchResult) -> None:
