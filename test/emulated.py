@@ -52,7 +52,7 @@ def config(port, /, **changes):
         'model': MODEL,
         'spool_radius': RADIUS,
         'answer_time': 0.03,  # [s]; the machine that tests is busy
-        'watchdog': 0.2,
+        'watchdog': 2.0,  # as above; a test of what it does says how soon
         'pull_limits': [-0.01, 0.03],
         'motors': motors,
     }
@@ -157,9 +157,9 @@ def running(line, mode='tension', **changes):
     return driver, command
 
 
-def arm_in(mode):
+def arm_in(mode, **changes):
     with line(slack=0.001) as made:
-        driver, command = running(made, mode)
+        driver, command = running(made, mode, **changes)
         yield driver, made, command
         driver.close()
 
@@ -170,6 +170,14 @@ def until(driver, command, wanted, seconds=SOON):
     readings = cycle(driver, command, seconds, until=lambda r: wanted(r) and not found.append(r))
     assert found, readings[-1]
     return found[0]
+
+
+def watchdogs_trip(line):
+    """Wait until nothing that came over the bus for too long has stopped every motor."""
+    end = time.monotonic() + SOON
+    while not all(servo.tripped for servo in line.rig.servos.values()):
+        assert time.monotonic() < end
+        time.sleep(0.01)
 
 
 def settled(driver, command):
@@ -187,6 +195,16 @@ def settled(driver, command):
 
 def healthy(reading):
     return not reading.faults and np.isfinite(reading.pulls).all()
+
+
+def arrive(driver, command, part):
+    """Cycle until the arm is where it is told to be, up to a part of the largest command."""
+
+    def there(reading):
+        value = reading.tensions if driver.mode == 'tension' else reading.pulls
+        return healthy(reading) and np.allclose(value, command, rtol=0.0, atol=part * max(command))
+
+    until(driver, command, there)
 
 
 def goals(line, name, since):

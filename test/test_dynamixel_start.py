@@ -159,7 +159,7 @@ def test_torque_comes_on_without_a_jump(mode):
         time.sleep(0.05)
         np.testing.assert_allclose(driver.read().pulls, before, atol=2e-4)
         assert [servo.torque for servo in line.rig.servos.values()] == [True] * 4
-        assert {servo.get('bus_watchdog') for servo in line.rig.servos.values()} == {10}
+        assert {servo.get('bus_watchdog') for servo in line.rig.servos.values()} == {100}
 
 
 @pytest.mark.parametrize(

@@ -131,12 +131,7 @@ def test_check_alone_finds_robot_and_driver_in_the_folder_and_names_what_crept(
     monkeypatch.setattr(tendon_check, 'RAMP_S', 0.5)
     (tmp_path / 'arm.yaml').write_text(emulated.ROBOT)
     with emulated.line() if kind == 'dynamixel' else emulated_board.board() as line:
-        patient = {'watchdog': 2.0}  # [s]; the machine that tests is busy
-        made = (
-            emulated.config(line.port, **patient)
-            if kind == 'dynamixel'
-            else emulated_board.config(line)
-        )
+        made = emulated.config(line.port) if kind == 'dynamixel' else emulated_board.config(line)
         (tmp_path / f'{kind}.yaml').write_text(yaml.safe_dump(made))
         assert main(['calibrate', '--check', '--yes']) == 0
         assert 'written: tendons.yaml' in capsys.readouterr().out
