@@ -85,6 +85,43 @@ def test_also_where_wire_lengths_are_commanded():
     assert missed(order, pull=True) < 0.01 * missed(order, known=False)
 
 
+def test_a_stream_of_targets_asks_for_no_newtons_where_three_tendons_hardly_lead_the_tip():
+    robot = read_robot('spatial_3')
+    way = np.array([(0.3, 0.1 + 0.01 * k, 0.1) for k in range(20)])
+    places = Model(robot).shapes(way).tip_position
+    arm = Model(robot.with_effect('friction_memory', {'presliding_length': 2e-4}))
+    core, here = ControllerCore(arm, Settings()), arm.shape(np.full(3, 0.1))
+    for step in range(60):
+        core.measured(0.02 * step, here.inputs, here.pulls)
+        if step in (1, *range(40, 60)):
+            core.aim(Target(places[max(step - 40, 0)]))
+        output = core.step(0.02 * step)
+        here = here if output is None else arm.follow(here, output.tensions)
+        core.predict(0.02 * step, lambda shape: None)
+        assert here.inputs.max() < 0.5
+    assert np.linalg.norm(here.tip_position - places[-1]) < 2e-3
+
+
+def test_a_target_of_a_stream_that_has_no_equilibrium_nearby_is_looked_for_everywhere(monkeypatch):
+    rig, asked, reach = Rig(), [], Model.reach
+
+    def near_is_none(self, position, direction=None, **options):
+        asked.append(options['gently'])
+        if options['gently']:
+            raise NoEquilibriumError('nearby', (), np.inf)
+        return reach(self, position, direction, **options)
+
+    rig.run(0.05)
+    rig.go(TARGETS[0])
+    monkeypatch.setattr(Model, 'reach', near_is_none)
+    for share in (0.0, 0.01):
+        tensions = np.array(TARGETS[0]) + share
+        rig.core.aim(Target(model(False).shape(tensions).tip_position))
+        rig.run(0.02)
+    assert asked == [False, True, False]
+    assert 'target' not in rig.core.refusals
+
+
 @pytest.mark.parametrize('approach', ['from_below', 'model'])
 def test_another_approach_ends_at_the_same_place(approach):
     assert missed(TARGETS[:2], approach=approach) < 2e-4

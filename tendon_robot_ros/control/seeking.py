@@ -171,27 +171,51 @@ class ReachQuestion:
     def reach(
         self, past: Shape | None, guess: Shape | None, give_up: GiveUp, tell: Tell | None = None
     ) -> Reach:
-        """Find tensions that are right when they are reached from a shape."""
-        near = self.tracking or self.streamed
+        """
+        Find tensions that are right when they are reached from a shape.
+
+        Where friction remembers, a target near the last one is looked for near there alone.
+        """
+        if self._near and self.model.remembers:
+            try:
+                return self._reach(past, guess, give_up, tell, gently=True)
+            except NoEquilibriumError:
+                if self.tracking:
+                    raise
+        return self._reach(past, guess, give_up, tell, gently=False)
+
+    def _reach(
+        self,
+        past: Shape | None,
+        guess: Shape | None,
+        give_up: GiveUp,
+        tell: Tell | None,
+        gently: bool,
+    ) -> Reach:
         return self.model.reach(
             position=self.target.position,
             direction=self.target.direction,
             guess=guess,
             direction_weight=self.settings.direction_weight or None,
-            starts=0 if self.tracking else COLD_SEARCH_STARTS,
+            starts=0 if self.tracking or gently else COLD_SEARCH_STARTS,
             by_pulls=self.settings.pull_mode,
             relax=not self.tracking,
+            gently=gently,
             memory=None if past is None else past.memory,
-            preferences=None if near else self.settings.preferences,
+            preferences=None if self._near else self.settings.preferences,
             keep_out=self.settings.keep_out,
             give_up=give_up,
             tell=tell,
         )
 
     @property
+    def _near(self) -> bool:
+        return self.tracking or self.streamed
+
+    @property
     def kind(self) -> str:
         """How the target is approached."""
-        return 'any' if self.streamed or self.tracking else self.settings.approach
+        return 'any' if self._near else self.settings.approach
 
     @property
     def _below(self) -> bool:

@@ -61,6 +61,7 @@ def reach(
     starts: int = 24,
     by_pulls: bool = False,
     relax: bool = False,
+    gently: bool = False,
     memory: Floats | None = None,
     preferences: Preferences | None = None,
     keep_out: KeepOut | None = None,
@@ -86,6 +87,9 @@ def reach(
         Only tensions that wire lengths can hold (see `inverse_pulls`); the lower limit is 0.
     relax : bool
         With a guess, too, go on from a solution to one of low tension, as a cold search does.
+    gently : bool
+        With a guess, newtons of all tendons against each other are not spent on tenths of a
+        millimetre in directions in which tendons hardly lead the tip: for targets of a stream.
     memory : optional
         Friction memory where the arm is (`Shape.memory`): tensions then count as reached from
         there, along a straight line. Default: from straight and free of tension.
@@ -112,7 +116,7 @@ def reach(
     patience = give_up if isinstance(give_up, Patience) else Patience()
     task = TipTask(model, target, past, patience)
     starts = min(starts, PULL_STARTS) if by_pulls else starts
-    begin = beginnings(task, guess, starts, tell is not None)
+    begin = beginnings(task, guess, starts, tell is not None, gently)
     best = _searched(task, begin, guess, by_pulls, give_up, tell)
     if not by_pulls and preferences is None and not give_up():
         best = _finished(task, relax or guess is None, *best)

@@ -33,6 +33,7 @@ POSED_STEPS_MAX = 30  # for a direction, too: little is free, and another start 
 LIBRARY_NEIGHBOURS = 128  # shapes of the library among which starts are chosen
 START_TENSION_WEIGHT = 3e-3  # [m/N] how the tensions of a shape count when a start is chosen
 LOW_TENSION_WEIGHT = 1e-6  # [m/N] how little low tension counts
+GENTLE_WEIGHT = 3e-4  # [m/N] where directions that tendons hardly lead to are to be left
 SEEKING_WEIGHT = 1e-4  # [m/N] and where bends and tensions are found at once
 SEEKING_WIDTHS, SEEKING_SHRINK, SEEKING_STEPS_MAX = (1e3, 1e2), 0.5, 60
 NEAR_WIDTHS, FAR_WIDTHS = (10.0, 1e2, 1e3), (1e3, 1e2)  # from a guess, one after the other
@@ -66,6 +67,19 @@ def aim(
     begin, end = _shared(task, inputs, bends, limits)
     cost = task.model.arrays.part('inverse').aim(*begin, preference, most, enough, far, *end)
     return float(cost), bends[0]
+
+
+def aim_gently(
+    task: TipTask, most: int, inputs: Floats, bend: Floats, limits: Floats
+) -> tuple[float, Floats]:
+    """
+    Improve inputs in place, with tension that counts; return the plain cost [m²] and the bends.
+
+    In directions in which tendons hardly lead the tip, tenths of a millimetre are not worth
+    newtons of all tendons against each other.
+    """
+    bends = aim(task, TRACKING_GAIN_MIN, inputs, bend, limits, GENTLE_WEIGHT, most=most)[1]
+    return aim(task, TRACKING_GAIN_MIN, inputs, bends, limits, far=0.0)
 
 
 def step_towards(
@@ -119,14 +133,16 @@ def _shared(
     )
 
 
-def beginnings(task: TipTask, guess: Shape | None, count: int, step: bool) -> Iterator[Start]:
+def beginnings(
+    task: TipTask, guess: Shape | None, count: int, step: bool, gently: bool = False
+) -> Iterator[Start]:
     """
     Yield how to search, and tensions and bends to start from; made only when needed.
 
     The guess, then the straight arm, from where a gentle bend is nearer than a curl, then the
     shapes of the library whose tips are nearest, those of low tension first: from much tension
     against much tension there is often no way down. `step`: from a guess that is far, early, by a
-    short step towards the target.
+    short step towards the target. `gently`: from the guess see `aim_gently`, unless tendons stick.
     """
     model, near = task.model, partial(aim, task, GAIN_MIN)
     kept: Kept = []
@@ -137,7 +153,8 @@ def beginnings(task: TipTask, guess: Shape | None, count: int, step: bool) -> It
         inputs = np.minimum(np.maximum(guess.inputs, model.limits[:, 0]), model.limits[:, 1])
         if not model.sticks:
             most = REMEMBERING_TRIALS_MAX if model.remembers else TRIALS_MAX
-            yield partial(aim, task, TRACKING_GAIN_MIN, most=most), inputs, guess.state
+            search = partial(aim, task, TRACKING_GAIN_MIN, most=most)
+            yield partial(aim_gently, task, most) if gently else search, inputs, guess.state
         elif task.cost(guess) < FAR_M2:
             yield from _starts_near(task, guess, inputs, count, kept)
         else:
