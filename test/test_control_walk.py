@@ -7,7 +7,7 @@ import pytest
 
 from tendon_robot_ros.control import ControllerCore, Settings, Target
 from tendon_robot_ros.control.mismatch import Mismatch
-from tendon_robot_ros.control.walk import NOISE_M, SPEED_MAX, Leak, begun
+from tendon_robot_ros.control.walk import NOISE_M, SPEED_MAX, STUCK_S, Leak, Led, begun
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.redundancy import Preferences, bounded_step
 from tendon_robot_ros.ros.shared.files import read_robot
@@ -56,9 +56,19 @@ def test_tensions_that_may_only_rise_lead_the_tip_anywhere():
 def test_a_walk_to_where_the_arm_is_is_over():
     here = np.full(4, 1.0)
     known = Mismatch.unknown(here, np.array([[0.1, 5.0]] * 4), np.full(4, 0.05))
-    walk = begun(None, here, here, known, here, LENGTH)
-    assert begun(walk, here, here, known, here, LENGTH) is walk
-    assert begun(walk, here.copy(), here, known, here, LENGTH) is not walk
+    led = Led(None, here)
+    walk = begun(None, led, here, known, here, LENGTH)
+    assert begun(walk, led, here, known, here, LENGTH) is walk
+    assert begun(walk, Led(None, here), here, known, here, LENGTH) is not walk
+
+
+def test_a_walk_that_has_no_way_on_for_a_moment_is_not_over():
+    here, limits = np.full(4, 1.0), np.array([[0.1, 5.0]] * 4)
+    known = Mismatch.unknown(here, limits, np.full(4, 0.05))
+    walk = begun(None, Led(None, here + 0.5), here, known, here, LENGTH)
+    stood = replace(walk, stuck=0.5 * STUCK_S), replace(walk, stuck=1.1 * STUCK_S)
+    assert [one._over(here) for one in (walk, *stood)] == [False, False, True]
+    assert walk._over(here + 0.48)
 
 
 def test_a_walk_goes_on_where_the_nearest_direction_that_holds_the_tip_would_turn_a_tension():
@@ -68,7 +78,7 @@ def test_a_walk_goes_on_where_the_nearest_direction_that_holds_the_tip_would_tur
     wish = (towards - here) / 5.0
     assert (wish - np.linalg.pinv(slopes) @ (slopes @ wish)).min() < 0.0
     known = Mismatch.unknown(here, limits, np.full(4, 0.05))
-    free = begun(None, towards, here, known, here, LENGTH)._free(slopes, here, limits)
+    free = begun(None, Led(None, towards), here, known, here, LENGTH)._free(slopes, here, limits)
     assert free.min() >= 0.0 and free.max() > 0.01
     assert np.abs(slopes @ free).max() < 1e-3 * free.max()
 
@@ -125,6 +135,25 @@ def test_on_an_arm_that_rubs_more_no_tension_turns_round_and_the_tip_stays():
     assert rig.arm.tip_stiffness(rig.shape).along([1, 0, 0]) > 1.15 * before
 
 
+def test_a_walk_ends_where_the_tip_is_as_stiff_as_is_enough():
+    rig = Rig()
+    rig.run(0.1)
+    rig.core.aim(Target(np.array([-0.09, 0.0, 0.175])))
+    rig.run(4.0)
+    model, along = rig.core.model, (1.0, 0.0, 0.0)
+    enough = 1.15 * model.tip_stiffness(rig.core.track.last).along(along)
+    wants = Preferences(
+        low_tension=0.01, stiffness=0.1, stiffness_direction=along, stiffness_enough=enough
+    )
+    rig.core.settings = replace(rig.core.settings, preferences=wants)
+    rig.run(16.0)
+    made = model.tip_stiffness(rig.core.track.last).along(along)
+    assert 0.999 < made / enough < 1.01
+    begin = len(rig.commands)
+    rig.run(2.0)
+    assert rig.commands[-1] == pytest.approx(rig.commands[begin], abs=1e-9)
+
+
 def walked(seed):
     """Return a rig at a target, after a short walk from there that is over, and its last goal."""
     rig = Rig(seed)
@@ -133,8 +162,8 @@ def walked(seed):
     rig.run(4.0)
     loop, solution = rig.core.loop, rig.core.solution
     towards = loop.goal(rig.core, solution.tensions) + 0.1
-    loop.lead(solution, towards)
-    rig.run(6.0)
+    loop.lead(Led(solution, towards))
+    rig.run(14.0)
     assert np.all(np.abs(rig.commands[-1] - towards) < 0.1)
     return rig
 

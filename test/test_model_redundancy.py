@@ -113,6 +113,22 @@ def test_the_tip_stiffens_twice_and_stays():
     assert found.position_error < 2e-5
 
 
+def test_a_tip_that_is_stiff_enough_asks_for_no_more_tension():
+    model = arm(remembers=True)
+    there = model.shape([0.9, 0.2, 0.2, 0.6])
+    before = model.tip_stiffness(there).along([1, 0, 0])
+    wants = Preferences(
+        low_tension=0.1,
+        stiffness=0.1,
+        stiffness_direction=(1.0, 0.0, 0.0),
+        stiffness_enough=2.0 * before,
+    )
+    found = model.reach(there.tip_position, guess=there, memory=there.memory, preferences=wants)
+    made = model.tip_stiffness(found.shape).along([1, 0, 0])
+    assert 1.99 < made / before < 2.1
+    assert found.position_error < 2e-5
+
+
 def test_a_wall_at_the_target_keeps_the_tip_at_its_distance():
     model = arm('spatial')
     tip = model.shape([2.0, 0.1, 0.1, 0.1, 0.1, 2.0]).tip_position
@@ -155,7 +171,9 @@ def test_corrected_slopes_say_what_the_step_did_and_else_what_they_said():
     assert made @ across.T == pytest.approx(slopes @ across.T)
 
 
-@pytest.mark.parametrize('wrong', [{'slack': -1.0}, {'stiffness': np.nan}, {'margin': 0.0}])
+@pytest.mark.parametrize(
+    'wrong', [{'slack': -1.0}, {'stiffness': np.nan}, {'margin': 0.0}, {'stiffness_enough': -1.0}]
+)
 def test_a_weight_that_makes_no_sense_is_refused(wrong):
     with pytest.raises(InputError, match='expected'):
         Preferences(**wrong)

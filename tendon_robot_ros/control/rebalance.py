@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -13,6 +13,7 @@ from ..model.inverse import CLEARANCE_BINDS_M, judged
 from ..model.redundancy import Balance, balanced
 from ..model.tip_task import TipTask, tip_target
 from .state import Controller
+from .walk import Led
 
 if TYPE_CHECKING:
     from ..model.derivatives import TipStiffness
@@ -27,6 +28,7 @@ Array = NDArray[np.float64]
 NEAR_SHARE = 0.05  # [1] of a step: as good as there
 STEP_N = 0.2  # [N] between two postures on the way: the tip leaves its place by micrometres
 PROGRAMS_MAX, BUDGET_S = 40, 0.5  # to find where the walk leads, and their time [s]
+BEYOND = 1.5  # [1] of the stiffness that is enough: there a walk is led
 STIFFNESS_PERIOD_S = 0.5  # [s] between two looks at the stiffness
 
 
@@ -60,7 +62,7 @@ class Rebalance:
         if not self._is_for(core, target, wants):
             self._walk = (target, wants, core.model)
             self._aim, self._over = None, False
-            core.loop.lead(None, None)
+            core.loop.lead(None)
         if not self._over:
             self._ask(core, target, wants, solution)
 
@@ -81,26 +83,30 @@ class Rebalance:
         aim, walk, closed = self._aim, self._walk, core.settings.tip_gain > 0.0
         assert command is not None
 
-        def work(give_up: GiveUp) -> tuple[Array, Reach | None]:
+        def work(give_up: GiveUp) -> tuple[Led, Reach | None]:
             past = model.arrays.fresh_memory()
             if model.remembers:
                 past = model.follow(last, felt).memory
-            balance = Balance(TipTask(model, asked, past), wants, keep_out)
+            task = TipTask(model, asked, past)
+            balance = Balance(task, _further(wants) if closed else wants, keep_out)
             here = balance.task.shape(command, solution.shape.state)
+            if closed:
+                there = balanced(balance, here, PROGRAMS_MAX, give_up)
+                return _led(Balance(task, wants), solution, there), None
             wanted = aim
             if wanted is None:
                 wanted = balanced(balance, here, PROGRAMS_MAX, give_up).inputs
-            return wanted, None if closed else _nearer(balance, here, wanted, STEP_N)
+            return Led(solution, wanted), _nearer(balance, here, wanted, STEP_N)
 
-        def done(found: tuple[Array, Reach | None] | None, error: TendonRobotError | None) -> None:
+        def done(found: tuple[Led, Reach | None] | None, error: TendonRobotError | None) -> None:
             if core.solution is not solution or self._walk is not walk:
                 return
             if found is None or found[1] is None:
                 self._over = True
                 if closed and found is not None:
-                    core.loop.lead(solution, found[0])  # it goes there as far as the tip allows
+                    core.loop.lead(found[0])  # it goes there as far as the tip allows
             else:
-                self._aim, core.solution = found
+                self._aim, core.solution = found[0].tensions, found[1]
 
         core.solver.post('balance', work, done, BUDGET_S)
 
@@ -130,6 +136,19 @@ class Rebalance:
         }
         self._said = stiffness, words
         return words
+
+
+def _further(wants: Preferences) -> Preferences:
+    """Return preferences that lead beyond what is enough: a walk ends on its way."""
+    return replace(wants, stiffness_enough=BEYOND * wants.stiffness_enough)
+
+
+def _led(balance: Balance, solution: Reach, wanted: Shape) -> Led:
+    """Return the walk to a posture; it is over where the tip already is as stiff as there."""
+    if balance.preferences.stiffness == 0.0:
+        return Led(solution, wanted.inputs)
+    enough = balance.log_stiffness(wanted)
+    return Led(solution, wanted.inputs, lambda shape: balance.log_stiffness(shape) >= enough)
 
 
 def _nearer(balance: Balance, here: Shape, wanted: Array, longest: float) -> Reach | None:

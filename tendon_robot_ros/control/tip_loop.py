@@ -22,7 +22,7 @@ from ..common.errors import TendonRobotError
 from ..model.derivatives import tip_slopes
 from ..model.redundancy import STEP_DAMPING, bounded_step
 from .mismatch import STEP_SHARE, Mismatch, here_counts, slope_doubt
-from .walk import Walk, begun
+from .walk import Led, Walk, begun
 
 if TYPE_CHECKING:
     from ..model.model import Model
@@ -76,7 +76,7 @@ class TipLoop:
     _tame: float = -np.inf  # [s] when the error and the offset were last as they may be
     _left: str = ''  # why it was left for this target
     _compared: Array | None = None  # (3,) [m] the model's tip with which the last one was
-    _led: tuple[Reach, Array] | None = None  # for which solution, to which tensions (m,) [N]
+    _led: Led | None = None  # where to
     _walk: Walk | None = None  # there
 
     def reset(self) -> None:
@@ -85,13 +85,9 @@ class TipLoop:
         self._led = self._walk = self._compared = None
         self._passed.clear()
 
-    def lead(self, solution: Reach | None, towards: Array | None) -> None:
-        """Walk to tensions (m,) [N] as far as the tip of a solution stays; None: no walk."""
-        self._led = None if solution is None or towards is None else (solution, towards)
-
-    def _towards(self, solution: Reach) -> Array | None:
-        """Return where a walk leads (m,) [N] that is not left."""
-        return self._led[1] if self._led is not None and self._led[0] is solution else None
+    def lead(self, led: Led | None) -> None:
+        """Walk to other tensions as far as the tip of a solution stays; None: no walk."""
+        self._led = led
 
     def goal(self, core: Controller, solution: Array) -> Array:
         """Return the goal (m,) [N], within the limits."""
@@ -210,7 +206,7 @@ class TipLoop:
         limits, gain, passed = core.settings.limits(model), core.settings.tip_gain, self._due
         bias = np.zeros_like(applied) if core.felt.bias is None else core.felt.bias
         goal, last, self._due = self.goal(core, solution.tensions), core.track.last, 0.0
-        keep_out, towards = core.settings.keep_out, self._towards(solution)
+        keep_out, led = core.settings.keep_out, self._led
         then = self._then(now - core.settings.tracker_delay)
         before, was, stands = self._compared, self._walk, self._stands(core, goal)
 
@@ -223,10 +219,10 @@ class TipLoop:
             new = (known or Mismatch.unknown(at, limits, doubt)).moved(at)
             new = new.learned(position - tip, gain, passed, doubt, way, length).moved(applied)
             new = new.within(step.slopes)
-            if towards is None:
+            if led is None or led.solution is not solution:
                 walk, found = None, step.next_goal(new, goal)
             else:
-                walk = begun(was, towards, goal, new, at, length)
+                walk = begun(was, led, goal, new, at, length)
                 walk = walk.learned(at, position - tip, new, length, way, passed)
                 walk, found = walk.step(step, goal, new, passed)
             if keep_out and keep_out.clearance(model.follow(here, found).positions).distance < 0.0:

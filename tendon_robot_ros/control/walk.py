@@ -15,6 +15,7 @@ loop has the arm again where that one's filter sees the tip elsewhere than the w
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from ..model.redundancy import bounded_step
 
 if TYPE_CHECKING:
-    from ..model.shape import Shape
+    from ..model.shape import Reach, Shape
     from .mismatch import Mismatch
 
 Array = NDArray[np.float64]
@@ -33,16 +34,22 @@ LEAK_ALIKE = 1.0  # [1] of the ranges, over which the leak changes by as much
 WANDER = 0.6  # [1] of the way of the model's tip, by which the offset changes beside the leak
 NOISE_SAMPLES = 50  # of a standing arm, from which on the tracker's noise is known
 NOISE_M, NOISE_LEAST_M = 2e-4, 1e-6  # [m] of the tracker on each axis: until it is; at least
-KNOWN_M, KNOWN_NOISES = 3e-5, 0.15  # [m]; [1] of that noise: so well the offset is known at first
-SPEED_MAX = 0.004  # [1/s] of the ranges
-DRIFT = 6e-5  # [m/s] by which the tip may leave its place, 1 sd
+KNOWN_M, KNOWN_NOISES = (
+    1.5e-5,
+    0.075,
+)  # [m]; [1] of that noise: so well the offset is known at first
+SPEED_MAX = 0.002  # [1/s] of the ranges
+DRIFT = 4e-5  # [m/s] by which the tip may leave its place, 1 sd
 OFF_M = 2e-4  # [m] from its place: there the walk waits
-STEP_SHARE = 0.2  # [1] of what the tip is off, in one step of the goal
+STEP_SHARE = 0.1  # [1] of what the tip is off, in one step of the goal; the slower, the less
+PACE_LEAST = 0.1  # [1] of that share where it stands; else as its speed is to the largest
 AHEAD, PROBE = 2e-3, 0.25  # [1] of the ranges, to where slopes are looked at; [1] more of one
 CONTROLLED = 0.01  # [1] of the largest slope: the tip is led in directions with at least that
 FREE = 0.02  # [1] of the ranges: the step by which tensions that hold the tip are found
 FREE_DAMPING = 2e-3  # [1] of the largest slope, for that; see `bounded_step`
 DAMPING = 0.02  # [1] of the largest slope, see `bounded_step`
+LOOK = 5e-4  # [1] of the ranges, between two looks at whether what was walked is enough
+STUCK_S = 3.0  # [s] without a way on, after which a walk is over: leaks are misjudged for moments
 OVER = 0.01  # [1] of the ranges: nearer to its end a walk is over
 HELD_GAIN = 0.5  # [1/s] with which a walk that is over learns that the tip is elsewhere
 HELD_DEVIATIONS = 4.0  # [1] of what it knows the offset to: nearer, tensions stand
@@ -67,6 +74,15 @@ class Ahead(Protocol):
 
     def there(self, goal: Array, before: Shape | None = None) -> Shape:
         """Return the shape under a goal (m,) [N] after another one; default: the one here."""
+
+
+@dataclass(frozen=True)
+class Led:
+    """Where a walk leads, and whether a shape on the way is as good as its end."""
+
+    solution: Reach  # for the target at which the tip is to stay
+    tensions: Array  # (m,) [N]
+    enough: Callable[[Shape], bool] = lambda shape: False
 
 
 @dataclass(frozen=True)
@@ -120,7 +136,7 @@ class Leak:
 class Walk:
     """A walk of the tensions from where they are to where they are preferred."""
 
-    towards: Array  # (m,) [N]
+    led: Led
     ways: Array  # (m,) 1: a tension that rises, -1: that falls
     begin: Array  # (m,) [N]
     range: Array  # (m,) [N]
@@ -128,6 +144,8 @@ class Walk:
     held: Array  # (3,) [m] from where the tip is wanted, that it was off when the walk began
     heading: Array | None = None  # (m,) [1] of the last step; None: the offset is not yet known
     end: Array | None = None  # (m,) [N] where it was over: there the tip is held
+    looked: float = -1.0  # [1] that it had gone when it last looked whether that is enough
+    stuck: float = 0.0  # [s] for which there has been no way on
     left: bool = False  # to the ordinary loop
 
     def way(self, tensions: Array) -> float:
@@ -179,19 +197,33 @@ class Walk:
         free = self._free(slopes, goal, ahead.limits)
         longest = float(np.abs(free).max())
         walk = self._started(off, free / max(longest, 1e-12), known)
-        if self.end is None and longest < OVER:
+        walk = replace(walk, stuck=0.0 if longest > OVER else walk.stuck + passed)
+        way = walk.way(goal)
+        look = way - walk.looked > LOOK
+        walk = replace(walk, looked=way if look else walk.looked)
+        if self.end is None and (walk._over(goal) or (look and self.led.enough(ahead.here))):
             return replace(walk, end=goal, left=walk.heading is None), goal
         away = float(np.linalg.norm(axes @ (off - walk.held)))
         if walk.heading is None or away < walk._rest:
             return walk, goal
         near = max(0.0, 1.0 - away / OFF_M) if self.end is None else 0.0
-        share = min(1.0, near * walk.leak.speed() * passed / max(longest, OVER))
+        speed = near * walk.leak.speed()
+        share = min(1.0, speed * passed / max(longest, OVER))
         ahead_by = walk.leak.slope * (walk.way(there.inputs) - walk.leak.way)
         miss = ahead.wanted - walk.held - there.tip_position - walk.leak.offset - ahead_by
-        wanted = axes @ (STEP_SHARE * miss - curve * share * longest)
+        pace = 1.0 if self.end is not None else max(PACE_LEAST, speed / SPEED_MAX)
+        wanted = axes @ (pace * STEP_SHARE * miss - curve * share * longest)
         on = share * free
         made = bounded_step(slopes, wanted, goal, ahead.limits, DAMPING, on, walk.ways)
         return walk, self._near_end(made)
+
+    def _over(self, goal: Array) -> bool:
+        """Tell whether the walk is at its end, or has had no way on for long."""
+        return bool(self._left(goal).max() < OVER) or self.stuck > STUCK_S
+
+    def _left(self, goal: Array) -> Array:
+        """Return how far (m,) [1] each tension still is from where it is led."""
+        return np.maximum(self.ways * (self.led.tensions - goal) / self.range, 0.0)
 
     def _near_end(self, tensions: Array) -> Array:
         """Return tensions (m,) [N] no further than they may go to hold the tip."""
@@ -208,7 +240,7 @@ class Walk:
 
     def _free(self, slopes: Array, goal: Array, limits: Array) -> Array:
         """Return how far (m,) [1] each tension may go on where slopes (a, m) [m] hold the tip."""
-        wish = np.maximum(self.ways * (self.towards - goal) / self.range, 0.0)
+        wish = self._left(goal)
         scale = FREE / max(float(wish.max()), FREE)
         first, still = scale * self.ways * wish, np.zeros(len(slopes))
         made = bounded_step(slopes, still, goal, limits, FREE_DAMPING, first, self.ways)
@@ -247,7 +279,7 @@ class Walk:
 
 
 def begun(
-    walk: Walk | None, towards: Array, goal: Array, known: Mismatch, tensions: Array, length: float
+    walk: Walk | None, led: Led, goal: Array, known: Mismatch, tensions: Array, length: float
 ) -> Walk:
     """
     Return a walk, or a new one if it leads elsewhere.
@@ -256,8 +288,10 @@ def begun(
     ----------
     walk : Walk or None
         The last one.
-    towards, goal : (m,) [N]
-        Where it leads, where it begins.
+    led : Led
+        Where it leads.
+    goal : (m,) [N]
+        Where it begins.
     known : Mismatch
         What the filter of the loop knows.
     tensions : (m,) [N]
@@ -266,13 +300,13 @@ def begun(
         Of the arm [m].
 
     """
-    if walk is not None and walk.towards is towards:
+    if walk is not None and walk.led is led:
         return walk
     doubt = _noise(known) * float(np.sqrt(known.spread[0, 0]))
     spread = np.diag([doubt**2, (LEAK_DOUBT * length) ** 2])
     leak = Leak(0.0, known.offset, np.zeros(3), spread)
-    ways = np.where(towards >= goal, 1.0, -1.0)
-    return Walk(towards, ways, tensions, known.range, leak, np.zeros(3))
+    ways = np.where(led.tensions >= goal, 1.0, -1.0)
+    return Walk(led, ways, tensions, known.range, leak, np.zeros(3))
 
 
 def _noise(known: Mismatch) -> float:

@@ -51,6 +51,7 @@ class Preferences:
     low_tension: float = 0.03
     stiffness: float = 0.0  # of the tip, along `stiffness_direction`
     stiffness_direction: tuple[float, float, float] = (0.0, 0.0, 0.0)  # zeros: the softest
+    stiffness_enough: float = 0.0  # [N/m] beyond which nothing is gained; 0: there is no such
     slack: float = 0.0  # distance from the lowest tension
     limit: float = 0.0  # distance from the highest tension
     smooth: float = 0.0  # little change from where the arm is
@@ -64,6 +65,10 @@ class Preferences:
                 raise InputError(
                     f'{name}: expected a weight from 0 to 1000, got {getattr(self, name)}'
                 )
+        if not 0.0 <= self.stiffness_enough < np.inf:
+            raise InputError(
+                f'stiffness_enough: expected 0 N/m or more, got {self.stiffness_enough}'
+            )
         if not 0.0 < self.margin <= 0.5:
             raise InputError(f'margin: expected more than 0 and at most 0.5, got {self.margin}')
 
@@ -132,12 +137,13 @@ class Balance:
         return cost
 
     def log_stiffness(self, shape: Shape) -> float:
-        """Return the logarithm of the preferred stiffness of the tip [N/m]."""
+        """Return the logarithm of the preferred stiffness of the tip [N/m], at most of enough."""
         wants = self.preferences
         made = tip_stiffness(self.task.model, shape, wants.wires_held)
         towards = np.array(wants.stiffness_direction)
         stiff = made.along(towards) if towards.any() else made.softest[0]
-        return float(np.log(max(stiff, 1e-12)))
+        enough = wants.stiffness_enough or np.inf
+        return float(np.log(min(max(stiff, 1e-12), enough)))
 
     def stiffness_slope(self, shape: Shape) -> Floats:
         """Return how that logarithm follows shares of the range, (m,), by differences."""

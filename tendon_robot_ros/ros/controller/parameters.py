@@ -101,6 +101,14 @@ SPECS = (
         'direction of prefer_stiffness in the base frame, as "x y z"; empty: that in which the '
         'tip is softest',
     ),
+    Spec(
+        'prefer_stiffness_enough',
+        0.0,
+        'stiffness along it beyond which nothing is gained; 0: there is no such',
+        'N/m',
+        0.0,
+        1e6,
+    ),
     Spec('prefer_slack', 0.0, 'weight of distance from the lowest tension', '1', 0.0, 1e3),
     Spec('prefer_limit', 0.0, 'weight of distance from the highest tension', '1', 0.0, 1e3),
     Spec('prefer_smooth', 0.0, 'weight of little change of the tensions', '1', 0.0, 1e3),
@@ -151,6 +159,7 @@ def preferences(parameters: Parameters) -> Preferences | None:
         **weights,
         margin=parameters['prefer_margin'],
         stiffness_direction=direction_of(parameters['prefer_stiffness_along']),
+        stiffness_enough=parameters['prefer_stiffness_enough'],
     )
 
 
