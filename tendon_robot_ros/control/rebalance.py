@@ -28,7 +28,6 @@ Array = NDArray[np.float64]
 NEAR_SHARE = 0.05  # [1] of a step: as good as there
 STEP_N = 0.2  # [N] between two postures on the way: the tip leaves its place by micrometres
 PROGRAMS_MAX, BUDGET_S = 40, 0.5  # to find where the walk leads, and their time [s]
-BEYOND = 1.5  # [1] of the stiffness that is enough: there a walk is led
 STIFFNESS_PERIOD_S = 0.5  # [s] between two looks at the stiffness
 
 
@@ -139,8 +138,8 @@ class Rebalance:
 
 
 def _further(wants: Preferences) -> Preferences:
-    """Return preferences that lead beyond what is enough: a walk ends on its way."""
-    return replace(wants, stiffness_enough=BEYOND * wants.stiffness_enough)
+    """Return preferences that lead beyond what is enough: a walk ends on its way there."""
+    return replace(wants, stiffness_enough=0.0)
 
 
 def _led(balance: Balance, solution: Reach, wanted: Shape) -> Led:
