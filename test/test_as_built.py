@@ -15,7 +15,9 @@ from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.diagnosis.as_built import Kind, SplitPredictor
 from tendon_robot_ros.diagnosis.candidates import gain_p_value
 from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.diagnosis.fit import Fit, with_imperfections
 from tendon_robot_ros.diagnosis.fitter import Fitter
+from tendon_robot_ros.diagnosis.likelihood import LOGARITHMS
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
 from tendon_robot_ros.diagnosis.outliers import _moves, _without_inputs, find_outliers
 from tendon_robot_ros.diagnosis.session import Session
@@ -129,9 +131,13 @@ def test_under_tensions_a_gain_counts_for_a_hole_off_its_place_too():
     sizes = {kind.name: kind.plausible for kind in split.kinds()}
     assert 'hole_radius' not in sizes
     assert sizes['channel_gain'] == 0.01
+    beside = {kind.name: kind.beside for kind in split.kinds()}
+    assert beside.pop('channel_gain') == 0.01
+    assert not any(beside.values())
     known = replace(plain, tolerances={'channel_gain': 0.003})
     kinds = SplitPredictor(Predictor(dataset, known, CATALOGUE)).kinds()
     assert {kind.name: kind.plausible for kind in kinds}['channel_gain'] == 0.003
+    assert not any(kind.beside for kind in kinds), 'who declares gains has measured them so'
 
 
 def test_the_noise_of_inputs_acts_on_the_arm_as_it_is_built():
@@ -298,6 +304,42 @@ def test_chance_pays_an_effect_along_imperfections_no_more_often_than_is_said():
     np.testing.assert_allclose(freedoms, 7.0, rtol=5e-3)  # six, and the prior as one more
     for level in (0.05, 0.2):
         assert np.mean(np.array(chances) < level) == pytest.approx(level, rel=0.4)
+
+
+def told_fit(random, residual, slope):
+    """Return a fit of one parameter that moves markers as imperfections may."""
+    sizes = random.estimate(residual, slope[:, None], prior=LOGARITHMS).values
+    lifted = random.lift(random.root(sizes), np.column_stack([slope, residual]))
+    value = -(lifted[:, 0] @ lifted[:, 1]) / (lifted[:, 0] @ lifted[:, 0])
+    there = residual + value * slope
+    plain = Fit(('free',), (), np.array([value]), there, slope[:, None], np.zeros((0, 0, 3)))
+    return with_imperfections(plain, random, sizes, {})
+
+
+@pytest.mark.parametrize('size', [0.012, 0.03])
+def test_intervals_know_that_the_spread_of_few_members_is_an_estimate(size):
+    """Six members tell their spread and their mean, which is what the parameter stands for."""
+    random, _, residuals = scattered(6, size, 400, seed=2)
+    slope, inside, plain = np.where(np.arange(12) < 6, 1e4, 0.0), [], []
+    for residual in residuals + np.random.default_rng(1).normal(size=residuals.shape):
+        fit = told_fit(random, residual, slope)
+        assert fit.told[0, 0] > fit.covariance[0, 0]
+        inside.append(abs(fit.values[0]) < 1.96 * np.sqrt(fit.told[0, 0]))
+        plain.append(abs(fit.values[0]) < 1.96 * np.sqrt(fit.covariance[0, 0]))
+    assert np.mean(plain) < np.mean(inside)
+    assert 0.93 <= np.mean(inside) <= 0.985
+
+
+def test_what_acts_beside_a_kind_widens_intervals_and_nothing_else():
+    """A gain of one input of 1 %, and a hole of 1 % that no fit asks for: 1.4 % together."""
+    kinds = [Kind('channel_gain', '1', 0.01, ('only',), beside) for beside in (0.0, 0.01)]
+    found = []
+    for kind in kinds:
+        random = RandomEffects(1e6 * np.eye(2)[:, :1], np.zeros(1, int), [kind])
+        fit = told_fit(random, np.array([1e4, 0.3]), np.array([1e6, 0.0]))
+        assert fit.covariance[0, 0] == pytest.approx(1e-4, rel=1e-3)
+        found.append(fit.told[0, 0])
+    assert found == pytest.approx([1e-4, 2e-4], rel=1e-3)
 
 
 def test_noise_alone_is_told_by_many_deviations():

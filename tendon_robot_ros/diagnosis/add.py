@@ -246,7 +246,7 @@ class Settled:
 def settle(session: Session, names: Sequence[str], start: Point | None = None) -> Settled:
     """Fit effects together; what repeatability cannot explain is weighed by the accuracy."""
     fit = fit_effects(session, names, start)
-    probability = fit.probability(session.freedom)
+    probability, fit = fit.probability(session.freedom), session.fitters[0].told(fit)
     made = written(session, fit)
     if probability <= P_SINGLE_MIN and session.accuracy:
         fit, made = _by_accuracy(session, names, fit, made)
@@ -278,6 +278,7 @@ def _by_accuracy(
     session.use_accuracy = True
     with suppress(NoEquilibriumError):
         again = fit_effects(session, names, fit.point) if session.weigh(fit.point) else fit
+        again = session.fitters[0].told(again)
         found = written(session, again)
         if found.left_out <= made.left_out:
             return again, found

@@ -61,6 +61,7 @@ class Kind:
     unit: str
     plausible: float  # scale of the half-normal prior of that standard deviation [unit]
     members: tuple[str, ...]
+    beside: float = 0.0  # sd [unit] of what acts as they do and only widens intervals
 
     def __len__(self) -> int:
         """Return how many members it has."""
@@ -171,8 +172,20 @@ class SplitPredictor(Predictor):
             usual = plausible * (larger if unit == 'm' else 1.0)
             size = float(known.get(KINK if name == ACROSS else name, usual))
             if size > 0.0:
-                made.append(Kind(name, unit, size, tuple(members)))
+                made.append(Kind(name, unit, size, tuple(members), self._beside(name)))
         return tuple(made)
+
+    def _beside(self, name: str) -> float:
+        """
+        Return the sd of what acts as a kind does: under tensions the holes, as gains.
+
+        No effect is doubted for it, since a hole is rarely off beside a gain of the same sign; how
+        well the value of one is known has to count both. A gain that is declared has them inside.
+        """
+        known = self.whole.tolerances
+        if name != GAIN or name in known or self.dataset.input != 'tension':
+            return 0.0
+        return float(known.get(HOLE, PLAUSIBLE_SIZES[HOLE][1]))
 
     def markers(
         self,

@@ -100,7 +100,7 @@ class AsFound:
     @cached_property
     def values(self) -> Values:
         """Values of the effects, with 95 % intervals; the arm itself may change where it did."""
-        made = values_of(self._freed, self.scale)
+        made = values_of(self._freed, self.scale, self._freed.covariance)
         for free in self.state.effects.frees:
             if (found := self._with_its_like(free)) is not None:
                 made.setdefault(free.effect, {})[free.key] = found
@@ -159,7 +159,8 @@ class AsFound:
     @property
     def loads(self) -> dict[str, LoadVector]:
         """Size and direction of the effects that are forces."""
-        return loads_of(self._freed, self.session.predictor, self.scale)
+        known = self._freed.covariance
+        return loads_of(self._freed, self.session.predictor, self.scale, known)
 
     @property
     def values_of_the_search(self) -> Values:

@@ -312,7 +312,7 @@ def _result(
     following: object,
 ) -> Diagnosis:
     session = evidence.session
-    left = left_by(session, chosen[0].fit if chosen else None)
+    left = left_by(session, evidence.told(chosen[0]) if chosen else None)
     untested = tuple(
         c.names[0]
         for c in evidence.not_tested

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -38,6 +38,14 @@ class Evidence:
     best: Ranked | None = None
     competing: Pattern | None = None
     scale: float = 1.0  # chi² over freedom of the best, where nothing is adequate
+    _told: dict[str, Fit] = field(default_factory=dict)
+
+    def told(self, ranked: Ranked) -> Fit:
+        """Return the fit whose values are told, and written; see `Fitter.told`."""
+        label = ranked.candidate.label
+        if label not in self._told:
+            self._told[label] = self.session.fitters[0].told(ranked.fit)
+        return self._told[label]
 
     @cached_property
     def patterns(self) -> list[Pattern]:

@@ -10,13 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from ..comparison.predict import FreeParameter
-from ..comparison.statistics import chi2_sf, f_sf
+from ..comparison.statistics import chi2_sf, f_sf, normal_ppf, t_ppf
 from .as_built import Kind, Members
-from .likelihood import root_inverse
+from .likelihood import SIZES, root_inverse
 from .marginal import RandomEffects, Sizes
 
 Floats = npt.NDArray[np.float64]
 SHARE_MAX = 0.999  # [1] of a value that its own posture tells: beyond, nothing else does
+FREEDOM_LEAST, FREEDOM_MANY = 3.0, 300.0  # deviations that tell a variance; from which t is normal
 CONDITION_MAX = 1e10  # [1] of normal matrices that are inverted by their triangular root
 
 
@@ -38,7 +39,7 @@ class Scatter:
     around: Members  # where they are taken as linear
     sizes: Floats  # (K,) estimated sd of each kind
     penalty: float  # log |V| and priors of the sizes: what chi² lacks to be a deviance
-    estimate: Callable[..., Sizes]  # of the sizes again; takes `remainder` and `told`
+    estimate: Callable[..., Sizes]  # of the sizes again; takes `remainder`, `told` and `prior`
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
@@ -122,6 +123,32 @@ class Fit:
         return _covariance(*self._root, blind=np.inf)
 
     @cached_property
+    def told(self) -> Floats:
+        """
+        Covariance (k, k) of the freed parameters by which 95 % are 1.96 sd: for intervals.
+
+        Of an arm as built the sizes of its imperfections are estimates themselves. How far each
+        kind moves the parameters is in `covariance`: the mean of its variance (log-normal) counts
+        instead of the likeliest, and what acts beside it; few deviations that tell the sizes make
+        the tails longer (Satterthwaite 1946, as Kenward and Roger 1997 do it).
+        """
+        k, q = len(self.frees), len(self.all_frees)
+        plain = self.covariance[:k, :k]
+        if self.built is None or not k:
+            return plain
+        random, sizes = self.built.random, self.built.sizes
+        doubt = random.log_doubt(sizes)
+        more = np.expm1(np.minimum(0.5 * np.diag(doubt), 0.5))
+        beside = np.array([kind.beside for kind in self.built.kinds])
+        more += np.divide(beside, sizes, where=sizes > 0.0, out=0.0 * sizes) ** 2
+        ways = self.covariance[:k, q : q + len(random.owners)]
+        grown = plain + (ways * more[random.owners]) @ ways.T
+        moved = np.array([np.bincount(random.owners, way**2, len(sizes)) for way in ways])
+        variance = ((moved @ doubt) * moved).sum(axis=1)
+        tails = np.array([_tail(*one) for one in zip(np.diag(grown), variance, strict=True)])
+        return np.asarray(grown * np.outer(tails, tails))
+
+    @cached_property
     def _root(self) -> tuple[Floats, npt.NDArray[np.bool_]]:
         return covariance_root(self.jacobian)
 
@@ -173,6 +200,14 @@ class Fit:
         spread = weight2 / weight  # Satterthwaite: a scaled chi²
         excess = total - float(self.residual[: len(owners)] @ self.residual[: len(owners)])
         return total, chi2_sf(excess / spread, weight / spread)
+
+
+def _tail(size: float, variance: float) -> float:
+    """Return how much wider a t interval is than a normal one; the variance is known that well."""
+    if not (np.isfinite(size) and variance > 0.0):
+        return 1.0
+    freedom = max(2.0 * size**2 / variance, FREEDOM_LEAST)
+    return 1.0 if freedom > FREEDOM_MANY else t_ppf(0.975, freedom) / normal_ppf(0.975)
 
 
 def left_out_alone(residual: Floats, tells: Floats) -> tuple[float, float, float]:
@@ -248,11 +283,11 @@ def shares(rows: Floats) -> tuple[Floats, Floats]:
 def with_imperfections(plain: Fit, random: RandomEffects, sizes: Floats, around: Members) -> Fit:
     """Return a fit whose last parameters are the imperfections, at their most likely values."""
     n, spread = len(random.columns), random.spread(sizes)
-    prior = np.append(np.full(len(plain.frees), 1e-9), [n.spread**-2 for n in plain.nuisances])
+    weights = np.append(np.full(len(plain.frees), 1e-9), [n.spread**-2 for n in plain.nuisances])
 
-    def estimate(remainder: bool = True, told: bool = True) -> Sizes:
+    def estimate(remainder: bool = True, told: bool = True, prior: int = SIZES) -> Sizes:
         raw, slopes = plain.residual[:n], plain.jacobian[:n]
-        return random.estimate(raw, slopes, sizes, prior, remainder, told)
+        return random.estimate(raw, slopes, sizes, weights, remainder, told, prior)
 
     scaled = random.columns * spread
     members = random.best(plain.residual[:n], sizes)

@@ -13,6 +13,7 @@ from ..comparison.noise import Whitener
 from ..comparison.predict import FreeParameter, Point, Predictor
 from .as_built import Imperfections, Members, SplitPredictor
 from .fit import Fit, Nuisance, with_imperfections
+from .likelihood import LOGARITHMS
 from .marginal import RandomEffects, Sizes
 from .search import Search
 
@@ -96,6 +97,19 @@ class Fitter:
             search.run(turns)
             return self._result(search)
         return self._result(self._descend(search, turns, hopeless))
+
+    def told(self, fit: Fit) -> Fit:
+        """
+        Fit again under the likeliest logarithms of the sizes: for values and intervals.
+
+        An effect that competes may be paid for making a kind of imperfections small; a value that
+        believed it would hold that kind's doing for its own.
+        """
+        if fit.built is None or not fit.frees:
+            return fit
+        sizes = fit.built.estimate(prior=LOGARITHMS).values
+        self.resume(fit)
+        return self.fit(fit.frees, fit.point, sizes=sizes)
 
     def _descend(self, search: Search, turns: int, hopeless: float) -> Search:
         """

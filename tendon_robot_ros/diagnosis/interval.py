@@ -13,6 +13,7 @@ from ..comparison.statistics import normal_ppf
 from ..comparison.tangent import Tangent
 from .fit import Fit
 from .fitter import Fitter
+from .likelihood import Likelihood
 
 Floats = npt.NDArray[np.float64]
 QUANTILE = normal_ppf(0.975)
@@ -55,8 +56,8 @@ def intervals(
 
     An endpoint comes from the curvature at the fit where chi² there is what the curvature says;
     else (bounds, asymmetry, friction's kinks) it is where the profile of chi² has risen by 3.84.
-    Of an arm as built chi² is the deviance, the sizes of its imperfections estimated again: where
-    they could grow to do what the effect does, the interval is wider than the curvature says.
+    Of an arm as built the deviance at the estimated sizes of its imperfections says only whether
+    the model is straight; how wide the interval is knows how well these sizes are told.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ def intervals(
     fitter.resume(fit)
     ends = {}
     for i, free in enumerate(fit.frees):
-        spread = float(np.sqrt(max(fit.covariance[i, i], 0.0)))
+        spread = float(np.sqrt(max(fit.told[i, i], 0.0)))
         if not np.isfinite(spread):
             ends[free] = (free.parameter.low, free.parameter.high)
             continue
@@ -85,6 +86,7 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
     value, parameter = float(fit.values[i]), fit.frees[i].parameter
     bound = parameter.high if spread > 0.0 else parameter.low
     end = value + wide * spread
+    wide *= abs(spread) / math.sqrt(fit.covariance[i, i])  # of what rises at the estimated sizes
     outside = end > parameter.high if spread > 0.0 else end < parameter.low
     first, profile = (_ridge_rise, _profile_rise) if fit.built is None else (_risen, _risen)
     if not outside:
@@ -93,7 +95,7 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
             return end
     if value == bound:
         return value
-    end = bound if outside else end
+    plain, end = end, bound if outside else end
     rise = profile(fitter, fit, i, end)
     if outside and rise < wide:
         return bound
@@ -105,7 +107,7 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
         rise = profile(fitter, fit, i, end)
         if end == bound and rise < wide:
             break
-    return end if np.isfinite(rise) else value + wide * spread
+    return end if np.isfinite(rise) else plain
 
 
 def _ridge_rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
@@ -140,7 +142,7 @@ def _risen(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
 
 
 def _deviance(fitter: Fitter, fit: Fit, i: int, at: float) -> float:
-    """Deviance with one parameter put somewhere: all else goes along, the sizes included."""
+    """Deviance with one parameter put somewhere: all else goes along, but for the sizes."""
     moved, prior = _along(fit, i, at)
     markers = fitter.predictor.markers(moved)
     if markers is None or fit.built is None:
@@ -148,9 +150,9 @@ def _deviance(fitter: Fitter, fit: Fit, i: int, at: float) -> float:
     others = np.delete(np.arange(len(fit.all_frees)), i)
     weights = np.array([1e-9] * len(fit.frees) + [n.spread**-2 for n in fit.nuisances])[others]
     slopes = fit.jacobian[: fitter.whitener.size, others]
-    sizes = fit.built.sizes
-    found = fit.built.random.estimate(fitter.residual(markers), slopes, sizes, weights)
-    return found.deviance + prior
+    parts, sizes = fit.built.random.parts, fit.built.sizes
+    likelihood = Likelihood(parts, fitter.residual(markers), slopes, weights)
+    return likelihood.deviance(sizes**2) + prior
 
 
 def _profile_rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:

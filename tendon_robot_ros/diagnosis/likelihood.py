@@ -39,10 +39,13 @@ def root_inverse(matrix: Floats) -> Floats:
     return np.asarray(inverse.T)
 
 
-def prior_of(share: Floats) -> float:
+SIZES, LOGARITHMS = 1, 2  # what is likeliest: s exp(-s²/p²) ds = s² exp(-s²/p²) d log s
+
+
+def prior_of(share: Floats, of: int = SIZES) -> float:
     """Return -2 log (s exp(-s²/p²)) of all kinds from shares (s/p)², up to a constant."""
     proper = share[share > 0.0]
-    return float(2.0 * share.sum() - np.log(proper).sum())
+    return float(2.0 * share.sum() - of * np.log(proper).sum())
 
 
 @dataclass(frozen=True)
@@ -91,15 +94,15 @@ class Likelihood:
         residual: Floats,
         slopes: Floats,
         weights: Floats | None,
-        prior: bool = True,
+        prior: int = SIZES,
     ) -> None:
         """
         Take products of a residual (N,) and its slopes (N, k), whose priors weigh (k,).
 
-        Sizes have a prior, or (`prior` false) the data alone say them.
+        Sizes have a prior, of them or their logarithms, or (`prior` 0) the data alone say them.
         """
-        self.precision = float(prior) / columns.plausible**2
-        self.proper = np.isfinite(columns.plausible) & prior
+        self.prior, self.precision = prior, float(prior > 0) / columns.plausible**2
+        self.proper = np.where(np.isfinite(columns.plausible), prior, 0)
         self.kind, self.owners, self.kinds = columns.kind, columns.owners, columns.kinds
         self.own, self.own_last, self.size2 = columns.own, columns.own_last, columns.size2
         known = np.linalg.norm(slopes, axis=0)
@@ -137,7 +140,7 @@ class Likelihood:
         at = self._reduced(v)
         half = at.factor @ at.more
         chi2 = self._best(at.inner - half.T @ half)[1]
-        return chi2 + at.log + prior_of(v * self.precision)
+        return chi2 + at.log + prior_of(v * self.precision, self.prior)
 
     def slopes(self, v: Floats) -> tuple[Floats, Floats, Floats]:
         """
@@ -156,10 +159,11 @@ class Likelihood:
         if self.kind is not None:
             self._add_last(at, half, through @ ahead, ahead, rise, found, information)
         rise += 2.0 * self.precision
-        push = np.where(self.proper, 1.0 / np.maximum(v, 1e-300), 0.0)  # away from zero
-        information += np.diag(push**2)
+        push = self.proper / np.maximum(v, 1e-300)  # away from zero
+        information += np.diag(push / np.maximum(v, 1e-300))
         rise = np.maximum(rise, 1e-300)
-        slower = (self.proper + np.sqrt(self.proper + 4.0 * rise * v**2 * found)) / (2.0 * rise)
+        root = np.sqrt(self.proper**2 + 4.0 * rise * v**2 * found)
+        slower = (self.proper + root) / (2.0 * rise)
         return rise - push - found, information, slower
 
     def _add_last(

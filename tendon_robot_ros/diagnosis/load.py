@@ -95,7 +95,7 @@ def loads_of(
 
     `scale` is of the covariance; default: the fit's.
     """
-    made, known = {}, fit.covariance if covariance is None else covariance
+    made, known = {}, fit.told if covariance is None else covariance
     for effect in dict.fromkeys(free.effect for free in fit.frees):
         rows = vector_rows(fit.frees, effect)
         spread = known[np.ix_(rows, rows)]

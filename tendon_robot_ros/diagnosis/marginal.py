@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from ..comparison.statistics import chi2_isf
 from .as_built import KINDS_WITH_FEW_MEMBERS, REMAINDER, Kind, Members
-from .likelihood import Columns, Likelihood, prior_of, root_inverse
+from .likelihood import LOGARITHMS, SIZES, Columns, Likelihood, prior_of, root_inverse
 
 Floats = npt.NDArray[np.float64]
 SEARCH_STEPS_MAX = 25  # of the search for the standard deviations
@@ -163,15 +163,20 @@ class RandomEffects:
         size = float(lifted @ lifted)
         return 2.0 * size**2 / variance if variance > 0.0 else np.inf
 
-    def doubt(self, sizes: Floats) -> Floats:
+    def doubt(self, sizes: Floats, prior: int = SIZES) -> Floats:
         """Return the covariance (K, K) of the estimated variances; of few members they count."""
         told = np.flatnonzero((sizes > 0.0) & ~self.few)
         rows = len(self.columns)
-        work = Likelihood(self.parts, np.zeros(rows), np.zeros((rows, 0)), None)
+        work = Likelihood(self.parts, np.zeros(rows), np.zeros((rows, 0)), None, prior)
         information = work.slopes(sizes**2)[1][np.ix_(told, told)]
         found = np.zeros((len(sizes), len(sizes)))
         found[np.ix_(told, told)] = 2.0 * np.linalg.pinv(information, hermitian=True)
         return found
+
+    def log_doubt(self, sizes: Floats) -> Floats:
+        """Return the covariance (K, K) of the logarithms of the estimated variances."""
+        v = np.where(sizes > 0.0, sizes, np.inf) ** 2
+        return np.asarray(self.doubt(sizes, LOGARITHMS) / np.outer(v, v))
 
     def misfit(self, errors: Floats, sizes: Floats) -> float:
         """Return the chi² of errors (N,) that only noise and the remainder explain."""
@@ -221,7 +226,7 @@ class RandomEffects:
         1946): few members leave much more room above than below.
         """
         rows = len(self.columns)
-        work = Likelihood(self.parts, np.zeros(rows), np.zeros((rows, 0)), None, prior=False)
+        work = Likelihood(self.parts, np.zeros(rows), np.zeros((rows, 0)), None, prior=0)
         least = 1e-3 * np.where(np.isfinite(self.plausible), self.plausible, 1e-3)
         v = np.maximum(sizes, least) ** 2
         information = work.slopes(v)[1] * np.outer(v, v)
@@ -241,6 +246,7 @@ class RandomEffects:
         weights: Floats | None = None,
         remainder: bool = True,
         told: bool = True,
+        prior: int = SIZES,
     ) -> Sizes:
         """
         Maximise the likelihood over the standard deviations and linear parameters.
@@ -260,9 +266,12 @@ class RandomEffects:
         told : bool
             Whether sizes have a prior, and kinds with few members are as large as is plausible;
             else the data alone say it.
+        prior : int
+            Whether the likeliest sizes are asked for, or the likeliest `LOGARITHMS`: effects
+            compete by the former, but where few members tell a size these are too often small.
 
         """
-        work = Likelihood(self.parts, residual, slopes, weights, prior=told)
+        work = Likelihood(self.parts, residual, slopes, weights, prior=prior if told else 0)
         sizes = self.start if start is None else np.asarray(start, dtype=float)
         usual = np.where(np.isfinite(self.plausible), self.plausible, 0.0)
         fixed = self.few & told

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ..common.words import mm, spoken
 from ..comparison.statistics import chi2_isf, normal_ppf
@@ -39,13 +40,21 @@ from .written import described_by, error_of, written
 if TYPE_CHECKING:
     from .evidence import Evidence
 
+Floats = npt.NDArray[np.float64]
 NOISE_KEYS = ('position', 'shift', 'trial', 'setting', 'source')
 
 
-def values_of(fit: Fit, scale: float = 1.0) -> dict[str, dict[str, Value]]:
-    """Values with 95 % intervals by effect; `scale` widens them (chi² over freedom)."""
+def values_of(
+    fit: Fit, scale: float = 1.0, covariance: Floats | None = None
+) -> dict[str, dict[str, Value]]:
+    """
+    Return values with 95 % intervals by effect; `scale` widens them (chi² over freedom).
+
+    `covariance` (default: what the fit tells) is that of the freed parameters, the first ones.
+    """
     quantile = normal_ppf(0.975) * np.sqrt(scale)
-    spread = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    known = fit.told if covariance is None else covariance
+    spread = np.sqrt(np.maximum(np.diag(known), 0.0))
     values: dict[str, dict[str, Value]] = {}
     for i, free in enumerate(fit.frees):
         value, half = float(fit.values[i]), float(quantile * spread[i])
@@ -116,9 +125,10 @@ def left_by(session: Session, fit: Fit | None) -> Left:
 
 def finding(evidence: Evidence, ranked: Ranked, left: Left) -> list[EffectFinding]:
     """Return the effects of a candidate, with what they explain together."""
-    values = values_with_intervals(evidence.session.fitters[0], ranked.fit, evidence.scale)
+    fit = evidence.told(ranked)
+    values = values_with_intervals(evidence.session.fitters[0], fit, evidence.scale)
     share = left.share(left.after)
-    loads = loads_of(ranked.fit, evidence.session.predictor, evidence.scale)
+    loads = loads_of(fit, evidence.session.predictor, evidence.scale)
     present = evidence.session.robot.effects
     return [
         EffectFinding(name, values[name], share, name in present, loads.get(name))
@@ -156,6 +166,7 @@ def _row(
     left: Left,
 ) -> CandidateRow:
     fit, session = ranked.fit, evidence.session
+    told = evidence.told(ranked) if ranked in chosen else fit
     needed = verdict is not Verdict.ADEQUATE
     if ranked in chosen:
         status = 'best'
@@ -167,11 +178,11 @@ def _row(
         status = 'rejected'
     values = {
         f'{effect}.{key}' if len(ranked.candidate.names) > 1 else key: value
-        for effect, items in values_of(fit, evidence.scale).items()
+        for effect, items in values_of(told, evidence.scale).items()
         for key, value in items.items()
     }
-    error = error_of(session, described_by(session, fit, left.beside))
-    loads = loads_of(fit, session.predictor, evidence.scale)
+    error = error_of(session, described_by(session, told, left.beside))
+    loads = loads_of(told, session.predictor, evidence.scale)
     return CandidateRow(
         ranked.candidate.label,
         values,
@@ -208,7 +219,7 @@ def details_of(
     """Return the numbers that reports print beside the verdict."""
     session, base = evidence.session, evidence.base
     relative = verdict is Verdict.OUTSIDE_CATALOGUE
-    fit = chosen[0].fit if chosen else base
+    fit = evidence.told(chosen[0]) if chosen else base
     details: dict[str, Any] = measured_with(session) | {
         'exact': session.robot.exact,
         'caveats': caveats(session),
