@@ -172,12 +172,17 @@ def until(driver, command, wanted, seconds=SOON):
     return found[0]
 
 
-def watchdogs_trip(line):
-    """Wait until nothing that came over the bus for too long has stopped every motor."""
+def wait(condition):
+    """Let the emulated world go on, without a word to it, until something holds."""
     end = time.monotonic() + SOON
-    while not all(servo.tripped for servo in line.rig.servos.values()):
+    while not condition():
         assert time.monotonic() < end
         time.sleep(0.01)
+
+
+def watchdogs_trip(line):
+    """Wait until nothing that came over the bus for too long has stopped every motor."""
+    wait(lambda: all(servo.tripped for servo in line.rig.servos.values()))
 
 
 def settled(driver, command):

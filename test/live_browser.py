@@ -102,15 +102,20 @@ class Browser:
         self._mouse('mouseReleased', x, y)
 
     def drag(self, begin, end, steps=12):
-        """Drag with the left button, as slowly as a person."""
+        """Drag with the left button, as slowly as a person who looks at what is drawn."""
         self._mouse('mouseMoved', *begin, button='none')
-        time.sleep(0.5)
+        self.drawn()
         self._mouse('mousePressed', *begin)
         for step in range(1, steps + 1):
             x, y = (a + (b - a) * step / steps for a, b in zip(begin, end, strict=True))
             self._mouse('mouseMoved', x, y, buttons=1)
-            time.sleep(0.05)
+            self.drawn()
         self._mouse('mouseReleased', *end)
+
+    def drawn(self):
+        """Wait until the page is drawn with what was done to it."""
+        frames = 'new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))'
+        self.send('Runtime.evaluate', expression=f'{frames}.then(() => 1)', awaitPromise=True)
 
     def has_field(self, label):
         """Whether there is a text field with this label."""
