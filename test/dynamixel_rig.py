@@ -87,7 +87,7 @@ class Rig:
             return fresh and np.allclose(self.measured(), self.command, atol=near)
 
         self.station.until(there, 'the command', 40.0)
-        self.station.until_code(self.station.driver, 'following', timeout=20.0)
+        self.station.until_code(self.station.driver, 'following', timeout=30.0)
 
     def goals(self, since):
         """Return what the servos accepted as goals since a time [s]: id to list of values."""

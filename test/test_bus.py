@@ -62,7 +62,7 @@ def bus():
     made.close()
 
 
-def until(condition, seconds=3.0):
+def until(condition, seconds=30.0):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end

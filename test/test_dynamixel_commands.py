@@ -47,7 +47,7 @@ def test_emulate_prints_a_port_that_the_driver_opens_and_obeys_its_input(robot_f
             emulated.until(driver, command, lambda r: [f.inputs for f in r.faults] == alone)
         assert {name for _, _, name, _ in emulator.ask('log 9')} >= {'goal_current'}
         emulator.say('quit')
-        assert emulator.process.wait(10) == 0
+        assert emulator.process.wait(60) == 0
 
 
 def test_emulate_ends_on_a_signal_and_takes_its_port_away(tmp_path, robot_file):
@@ -55,7 +55,7 @@ def test_emulate_ends_on_a_signal_and_takes_its_port_away(tmp_path, robot_file):
     with EmulatorProcess(robot_file, '--arm', 'springs', '--port', path) as emulator:
         assert emulator.port == path
         emulator.process.terminate()
-        assert emulator.process.wait(10) == 0
+        assert emulator.process.wait(60) == 0
     assert not (tmp_path / 'port').is_symlink()
 
 

@@ -233,7 +233,7 @@ def test_a_node_that_cannot_start_says_why_and_tries_again(space, node, paramete
 
 def test_a_parameter_that_cannot_be_ends_the_process_with_one_line(tmp_path):
     process = start('driver', '/bad_parameter', tmp_path, command_mode='telepathy')
-    assert process.process.wait(20.0) == 1
+    assert process.process.wait(60.0) == 1
     (log,) = tmp_path.glob('driver_*.log')
     expected = "error: command_mode: expected one of tension, pull, got 'telepathy'\n"
     assert log.read_text() == expected

@@ -50,7 +50,7 @@ def context():
     rclpy.try_shutdown()
 
 
-def until(condition, what, seconds=10.0):
+def until(condition, what, seconds=30.0):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, what

@@ -49,7 +49,7 @@ def test_emulate_prints_a_port_that_the_driver_opens_and_obeys_its_input(robot_f
             reading = emulated.until(driver, [1.5, 0.2, 0.2, 0.2], lambda r: r.faults)
             assert reading.faults[0].inputs == ('north',)
         emulator.say('quit')
-        assert emulator.process.wait(10) == 0
+        assert emulator.process.wait(60) == 0
 
 
 @needs_compiler
