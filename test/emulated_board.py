@@ -41,6 +41,7 @@ def config(line, /, **changes):
         'pull_limits': [-0.01, 0.03],
         'tension_rate': 20.0,
         'pull_rate': 0.08,
+        'command_timeout': 2.0,  # [s]; the machine that tests is busy
         'calibration': cells,
         'tendons': {name: {'channel': i} for i, name in enumerate(emulated.robot().inputs)},
     }

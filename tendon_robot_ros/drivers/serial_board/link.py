@@ -164,8 +164,8 @@ def identify(link: BoardLink, config: BoardConfig) -> Identity:
         Nobody, another version of the protocol, or too few channels.
 
     """
-    deadline = time.monotonic() + BOOT_TIME_S
-    while time.monotonic() < deadline:
+    deadline = link.clock() + BOOT_TIME_S
+    while link.clock() < deadline:
         link.send(messages.HELLO)
         for frame in wait_for(link, messages.IDENTITY, ANSWER_TIMEOUT_S):
             identity = messages.read_identity(frame)
@@ -193,8 +193,8 @@ def _suits(link: BoardLink, config: BoardConfig, identity: Identity) -> Identity
 
 def wait_for(link: BoardLink, kind: int, wait: float) -> list[Frame]:
     """Return the frames of a kind as soon as there is one; none after `wait` [s]."""
-    deadline = time.monotonic() + wait
-    while (left := deadline - time.monotonic()) > 0.0:
+    deadline = link.clock() + wait
+    while (left := deadline - link.clock()) > 0.0:
         frames = [frame for frame in link.receive(left) if frame.type == kind]
         if frames:
             return frames
@@ -213,8 +213,8 @@ def ask(link: BoardLink, kind: int, payload: bytes, attempts: int = ATTEMPTS) ->
     """
     for _ in range(attempts):
         sequence = link.send(kind, payload)
-        deadline = time.monotonic() + ANSWER_TIMEOUT_S
-        while (left := deadline - time.monotonic()) > 0.0:
+        deadline = link.clock() + ANSWER_TIMEOUT_S
+        while (left := deadline - link.clock()) > 0.0:
             for frame in wait_for(link, messages.RESULT, left):
                 if frame.payload[:2] == bytes((kind, sequence)) and len(frame.payload) == 3:
                     if frame.payload[2] == 0:
@@ -280,8 +280,8 @@ def let_go(link: BoardLink, channels: int) -> None:
     heard = telemetry(link, channels, 0.3)
     if heard is not None and heard.enabled:
         ask(link, messages.RELEASE, bytes((messages.RELEASES['limp'],)))
-        deadline = time.monotonic() + RELEASE_TIME_S
-        while heard is not None and heard.enabled and time.monotonic() < deadline:
+        deadline = link.clock() + RELEASE_TIME_S
+        while heard is not None and heard.enabled and link.clock() < deadline:
             link.send(messages.HEARTBEAT)
             heard = telemetry(link, channels, 0.1)
     ask(link, messages.DISABLE, b'\xff')
