@@ -22,12 +22,19 @@ from ...common.processes import ends_between
 from ..ports import PortLostError
 from .bus import Bus
 from .config import WireConfig
-from .control_table import CURRENT_POSITION_MODE, Calibration, CurrentLine
+from .control_table import (
+    CURRENT_POSITION_MODE,
+    RPM_PER_COUNT,
+    TICKS_PER_TURN,
+    Calibration,
+    CurrentLine,
+)
 from .motor import Motor
 from .torque import read_state, torque_off, torque_on
 
 SAMPLE_PERIOD_S = 0.01  # [s]
 ARRIVAL_TIMEOUT_S = 1.0  # [s] for the end of a way, after its last goal
+TURNING = (0.5, 1.5)  # parts of the speed asked for at which a reading counts
 STEADY_PART = (0.35, 0.9)  # part of the way in which the current counts
 WEIGHTS_MIN = 3
 READ_ATTEMPTS = 3
@@ -186,15 +193,18 @@ def _go(bus: Bus, motor: Motor, end: int, duration: float, check: Callable[[], N
     """
     Turn to `end` at constant speed; return the mean current on the steady part [A].
 
-    A process that is late turns it more slowly, instead of leaving readings out.
+    A process that is late turns it more slowly, instead of leaving readings out. It counts while
+    it turns: one that stands, because its next goal is late, holds with anything up to friction.
     """
     start, part, before = motor.ticks or 0, 0.0, time.monotonic()
     currents = []
     wire = motor.wires[0]
+    speed = (end - start) / duration * 60.0 / TICKS_PER_TURN / RPM_PER_COUNT  # [counts]
     while part < 1.0:
         check()
         _turn_to(bus, motor, round(start + part * (end - start)))
-        if STEADY_PART[0] < part < STEADY_PART[1] and motor.current is not None:
+        turns = TURNING[0] < motor.velocity / speed < TURNING[1]
+        if STEADY_PART[0] < part < STEADY_PART[1] and turns and motor.current is not None:
             currents.append(wire.spool.direction * motor.current * motor.model.current_unit)
         now = time.monotonic()
         part, before = part + min(now - before, 2.0 * SAMPLE_PERIOD_S) / duration, now
