@@ -48,12 +48,26 @@ hypothesis.settings.register_profile('busy', deadline=None, suppress_health_chec
 hypothesis.settings.load_profile('busy')
 LIMIT, LONG = 600.0, 3600.0  # [s] for any test with what it sets up; for one marked slow or blind
 RERUNS = 2  # processes that talk to each other are late on a busy machine
+# The files that take longest, longest first. Those that start nodes wait, the others compute: side
+# by side they leave no processor idle, and what is left at the end is short.
+LONGEST = (
+    'docs', 'live', 'ros_life', 'ros_record', 'new_effect', 'diagnose', 'ros_follow',
+    'live_page', 'campaign', 'ros_investigate', 'watch', 'setup_mistakes', 'ros_monitor',
+    'investigate', 'diagnose_command', 'as_built', 'add', 'workspace', 'model_start',
+    'ros_chain', 'rods', 'ros_dynamixel', 'fit', 'ros_bad_input', 'model_reference', 'demo',
+    'report', 'diagnosis_page',
+)  # fmt: skip
 
 
 def pytest_collection_modifyitems(config, items):
     """Give every test a limit, and those that start nodes another chance."""
     nodes = {item.module for item in items if item.get_closest_marker('ros')}
-    items.sort(key=lambda item: item.module not in nodes)  # these take longest
+    longest = {f'test_{name}': place for place, name in enumerate(LONGEST)}
+
+    def place(item):
+        return longest.get(item.module.__name__, len(longest)), item.module not in nodes
+
+    items.sort(key=place)
     limited, again = map(config.pluginmanager.hasplugin, ('timeout', 'rerunfailures'))
     for item in items:
         if limited and not item.get_closest_marker('timeout'):

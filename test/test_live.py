@@ -31,6 +31,7 @@ def test_the_story_of_a_hidden_effect_comes_true():
     assert '% gone)' in text
 
 
+@pytest.mark.slow  # test_ros_investigate.py has the same between nodes, without the page's story
 def test_the_arm_finds_out_by_itself():
     code, text = told('--investigate', '--hidden', 'tip_load', '--seed', '1')
     assert code == 0, text
