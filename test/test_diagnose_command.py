@@ -62,7 +62,7 @@ def test_a_missing_effect_is_named_added_and_shown(capsys, folder):
     assert robot.effects['tendon_stiffness']['per_tendon'] == pytest.approx(2.25e-4, rel=0.02)
     assert list(robot.fitted) == ['tendon_stiffness']
     read_again = compare(load_dataset('stiff/check'), [('better', robot)]).models[-1]
-    assert 1e3 * read_again.rms == pytest.approx(0.224, abs=5e-4)
+    assert 1e3 * read_again.rms == pytest.approx(0.229, abs=5e-4)
     assert written(folder) == ['better.yaml']
 
 
