@@ -101,7 +101,7 @@ def test_neutral_is_exactly_off(effect):
     assert not model.acts(effect.name)
     assert np.array_equal(seen(model, INPUTS), seen(Model(base), INPUTS))
     # nor does it matter while its law runs
-    model.arrays.on[model.arrays.layout.index[effect.name]] = 1
+    model.arrays.act(effect.name)
     assert np.allclose(seen(model, INPUTS), seen(Model(base), INPUTS), rtol=0, atol=1e-9)
 
 

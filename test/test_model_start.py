@@ -2,14 +2,17 @@
 
 import os
 import sys
+from collections import namedtuple
 
 import numpy as np
+from numba import types
 from processes import run
 from source_tree import ROOT
 
 from tendon_robot_ros.effects import catalogue
-from tendon_robot_ros.model.kernel.layout import compiled, jit
+from tendon_robot_ros.model.kernel.layout import compiled, jit, lawful
 from tendon_robot_ros.model.kernel.linking import EntryCompiler
+from tendon_robot_ros.model.kernel.records import record_type
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 
@@ -39,6 +42,62 @@ stats = kernel('residual').residual.stats
 assert sum(stats.cache_hits.values()) == 1 and not stats.cache_misses, stats
 assert not kernel('sweep').step.overloads, 'what nobody asked for is not compiled'
 """
+
+
+WITHOUT_LOADS = """
+import numpy
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.robot import load_robot
+model = Model(load_robot('config/robots/spatial_3.yaml'))
+model.shape(model.limits[:, 0])
+only = {'loads': 'load_moments', 'load_tangent': 'load_slopes', 'newton': 'descend',
+        'geometry': 'leaning_travel', 'tangent': 'leaning_slopes', 'march': 'march'}
+def compiled():
+    parts = {part: getattr(model.arrays.part(part), name) for part, name in only.items()}
+    return {part for part, made in parts.items() if made.overloads}
+assert not compiled(), compiled()
+model.arrays.act('gravity')
+assert compiled() == {'loads', 'load_tangent', 'newton'}, compiled()
+model.arrays.act('torsion')
+assert compiled() == {*only} - {'march'}, compiled()
+"""
+
+
+def test_what_only_other_effects_call_is_not_compiled_before_they_act():
+    made = run([sys.executable, '-c', WITHOUT_LOADS])
+    assert made.returncode == 0, made.stderr
+
+
+def test_a_law_may_hold_what_no_function_of_the_kernel_has():
+    def law(x):
+        def twice(y):
+            return 2.0 * y
+
+        total = 0.0
+        for factor in [twice(0.5), 3.0]:
+            total += factor * x
+        return total
+
+    composed = lawful(law)
+    entry = jit(pipeline_class=EntryCompiler)(lambda x: composed(x) + 1.0)
+    assert entry(2.0) == 9.0
+
+
+def test_a_record_is_an_address_and_what_lies_apart_from_it():
+    fields = namedtuple('fields', 'first second third fourth')
+    kinds = (types.int64, types.float64, types.int64, types.int64)
+    kind, make = record_type(fields, kinds, ('second', 'third', 'fourth'))
+    assert kind.places['first'] == (0, types.int64)
+    _, make_plain = record_type(namedtuple('plain', 'first second'), kinds)
+    there = np.array([7.0, 2.5])
+    there.view(np.int64)[0] = 7
+
+    def seen(at):
+        apart, whole = make(at, 4, 5, 6), make_plain(at)
+        return apart.first + apart.third, whole.second, apart.at - at
+
+    entry = jit(pipeline_class=EntryCompiler)(seen)
+    assert entry(there.ctypes.data) == (12, 2.5, 0)
 
 
 def test_what_a_process_compiles_beside_is_taken_from_the_cache(tmp_path):

@@ -251,7 +251,7 @@ class _Slopes:
         row = arrays.layout.rows[WEIGHT, effect.parameters[0].name]
         before, rates = self._residual(inputs), []
         gravity, values, on = arrays.gravity.copy(), arrays.values[row].copy(), arrays.on.copy()
-        arrays.on[arrays.layout.index[WEIGHT]] = 1
+        arrays.act(WEIGHT)
         for mass, axis in product(enumerate(arrays.cells[:, 2].tolist()), np.eye(3)):
             arrays.gravity[:] = axis
             arrays.values[row] = 0.0

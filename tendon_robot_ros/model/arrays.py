@@ -27,6 +27,20 @@ LINKED = {
     'newton': ('newton', 'newton'),
     'settle': ('solve', 'solve_equilibrium'),
 }
+# The same that only loaded arms call, those whose tendons lean, and those of neither whose
+# friction follows the cell alone.
+OF_LOADS = {
+    'load_moments': ('loads', 'load_moments'),
+    'bow_cells': ('loads', 'bow_cells'),
+    'load_slopes': ('load_tangent', 'load_slopes'),
+    'descend': ('newton', 'descend'),
+}
+OF_LEANING = {
+    'leaning_travel': ('geometry', 'leaning_travel'),
+    'leaning_slopes': ('tangent', 'leaning_slopes'),
+}
+OF_CAUSAL = {'march': ('march', 'march')}
+ALL_LINKED = {**LINKED, **OF_LOADS, **OF_LEANING, **OF_CAUSAL}
 LINKING_STAGES = {'length', 'stretch', 'winding'}  # see the kernel's `place_as`
 LINKING_STAGES |= {name for name, stage in STAGES.items() if stage.implicit}
 
@@ -60,8 +74,7 @@ class KernelArrays:
                 self.values[self.layout.rows[effect.name, parameter.name]] = parameter.neutral
         for name, values in robot.effects.items():
             self._read(name, values)
-        acting = {e.stage for e in catalogue if self.on[self.layout.index[e.name]]}
-        linked = bool(acting & LINKING_STAGES) or bool(self.helix.any())
+        linked = bool(self._acting() & LINKING_STAGES) or bool(self.helix.any())
         beside = compiled_beside(catalogue, *LINKED['respond']) if linked else nullcontext()
         with beside:
             self.chain = self._chain()
@@ -69,7 +82,7 @@ class KernelArrays:
             self._words = np.array(self.chain._replace(radius=radius), dtype=np.int64)
             self.address = int(self._words.ctypes.data)  # of the chain's fields, for the kernel
             if linked:
-                self.link(['residual', 'newton', 'settle'])
+                self._link([field for field in self._called() if field != 'respond'])
         if linked:
             self.link()
 
@@ -155,35 +168,55 @@ class KernelArrays:
             wide=self.values.shape[1],
             radius=float(np.linalg.norm(self.offset, axis=2).max()),
             step=lay.address_of(self.part('sweep').step),
-            **dict.fromkeys(LINKED, 0),
+            **dict.fromkeys(ALL_LINKED, 0),
             helix=self.helix.ctypes.data if self.helix.any() else 0,
             beside=int(any(any(any(xy) for xy in s.mass_offset) for s in robot.sections)),
             **at,
         )
 
-    def link(self, fields: Iterable[str] = LINKED) -> None:
+    def link(self) -> None:
         """
-        Compile what explicit models do without, if that is not yet done: all, or some fields.
+        Compile what explicit models do without and what acts here calls, if that is not yet done.
 
-        Before anything that asks the kernel for residuals or their responses: without it they call
-        the address 0.
+        Before anything that asks the kernel for residuals or their responses, and once another
+        effect acts: without it they call the address 0.
         """
+        self._link(self._called())
+
+    def _acting(self) -> set[str]:
+        """Return the stages at which effects act."""
+        return {e.stage for e in self.catalogue if self.on[self.layout.index[e.name]]}
+
+    def _called(self) -> dict[str, tuple[str, str]]:
+        """Return what the effects that act call, as `LINKED`."""
+        acting, called = self._acting(), dict(LINKED)
+        if acting & {'load', 'tip_load'}:
+            called |= OF_LOADS
+        elif not {'friction_travel', 'eyelet'} <= acting:
+            called |= OF_CAUSAL
+        if 'torsion' in acting or self.helix.any():
+            called |= OF_LEANING
+        return called
+
+    def _link(self, fields: Iterable[str]) -> None:
         address_of = self.part('layout').address_of
         for place in fields:
-            field, (part, name) = self.chain._fields.index(place), LINKED[place]
+            field, (part, name) = self.chain._fields.index(place), ALL_LINKED[place]
             if not self._words[field]:
                 self._words[field] = address_of(getattr(self.part(part), name))
 
     def scratch(self) -> Floats:
         """Return scratch memory for one thread."""
         lay, chain = self.part('layout'), self.chain
-        return np.zeros(
+        scratch = np.zeros(
             lay.work_size(chain.n, chain.k)
             + 3 * chain.n
             + lay.memory_size(chain.n, chain.k, chain.m)
             + chain.k
             + chain.m
         )
+        lay.lay_out_work(chain.n, chain.k, scratch)
+        return scratch
 
     def fresh_memory(self) -> Floats:
         """Return the friction memory of the straight, tension-free arm."""

@@ -2,7 +2,19 @@
 
 import math
 
-from .layout import HINGE, LENGTH, cell, compiled, floats, inlined, section_of, words
+from .layout import (
+    HINGE,
+    LEANING_TRAVEL,
+    LENGTH,
+    cell,
+    compiled,
+    entry,
+    floats,
+    inlined,
+    leaning_travel_at,
+    section_of,
+    words,
+)
 from .stages import length, length_acts, rest, tendon_path
 from .turning import follows_shape, half_turn, leans, twist_in
 
@@ -96,10 +108,19 @@ def leaning_path(chain, at, i, bend, ux, uy, sin_half, cos_half, scale, twist):
     return straight - 1.0 / over, over * along, over * side, over * about
 
 
+@compiled
+def leaning_tendon(chain, i, k, bend, ux, uy, sin_half, cos_half, scale, twist):
+    """Return `leaning_path` of tendon k in cell i."""
+    at = chain.k * i + k
+    return leaning_path(chain, at, i, bend, ux, uy, sin_half, cos_half, scale, twist)
+
+
 @inlined
-def path_lost(chain, i, k, bend, ux, uy, sin_half, cos_half, scale, twist, leaning):
+def straight_tendon(chain, i, k, bend, ux, uy, sin_half, cos_half, scale, twist):
     """
     Path that tendon k loses in cell i [m], its moment arms along the bend, across it, about.
+
+    Of a tendon that does not lean; `leaning_tendon` takes and returns the same.
 
     Parameters
     ----------
@@ -113,21 +134,16 @@ def path_lost(chain, i, k, bend, ux, uy, sin_half, cos_half, scale, twist, leani
         Factor on the tendon offsets [1].
     twist : float
         Of the cell [rad].
-    leaning : bool
-        Whether the tendon may lean; a constant, each kind has code of its own.
 
     """
-    at = chain.k * i + k
-    if leaning:
-        return leaning_path(chain, at, i, bend, ux, uy, sin_half, cos_half, scale, twist)
-    offset = floats(chain.offset + 16 * at)
+    offset = floats(chain.offset + 16 * (chain.k * i + k))
     radial = scale * (offset[0] * ux + offset[1] * uy)
     lost, along, across = bent_path(chain, i, radial, bend, sin_half, cos_half)
     return lost, along, scale * (offset[1] * ux - offset[0] * uy) * across, 0.0
 
 
 @inlined
-def add_moments(chain, i, x, y, twist, tensions, scale, leaning):
+def add_moments(chain, i, x, y, twist, tensions, scale, path_lost):
     """Moment (x, y, about) [N·m] of tensions (k,) [N] on cell i with bend (x, y) and twist."""
     tendon = words(chain.tendon)
     s, c = half_turn(x * x + y * y)
@@ -137,7 +153,7 @@ def add_moments(chain, i, x, y, twist, tensions, scale, leaning):
         t = floats(tensions)[k]
         if i < tendon[2 * k] and t != 0.0:
             _, along, side, about = path_lost(
-                chain, i, k, a, ux, uy, sin_half, cos_half, scale, twist, leaning
+                chain, i, k, a, ux, uy, sin_half, cos_half, scale, twist
             )
             mx += t * (along * ux - side * uy)
             my += t * (along * uy + side * ux)
@@ -148,14 +164,14 @@ def add_moments(chain, i, x, y, twist, tensions, scale, leaning):
 @compiled
 def moment_of_tendons(chain, i, x, y, tensions, scale):
     """Moment (x, y) [N·m] of tensions (k,) [N] on cell i bent by (x, y)."""
-    mx, my, _ = add_moments(chain, i, x, y, 0.0, tensions, scale, False)
+    mx, my, _ = add_moments(chain, i, x, y, 0.0, tensions, scale, straight_tendon)
     return mx, my
 
 
 @compiled
 def moment_of_leaning(chain, i, x, y, twist, tensions, scale):
     """Moment (x, y, about) [N·m] as in `moment_of_tendons`, of tendons that may lean."""
-    return add_moments(chain, i, x, y, twist, tensions, scale, True)
+    return add_moments(chain, i, x, y, twist, tensions, scale, leaning_tendon)
 
 
 @compiled
@@ -173,7 +189,7 @@ def plain_travel(chain, bend, scale, work):
 
 
 @inlined
-def fill_travel(chain, i, x, y, s, c, twist, scale, work, leaning):
+def fill_travel(chain, i, x, y, s, c, twist, scale, work, path_lost):
     """
     Fill travel, moment_arms and axial [m] of cell i, bent by (x, y) with half angles s, c.
 
@@ -185,8 +201,8 @@ def fill_travel(chain, i, x, y, s, c, twist, scale, work, leaning):
         sin(a / 2) / a [1/rad] and cos(a / 2) of its size a, see `turning`.
     scale : float
         Factor on the tendon offsets [1].
-    leaning : bool
-        Whether tendons may lean; a constant, each kind has code of its own.
+    path_lost : function
+        `straight_tendon`, or `leaning_tendon` where tendons may lean: each has code of its own.
 
     """
     travel, tendon = floats(work.travel), words(chain.tendon)
@@ -198,37 +214,42 @@ def fill_travel(chain, i, x, y, s, c, twist, scale, work, leaning):
             travel[at] = 0.0
             continue
         lost, along, side, about = path_lost(
-            chain, i, k, a, ux, uy, sin_half, cos_half, scale, twist, leaning
+            chain, i, k, a, ux, uy, sin_half, cos_half, scale, twist
         )
         travel[at] = lost
-        if leaning:
-            floats(work.axial)[at] = about
+        floats(work.axial)[at] = about
         moment_arms[2 * at] = along * ux - side * uy
         moment_arms[2 * at + 1] = along * uy + side * ux
     x0, y0 = rest(0.0, 0.0, chain, section_of(chain, i))
     if x0 != 0.0 or y0 != 0.0:
-        take_rest_off(chain, i, x0, y0, scale, work, leaning)
+        take_rest_off(chain, i, x0, y0, scale, work, path_lost)
 
 
 @inlined
-def take_rest_off(chain, i, x0, y0, scale, work, leaning):
+def take_rest_off(chain, i, x0, y0, scale, work, path_lost):
     """Take from the travel of cell i what its rest bend (x0, y0) [rad] says."""
     s, c = half_turn(x0 * x0 + y0 * y0)
     a, ux, uy, sin_half, cos_half = polar(x0, y0, s, c)
     for k in range(chain.k):
         if a > 0.0 and i < words(chain.tendon)[2 * k]:
             floats(work.travel)[chain.k * i + k] -= path_lost(
-                chain, i, k, a, ux, uy, sin_half, cos_half, scale, 0.0, leaning
+                chain, i, k, a, ux, uy, sin_half, cos_half, scale, 0.0
             )[0]
+
+
+@entry(LEANING_TRAVEL)
+def leaning_travel(chain, i, x, y, s, c, twist, scale, work):
+    """Fill travel and moment arms of a cell (`fill_travel`) whose tendons may lean."""
+    fill_travel(chain, i, x, y, s, c, twist, scale, work, leaning_tendon)
 
 
 @compiled
 def shaped_travel(chain, i, x, y, s, c, twist, scale, work):
     """Fill travel and moment arms of a cell (`fill_travel`), each kind by code of its own."""
     if leans(chain):
-        fill_travel(chain, i, x, y, s, c, twist, scale, work, True)
+        leaning_travel_at(chain.leaning_travel)(chain, i, x, y, s, c, twist, scale, work)
     else:
-        fill_travel(chain, i, x, y, s, c, 0.0, scale, work, False)
+        fill_travel(chain, i, x, y, s, c, 0.0, scale, work, straight_tendon)
 
 
 @compiled

@@ -20,11 +20,13 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic, register_jitable
 
-from .linking import EntryCompiler, PartCompiler
+from .linking import EntryCompiler, LawCompiler, PartCompiler
+from .records import record_type
 
 jit: Any = partial(njit, error_model='numpy', nogil=True, no_cfunc_wrapper=True)
 part: Any = partial(jit, no_cpython_wrapper=True, pipeline_class=PartCompiler)
 compiled = part()
+lawful = part(pipeline_class=LawCompiler)
 inlined = part(forceinline=True)
 # with fused multiply-add: where no difference of equal products has to be exactly zero
 fused = part(forceinline=True, fastmath={'contract'})
@@ -61,11 +63,12 @@ def entry(*signature):
 #   helix   (n, k)    angle [rad] by which a tendon winds about the axis in a cell; 0: none does
 # beside: whether weight lies beside the axis (1) or none does (0).
 # radius: largest distance of a tendon from the centroid [m]
-# step, residual, respond, newton, settle: addresses of these functions
+# step and all behind it: addresses of these functions, 0 where nothing acts that calls them
 Chain = namedtuple(
     'Chain',
-    'n k m wide cells offset tendon values on gravity radius step residual respond newton settle '
-    'helix beside',
+    'n k m wide cells offset tendon values on gravity radius helix beside '
+    'step residual respond newton settle march load_moments bow_cells load_slopes descend '
+    'leaning_travel leaning_slopes',
 )
 LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT, MASS_X, MASS_Y = np.arange(8)
 COLUMNS = 8
@@ -101,13 +104,21 @@ BEND_TOLERANCE = 1e-10  # [rad] largest change of a bend at which a shape counts
 SLIP_LENGTH = 2e-6  # [m] travel over which the sign of friction is smoothed
 
 WORD = types.int64
-CHAIN = types.NamedTuple((WORD,) * 10 + (types.float64,) + (WORD,) * 7, Chain)
+CHAIN, _chain_from = record_type(Chain, (WORD,) * 10 + (types.float64,) + (WORD,) * 14)
+WORK_FIELDS = len(Work._fields)
+APART = ('tensions', 'frames', 'origins')  # of Work, may lie elsewhere
+WORK, _work_from = record_type(Work, (WORD,) * 14, APART)
 MEMORY = types.NamedUniTuple(WORD, 4, Memory)
-WORK = types.NamedUniTuple(WORD, 14, Work)
 STEP = types.void(CHAIN, WORD, WORD, WORK, MEMORY, WORD)
 RESPOND = types.int64(CHAIN, WORD, WORD, WORD, WORK, MEMORY, WORD, WORD)
 NEWTON = types.float64(CHAIN, WORD, WORD, WORK, MEMORY, WORD)
 SETTLE = types.float64(CHAIN, WORD, WORK, MEMORY, WORD)
+MARCH = types.float64(CHAIN, WORD, WORD, WORK, MEMORY)
+PLACE = types.void(CHAIN, WORD, WORK)
+LOAD_SLOPES = types.void(CHAIN, WORD, WORK, WORD, WORD, types.float64)
+DESCEND = types.void(CHAIN, WORD, WORD, WORK, MEMORY, types.float64)
+LEANING_TRAVEL = types.void(CHAIN, WORD, *(types.float64,) * 6, WORK)
+LEANING_SLOPES = types.void(CHAIN, WORK, WORD, *(types.float64,) * 4, WORD)
 
 
 def _pointer_to(item):
@@ -154,6 +165,12 @@ step_at = residual_at = _function_at(STEP)
 respond_at = _function_at(RESPOND)
 newton_at = _function_at(NEWTON)
 settle_at = _function_at(SETTLE)
+march_at = _function_at(MARCH)
+load_moments_at = bow_cells_at = _function_at(PLACE)
+load_slopes_at = _function_at(LOAD_SLOPES)
+descend_at = _function_at(DESCEND)
+leaning_travel_at = _function_at(LEANING_TRAVEL)
+leaning_slopes_at = _function_at(LEANING_SLOPES)
 clock_gettime: Any = types.ExternalFunction('clock_gettime', types.int32(types.int32, WORD))
 
 
@@ -172,9 +189,42 @@ def memory_size(n, k, m):
 
 
 @register_jitable
+def work_sizes(n, k):
+    """Floats that the arrays of Work take, in their order."""
+    joints, pulls = 9 * (n + 1), n * k
+    return (
+        2 * pulls,
+        pulls,
+        pulls,
+        2 * n,
+        n,
+        pulls,
+        joints,
+        3 * (n + 1),
+        2 * n,
+        6 * n,
+        2 * pulls,
+        4,
+        pulls,
+        n,
+    )
+
+
+@register_jitable
 def work_size(n, k):
-    """Floats that the scratch of one posture takes."""
-    return 4 * n * k + 2 * n + n + n * k + 12 * (n + 1) + 8 * n + 2 * n * k + 4 + n * k + n
+    """Floats that the scratch of one posture takes: addresses, and what lies there."""
+    total = WORK_FIELDS
+    for size in work_sizes(n, k):
+        total += size
+    return total
+
+
+def lay_out_work(n, k, scratch):
+    """Write into a scratch of zeros, at its beginning, where the arrays of Work are."""
+    at = scratch.ctypes.data + 8 * WORK_FIELDS
+    for place, size in enumerate(work_sizes(n, k)):
+        scratch.view(np.int64)[place] = at
+        at += 8 * size
 
 
 @compiled
@@ -209,28 +259,7 @@ def keep(array):
 @compiled
 def chain_at(start):
     """Chain whose fields lie one after the other at an address."""
-    w = words(start)
-    radius = floats(start)[10]
-    return Chain(
-        w[0],
-        w[1],
-        w[2],
-        w[3],
-        w[4],
-        w[5],
-        w[6],
-        w[7],
-        w[8],
-        w[9],
-        radius,
-        w[11],
-        w[12],
-        w[13],
-        w[14],
-        w[15],
-        w[16],
-        w[17],
-    )
+    return _chain_from(start)
 
 
 @compiled
@@ -243,42 +272,15 @@ def memory_in(chain, start):
 
 
 @compiled
-def work_in(chain, start):
-    """Scratch in an array of `work_size` floats that starts as zeros."""
-    n, k = chain.n, chain.k
-    travel = start + 8 * 2 * n * k
-    beyond = travel + 8 * n * k
-    load = beyond + 8 * n * k
-    lengths = load + 8 * 2 * n
-    tensions = lengths + 8 * n
-    frames = tensions + 8 * n * k
-    origins = frames + 8 * 9 * (n + 1)
-    half = origins + 8 * 3 * (n + 1)
-    wrench = half + 8 * 2 * n
-    lag = wrench + 8 * 6 * n
-    slip = lag + 8 * 2 * n * k
-    axial = slip + 8 * 4
-    torque = axial + 8 * n * k
-    floats(slip)[0], floats(slip)[1] = SLIP_LENGTH, 1.0
-    floats(slip)[2], floats(slip)[3] = 1.0, 1.0
+def work_in(start):
+    """Scratch of a posture at an address, laid out by `lay_out_work`; ready for a new search."""
+    at = words(start)
+    work = _work_from(start, at[5], at[6], at[7])
+    slip = floats(work.slip)
+    slip[0], slip[1], slip[2], slip[3] = SLIP_LENGTH, 1.0, 1.0, 1.0
     for r in range(3):
-        floats(frames)[4 * r] = 1.0
-    return Work(
-        start,
-        travel,
-        beyond,
-        load,
-        lengths,
-        tensions,
-        frames,
-        origins,
-        half,
-        wrench,
-        lag,
-        slip,
-        axial,
-        torque,
-    )
+        floats(work.frames)[4 * r] = 1.0
+    return work
 
 
 @compiled
@@ -289,29 +291,14 @@ def workspace(chain, bends, past, scratch):
     before = now.bend + 8 * memory_size(n, k, chain.m)
     pulls, bend = before + 24 * n, address(bends)
     then = memory_in(chain, address(past))
-    work = work_in(chain, scratch)
+    work = work_in(scratch)
     return Workspace(work, then, now, bend, bend + 24 * n, before, pulls, pulls + 8 * k)
 
 
 @compiled
 def with_results(work, tensions, frames, origins):
     """Scratch whose tensions, frames and origins lie elsewhere."""
-    return Work(
-        work.moment_arms,
-        work.travel,
-        work.beyond,
-        work.load,
-        work.lengths,
-        tensions,
-        frames,
-        origins,
-        work.half,
-        work.wrench,
-        work.lag,
-        work.slip,
-        work.axial,
-        work.torque,
-    )
+    return _work_from(work.at, tensions, frames, origins)
 
 
 @compiled

@@ -8,10 +8,20 @@ parts below it, each once.
 """
 
 import copy
+import operator
 from typing import Any
 
+from numba.core import types
 from numba.core.codegen import CodeLibrary, JITCodeLibrary
 from numba.core.compiler import Compiler
+
+NUMBERS = (types.Float, types.Integer, types.Boolean)
+_FOUND: dict[Any, Any] = {}  # signatures of operators on numbers
+
+
+def _is_operator(function):
+    """Tell whether a function is one of Python's operators."""
+    return getattr(operator, getattr(function, '__name__', ''), None) is function
 
 
 class PartLibrary(JITCodeLibrary):
@@ -59,10 +69,49 @@ def _gather(library, found):
     found[library] = None
 
 
+# Passes of numba for what no function of the kernel has: closures, contexts, exceptions, loops
+# over literals, expressions of arrays. (A law of a user may have them.)
+LEFT_OUT = frozenset(
+    (
+        'WithLifting',
+        'InlineClosureLikes',
+        'RewriteSemanticConstants',
+        'RewriteDynamicRaises',
+        'MakeFunctionToJitFunction',
+        'InlineInlinables',
+        'FindLiterallyCalls',
+        'LiteralUnroll',
+        'LiteralPropagationSubPipelinePass',
+        'InlineOverloads',
+        'NopythonRewrites',
+    )
+)
+
+
+def _remembering(context):
+    """Return numba's typing context as it is, which resolves an operator on numbers only once."""
+    own, found = copy.copy(context), _FOUND
+
+    def resolve(function, args, kws):
+        known = isinstance(function, types.Function) and not kws
+        if not known or not all(type(kind) in NUMBERS for kind in args):
+            return context.resolve_function_type(function, args, kws)
+        if not _is_operator(function.typing_key):
+            return context.resolve_function_type(function, args, kws)
+        key = function.typing_key, args
+        if key not in found:
+            found[key] = context.resolve_function_type(function, args, kws)
+        return found[key]
+
+    own.resolve_function_type = resolve
+    return own
+
+
 class PartCompiler(Compiler):
     """Translates a function that only compiled functions call."""
 
     library: type[JITCodeLibrary] = PartLibrary
+    left_out = LEFT_OUT
 
     def define_pipelines(self):
         """Give what is compiled its library before numba makes one of its own."""
@@ -71,7 +120,19 @@ class PartCompiler(Compiler):
             codegen = state.targetctx.codegen()
             state.library = self.library(codegen, state.func_id.func_qualname)
             state.library.enable_object_caching()
-        return super().define_pipelines()
+            state.typingctx = _remembering(state.typingctx)
+        made = super().define_pipelines()
+        for manager in made:
+            manager.passes = [
+                one for one in manager.passes if one[0].__name__ not in self.left_out
+            ]
+        return made
+
+
+class LawCompiler(PartCompiler):
+    """Translates a law of an effect: whatever numba knows of Python."""
+
+    left_out = frozenset[str]()
 
 
 class EntryCompiler(PartCompiler):

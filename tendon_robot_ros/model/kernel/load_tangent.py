@@ -6,21 +6,30 @@ Taken by central differences of the cell's own functions, in `loads`; see `tange
 
 from .bow import along_middle, bow_compliance, half_arc
 from .layout import (
+    BY_TENSION,
     BY_TORQUE,
     BY_TURN,
     HINGE,
+    LOAD_SLOPES,
+    OWN,
+    PULLS,
+    SIZE,
+    TENDON,
     TORQUE_BY_OWN,
     TORQUE_BY_TURN,
     TURNS,
+    YES,
     cell,
     compiled,
+    entry,
     floats,
     inlined,
     section_of,
+    words,
 )
 from .loads import NO_LOAD, cell_moment, cross, local, plus, scaled, turn_moment, turned, weight
-from .stages import length
-from .turning import arc_factor, axial_moment, bending_frame, end_of, half_turn
+from .stages import length, length_acts
+from .turning import arc_factor, axial_moment, bending_frame, end_of, half_turn, is_general
 
 BEND_STEP = 1e-5  # [rad] of central differences
 TENSION_STEP = 1e-4  # [1], and of 10 mN
@@ -83,25 +92,25 @@ def difference(h, a, b):
     return scaled(0.5 / h, (a[0] - b[0], a[1] - b[1], a[2] - b[2]))
 
 
-@inlined
-def load_slopes(chain, bend, work, i, row, general):
+@entry(LOAD_SLOPES)
+def load_slopes(chain, bend, work, i, tangent, total):
     """
-    Fill what the loads say about cell i; differentiate their moment by x, y and the twist.
+    Fill what the loads say about cell i, in which the tensions sum up to `total` [N].
 
-    In `row`, BY_TURN and BY_TORQUE take the moment's derivatives, before they meet the
-    compliance.
+    Of the derivatives of the cell, OWN, BY_TURN, BY_TORQUE and BY_TENSION take those of the
+    moment, before they meet the compliance; what tendons say is added to in OWN.
     """
-    x, y, h = floats(bend)[2 * i], floats(bend)[2 * i + 1], BEND_STEP
+    row, general, h = floats(tangent), is_general(chain), BEND_STEP
+    x, y = floats(bend)[2 * i], floats(bend)[2 * i + 1]
     f, wrench = bending_frame(chain, bend, work, i, general), floats(work.wrench + 48 * i)
     force, torque = (wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])
     own = scaled(floats(work.slip)[1], weight(chain, i))
     loads, bow = (local(f, force), local(f, torque), local(f, own)), bow_compliance(chain, i)
-    by_x = by_y = by_twist = NO_LOAD
     for a in range(2):
         dx, dy = (h, 0.0) if a == 0 else (0.0, h)
         m, up, mid = loaded_cell(chain, work, i, x + dx, y + dy, *loads, bow, general)
         n, low, lowmid = loaded_cell(chain, work, i, x - dx, y - dy, *loads, bow, general)
-        by_x, by_y = by_y, difference(h, m, n)
+        add_column(row, a, difference(h, m, n))
         by_own = plus(
             cross(turned(f, difference(h, up, low)), force),
             cross(turned(f, difference(h, mid, lowmid)), own),
@@ -112,11 +121,19 @@ def load_slopes(chain, bend, work, i, row, general):
     if bow > 0.0:
         bow_slopes(f, x, y, half_turn(x * x + y * y), bow, plus(force, scaled(0.5, own)), row)
     if general:
-        by_twist = twist_slopes(f, row)
-    return by_x, by_y, by_twist
+        add_column(row, 2, twist_slopes(f, row))
+    if length_acts(chain):
+        compression_slopes(chain, bend, work, i, total, tangent)
 
 
 @inlined
+def add_column(row, a, slopes):
+    """Add the slopes (3,) of a cell's moment by its own bend (0, 1) or twist (2)."""
+    for r in range(3):
+        row[OWN + 3 * r + a] += slopes[r]
+
+
+@compiled
 def turn_slopes(chain, f, work, i, x, y, force, torque, own, row, general):
     """
     Fill what a turn of the frame of cell i does, and how its own bend turns the next one.
@@ -217,13 +234,13 @@ def twist_slopes(f, row):
 
 
 @compiled
-def compression_slopes(chain, bend, work, i, total):
-    """Differentiate the loads' moment (x, y, about) and the torque at the start by tension."""
+def compression_slopes(chain, bend, work, i, total, tangent):
+    """Fill how the loads' moment (x, y, about) and the torque at the start follow tensions."""
     h, section = TENSION_STEP * (total + 0.01), section_of(chain, i)
     rate = length(1.0, total + h, chain, section) - length(1.0, total - h, chain, section)
     rate /= 2.0 * h * length(1.0, total, chain, section)
     x, y = floats(bend)[2 * i], floats(bend)[2 * i + 1]
-    f, wrench = bending_frame(chain, bend, work, i, True), floats(work.wrench + 48 * i)
+    f, wrench = bending_frame(chain, bend, work, i, YES), floats(work.wrench + 48 * i)
     force = (wrench[0], wrench[1], wrench[2])
     own = scaled(floats(work.slip)[1], weight(chain, i))
     loads, lengths = (local(f, force), NO_LOAD, local(f, own)), floats(work.lengths)
@@ -233,4 +250,8 @@ def compression_slopes(chain, bend, work, i, total):
     lengths[i] = reach
     m, middle = plus(m, scaled(-1.0, rest)), plus(middle, scaled(-1.0, beside))
     pull = plus(cross(turned(f, end), force), cross(turned(f, middle), own))
-    return scaled(rate, m), scaled(rate, pull)
+    for k in range(chain.k):
+        if i < words(chain.tendon)[2 * k]:
+            here = floats(tangent + 8 * (SIZE + TENDON * k))
+            here[BY_TENSION], here[BY_TENSION + 1], here[BY_TENSION + 2] = scaled(rate, m)
+            here[PULLS], here[PULLS + 1], here[PULLS + 2] = scaled(rate, pull)

@@ -1,7 +1,20 @@
 """Moments of the loads on every bend, by virtual work, from the tip to the base."""
 
 from .bow import bow_compliance, bowed, bows, half_arc
-from .layout import HINGE, MASS, MASS_X, MASS_Y, cell, compiled, floats, inlined, section_of
+from .layout import (
+    HINGE,
+    MASS,
+    MASS_X,
+    MASS_Y,
+    PLACE,
+    bow_cells_at,
+    cell,
+    compiled,
+    entry,
+    floats,
+    inlined,
+    section_of,
+)
 from .stages import load, load_acts, tip_load, tip_load_acts
 from .turning import (
     arc_factor,
@@ -180,15 +193,13 @@ def place_cells(chain, bend, work):
     """Fill frames and origins (`turning.chain_frames`), those of loaded cells as they bow."""
     chain_frames(chain, bend, work)
     if loaded(chain) and bows(chain):
-        if is_general(chain):
-            bow_cells(chain, bend, work, True)
-        else:
-            bow_cells(chain, bend, work, False)
+        bow_cells_at(chain.bow_cells)(chain, bend, work)
 
 
-@inlined
-def bow_cells(chain, bend, work, general):
+@entry(PLACE)
+def bow_cells(chain, bend, work):
     """Move work.origins by how far cells bow; entry 0 of the frames need not be the base's."""
+    general = is_general(chain)
     bends, half, origins = floats(bend), floats(work.half), floats(work.origins)
     scale, beyond, shift = floats(work.slip)[1], force_at_tip(chain), NO_LOAD
     for i in range(chain.n):
@@ -208,7 +219,7 @@ def bow_cells(chain, bend, work, general):
             origins[3 * i + 3 + r] += shift[r]
 
 
-@compiled
+@entry(PLACE)
 def load_moments(chain, bend, work):
     """
     Fill work.load (n, 2) [N·m]: minus the gradient of the loads' potential energy by each bend.

@@ -11,12 +11,12 @@ import numpy as np
 
 from .bending import bend_cell, twist_of
 from .geometry import shaped_travel
-from .layout import YES, address, compiled, floats, residual_at
+from .layout import MARCH, YES, address, compiled, entry, floats, residual_at
 from .linear import largest
 from .residual import moment_arms_of, tendon_moment
 from .stages import offset_scale, torsion_acts
 from .sweep import active_stages, base_tensions, pass_eyelet, tendons_about
-from .turning import follows_shape, half_turn, twist_in
+from .turning import follows_shape, half_turn, twist_in, unknowns
 
 RESIDUAL_STEP = 1e-7  # [rad] of the differences
 RESIDUAL_SOLVED = 1e-13  # [rad] residual of a cell that is solved
@@ -113,16 +113,16 @@ def solve_cell_alone(chain, work, past, state, i, last_x, last_y, x, y):
     return x, y
 
 
-@compiled
-def march(chain, inputs, x, work, past):
-    """Solve for the state x from the base to the tip; return the residual [rad]."""
+@entry(MARCH)
+def march(chain, inputs, bend, work, past):
+    """Solve for the state in `bend` from the base to the tip; return the residual [rad]."""
     moment_arms, _ = moment_arms_of(chain, work)
-    f, last_x, last_y = np.empty(x.shape[0]), 0.0, 0.0
+    f, last_x, last_y, x = np.empty(unknowns(chain)), 0.0, 0.0, floats(bend)
     base_tensions(chain, inputs, work, moment_arms)
     for i in range(chain.n):
         last_x, last_y = solve_cell_alone(
-            chain, work, past, address(x), i, last_x, last_y, x[2 * i], x[2 * i + 1]
+            chain, work, past, bend, i, last_x, last_y, x[2 * i], x[2 * i + 1]
         )
         x[2 * i], x[2 * i + 1] = last_x, last_y
-    residual_at(chain.residual)(chain, inputs, address(x), work, past, address(f))
+    residual_at(chain.residual)(chain, inputs, bend, work, past, address(f))
     return largest(f)

@@ -11,13 +11,16 @@ import numpy as np
 from .bending import cell_stiffness
 from .layout import (
     BEND_TOLERANCE,
+    DESCEND,
     LENGTH,
     NEWTON,
     address,
     cell,
     compiled,
+    copy,
     entry,
     floats,
+    keep,
     newton_at,
     residual_at,
     respond_at,
@@ -123,21 +126,21 @@ def load_ratio(chain):
     return force * total * total * 4.0 / (math.pi * math.pi * rigidity)
 
 
-@compiled
-def descend(chain, inputs, x, work, past, ratio):
+@entry(DESCEND)
+def descend(chain, inputs, bend, work, past, ratio):
     """
-    Leave an unstable equilibrium x; tell whether it has moved to one that is better.
+    Leave an unstable equilibrium, the state in `bend`, for one that is better.
 
     The straight arm, pushed a little to the side that the loads prefer, sinks until it rests: the
     gradient of the energy is the stiffness times the residual.
     """
-    size = x.shape[0]
+    size = unknowns(chain)
     f, moved, down, there = np.empty(size), np.empty(size), np.empty(size), np.zeros(size)
     step_at(chain.step)(chain, inputs, address(there), work, past, address(moved))
     assign(down, moved)
-    residual(chain, inputs, address(x), work, past, f)
-    if respond_at(chain.respond)(chain, address(x), 0, 0, work, past, address(down), 0) < 0:
-        return False
+    residual(chain, inputs, bend, work, past, f)
+    if respond_at(chain.respond)(chain, bend, 0, 0, work, past, address(down), 0) < 0:
+        return
     push = math.copysign(1e-3 / largest(down), dot(down, moved))
     for j in range(size):
         there[j] = push * down[j]
@@ -148,6 +151,5 @@ def descend(chain, inputs, x, work, past, ratio):
         for j in range(size):
             there[j] -= f[j] / (1.0 + ratio)
     if newton_at(chain.newton)(chain, inputs, address(there), work, past, 20) < BEND_TOLERANCE:
-        assign(x, there)
-        return True
-    return False
+        copy(address(there), bend, size)
+    keep(there)

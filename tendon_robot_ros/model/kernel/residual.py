@@ -7,8 +7,8 @@ what it has just found, which settles faster, but ties every cell to all before 
 
 from .bending import bend_cell, twist_of
 from .geometry import scale_lengths, tendon_travel, travel_beyond
-from .layout import STEP, YES, compiled, entry, floats, words
-from .loads import load_moments, loaded
+from .layout import STEP, YES, compiled, entry, floats, load_moments_at, words
+from .loads import loaded
 from .stages import eyelet_acts, friction_travel_acts, offset_scale, torsion_acts
 from .sweep import active_stages, carry_tensions, tendons_about
 from .turning import chain_frames, follows_shape, half_turns
@@ -57,7 +57,7 @@ def place_forces(chain, inputs, bend, work, past):
     if loaded(chain):
         scale_lengths(chain, work)
         chain_frames(chain, bend, work)
-        load_moments(chain, bend, work)
+        load_moments_at(chain.load_moments)(chain, bend, work)
 
 
 @compiled

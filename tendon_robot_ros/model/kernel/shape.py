@@ -284,7 +284,7 @@ def postures(robot, block, count, begin, end, past, scratch, carry):
     """
     chain = chain_at(robot)
     n, k, m = chain.n, chain.k, chain.m
-    work = work_in(chain, scratch)
+    work = work_in(scratch)
     now = memory_in(chain, scratch + 8 * work_size(n, k))
     before = now.bend + 8 * memory_size(n, k, m)
     start = address(block)
@@ -308,7 +308,7 @@ def postures(robot, block, count, begin, end, past, scratch, carry):
 def show_postures(robot, block, count, past, scratch):
     """Fill a block from its inputs and bends as they are, without solving."""
     chain = chain_at(robot)
-    work, then = work_in(chain, scratch), memory_in(chain, past)
+    work, then = work_in(scratch), memory_in(chain, past)
     f = np.empty(unknowns(chain))
     for b in range(count):
         row, _, here = results_at(chain, address(block), count, b, work)

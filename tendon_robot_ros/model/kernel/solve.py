@@ -10,15 +10,16 @@ from .layout import (
     SLIP_LENGTH,
     address,
     compiled,
+    descend_at,
     entry,
     floats,
+    march_at,
     newton_at,
     step_at,
 )
 from .linear import assign, dot, largest, solve_small
 from .loads import loaded
-from .march import march
-from .newton import SAFE_LOAD_SHARE, descend, load_ratio
+from .newton import SAFE_LOAD_SHARE, load_ratio
 from .stages import eyelet_acts, friction_travel_acts, memory_acts
 from .stick import solve_sliding
 from .turning import half_turns, unknowns
@@ -252,7 +253,7 @@ def solve_smooth(chain, inputs, x, bend, work, past, cold):
     """
     begin_again(chain, inputs, x, bend, work, past, cold)
     if is_causal(chain):
-        change = march(chain, inputs, x, work, past)
+        change = march_at(chain.march)(chain, inputs, address(x), work, past)
         if change < BEND_TOLERANCE:
             return change
         begin_again(chain, inputs, x, bend, work, past, cold)
@@ -290,7 +291,7 @@ def solve_equilibrium(chain, inputs, work, past, bend):
     if change < BEND_TOLERANCE and loaded(chain):
         ratio = load_ratio(chain)
         if ratio > SAFE_LOAD_SHARE:
-            descend(chain, inputs, x, work, past, ratio)
+            descend_at(chain.descend)(chain, inputs, address(x), work, past, ratio)
             swept = False
     if not swept:
         step_at(chain.step)(chain, inputs, address(x), work, past, bend)

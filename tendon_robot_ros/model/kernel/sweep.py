@@ -4,8 +4,19 @@ import math
 
 from .bending import bend_cell, bend_linear, is_linear, twist_of
 from .geometry import scale_lengths, tendon_travel, travel_beyond
-from .layout import STEP, YES, compiled, entry, floats, fused, inlined, section_of, words
-from .loads import load_moments, loaded
+from .layout import (
+    STEP,
+    YES,
+    compiled,
+    entry,
+    floats,
+    fused,
+    inlined,
+    load_moments_at,
+    section_of,
+    words,
+)
+from .loads import loaded
 from .stages import (
     actuation,
     eyelet,
@@ -324,7 +335,7 @@ def prepare(chain, inputs, guess, work, past):
             carry_tensions(chain, inputs, guess, work, past, flags, chain.offset, scale)
         scale_lengths(chain, work)
         chain_frames(chain, guess, work)
-        load_moments(chain, guess, work)
+        load_moments_at(chain.load_moments)(chain, guess, work)
 
 
 @entry(STEP)

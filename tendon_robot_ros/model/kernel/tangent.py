@@ -18,35 +18,37 @@ from .layout import (
     BY_TURN,
     HERE,
     LAGS,
+    LEANING_SLOPES,
     OWN,
     PASSED,
-    PULLS,
     SIZE,
     SLIDES,
     TENDON,
     TRAVELS,
     YES,
     compiled,
+    entry,
     floats,
     inlined,
+    leaning_slopes_at,
+    load_slopes_at,
     section_of,
     tangent_of,
     words,
 )
-from .load_tangent import BEND_STEP, TENSION_STEP, compression_slopes, difference, load_slopes
-from .loads import NO_LOAD, loaded, plus, scaled
+from .load_tangent import BEND_STEP, TENSION_STEP, difference
+from .loads import loaded, plus, scaled
 from .residual import moment_arms_of, tendon_moment
 from .stages import (
     eyelet,
     friction_travel,
-    length_acts,
     memory,
     offset_scale,
     torsion_acts,
     wrap,
 )
 from .sweep import active_stages, smooth_sign, tendons_about
-from .turning import follows_shape, half_turn, is_general, leans, twist_in
+from .turning import follows_shape, half_turn, leans, twist_in
 
 MOMENT_STEP = 1e-6  # [rad] over a cell's compliance
 # of a step that meets a kink; how much of a difference its halves may differ by elsewhere [1]
@@ -121,17 +123,16 @@ def moment_arm_slopes(chain, work, i, x, y, scale):
     return (ax - bx) / (2.0 * h), (ay - by) / (2.0 * h), (cy - dy) / (2.0 * h)
 
 
-@compiled
-def leaning_slopes(chain, work, i, x, y, twist, scale):
-    """Differentiate the moment (x, y, about) of leaning tendons by x, y, twist [N·m/rad]."""
-    h, tensions = BEND_STEP, work.tensions + 8 * chain.k * i
-    slopes = (NO_LOAD, NO_LOAD, NO_LOAD)
+@entry(LEANING_SLOPES)
+def leaning_slopes(chain, work, i, x, y, twist, scale, tangent):
+    """Fill how the moment of leaning tendons follows x, y and twist [N·m/rad], into OWN."""
+    h, tensions, row = BEND_STEP, work.tensions + 8 * chain.k * i, floats(tangent)
     for a in range(3):
         dx, dy, dz = h if a == 0 else 0.0, h if a == 1 else 0.0, h if a == 2 else 0.0
         up = moment_of_leaning(chain, i, x + dx, y + dy, twist + dz, tensions, scale)
         low = moment_of_leaning(chain, i, x - dx, y - dy, twist - dz, tensions, scale)
-        slopes = (slopes[1], slopes[2], difference(h, up, low))
-    return slopes
+        by = difference(h, up, low)
+        row[OWN + a], row[OWN + 3 + a], row[OWN + 6 + a] = by
 
 
 @inlined
@@ -261,9 +262,24 @@ def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
 
 
 @compiled
+def tendon_slopes(chain, bend, work, i, tangent):
+    """Fill how the tendons' moment follows bend and twist of cell i, tensions held, into OWN."""
+    x, y, scale = floats(bend)[2 * i], floats(bend)[2 * i + 1], offset_scale(1.0, chain, 0)
+    row = floats(tangent)
+    if leans(chain):
+        twist = twist_in(chain, bend, i)
+        leaning_slopes_at(chain.leaning_slopes)(chain, work, i, x, y, twist, scale, tangent)
+    else:
+        xx, xy, yy = moment_arm_slopes(chain, work, i, x, y, scale)
+        row[OWN], row[OWN + 1], row[OWN + 3], row[OWN + 4] = xx, xy, xy, yy
+
+
+@compiled
 def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
     """
     Fill the derivatives of the residual of cell i.
+
+    Those of the moment come first, in the same places; then they meet the compliance.
 
     Parameters
     ----------
@@ -272,72 +288,45 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
     moment_arms, scale : address, float
         (n, k, 2) [m], and the factor on them [1].
     tangent : address
-        Derivatives of this cell, SIZE + TENDON k floats.
+        Derivatives of this cell, SIZE + TENDON k floats that are zero.
 
     """
-    if is_general(chain) or leans(chain):
-        fill_slopes(chain, bend, work, past, i, moment_arms, scale, tangent, True)
-    else:
-        fill_slopes(chain, bend, work, past, i, moment_arms, scale, tangent, False)
-
-
-@inlined
-def tendon_slopes(chain, bend, work, i, general):
-    """Differentiate the tendons' moment (x, y, about) by x, y and the twist, tensions held."""
-    x, y, scale = floats(bend)[2 * i], floats(bend)[2 * i + 1], offset_scale(1.0, chain, 0)
-    if general and leans(chain):
-        return leaning_slopes(chain, work, i, x, y, twist_in(chain, bend, i), scale)
-    xx, xy, yy = moment_arm_slopes(chain, work, i, x, y, scale)
-    return (xx, xy, 0.0), (xy, yy, 0.0), NO_LOAD
-
-
-@inlined
-def fill_slopes(chain, bend, work, past, i, moment_arms, scale, tangent, general):
-    """Fill the derivatives of the residual of cell i."""
-    row, at, loads = floats(tangent), chain.k * i, loaded(chain)
+    row, loads = floats(tangent), loaded(chain)
     mx, my, total = tendon_moment(chain, work, i, moment_arms, scale)
-    by_x, by_y, by_twist = tendon_slopes(chain, bend, work, i, general)
-    press, pull = NO_LOAD, NO_LOAD
+    tendon_slopes(chain, bend, work, i, tangent)
     if loads:
         mx += floats(work.load)[2 * i]
         my += floats(work.load)[2 * i + 1]
-        load_x, load_y, load_twist = load_slopes(chain, bend, work, i, row, general)
-        by_x, by_y, by_twist = plus(by_x, load_x), plus(by_y, load_y), plus(by_twist, load_twist)
-        if length_acts(chain):
-            press, pull = compression_slopes(chain, bend, work, i, total)
+        load_slopes_at(chain.load_slopes)(chain, bend, work, i, tangent, total)
     a, b, c, d, e, f = compliances(chain, past, i, mx, my, total)
-    row[OWN], row[OWN + 1] = 1.0 - (a * by_x[0] + c * by_x[1]), -(a * by_y[0] + c * by_y[1])
-    row[OWN + 3], row[OWN + 4] = -(b * by_x[0] + d * by_x[1]), 1.0 - (b * by_y[0] + d * by_y[1])
-    if loads:
-        for r in range(3):
-            for start in (BY_TURN, BY_TORQUE):
-                u, v = row[start + r], row[start + 3 + r]
-                row[start + r], row[start + 3 + r] = -(a * u + c * v), -(b * u + d * v)
+    for q in range(9 if loads else 3):
+        start = OWN + 9 * (q // 3) + q % 3  # of OWN, BY_TURN and BY_TORQUE
+        u, v = row[start], row[start + 3]
+        row[start], row[start + 3] = -(a * u + c * v), -(b * u + d * v)
+    row[OWN] += 1.0
+    row[OWN + 4] += 1.0
     lever, tendon = floats(moment_arms), words(chain.tendon)
     for k in range(chain.k):
         if i >= tendon[2 * k]:
             continue
-        here = floats(tangent + 8 * (SIZE + TENDON * k))
-        u, v = scale * lever[2 * (at + k)], scale * lever[2 * (at + k) + 1]
+        here, at = floats(tangent + 8 * (SIZE + TENDON * k)), 2 * (chain.k * i + k)
+        u, v = scale * lever[at], scale * lever[at + 1]
         here[TRAVELS], here[TRAVELS + 1] = u, v
-        u, v = u + press[0], v + press[1]
+        u, v = u + here[BY_TENSION], v + here[BY_TENSION + 1]
         here[BY_TENSION], here[BY_TENSION + 1] = -(a * u + c * v + e), -(b * u + d * v + f)
-        here[PULLS], here[PULLS + 1], here[PULLS + 2] = pull
-    if general and torsion_acts(chain):
-        row[OWN + 2] = -(a * by_twist[0] + c * by_twist[1])
-        row[OWN + 5] = -(b * by_twist[0] + d * by_twist[1])
-        fill_twist(chain, work, i, tangent, (by_x[2], by_y[2], by_twist[2]), press[2], loads)
+    if torsion_acts(chain):
+        fill_twist(chain, work, i, tangent, loads)
 
 
 @compiled
-def fill_twist(chain, work, i, tangent, by_own, press, loads):
+def fill_twist(chain, work, i, tangent, loads):
     """Fill the derivatives of the residual of the twist of cell i, from those of its moment."""
     row, about = floats(tangent), tendons_about(chain, work, i)
     if loads:
         about += floats(work.torque)[i]
     yields = twist_compliance(chain, i, about)
     for b in range(3):
-        row[OWN + 6 + b] = -yields * by_own[b]
+        row[OWN + 6 + b] *= -yields
         row[BY_TURN + 6 + b] *= -yields
         row[BY_TORQUE + 6 + b] *= -yields
     row[OWN + 8] += 1.0
@@ -345,7 +334,7 @@ def fill_twist(chain, work, i, tangent, by_own, press, loads):
         if i < words(chain.tendon)[2 * k]:
             here = floats(tangent + 8 * (SIZE + TENDON * k))
             here[TRAVELS + 2] = floats(work.axial)[chain.k * i + k]
-            here[BY_TENSION + 2] = -yields * (here[TRAVELS + 2] + press)
+            here[BY_TENSION + 2] = -yields * (here[TRAVELS + 2] + here[BY_TENSION + 2])
 
 
 @compiled
