@@ -183,9 +183,10 @@ class KernelArrays:
         """
         self._link(self._called())
 
-    def _acting(self) -> set[str]:
+    def _acting(self) -> frozenset[str]:
         """Return the stages at which effects act."""
-        return {e.stage for e in self.catalogue if self.on[self.layout.index[e.name]]}
+        on, index = self.on, self.layout.index
+        return frozenset(effect.stage for effect in self.catalogue if on[index[effect.name]])
 
     def _called(self) -> dict[str, tuple[str, str]]:
         """Return what the effects that act call, as `LINKED`."""

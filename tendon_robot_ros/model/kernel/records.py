@@ -47,7 +47,7 @@ class RecordFields(AttributeTemplate):
 
     key = Record
 
-    def generic_resolve(self, kind, name):
+    def generic_resolve(self, kind, name):  # type: ignore[override]
         """Return the type of a field."""
         return types.int64 if name == 'at' else kind.places[name][1]
 
