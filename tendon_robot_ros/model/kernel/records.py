@@ -12,7 +12,7 @@ from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, register_model
 
 
-class Record(types.Type):
+class RecordType(types.Type):
     """
     Fields at an address that do not change while compiled code runs, and some apart from it.
 
@@ -31,7 +31,7 @@ class Record(types.Type):
         super().__init__(name)
 
 
-@register_model(Record)
+@register_model(RecordType)
 class RecordModel(models.StructModel):
     """An address, and the fields apart."""
 
@@ -45,14 +45,14 @@ class RecordModel(models.StructModel):
 class RecordFields(AttributeTemplate):
     """Types of the fields."""
 
-    key = Record
+    key = RecordType
 
     def generic_resolve(self, kind, name):  # type: ignore[override]
         """Return the type of a field."""
         return types.int64 if name == 'at' else kind.places[name][1]
 
 
-@lower_getattr_generic(Record)
+@lower_getattr_generic(RecordType)
 def get_field(context, builder, kind, value, name):
     """Load a field; LLVM may load it once."""
     record = cgutils.create_struct_proxy(kind)(context, builder, value=value)
@@ -72,7 +72,7 @@ def record_type(fields, kinds, apart=()):
     That is for compiled code, and takes the address and the fields apart.
     """
     places = {name: (place, kinds[place]) for place, name in enumerate(fields._fields)}
-    kind = Record(fields.__name__, places, apart)
+    kind = RecordType(fields.__name__, places, apart)
 
     if apart:
 
