@@ -13,6 +13,7 @@ keeping_out.py  whether the arm would enter a region on its way
 trajectory.py   trajectories of tensions or wire pulls; the way of an arm driven by wire lengths
 tip_loop.py     the closed loop: changes of tension by which the measured tip comes nearer to its
                 target; when the tracker is not believed
+remainder.py    what the closed loop leaves between tip and target, and why, in words
 walk.py         tensions change while the tip stays: what the model misses there is learned
 mismatch.py      the model's error near the tensions that act, learned from the measured tip
 model_change.py  from one model to another while the arm is controlled

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .remainder import foreign
+
 if TYPE_CHECKING:
     from ..model.shape import Reach
     from .core import ControllerCore
@@ -74,9 +76,38 @@ def _condition(core: ControllerCore, now: float) -> tuple[str, str, str]:
         return OK, 'playing', f'playing a trajectory: {core.playing.progress(now)}'
     if core.solution is None:
         return OK, 'holding', 'waiting for a target'
+    if core.settings.tip_gain > 0.0 and (seen := _as_seen(core, now)) is not None:
+        return seen
     if core.moving:
         return OK, 'moving', 'moving to the target'
     return _arrived(core.solution, core.in_time)
+
+
+def _as_seen(core: ControllerCore, now: float) -> tuple[str, str, str] | None:
+    """Say where the tip is as the tracker sees it; None where the model alone tells."""
+    if core.loop.left:
+        return WARN, 'nearest', f'the closed loop was left: {core.loop.left}; the model says where'
+    doubt, left = _doubt(core), core.loop.remainder(now)
+    if left is None:
+        loop = core.loop.values(now)['correction_frozen']
+        return None if loop else (OK, 'moving', f'moving to the target{doubt}')
+    off = f'{1e3 * left.away:.2f} mm'
+    if left.none:
+        assert core.solution is not None and core.target is not None
+        if core.target.direction is not None and core.solution.status != 'reached':
+            return None
+        return OK, 'reached', f'at the target within {off}, as the tracker sees it{doubt}'
+    why = left.why(core.model.inputs) or 'it comes no nearer now'
+    return WARN, 'nearest', f'as near as it can, {off} from the target: {why}{doubt}'
+
+
+def _doubt(core: ControllerCore) -> str:
+    """Say what to do about a model that is far from the arm, as the loop has learned."""
+    if core.loop.known is None:
+        return ''
+    offset = float(np.linalg.norm(core.loop.known.offset))
+    said = foreign(offset, core.model.robot.length, core.model.remembers)
+    return f'; {said}' if said else ''
 
 
 def _silence(timeout: float, gone: bool) -> str:

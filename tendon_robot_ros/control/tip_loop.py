@@ -22,11 +22,13 @@ from ..common.errors import TendonRobotError
 from ..model.derivatives import tip_slopes
 from ..model.redundancy import STEP_DAMPING, bounded_step
 from .mismatch import STEP_SHARE, Mismatch, here_counts, slope_doubt
+from .remainder import LED_SHARE, LeftOver, Remainder
 from .walk import Led, Walk, begun
 
 if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Reach, Shape
+    from ..robot.keep_out import KeepOut
     from .solver import GiveUp
     from .state import Controller
 
@@ -41,7 +43,6 @@ ASTRAY_S = 0.3  # [s] for which it is: an arm that snaps on its way is there for
 HALVES = 1.0, 0.5, 0.25, 0.125  # [1] of a step that would bring the tip no nearer
 SLIPPING = 1.0, 2.0, 4.0, 0.5, 0.25  # [1] of one that may let no tendon slip
 GAINED = 0.1  # [1] of what a step promises, that it must do
-STANDING_DAMPING = 0.02  # [1] of the largest slope, see `bounded_step`
 ONE_SIDED_SHARES = 5e-4, 5e-3, 0.02, 0.06  # [1] of a tension's range, for slopes in one direction
 PACE = 2.0  # [1] of `tip_gain`: how fast the way to a set point shrinks
 STANDS_SHARE = 2e-3  # [1] of a tension's range: nearer to its goal, the arm counts as standing
@@ -74,15 +75,17 @@ class TipLoop:
     _asked: object = None  # the target for which the loop runs
     _began: float = np.inf  # [m] error at its beginning
     _tame: float = -np.inf  # [s] when the error and the offset were last as they may be
-    _left: str = ''  # why it was left for this target
+    left: str = ''  # why it was left for this target
     _compared: Array | None = None  # (3,) [m] the model's tip with which the last one was
     _led: Led | None = None  # where to
     _walk: Walk | None = None  # there
+    left_over: LeftOver = field(default_factory=LeftOver)
 
     def reset(self) -> None:
         """Forget what was learned."""
         self.tensions, self.known, self._solution, self._due = None, None, None, 0.0
         self._led = self._walk = self._compared = None
+        self.left_over = LeftOver()
         self._passed.clear()
 
     def lead(self, led: Led | None) -> None:
@@ -113,7 +116,7 @@ class TipLoop:
         """
         gain = core.settings.tip_gain
         seen = self._seen is not None and core.stepped - self._seen[0] <= TRACKER_SILENT_S
-        if gain == 0.0 or not seen or self._left or core.streaming or core.command is None:
+        if gain == 0.0 or not seen or self.left or core.streaming or core.command is None:
             return longest
         low, high = core.settings.limits(core.model).T
         way = np.abs(goal - core.command)
@@ -155,6 +158,11 @@ class TipLoop:
             'measured_error': left,
         }
 
+    def remainder(self, now: float) -> Remainder | None:
+        """Return what is left of the way to the target where the tip comes no nearer."""
+        silent = self._seen is None or now - self._seen[0] > TRACKER_SILENT_S
+        return None if silent or self.frozen else self.left_over.settled(now)
+
     def _why_not(
         self,
         now: float,
@@ -182,9 +190,9 @@ class TipLoop:
         """Say why the loop is left for this target, and have the model's tensions again."""
         length, target = core.model.robot.length, core.target
         if target is not self._asked:
-            self._asked, self._began, self._left = target, error, ''
+            self._asked, self._began, self.left = target, error, ''
             self._tame = core.stepped
-        if self.known is not None and not self._left:
+        if self.known is not None and not self.left:
             why = ''
             if float(np.linalg.norm(self.known.offset)) > OFFSET_MAX_SHARE * length:
                 why = 'too far from the model'
@@ -193,12 +201,12 @@ class TipLoop:
             if not why or core.via:  # a way that bends over is meant to lead away
                 self._tame = core.stepped
             elif core.stepped - self._tame > ASTRAY_S:
-                self._left, self.tensions, self.known = why, None, None
-        return self._left
+                self.left, self.tensions, self.known = why, None, None
+        return self.left
 
     def _look(self, now: float, core: Controller, position: Array) -> None:
         """Have the solver compare the tip with the model's, and find where the goal is then."""
-        solution, wanted, model = core.solution, core.wanted, core.model
+        solution, wanted, model, target = core.solution, core.wanted, core.model, core.target
         if core.solver.busy('loop') or core.settings.pull_mode:
             return
         assert solution is not None and wanted is not None
@@ -225,22 +233,23 @@ class TipLoop:
                 walk = begun(was, led, goal, new, at, length)
                 walk = walk.learned(at, position - tip, new, length, way, passed)
                 walk, found = walk.step(step, goal, new, passed)
-            if keep_out and keep_out.clearance(model.follow(here, found).positions).distance < 0.0:
-                found = goal  # where it is the arm was allowed
-            return _Found(new, found, here.tip_position, tip, walk)
+            found, region = step.allowed(found, goal, keep_out)
+            left = Remainder.at(wanted - here.tip_position, step.slopes, goal, limits, new, region)
+            return _Found(new, found, here.tip_position, tip, walk, left)
 
         def done(found: _Found | None, error: TendonRobotError | None) -> None:
             if found is not None and core.model is model and core.target is not None:
                 self.known, self._compared = found.known, found.compared
                 self._passed.append((now, applied, found.tip))
                 if core.solution is solution:
-                    self._take_up(found, solution)
+                    self._take_up(found, solution, now, target)
 
         core.solver.post('loop', work, done)
 
-    def _take_up(self, found: _Found, solution: Reach) -> None:
+    def _take_up(self, found: _Found, solution: Reach, now: float, target: object) -> None:
         """Go to the next goal for a solution; a walk that is left is one no more."""
         self.tensions, self._solution, self._walk = found.goal, solution, found.walk
+        self.left_over.take(now, target, found.remainder)
         if found.walk is not None and found.walk.left:
             self._led = None
 
@@ -273,6 +282,7 @@ class _Found:
     tip: Array  # (3,) [m] the model's, now
     compared: Array  # (3,) [m] and when the tracker saw it
     walk: Walk | None
+    remainder: Remainder
 
 
 @dataclass(frozen=True)
@@ -303,7 +313,7 @@ class _Step:
             return goal  # friction would let the arm slip by what is noise
         slopes = _slopes(self.model, there, self.here) * width
         way = self._way(there)
-        damping = STANDING_DAMPING if self.stands else STEP_DAMPING
+        damping = LED_SHARE if self.stands else STEP_DAMPING
         part = known.part(there.inputs, way) * here_counts(way, self.model.robot.length)
         best, least = goal, 1.0
         for step, shares in self._steps(there, goal, miss, damping, slopes, part * known.slopes):
@@ -368,6 +378,11 @@ class _Step:
     def there(self, goal: Array, before: Shape | None = None) -> Shape:
         """Return the shape under a goal (m,) [N] after another one; default: the one here."""
         return self.model.follow(before or self.here, np.maximum(goal + self.bias, 0.0))
+
+    def allowed(self, goal: Array, before: Array, keep_out: KeepOut) -> tuple[Array, str]:
+        """Return the next goal (m,) [N], or the one before and the region the arm would enter."""
+        entered = keep_out and keep_out.clearance(self.there(goal).positions).inside
+        return (before, entered) if entered else (goal, '')
 
     def _left(self, there: Shape, known: Mismatch) -> Array:
         """Return how far (3,) [m] the tip will be from where it is wanted."""

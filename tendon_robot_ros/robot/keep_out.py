@@ -99,6 +99,11 @@ class Clearance:
     region: str  # the nearest, '' without regions
     point: int  # index of the point that is nearest to it
 
+    @property
+    def inside(self) -> str:
+        """The region that a point is in, '' where none is in any."""
+        return self.region if self.distance < 0.0 else ''
+
 
 @dataclass(frozen=True)
 class KeepOut:
