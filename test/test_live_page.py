@@ -1,8 +1,10 @@
 """The live page by itself in real browsers: who may command, what is dragged, what fits."""
 
+import contextlib
 import socket
 
 import numpy as np
+import processes
 import pytest
 
 pytest.importorskip('viser')
@@ -18,6 +20,7 @@ from tendon_robot_ros.ros.viewer.page import LivePage
 from tendon_robot_ros.ros.viewer.state import ViewState
 
 pytestmark = pytest.mark.browser
+TOKEN = 'open sesame'
 TENSIONS = [0.6, 0.1, 0.1, 0.3]
 STOP_AND_PANEL = """(() => {
   const button = [...document.querySelectorAll('button')].find((b) => b.innerText === 'STOP');
@@ -43,29 +46,54 @@ def state():
     return shown
 
 
+class Opened:
+    """A page that is served, and browsers on it."""
+
+    def __init__(self, folder):
+        self.folder, self.browsers = folder, []
+        self.page = LivePage('127.0.0.1', free_port(), TOKEN, 0.208)
+        self.show(state())
+
+    def show(self, shown):
+        self.shown = shown
+        self.page.draw(shown)
+        self.page.tell(shown, 0.0)
+
+    def browser(self, width):
+        """Open one more."""
+        folder = self.folder / str(len(self.browsers))
+        folder.mkdir()
+        browser = Browser(folder, width, 850)
+        self.browsers.append(browser)
+        browser.open(f'http://127.0.0.1:{self.page.port}')
+        browser.until(lambda: 'Record' in browser.text(), 'the panel', 60.0)
+        return browser
+
+    def close(self):
+        for one in (*self.browsers, self.page):
+            one.close()
+
+
+@pytest.fixture(scope='module')
+def opened(tmp_path_factory):
+    """Serve a page, and open a browser on it; both take seconds of a processor, so once."""
+    with contextlib.closing(Opened(tmp_path_factory.mktemp('browsers'))) as opened:
+        started = len(processes.started)
+        opened.browser(1200)
+        del processes.started[started:]  # it ends with these tests, not with the first of them
+        yield opened
+
+
 @pytest.fixture
-def opened(tmp_path):
-    """Serve a page and open browsers on it."""
-    made = []
-
-    def make(token='', widths=(1200,)):
-        page = LivePage('127.0.0.1', free_port(), token, 0.208)
-        made.append(page)
-        shown = state()
-        page.draw(shown)
-        page.tell(shown, 0.0)
-        browsers = []
-        for index, width in enumerate(widths):
-            (tmp_path / str(index)).mkdir()
-            browsers.append(Browser(tmp_path / str(index), width, 850))
-            made.insert(0, browsers[-1])
-            browsers[-1].open(f'http://127.0.0.1:{page.port}')
-            browsers[-1].until(lambda b=browsers[-1]: 'Record' in b.text(), 'the panel', 60.0)
-        return page, shown, browsers
-
-    yield make
-    for one in made:
-        one.close()
+def trusted(opened):
+    """Give page and browser as at the beginning, with the token."""
+    (browser,) = opened.browsers
+    opened.show(state())
+    if browser.has_field('token'):
+        browser.type('token', TOKEN)
+        browser.until(lambda: not browser.has_field('token'), 'the token to be taken')
+    taken(opened.page)
+    return opened, browser
 
 
 def taken(page):
@@ -93,14 +121,14 @@ def places(browser, tmp_path, colour):
 
 
 def test_without_the_token_nobody_commands(opened):
-    page, _, (browser,) = opened(token='open sesame')
+    page, (browser,) = opened.page, opened.browsers
     browser.until(lambda: browser.has_field('token'), 'the field')
     browser.click('1 Record')
     browser.until(lambda: 'need the token' in browser.text(), 'the refusal')
     assert taken(page) == []
     browser.type('token', 'open')
     browser.click('1 Record')
-    browser.type('token', 'open sesame')
+    browser.type('token', TOKEN)
     browser.until(lambda: not browser.has_field('token'), 'the token to be taken')
     assert taken(page) == []
     browser.click('1 Record')
@@ -117,9 +145,11 @@ def test_a_token_is_needed_beyond_this_machine(host, local):
     assert _is_local(host) == local
 
 
-def test_a_desktop_and_a_phone_see_both_arms_from_base_to_tip(opened, tmp_path):
-    page, shown, browsers = opened(widths=(1200, 400))
-    browsers[0].until(lambda: page.clients == 2, 'both browsers')
+def test_a_desktop_and_a_phone_see_both_arms_from_base_to_tip(trusted, tmp_path):
+    opened, desktop = trusted
+    page, shown = opened.page, opened.shown
+    browsers = (desktop, opened.browser(400))
+    desktop.until(lambda: page.clients == 2, 'both browsers')
     for browser, width in zip(browsers, (1200, 400), strict=True):
         assert browser.run('document.documentElement.scrollWidth') <= width
         for colour in (is_measured, rgb(PREDICTED)):
@@ -136,13 +166,14 @@ def test_a_desktop_and_a_phone_see_both_arms_from_base_to_tip(opened, tmp_path):
     assert 0 <= top < bottom <= 60, 'STOP is in sight, at the upper edge'
     assert (left, right) == (0, 400), 'the panel is as wide as the screen'
     assert ERROR not in (MEASURED, PREDICTED)
+    opened.browsers.pop().close()
 
 
-def test_arms_that_coincide_are_both_seen(opened, tmp_path):
+def test_arms_that_coincide_are_both_seen(trusted, tmp_path):
     """The measured one is wider, and what is inside it shines through."""
-    page, shown, (browser,) = opened()
-    shown.predicted = shown.measured
-    page.draw(shown)
+    opened, browser = trusted
+    opened.shown.predicted = opened.shown.measured
+    opened.page.draw(opened.shown)
 
     def widths():
         browser.picture(tmp_path / 'shot.png')
@@ -173,8 +204,9 @@ PANEL = """(() => { const b = [...document.querySelectorAll('button')]
   const r = e.getBoundingClientRect(); return [r.left, r.top]; })()"""
 
 
-def test_dragging_the_handle_sends_a_target(opened, tmp_path):
-    page, shown, (browser,) = opened()
+def test_dragging_the_handle_sends_a_target(trusted, tmp_path):
+    opened, browser = trusted
+    page, shown = opened.page, opened.shown
     browser.until(lambda: right_of_tip(browser, tmp_path), 'the handle', 60.0)
     assert taken(page) == []
 
