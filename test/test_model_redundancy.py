@@ -10,8 +10,10 @@ from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.redundancy import Preferences, broyden
 from tendon_robot_ros.robot.keep_out import KeepOut, Plane, Region, Sphere
+from tendon_robot_ros.ros.shared.files import read_robot
 
 FRICTION = {'tendon_friction': {'friction_coefficient': 0.3}}
+HELD_N = 3.0  # on every tendon
 MEMORY = {**FRICTION, 'friction_memory': {'presliding_length': 2e-4}}
 
 
@@ -38,6 +40,26 @@ def test_the_straight_arm_gives_way_as_a_chain_of_hinges():
     )
     assert made.along([0.0, 5.0, 0.0]) == pytest.approx(1.0 / softness, rel=1e-6)
     assert made.softest[0] == pytest.approx(1.0 / softness, rel=1e-6)
+
+
+@pytest.mark.parametrize('name', ['spatial_3', 'spatial_6'])
+def test_tendons_that_pull_against_each_other_soften_a_straight_arm_of_hinges(name):
+    # between two guides a tendon is l cos(angle / 2) long: a cell holds k - l T / 4 per radian
+    robot, compliance, arc = read_robot(name), 0.0, 0.0
+    sections = [section.name for section in robot.sections]
+    for i, section in enumerate(robot.sections):
+        passing = sum(sections.index(tendon.section) >= i for tendon in robot.tendons)
+        for _ in range(section.cells):
+            lever = robot.length - arc - 0.5 * section.cell_length
+            k = section.bending_stiffness[0] - 0.25 * section.cell_length * passing * HELD_N
+            compliance, arc = compliance + lever**2 / k, arc + section.cell_length
+    model = Model(robot)
+    shape = model.shape(np.full(len(model.inputs), HELD_N))
+    for along in ([1, 0, 0], [0, 1, 0], [1, -2, 0]):
+        made = model.tip_stiffness(shape).along(along)
+        assert made == pytest.approx(1.0 / compliance, rel=1e-5)
+    slack = model.tip_stiffness(model.shape(np.full(len(model.inputs), 0.1)))
+    assert 1.0 / compliance < 0.7 * slack.along([1, 0, 0])
 
 
 def test_held_wires_stiffen_in_their_plane_alone():
