@@ -17,7 +17,7 @@ from tendon_robot_ros.diagnosis.candidates import gain_p_value
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.fit import Fit, with_imperfections
 from tendon_robot_ros.diagnosis.fitter import Fitter
-from tendon_robot_ros.diagnosis.likelihood import LOGARITHMS
+from tendon_robot_ros.diagnosis.likelihood import LOGARITHMS, Likelihood
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
 from tendon_robot_ros.diagnosis.outliers import _moves, _without_inputs, find_outliers
 from tendon_robot_ros.diagnosis.session import Session
@@ -240,6 +240,47 @@ def test_the_sizes_of_imperfections_are_recovered():
         for _ in range(20)
     ]
     assert np.median(found, axis=0)[0] == pytest.approx(true[0], rel=0.3)
+
+
+def unexplained(name):
+    """Return the random effects of a case, and what the description leaves (N,)."""
+    dataset = case(name)
+    session = Session(dataset, dataset.robot, CATALOGUE, workers=1)
+    assert session.weigh({})
+    return session.random, session.fitters[0].residual(session.predictor.markers({}))
+
+
+def test_slopes_of_the_likelihood_are_those_of_its_value_beside_parameters():
+    random, residual = unexplained('messy_008')
+    beside = np.random.default_rng(2).normal(size=(len(residual), 3))
+    work = Likelihood(random.parts, residual, beside, None)
+    size = np.where(np.isfinite(random.plausible), random.plausible, 1e-3)
+    log = np.log(size**2)
+
+    def slope(log):
+        return work.slopes(np.exp(log)).gradient * np.exp(log)
+
+    moves = 1e-4 * np.eye(len(log))
+    value = [work.deviance(np.exp(log + d)) - work.deviance(np.exp(log - d)) for d in moves]
+    np.testing.assert_allclose(slope(log), np.array(value) / 2e-4, rtol=1e-5, atol=1e-4)
+    bend = [(slope(log + d) - slope(log - d)) / 2e-4 for d in moves]
+    here = work.slopes(size**2)
+    found = here.curvature * np.outer(size**2, size**2) + np.diag(slope(log))
+    np.testing.assert_allclose(found, bend, rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.parametrize('name', ['messy_008', 'messy_s0', 'messy_000'])
+def test_the_likeliest_sizes_are_found_whatever_is_missing(name):
+    """What scatter cannot explain bends the likelihood: a search may give up on its way."""
+    random, residual = unexplained(name)
+    nothing = np.zeros((len(residual), 0))
+    found = random.estimate(residual, nothing)
+    for share in (0.5, 1.0, 2.0):
+        other = random.estimate(residual, nothing, share * found.values)
+        assert other.deviance > found.deviance - 0.05
+    work = Likelihood(random.parts, residual, nothing, None)
+    moved = np.abs(work.slopes(found.values**2).gradient * found.values**2)
+    assert moved[~random.few].max() < 0.2
 
 
 def test_readings_that_the_other_trials_contradict_are_found_and_no_others():

@@ -55,18 +55,24 @@ def t_sf(t: float, freedom: float) -> float:
 
 
 def t_ppf(p: float, freedom: float) -> float:
-    """Quantile of Student's t."""
-    low, high = -1.0, 1.0
-    while t_sf(high, freedom) > 1.0 - p:
-        high *= 2.0
-    while t_sf(low, freedom) < 1.0 - p:
-        low *= 2.0
+    """
+    Quantile of Student's t.
+
+    The tail is convex, and that of the normal distribution below it: Newton's method starts there
+    and never passes by.
+    """
+    if p < 0.5:
+        return -t_ppf(1.0 - p, freedom)
+    log = math.lgamma(0.5 * freedom + 0.5) - math.lgamma(0.5 * freedom)
+    log -= 0.5 * math.log(freedom * math.pi)
+    t = normal_ppf(p)
     for _ in range(200):
-        middle = 0.5 * (low + high)
-        if middle in (low, high):
+        density = math.exp(log - (0.5 * freedom + 0.5) * math.log1p(t * t / freedom))
+        step = (t_sf(t, freedom) - (1.0 - p)) / density
+        t += step
+        if step <= 1e-14 * t:
             break
-        low, high = (middle, high) if t_sf(middle, freedom) > 1.0 - p else (low, middle)
-    return 0.5 * (low + high)
+    return t
 
 
 def normal_ppf(p: float) -> float:

@@ -80,6 +80,26 @@ class _Reduced:
     log: float  # log |V|
 
 
+@dataclass(frozen=True)
+class _Last:
+    """The columns of the remainder (d) through V^-1."""
+
+    cross: Floats  # (o, d) X'V^-1 D
+    own: Floats  # (d, d) D'V^-1 D
+    more: Floats  # (d, k) D'V^-1 [parameters]
+    u: Floats  # (d,) D'V^-1 of the residual beside the best parameters
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """How the deviance goes with the variances."""
+
+    gradient: Floats  # (K,)
+    information: Floats  # (K, K) expected of the gradient, priors of the variances included
+    curvature: Floats  # (K, K) second derivative where it is, with these residuals
+    slower: Floats  # (K,) variances that are no worse, and often hardly better
+
+
 class Likelihood:
     """
     Deviance, gradient and information of the variances, from small matrices only.
@@ -142,50 +162,54 @@ class Likelihood:
         chi2 = self._best(at.inner - half.T @ half)[1]
         return chi2 + at.log + prior_of(v * self.precision, self.prior)
 
-    def slopes(self, v: Floats) -> tuple[Floats, Floats, Floats]:
+    def slopes(self, v: Floats) -> Slopes:
         """
-        Return gradient (K,), expected information (K, K) and a step that cannot fail.
+        Return gradient, curvature and a step that cannot fail, of the best parameters everywhere.
 
-        The last is minorise-maximise of variance components: slow, but always a descent.
+        With P what V^-1 is beside the parameters: rise tr(X'V^-1 X), found |X'P r|² of each kind,
+        and its slopes u'X'P X u (Johnson and Thompson 1995). The step is minorise-maximise of
+        variance components: slow, but always a descent.
         """
         at, kinds = self._reduced(v), self.kinds
         half, through = at.factor @ at.own, at.factor @ at.more
-        best, _ = self._best(at.inner - through.T @ through)
+        normal = at.inner - through.T @ through
+        best, _ = self._best(normal)
         ahead = np.append(-best, 1.0)
-        w = at.own - half.T @ half
-        u = (at.more - half.T @ through) @ ahead
+        w, m = at.own - half.T @ half, at.more - half.T @ through
+        u = m @ ahead
         rise, found = kinds @ np.diag(w), kinds @ (u * u)
-        information = kinds @ (w * w) @ kinds.T
+        information, along = kinds @ (w * w) @ kinds.T, kinds * u
+        turned, seen = along @ w @ along.T, along @ m[:, :-1]
         if self.kind is not None:
-            self._add_last(at, half, through @ ahead, ahead, rise, found, information)
+            last = self._last(at, half, through, ahead)
+            k, mine, both = self.kind, last.u, np.square(last.cross).sum(axis=1)
+            rise[k], found[k] = np.trace(last.own), mine @ mine
+            information[k] += kinds @ both
+            information[:, k] += kinds @ both
+            information[k, k] = np.square(last.own).sum()
+            across = along @ (last.cross @ mine)
+            turned[k] += across
+            turned[:, k] += across
+            turned[k, k] = mine @ last.own @ mine
+            seen[k] = mine @ last.more
+        if len(best):
+            turned -= seen @ np.linalg.solve(normal[:-1, :-1] + self.ridge, seen.T)
         rise += 2.0 * self.precision
         push = self.proper / np.maximum(v, 1e-300)  # away from zero
-        information += np.diag(push / np.maximum(v, 1e-300))
+        proper = np.diag(push / np.maximum(v, 1e-300))
         rise = np.maximum(rise, 1e-300)
         root = np.sqrt(self.proper**2 + 4.0 * rise * v**2 * found)
         slower = (self.proper + root) / (2.0 * rise)
-        return rise - push - found, information, slower
+        gradient = rise - push - found
+        return Slopes(gradient, information + proper, 2.0 * turned - information + proper, slower)
 
-    def _add_last(
-        self,
-        at: _Reduced,
-        half: Floats,
-        through: Floats,
-        ahead: Floats,
-        rise: Floats,
-        found: Floats,
-        information: Floats,
-    ) -> None:
-        """Add what the columns of the remainder say: diagonal before the others are eliminated."""
+    def _last(self, at: _Reduced, half: Floats, through: Floats, ahead: Floats) -> _Last:
+        """Return what the columns of the remainder are, once the others are eliminated."""
         crossed = self.own_last * at.shrunk  # (o, d)
-        mine, e, k = at.factor @ crossed, self.size2 * at.shrunk, self.kind
-        taken = (mine * mine).sum(axis=0)
-        u = at.shrunk * (self.more_last @ ahead) - mine.T @ through
-        rise[k], found[k] = (e - taken).sum(), u @ u
-        both = self.kinds @ np.square(crossed - half.T @ mine).sum(axis=1)
-        information[k] += both
-        information[:, k] += both
-        information[k, k] = (e * (e - 2.0 * taken)).sum() + np.square(mine @ mine.T).sum()
+        mine = at.factor @ crossed
+        more = at.shrunk[:, None] * self.more_last - mine.T @ through
+        own = np.diag(self.size2 * at.shrunk) - mine.T @ mine
+        return _Last(crossed - half.T @ mine, own, more[:, :-1], more @ ahead)
 
     def _best(self, m: Floats) -> tuple[Floats, float]:
         """Return the best linear parameters and chi² there."""

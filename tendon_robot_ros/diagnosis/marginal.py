@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from ..comparison.statistics import chi2_isf
 from .as_built import KINDS_WITH_FEW_MEMBERS, REMAINDER, Kind, Members
-from .likelihood import LOGARITHMS, SIZES, Columns, Likelihood, prior_of, root_inverse
+from .likelihood import LOGARITHMS, SIZES, Columns, Likelihood, Slopes, prior_of, root_inverse
 
 Floats = npt.NDArray[np.float64]
 SEARCH_STEPS_MAX = 25  # of the search for the standard deviations
@@ -28,11 +28,9 @@ SIZE_MAX = 5.0  # [1] of the plausible sizes: what is larger is no imperfection
 START_SHARE = 0.5  # of the plausible sizes, where it begins
 UNSEEN_MOVE = 0.01  # sd of the noise that a plausible imperfection may do and count as unseen
 ROOTS_KEPT = 4  # of the sizes that were asked for last
-STEP_SHARES = (
-    1.0,
-    0.2,
-    0.03,
-)  # of a Fisher step that are tried before a slower one that never fails
+STEP_SHARES = (1.0, 0.3, 0.1, 0.03)  # of a step, tried before a slower one that never fails
+STEP_MAX = 2.0  # of the logarithm of a variance
+BEND_LEAST = 0.05  # of the deviance by logarithms, that a step counts on
 
 
 @dataclass(frozen=True)
@@ -141,10 +139,11 @@ class RandomEffects:
         """Return the most likely mixtures (r,), in units of their sd, at a residual (N,)."""
         basis, triangle = self._basis
         inverse = self.root(sizes)
-        along = basis.T @ residual
+        n = len(inverse)
+        along = basis[:, :n].T @ residual
         along += inverse @ along
         along += inverse.T @ along
-        return np.asarray(self.spread(sizes) * (triangle.T @ along))
+        return np.asarray(self.spread(sizes) * (triangle[:n].T @ along))
 
     def freedom(self, shift: Floats, sizes: Floats) -> float:
         """
@@ -168,7 +167,7 @@ class RandomEffects:
         told = np.flatnonzero((sizes > 0.0) & ~self.few)
         rows = len(self.columns)
         work = Likelihood(self.parts, np.zeros(rows), np.zeros((rows, 0)), None, prior)
-        information = work.slopes(sizes**2)[1][np.ix_(told, told)]
+        information = work.slopes(sizes**2).information[np.ix_(told, told)]
         found = np.zeros((len(sizes), len(sizes)))
         found[np.ix_(told, told)] = 2.0 * np.linalg.pinv(information, hermitian=True)
         return found
@@ -203,11 +202,13 @@ class RandomEffects:
         return prior_of((sizes / self.plausible) ** 2)
 
     def root(self, sizes: Floats) -> Floats:
-        """Return A (d, d), by which `lift` whitens."""
+        """Return A (n, n), by which `lift` whitens: of the columns up to the last that is any."""
         key = sizes.tobytes()
         found = self._roots.get(key)
         if found is None:
-            scaled = self._basis[1] * self.spread(sizes)
+            spread = self.spread(sizes)
+            used = int(np.flatnonzero(spread)[-1]) + 1 if spread.any() else 0
+            scaled = self._basis[1][:used, :used] * spread[:used]
             inverse = root_inverse(np.eye(len(scaled)) + scaled @ scaled.T)
             found = inverse - np.eye(len(inverse))
             self._roots = dict([*self._roots.items()][1 - ROOTS_KEPT :]) | {key: found}
@@ -215,7 +216,7 @@ class RandomEffects:
 
     def lift(self, root: Floats, rows: Floats) -> Floats:
         """Take off rows (N, ...) what imperfections explain: W with W'W = V^-1."""
-        basis = self._basis[0]
+        basis = self._basis[0][:, : len(root)]
         return np.asarray(rows + basis @ (root @ (basis.T @ rows)))
 
     def intervals(self, sizes: Floats) -> tuple[Floats, Floats]:
@@ -229,7 +230,7 @@ class RandomEffects:
         work = Likelihood(self.parts, np.zeros(rows), np.zeros((rows, 0)), None, prior=0)
         least = 1e-3 * np.where(np.isfinite(self.plausible), self.plausible, 1e-3)
         v = np.maximum(sizes, least) ** 2
-        information = work.slopes(v)[1] * np.outer(v, v)
+        information = work.slopes(v).information * np.outer(v, v)
         of_log = 2.0 * np.diag(np.linalg.pinv(information, hermitian=True))  # variance of log v
         shown = np.diag(information) > FREEDOM_MIN**2  # else nothing tells it
         freedom = np.where(shown, 2.0 / np.maximum(of_log, 1e-12), 0.0).clip(FREEDOM_MIN, 1e6)
@@ -251,7 +252,7 @@ class RandomEffects:
         """
         Maximise the likelihood over the standard deviations and linear parameters.
 
-        Fisher scoring of the variances, bounded below, each step a descent.
+        Newton's method on the logarithms of the variances, bounded, each step a descent.
 
         Parameters
         ----------
@@ -277,17 +278,18 @@ class RandomEffects:
         fixed = self.few & told
         low = np.where(fixed, usual, LEAST_SHARE * usual) ** 2
         high = np.where(fixed, usual, SIZE_MAX * self.plausible) ** 2
-        v = np.clip(sizes**2, low, high)
         free = np.array([remainder or kind.name != REMAINDER for kind in self.kinds])
-        v[~free] = 0.0
-        cost = work.deviance(v)
+        low, high = np.where(free, low, 0.0), np.where(free, high, 0.0)
+        v = np.clip(sizes**2, low, high)
+        cost, least = work.deviance(v), self._least
         for _ in range(SEARCH_STEPS_MAX):
-            gradient, information, slower = work.slopes(v)
-            step = _step(v - low, high - v, np.where(free, gradient, np.inf), information)
-            if -float(np.where(free, gradient, 0.0) @ step) < DEVIANCE_GAIN_MIN:
+            there = work.slopes(v)
+            step, promised = _step(v - low, high - v, v + least, there)
+            if promised < DEVIANCE_GAIN_MIN:
                 break
-            for moved in (*(v + share * step for share in STEP_SHARES), slower):
-                new = np.where(free, np.clip(moved, low, high), 0.0)
+            ways = [(v + least) * np.exp(share * step) - least for share in STEP_SHARES]
+            for moved in (*ways, there.slower):
+                new = np.clip(moved, low, high)
                 found = work.deviance(new)
                 if found < cost:
                     break
@@ -298,6 +300,17 @@ class RandomEffects:
                 break
         return Sizes(np.sqrt(v), cost)
 
+    @cached_property
+    def _least(self) -> Floats:
+        """
+        Variances (K,) that logarithms are counted from: where the remainder begins to show.
+
+        It may be zero; the others may not.
+        """
+        own = np.array([kind.name == REMAINDER for kind in self.kinds])
+        shows = np.sqrt(np.square(self.parts.size2).sum())
+        return np.where(own & (shows > 0.0), 1.0 / max(shows, 1e-300), 0.0)
+
 
 def _mixture(columns: Floats, plausible: float) -> Floats:
     """Return the independent directions (q, r) of a kind that show."""
@@ -306,22 +319,23 @@ def _mixture(columns: Floats, plausible: float) -> Floats:
     return np.asarray(vectors[:, values > max(least, 1e-14 * values.max(initial=0.0))][:, ::-1])
 
 
-def _step(down: Floats, up: Floats, gradient: Floats, information: Floats) -> Floats:
-    """Fisher step (K,) of the variances; those without room that want to stay there do."""
+def _step(down: Floats, up: Floats, stretch: Floats, slopes: Slopes) -> tuple[Floats, float]:
+    """
+    Newton step (K,) of the logarithms, and how much it promises at least.
+
+    Those without room that want to stay there do; `stretch` is the slope of v by its logarithm.
+    Where the deviance bends down it is left the faster, as if it bent up.
+    """
+    gradient = slopes.gradient
     pressed = ((down <= 0.0) & (gradient >= 0.0)) | ((up <= 0.0) & (gradient <= 0.0))
-    moving = ~pressed & (np.diag(information) > 0.0)
-    step = np.zeros(len(down))
-    for _ in range(len(down)):
-        index = np.flatnonzero(moving)
-        if not len(index):
-            return step
-        part = information[np.ix_(index, index)]
-        scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
-        damped = part / np.outer(scale, scale) + 1e-6 * np.eye(len(index))
-        step = np.zeros(len(down))
-        step[index] = -np.linalg.solve(damped, gradient[index] / scale) / scale
-        gone = moving & (((down <= 0.0) & (step < 0.0)) | ((up <= 0.0) & (step > 0.0)))
-        if not gone.any():
-            break
-        moving &= ~gone
-    return step
+    index, step = np.flatnonzero(~pressed & (stretch > 0.0)), np.zeros(len(down))
+    if not len(index):
+        return step, 0.0
+    t = stretch[index]
+    along = t * gradient[index]
+    bend = slopes.curvature[np.ix_(index, index)] * np.outer(t, t) + np.diag(along)
+    values, vectors = np.linalg.eigh(bend)
+    own = -vectors @ ((vectors.T @ along) / np.maximum(np.abs(values), BEND_LEAST))
+    own *= STEP_MAX / max(STEP_MAX, float(np.abs(own).max()))
+    step[index] = own
+    return step, float(-along @ own)

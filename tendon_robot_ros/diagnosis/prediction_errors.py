@@ -28,6 +28,7 @@ from .into_description import written_members
 
 Floats = npt.NDArray[np.float64]
 FOLDS = 6  # groups of postures that are left out in turn
+UNTOLD = 1e-10  # of what tells a direction, below which the other postures tell nothing of it
 Groups = npt.NDArray[np.int64]
 JOINING_STEP = 0.02  # typical sizes from which a fit begins, where laws have kinks
 SIZES_TRIED = (0.03, 0.3, 3.0)  # typical sizes of a law that acts whatever its value
@@ -135,11 +136,15 @@ def left_out_markers(fitter: Fitter, fit: Fit, beside: bool = True) -> Floats:
     groups = np.unique(dataset.groups[measured])  # postures of the same inputs tell of each other
     folds = min(FOLDS, len(groups))
     predicted = np.full_like(fit.markers, np.nan)
+    scale = np.maximum(np.linalg.norm(fit.jacobian, axis=0), 1e-300)
+    told = fit.jacobian / scale
+    normal, gradient = told.T @ told, told.T @ fit.residual
     for fold in range(folds):
         held = measured[np.isin(dataset.groups[measured], groups[fold::folds])]
-        priors = np.ones(len(fit.jacobian) - len(owners), dtype=bool)
-        used = np.append(~np.isin(owners, held), priors)
-        step = np.linalg.lstsq(fit.jacobian[used], fit.residual[used], rcond=1e-10)[0]
+        gone = np.flatnonzero(np.isin(owners, held))
+        out, off = fit.jacobian[gone] / scale, fit.residual[gone]
+        left = normal - out.T @ out + UNTOLD * np.eye(len(normal))
+        step = np.linalg.solve(left, gradient - out.T @ off) / scale
         markers = written_markers(fitter, fit, fit.values - step, beside)
         if markers is not None:
             predicted[held] = markers[held]
