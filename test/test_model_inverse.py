@@ -172,6 +172,22 @@ def test_from_a_far_tip_where_tendons_stick_a_short_step_towards_the_target_is_t
     assert len(told) >= 8
 
 
+def test_a_search_for_a_far_tip_whose_time_is_over_tells_where_the_arm_may_set_out():
+    model = Model(load_robot(ROBOTS / 'spatial_6.yaml'))
+    low = model.limits[:, 0]
+    tensions = low + np.random.default_rng(4).random((8, len(low))) * (4.0 - low)
+    shapes, over = model.shapes(tensions), Patience()
+    over.end()
+    for here, target in zip(tensions[:-1], shapes.tip_position[1:], strict=True):
+        told, guess = [], model.shape(here)
+        found = model.reach(target, guess=guess, give_up=over, tell=told.append)
+        away = [np.linalg.norm(one.shape.tip_position - target) for one in (told[0], found)]
+        assert away[0] < 0.5 * np.linalg.norm(guess.tip_position - target)
+        assert away[1] == away[0]
+        same = model.shape(told[0].tensions).tip_position
+        assert same == pytest.approx(told[0].shape.tip_position, abs=1e-8)  # an equilibrium
+
+
 def test_a_direction_alone_is_met_by_a_gentle_bend_and_no_curl():
     """The cells turn in one plane and one way: their bends add up to the angle asked for."""
     model = Model(load_robot(ROBOTS / 'spatial_6.yaml'))

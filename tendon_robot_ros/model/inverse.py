@@ -143,9 +143,10 @@ def _searched(
     """Return cost [m²], tensions and bends of the first start that meets it, or of the best."""
     model = task.model
     best: tuple[float, Floats, Floats] | None = None
-    sticks, remembers, least, told = model.sticks, model.remembers, np.inf, np.inf
+    sticks, remembers, least, stayed = model.sticks, model.remembers, np.inf, np.inf
     if tell is not None and guess is not None:
-        told = STAYED_SHARE * task.cost(guess)
+        stayed = STAYED_SHARE * task.cost(guess)
+    told = stayed
     for count, (search, inputs, bend) in enumerate(starts):
         if by_pulls:
             cost, bends = aim_by_pulls(task, search, inputs, bend)
@@ -161,7 +162,9 @@ def _searched(
             told = TOLD_SHARE * best[0]
         does = sticks and count >= KINK_STARTS and best[0] < KINK_REACHED_M2
         does = does or (remembers and count == 0 and cost < NEAR_REACHED_M2)
-        if met or does or give_up():
+        # what comes after the first search takes no time: where the arm may set out
+        waits = sticks and count <= 1 and tell is not None and told == stayed
+        if met or does or (give_up() and not waits):
             break
     assert best is not None
     if not np.isfinite(best[0]):

@@ -22,7 +22,7 @@ from .tip_task import TipTask
 
 if TYPE_CHECKING:
     from .forward import ForwardModel
-    from .shape import Shape
+    from .shape import Shape, ShapeBatch
 
 Floats = npt.NDArray[np.float64]
 Start = tuple[Aim, Floats, Floats]  # how to search, tensions (m,) [N] and bends to start from
@@ -41,6 +41,8 @@ SETTLED_RAD = 1e-3  # [rad] last step of a search whose equilibrium is worth fin
 STUCK_WEIGHT = 1e-3  # [m/N] for low tension, where a search stands at a kink
 FAR_M2 = 5e-5  # [m²] cost of a tip that no search for an equilibrium improves: 1 cm
 FIRST_STEP_M = 5e-3  # [m] towards a tip that is far
+# [1] of the square of how far the tip is: for a shape of the library so near the arm may set out
+NEARER_SHARE = 0.25
 TRIALS_MAX = 120  # equilibria of a search
 REMEMBERING_TRIALS_MAX = 480  # where friction remembers, ways creep along narrow valleys
 # Where tendons stick a search that does not arrive soon stands at a kink: another start is quicker
@@ -141,8 +143,8 @@ def beginnings(
 
     The guess, then the straight arm, from where a gentle bend is nearer than a curl, then the
     shapes of the library whose tips are nearest, those of low tension first: from much tension
-    against much tension there is often no way down. `step`: from a guess that is far, early, by a
-    short step towards the target. `gently`: from the guess see `aim_gently`, unless tendons stick.
+    against much tension there is often no way down. `step`: from a guess that is far, early, to
+    where the arm may set out. `gently`: from the guess see `aim_gently`, unless tendons stick.
     """
     model, near = task.model, partial(aim, task, GAIN_MIN)
     kept: Kept = []
@@ -186,11 +188,29 @@ def _starts_far(
 ) -> Iterator[Start]:
     """Yield starts from a guess with its tip far, where tendons stick."""
     yield partial(aim, task, TRACKING_GAIN_MIN, far=0.0), inputs, guess.state  # to stay
-    seeks = [partial(seek, task, wide, kept) for wide in FAR_WIDTHS if count]
-    if step:
-        seeks.insert(min(1, count), partial(step_towards, task, guess))
-    for search in seeks:
-        yield search, inputs.copy(), guess.state
+    for turn, wide in enumerate(FAR_WIDTHS if count else ()):
+        if step and turn == 1:
+            yield _setting_out(task, guess, inputs)
+        yield partial(seek, task, wide, kept), inputs.copy(), guess.state
+    if step and not count:
+        yield partial(step_towards, task, guess), inputs.copy(), guess.state
+
+
+def _setting_out(task: TipTask, guess: Shape, inputs: Floats) -> Start:
+    """Return what soon brings a far tip nearer: a shape of the library, or a short step."""
+    library, row = task.model.library, next(rows_near(task.model, task.target))
+    if misses(library, task.target)[row] < NEARER_SHARE * 2.0 * task.cost(guess):
+        there = partial(aim, task, TRACKING_GAIN_MIN, far=0.0)
+        return there, library.inputs[row].copy(), library.state[row]
+    return partial(step_towards, task, guess), inputs.copy(), guess.state
+
+
+def misses(library: ShapeBatch, target: Floats) -> Floats:
+    """Return squares (rows,) [m²] of how far the tips of shapes are from a target."""
+    tips = np.concatenate([library.tip_position, library.tip_direction], axis=1)
+    miss = np.repeat(target[6:], 3) * (tips - target[:6])
+    squares: Floats = (miss * miss).sum(axis=1)
+    return squares
 
 
 def rows_near(model: ForwardModel, target: Floats) -> Iterator[int]:
@@ -201,10 +221,8 @@ def rows_near(model: ForwardModel, target: Floats) -> Iterator[int]:
     against much tension there is often no way down.
     """
     library, low, high = model.library, *model.limits.T
-    tips = np.concatenate([library.tip_position, library.tip_direction], axis=1)
-    miss = np.repeat(target[6:], 3) * (tips - target[:6])
     tension = START_TENSION_WEIGHT * (library.inputs - low).sum(axis=1)
-    near = np.argsort((miss * miss).sum(axis=1) + tension * tension)[:LIBRARY_NEIGHBOURS]
+    near = np.argsort(misses(library, target) + tension * tension)[:LIBRARY_NEIGHBOURS]
     places, away = library.inputs[near] / high, np.full(len(near), np.inf)
     for count in range(len(near)):
         left = np.flatnonzero(away > 0.0)
