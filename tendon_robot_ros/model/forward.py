@@ -21,9 +21,9 @@ from .shape import FIELDS, ResultLayout, Shape, ShapeBatch
 
 Floats = npt.NDArray[np.float64]
 TOLERANCE = 1e-10  # [rad] as in the kernel
-# [rad] a last step so small is one of rounding at a kink of friction, which tensions that differ
-# by a share [1] do not meet
-ROUNDING, BESIDE = 1e-7, 1e-6
+# [rad] a last step so small is that of a search that stalled at a kink of friction, which tensions
+# that differ by a share [1] do not meet; those of arms that buckle are larger (6e-3 and more)
+STALLED, BESIDE = 2e-3, (1e-6, 1e-5, 1e-4, 1e-3)
 THREADS = 2
 USEFUL_BEND_RAD = 1.5 * np.pi  # [rad] of one section: bends beyond it are rarely wanted
 
@@ -169,9 +169,13 @@ class ForwardModel:
         try:
             return self.shape(tensions, last.state, past)
         except NoEquilibriumError as error:
-            if not error.last_change < ROUNDING:
-                raise
-            return self.shape((1.0 + BESIDE) * self.tensions(tensions), last.state, past)
+            stalled = error
+        for more in BESIDE if stalled.last_change < STALLED else ():
+            try:
+                return self.shape((1.0 + more) * self.tensions(tensions), last.state, past)
+            except NoEquilibriumError:
+                continue
+        raise stalled
 
     def shapes(self, tensions: npt.ArrayLike, guesses: Floats | None = None) -> ShapeBatch:
         """
