@@ -71,8 +71,13 @@ LISTEN = """<script>addEventListener('message', (event) => {
 });</script>"""
 
 
-def open_page(path, folder):
-    """Return what the page at `path` holds, by width [px]; `folder` is scratch."""
+def open_page(path, folder, widths=tuple(FRAMES)):
+    """
+    Return what the page at `path` holds, by width [px]; `folder` is scratch.
+
+    Arms in space are drawn without a graphics card here, which takes a processor seconds in every
+    frame: fewer widths will do where other pages of the kind show the rest.
+    """
     page = path.read_text(encoding='utf-8').replace('<head>', f'<head>{HEAD}', 1)
     page = page.rpartition('</body>')[0] + TAIL + '</body></html>'
     (folder / 'probed.html').write_text(page, encoding='utf-8')
@@ -80,6 +85,7 @@ def open_page(path, folder):
         f'<iframe src="probed.html" data-end="{end}px" '
         f'style="border:0;width:{begin}px;height:2000px"></iframe>'
         for end, begin in FRAMES.items()
+        if end in widths
     ]
     outer = folder / 'frames.html'
     outer.write_text(f'<body style="margin:0">{LISTEN}{"".join(frames)}</body>')
@@ -92,13 +98,13 @@ def open_page(path, folder):
     found = [
         json.loads(html.unescape(one)) for one in re.findall('<pre>(.*?)</pre>', run.stdout, re.S)
     ]
-    assert len(found) == len(FRAMES), f'the page was never drawn:\n{run.stderr[-2000:]}'
+    assert len(found) == len(widths), f'the page was never drawn:\n{run.stderr[-2000:]}'
     return {one['width']: one for one in found}
 
 
-def assert_fine(found):
+def assert_fine(found, widths=tuple(FRAMES)):
     """Hold that everything is drawn, nothing is wider than the window, and nothing complains."""
-    assert sorted(found) == sorted(FRAMES)
+    assert sorted(found) == sorted(widths)
     for width, seen in found.items():
         assert seen['problems'] == []
         assert seen['loaded'] == [], 'the page must open without a network'

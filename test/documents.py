@@ -2,9 +2,9 @@
 The commands, links and paths in the documents: how they are found, and how they are run.
 
 In a ```console block every line that begins with `$ ` is a command (a backslash at its end
-continues it), all other lines show output. ```python blocks run as they stand. Blocks that only
-call this package are forked (forked.py), others run in a shell. The blocks of a
-page share one folder, so that a later one finds the files of an earlier one; it holds links to
+continues it), all other lines show output. ```python blocks run as they stand. They, and blocks
+that only call this package, are forked (forked.py), others run in a shell. The blocks of a page
+share one folder, so that a later one finds the files of an earlier one; it holds links to
 config/, data/ and examples/, and `python` is the one that runs the tests. The line before a block
 may say
 
@@ -98,16 +98,16 @@ def run(block, folder, timeout=120):
     calls = calls_of_the_package(block) if block['language'] == 'console' else None
     if calls:
         return ''.join(run_forked(*call, folder=folder, timeout=timeout) for call in calls)
-    call = ['bash', '-c', commands(block['text'])]
     if block['language'] == 'python':
-        call = [sys.executable, '-c', block['text']]
+        return run_forked(['-c', block['text']], folder=folder, timeout=timeout)
+    call = ['bash', '-c', commands(block['text'])]
     result = processes.run(call, cwd=folder, env=environment(), timeout=timeout)
     assert result.returncode == 0, f'{block["text"]}\n{result.stdout}{result.stderr}'
     return result.stdout
 
 
 def run_forked(arguments, given=os.devnull, *, folder, timeout):
-    """Run a command of the package in a folder, with a file as its input."""
+    """Run a command of the package, or lines of Python, in a folder with a file as input."""
     pipes = {'stdout': processes.PIPE, 'stderr': processes.PIPE}
     with (
         (folder / given).open() as file,

@@ -30,7 +30,11 @@ ROBOT = ROOT / 'config' / 'robots' / 'kato_10_1.yaml'
 
 
 class Forked(Process):
-    """A command of the package: `Forked(['driver', '--ros-args', ...])`; else as a `Process`."""
+    """
+    A command of the package: `Forked(['driver', '--ros-args', ...])`; else as a `Process`.
+
+    `Forked(['-c', text])` runs lines of Python.
+    """
 
     server = connection = None
 
@@ -155,6 +159,9 @@ def main():
     if asked is None:
         return 0
     become(*asked, tests)
+    if asked[0]['arguments'][0] == '-c':
+        exec(compile(asked[0]['arguments'][1], '<string>', 'exec'), {'__name__': '__main__'})
+        return 0
     from tendon_robot_ros.cli.main import main as command_line
 
     return command_line()

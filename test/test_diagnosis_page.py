@@ -257,4 +257,4 @@ def test_the_page_of_a_spatial_arm_opens(tmp_path):
     tip = EffectFinding('tip_load', {'force_x': Value(2.5e-3, 2.4e-3, 2.6e-3, 'N')}, 0.99)
     found = diagnosis('missing_effect', (tip,))
     page = write_diagnosis(found, pictures_of(found, data), tmp_path / 'page.html')
-    assert_fine(open_page(page, tmp_path))
+    assert_fine(open_page(page, tmp_path, (1200, 390)), (1200, 390))

@@ -50,17 +50,20 @@ def figures(page):
 
 
 @pytest.mark.browser
-@pytest.mark.parametrize('data', ['planar', 'spatial', 'tentacle'])
-def test_the_page_opens_offline_draws_everything_and_fits(data, tmp_path):
+@pytest.mark.parametrize(
+    ('data', 'widths'),
+    [('planar', (1200, 400, 390)), ('spatial', (390, 1200)), ('tentacle', (400,))],
+    ids=['planar', 'spatial', 'tentacle'],
+)
+def test_the_page_opens_offline_draws_everything_and_fits(data, widths, tmp_path):
     folder = {'planar': blind('b') / 'fit', 'spatial': blind('e') / 'fit'}.get(
         data, ROOT / 'data' / 'tentacle'
     )
     found = compared(folder)
-    seen = open_page(write_comparison(found, tmp_path / 'page.html'), tmp_path)
-    assert_fine(seen)
-    for section in SECTIONS:
-        assert section in seen[400]['text']
-    assert 'off by' in seen[400]['text']
+    seen = open_page(write_comparison(found, tmp_path / 'page.html'), tmp_path, widths)
+    assert_fine(seen, widths)
+    for section in (*SECTIONS, 'off by'):
+        assert section in seen[widths[-1]]['text']
 
 
 def test_every_axis_of_every_figure_has_a_unit_or_counts_something(planar):

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import signal
-import sys
 import time
 
 import numpy as np
@@ -16,6 +15,7 @@ from source_tree import ROOT
 pytest.importorskip('rclpy')
 pytest.importorskip('serial')
 
+from forked import Forked
 from geometry_msgs.msg import Point, Pose, PoseArray
 from ros_station import PATIENT, ForkedNode, Station
 
@@ -89,11 +89,17 @@ class Tracked(Station):
     def investigating(self, *arguments):
         """Start the command; it writes to `found` and `investigate.log`."""
         with (self.folder / 'investigate.log').open('w') as log:
-            command = [sys.executable, '-u', '-m', 'tendon_robot_ros', 'investigate']
-            command += ['--output', str(self.folder / 'found'), '--speed', '1', *arguments]
+            command = [
+                'investigate',
+                '--output',
+                str(self.folder / 'found'),
+                '--speed',
+                '1',
+                *arguments,
+            ]
             command += ['--ros-args', '-r', f'__ns:={self.namespace}']
-            environment = {**os.environ, 'PYTHONPATH': str(ROOT)}
-            yield processes.Process(command, stdout=log, stderr=log, env=environment)
+            environment = {**os.environ, 'PYTHONPATH': str(ROOT), 'PYTHONUNBUFFERED': '1'}
+            yield Forked(command, stdin=processes.DEVNULL, stdout=log, stderr=log, env=environment)
 
     def said(self):
         return (self.folder / 'investigate.log').read_text()

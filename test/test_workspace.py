@@ -295,8 +295,8 @@ def test_the_command_shows_all_tendons_of_an_arm_in_space(tmp_path, capsys):
         assert_allclose(tips, arrays['tips'][:50], atol=1e-9)
     page = (out / 'workspace.html').read_text(encoding='utf-8')
     assert 'Section along the x-z plane' in page
-    seen = open_page(out / 'workspace.html', tmp_path)
-    assert_fine(seen)
+    seen = open_page(out / 'workspace.html', tmp_path, (1200, 400))
+    assert_fine(seen, (1200, 400))
     assert seen[1200]['turned'] == [True, True]
     assert seen[400]['tall'] == 0, 'with one scale for both axes height is only empty'
     assert main([*call, '--step', '1', '--output', str(tmp_path / 'b')]) == 1
