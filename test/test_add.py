@@ -1,5 +1,6 @@
 """Adding effects: values with intervals into a description, and the error that falls."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -74,11 +75,17 @@ def test_the_staircase_is_what_the_descriptions_say(hinged):
     assert made.check.before == made.fitted.before
 
 
-@pytest.mark.parametrize('name', ['messy_002', 'messy_008', 'messy_s0'])
-def test_a_diagnosis_and_an_addition_tell_the_same_numbers_of_an_arm_as_built(name):
+@functools.cache
+def diagnosed(name):
+    """Return measurements of an arm as built, their diagnosis, and what is named as added."""
     dataset = load_dataset(AS_BUILT / name / 'fit')
     found = diagnose(dataset)
-    made = add_effects(dataset, [effect.name for effect in found.effects])
+    return dataset, found, add_effects(dataset, [effect.name for effect in found.effects])
+
+
+@pytest.mark.parametrize('name', ['messy_002', 'messy_008', 'messy_s0'])
+def test_a_diagnosis_and_an_addition_tell_the_same_numbers_of_an_arm_as_built(name):
+    dataset, found, made = diagnosed(name)
     numbers = (made.fitted.before, made.fitted.after, made.fitted.floor)
     said = (found.error_before, found.error_after, found.noise_floor)
     assert said == pytest.approx(numbers, rel=0.02)
@@ -96,9 +103,7 @@ def test_a_diagnosis_and_an_addition_tell_the_same_numbers_of_an_arm_as_built(na
 
 @pytest.mark.parametrize('name', ['messy_002', 'messy_s0'])
 def test_all_that_the_file_says_otherwise_is_named(name):
-    dataset = load_dataset(AS_BUILT / name / 'fit')
-    found = diagnose(dataset)
-    made = add_effects(dataset, [effect.name for effect in found.effects])
+    dataset, _, made = diagnosed(name)
     assert made.beside
     (line,) = [one for one in warnings(made) if one.startswith('after: ')]
     before, after = dataset.robot, made.robot

@@ -24,7 +24,7 @@ def told(*arguments, timeout=280.0):
 
 
 def test_the_story_of_a_hidden_effect_comes_true():
-    arguments = ('--hidden', 'tip_load', '--seed', '1', '--postures', '6', '--reveal')
+    arguments = ('--hidden', 'tip_load', '--seed', '1', '--postures', '5', '--reveal')
     code, text = told(*arguments)
     assert code == 0, text
     assert 'tip_load' in text.split('hidden:')[0]
