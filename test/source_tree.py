@@ -14,11 +14,17 @@ MADE += ('build', 'install', 'log', 'results')
 
 def files(pattern='*'):
     """List the paths of the source tree, relative to its root, that match a pattern."""
+    return sorted(path for path in tree() if fnmatch.fnmatch(str(path), pattern))
+
+
+@functools.cache
+def tree():
+    """List all paths; once, since tests change nothing there."""
     found = []
     for folder, folders, names in ROOT.walk():
         folders[:] = [n for n in folders if not any(fnmatch.fnmatch(n, made) for made in MADE)]
         found += [(folder / name).relative_to(ROOT) for name in names]
-    return sorted(path for path in found if fnmatch.fnmatch(str(path), pattern))
+    return found
 
 
 @functools.cache
