@@ -27,6 +27,7 @@ from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED, LISTEN
 from tendon_robot_ros.ros.shared.runtime import NodeProcess, ros_arguments
 
 DISCOVERY = 30.0  # [s] for anything to happen, on a busy machine
+UNHEARD = 5.0  # [s] after which a target is sent again: who was there to hear it may have died
 MATCHED = 0.2  # [s] until both sides of a topic know each other
 # A busy machine is late: no watchdog but the one that a test is about may act on that. Half the
 # usual rate leaves it more time for the other tests.
@@ -132,9 +133,10 @@ class Station:
         def arrived():
             nonlocal given, at
             status = last(self.controller)
-            if AGAIN in status.message and time.monotonic() - at > 1.0:
-                given, at = sent()  # as it asks for: the driver was late
-            said = values(status)
+            said, passed = values(status), time.monotonic() - at
+            asked = AGAIN in status.message and passed > 1.0  # the driver was late
+            if asked or (said.get('target_stamp') != given and passed > UNHEARD):
+                given, at = sent()
             return said.get('target_stamp') == given and said['code'] in SETTLED
 
         self.until(arrived, f'the arm at {message}')
