@@ -313,6 +313,7 @@ def fit_effects(session: Session, names: Sequence[str], start: Point | None = No
     own = [_candidate(session, name) for name in dict.fromkeys(names)]
     fit = _joined(session, own) if start is None else _fit(session, _together(own), start)
     for _ in range(2):
+        fit = session.fitters[0].over_turns(fit)
         session.weigh(fit.point, fit.around)
         fit = _fit(session, _together(own), fit)
     return fit

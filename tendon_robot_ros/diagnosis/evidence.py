@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,15 +12,17 @@ from .decide import (
     ALARM_LEVEL,
     APART_FROM_SCORE,
     MISFIT_ALARM_LEVEL,
+    NEAR_SCORE,
     NOISE_WITHIN_FLOORS,
     PATTERN_SHARE_MIN,
     STRAY_SD_MAX,
+    TIE_WITHIN_SCORE,
     Verdict,
 )
 from .fit import Fit
 from .load import load_of
 from .patterns import Pattern, Patterns
-from .session import Session
+from .session import Session, better
 
 SAME_EVERYWHERE = ('contact', 'soft_cell', 'taper')  # patterns that a remainder is not
 
@@ -62,13 +64,31 @@ def gather(session: Session) -> Evidence:
     for _ in range(2):
         if not singles:
             break
+        singles = over_turns(session, singles)
         best = session.best(singles)
         session.weigh(best.fit.point, best.fit.around)
-        base = session.base_fit((base, best.fit))
+        base = session.fitters[0].over_turns(session.base_fit((base, best.fit)))
         singles = session.refit(singles, base)
     evidence = Evidence(session, base, singles, not_tested)
     evidence.best = session.best(singles) if singles else None
     return evidence
+
+
+def over_turns(session: Session, singles: list[Ranked]) -> list[Ranked]:
+    """Fit again where the best is better beyond a turn of friction: all that are near it."""
+    best = session.best(singles)
+    there = session.fitters[0].over_turns(best.fit)
+    if there.built is None or there.deviance > best.fit.deviance - TIE_WITHIN_SCORE:
+        return singles
+    beyond = {'around': there.built.around, 'sizes': there.built.sizes}
+    starts = {
+        r.candidate.label: replace(r.fit, built=replace(r.fit.built, **beyond))
+        for r in singles
+        if r.fit.built is not None and r.score <= best.score + NEAR_SCORE
+    }
+    again = [r.candidate for r in singles if r.candidate.label in starts]
+    found = session.fit_all(again, starts, 'effects again')
+    return better(better(singles, found), [session.rank(best.candidate, there)])
 
 
 def is_alarming(evidence: Evidence) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -11,7 +12,7 @@ import numpy.typing as npt
 
 from ..comparison.noise import Whitener
 from ..comparison.predict import FreeParameter, Point, Predictor
-from .as_built import Imperfections, Members, SplitPredictor
+from .as_built import GAIN, KINDS_WITH_FEW_MEMBERS, Imperfections, Members, SplitPredictor
 from .fit import Fit, Nuisance, with_imperfections
 from .likelihood import LOGARITHMS
 from .marginal import RandomEffects, Sizes
@@ -21,6 +22,8 @@ Floats = npt.NDArray[np.float64]
 ROUNDS = 8  # of parameters, sizes of the imperfections and imperfections together
 SHIFT_SETTLED = 0.3  # whitened change by imperfections that is worth no further look
 WAY_SHARES = (1.0, 0.5, 0.2)  # of the way to what slopes promise, the first that is better
+TURN_FROM_CHI2 = 4.0  # whitened squared bend by one sd of a gain, from which it is a turn
+TURNS_MAX = 6  # sides of turns that a fit is tried from
 DEVIANCE_SETTLED = 0.1  # fall of the deviance at which a fit is settled
 
 
@@ -110,6 +113,50 @@ class Fitter:
         sizes = fit.built.estimate(prior=LOGARITHMS).values
         self.resume(fit)
         return self.fit(fit.frees, fit.point, sizes=sizes)
+
+    def over_turns(self, fit: Fit) -> Fit:
+        """
+        Return the best fit from both sides of where friction turns over near by.
+
+        An input that is a little off may take a posture there, beyond which it moves by more or
+        less than slopes on this side tell; cells would stand for the rest. Cells and kinks begin
+        anew, with the gain of such an input one plausible sd off.
+        """
+        best = fit
+        for around in self._turns(fit):
+            assert fit.built is not None and self.random is not None
+            scatter = replace(fit.built, around=around, sizes=self.random.start)
+            with suppress(ArithmeticError, np.linalg.LinAlgError):  # no equilibrium there
+                found = self.fit(fit.frees, replace(fit, built=scatter))
+                best = min(best, found, key=lambda one: one.deviance)
+        self.resume(best)
+        return best
+
+    def _turns(self, fit: Fit) -> list[Members]:
+        """Return imperfections on both sides of turns: where slopes by gains are not straight."""
+        if fit.built is None or self.built is None:
+            return []
+        self.resume(fit)
+        kinds, split = {kind.name: kind for kind in fit.built.kinds}, self.built.split
+        here = self.predictor.markers(fit.point)
+        if GAIN not in kinds or here is None:
+            return []
+        near, around = self.predictor.settled, fit.built.around
+        few = {name: own for name, own in around.items() if name in KINDS_WITH_FEW_MEMBERS}
+        found: list[tuple[float, Members]] = []
+        for one in kinds[GAIN].plausible * np.eye(len(kinds[GAIN])):
+            sides = [around.get(GAIN, 0.0 * one) + way for way in (one, -one)]
+            bend = -2.0 * here
+            for gains in sides:
+                split.around = {**around, GAIN: gains}
+                moved = self.predictor.markers(fit.point, near=near)
+                bend = bend + (np.nan if moved is None else moved)
+            white = self.whitener.white(bend)
+            turned = float(white @ white)
+            if turned > TURN_FROM_CHI2:
+                found += [(turned, {**few, GAIN: gains}) for gains in sides]
+        split.around = around
+        return [one for _, one in sorted(found, key=lambda row: -row[0])[:TURNS_MAX]]
 
     def _descend(self, search: Search, turns: int, hopeless: float) -> Search:
         """

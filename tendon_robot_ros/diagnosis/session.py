@@ -206,7 +206,7 @@ class Session:
             return found
         top = min(r.score for r in found) + NEAR_SCORE
         near = [r.candidate for r in found if r.score <= top]
-        return _better(found, self.fit_all(near, {c.label: starts[c.label].point for c in near}))
+        return better(found, self.fit_all(near, {c.label: starts[c.label].point for c in near}))
 
     def score(self, score: float) -> float:
         """Return a score that may be held against that of another session on the same readings."""
@@ -240,7 +240,7 @@ class Session:
         found = self.fit_all([r.candidate for r in near], starts, 'effects again')
         worse = [r.candidate for r in found if r.fit.deviance > base.deviance + TIE_WITHIN_SCORE]
         again = self.fit_all(worse, {c.label: base for c in worse}, 'effects again')
-        return _better(found, again) + [r for r in ranked if r.score > top]
+        return better(found, again) + [r for r in ranked if r.score > top]
 
     def split_tested(self, point: Point) -> tuple[list[Candidate], list[Candidate]]:
         """Split the candidates into those that these postures show at a point, and the rest."""
@@ -299,7 +299,7 @@ class Session:
         return next(r for r in ranked if r.score <= top + TIE_WITHIN_SCORE)
 
 
-def _better(found: Sequence[Ranked], again: Sequence[Ranked]) -> list[Ranked]:
+def better(found: Sequence[Ranked], again: Sequence[Ranked]) -> list[Ranked]:
     """Return the better of two fits of every candidate; some were fitted again."""
     others = {r.candidate.label: r for r in again}
     return [min(r, others.get(r.candidate.label, r), key=lambda r: r.fit.deviance) for r in found]
