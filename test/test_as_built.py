@@ -9,6 +9,8 @@ import pytest
 import yaml
 from simulated import CATALOGUE
 
+from tendon_robot_ros.campaign.cases import simulated
+from tendon_robot_ros.campaign.plan import read_plan
 from tendon_robot_ros.comparison.predict import Predictor, free_parameters
 from tendon_robot_ros.comparison.statistics import chi2_isf
 from tendon_robot_ros.data import Marker, load_dataset
@@ -32,6 +34,7 @@ from tendon_robot_ros.workspace.postures import default_postures
 
 CASES = Path(__file__).parent / 'data' / 'as_built'
 ROBOTS = Path(__file__).parents[1] / 'config' / 'robots'
+PLANS = Path(__file__).parents[1] / 'benchmarks' / 'plans'
 TRUTH = yaml.safe_load((CASES / 'truth.yaml').read_text(encoding='utf-8'))
 
 
@@ -205,6 +208,45 @@ def test_a_fit_never_rises_where_friction_turns_over(monkeypatch):
         session.weigh(fit.point, fit.around)
     assert len(places) >= 5, 'some steps were taken'
     np.testing.assert_allclose(found, found[0], atol=3e-4, err_msg='it stays where it was found')
+
+
+def levels_case(key):
+    """Return what a campaign measures in one of its cases, and the arm as it was built."""
+    plan = read_plan(PLANS / 'diagnosis_levels.yaml')
+    case = next(case for case in plan.cases if case.key == key)
+    setup = plan.setup
+    design, noise = setup.designs[case.design], setup.noises[case.noise][1]
+    return simulated(case, setup.arm(case.robot), design, noise, CATALOGUE, setup.seed)
+
+
+def test_a_fit_looks_beyond_where_friction_turns_over():
+    """One posture lies by a turn of friction: on the near side cells scatter by ten times."""
+    made = levels_case('hinged/gravity/0.69461/0/0/0/0.3333/0')
+    session = Session(made.fit, made.robot, CATALOGUE, workers=1)
+    assert session.weigh({})
+    session.leave_out(find_outliers(session.predictor, {}))
+    frees = next(one.frees for one in session.candidates if one.names == ('gravity',))
+    near = session.fitters[0].fit(frees)
+    for _ in range(2):
+        session.weigh(near.point, near.around)
+        near = session.fitters[0].fit(frees, near)
+    fitter = session.fitters[0]
+    far = fitter.over_turns(near)
+    assert far.deviance < near.deviance - 20.0
+    built = np.sqrt(np.mean(made.built.stiffness**2))
+    assert near.built.sizes[0] > 4.0 * built, 'else there is nothing to look for'
+    assert far.built.sizes[0] == pytest.approx(built, rel=0.5)
+    assert fitter.over_turns(far).deviance > far.deviance - 1.0, 'it is the best place'
+
+
+@pytest.mark.parametrize('name', ['messy_008', 'messy_s0'])
+def test_where_friction_does_not_turn_over_a_fit_stays_as_it_is(name):
+    dataset = case(name)
+    session = Session(dataset, dataset.robot, CATALOGUE, workers=1)
+    assert session.weigh({})
+    fit = session.base_fit()
+    found = session.fitters[0].over_turns(fit)
+    assert found is fit or found.deviance < fit.deviance
 
 
 def small():
