@@ -16,7 +16,6 @@ from .decide import (
     NOISE_WITHIN_FLOORS,
     PATTERN_SHARE_MIN,
     STRAY_SD_MAX,
-    TIE_WITHIN_SCORE,
     Verdict,
 )
 from .fit import Fit
@@ -26,6 +25,9 @@ from .session import Session, better
 
 SAME_EVERYWHERE = ('contact', 'soft_cell', 'taper')  # patterns that a remainder is not
 
+ROUNDS = 4  # of weights and fits
+TURN_GAIN_MIN = 2.0  # in deviance beyond a turn of friction, that makes weights worth another look
+TURNED_MAX = 3  # best effects whose fits are tried beyond turns of friction
 TELLING_RATIO = 1.25  # up to which a cell bends by so many per cent more, not times as much
 
 
@@ -56,39 +58,58 @@ class Evidence:
 
 
 def gather(session: Session) -> Evidence:
-    """Fit the base and every candidate; weights are taken twice at the best candidate's fit."""
+    """
+    Fit the base and every candidate; weights are taken at the best candidate's fit.
+
+    Twice, and again while it is found beyond a turn of friction: weights there are others.
+    """
     session.weigh({})
     base = session.base_fit()
     tested, not_tested = session.split_tested(base.point)
-    singles = session.fit_all(tested)
-    for _ in range(2):
+    singles = over_turns(session, session.fit_all(tested))
+    for turn in range(ROUNDS):
         if not singles:
             break
-        singles = over_turns(session, singles)
         best = session.best(singles)
         session.weigh(best.fit.point, best.fit.around)
         base = session.fitters[0].over_turns(session.base_fit((base, best.fit)))
-        singles = session.refit(singles, base)
+        found = session.refit(singles, base)
+        singles = over_turns(session, found)
+        if turn > 0 and singles is found:
+            break
     evidence = Evidence(session, base, singles, not_tested)
     evidence.best = session.best(singles) if singles else None
     return evidence
 
 
 def over_turns(session: Session, singles: list[Ranked]) -> list[Ranked]:
-    """Fit again where the best is better beyond a turn of friction: all that are near it."""
-    best = session.best(singles)
-    there = session.fitters[0].over_turns(best.fit)
-    if there.built is None or there.deviance > best.fit.deviance - TIE_WITHIN_SCORE:
+    """
+    Fit again those that are better beyond a turn of friction.
+
+    The best few are looked at; where one of them is better there, all that are near it are tried.
+    """
+    near = sorted((r for r in singles if r.fit.built is not None), key=lambda r: r.score)
+    if not near:
         return singles
-    beyond = {'around': there.built.around, 'sizes': there.built.sizes}
+    near = [r for r in near if r.score <= near[0].score + NEAR_SCORE]
+    fitter, found = session.fitters[0], list[Ranked]()
+    for ranked in near[:TURNED_MAX]:
+        fit = fitter.over_turns(ranked.fit)
+        if fit.deviance < ranked.fit.deviance - TURN_GAIN_MIN:
+            found.append(session.rank(ranked.candidate, fit))
+    if not found:
+        return singles
+    there = min(found, key=lambda r: r.score).fit.built
+    assert there is not None
     starts = {
-        r.candidate.label: replace(r.fit, built=replace(r.fit.built, **beyond))
-        for r in singles
-        if r.fit.built is not None and r.score <= best.score + NEAR_SCORE
+        r.candidate.label: replace(
+            r.fit, built=replace(r.fit.built, around=there.around, sizes=there.sizes)
+        )
+        for r in near
+        if r.fit.built is not None
     }
-    again = [r.candidate for r in singles if r.candidate.label in starts]
-    found = session.fit_all(again, starts, 'effects again')
-    return better(better(singles, found), [session.rank(best.candidate, there)])
+    again = session.fit_all([r.candidate for r in near], starts, 'effects again')
+    return better(better(singles, again), found)
 
 
 def is_alarming(evidence: Evidence) -> bool:

@@ -333,19 +333,19 @@ def joined(session: Session, best: Ranked) -> Ranked | None:
     Join a second effect, and a third, to an adequate one while the gain is more than chance would.
 
     An arm as built may scatter as much as a second effect needs; that it need not is told by the
-    likelihood. None where one effect is enough.
+    likelihood. None where one is enough.
     """
     current = best
     while len(current.candidate.names) < EFFECTS_MAX:
-        better = [
+        more = [
             r
             for r in _extended(session, current)
             if session.stands_out(current.fit, r, len(session.candidates))
             and r.score < current.score - APART_FROM_SCORE
         ]
-        if not better:
+        if not more:
             break
-        current = reweighed(session, min(better, key=lambda r: r.score))
+        current = reweighed(session, min(more, key=lambda r: r.score))
     return None if current is best else current
 
 
