@@ -33,7 +33,7 @@ from machine import machine, tell
 
 from tendon_robot_ros.control import Target, mismatch
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.model.redundancy import Balance, Preferences
+from tendon_robot_ros.model.redundancy import Balance, Preferences, balanced
 from tendon_robot_ros.model.tip_task import TipTask, tip_target
 
 KINDS = {  # of control, for the orders
@@ -58,7 +58,9 @@ PATHS = (  # ahead: with look_ahead; told: the model has the load
     'learned_ahead',
     'told_ahead',
 )
+PARTS = 'ticks', 'orders', 'load', 'path', 'reachable', 'stiffness'
 STANDING_S, LOOK_S = 4.0, 0.5  # [s] before an arm stiffens; between two looks at how stiff
+PROGRAMS, LOOKED_FOR = 60, 10.0  # at most, from each beginning; times as stiff
 TICKS = 1050  # the first 50 are not counted
 ENOUGH = 3.0  # times as stiff, by a model that is not quite the arm's
 FIXED = {'SLOPE_DOUBT': 1e-9, 'SLOPE_DOUBT_LEAST': 1e-6}  # the model's own Jacobian
@@ -244,6 +246,23 @@ def bench_stiffness(count, gain, seconds, name, exact, knows):
     return figures | {'met': sum(kept), 'of': count}
 
 
+def bench_reachable(count, name):
+    """How much stiffer along x the tip can be by the model, held where it is: programs alone."""
+    model, factors, moved, most = Model(robot_of(name)), [], [], []
+    for place in targets(name)[:count]:
+        here = model.reach(place).shape
+        asked = tip_target(model, here.tip_position, None, 1.0, None)
+        enough = LOOKED_FOR * model.tip_stiffness(here).along([1, 0, 0])
+        wants = Preferences(0.0, 1.0, stiffness_direction=(1, 0, 0), stiffness_enough=enough)
+        balance = Balance(TipTask(model, asked, here.memory), wants)
+        end = balanced(balance, balance.task.shape(here.inputs, here.state), PROGRAMS)
+        before, after = (model.tip_stiffness(one).along([1, 0, 0]) for one in (here, end))
+        factors.append(round(after / before, 2))
+        moved.append(round(1e3 * float(np.linalg.norm(end.tip_position - here.tip_position)), 3))
+        most.append(round(float(end.inputs.max()), 2))
+    return {'factor': factors, 'tip_moved_mm': moved, 'highest_tension_n': most}
+
+
 def stiffened(rig, seconds):
     """Let the arm stand, then co-contract it: its stiffness along x, and how far the tip moved."""
     tip = rig.tip.copy()
@@ -318,7 +337,7 @@ def main():
     parser.add_argument('--exact', action='store_true', help='an arm that is what is written')
     parser.add_argument('--kinds', nargs='+', default=list(KINDS), choices=KINDS)
     parser.add_argument('--resume', type=Path, help='file of orders: read first, then added to')
-    parser.add_argument('--only', choices=('orders', 'load', 'path', 'stiffness', 'ticks'))
+    parser.add_argument('--only', choices=PARTS)
     parser.add_argument('--json', type=Path)
     options = parser.parse_args()
     arm = options.robot, options.exact
@@ -328,6 +347,7 @@ def main():
         'orders': lambda: bench_orders(options.orders, *arm, options.kinds, file),
         'load': lambda: bench_load(options.places, options.gain, *arm, options.knows),
         'path': lambda: bench_path(options.gain, options.lead, *arm, options.knows),
+        'reachable': lambda: bench_reachable(options.places, options.robot),
         'stiffness': lambda: bench_stiffness(
             options.places, options.gain, options.seconds, *arm, options.knows
         ),
