@@ -126,7 +126,7 @@ def test_on_an_arm_that_rubs_more_no_tension_turns_round_and_the_tip_stays():
     before = rig.arm.tip_stiffness(rig.shape).along([1, 0, 0])
     wants = Preferences(low_tension=0.5, stiffness=0.1, stiffness_direction=(1.0, 0.0, 0.0))
     rig.core.settings = replace(rig.core.settings, preferences=wants)
-    rig.run(24.0)
+    rig.run(17.0)
     away = np.linalg.norm(np.array(rig.tips[begin:]) - tip, axis=1)
     risen = np.diff(np.array(rig.commands[begin:]), axis=0)
     assert away.max() < 1.5e-4
@@ -146,7 +146,7 @@ def test_a_walk_ends_where_the_tip_is_as_stiff_as_is_enough():
         low_tension=0.01, stiffness=0.1, stiffness_direction=along, stiffness_enough=enough
     )
     rig.core.settings = replace(rig.core.settings, preferences=wants)
-    rig.run(32.0)
+    rig.run(24.0)
     made = model.tip_stiffness(rig.core.track.last).along(along)
     assert 0.999 < made / enough < 1.01
     begin = len(rig.commands)
@@ -163,7 +163,7 @@ def walked(seed):
     loop, solution = rig.core.loop, rig.core.solution
     towards = loop.goal(rig.core, solution.tensions) + 0.1
     loop.lead(Led(solution, towards))
-    rig.run(28.0)
+    rig.run(20.0)
     assert np.all(np.abs(rig.commands[-1] - towards) < 0.1)
     return rig
 

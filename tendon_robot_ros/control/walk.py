@@ -39,7 +39,7 @@ KNOWN_M, KNOWN_NOISES = (
     0.075,
 )  # [m]; [1] of that noise: so well the offset is known at first
 SPEED_MAX = 0.002  # [1/s] of the ranges
-DRIFT = 1.5e-5  # [m/s] by which the tip may leave its place, 1 sd
+DRIFT = 2e-5  # [m/s] by which the tip may leave its place, 1 sd
 OFF_M = 2e-4  # [m] from its place: there the walk waits
 STEP_SHARE = 0.1  # [1] of what the tip is off, in one step of the goal; the slower, the less
 PACE_LEAST = 0.1  # [1] of that share where it stands; else as its speed is to the largest
