@@ -8,7 +8,7 @@ B (F² - (F m)²) / 2, and so there is a moment on the bend. A hinge does not bo
 """
 
 from .bending import cell_stiffness
-from .layout import HINGE, LENGTH, cell, compiled, section_of
+from .layout import HINGE, LENGTH, cell, compiled, contracted, section_of
 from .turning import arc_factor, halved
 
 
@@ -37,7 +37,7 @@ def half_arc(x, y, s, c):
     return arc_factor(0.25 * (x * x + y * y), s2, c2)
 
 
-@compiled
+@contracted
 def along_middle(x, y, s, c, part, f):
     """
     Part of a force along the tangent in the middle of an arc [N], its slopes by the bend [N/rad].
@@ -59,7 +59,7 @@ def along_middle(x, y, s, c, part, f):
     return s * toward + c * f[2], s * f[0] - drop * x, s * f[1] - drop * y
 
 
-@compiled
+@contracted
 def bowed(bow, x, y, s, c, part, f):
     """
     Moment (x, y) [N·m] on the bend of a cell that bows, and where that moves its end (3,) [m].

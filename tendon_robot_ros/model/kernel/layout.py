@@ -30,6 +30,8 @@ lawful = part(pipeline_class=LawCompiler)
 inlined = part(forceinline=True)
 # with fused multiply-add: where no difference of equal products has to be exactly zero
 fused = part(forceinline=True, fastmath={'contract'})
+# the same, not put into its callers by force
+contracted = part(fastmath={'contract'})
 # sums in any order: where they only say which way a search goes
 reordered = part(fastmath={'contract', 'reassoc'})
 

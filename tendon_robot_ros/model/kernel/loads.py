@@ -10,9 +10,10 @@ from .layout import (
     bow_cells_at,
     cell,
     compiled,
+    contracted,
     entry,
     floats,
-    inlined,
+    fused,
     section_of,
 )
 from .stages import load, load_acts, tip_load, tip_load_acts
@@ -50,25 +51,25 @@ def force_at_tip(chain):
     return tip_load(0.0, 0.0, 0.0, chain, 0)
 
 
-@compiled
+@contracted
 def cross(r, f):
     """r x f of two triples."""
     return (r[1] * f[2] - r[2] * f[1], r[2] * f[0] - r[0] * f[2], r[0] * f[1] - r[1] * f[0])
 
 
-@compiled
+@contracted
 def plus(a, b):
     """Sum of two triples."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-@compiled
+@contracted
 def scaled(s, a):
     """Return a triple times a number."""
     return s * a[0], s * a[1], s * a[2]
 
 
-@compiled
+@contracted
 def local(f, v):
     """Components in a frame of a vector in the base frame."""
     return (
@@ -78,7 +79,7 @@ def local(f, v):
     )
 
 
-@compiled
+@contracted
 def turned(f, v):
     """Components in the base frame of a vector in a frame."""
     return (
@@ -88,7 +89,7 @@ def turned(f, v):
     )
 
 
-@compiled
+@contracted
 def shift_moment(x, y, f, across, stretching, sinking):
     """
     Moment (x, y) on a bend of a force f at the end of its cell, in the cell's first frame.
@@ -100,7 +101,7 @@ def shift_moment(x, y, f, across, stretching, sinking):
     return across * f[0] + along * x, across * f[1] + along * y
 
 
-@compiled
+@contracted
 def turn_moment(x, y, t, sinc, versine, own):
     """
     Moment (x, y) on a bend of a torque t at the end of its cell, in the cell's first frame.
@@ -125,7 +126,7 @@ def beside_moment(x, y, s, c, own, beside):
     return 0.5 * mx, 0.5 * my, arm
 
 
-@inlined
+@fused
 def cell_moment(chain, i, x, y, s, c, force, torque, own, reach, bow, general):
     """
     Moment (x, y) on one bend of a force and a torque at the cell's end and of its own weight.
@@ -161,7 +162,7 @@ def cell_moment(chain, i, x, y, s, c, force, torque, own, reach, bow, general):
     return mx + ox, my + oy, plus(middle, arm), over
 
 
-@compiled
+@contracted
 def middle_moment(x, y, s, c, force, torque, own, cell_length, hinge, bow):
     """Return what `cell_moment` does for a weight on the axis."""
     q = x * x + y * y
@@ -234,7 +235,7 @@ def load_moments(chain, bend, work):
         fill_moments(chain, bend, work, False)
 
 
-@inlined
+@fused
 def fill_moments(chain, bend, work, general):
     """Fill moments and wrenches as `load_moments` does."""
     bends, moments, origins = floats(bend), floats(work.load), floats(work.origins)
