@@ -12,7 +12,8 @@ needs a diagnosis more to trust its name: both counts are printed.
 
 Every case is a line of FILE: what each posture told, processor time, the highest tension over the
 limit and how near the real arm came to the ball on any way. Begun again with the same FILE it goes
-on; cases alternate between the robots. `--figures` prints what FILE has, and runs nothing.
+on, and cases that were run with `--no-random` get their random postures; cases alternate between
+the robots. `--figures` prints what FILE has, and runs nothing.
 
 example: python benchmarks/bench_investigate.py --output investigated.jsonl --cases 50
 """
@@ -145,9 +146,27 @@ def case(name, seed, with_random):
         'visits': len(arm.visited),
         'random': None,
     }  # fmt: skip
-    if with_random and row['fixed']['right'] and row['investigation']['right']:
-        row['random'], row['random_s'] = random_needed(plant, seed, own, aim)
+    if with_random:
+        add_random(row, plant)
     return row
+
+
+def both_right(row):
+    """Tell whether the fixed twelve and the investigation both name what is hidden."""
+    return row['fixed']['right'] and row['investigation']['right']
+
+
+def add_random(row, plant=None):
+    """Add to a case how many random postures tell the same, where there is something to tell."""
+    if not both_right(row):
+        return
+    robot, seed = load_robot(f'config/robots/{row["robot"]}.yaml'), row['seed']
+    if plant is None:
+        hidden = draw(robot, load_catalogue(), '', seed)
+        plant = make_plant(robot, hidden.plant, seed=seed, work=Workmanship())
+    aim = aim_of(row['fixed']['interval'])
+    names = row['investigation']['names']
+    row['random'], row['random_s'] = random_needed(plant, seed, names, aim)
 
 
 def first_told(row):
@@ -203,7 +222,7 @@ def postures(both, tried):
 def summary(name, rows):
     """Return the figures of a robot."""
     own = [row['investigation'] for row in rows]
-    both = [r for r in rows if r['fixed']['right'] and r['investigation']['right']]
+    both = [row for row in rows if both_right(row)]
     tried = [r for r in both if 'random_s' in r]
     return {
         'robot': name,
@@ -231,9 +250,20 @@ def summary(name, rows):
 
 
 def written(path):
-    """Return the cases that a file has."""
+    """Return the cases that a file has, by robot and seed; what was added later counts."""
     lines = path.read_text().splitlines() if path.exists() else []
-    return [json.loads(line) for line in lines if line.endswith('}')]
+    rows = [json.loads(line) for line in lines if line.endswith('}')]
+    return {(row['robot'], row['seed']): row for row in rows}
+
+
+def run(name, seed, row, with_random):
+    """Return a case that a file lacks, or that has no random postures yet; None: it has all."""
+    if row is None:
+        return case(name, seed, with_random)
+    if not with_random or 'random_s' in row or not both_right(row):
+        return None
+    add_random(row)
+    return row
 
 
 def main():
@@ -246,17 +276,17 @@ def main():
     parser.add_argument('--no-random', action='store_true', help='no random postures')
     parser.add_argument('--figures', action='store_true', help='print what FILE has')
     args = parser.parse_args()
-    have = {(row['robot'], row['seed']) for row in written(args.output)}
+    have = written(args.output)
     wanted = [(r, s) for s in range(args.first, args.first + args.cases) for r in args.robots]
-    for name, seed in [] if args.figures else wanted:
-        if (name, seed) in have:
+    for key in [] if args.figures else wanted:
+        row = run(*key, have.get(key), not args.no_random)
+        if row is None:
             continue
-        row = case(name, seed, not args.no_random)
         with args.output.open('a') as file:
             file.write(json.dumps(row) + '\n')
         print(json.dumps(row), flush=True)
     for name in args.robots:
-        rows = [row for row in written(args.output) if row['robot'] == name]
+        rows = [row for row in written(args.output).values() if row['robot'] == name]
         if rows:
             print(json.dumps(summary(name, rows), indent=1), flush=True)
 

@@ -1,5 +1,6 @@
 """`make live`: the story as text, and clicked through in a browser."""
 
+import json
 import os
 import signal
 import socket
@@ -39,6 +40,30 @@ def test_the_arm_finds_out_by_itself():
     assert 'the controller uses it' in text
     assert text.count('\nposture ') <= 6, 'half of the twelve that a person would record'
     assert '% gone)' in text
+
+
+def test_beside_the_page_the_terminal_says_every_posture(capsys):
+    from std_msgs.msg import String
+
+    from tendon_robot_ros.ros.commands.director import Director
+    from tendon_robot_ros.ros.shared.messages import LATCHED_BY_MANY
+    from tendon_robot_ros.ros.shared.runtime import ros
+
+    space, lines = f'/live_{os.getpid()}', []
+    with ros([]) as ending:
+        director = Director(space, 'base', ending)
+        director.print_investigation()
+        told = director.create_publisher(String, 'investigate/progress', LATCHED_BY_MANY)
+        for text in ('posture 1: one 0.2 N', 'one name is left'):
+            told.publish(String(data=json.dumps({'kind': 'posture', 'text': text})))
+
+        def heard():
+            lines.extend(capsys.readouterr().out.splitlines())
+            return len(lines) == 2
+
+        director.wait(heard, 20.0, 'both lines')
+        director.destroy_node()
+    assert lines == ['posture 1: one 0.2 N', 'one name is left']
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 
 from ...simulation.rehearsal import TourPosture
-from ..shared.messages import LATCHED, LISTEN, STATE, seconds
+from ..shared.messages import LATCHED, LATCHED_BY_MANY, LISTEN, STATE, seconds
 from ..shared.robot_client import RobotClient
 from ..shared.runtime import Ending
 
@@ -44,6 +44,14 @@ class Director(RobotClient):
         self.create_subscription(String, 'monitor/progress', self._hear_progress, STATE)
         self.create_subscription(String, 'monitor/verdict', self._hear_verdict, LATCHED)
         self.create_subscription(Bool, 'tour', self._hear_tour, LATCHED)
+
+    def print_investigation(self) -> None:
+        """Print from now on what an investigation says of each posture, as the page shows it."""
+
+        def heard(message: String) -> None:
+            print(json.loads(message.data)['text'], flush=True)
+
+        self.create_subscription(String, 'investigate/progress', heard, LATCHED_BY_MANY)
 
     def wait_until_up(self) -> None:
         """Wait for all nodes."""

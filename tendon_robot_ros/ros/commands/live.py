@@ -99,6 +99,7 @@ def _run(
     if not options.headless:
         director.wait_until_up()
         print(f'open http://127.0.0.1:{options.port}   (Ctrl-C ends)', flush=True)
+        director.print_investigation()
         if options.investigate:
             print(director.triggered('investigate/start'), flush=True)
         tour_forever(director, model, options.postures)
