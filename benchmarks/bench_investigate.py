@@ -195,6 +195,7 @@ def median(values):
 
 def postures(both, tried):
     """Return how many postures it took where both are right, and over random ones."""
+    narrow = [r for r in tried if np.isfinite(first_enough(r))]
     return {
         'where both are right: postures, median': median(
             [r['investigation']['postures'] for r in both]
@@ -207,14 +208,12 @@ def postures(both, tried):
         'as good from posture, median (the next one confirms it)': median(
             [first_enough(r) for r in both]
         ),
+        'as narrow as the twelve, and random ones were tried': len(narrow),
         'random postures for the same, median (25: more than 24)': median(
-            [r['random'] or RANDOM[-1] + 1 for r in tried]
-        ),
-        'postures over random ones, median': median(
-            [r['investigation']['postures'] / (r['random'] or RANDOM[-1] + 1) for r in tried]
+            [r['random'] or RANDOM[-1] + 1 for r in narrow]
         ),
         'as good from posture, over random ones, median': median(
-            [first_enough(r) / (r['random'] or RANDOM[-1] + 1) for r in tried]
+            [first_enough(r) / (r['random'] or RANDOM[-1] + 1) for r in narrow]
         ),
     }
 
