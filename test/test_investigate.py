@@ -204,7 +204,7 @@ def test_of_an_arm_without_a_hidden_effect_it_says_that_the_model_is_adequate():
 
 
 def test_adequate_is_not_said_while_an_effect_may_move_the_tip_unseen():
-    """Kinks of one sign hide among kinks at random: four postures miss nothing, six may name it."""
+    """Kinks of one sign hide among kinks at random: four miss nothing, six may name it."""
     # at the edge: of the arms 101 to 107 six postures name it in three
     subject = arm({'pre_curvature': {'angle_x': 0.0021}}, seed=103)
     said = []
