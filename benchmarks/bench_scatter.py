@@ -5,10 +5,10 @@ Imperfections are taken once from a simulated arm; then many arms are drawn with
 and other members, a third, once and twice as badly built as usual. A minute of one core.
 
 With --fits arms are simulated and fitted whole instead, by the effect that they hide and no
-other: two seconds each, without the search for the effect.
+other: half a second each, without the search for the effect.
 
 example: python benchmarks/bench_scatter.py --arms 60
-    python benchmarks/bench_scatter.py --fits arcs --arms 12 --hidden none tip_load
+    python benchmarks/bench_scatter.py --fits hinged arcs --arms 10 --hidden none tip_load
 """
 
 import argparse
@@ -18,12 +18,13 @@ import numpy as np
 from planned import PLANS
 
 from tendon_robot_ros.campaign.cases import NOTHING, Case, simulated
-from tendon_robot_ros.campaign.judge import scatter_held
+from tendon_robot_ros.campaign.judge import built_sizes, scatter_held
 from tendon_robot_ros.campaign.plan import read_plan
 from tendon_robot_ros.diagnosis.arm_report import arm_report
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
 from tendon_robot_ros.diagnosis.outliers import find_outliers
 from tendon_robot_ros.diagnosis.session import Session
+from tendon_robot_ros.diagnosis.size_intervals import SizeIntervals
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
@@ -68,15 +69,17 @@ def held(arm, level, random):
             true[kind.name] = (k, float(np.sqrt(np.mean(members[own] ** 2))))
     residual = columns @ members + random.normal(size=len(columns))
     sizes = effects.estimate(residual, np.zeros((len(columns), 0)), told=False).values
-    low, high = effects.intervals(sizes)
+    low, high = SizeIntervals(effects, sizes).ends(sizes)
     return {name: (sizes[k] / rms, low[k] <= rms <= high[k]) for name, (k, rms) in true.items()}
 
 
-def fitted(name, hidden, number, level):
-    """Build an arm of the plan and fit what it hides; tell of each printed size if it holds."""
-    setup, catalogue = read_plan(PLANS / 'diagnosis.yaml').setup, load_catalogue()
+def fitted(name, hidden, number, level, seed):
+    """Build an arm of a plan and fit what it hides; return its report, and how it is built."""
+    plan = 'diagnosis_spatial' if name == 'spatial_3' else 'diagnosis'
+    setup, catalogue = read_plan(PLANS / f'{plan}.yaml').setup, load_catalogue()
     case = Case(name, hidden, SIZE, number, level=level)
-    made = simulated(case, setup.arm(name), setup.designs[0], setup.noises[0][1], catalogue)
+    design, noise = setup.designs[0], setup.noises[0][1]
+    made = simulated(case, setup.arm(name), design, noise, catalogue, seed)
     session, fit = Session(made.fit, made.robot, catalogue, workers=1), None
     assert session.weigh({})
     session.leave_out(find_outliers(session.predictor, {}))
@@ -85,23 +88,40 @@ def fitted(name, hidden, number, level):
         if fit is not None:
             session.weigh(fit.point, fit.around)
         fit = session.fitters[0].fit(frees[0] if frees else (), fit)
-    return scatter_held(arm_report(session, fit), made.built)
+        fit = session.fitters[0].over_turns(fit)
+    return arm_report(session, session.fitters[0].told(fit)), made.built
 
 
 def fits(options):
     """Print how many of the printed sizes of cells and kinks hold, of whole fits."""
-    for level in options.levels:
-        for hidden in options.hidden:
-            held = [
-                one
+    for name in options.fits:
+        for level in options.levels:
+            made = [
+                fitted(name, hidden, number, level, options.seed)
+                for hidden in options.hidden
                 for number in range(options.arms)
-                for one in fitted(options.fits, hidden, number, level)
             ]
-            print(
-                f'level {level:.2f}  {options.fits}, {hidden:17} intervals of cells and kinks '
-                f'that hold {sum(held)} of {len(held)}',
-                flush=True,
-            )
+            held = [one for pair in made for one in scatter_held(*pair)]
+            print(f'level {level:.2f}  {name}: {sum(held)} of {len(held)} hold', flush=True)
+            for kind in built_sizes(made[0][1]):
+                print(f'    {kind:15} {widths(made, kind)}', flush=True)
+
+
+def widths(made, kind):
+    """Tell how wide the intervals of a kind are."""
+    rows = [(one, built_sizes(built)) for report, built in made for one in report['kinds']]
+    told = [(one, true[kind]) for one, true in rows if one['kind'] == kind and one['told']]
+    ends = np.array([[o['low'], o['high'] or np.inf, true, o['plausible']] for o, true in told])
+    low, high, true, plausible = ends.T
+    below = low == 0.0
+    text = (
+        f'told {len(ends)} of {len(made)}, upper end {np.median(high / true):.1f} times the true '
+        f'size (median; 90 % {np.quantile(high / true, 0.9):.1f})'
+    )
+    if not below.any():
+        return text
+    most = np.median((high / plausible)[below])
+    return f'{text}; {below.sum()} times "below" {most:.1f} times the plausible size (median)'
 
 
 def main():
@@ -109,9 +129,10 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--robot', default='kato_10_1_single')
     parser.add_argument('--arms', type=int, default=60)
-    parser.add_argument('--fits', metavar='ROBOT', help='of benchmarks/plans/diagnosis.yaml')
+    parser.add_argument('--fits', nargs='+', metavar='ROBOT', help='hinged, arcs, spatial_3')
     parser.add_argument('--hidden', nargs='+', default=[NOTHING])
     parser.add_argument('--levels', nargs='+', type=float, default=LEVELS)
+    parser.add_argument('--seed', type=int, default=21, help='of the arms of --fits')
     options = parser.parse_args()
     if options.fits:
         fits(options)

@@ -14,16 +14,19 @@ from tendon_robot_ros.campaign.plan import read_plan
 from tendon_robot_ros.comparison.predict import Predictor, free_parameters
 from tendon_robot_ros.comparison.statistics import chi2_isf
 from tendon_robot_ros.data import Marker, load_dataset
+from tendon_robot_ros.diagnosis.arm_report import arm_report
 from tendon_robot_ros.diagnosis.as_built import Kind, SplitPredictor
 from tendon_robot_ros.diagnosis.candidates import gain_p_value
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.fit import Fit, with_imperfections
 from tendon_robot_ros.diagnosis.fitter import Fitter
-from tendon_robot_ros.diagnosis.likelihood import LOGARITHMS, Likelihood
+from tendon_robot_ros.diagnosis.likelihood import LOGARITHMS, SIZES, Likelihood
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
 from tendon_robot_ros.diagnosis.outliers import _moves, _without_inputs, find_outliers
 from tendon_robot_ros.diagnosis.session import Session
+from tendon_robot_ros.diagnosis.size_intervals import SizeIntervals
 from tendon_robot_ros.diagnosis.slopes import imperfections
+from tendon_robot_ros.report.arm_text import as_built
 from tendon_robot_ros.report.diagnosis_text import lines
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
@@ -292,10 +295,11 @@ def unexplained(name):
     return session.random, session.fitters[0].residual(session.predictor.markers({}))
 
 
-def test_slopes_of_the_likelihood_are_those_of_its_value_beside_parameters():
+@pytest.mark.parametrize('prior', [SIZES, 0])
+def test_slopes_of_the_likelihood_are_those_of_its_value_beside_parameters(prior):
     random, residual = unexplained('messy_008')
     beside = np.random.default_rng(2).normal(size=(len(residual), 3))
-    work = Likelihood(random.parts, residual, beside, None)
+    work = Likelihood(random.parts, residual, beside, None, prior)
     size = np.where(np.isfinite(random.plausible), random.plausible, 1e-3)
     log = np.log(size**2)
 
@@ -365,11 +369,66 @@ def test_a_scatter_that_shows_is_told_as_the_sd_of_so_many_normal_deviates(size)
         found = random.estimate(residual, np.zeros((24, 0)), told=False).values
         rms = np.sqrt(np.mean(own**2))
         assert found == pytest.approx([rms], rel=0.03)
-        low, high = (float(end[0]) for end in random.intervals(found))
+        low, high = (float(end[0]) for end in SizeIntervals(random, found).ends(found))
         assert low == pytest.approx(found[0] * np.sqrt(12 / chi2_isf(0.025, 12)), rel=0.01)
         assert high == pytest.approx(found[0] * np.sqrt(12 / chi2_isf(0.975, 12)), rel=0.01)
         held += low <= size <= high
     assert 0.90 <= held / 200 <= 0.99
+
+
+def test_parameters_take_deviations_and_no_size():
+    """Closed form: of twelve members that three parameters move as well nine tell the size."""
+    random, off, residuals = scattered(12, 0.03, 3)
+    slopes = 1e4 * np.eye(24)[:, :3]
+    for own, residual in zip(off, residuals, strict=True):
+        found = random.estimate(residual, slopes, told=False).values
+        assert found == pytest.approx([np.sqrt(np.mean(own[3:] ** 2))], rel=0.03)
+        low, high = (float(end[0]) for end in SizeIntervals(random, found, slopes).ends(found))
+        assert low == pytest.approx(found[0] * np.sqrt(9 / chi2_isf(0.025, 9)), rel=0.01)
+        assert high == pytest.approx(found[0] * np.sqrt(9 / chi2_isf(0.975, 9)), rel=0.01)
+
+
+def test_a_scatter_that_is_not_found_is_below_what_noise_would_hide():
+    """Closed form: of 12 deviations of s² + n, n the noise, the mean square was n at most."""
+    seen, random = 100.0, scattered(12, 0.0, 1)[0]
+    random = RandomEffects(seen * np.eye(24)[:, :12], random.owners, random.kinds)
+    low, high = SizeIntervals(random, np.zeros(1)).ends(np.zeros(1))
+    assert low[0] == 0.0
+    assert high[0] == pytest.approx(np.sqrt(12 / chi2_isf(0.975, 12) - 1.0) / seen, rel=0.02)
+
+
+@pytest.mark.parametrize('seen', [30.0, 100.0, 300.0])
+@pytest.mark.parametrize('size', [0.01, 0.03, 0.06])
+def test_intervals_hold_whatever_comes_out(size, seen):
+    """Of a third, once and twice the plausible size; noise of 3.3, 1 and 0.33 %."""
+    random, members = np.random.default_rng(0), scattered(12, 0.0, 1)[0]
+    effects = RandomEffects(seen * np.eye(24)[:, :12], members.owners, members.kinds)
+    held = []
+    for _ in range(100):
+        residual = np.append(seen * size * random.normal(size=12), np.zeros(12))
+        residual += random.normal(size=24)
+        found = effects.estimate(residual, np.zeros((24, 0)), told=False).values
+        low, high = SizeIntervals(effects, found).ends(found)
+        held.append(low[0] <= size <= high[0])
+    assert 0.90 <= np.mean(held) <= 0.99
+
+
+def test_whether_a_size_is_told_does_not_depend_on_what_comes_out():
+    """To print only what comes out large would pick what comes out too large."""
+    robot, kinds = load_robot(ROBOTS / 'kato_10_1_single.yaml'), []
+    for work in (None, Workmanship()):
+        plant = make_plant(robot, work=work, seed=1, scatter=0.0)
+        dataset = simulate(plant, default_postures(robot, 12), seed=1)
+        session = Session(dataset, robot, CATALOGUE, workers=1)
+        assert session.weigh({})
+        report = arm_report(session, session.fitters[0].fit((), None))
+        kinds.append({kind['kind']: kind for kind in report['kinds']})
+    exact, usual = kinds
+    for name in ('cell_stiffness', 'cell_kink', 'position'):
+        assert exact[name]['told'] and usual[name]['told']
+        assert exact[name]['low'] == 0.0 and exact[name]['high'] < 1.5 * usual[name]['plausible']
+    said = as_built({'kinds': [exact['cell_stiffness'], {**usual['position'], 'high': None}]})
+    assert ' of the cells below ' in said[0] and 'position of the tracker above ' in said[0]
 
 
 def test_chance_pays_an_effect_along_imperfections_no_more_often_than_is_said():
@@ -442,7 +501,8 @@ def test_a_scatter_that_does_not_show_may_be_none():
     random, _, _ = scattered(3, 0.0, 1)
     for slope in (1e-2, 1.0):  # what is plausible moves nothing by more than 0.03 sd
         random = RandomEffects(slope * np.eye(6)[:, :3], np.zeros(3, int), random.kinds)
-        low, high = random.intervals(np.array([1e-3]))
+        size = np.array([1e-3])
+        low, high = SizeIntervals(random, size).ends(size)
         assert low[0] == 0.0 and high[0] >= 0.03
 
 

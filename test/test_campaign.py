@@ -272,14 +272,14 @@ def test_a_size_that_is_not_printed_does_not_count():
     built = Built(
         np.array([0.03, -0.03]), np.array([[2e-3, 0.0], [2e-3, 0.0]]), *(np.zeros(3),) * 4
     )
-    kind = {'unit': '1', 'size': 0.03, 'low': 0.02, 'high': 0.05, 'plausible': 0.03, 'told': 0}
+    kind = {'unit': '1', 'size': 0.03, 'low': 0.02, 'high': None, 'plausible': 0.03, 'told': True}
     kinds = [
         {**kind, 'kind': 'cell_stiffness'},
-        {**kind, 'kind': 'cell_kink', 'low': 0.0},
+        {**kind, 'kind': 'cell_kink', 'told': False},
         {**kind, 'kind': 'rotation'},
     ]
     assert scatter_held({'kinds': kinds}, built) == [True]
-    kinds[1]['low'] = 3e-3
+    kinds[1]['told'] = True
     assert scatter_held({'kinds': kinds}, built) == [True, False], 'its plane alone has kinks'
     assert scatter_held(None, built) == []
 

@@ -12,7 +12,6 @@ import numpy as np
 from ..comparison.noise import rms
 from ..comparison.predict import Predictor, frees_of
 from ..diagnosis.add import add_effects
-from ..diagnosis.arm_report import is_told
 from ..diagnosis.decide import Verdict
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis, Value
@@ -248,16 +247,21 @@ def _scatter(found: Diagnosis, built: Built) -> dict[str, Any]:
 
 def scatter_held(report: Mapping[str, Any] | None, built: Built) -> list[bool]:
     """Tell of each kind of imperfections whose size is printed whether its interval holds it."""
-    truth = {
+    sizes = built_sizes(built)
+    return [
+        kind['low'] <= sizes[kind['kind']] <= (kind['high'] or np.inf)
+        for kind in (report or {'kinds': ()})['kinds']
+        if kind['kind'] in sizes and kind['told']
+    ]
+
+
+def built_sizes(built: Built) -> dict[str, float]:
+    """Return how much the cells scatter (rms): their stiffness [1], their kinks [rad]."""
+    members = {
         'cell_stiffness': built.stiffness,
         'cell_kink': built.kink[:, built.kink.any(axis=0)],
     }
-    sizes = {name: float(np.sqrt(np.mean(np.square(one)))) for name, one in truth.items()}
-    return [
-        kind['low'] <= sizes[kind['kind']] <= kind['high']
-        for kind in (report or {'kinds': ()})['kinds']
-        if kind['kind'] in sizes and is_told(kind)
-    ]
+    return {name: float(np.sqrt(np.mean(np.square(one)))) for name, one in members.items()}
 
 
 def _number(value: float) -> float | None:

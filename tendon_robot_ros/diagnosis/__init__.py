@@ -27,6 +27,7 @@ as_built.py           kinds of imperfections and their plausible sizes; the mode
 slopes.py             how imperfections move the markers
 marginal.py           how large the scatter of every kind is: estimated by marginal likelihood
 likelihood.py         the value and slopes of that likelihood, from small matrices
+size_intervals.py     between which sizes it lies, 95 %
 arm_report.py         the scatter as it is reported, and what is out of line
 local_tests.py        where the best model is still wrong: cell, posture, tendon, direction
 

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..comparison.statistics import chi2_isf, normal_ppf
 from .as_built import REMAINDER
-from .decide import (
-    FALSE_OUT_OF_LINE_PROBABILITY,
-    SHOWN_SHARE_MIN,
-    TOLD_SPAN_MAX,
-    TOLD_VARIANCE_SHARE,
-)
+from .decide import FALSE_OUT_OF_LINE_PROBABILITY, TOLD_SPAN_MAX
 from .fit import Fit
+from .size_intervals import SizeIntervals
 
 if TYPE_CHECKING:
     from .session import Session
@@ -25,14 +20,20 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
     """
     Return the estimated scatter of each kind with its 95 % interval, and the members out of line.
 
-    Sizes in SI. A member is out of line where it deviates by more of what is plausible than the
-    largest of so many would. None where the description counts as exact.
+    Sizes in SI; no upper end is None. A size is `told` where the measurements would tell a
+    plausible one, whatever they tell of this arm: to print what came out large would pick what
+    came out too large. A member is out of line where it deviates by more of what is plausible than
+    the largest of so many would. None where the description counts as exact.
     """
     built, random = fit.built, session.random
     if built is None or random is None:
         return None
     sizes = built.estimate(told=False).values
-    lows, highs = random.intervals(sizes)
+    slopes = fit.jacobian[: len(random.columns), : len(fit.all_frees)]
+    intervals = SizeIntervals(random, sizes, slopes, fit.precisions)
+    lows, highs = intervals.ends(sizes)
+    least, most = intervals.ends(random.plausible)
+    told = (most < TOLD_SPAN_MAX * least) & ((lows > 0.0) | np.isfinite(highs))
     found, kinds = fit.members or {}, []
     for k, kind in enumerate(built.kinds):
         if kind.name == REMAINDER:
@@ -48,10 +49,10 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
                 'unit': kind.unit,
                 'size': size,
                 'low': float(lows[k]),
-                'high': float(highs[k]),
+                'high': float(highs[k]) if np.isfinite(highs[k]) else None,
                 'plausible': kind.plausible,
                 'members': {name: _member(value, sd) for name, value, sd in members},
-                'told': int((spread < TOLD_VARIANCE_SHARE * float(built.sizes[k])).sum()),
+                'told': bool(told[k]),
                 'out_of_line': [
                     name
                     for name, value in zip(kind.members, values, strict=True)
@@ -61,12 +62,6 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
         )
     last = float(sizes[-1])
     return {'kinds': kinds, 'remainder': last, 'floor': floor_as_built(session, fit)}
-
-
-def is_told(kind: Mapping[str, Any]) -> bool:
-    """Tell whether the size of a kind of the report is worth printing: its interval is."""
-    shows = kind['told'] or kind['size'] > SHOWN_SHARE_MIN * kind['plausible']
-    return bool(shows and kind['high'] < TOLD_SPAN_MAX * kind['low'])
 
 
 def _posterior(fit: Fit, k: int) -> np.ndarray:

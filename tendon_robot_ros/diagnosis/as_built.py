@@ -59,7 +59,7 @@ class Kind:
 
     name: str
     unit: str
-    plausible: float  # scale of the half-normal prior of that standard deviation [unit]
+    plausible: float  # scale of the prior of that standard deviation [unit]
     members: tuple[str, ...]
     beside: float = 0.0  # sd [unit] of what acts as they do and only widens intervals
 

@@ -74,6 +74,11 @@ class Fit:
         return self.frees + tuple(n.free for n in self.nuisances)
 
     @property
+    def precisions(self) -> Floats:
+        """Precision (k,) of the priors of the moved parameters; of freed ones next to none."""
+        return np.append(np.full(len(self.frees), 1e-9), [n.spread**-2 for n in self.nuisances])
+
+    @property
     def chi2(self) -> float:
         """Sum of squares, prior rows included."""
         return float(self.residual @ self.residual)
@@ -283,11 +288,10 @@ def shares(rows: Floats) -> tuple[Floats, Floats]:
 def with_imperfections(plain: Fit, random: RandomEffects, sizes: Floats, around: Members) -> Fit:
     """Return a fit whose last parameters are the imperfections, at their most likely values."""
     n, spread = len(random.columns), random.spread(sizes)
-    weights = np.append(np.full(len(plain.frees), 1e-9), [n.spread**-2 for n in plain.nuisances])
 
     def estimate(remainder: bool = True, told: bool = True, prior: int = SIZES) -> Sizes:
         raw, slopes = plain.residual[:n], plain.jacobian[:n]
-        return random.estimate(raw, slopes, sizes, weights, remainder, told, prior)
+        return random.estimate(raw, slopes, sizes, plain.precisions, remainder, told, prior)
 
     scaled = random.columns * spread
     members = random.best(plain.residual[:n], sizes)

@@ -148,10 +148,9 @@ def _deviance(fitter: Fitter, fit: Fit, i: int, at: float) -> float:
     if markers is None or fit.built is None:
         return float('nan')
     others = np.delete(np.arange(len(fit.all_frees)), i)
-    weights = np.array([1e-9] * len(fit.frees) + [n.spread**-2 for n in fit.nuisances])[others]
     slopes = fit.jacobian[: fitter.whitener.size, others]
     parts, sizes = fit.built.random.parts, fit.built.sizes
-    likelihood = Likelihood(parts, fitter.residual(markers), slopes, weights)
+    likelihood = Likelihood(parts, fitter.residual(markers), slopes, fit.precisions[others])
     return likelihood.deviance(sizes**2) + prior
 
 

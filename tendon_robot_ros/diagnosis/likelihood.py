@@ -39,6 +39,7 @@ def root_inverse(matrix: Floats) -> Floats:
     return np.asarray(inverse.T)
 
 
+NORMAL_LEAST = 1e-12  # of the parameters, each of them scaled to move the residual by one
 SIZES, LOGARITHMS = 1, 2  # what is likeliest: s exp(-s²/p²) ds = s² exp(-s²/p²) d log s
 
 
@@ -119,8 +120,10 @@ class Likelihood:
         """
         Take products of a residual (N,) and its slopes (N, k), whose priors weigh (k,).
 
-        Sizes have a prior, of them or their logarithms, or (`prior` 0) the data alone say them.
+        Sizes have a prior, of them or their logarithms, or (`prior` 0) the data alone say them:
+        what they leave beside the parameters (restricted, Patterson and Thompson 1971).
         """
+        self.restricted = prior == 0
         self.prior, self.precision = prior, float(prior > 0) / columns.plausible**2
         self.proper = np.where(np.isfinite(columns.plausible), prior, 0)
         self.kind, self.owners, self.kinds = columns.kind, columns.owners, columns.kinds
@@ -159,16 +162,19 @@ class Likelihood:
         """-2 log likelihood with priors, at the best parameters."""
         at = self._reduced(v)
         half = at.factor @ at.more
-        chi2 = self._best(at.inner - half.T @ half)[1]
-        return chi2 + at.log + prior_of(v * self.precision, self.prior)
+        normal = at.inner - half.T @ half
+        cost = self._best(normal)[1] + at.log + prior_of(v * self.precision, self.prior)
+        if self.restricted:
+            cost -= 2.0 * float(np.linalg.slogdet(self._root(normal))[1])
+        return cost
 
     def slopes(self, v: Floats) -> Slopes:
         """
         Return gradient, curvature and a step that cannot fail, of the best parameters everywhere.
 
-        With P what V^-1 is beside the parameters: rise tr(X'V^-1 X), found |X'P r|² of each kind,
-        and its slopes u'X'P X u (Johnson and Thompson 1995). The step is minorise-maximise of
-        variance components: slow, but always a descent.
+        With P what V^-1 is beside the parameters: rise tr(X'V^-1 X), restricted tr(X'P X), found
+        |X'P r|² of each kind, and its slopes u'X'P X u (Johnson and Thompson 1995). The step is
+        minorise-maximise of variance components: slow, but always a descent.
         """
         at, kinds = self._reduced(v), self.kinds
         half, through = at.factor @ at.own, at.factor @ at.more
@@ -176,30 +182,35 @@ class Likelihood:
         best, _ = self._best(normal)
         ahead = np.append(-best, 1.0)
         w, m = at.own - half.T @ half, at.more - half.T @ through
+        root = self._root(normal)
+        taken = m[:, :-1] @ root.T
+        beside = w - taken @ taken.T  # X'P X
+        told = beside if self.restricted else w
         u = m @ ahead
-        rise, found = kinds @ np.diag(w), kinds @ (u * u)
-        information, along = kinds @ (w * w) @ kinds.T, kinds * u
-        turned, seen = along @ w @ along.T, along @ m[:, :-1]
+        rise, found = kinds @ np.diag(told), kinds @ (u * u)
+        information, along = kinds @ (told * told) @ kinds.T, kinds * u
+        turned = along @ beside @ along.T
         if self.kind is not None:
             last = self._last(at, half, through, ahead)
-            k, mine, both = self.kind, last.u, np.square(last.cross).sum(axis=1)
-            rise[k], found[k] = np.trace(last.own), mine @ mine
-            information[k] += kinds @ both
-            information[:, k] += kinds @ both
-            information[k, k] = np.square(last.own).sum()
-            across = along @ (last.cross @ mine)
+            k, mine, own_taken = self.kind, last.u, last.more @ root.T
+            cross, own = last.cross - taken @ own_taken.T, last.own - own_taken @ own_taken.T
+            across = along @ (cross @ mine)
             turned[k] += across
             turned[:, k] += across
-            turned[k, k] = mine @ last.own @ mine
-            seen[k] = mine @ last.more
-        if len(best):
-            turned -= seen @ np.linalg.solve(normal[:-1, :-1] + self.ridge, seen.T)
+            turned[k, k] = mine @ own @ mine
+            if not self.restricted:
+                cross, own = last.cross, last.own
+            both = np.square(cross).sum(axis=1)
+            rise[k], found[k] = np.trace(own), mine @ mine
+            information[k] += kinds @ both
+            information[:, k] += kinds @ both
+            information[k, k] = np.square(own).sum()
         rise += 2.0 * self.precision
         push = self.proper / np.maximum(v, 1e-300)  # away from zero
         proper = np.diag(push / np.maximum(v, 1e-300))
         rise = np.maximum(rise, 1e-300)
-        root = np.sqrt(self.proper**2 + 4.0 * rise * v**2 * found)
-        slower = (self.proper + root) / (2.0 * rise)
+        apart = np.sqrt(self.proper**2 + 4.0 * rise * v**2 * found)
+        slower = (self.proper + apart) / (2.0 * rise)
         gradient = rise - push - found
         return Slopes(gradient, information + proper, 2.0 * turned - information + proper, slower)
 
@@ -210,6 +221,13 @@ class Likelihood:
         more = at.shrunk[:, None] * self.more_last - mine.T @ through
         own = np.diag(self.size2 * at.shrunk) - mine.T @ mine
         return _Last(crossed - half.T @ mine, own, more[:, :-1], more @ ahead)
+
+    def _root(self, m: Floats) -> Floats:
+        """Return R (k, k), R'R the inverse of the normal matrix of the parameters."""
+        if len(m) < 2:
+            return np.zeros((0, 0))
+        values, vectors = np.linalg.eigh(m[:-1, :-1] + self.ridge)
+        return np.asarray((vectors / np.sqrt(np.maximum(values, NORMAL_LEAST))).T)
 
     def _best(self, m: Floats) -> tuple[Floats, float]:
         """Return the best linear parameters and chi² there."""

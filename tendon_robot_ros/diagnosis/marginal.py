@@ -2,7 +2,7 @@
 The marginal likelihood of whitened residuals whose imperfections are random.
 
 residual = J (theta - theta0) + B b + noise, b ~ N(0, S), noise ~ N(0, 1): V = 1 + B S B'. One
-standard deviation per kind of imperfection, estimated from the data under a half-normal prior.
+standard deviation per kind of imperfection, estimated under a prior around a plausible size.
 Everything happens in the space of the columns (Woodbury), so that N does not matter.
 """
 
@@ -15,7 +15,6 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.statistics import chi2_isf
 from .as_built import KINDS_WITH_FEW_MEMBERS, REMAINDER, Kind, Members
 from .likelihood import LOGARITHMS, SIZES, Columns, Likelihood, Slopes, prior_of, root_inverse
 
@@ -23,7 +22,6 @@ Floats = npt.NDArray[np.float64]
 SEARCH_STEPS_MAX = 25  # of the search for the standard deviations
 DEVIANCE_GAIN_MIN = 0.02  # gain in -2 log likelihood at which it ends
 LEAST_SHARE = 0.01  # of the plausible size, that members may have of a kind without any
-FREEDOM_MIN = 0.32  # deviations that tell a size, from which it is surely not zero
 SIZE_MAX = 5.0  # [1] of the plausible sizes: what is larger is no imperfection
 START_SHARE = 0.5  # of the plausible sizes, where it begins
 UNSEEN_MOVE = 0.01  # sd of the noise that a plausible imperfection may do and count as unseen
@@ -218,26 +216,6 @@ class RandomEffects:
         """Take off rows (N, ...) what imperfections explain: W with W'W = V^-1."""
         basis = self._basis[0][:, : len(root)]
         return np.asarray(rows + basis @ (root @ (basis.T @ rows)))
-
-    def intervals(self, sizes: Floats) -> tuple[Floats, Floats]:
-        """
-        Return 95 % intervals (K,) of the sizes, by the likelihood alone.
-
-        A variance is told as by so many deviations as give it its uncertainty (Satterthwaite
-        1946): few members leave much more room above than below.
-        """
-        rows = len(self.columns)
-        work = Likelihood(self.parts, np.zeros(rows), np.zeros((rows, 0)), None, prior=0)
-        least = 1e-3 * np.where(np.isfinite(self.plausible), self.plausible, 1e-3)
-        v = np.maximum(sizes, least) ** 2
-        information = work.slopes(v).information * np.outer(v, v)
-        of_log = 2.0 * np.diag(np.linalg.pinv(information, hermitian=True))  # variance of log v
-        shown = np.diag(information) > FREEDOM_MIN**2  # else nothing tells it
-        freedom = np.where(shown, 2.0 / np.maximum(of_log, 1e-12), 0.0).clip(FREEDOM_MIN, 1e6)
-        chi2 = np.array([[chi2_isf(p, f) for f in freedom] for p in (0.025, 0.975)])
-        low, high = np.sqrt(v * freedom / chi2)
-        most = np.maximum(3.0 * self.plausible, 2.0 * sizes)
-        return np.where(freedom > FREEDOM_MIN, low, 0.0), np.minimum(high, most)
 
     def estimate(
         self,

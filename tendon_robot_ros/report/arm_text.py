@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from ..common.words import digits, listed, mm
-from ..diagnosis.arm_report import is_told
 from ..diagnosis.decide import FALSE_DISCOVERY_RATE
 
 KIND_NAMES = {
@@ -40,7 +39,7 @@ def as_built(report: Mapping[str, Any] | None) -> list[str]:
     """Say how much the arm scatters, with 95 % intervals, and what is out of line."""
     if not report:
         return []
-    scatter = ', '.join(_scatter(kind) for kind in report['kinds'] if is_told(kind))
+    scatter = ', '.join(_scatter(kind) for kind in report['kinds'] if kind['told'])
     lines = [f'the arm as built scatters by (1 sd, 95 %): {scatter}'] if scatter else []
     strange = [
         f'{name} ({amount(kind["members"][name]["value"], kind["unit"], True)})'
@@ -50,15 +49,21 @@ def as_built(report: Mapping[str, Any] | None) -> list[str]:
     ]
     if strange:
         lines.append(f'out of line with the others: {listed(strange)}')
-    hidden = [KIND_NAMES[kind['kind']] for kind in report['kinds'] if not is_told(kind)]
+    hidden = [KIND_NAMES[kind['kind']] for kind in report['kinds'] if not kind['told']]
     if hidden:
         lines.append(f'these measurements do not tell: {", ".join(hidden)}')
     return lines
 
 
-def _scatter(kind: dict[str, Any]) -> str:
-    low, high = (amount(kind[key], kind['unit']) for key in ('low', 'high'))
-    return f'{KIND_NAMES[kind["kind"]]} {amount(kind["size"], kind["unit"])} ({low} to {high})'
+def _scatter(kind: Mapping[str, Any]) -> str:
+    """Say a size with its interval; where one end is open, the other one alone."""
+    name, unit = KIND_NAMES[kind['kind']], kind['unit']
+    if kind['low'] <= 0.0:
+        return f'{name} below {amount(kind["high"], unit)}'
+    if kind['high'] is None:
+        return f'{name} above {amount(kind["low"], unit)}'
+    low, high = (amount(kind[key], unit) for key in ('low', 'high'))
+    return f'{name} {amount(kind["size"], unit)} ({low} to {high})'
 
 
 def left_out(details: Mapping[str, Any], how: str = 'left out') -> list[str]:
