@@ -37,6 +37,7 @@ from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED, LISTEN
 from tendon_robot_ros.ros.shared.runtime import ros_arguments
+from tendon_robot_ros.ros.shared.transport import without_shared_memory
 
 ANSWER = 0.03  # [s]; emulated servos are late when the machine is busy
 LONG = 4.0  # [s] off: it does not activate itself
@@ -219,6 +220,7 @@ class Chain:
         self.nodes = {}
         self._off_since = time.monotonic()
         self.died = []  # nodes that ended although nobody had told them to
+        without_shared_memory()  # as the nodes: who is killed holds nobody up
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self.user = User(self.space, f'{self.robot.stem}_base', mode)
         for name in self._given:

@@ -86,8 +86,24 @@ class Rig:
             fresh = heard and stamp(last(heard)) > begun
             return fresh and np.allclose(self.measured(), self.command, atol=near)
 
-        self.station.until(there, 'the command', 40.0)
-        self.station.until_code(self.station.driver, 'following', timeout=30.0)
+        try:
+            self.station.until(there, 'the command', 40.0)
+            self.station.until_code(self.station.driver, 'following', timeout=30.0)
+        except AssertionError as error:
+            raise AssertionError(f'{error}; {self._seen()}') from None
+
+    def _seen(self):
+        """Say who is where, for a test that waited in vain."""
+        heard, process = self.station.states, self.node.process
+        ago = self.station.now() - stamp(last(heard)) if heard else np.inf
+        logs = sorted(self.folder.glob('driver_*.log'), key=lambda file: file.stat().st_mtime)
+        said = logs[-1].read_text(encoding='utf-8').splitlines()[-5:] if logs else []
+        return (
+            f'command {self.command}, sender alive {self._sender.is_alive()}, measured '
+            f'{self.measured() if heard else None} {ago:.2f} s ago, driver '
+            f'{process.pid} ended {process.poll()}, motors {self.servos.ask("state")["servos"]}, '
+            f'log {said}'
+        )
 
     def goals(self, since):
         """Return what the servos accepted as goals since a time [s]: id to list of values."""

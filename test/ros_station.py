@@ -25,6 +25,9 @@ from std_srvs.srv import Trigger
 from tendon_robot_ros.common.processes import child_environment
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED, LISTEN
 from tendon_robot_ros.ros.shared.runtime import NodeProcess, ros_arguments
+from tendon_robot_ros.ros.shared.transport import without_shared_memory
+
+without_shared_memory()  # as the nodes: a process that a test kills would hold up the station
 
 DISCOVERY = 30.0  # [s] for anything to happen, on a busy machine
 UNHEARD = 5.0  # [s] after which a target is sent again: who was there to hear it may have died

@@ -6,6 +6,7 @@ parameters.py          declared parameters with range and unit; those of another
 lifecycle.py           nodes that start by themselves; their status
 inbox.py               subscriptions of any kind; what a thread of its own hears; the topic `stop`
 senders.py             who published a message; of several, whose messages count
+transport.py           how nodes reach each other
 runtime.py             running nodes so that they end safe; nodes as processes
 robot_client.py        who speaks to a running robot: waits, sends targets, reads statuses
 running_arm.py         the running robot as an investigation asks it

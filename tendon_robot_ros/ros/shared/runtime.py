@@ -32,6 +32,7 @@ from ...common.processes import (
     print_without_waiting,
     switch_often,
 )
+from .transport import without_shared_memory
 
 # [s] launch passes on the signal that the terminal or systemd has sent to all, too
 SIGNAL_ECHO_S = 1.0
@@ -148,6 +149,7 @@ def ros(arguments: Sequence[str], first: bool = False) -> Iterator[Ending]:
     """
     ending = Ending(first)
     end_with_parent()
+    without_shared_memory()
     try:
         rclpy.init(args=['node', *arguments], signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # RCLError, UnknownROSArgsError: what a person typed
