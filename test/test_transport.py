@@ -1,7 +1,6 @@
 """Nodes hear others of any transport, and are held up by nobody's shared memory."""
 
 import os
-import subprocess
 import sys
 
 import pytest
@@ -9,6 +8,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from compiling import ROOT
+from processes import PIPE, Process
 
 from tendon_robot_ros.ros.shared import transport
 
@@ -44,7 +44,7 @@ def started(code, **environment):
     }
     given = {**plain, 'ROS_DOMAIN_ID': os.environ['ROS_DOMAIN_ID'], 'PYTHONPATH': str(ROOT)}
     given |= {'AMENT_PREFIX_PATH': sys.prefix, **environment}
-    return subprocess.Popen([sys.executable, '-c', code], env=given, stdout=subprocess.PIPE)
+    return Process([sys.executable, '-c', code], env=given, stdout=PIPE)
 
 
 @pytest.mark.parametrize(
@@ -57,12 +57,8 @@ def started(code, **environment):
     ids=lambda environment: next(iter(environment)),
 )
 def test_a_node_hears_a_user_with_shared_memory_and_has_none(environment):
-    with started(SAYS, **environment) as user, started(HEARS, **environment) as own:
-        try:
-            heard, udp, shared = own.communicate(timeout=120.0)[0].split()
-        finally:
-            own.kill()
-            user.kill()
+    with started(SAYS, **environment), started(HEARS, **environment) as own:
+        heard, udp, shared = own.communicate(timeout=120.0)[0].split()
     assert int(heard) and int(udp)
     assert int(shared) == 0, 'a killed process would hold it up'
 
