@@ -140,7 +140,9 @@ def test_a_robot_comes_from_a_name_a_path_or_text(tmp_path):
 @pytest.mark.parametrize(
     ('text', 'words'),
     [
-        ('a: [', 'config: not valid YAML'),
+        ('a: [', 'config: not valid YAML: line 1: '),
+        ('a: ' + '[' * 3000, 'config: not valid YAML: brackets nested too deeply'),
+        ('a: 2000-99-99', 'config: not valid YAML: month must be in 1..12'),
         ('- a: 1', 'config: expected keys with values'),
         ('nowhere', 'config: nowhere: No such file'),
         ('/dev/zero', 'config: expected at most 1,000,000 characters, got more'),

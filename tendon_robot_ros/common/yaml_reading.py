@@ -15,8 +15,8 @@ READ_AGAIN_CHARACTERS_MAX = 4_000  # characters that are read once more for a be
 Loader: Any = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # compiled: a tenth of the time
 
 
-class _Plain(Loader):  # type: ignore[misc]
-    """Counts how deep it is: compiled code would run out of memory without a word."""
+class _Counting:
+    """Counts how deep a loader is: compiled code would run out of memory without a word."""
 
     depth = 0
 
@@ -29,6 +29,14 @@ class _Plain(Loader):  # type: ignore[misc]
     def ascend_resolver(self) -> None:
         """Go out of a node."""
         self.depth -= 1
+
+
+class _Plain(_Counting, Loader):  # type: ignore[misc]
+    """Reads."""
+
+
+class _Telling(_Counting, yaml.SafeLoader):
+    """Reads in Python alone, and says better where a mistake is."""
 
 
 def parse_yaml(text: str) -> Any:
@@ -55,7 +63,7 @@ def _retold(text: str, error: yaml.MarkedYAMLError) -> yaml.MarkedYAMLError:
     """Return what the interpreted loader says: it knows better where the mistake is."""
     if len(text) <= READ_AGAIN_CHARACTERS_MAX:
         try:
-            yaml.safe_load(text)
+            yaml.load(text, Loader=_Telling)
         except yaml.MarkedYAMLError as told:
             return told
     return error

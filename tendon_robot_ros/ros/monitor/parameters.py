@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import yaml
-
 from ...common.errors import InputError
+from ...common.yaml_reading import parse_yaml
 from ...monitoring import MonitorSettings
 from ...monitoring.drift import ALARM_POSTURES
 from ...monitoring.watch import WatchSettings
@@ -134,9 +133,9 @@ def watched(parameters: Parameters) -> WatchSettings:
 def parsed(parameters: Parameters, name: str, kind: type) -> Any:
     """Return a YAML parameter of a kind; empty where nothing is given."""
     try:
-        value = yaml.safe_load(parameters[name]) or kind()
-    except yaml.YAMLError as error:
-        raise InputError(f'{name}: not valid YAML: {" ".join(str(error).split())}') from None
+        value = parse_yaml(parameters[name]) or kind()
+    except ValueError as error:
+        raise InputError(f'{name}: not valid YAML: {error}') from None
     if not isinstance(value, kind):
         raise InputError(f'{name}: expected a YAML {kind.__name__}, got {value!r}')
     return value

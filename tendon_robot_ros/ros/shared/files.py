@@ -7,9 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from ...common.errors import InputError
+from ...common.yaml_reading import parse_yaml
 from ...robot import Robot, load_robot, parse_robot
 from ...robot.description import DESCRIPTION_MAX
 
@@ -86,9 +85,9 @@ def read_mapping(text: str, what: str) -> dict[str, Any]:
             f'{what}: expected at most {DESCRIPTION_MAX:,} characters, got more than that'
         )
     try:
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise InputError(f'{what}: not valid YAML: {" ".join(str(error).split())}') from None
+        content = parse_yaml(text)
+    except ValueError as error:
+        raise InputError(f'{what}: not valid YAML: {error}') from None
     if content is None:
         return {}
     if not isinstance(content, dict):
