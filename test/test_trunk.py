@@ -1,5 +1,6 @@
 """The measured trunk: two data sets, one of them with a known load."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,8 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import join, load_dataset
-from tendon_robot_ros.diagnosis.add import Addition, fit_effects
+from tendon_robot_ros.diagnosis.add import Addition, add_effects, fit_effects
+from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.fitter import Fitter
 from tendon_robot_ros.diagnosis.prediction_errors import Errors
 from tendon_robot_ros.diagnosis.session import Session
@@ -93,3 +95,22 @@ def test_where_an_effect_led_the_arm_may_have_no_equilibrium_without_it():
     with pytest.raises(ArithmeticError):
         session.fitters[0].fit((), away)
     assert session.base_fit([away]).deviance == pytest.approx(fit.deviance)
+
+
+@pytest.mark.slow
+def test_from_the_trunk_without_a_load_the_unknown_weight_is_in_a_small_class(tmp_path):
+    effects = 'wire_spring gravity pull_zero moment_arm base_misalignment axial_compression'
+    base = load_dataset(TRUNK / 'base')
+    alone = add_effects(base, effects.split()).robot
+    assert diagnose(base, robot=alone).verdict == 'adequate'
+    shutil.copytree(TRUNK, tmp_path / 'unknown')
+    told = tmp_path / 'unknown' / 'payload_100' / 'dataset.yaml'
+    lines = told.read_text(encoding='utf-8').splitlines(keepends=True)
+    assert sum(line.startswith('known:') for line in lines) == 1
+    told.write_text(
+        ''.join(line for line in lines if not line.startswith('known:')), encoding='utf-8'
+    )
+    found = diagnose(load_dataset(told.parent), robot=alone)
+    assert 'tip_load' in found.cannot_tell_apart and len(found.cannot_tell_apart) <= 3
+    load = next(one for one in found.candidates if one.name == 'tip_load').parameters['force_z']
+    assert load.low < 0.98 < load.high
