@@ -14,6 +14,7 @@ pytest.importorskip('rclpy')
 
 import rclpy
 import ros_station  # noqa: F401  (prepares the environment for rclpy)
+from forked import Forked
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -280,6 +281,46 @@ def test_an_error_in_a_callback_ends_the_process_the_safe_way(context, capfd):
     assert run(lambda: made.append(Failing()) or made[0], []) == 1
     assert made[0].ended
     assert 'nobody foresaw this' in capfd.readouterr().err
+
+
+ENDS = """
+import sys
+from rclpy.node import Node
+from tendon_robot_ros.ros.shared.runtime import run
+
+
+class Quiet:
+    def __init__(self):
+        self.node = Node('quiet')
+
+    def start(self):
+        print('runs', flush=True)
+
+    def running(self):
+        return True
+
+    def end(self, spin):
+        pass
+
+
+code = run(Quiet, [])
+print('over', flush=True)
+sys.stdin.readline()
+sys.exit(code)
+"""
+
+
+def test_an_echo_of_the_signal_does_not_kill_a_process_that_has_ended_safe():
+    """Launch passes a signal on while the interpreter of a node already ends."""
+    pipes = {'stdin': processes.PIPE, 'stdout': processes.PIPE}
+    with Forked(['-c', ENDS], **pipes) as process:
+        assert process.stdout.readline() == 'runs\n'
+        process.send_signal(signal.SIGINT)
+        assert process.stdout.readline() == 'over\n'
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            process.send_signal(number)
+        process.communicate('\n', timeout=60.0)
+    assert process.returncode == 0
 
 
 SHOW = (

@@ -50,7 +50,7 @@ class Ending:
 
     def __init__(self, first: bool = False) -> None:
         """Nothing was asked yet; `first`: the process goes before others."""
-        self.signal, self.first = 0, first
+        self.signal, self.first, self.over = 0, first, False
         self._asked = 0.0
         self._actions: list[Callable[[], object]] = []
         Ending.current = self
@@ -95,8 +95,8 @@ class Ending:
         try:
             yield
         finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
+            for number, handler in before.items():  # what ends by itself is not ended by an echo
+                signal.signal(number, signal.SIG_IGN if self.over else handler)
             signal.set_wakeup_fd(told)
             there.close()
             thread.join()
@@ -230,6 +230,7 @@ def run(make: Callable[[], Runnable], arguments: Sequence[str], first: bool = Fa
             if runnable is not None:
                 _end(runnable, executor)
             executor.shutdown(timeout_sec=1.0)
+            ending.over = bool(ending.signal)
     return code
 
 
