@@ -199,3 +199,10 @@ def test_a_shift_weighs_what_lost_readings_leave_of_it():
         own = noise.position**2 / np.repeat(dataset.counts[p], 3)
         white = root @ (np.diag(own) + g.T @ g) @ root.T
         np.testing.assert_allclose(white, np.eye(len(own)), atol=4e-3)
+
+
+def test_of_what_nobody_saw_there_is_no_error_and_no_warning():
+    difference = np.full((2, 3, 3), np.nan)
+    assert np.isnan(rms(difference))
+    difference[1, 2] = 3.0, 0.0, 4.0
+    assert rms(difference) == 5.0
