@@ -240,7 +240,7 @@ def common_error(dataset: DataSet, rows: npt.NDArray[np.int64], accuracy: float)
 
 
 def rms(difference: Floats) -> float:
-    """Root mean square 3-D distance [m] over what was seen, nan of nothing; difference (P, J, 3)."""
+    """Root mean square 3-D distance [m] over what was seen, nan of nothing; (P, J, 3)."""
     distance2 = (difference**2).sum(axis=-1)
     seen = distance2[~np.isnan(distance2)]
     return float(np.sqrt(seen.mean())) if seen.size else float('nan')
