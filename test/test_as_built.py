@@ -194,8 +194,8 @@ def test_a_fit_never_rises_where_friction_turns_over(monkeypatch):
     session = Session(dataset, robot, CATALOGUE.sized(natural_sizes(robot)), 1)
     assert session.weigh({})
     candidate = next(c for c in session.candidates if c.label == 'pre_curvature')
-    places, found, start, go = [], [], None, Fitter._go
-    monkeypatch.setattr(Fitter, '_go', lambda self, at: places.append(at) or go(self, at))
+    places, found, start, go = [], [], None, Fitter.go
+    monkeypatch.setattr(Fitter, 'go', lambda self, at: places.append(at) or go(self, at))
     for _ in range(3):
         begun, fitter = len(places), session.fitters[0]
         fit = start = fitter.fit(candidate.frees, start)

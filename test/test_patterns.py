@@ -9,7 +9,8 @@ import simulated
 from simulated import CATALOGUE, NOISE, measured
 
 from tendon_robot_ros.diagnosis.evidence import pattern_text
-from tendon_robot_ros.diagnosis.patterns import Pattern, Patterns
+from tendon_robot_ros.diagnosis.patterns import Pattern
+from tendon_robot_ros.diagnosis.patterns import patterns_of as outside
 from tendon_robot_ros.diagnosis.session import Session
 
 ROBOT = replace(simulated.robot(), exact=True)  # scatter takes its share of every pattern
@@ -27,7 +28,7 @@ def patterns_of(dataset, robot=ROBOT):
     session = Session(replace(dataset, robot=robot), robot, CATALOGUE, workers=1)
     session.weigh({})
     fit = session.base_fit()
-    return fit, {pattern.name: pattern for pattern in Patterns(session.fitters[0], fit).all()}
+    return fit, {pattern.name: pattern for pattern in outside(session.fitters, fit)}
 
 
 @pytest.mark.parametrize(('cell', 'factor'), [(4, 0.6), (7, 1.6)])
@@ -93,3 +94,19 @@ def test_a_cell_that_bends_a_little_more_is_not_said_to_bend_as_it_should(ratio,
     evidence = SimpleNamespace(session=SimpleNamespace(dataset=SimpleNamespace(postures=())))
     pattern = Pattern('soft_cell', 0.0, 1, 4, ratio, alike=(4,))
     assert f'cell 4 bends {words} it should.' in pattern_text(evidence, pattern)
+
+
+def test_a_line_that_patterns_are_far_above_changes_nothing_below_it():
+    dataset = measured(ROBOT, {'tip_load': {'force_x': 5e-3}}, count=6)
+    robot = replace(ROBOT, exact=False)
+    session = Session(replace(dataset, robot=robot), robot, CATALOGUE, workers=2)
+    session.weigh({})
+    fit = session.base_fit()
+    whole = {one.name: one for one in outside(session.fitters, fit)}
+    line = whole['contact'].score  # a force at the last cell is much like one at the tip
+    raced = {one.name: one for one in outside(session.fitters, fit, line=line)}
+    assert fit.deviance > line + 60.0, 'the base is far behind'
+    assert raced['contact'].deviance == pytest.approx(whole['contact'].deviance, abs=1e-6)
+    assert raced['contact'].cell == whole['contact'].cell
+    for name, one in raced.items():
+        assert (one.score < line - 9.21) == (whole[name].score < line - 9.21)

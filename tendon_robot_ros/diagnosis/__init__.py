@@ -19,6 +19,7 @@ Fits
 session.py            one diagnosis at work: noise, weights, and the fits that it asks for
 fit.py                a settled fit and what it tells
 fitter.py             how a fit settles: parameters, imperfections and their sizes, in turn
+race.py               fits of many candidates side by side; those far behind are left
 search.py             the search for the best values: bounded Gauss-Newton
 interval.py           95 % intervals of fitted parameters
 

@@ -14,13 +14,15 @@ from .decide import (
     MISFIT_ALARM_LEVEL,
     NEAR_SCORE,
     NOISE_WITHIN_FLOORS,
+    P_SINGLE_MIN,
     PATTERN_SHARE_MIN,
     STRAY_SD_MAX,
     Verdict,
 )
 from .fit import Fit
 from .load import load_of
-from .patterns import Pattern, Patterns
+from .patterns import Pattern, patterns_of
+from .race import Race
 from .session import Session, better
 
 SAME_EVERYWHERE = ('contact', 'soft_cell', 'taper')  # patterns that a remainder is not
@@ -54,7 +56,13 @@ class Evidence:
     @cached_property
     def patterns(self) -> list[Pattern]:
         """What from outside may compete with the effects, on top of the base."""
-        return Patterns(self.session.fitters[0], self.base).all(self.session.progress)
+        return patterns_of(self.session.fitters, self.base, self.session.progress)
+
+    def rivals(self, score: float) -> list[Pattern]:
+        """Return the same, but those far behind a score that is far better than the base."""
+        known = 'patterns' in self.__dict__ or self.base.deviance < score + NEAR_SCORE
+        fitters, progress = self.session.fitters, self.session.progress
+        return self.patterns if known else patterns_of(fitters, self.base, progress, score)
 
 
 def gather(session: Session) -> Evidence:
@@ -66,20 +74,48 @@ def gather(session: Session) -> Evidence:
     session.weigh({})
     base = session.base_fit()
     tested, not_tested = session.split_tested(base.point)
-    singles = over_turns(session, session.fit_all(tested))
+    race = session.race(tested)
+    singles = over_turns(session, session.ranked(race.run()))
+    straight = False  # whether nothing was found beyond turns
     for turn in range(ROUNDS):
         if not singles:
             break
         best = session.best(singles)
+        far = base.deviance > best.score + NEAR_SCORE
         session.weigh(best.fit.point, best.fit.around)
-        base = session.fitters[0].over_turns(session.base_fit((base, best.fit)))
+        base = _followed(session, base) if far else _searched(session, base, best)
         found = session.refit(singles, base)
-        singles = over_turns(session, found)
-        if turn > 0 and singles is found:
+        singles = found if straight else over_turns(session, found)
+        straight = singles is found
+        if turn > 0 and straight:
             break
+    if not any(r.probability > P_SINGLE_MIN for r in singles):
+        singles = _to_their_ends(session, race, singles)  # combinations need them
     evidence = Evidence(session, base, singles, not_tested)
     evidence.best = session.best(singles) if singles else None
     return evidence
+
+
+def _to_their_ends(session: Session, race: Race, singles: list[Ranked]) -> list[Ranked]:
+    """Return candidates with those that were left behind fitted to their ends."""
+    left = [fit for _, fit in race.behind()]
+    late = {r.candidate.label: r for r in session.ranked(race.go_on())}
+    return [
+        late.get(r.candidate.label, r) if any(r.fit is fit for fit in left) else r for r in singles
+    ]
+
+
+def _searched(session: Session, base: Fit, best: Ranked) -> Fit:
+    """Fit no effect again, from where it was, where the best is, and beyond turns of friction."""
+    return session.fitters[0].over_turns(session.base_fit((base, best.fit)))
+
+
+def _followed(session: Session, base: Fit) -> Fit:
+    """Fit no effect again from where it was: it is out of the race."""
+    try:
+        return session.fitters[0].fit((), base if base.built is not None else None)
+    except (ArithmeticError, np.linalg.LinAlgError):  # no equilibrium there
+        return session.base_fit()
 
 
 def over_turns(session: Session, singles: list[Ranked]) -> list[Ranked]:
@@ -138,7 +174,7 @@ def outside_by_itself(evidence: Evidence) -> Pattern | None:
 
 def competing_pattern(evidence: Evidence, score: float) -> Pattern | None:
     """Return the pattern from outside that beats a score by more than chance would, if any."""
-    top = min(evidence.patterns, key=lambda pattern: pattern.score, default=None)
+    top = min(evidence.rivals(score), key=lambda pattern: pattern.score, default=None)
     return top if top is not None and top.score < score - APART_FROM_SCORE else None
 
 
@@ -174,7 +210,7 @@ def best_pattern(evidence: Evidence, chosen: Ranked | None) -> Pattern | None:
     """Return the pattern that takes a third or more of what is left, if there is one."""
     fit, patterns = evidence.base, evidence.patterns
     if chosen is not None:
-        fit, patterns = chosen.fit, Patterns(evidence.session.fitters[0], chosen.fit).all()
+        fit, patterns = chosen.fit, patterns_of(evidence.session.fitters, chosen.fit)
     top = min(patterns, key=lambda pattern: pattern.score, default=None)
     excess = fit.chi2 - fit.freedom
     if top is None or fit.deviance - top.deviance < PATTERN_SHARE_MIN * excess:

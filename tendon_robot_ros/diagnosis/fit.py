@@ -225,7 +225,7 @@ def left_out_alone(residual: Floats, tells: Floats) -> tuple[float, float, float
     if len(tells) <= tells.shape[1]:
         rest = np.eye(len(tells)) - tells @ tells.T
         try:
-            root_inverse(rest - (1.0 - SHARE_MAX) * np.eye(len(rest)))  # nothing tells it alone
+            np.linalg.cholesky(rest - (1.0 - SHARE_MAX) * np.eye(len(rest)))  # tells it alone
             root = root_inverse(rest)
             grown = root.T @ root
             left, more = grown @ residual, grown - rest

@@ -19,11 +19,13 @@ from .marginal import RandomEffects, Sizes
 from .search import Search
 
 Floats = npt.NDArray[np.float64]
+TURNS = 25  # of a search
 ROUNDS = 8  # of parameters, sizes of the imperfections and imperfections together
 SHIFT_SETTLED = 0.3  # whitened change by imperfections that is worth no further look
 WAY_SHARES = (1.0, 0.5, 0.2)  # of the way to what slopes promise, the first that is better
 TURN_FROM_CHI2 = 4.0  # whitened squared bend by one sd of a gain, from which it is a turn
 TURNS_MAX = 6  # sides of turns that a fit is tried from
+GAINS_TO_COME = 4.0  # times the gain of its last round, that a fit may still gain
 DEVIANCE_SETTLED = 0.1  # fall of the deviance at which a fit is settled
 
 
@@ -72,7 +74,7 @@ class Fitter:
         self,
         frees: Sequence[FreeParameter],
         start: Fit | Point | None = None,
-        turns: int = 25,
+        turns: int = TURNS,
         sizes: Floats | None = None,
         hopeless: float = np.inf,
     ) -> Fit:
@@ -81,25 +83,42 @@ class Fitter:
 
         `start` spares the search for a start. Imperfections and their sizes (K,) are estimated
         with the parameters, in turn, from where they start; where sizes are given they stay, and
-        imperfections are linear around where the fitter is. A fit whose deviance is `hopeless`
-        in the second round stays as it is.
+        imperfections are linear around where the fitter is. A fit that will not come below a
+        `hopeless` deviance stays as it is.
         """
+        search = self._search(frees, start, sizes)
+        if self.random is None or sizes is not None:
+            search.run(turns)
+            return self.freeze(search)
+        descent = Descent(self, search, turns)
+        while not descent.settled:
+            descent.go_on(hopeless)
+        return descent.fit()
+
+    def begin(self, frees: Sequence[FreeParameter], start: Fit | Point | None = None) -> Descent:
+        """Begin a fit of an arm as built that goes on round by round; see `fit`."""
+        return Descent(self, self._search(frees, start))
+
+    def _search(
+        self,
+        frees: Sequence[FreeParameter],
+        start: Fit | Point | None = None,
+        sizes: Floats | None = None,
+    ) -> Search:
+        """Return a search of free parameters and the nuisances that they do not claim."""
         claimed = {(free.effect, free.parameter.name) for free in frees}
         nuisances = tuple(
             n for n in self.nuisances if (n.free.effect, n.free.parameter.name) not in claimed
         )
         if self.random is not None:
-            self._begin(start, sizes)
+            self._take_start(start, sizes)
         search = Search(self, tuple(frees), nuisances)
         if start is not None:
             point = start.point if isinstance(start, Fit) else start
             search.begin([np.array([point.get(f, search.described(f)) for f in search.all])])
         else:
             search.begin(search.starts())
-        if self.random is None or sizes is not None:
-            search.run(turns)
-            return self._result(search)
-        return self._result(self._descend(search, turns, hopeless))
+        return search
 
     def told(self, fit: Fit) -> Fit:
         """
@@ -158,33 +177,7 @@ class Fitter:
         split.around = around
         return [one for _, one in sorted(found, key=lambda row: -row[0])[:TURNS_MAX]]
 
-    def _descend(self, search: Search, turns: int, hopeless: float) -> Search:
-        """
-        Go on with parameters, imperfections and their sizes while what all are worth falls.
-
-        Parameters are searched where imperfections are linear, which promises a place for all
-        three; whether to go there is told by what the model predicts there. So the deviance never
-        rises, however little slopes tell of friction that turns over.
-        """
-        here = self.place(search)
-        search.run(turns)
-        for turn in range(ROUNDS):
-            estimated = self.estimate(search)
-            if turn > 0 and estimated.deviance > hopeless:
-                break
-            self.take(estimated.values)
-            search.weigh_again()
-            search.run(turns)
-            there = self._first_better(here, search, estimated.values)
-            if there is None:
-                break
-            gain, here = here.deviance - there.deviance, there
-            search = self._go(here)
-            if gain < DEVIANCE_SETTLED:
-                break
-        return self._go(here)
-
-    def _go(self, place: FitPlace) -> Search:
+    def go(self, place: FitPlace) -> Search:
         """Go to a place: a search that goes on from there."""
         assert self.random is not None
         self.take(place.sizes)
@@ -208,7 +201,7 @@ class Fitter:
         chi2 = random.misfit(errors, sizes) + random.cost(around, sizes) + float(rest @ rest)
         return chi2 + random.log_determinant(sizes) + random.prior(sizes)
 
-    def _first_better(self, here: FitPlace, search: Search, sizes: Floats) -> FitPlace | None:
+    def first_better(self, here: FitPlace, search: Search, sizes: Floats) -> FitPlace | None:
         """Return the first better place on the way to what a search promises, if there is one."""
         random = self.random
         assert random is not None
@@ -225,7 +218,7 @@ class Fitter:
                     return FitPlace(moved, around, own, worth)
         return None
 
-    def _result(self, search: Search) -> Fit:
+    def freeze(self, search: Search) -> Fit:
         """Freeze a search: the markers are those of the model alone."""
         plain = search.result()
         if self.built is None:
@@ -238,7 +231,7 @@ class Fitter:
             return plain
         return with_imperfections(plain, self.random, self.sizes, self.built.split.around)
 
-    def _begin(self, start: Fit | Point | None, sizes: Floats | None) -> None:
+    def _take_start(self, start: Fit | Point | None, sizes: Floats | None) -> None:
         """Take the sizes and imperfections to start from."""
         assert self.random is not None
         if sizes is not None:
@@ -330,3 +323,53 @@ def _between(here: Members, goal: Members, share: float) -> Members:
         name: (1.0 - share) * here.get(name, np.zeros_like(value)) + share * value
         for name, value in goal.items()
     }
+
+
+class Descent:
+    """
+    A fit of an arm as built on its way, round by round.
+
+    Parameters are searched where imperfections are linear, which promises a place for all three
+    (parameters, imperfections and their sizes); whether to go there is told by what the model
+    predicts there. So the deviance never rises, however little slopes tell of friction that turns
+    over.
+    """
+
+    def __init__(self, fitter: Fitter, search: Search, turns: int = TURNS) -> None:
+        """Search for parameters where a search has begun, the fitter being there."""
+        self.fitter, self.turns = fitter, turns
+        self.here, self._search = fitter.place(search), search
+        self.gain = np.inf  # in the last round
+        self.settled = False
+        self._rounds = 0
+        search.run(turns)
+
+    def at(self, fitter: Fitter) -> Descent:
+        """Go on with another fitter, of another thread."""
+        self.fitter = self._search.fitter = self.here.search.fitter = fitter
+        return self
+
+    def go_on(self, hopeless: float = np.inf) -> None:
+        """Do one more round; none is left where what the next ones promise is `hopeless`."""
+        fitter, search = self.fitter, self._search
+        fitter.take(self.here.sizes)
+        fitter.go_around(self.here.around)
+        estimated = fitter.estimate(search)
+        if estimated.deviance - GAINS_TO_COME * self.gain > hopeless:
+            self.settled = True
+            return
+        fitter.take(estimated.values)
+        search.weigh_again()
+        search.run(self.turns)
+        there = fitter.first_better(self.here, search, estimated.values)
+        self._rounds += 1
+        self.settled = there is None or self._rounds == ROUNDS
+        if there is None:
+            return
+        self.gain, self.here = self.here.deviance - there.deviance, there
+        self._search = fitter.go(there)
+        self.settled = self.settled or self.gain < DEVIANCE_SETTLED
+
+    def fit(self) -> Fit:
+        """Freeze it where it is."""
+        return self.fitter.freeze(self.fitter.go(self.here))

@@ -13,13 +13,17 @@ import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
+LEAF = 32  # [1] rows of a triangle that is inverted as it is
+NORMAL_LEAST = 1e-12  # of the parameters, each of them scaled to move the residual by one
+SIZES, LOGARITHMS = 1, 2  # what is likeliest: s exp(-s²/p²) ds = s² exp(-s²/p²) d log s
 
 
 def root_inverse(matrix: Floats) -> Floats:
     """
     Return L^-1 (n, n), lower triangular, of L L' = matrix.
 
-    A triangle is inverted in a sixth of what `numpy.linalg.inv` takes.
+    A triangle is inverted in a sixth of what `numpy.linalg.inv` takes; that of scipy is no faster,
+    and importing it takes a tenth of a second or two.
 
     Raises
     ------
@@ -27,20 +31,19 @@ def root_inverse(matrix: Floats) -> Floats:
         The matrix is not positive definite.
 
     """
-    from scipy.linalg.lapack import dpotrf, dtrtri  # numba has imported it for the model
-
-    if not len(matrix):
-        return matrix
-    upper, fault = dpotrf(matrix.T, lower=0)
-    if fault == 0:
-        inverse, fault = dtrtri(upper, lower=0, overwrite_c=1)
-    if fault != 0:
-        raise np.linalg.LinAlgError('the matrix is not positive definite')
-    return np.asarray(inverse.T)
+    return _inverse_of_triangle(np.linalg.cholesky(matrix))
 
 
-NORMAL_LEAST = 1e-12  # of the parameters, each of them scaled to move the residual by one
-SIZES, LOGARITHMS = 1, 2  # what is likeliest: s exp(-s²/p²) ds = s² exp(-s²/p²) d log s
+def _inverse_of_triangle(lower: Floats) -> Floats:
+    n = len(lower)
+    if n <= LEAF:
+        return np.linalg.inv(lower)
+    half, inverse = n // 2, np.zeros_like(lower)
+    inverse[:half, :half] = _inverse_of_triangle(lower[:half, :half])
+    inverse[half:, half:] = _inverse_of_triangle(lower[half:, half:])
+    below = inverse[half:, half:] @ (lower[half:, :half] @ inverse[:half, :half])
+    inverse[half:, :half] = -below
+    return inverse
 
 
 def prior_of(share: Floats, of: int = SIZES) -> float:

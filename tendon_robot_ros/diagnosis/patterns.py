@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -13,18 +14,21 @@ from ..comparison.statistics import chi2_sf
 from ..effects import Parameter
 from .as_built import PUSH, typical_force
 from .candidates import CellRelief
-from .decide import NEAR_SCORE
+from .decide import APART_FROM_SCORE, NEAR_SCORE
 from .fit import Fit
 from .fitter import Fitter
+from .race import side_by_side
 from .slopes import pushes
 
 Floats = npt.NDArray[np.float64]
 SAME_CELL_WITHIN = 3.84  # of the best deviance, that another cell would do as well (95 %)
+FAR_SCORE = 2.0 * NEAR_SCORE  # behind what competes, from which no other start is tried
 PLACES = 3  # at which a pattern is fitted: those where it promises most
 SOFTNESS = Parameter(
     'softness', '1', -1.5, 4.0, 0.0, 0.1
 )  # log of the bend over what it should be
 PATTERN_STEP = 0.02  # [1] of the softness of a cell, where only differences tell
+NAMES = ('contact', 'soft_cell', 'taper', 'gain_per_posture', 'rotation_per_posture')
 ROUNDS = 4  # of sizes of the imperfections and imperfections in turn
 
 
@@ -61,9 +65,9 @@ class Patterns:
     little.
     """
 
-    def __init__(self, fitter: Fitter, fit: Fit) -> None:
-        """Keep the fit and its whitened residual."""
-        self.fitter, self.fit = fitter, fit
+    def __init__(self, fitter: Fitter, fit: Fit, line: float = np.inf) -> None:
+        """Keep the fit and its whitened residual; fits far behind the `line` are given up."""
+        self.fitter, self.fit, self.line = fitter, fit, line
         self.point: Point = fit.point
         fitter.resume(fit)
         self.relief = CellRelief(fit, fitter.whitener)
@@ -73,22 +77,6 @@ class Patterns:
         self.r = self.white(self.markers)
         self.prior = fit.chi2 - float(self.r @ self.r)
         self.extra = fit.rank
-
-    def all(self, progress: Callable[[str, int, int], None] | None = None) -> list[Pattern]:
-        """Fit all patterns; those without equilibrium drop out."""
-        fits = [
-            self.contact,
-            self.soft_cell,
-            self.taper,
-            self.gain_per_posture,
-            self.rotation_per_posture,
-        ]
-        patterns = []
-        for number, fit in enumerate(fits):
-            patterns.append(fit())
-            if progress is not None:
-                progress('causes outside the catalogue', number + 1, len(fits))
-        return [pattern for pattern in patterns if pattern is not None]
 
     def white(self, markers: Floats) -> Floats:
         """Whitened residual for predicted markers; imperfections give way."""
@@ -134,12 +122,8 @@ class Patterns:
         if slopes is None:
             return None
         gains = [self._gain(-moves) for moves in slopes]
-        fits = []
-        for i in np.argsort(gains)[-PLACES:]:
-            frees = [
-                Parameter(f'force_{xyz}', 'N', -30 * unit, 30 * unit, 0.0, unit) for xyz in 'xyz'
-            ]
-            fits.append((self._refit([FreeParameter(PUSH, p, int(i)) for p in frees]), int(i)))
+        axes = [Parameter(f'force_{xyz}', 'N', -30 * unit, 30 * unit, 0.0, unit) for xyz in 'xyz']
+        fits = self._at_best_places(gains, lambda i: [FreeParameter(PUSH, p, i) for p in axes])
         fit, i = min(fits, key=_deviance)
         if fit is None:
             return None
@@ -155,7 +139,7 @@ class Patterns:
         frees = [FreeParameter(SOFT_CELL, SOFTNESS, i) for i in range(n)]
         self._others_as_usual()
         gains = [self._gain(-moves) for moves in self._moved(frees)]
-        fits = [(self._refit([frees[i]]), int(i)) for i in np.argsort(gains)[-PLACES:]]
+        fits = self._at_best_places(gains, lambda i: [frees[i]])
         fit, i = min(fits, key=_deviance)
         if fit is None:
             return None
@@ -184,31 +168,54 @@ class Patterns:
         """Stiffness that changes linearly from base to tip, mean and slope free."""
         names = ('mean', 'slope')
         frees = [FreeParameter(TAPER, Parameter(name, '1', -2.0, 2.0, 0.0, 0.1)) for name in names]
-        fit = self._refit(frees)
+        fit, _ = min(self._at_best_places([0.0], lambda i: frees), key=_deviance)
         if fit is None:
             return None
         slope = fit.values[len(fit.frees) - 1]
         change = float(np.exp(2.0 * slope) - 1.0)
         return Pattern('taper', fit.deviance, fit.rank, free=2, size=change)
 
-    def _refit(self, frees: Sequence[FreeParameter]) -> Fit | None:
+    def _at_best_places(
+        self, gains: Sequence[float], frees: Callable[[int], list[FreeParameter]]
+    ) -> list[tuple[Fit | None, int]]:
+        """
+        Fit a pattern at the places that promise most.
+
+        Of an arm as built also with the imperfections of the fit to start from: at the best place,
+        and at others that such a start may bring before it.
+        """
+        places = np.argsort(gains)[::-1][:PLACES].tolist()
+        fits = sorted(((self._refit(frees(i)), i) for i in places), key=_deviance)
+        reach = APART_FROM_SCORE
+        for k, (fit, i) in enumerate(fits):
+            least = min(_deviance(row) for row in fits)
+            if fit is None or self._beaten(fit) or fit.deviance > least + reach:
+                break
+            again = self._refit(frees(i), anew=False)
+            if again is not None and again.deviance < fit.deviance:
+                reach = max(reach, APART_FROM_SCORE + fit.deviance - again.deviance)
+                fits[k] = again, i
+        return fits
+
+    def _beaten(self, fit: Fit) -> bool:
+        """Tell whether a fit needs no other start: there is none, or it is far behind the line."""
+        return self.fit.built is None or fit.deviance > self.line + FAR_SCORE
+
+    def _refit(self, frees: Sequence[FreeParameter], anew: bool = True) -> Fit | None:
         """
         Fit parameters of a pattern together with those of the fit; None: no equilibrium.
 
-        Of an arm as built also from one without imperfections, which else keep their share of it.
+        Of an arm as built from one without imperfections, which else keep their share of it, or
+        with those of the fit.
         """
-        hopeless = self.fit.deviance + NEAR_SCORE  # it contains the fit: it went astray
-        starts = (self.fit,) if self.fit.built is None else (self.fit, self.fit.point)
-        found = []
-        for start in starts:
-            try:
-                every = (*self.fit.frees, *frees)
-                found.append(self.fitter.fit(every, start, hopeless=hopeless))
-            except (ArithmeticError, np.linalg.LinAlgError):
-                continue
-            finally:
-                self.fitter.resume(self.fit)
-        return min(found, key=lambda fit: fit.deviance, default=None)
+        hopeless = min(self.fit.deviance, self.line) + NEAR_SCORE  # it contains the fit
+        start = self.fit.point if anew and self.fit.built is not None else self.fit
+        try:
+            return self.fitter.fit((*self.fit.frees, *frees), start, hopeless=hopeless)
+        except (ArithmeticError, np.linalg.LinAlgError):
+            return None
+        finally:
+            self.fitter.resume(self.fit)
 
     def _gain(self, slopes: Floats) -> float:
         """Return what changes (q, P, J, 3) of the residual take off its chi², as far as linear."""
@@ -281,6 +288,32 @@ class Patterns:
             free=int(parameters),
             values=tuple(angles.tolist()),
         )
+
+
+def patterns_of(
+    fitters: Sequence[Fitter],
+    fit: Fit,
+    progress: Callable[[str, int, int], None] | None = None,
+    line: float = np.inf,
+) -> list[Pattern]:
+    """
+    Fit all patterns on top of a fit; those without equilibrium drop out.
+
+    Those whose deviance stays far above a `line` need not be fitted to their ends.
+    """
+    found: dict[str, Pattern | None] = {}
+
+    def work(worker: int, names: Sequence[str]) -> None:
+        own = Patterns(fitters[worker], fit, line)
+        for name in names:
+            found[name] = getattr(own, name)()
+            if progress is not None:
+                progress('causes outside the catalogue', len(found), len(NAMES))
+
+    side_by_side(
+        [partial(work, names=NAMES[:1]), partial(work, names=NAMES[1:])], min(len(fitters), 2)
+    )
+    return [pattern for name in NAMES if (pattern := found[name]) is not None]
 
 
 def _deviance(row: tuple[Fit | None, int]) -> float:

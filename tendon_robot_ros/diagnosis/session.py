@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 
 import numpy as np
@@ -41,6 +40,7 @@ from .fit import Fit
 from .fitter import AsBuilt, Fitter
 from .marginal import RandomEffects
 from .outliers import Outliers, without_unsettled
+from .race import Race
 from .slopes import imperfections
 
 Floats = npt.NDArray[np.float64]
@@ -161,6 +161,17 @@ class Session:
         """Judge a fit."""
         return Ranked(candidate, fit, self.freedom, self.whitener.owners)
 
+    def race(self, candidates: Sequence[Candidate], what: str = 'effects') -> Race:
+        """Return the fits of candidates, spread over the workers."""
+        done = 0
+
+        def one_more() -> None:
+            nonlocal done
+            done = min(done + 1, len(candidates))
+            self.progress(what, done, len(candidates))
+
+        return Race(self.fitters, candidates, one_more)
+
     def fit_all(
         self,
         candidates: Sequence[Candidate],
@@ -168,34 +179,16 @@ class Session:
         what: str = 'effects',
     ) -> list[Ranked]:
         """
-        Fit candidates, spread over the workers; those without equilibrium drop out.
+        Fit candidates; those without equilibrium drop out.
 
-        `starts` are fits of their own, or of a part of them, to start from.
+        `starts` are fits of their own, or of a part of them, to start from. Of an arm as built
+        those that fall far behind the best are not fitted to their ends.
         """
-        judged: list[Ranked | None] = [None] * len(candidates)
-        done = 0
+        return self.ranked(self.race(candidates, what).run(starts))
 
-        def work(worker: int) -> None:
-            nonlocal done
-            for i in range(worker, len(candidates), self.workers):
-                candidate = candidates[i]
-                start = None if starts is None else starts.get(candidate.label)
-                try:
-                    fit = self.fitters[worker].fit(candidate.frees, start)
-                except (ArithmeticError, np.linalg.LinAlgError):
-                    continue
-                finally:
-                    done += 1
-                    self.progress(what, done, len(candidates))
-                judged[i] = self.rank(candidate, fit)
-
-        if self.workers == 1 or len(candidates) == 1:
-            for worker in range(self.workers):
-                work(worker)
-        else:
-            with ThreadPoolExecutor(self.workers) as pool:
-                list(pool.map(work, range(self.workers)))
-        return [ranked for ranked in judged if ranked is not None]
+    def ranked(self, found: Sequence[tuple[Candidate, Fit]]) -> list[Ranked]:
+        """Judge fits of candidates."""
+        return [self.rank(candidate, fit) for candidate, fit in found]
 
     def fit_joint(
         self, candidates: Sequence[Candidate], starts: Mapping[str, Fit], what: str
