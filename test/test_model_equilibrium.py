@@ -141,3 +141,17 @@ def test_the_guess_does_not_decide_the_answer():
         guess = here.bend + random.normal(0.0, 0.05, here.bend.shape)
         again = model.shape([0.2, 0.9, 0.1, 0.4], guess=guess)
         assert np.allclose(again.positions, here.positions, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize('bends_as', ['arc', 'hinge'])
+def test_an_arm_in_a_plane_is_that_in_space_without_a_force_across_it(bends_as):
+    """Loads in the plane have formulas of their own; a hair of a force asks for those of space."""
+    load = {'force_x': 0.02, 'force_z': -0.01}
+    effects = {'gravity': {'linear_density': 0.3}, 'tip_load': load}
+    robot = replace(planar(6, effects, bends_as), gravity=(6.0, 0.0, -7.0))
+    for inputs in ([0.0] * len(robot.inputs), [0.9] + [0.1] * (len(robot.inputs) - 1)):
+        flat = Model(robot).shape(inputs)
+        spatial_too = robot.with_effect('tip_load', {**load, 'force_y': 1e-13})
+        whole = Model(spatial_too).shape(inputs)
+        assert np.abs(flat.bend).max() > 1e-3
+        assert np.allclose(flat.state, whole.state, rtol=0, atol=1e-10)

@@ -51,15 +51,16 @@ from tendon_robot_ros.robot import load_robot
 model = Model(load_robot('config/robots/spatial_3.yaml'))
 model.shape(model.limits[:, 0])
 only = {'loads': 'load_moments', 'load_tangent': 'load_slopes', 'newton': 'descend',
-        'geometry': 'leaning_travel', 'tangent': 'leaning_slopes', 'march': 'march'}
+        'geometry': 'leaning_travel', 'tangent': 'leaning_slopes', 'march': 'march',
+        'flat': 'flat_moments', 'history': 'ramped'}
 def compiled():
     parts = {part: getattr(model.arrays.part(part), name) for part, name in only.items()}
     return {part for part, made in parts.items() if made.overloads}
 assert not compiled(), compiled()
 model.arrays.act('gravity')
-assert compiled() == {'loads', 'load_tangent', 'newton'}, compiled()
+assert compiled() == {'loads', 'load_tangent', 'newton', 'flat'}, compiled()
 model.arrays.act('torsion')
-assert compiled() == {*only} - {'march'}, compiled()
+assert compiled() == {*only} - {'march', 'history'}, compiled()
 """
 
 

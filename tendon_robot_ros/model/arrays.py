@@ -22,15 +22,17 @@ Floats = npt.NDArray[np.float64]
 # Functions that only implicit models and derivatives by parameters call: by field of the kernel's
 # chain, the module and its name. A first shape of an explicit model need not wait for them.
 LINKED = {
+    'prepare': ('prepare', 'prepare'),
     'residual': ('residual', 'residual'),
     'respond': ('response', 'respond'),
     'newton': ('newton', 'newton'),
     'settle': ('solve', 'solve_equilibrium'),
 }
-# The same that only loaded arms call, those whose tendons lean, and those of neither whose
-# friction follows the cell alone.
+# The same that only loaded arms call, those whose tendons lean, those whose friction remembers,
+# and those without loads whose friction follows the cell alone.
 OF_LOADS = {
     'load_moments': ('loads', 'load_moments'),
+    'flat_moments': ('flat', 'flat_moments'),
     'bow_cells': ('loads', 'bow_cells'),
     'load_slopes': ('load_tangent', 'load_slopes'),
     'descend': ('newton', 'descend'),
@@ -39,8 +41,9 @@ OF_LEANING = {
     'leaning_travel': ('geometry', 'leaning_travel'),
     'leaning_slopes': ('tangent', 'leaning_slopes'),
 }
+OF_MEMORY = {'remembered': ('history', 'remembered'), 'ramped': ('history', 'ramped')}
 OF_CAUSAL = {'march': ('march', 'march')}
-ALL_LINKED = {**LINKED, **OF_LOADS, **OF_LEANING, **OF_CAUSAL}
+ALL_LINKED = {**LINKED, **OF_LOADS, **OF_LEANING, **OF_MEMORY, **OF_CAUSAL}
 LINKING_STAGES = {'length', 'stretch', 'winding'}  # see the kernel's `place_as`
 LINKING_STAGES |= {name for name, stage in STAGES.items() if stage.implicit}
 
@@ -197,6 +200,8 @@ class KernelArrays:
             called |= OF_CAUSAL
         if 'torsion' in acting or self.helix.any():
             called |= OF_LEANING
+        if 'memory' in acting:
+            called |= OF_MEMORY
         return called
 
     def _link(self, fields: Iterable[str]) -> None:

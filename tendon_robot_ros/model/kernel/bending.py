@@ -2,7 +2,7 @@
 
 import math
 
-from .layout import PRESENT, STIFFNESS, cell, compiled, floats, inlined, section_of
+from .layout import PRESENT, STIFFNESS, cell, compiled, floats, fused, section_of
 from .stages import (
     joint_friction,
     joint_friction_acts,
@@ -68,8 +68,8 @@ def is_linear(chain):
     return not (moment_acts(chain) or joint_friction_acts(chain) or stiffening_acts(chain))
 
 
-@inlined
-def bend_linear(chain, i, mx, my, load_x, load_y, scale):
+@fused
+def bend_linear(chain, work, i, mx, my, load_x, load_y, scale):
     """
     Bend (x, y) of a cell that bends in proportion to load plus scale times moment [N·m].
 
@@ -83,9 +83,8 @@ def bend_linear(chain, i, mx, my, load_x, load_y, scale):
         Factor on the tendon offsets, and so on their moment [1].
 
     """
-    section = section_of(chain, i)
-    x0, y0 = rest(0.0, 0.0, chain, section)
-    compliance = 1.0 / cell_stiffness(chain, i, section)
+    x0, y0 = rest(0.0, 0.0, chain, section_of(chain, i))
+    compliance = floats(work.compliance)[i]
     slope = scale * compliance
     return x0 + compliance * load_x + slope * mx, y0 + compliance * load_y + slope * my
 

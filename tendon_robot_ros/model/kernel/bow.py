@@ -7,8 +7,7 @@ B = L² / (12 K) and F the force of all beyond the middle. The loads' energy fal
 B (F² - (F m)²) / 2, and so there is a moment on the bend. A hinge does not bow.
 """
 
-from .bending import cell_stiffness
-from .layout import HINGE, LENGTH, cell, compiled, contracted, section_of
+from .layout import HINGE, LENGTH, cell, compiled, contracted, floats
 from .turning import arc_factor, halved
 
 
@@ -22,12 +21,12 @@ def bows(chain):
 
 
 @compiled
-def bow_compliance(chain, i):
+def bow_compliance(chain, work, i):
     """How far the end of cell i moves per force across it [m/N]; 0 for a hinge."""
     if cell(chain, i, HINGE) > 0.5:
         return 0.0
     reach = cell(chain, i, LENGTH)
-    return reach * reach / (12.0 * cell_stiffness(chain, i, section_of(chain, i)))
+    return reach * reach * (floats(work.compliance)[i] * (1.0 / 12.0))
 
 
 @compiled

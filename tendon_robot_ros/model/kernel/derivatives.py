@@ -10,6 +10,7 @@ along both, without solving again.
 
 import numpy as np
 
+from .begin import work_in, workspace
 from .layout import (
     address,
     chain_at,
@@ -21,8 +22,6 @@ from .layout import (
     residual_at,
     respond_at,
     words,
-    work_in,
-    workspace,
 )
 from .linear import fill
 from .shape import mean_pulls, place, wire_pulls
@@ -163,7 +162,7 @@ def jacobian(robot, inputs, bends, past, scratch, slopes):
 def residuals(robot, inputs, bends, past, scratch, out):
     """Fill the residuals `out` (b, unknowns) [rad] at inputs (b, m) [N] and states (b, 3n)."""
     chain = chain_at(robot)
-    work, then = work_in(scratch), memory_in(chain, address(past))
+    work, then = work_in(chain, scratch), memory_in(chain, address(past))
     for b in range(inputs.shape[0]):
         residual_at(chain.residual)(
             chain,
@@ -195,7 +194,7 @@ def responses(robot, inputs, bends, past, scratch, changes, rows):
 
     """
     chain = chain_at(robot)
-    work, then = work_in(scratch), memory_in(chain, address(past))
+    work, then = work_in(chain, scratch), memory_in(chain, address(past))
     size, count = unknowns(chain), rows.shape[1]
     f = np.empty(size)
     for b in range(inputs.shape[0]):

@@ -10,6 +10,7 @@ from .layout import (
     compiled,
     entry,
     floats,
+    fused,
     inlined,
     leaning_travel_at,
     section_of,
@@ -19,7 +20,7 @@ from .stages import length, length_acts, rest, tendon_path
 from .turning import follows_shape, half_turn, leans, twist_in
 
 
-@compiled
+@fused
 def polar(x, y, s, c):
     """Size of a bend [rad], its direction (x, y), sine and cosine of half the size."""
     a = math.sqrt(x * x + y * y)
@@ -32,17 +33,14 @@ def polar(x, y, s, c):
 @compiled
 def scale_lengths(chain, work):
     """Fill work.lengths (n,) [m] under the tensions (n, k) that press the cells."""
-    tensions, lengths, tendon = floats(work.tensions), floats(work.lengths), words(chain.tendon)
-    shortens = length_acts(chain)
-    for i in range(chain.n):
-        lengths[i] = cell(chain, i, LENGTH)
-        if not shortens:
-            continue
+    tensions, tendon = floats(work.tensions), words(chain.tendon)
+    for i in range(chain.n if length_acts(chain) else 0):
         total = 0.0
         for k in range(chain.k):
             if i < tendon[2 * k]:
                 total += tensions[chain.k * i + k]
-        lengths[i] *= length(1.0, total, chain, section_of(chain, i))
+        shortened = length(1.0, total, chain, section_of(chain, i))
+        floats(work.lengths)[i] = cell(chain, i, LENGTH) * shortened
 
 
 @compiled
@@ -115,7 +113,7 @@ def leaning_tendon(chain, i, k, bend, ux, uy, sin_half, cos_half, scale, twist):
     return leaning_path(chain, at, i, bend, ux, uy, sin_half, cos_half, scale, twist)
 
 
-@inlined
+@fused
 def straight_tendon(chain, i, k, bend, ux, uy, sin_half, cos_half, scale, twist):
     """
     Path that tendon k loses in cell i [m], its moment arms along the bend, across it, about.
@@ -188,7 +186,7 @@ def plain_travel(chain, bend, scale, work):
             travel[at] = lost if i < tendon[2 * k] else 0.0
 
 
-@inlined
+@fused
 def fill_travel(chain, i, x, y, s, c, twist, scale, work, path_lost):
     """
     Fill travel, moment_arms and axial [m] of cell i, bent by (x, y) with half angles s, c.

@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 
+from .begin import workspace
 from .derivatives import output_slopes
-from .layout import address, chain_at, compiled, entry, floats, monotonic, step_at, workspace
+from .layout import address, chain_at, compiled, entry, floats, monotonic, step_at
 from .linear import solve_small
 from .shape import accept, balance, place, predict
 from .stages import memory_acts

@@ -26,7 +26,7 @@ from .records import record_type
 jit: Any = partial(njit, error_model='numpy', nogil=True, no_cfunc_wrapper=True)
 part: Any = partial(jit, no_cpython_wrapper=True, pipeline_class=PartCompiler)
 compiled = part()
-lawful = part(pipeline_class=LawCompiler)
+lawful = part(pipeline_class=LawCompiler, fastmath={'contract'})
 inlined = part(forceinline=True)
 # with fused multiply-add: where no difference of equal products has to be exactly zero
 fused = part(forceinline=True, fastmath={'contract'})
@@ -34,6 +34,8 @@ fused = part(forceinline=True, fastmath={'contract'})
 contracted = part(fastmath={'contract'})
 # sums in any order: where they only say which way a search goes
 reordered = part(fastmath={'contract', 'reassoc'})
+# comparisons of what is no NaN
+numeric = part(fastmath={'nnan', 'nsz'})
 
 
 # Numba compiles a function anew for every literal that it is called with; these are none.
@@ -69,8 +71,8 @@ def entry(*signature):
 Chain = namedtuple(
     'Chain',
     'n k m wide cells offset tendon values on gravity radius helix beside '
-    'step residual respond newton settle march load_moments bow_cells load_slopes descend '
-    'leaning_travel leaning_slopes',
+    'step prepare residual respond newton settle march load_moments flat_moments bow_cells '
+    'load_slopes descend leaning_travel leaning_slopes remembered ramped',
 )
 LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT, MASS_X, MASS_Y = np.arange(8)
 COLUMNS = 8
@@ -84,14 +86,17 @@ Memory = namedtuple('Memory', 'bend sign travel inputs')
 
 # Work: scratch of one posture. half (n, 2): half angles, see `turning`; wrench (n, 6): force [N]
 # and torque [N·m] at the cells' ends of the loads beyond; lag (2, n, k): travel [m] that `stick`
-# has not taken over, here and beyond, else zeros; slip (4,): smoothing
-# length [m], load scale [1], whether a sweep looks at the guess (1) or goes without (0), and
-# whether an equilibrium is looked for in every way (1) or only in the quick ones (0).
-# axial (n, k): moment arms of the tendons about the axis [m]; torque (n,): of the loads [N·m].
+# has not taken over, here and beyond, else zeros; slip (5,): smoothing
+# length [m], load scale [1], whether a sweep looks at the guess (1) or goes without (0),
+# whether an equilibrium is looked for in every way (1) or only in the quick ones (0), and
+# whether all loads lie in the plane x, z (1).
+# axial (n, k): moment arms of the tendons about the axis [m]; torque (n,): of the loads [N·m];
+# compliance (n,): of a cell in bending [rad/(N·m)], from `begin` on; passed (n,): tension behind
+# an eyelet over that before it.
 Work = namedtuple(
     'Work',
     'moment_arms travel beyond load lengths tensions frames origins half wrench lag slip axial '
-    'torque',
+    'torque compliance passed',
 )
 
 # Workspace of a search: scratch, memory before and after, the state kept and that of a trial
@@ -106,10 +111,10 @@ BEND_TOLERANCE = 1e-10  # [rad] largest change of a bend at which a shape counts
 SLIP_LENGTH = 2e-6  # [m] travel over which the sign of friction is smoothed
 
 WORD = types.int64
-CHAIN, _chain_from = record_type(Chain, (WORD,) * 10 + (types.float64,) + (WORD,) * 14)
+CHAIN, _chain_from = record_type(Chain, (WORD,) * 10 + (types.float64,) + (WORD,) * 18)
 WORK_FIELDS = len(Work._fields)
 APART = ('tensions', 'frames', 'origins')  # of Work, may lie elsewhere
-WORK, _work_from = record_type(Work, (WORD,) * 14, APART)
+WORK, work_from = record_type(Work, (WORD,) * 16, APART)
 MEMORY = types.NamedUniTuple(WORD, 4, Memory)
 STEP = types.void(CHAIN, WORD, WORD, WORK, MEMORY, WORD)
 RESPOND = types.int64(CHAIN, WORD, WORD, WORD, WORK, MEMORY, WORD, WORD)
@@ -120,6 +125,8 @@ PLACE = types.void(CHAIN, WORD, WORK)
 LOAD_SLOPES = types.void(CHAIN, WORD, WORK, WORD, WORD, types.float64)
 DESCEND = types.void(CHAIN, WORD, WORD, WORK, MEMORY, types.float64)
 LEANING_TRAVEL = types.void(CHAIN, WORD, *(types.float64,) * 6, WORK)
+REMEMBERED = types.float64(CHAIN, types.float64, types.float64, WORD)
+RAMPED = types.float64(CHAIN, WORD, WORK, MEMORY, MEMORY, WORD, WORD)
 LEANING_SLOPES = types.void(CHAIN, WORK, WORD, *(types.float64,) * 4, WORD)
 
 
@@ -163,16 +170,18 @@ def _function_at(signature):
 floats = _pointer_to(types.float64)
 words = _pointer_to(types.int64)
 flags = _pointer_to(types.uint8)
-step_at = residual_at = _function_at(STEP)
+step_at = prepare_at = residual_at = _function_at(STEP)
 respond_at = _function_at(RESPOND)
 newton_at = _function_at(NEWTON)
 settle_at = _function_at(SETTLE)
 march_at = _function_at(MARCH)
-load_moments_at = bow_cells_at = _function_at(PLACE)
+load_moments_at = flat_moments_at = bow_cells_at = _function_at(PLACE)
 load_slopes_at = _function_at(LOAD_SLOPES)
 descend_at = _function_at(DESCEND)
 leaning_travel_at = _function_at(LEANING_TRAVEL)
 leaning_slopes_at = _function_at(LEANING_SLOPES)
+remembered_at = _function_at(REMEMBERED)
+ramped_at = _function_at(RAMPED)
 clock_gettime: Any = types.ExternalFunction('clock_gettime', types.int32(types.int32, WORD))
 
 
@@ -206,8 +215,10 @@ def work_sizes(n, k):
         2 * n,
         6 * n,
         2 * pulls,
-        4,
+        5,
         pulls,
+        n,
+        n,
         n,
     )
 
@@ -274,33 +285,9 @@ def memory_in(chain, start):
 
 
 @compiled
-def work_in(start):
-    """Scratch of a posture at an address, laid out by `lay_out_work`; ready for a new search."""
-    at = words(start)
-    work = _work_from(start, at[5], at[6], at[7])
-    slip = floats(work.slip)
-    slip[0], slip[1], slip[2], slip[3] = SLIP_LENGTH, 1.0, 1.0, 1.0
-    for r in range(3):
-        floats(work.frames)[4 * r] = 1.0
-    return work
-
-
-@compiled
-def workspace(chain, bends, past, scratch):
-    """Lay out what a search needs; `bends` (2, 3n) and `past` are kept alive outside."""
-    n, k = chain.n, chain.k
-    now = memory_in(chain, scratch + 8 * work_size(n, k))
-    before = now.bend + 8 * memory_size(n, k, chain.m)
-    pulls, bend = before + 24 * n, address(bends)
-    then = memory_in(chain, address(past))
-    work = work_in(scratch)
-    return Workspace(work, then, now, bend, bend + 24 * n, before, pulls, pulls + 8 * k)
-
-
-@compiled
 def with_results(work, tensions, frames, origins):
     """Scratch whose tensions, frames and origins lie elsewhere."""
-    return _work_from(work.at, tensions, frames, origins)
+    return work_from(work.at, tensions, frames, origins)
 
 
 @compiled

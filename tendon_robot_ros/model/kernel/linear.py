@@ -2,7 +2,7 @@
 
 import math
 
-from .layout import compiled, floats, reordered
+from .layout import compiled, floats, numeric, reordered
 
 
 @compiled
@@ -20,17 +20,6 @@ def fill(target, value):
             target[r, j] = value
 
 
-@compiled
-def largest(values):
-    """Largest absolute entry; NaN counts as infinite."""
-    top = 0.0
-    for value in values:
-        if not abs(value) <= 1e6:
-            return math.inf
-        top = max(top, abs(value))
-    return top
-
-
 @reordered
 def dot(a, b):
     """Inner product."""
@@ -38,6 +27,24 @@ def dot(a, b):
     for j in range(a.shape[0]):
         total += a[j] * b[j]
     return total
+
+
+@numeric
+def peak(values):
+    """Largest absolute entry, none of which is NaN."""
+    top = 0.0
+    for j in range(values.shape[0]):
+        size = abs(values[j])
+        top = size if size > top else top
+    return top
+
+
+@compiled
+def largest(values):
+    """Largest absolute entry; infinite where they are, or NaN, or beyond all use."""
+    if not dot(values, values) <= 1e12:
+        return math.inf
+    return peak(values)
 
 
 @compiled

@@ -15,13 +15,14 @@ from numba.core import types
 from numba.core.codegen import CodeLibrary, JITCodeLibrary
 from numba.core.compiler import Compiler
 
-NUMBERS = (types.Float, types.Integer, types.Boolean)
-_FOUND: dict[Any, Any] = {}  # signatures of operators on numbers
+NUMBERS = (types.Float, types.Integer, types.Boolean, types.CPointer)
+_FOUND: dict[Any, Any] = {}  # signatures of operators on numbers, and of their places in memory
 
 
 def _is_operator(function):
-    """Tell whether a function is one of Python's operators."""
-    return getattr(operator, getattr(function, '__name__', ''), None) is function
+    """Tell whether a function is one of Python's operators, or its question whether it is true."""
+    own = getattr(function, 'typing_key', function)
+    return own is bool or getattr(operator, getattr(own, '__name__', ''), None) is own
 
 
 class PartLibrary(JITCodeLibrary):
@@ -33,6 +34,14 @@ class PartLibrary(JITCodeLibrary):
         own: Any = copy.copy(self._codegen)
         own.set_env = lambda name, environment: None
         return own
+
+    def _optimize_functions(self, ll_module):
+        """Simplify what is to be linked a little."""
+        ll_module.data_layout = self._codegen._data_layout
+        for function in ll_module.functions:
+            if not function.is_declaration:
+                passes, builder = self._codegen._function_pass_manager(opt=1)
+                passes.run(function, builder)
 
     def finalize(self):
         """Leave linking, optimisation of the whole and machine code to the entry."""
@@ -57,6 +66,11 @@ class EntryLibrary(JITCodeLibrary):
             _gather(library, found)
         self._linking_libraries = [*found][::-1]
         super().finalize()
+
+    def _optimize_final_module(self):
+        """Optimise the whole once: there are hardly any reference counts to look for before."""
+        passes, builder = self._codegen._module_pass_manager(opt=2)
+        passes.run(self._final_module, builder)
 
 
 def _gather(library, found):
@@ -93,12 +107,9 @@ def _remembering(context):
     own, found = copy.copy(context), _FOUND
 
     def resolve(function, args, kws):
-        known = isinstance(function, types.Function) and not kws
-        if not known or not all(type(kind) in NUMBERS for kind in args):
+        if kws or not all(type(kind) in NUMBERS for kind in args) or not _is_operator(function):
             return context.resolve_function_type(function, args, kws)
-        if not _is_operator(function.typing_key):
-            return context.resolve_function_type(function, args, kws)
-        key = function.typing_key, args
+        key = function, args
         if key not in found:
             found[key] = context.resolve_function_type(function, args, kws)
         return found[key]
@@ -123,6 +134,7 @@ class PartCompiler(Compiler):
             state.typingctx = _remembering(state.typingctx)
         made = super().define_pipelines()
         for manager in made:
+            manager._ENFORCING = False  # the passes themselves leave all in order
             manager.passes = [
                 one for one in manager.passes if one[0].__name__ not in self.left_out
             ]

@@ -105,7 +105,7 @@ def load_slopes(chain, bend, work, i, tangent, total):
     f, wrench = bending_frame(chain, bend, work, i, general), floats(work.wrench + 48 * i)
     force, torque = (wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])
     own = scaled(floats(work.slip)[1], weight(chain, i))
-    loads, bow = (local(f, force), local(f, torque), local(f, own)), bow_compliance(chain, i)
+    loads, bow = (local(f, force), local(f, torque), local(f, own)), bow_compliance(chain, work, i)
     for a in range(2):
         dx, dy = (h, 0.0) if a == 0 else (0.0, h)
         m, up, mid = loaded_cell(chain, work, i, x + dx, y + dy, *loads, bow, general)

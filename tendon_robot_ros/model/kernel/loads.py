@@ -213,7 +213,7 @@ def bow_cells(chain, bend, work):
         elif general:
             f = turned_axes(BASE_FRAME, 0.5 * twist_in(chain, bend, i))
         x, y, s, c = bends[2 * i], bends[2 * i + 1], half[2 * i], half[2 * i + 1]
-        part, bow = half_arc(x, y, s, c), bow_compliance(chain, i)
+        part, bow = half_arc(x, y, s, c), bow_compliance(chain, work, i)
         _, _, over = bowed(bow, x, y, s, c, part, local(f, across))
         shift, beyond = plus(shift, turned(f, over)), plus(beyond, scaled(-1.0, own))
         for r in range(3):
@@ -260,7 +260,7 @@ def fill_moments(chain, bend, work, general):
             torque_here,
             local(f, own),
             lengths[i],
-            bow_compliance(chain, i),
+            bow_compliance(chain, work, i),
             general,
         )
         moments[2 * i], moments[2 * i + 1] = mx, my

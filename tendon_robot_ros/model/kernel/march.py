@@ -15,7 +15,14 @@ from .layout import MARCH, YES, address, compiled, entry, floats, residual_at
 from .linear import largest
 from .residual import moment_arms_of, tendon_moment
 from .stages import offset_scale, torsion_acts
-from .sweep import active_stages, base_tensions, pass_eyelet, tendons_about
+from .sweep import (
+    active_stages,
+    base_tensions,
+    pass_eyelet,
+    share_there,
+    slip_rate_in,
+    tendons_about,
+)
 from .turning import follows_shape, half_turn, twist_in, unknowns
 
 RESIDUAL_STEP = 1e-7  # [rad] of the differences
@@ -67,7 +74,12 @@ def cell_residual(chain, work, past, state, i, last_x, last_y, x, y):
     moment_arms, factor = moment_arms_of(chain, work)
     if i > 0:
         flags = active_stages(chain, YES)
-        pass_eyelet(chain, work, past, i - 1, last_x, last_y, x, y, moment_arms, scale, flags)
+        ahead = x - last_x, y - last_y
+        before, rate = i - 1, slip_rate_in(work)
+        passed = share_there(chain, work, before, last_x, last_y, *ahead, flags)
+        pass_eyelet(
+            chain, work, past, before, last_x, last_y, passed, rate, moment_arms, scale, flags
+        )
     if torsion_acts(chain):
         solve_twist(chain, work, state, i, x, y)
     mx, my, total = tendon_moment(chain, work, i, moment_arms, factor)

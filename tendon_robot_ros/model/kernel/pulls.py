@@ -10,8 +10,9 @@ import math
 
 import numpy as np
 
+from .begin import workspace
 from .derivatives import output_slopes
-from .layout import ONE, ZERO, address, chain_at, compiled, entry, floats, keep, workspace
+from .layout import ONE, ZERO, address, chain_at, compiled, entry, floats, keep
 from .linear import solve_rows, solve_small
 from .shape import accept, balance, mean_pulls, predict, wire_pulls
 from .turning import unknowns

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from .geometry import scale_lengths, tendon_travel, travel_beyond
+from .begin import work_in
+from .geometry import scale_lengths, tendon_travel
 from .layout import (
     BEND_TOLERANCE,
     LENGTH,
-    YES,
     address,
     cell,
     chain_at,
@@ -18,19 +18,18 @@ from .layout import (
     floats,
     memory_in,
     memory_size,
+    ramped_at,
     residual_at,
     section_of,
     settle_at,
     step_at,
     with_results,
     words,
-    work_in,
     work_size,
 )
 from .linear import assign
 from .loads import place_cells
 from .stages import (
-    friction_travel_acts,
     measurement,
     memory_acts,
     offset_scale,
@@ -39,31 +38,10 @@ from .stages import (
     winding,
     winding_acts,
 )
-from .sweep import is_implicit, slip_direction
+from .sweep import is_implicit
 from .turning import unknowns
 
 GUESS_STEP_MAX = 0.3  # [rad] step of a bend over which a derivative is no guess
-
-
-@compiled
-def remember(chain, inputs, bend, work, past, now):
-    """Fill the friction memory `now` after a posture that came after `past`."""
-    copy(bend, now.bend, unknowns(chain))
-    copy(inputs, now.inputs, chain.m)
-    if not memory_acts(chain):
-        return
-    tendon_travel(chain, bend, offset_scale(1.0, chain, 0), work)
-    slides = friction_travel_acts(chain)
-    if slides:
-        travel_beyond(chain, work)
-    sign, travel, tendon = floats(now.sign), floats(now.travel), words(chain.tendon)
-    for k in range(chain.k):
-        for i in range(tendon[2 * k] - 1):
-            at = chain.k * i + k
-            here = floats(work.travel)[at]
-            sign[at], travel[at] = slip_direction(
-                chain, work, past, at, section_of(chain, i), here, 0.0, slides, YES
-            )
 
 
 @compiled
@@ -79,49 +57,12 @@ def settle(chain, inputs, work, past, bend):
 
 
 @compiled
-def ramp(chain, inputs, work, past, now, bend, parts, found):
-    """
-    Go from the remembered tensions to new ones in equal parts; `now` is the memory then.
-
-    Every part is looked for on the straight way from the last one to the state found before.
-
-    Parameters
-    ----------
-    inputs : address
-        (m,) [N] to go to.
-    past, now : Memory
-        Of the posture before; takes that after the last part.
-    bend : address
-        Takes the state [rad].
-    parts : int
-    found : address
-        State [rad] that fewer parts led to; 0: none did.
-
-    """
-    change = 0.0
-    copy(past.bend, bend, unknowns(chain))
-    copy(past.bend, now.bend, memory_size(chain.n, chain.k, chain.m))
-    aim, start, there = floats(inputs), floats(past.inputs), floats(now.inputs)
-    for part in range(parts):
-        for j in range(chain.m):
-            share = (part + 1.0) / parts
-            there[j] = (1.0 - share) * start[j] + share * aim[j]
-        for q in range(unknowns(chain) if found != 0 else 0):
-            floats(bend)[q] += (floats(found)[q] - floats(bend)[q]) / (parts - part)
-        change = settle(chain, now.inputs, work, now, bend)
-        if not change < BEND_TOLERANCE:
-            break
-        remember(chain, now.inputs, bend, work, now, now)
-    return change
-
-
-@compiled
 def posture(chain, inputs, work, past, now, bend, before):
     """
     Equilibrium state in `bend` and the memory `now` after it; return the last change.
 
-    With friction memory it is reached from the posture in `past`, in ever finer parts until the
-    result stays; without, from the guess in `bend`. `before` (3n,) is scratch.
+    With friction memory it is reached from the posture in `past` (`history`); without, from the
+    guess in `bend`.
 
     Parameters
     ----------
@@ -135,22 +76,11 @@ def posture(chain, inputs, work, past, now, bend, before):
         Scratch (3n,).
 
     """
-    if not memory_acts(chain):
-        change = settle(chain, inputs, work, past, bend)
-        remember(chain, inputs, bend, work, past, now)
-        return change
-    parts, none = np.int64(1), np.int64(0)
-    change = ramp(chain, inputs, work, past, now, bend, parts, none)
-    while parts < 64:
-        found = before if change < BEND_TOLERANCE else none
-        copy(bend, before, unknowns(chain))
-        parts *= 2
-        change = ramp(chain, inputs, work, past, now, bend, parts, found)
-        moved = 0.0
-        for j in range(unknowns(chain)):
-            moved = max(moved, abs(floats(bend)[j] - floats(before)[j]))
-        if change < BEND_TOLERANCE and moved < 1e-6:
-            break
+    if memory_acts(chain):
+        return ramped_at(chain.ramped)(chain, inputs, work, past, now, bend, before)
+    change = settle(chain, inputs, work, past, bend)
+    copy(bend, now.bend, unknowns(chain))
+    copy(inputs, now.inputs, chain.m)
     return change
 
 
@@ -168,10 +98,10 @@ def wire_pulls(chain, bend, work, pulls):
     totals, k = floats(pulls), chain.k
     tendon_travel(chain, bend, offset_scale(1.0, chain, 0), work)
     for j in range(k):
-        total = 0.0
-        for i in range(tendon[2 * j]):
-            total += floats(work.travel)[k * i + j]
-        totals[j] = total
+        totals[j] = 0.0
+    for i in range(chain.n):  # no tendon waits for the sum of another
+        for j in range(k):
+            totals[j] += floats(work.travel)[k * i + j]
     if stretch_acts(chain):
         for j in range(k):
             for i in range(tendon[2 * j]):
@@ -284,7 +214,7 @@ def postures(robot, block, count, begin, end, past, scratch, carry):
     """
     chain = chain_at(robot)
     n, k, m = chain.n, chain.k, chain.m
-    work = work_in(scratch)
+    work = work_in(chain, scratch)
     now = memory_in(chain, scratch + 8 * work_size(n, k))
     before = now.bend + 8 * memory_size(n, k, m)
     start = address(block)
@@ -308,7 +238,7 @@ def postures(robot, block, count, begin, end, past, scratch, carry):
 def show_postures(robot, block, count, past, scratch):
     """Fill a block from its inputs and bends as they are, without solving."""
     chain = chain_at(robot)
-    work, then = work_in(scratch), memory_in(chain, past)
+    work, then = work_in(chain, scratch), memory_in(chain, past)
     f = np.empty(unknowns(chain))
     for b in range(count):
         row, _, here = results_at(chain, address(block), count, b, work)

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from .begin import workspace
 from .derivatives import combine_tendons, place_as
 from .inverse import gauss_newton_step, tip_error
 from .layout import (
@@ -23,7 +24,6 @@ from .layout import (
     floats,
     monotonic,
     respond_at,
-    workspace,
 )
 from .linear import largest
 from .residual import imbalance, place_forces, place_travel

@@ -61,22 +61,21 @@ def anderson_step(x, f, steps, changes, used, gram, factor, weights):
         weights[p] = dot(changes[p], f)
     solve_small(factor, weights, used)
     for j in range(x.shape[0]):
-        move = f[j]
-        for p in range(used):
-            move -= weights[p] * (steps[p, j] + changes[p, j])
-        x[j] += move
+        x[j] += f[j]
+    for p in range(used):
+        weight = weights[p]
+        for j in range(x.shape[0]):
+            x[j] -= weight * (steps[p, j] + changes[p, j])
 
 
 @compiled
 def repeat_sweeps(chain, inputs, x, work, past, most):
     """Repeat sweeps from a state x, accelerated (Anderson 1965); return the last change [rad]."""
-    size = x.shape[0]
-    flat = np.empty(size)
-    f, old_x, old_f = np.empty(size), np.empty(size), np.empty(size)
-    steps, changes = np.empty((ANDERSON_DEPTH, size)), np.empty((ANDERSON_DEPTH, size))
-    square = (ANDERSON_DEPTH, ANDERSON_DEPTH)
-    gram, factor = np.empty(square), np.empty(square)
-    weights = np.empty(ANDERSON_DEPTH)
+    size, depth = x.shape[0], ANDERSON_DEPTH
+    rows, small = np.empty((4 + 2 * depth, size)), np.empty((1 + 2 * depth, depth))
+    flat, f, old_x, old_f = rows[0], rows[1], rows[2], rows[3]
+    steps, changes = rows[4 : 4 + depth], rows[4 + depth :]
+    weights, gram, factor = small[0], small[1 : 1 + depth], small[1 + depth :]
     best, first = math.inf, math.inf
     for turn in range(most):
         step_at(chain.step)(chain, inputs, address(x), work, past, address(flat))

@@ -3,16 +3,15 @@
 import math
 
 from .bending import bend_cell, bend_linear, is_linear, twist_of
-from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import (
     STEP,
-    YES,
     compiled,
     entry,
     floats,
     fused,
     inlined,
-    load_moments_at,
+    prepare_at,
+    remembered_at,
     section_of,
     words,
 )
@@ -23,8 +22,6 @@ from .stages import (
     eyelet_acts,
     friction_travel,
     friction_travel_acts,
-    length_acts,
-    memory,
     memory_acts,
     offset_scale,
     rest,
@@ -32,7 +29,7 @@ from .stages import (
     wrap,
     wrap_acts,
 )
-from .turning import chain_frames, follows_shape, half_turn, half_turns
+from .turning import follows_shape, half_turn
 
 
 @compiled
@@ -55,6 +52,12 @@ def smooth_sign(travel, slip_rate):
 
 
 @inlined
+def slip_rate_in(work):
+    """One over the slip length [1/m]."""
+    return 1.0 / floats(work.slip)[0]
+
+
+@inlined
 def slip_direction(chain, work, past, at, section, here, slip_rate, slides, remembers):
     """
     Direction s of friction at entry `at` of the travel (n, k), and what has travelled [m].
@@ -74,9 +77,9 @@ def slip_direction(chain, work, past, at, section, here, slip_rate, slides, reme
     beyond = floats(work.beyond)[at] if slides else 0.0
     if remembers:
         travel = friction_travel(here, beyond, chain, section)
-        return memory(
-            0.0, floats(past.sign)[at], travel - floats(past.travel)[at], chain, section
-        ), travel
+        moved = travel - floats(past.travel)[at]
+        before = floats(past.sign)[at]
+        return remembered_at(chain.remembered)(chain, before, moved, section), travel
     if slides:
         return friction_travel(
             smooth_sign(here, slip_rate), smooth_sign(beyond, slip_rate), chain, section
@@ -111,8 +114,12 @@ def fast_exp(x):
 
 
 @inlined
-def times_power(t, passed, s, log_passed):
-    """t passed ** s, without the power where s is saturated; log(passed) once it is known."""
+def times_power(t, passed, s, log_passed, again):
+    """
+    t passed ** s, without the power where s is saturated; log(passed) once it is known.
+
+    `again` is where `passed` lies: LLVM would compute the logarithm before it is asked for.
+    """
     if s == 1.0:
         return t * passed, log_passed
     if s == -1.0:
@@ -120,7 +127,7 @@ def times_power(t, passed, s, log_passed):
     if not passed > 0.0:
         return t * passed**s, log_passed
     if log_passed == 0.0:
-        log_passed = fast_log(passed)
+        log_passed = fast_log(floats(again)[0])
     return t * fast_exp(s * log_passed), log_passed
 
 
@@ -157,29 +164,60 @@ def active_stages(chain, shaped):
 
 
 @inlined
-def share_passed(chain, work, i, bx, by, next_x, next_y, wraps):
-    """Tension behind the eyelet of cell i over that before it, for a tendon that slides."""
-    section = section_of(chain, i)
-    turning = size_of(bx, by) * floats(work.half)[2 * i]
+def sine_between(bx, by, ahead_x, ahead_y):
+    """S, see `turning`, of the mean of a bend and of one that bends more by (ahead_x, ahead_y)."""
+    x, y = bx + 0.5 * ahead_x, by + 0.5 * ahead_y
+    return half_turn(x * x + y * y)[0]
+
+
+@inlined
+def share_passed(chain, i, bx, by, ahead_x, ahead_y, sine, sine_mean, flags):
+    """
+    Tension behind the eyelet of cell i over that before it, for a tendon that slides.
+
+    Parameters
+    ----------
+    bx, by, ahead_x, ahead_y : float
+        Bend of that cell, and by how much the next one bends more [rad].
+    sine, sine_mean : float
+        S, see `turning`, of that bend, and `sine_between`, where it wraps [1/rad].
+    flags : tuple of bool
+        `active_stages`.
+
+    """
+    friction, _, wraps, _, _ = flags
+    if not friction:
+        return 1.0
+    section, turning = section_of(chain, i), size_of(bx, by) * sine
     if wraps:
-        x, y = 0.5 * (bx + next_x), 0.5 * (by + next_y)
-        turning = wrap(turning, size_of(x, y) * half_turn(x * x + y * y)[0], chain, section)
+        mean = size_of(bx + 0.5 * ahead_x, by + 0.5 * ahead_y) * sine_mean
+        turning = wrap(turning, mean, chain, section)
     return eyelet(1.0, turning, chain, section)
 
 
 @inlined
-def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, moment_arms, scale, flags):
+def share_there(chain, work, i, bx, by, ahead_x, ahead_y, flags):
+    """Return `share_passed` with S of these very bends; work.half holds that of cell i."""
+    sine_mean = sine_between(bx, by, ahead_x, ahead_y) if flags[2] else 0.0
+    sine = floats(work.half)[2 * i]
+    return share_passed(chain, i, bx, by, ahead_x, ahead_y, sine, sine_mean, flags)
+
+
+@inlined
+def pass_eyelet(chain, work, past, i, bx, by, passed, slip_rate, moment_arms, scale, flags):
     """
     Take the tensions over the eyelet between cells i and i + 1 (eq. 10).
 
-    work.half holds that of cell i. Returns moment (x, y) [N·m] and sum [N] of the next cell.
+    Returns moment (x, y) [N·m] and sum [N] of the next cell.
 
     Parameters
     ----------
     i : int
         The cell before the eyelet.
-    bx, by, next_x, next_y : float
-        Bends of the cells on both sides [rad].
+    bx, by : float
+        Its bend [rad].
+    passed, slip_rate : float
+        `share_passed` [1]; one over the slip length [1/m].
     moment_arms : address
         (n, k, 2) [m], see `residual.moment_arms_of`.
     scale : float
@@ -188,14 +226,13 @@ def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, moment_arms, scale
         `active_stages`.
 
     """
-    friction, straight, wraps, slides, remembers = flags
+    friction, straight, _, slides, remembers = flags
     tensions, tendon, at = floats(work.tensions), words(chain.tendon), chain.k * i
     section = section_of(chain, i)
-    passed, x0, y0, slip_rate, log_passed = 1.0, 0.0, 0.0, 0.0, 0.0
+    x0, y0, log_passed, again = 0.0, 0.0, 0.0, work.passed + 8 * i
+    floats(again)[0] = passed
     last, last_sign = -1.0, 0.0  # tendons on opposite sides travel alike
     if friction:
-        slip_rate = 1.0 / floats(work.slip)[0]
-        passed = share_passed(chain, work, i, bx, by, next_x, next_y, wraps)
         x0, y0 = rest(0.0, 0.0, chain, section)
         x0, y0 = scale * (bx - x0), scale * (by - y0)
     offsets, lever = floats(chain.offset), floats(moment_arms)
@@ -219,7 +256,7 @@ def pass_eyelet(chain, work, past, i, bx, by, next_x, next_y, moment_arms, scale
                         last = abs(here)
                         last_sign = smooth_sign(last, slip_rate)
                     s = math.copysign(last_sign, here)
-                t, log_passed = times_power(t, passed, s, log_passed)
+                t, log_passed = times_power(t, passed, s, log_passed, again)
             mx += t * lever[2 * j]
             my += t * lever[2 * j + 1]
             total += t
@@ -257,7 +294,7 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
     """
     load, bends, guesses, half = floats(work.load), floats(out), floats(guess), floats(work.half)
     flags = active_stages(chain, shaped)
-    loads, linear = shaped and loaded(chain), is_linear(chain)
+    loads, linear, slip_rate = shaped and loaded(chain), is_linear(chain), slip_rate_in(work)
     friction_scale = offset_scale(1.0, chain, 0)
     moment_arms, scale = chain.offset, friction_scale
     if flags[1]:
@@ -268,18 +305,23 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
         if loads:  # else the scratch may still hold those of another model
             load_x, load_y = load[2 * i], load[2 * i + 1]
         if linear:
-            bx, by = bend_linear(chain, i, mx, my, load_x, load_y, scale)
+            bx, by = bend_linear(chain, work, i, mx, my, load_x, load_y, scale)
         else:
             bx, by = bend_cell(chain, past, i, scale * mx + load_x, scale * my + load_y, total)
         last_x, last_y = guesses[2 * i], guesses[2 * i + 1]
         bends[2 * i], bends[2 * i + 1] = bx, by
-        half[2 * i], half[2 * i + 1] = half_turn(bx * bx + by * by)
+        s, c = half_turn(bx * bx + by * by)
         if i + 1 < chain.n:
             # what this cell moved from its guess, its neighbour will have moved, too
-            next_x, next_y = guesses[2 * i + 2] + bx - last_x, guesses[2 * i + 3] + by - last_y
+            ahead_x, ahead_y = guesses[2 * i + 2] - last_x, guesses[2 * i + 3] - last_y
+            sine, sine_mean = s, 0.0
+            if flags[2]:  # S of the guess: it hardly changes, and no cell waits for it
+                sine, sine_mean = half[2 * i], sine_between(last_x, last_y, ahead_x, ahead_y)
+            passed = share_passed(chain, i, bx, by, ahead_x, ahead_y, sine, sine_mean, flags)
             mx, my, total = pass_eyelet(
-                chain, work, past, i, bx, by, next_x, next_y, moment_arms, friction_scale, flags
+                chain, work, past, i, bx, by, passed, slip_rate, moment_arms, friction_scale, flags
             )
+        half[2 * i], half[2 * i + 1] = s, c
     if torsion_acts(chain):
         sweep_twists(chain, work, out, shaped, loads)
 
@@ -311,37 +353,19 @@ def carry_tensions(chain, inputs, bend, work, past, flags, moment_arms, scale):
         Factor on the tendon offsets [1].
 
     """
-    bends = floats(bend)
+    bends, rate = floats(bend), slip_rate_in(work)
     base_tensions(chain, inputs, work, moment_arms)
     for i in range(chain.n - 1):
-        x, y, next_x, next_y = bends[2 * i], bends[2 * i + 1], bends[2 * i + 2], bends[2 * i + 3]
-        pass_eyelet(chain, work, past, i, x, y, next_x, next_y, moment_arms, scale, flags)
-
-
-@compiled
-def prepare(chain, inputs, guess, work, past):
-    """Fill moment arms, travel, travel beyond and load moments that a guess of bends gives."""
-    scale, flags = offset_scale(1.0, chain, 0), active_stages(chain, YES)
-    friction, straight, _, slides, _ = flags
-    slides = friction and slides
-    if straight or loaded(chain):
-        half_turns(chain, guess, work)
-    if straight or slides:
-        tendon_travel(chain, guess, scale, work)
-    if slides:
-        travel_beyond(chain, work)
-    if loaded(chain):
-        if length_acts(chain):
-            carry_tensions(chain, inputs, guess, work, past, flags, chain.offset, scale)
-        scale_lengths(chain, work)
-        chain_frames(chain, guess, work)
-        load_moments_at(chain.load_moments)(chain, guess, work)
+        x, y = bends[2 * i], bends[2 * i + 1]
+        ahead_x, ahead_y = bends[2 * i + 2] - x, bends[2 * i + 3] - y
+        passed = share_there(chain, work, i, x, y, ahead_x, ahead_y, flags)
+        pass_eyelet(chain, work, past, i, x, y, passed, rate, moment_arms, scale, flags)
 
 
 @entry(STEP)
 def step(chain, inputs, guess, work, past, out):
     """One sweep with everything that the guess decides."""
     shaped = floats(work.slip)[2] != 0.0
-    if shaped:
-        prepare(chain, inputs, guess, work, past)
+    if shaped and is_implicit(chain):
+        prepare_at(chain.prepare)(chain, inputs, guess, work, past, out)
     sweep(chain, inputs, guess, work, past, out, shaped)

@@ -32,6 +32,7 @@ from .layout import (
     inlined,
     leaning_slopes_at,
     load_slopes_at,
+    remembered_at,
     section_of,
     tangent_of,
     words,
@@ -42,7 +43,6 @@ from .residual import moment_arms_of, tendon_moment
 from .stages import (
     eyelet,
     friction_travel,
-    memory,
     offset_scale,
     torsion_acts,
     wrap,
@@ -161,9 +161,10 @@ def slip_slopes(chain, work, past, at, section, here, slides, remembers):
             by_beyond = friction_travel(here, beyond + h, chain, section)
             by_beyond = (by_beyond - friction_travel(here, beyond - h, chain, section)) / (2.0 * h)
             here = friction_travel(here, beyond, chain, section)
-        s = memory(0.0, sign, here - last, chain, section)
-        rate = memory(0.0, sign, here - last + h, chain, section)
-        rate = (rate - memory(0.0, sign, here - last - h, chain, section)) / (2.0 * h)
+        law = remembered_at(chain.remembered)
+        s = law(chain, sign, here - last, section)
+        rate = law(chain, sign, here - last + h, section)
+        rate = (rate - law(chain, sign, here - last - h, section)) / (2.0 * h)
         return s, by_here * rate, by_beyond * rate
     rate = 1.0 / floats(work.slip)[0]
     s = smooth_sign(here, rate)

@@ -90,6 +90,7 @@ def axial_moment(x, y, sinc, versine, torque, start):
     return 0.5 * (start[2] + end)
 
 
+ARC_SERIES_BELOW = 0.25  # [rad²] below it the series of `arc_factor` does
 SERIES_BELOW = 2.4  # [rad²] below it the polynomials hold to the last digit (a / 2 < pi / 4)
 
 
@@ -139,8 +140,14 @@ def halved(s, c):
 @fused
 def arc_factor(q, s, c):
     """(sin(a)/a - cos(a)) / a² for S and C of a bend whose square is q [rad²]."""
-    if not q < 0.25:
+    if not q < ARC_SERIES_BELOW:
         return (2.0 * s * c - 1.0 + 2.0 * s * s * q) / q
+    return gentle_arc(q)
+
+
+@fused
+def gentle_arc(q):
+    """`arc_factor` of a bend whose square q [rad²] is below `ARC_SERIES_BELOW`."""
     q2 = q * q
     return (
         (1.0 / 3.0 + q * (-1.0 / 30.0))
