@@ -34,7 +34,7 @@ BESIDE = """
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.compile import compiled_beside, compose
 catalogue = load_catalogue()
-with compiled_beside(catalogue, 'residual', 'residual'):
+with compiled_beside(catalogue, ('residual', 'residual')):
     pass
 kernel = compose(catalogue)
 kernel('layout').address_of(kernel('residual').residual)

@@ -23,11 +23,15 @@ Floats = npt.NDArray[np.float64]
 # chain, the module and its name. A first shape of an explicit model need not wait for them.
 LINKED = {
     'prepare': ('prepare', 'prepare'),
+    'place_travel': ('residual', 'place_travel'),
+    'balance': ('residual', 'balance'),
     'residual': ('residual', 'residual'),
     'respond': ('response', 'respond'),
     'newton': ('newton', 'newton'),
     'settle': ('solve', 'solve_equilibrium'),
 }
+# Half of the work: these are compiled by a process of its own.
+BESIDE = ('respond', 'balance', 'residual', 'newton')
 # The same that only loaded arms call, those whose tendons lean, those whose friction remembers,
 # and those without loads whose friction follows the cell alone.
 OF_LOADS = {
@@ -78,14 +82,16 @@ class KernelArrays:
         for name, values in robot.effects.items():
             self._read(name, values)
         linked = bool(self._acting() & LINKING_STAGES) or bool(self.helix.any())
-        beside = compiled_beside(catalogue, *LINKED['respond']) if linked else nullcontext()
+        entries = [LINKED[field] for field in BESIDE]
+        beside = compiled_beside(catalogue, *entries) if linked else nullcontext()
         with beside:
             self.chain = self._chain()
             radius = np.float64(self.chain.radius).view(np.int64)
             self._words = np.array(self.chain._replace(radius=radius), dtype=np.int64)
             self.address = int(self._words.ctypes.data)  # of the chain's fields, for the kernel
             if linked:
-                self._link([field for field in self._called() if field != 'respond'])
+                self._link([field for field in self._called() if field not in BESIDE])
+                self.part('layout').address_of(self.part('shape').postures)
         if linked:
             self.link()
 

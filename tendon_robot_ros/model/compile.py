@@ -174,24 +174,25 @@ from tendon_robot_ros.model.compile import compose
 
 end_with_parent()
 kernel = compose(load_catalogue())
-kernel('layout').address_of(kernel({part!r}).{entry})
+for part, entry in {entries!r}:
+    kernel('layout').address_of(getattr(kernel(part), entry))
 """
 
 
 @contextmanager
-def compiled_beside(catalogue: Catalogue, part: str, entry: str) -> Iterator[None]:
+def compiled_beside(catalogue: Catalogue, *entries: tuple[str, str]) -> Iterator[None]:
     """
-    Have a process of its own compile an entry of a module of the kernel meanwhile; wait for it.
+    Have a process of its own compile entries of the kernel meanwhile; wait for it.
 
-    Nothing happens where it is compiled, where one processor is all there is, and with effects
-    that another process would have to be told of.
+    Each by its module and its name. Nothing happens where the first is compiled, where one
+    processor is all there is, and with effects that another process would have to be told of.
     """
-    alone = os.cpu_count() == 1 or is_compiled(catalogue, part)
+    alone = os.cpu_count() == 1 or is_compiled(catalogue, entries[0][0])
     # who asks for the usual effects reads what is installed: not for every model
     if alone or load_catalogue().digest != catalogue.digest:
         yield
         return
-    command = [sys.executable, '-c', BESIDE.format(part=part, entry=entry)]
+    command = [sys.executable, '-c', BESIDE.format(entries=entries)]
     with subprocess.Popen(command, env=child_environment(), stderr=subprocess.DEVNULL):
         yield
 

@@ -71,8 +71,8 @@ def entry(*signature):
 Chain = namedtuple(
     'Chain',
     'n k m wide cells offset tendon values on gravity radius helix beside '
-    'step prepare residual respond newton settle march load_moments flat_moments bow_cells '
-    'load_slopes descend leaning_travel leaning_slopes remembered ramped',
+    'step prepare place_travel balance residual respond newton settle march load_moments '
+    'flat_moments bow_cells load_slopes descend leaning_travel leaning_slopes remembered ramped',
 )
 LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT, MASS_X, MASS_Y = np.arange(8)
 COLUMNS = 8
@@ -111,7 +111,7 @@ BEND_TOLERANCE = 1e-10  # [rad] largest change of a bend at which a shape counts
 SLIP_LENGTH = 2e-6  # [m] travel over which the sign of friction is smoothed
 
 WORD = types.int64
-CHAIN, _chain_from = record_type(Chain, (WORD,) * 10 + (types.float64,) + (WORD,) * 18)
+CHAIN, _chain_from = record_type(Chain, (WORD,) * 10 + (types.float64,) + (WORD,) * 20)
 WORK_FIELDS = len(Work._fields)
 APART = ('tensions', 'frames', 'origins')  # of Work, may lie elsewhere
 WORK, work_from = record_type(Work, (WORD,) * 16, APART)
@@ -126,6 +126,7 @@ LOAD_SLOPES = types.void(CHAIN, WORD, WORK, WORD, WORD, types.float64)
 DESCEND = types.void(CHAIN, WORD, WORD, WORK, MEMORY, types.float64)
 LEANING_TRAVEL = types.void(CHAIN, WORD, *(types.float64,) * 6, WORK)
 REMEMBERED = types.float64(CHAIN, types.float64, types.float64, WORD)
+POSTURES = types.float64(WORD, types.float64[::1], *(WORD,) * 6)
 RAMPED = types.float64(CHAIN, WORD, WORK, MEMORY, MEMORY, WORD, WORD)
 LEANING_SLOPES = types.void(CHAIN, WORK, WORD, *(types.float64,) * 4, WORD)
 
@@ -170,12 +171,12 @@ def _function_at(signature):
 floats = _pointer_to(types.float64)
 words = _pointer_to(types.int64)
 flags = _pointer_to(types.uint8)
-step_at = prepare_at = residual_at = _function_at(STEP)
+step_at = prepare_at = balance_at = residual_at = _function_at(STEP)
 respond_at = _function_at(RESPOND)
 newton_at = _function_at(NEWTON)
 settle_at = _function_at(SETTLE)
 march_at = _function_at(MARCH)
-load_moments_at = flat_moments_at = bow_cells_at = _function_at(PLACE)
+load_moments_at = flat_moments_at = bow_cells_at = place_travel_at = _function_at(PLACE)
 load_slopes_at = _function_at(LOAD_SLOPES)
 descend_at = _function_at(DESCEND)
 leaning_travel_at = _function_at(LEANING_TRAVEL)

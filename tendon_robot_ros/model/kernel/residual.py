@@ -7,7 +7,18 @@ what it has just found, which settles faster, but ties every cell to all before 
 
 from .bending import bend_cell, twist_of
 from .geometry import scale_lengths, tendon_travel, travel_beyond
-from .layout import STEP, YES, compiled, entry, floats, load_moments_at, words
+from .layout import (
+    PLACE,
+    STEP,
+    YES,
+    balance_at,
+    compiled,
+    entry,
+    floats,
+    load_moments_at,
+    place_travel_at,
+    words,
+)
 from .loads import loaded
 from .stages import eyelet_acts, friction_travel_acts, offset_scale, torsion_acts
 from .sweep import active_stages, carry_tensions, tendons_about
@@ -37,7 +48,7 @@ def moment_arms_of(chain, work):
     return chain.offset, offset_scale(1.0, chain, 0)
 
 
-@compiled
+@entry(PLACE)
 def place_travel(chain, bend, work):
     """Fill work with what the tendons travel at a state, and with their moment arms."""
     half_turns(chain, bend, work)
@@ -83,8 +94,14 @@ def imbalance(chain, bend, work, past, out):
 
 
 @entry(STEP)
-def residual(chain, inputs, bend, work, past, out):
-    """Fill `out` [rad], the residual at a state, and work with all that the state gives."""
-    place_travel(chain, bend, work)
+def balance(chain, inputs, bend, work, past, out):
+    """Fill `out` [rad], the residual at a state whose travel is known, and work with forces."""
     place_forces(chain, inputs, bend, work, past)
     imbalance(chain, bend, work, past, out)
+
+
+@entry(STEP)
+def residual(chain, inputs, bend, work, past, out):
+    """Fill `out` [rad], the residual at a state, and work with all that the state gives."""
+    place_travel_at(chain.place_travel)(chain, bend, work)
+    balance_at(chain.balance)(chain, inputs, bend, work, past, out)

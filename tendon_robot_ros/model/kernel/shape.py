@@ -9,6 +9,7 @@ from .geometry import scale_lengths, tendon_travel
 from .layout import (
     BEND_TOLERANCE,
     LENGTH,
+    POSTURES,
     address,
     cell,
     chain_at,
@@ -188,7 +189,7 @@ def show(chain, row, here):
     mean_pulls(chain, row[2], row[3])
 
 
-@entry()
+@entry(POSTURES)
 def postures(robot, block, count, begin, end, past, scratch, carry):
     """
     Solve postures `begin` to `end` of a block; return the worst of their last changes [rad].

@@ -18,15 +18,16 @@ from .inverse import gauss_newton_step, tip_error
 from .layout import (
     SLIP_LENGTH,
     address,
+    balance_at,
     chain_at,
     compiled,
     entry,
     floats,
     monotonic,
+    place_travel_at,
     respond_at,
 )
 from .linear import largest
-from .residual import imbalance, place_forces, place_travel
 from .stick import exchange, own_travel, take_over
 from .turning import unknowns
 
@@ -53,8 +54,7 @@ def find_ways(chain, inputs, bend, work, past, residual, ways, pulls):
         Takes [rad/N], and [rad].
 
     """
-    place_forces(chain, inputs, bend, work, past)
-    imbalance(chain, bend, work, past, address(residual))
+    balance_at(chain.balance)(chain, inputs, bend, work, past, address(residual))
     balancing = address(ways) + 8 * unknowns(chain) * chain.m
     respond_at(chain.respond)(
         chain, bend, address(residual), 1, work, past, balancing, address(pulls)
@@ -144,7 +144,7 @@ def seek(
         new_width = max(shrink * width, SLIP_LENGTH) if longest < STEP_SHRINKING_RAD else width
         take_over(chain, work, move, own, width, new_width)
         width = new_width
-        place_travel(chain, there.bend, work)
+        place_travel_at(chain.place_travel)(chain, there.bend, work)
     slip[0] = SLIP_LENGTH
     for j in range(2 * chain.n * chain.k):
         floats(work.lag)[j] = 0.0

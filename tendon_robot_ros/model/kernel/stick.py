@@ -17,9 +17,19 @@ import math
 
 import numpy as np
 
-from .layout import SLIP_LENGTH, address, compiled, floats, newton_at, respond_at, words
+from .layout import (
+    SLIP_LENGTH,
+    address,
+    balance_at,
+    compiled,
+    floats,
+    newton_at,
+    place_travel_at,
+    respond_at,
+    words,
+)
 from .linear import largest
-from .residual import imbalance, moment_arms_of, place_forces, place_travel
+from .residual import moment_arms_of
 from .stages import torsion_acts
 
 SLIPPING_FROM = 0.9999  # [1] direction of friction that counts as slipping
@@ -90,7 +100,7 @@ def exchange(chain, work, own):
 def own_travel(chain, bend, work):
     """Start with the travel that a state gives: (4, n, k) [m], see `take_over`."""
     own = np.zeros((4, chain.n, chain.k))
-    place_travel(chain, bend, work)
+    place_travel_at(chain.place_travel)(chain, bend, work)
     for i in range(chain.n):
         for k in range(chain.k):
             own[0, i, k] = floats(work.travel)[chain.k * i + k]
@@ -125,8 +135,7 @@ def solve_sliding(chain, inputs, x, work, past, wide, shrink, most):
     for _ in range(most):
         slip[0] = width
         exchange(chain, work, own)
-        place_forces(chain, inputs, address(x), work, past)
-        imbalance(chain, address(x), work, past, address(f))
+        balance_at(chain.balance)(chain, inputs, address(x), work, past, address(f))
         respond_at(chain.respond)(chain, address(x), address(f), 1, work, past, address(move), 0)
         long = largest(move)
         if not long < math.inf:
@@ -140,7 +149,7 @@ def solve_sliding(chain, inputs, x, work, past, wide, shrink, most):
         new_width = max(shrink * width, SLIP_LENGTH) if long < STEP_SHRINKING_RAD else width
         take_over(chain, work, move, own, width, new_width)
         width = new_width
-        place_travel(chain, address(x), work)
+        place_travel_at(chain.place_travel)(chain, address(x), work)
     slip[0] = SLIP_LENGTH
     for j in range(2 * chain.n * chain.k):
         floats(work.lag)[j] = 0.0
