@@ -11,7 +11,6 @@ from .layout import (
     fused,
     inlined,
     prepare_at,
-    remembered_at,
     section_of,
     words,
 )
@@ -22,6 +21,7 @@ from .stages import (
     eyelet_acts,
     friction_travel,
     friction_travel_acts,
+    memory,
     memory_acts,
     offset_scale,
     rest,
@@ -79,7 +79,7 @@ def slip_direction(chain, work, past, at, section, here, slip_rate, slides, reme
         travel = friction_travel(here, beyond, chain, section)
         moved = travel - floats(past.travel)[at]
         before = floats(past.sign)[at]
-        return remembered_at(chain.remembered)(chain, before, moved, section), travel
+        return memory(0.0, before, moved, chain, section), travel
     if slides:
         return friction_travel(
             smooth_sign(here, slip_rate), smooth_sign(beyond, slip_rate), chain, section
