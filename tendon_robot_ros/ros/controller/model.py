@@ -16,7 +16,13 @@ from ...model.model import Model
 from ...model.shape import Shape
 from ...robot.description import DESCRIPTION_MAX
 from ..shared.files import read_robot, robot_file
-from ..shared.messages import STATE, arm_markers, pose_array, pose_stamped
+from ..shared.messages import (
+    STATE,
+    arm_markers,
+    passing_publisher,
+    pose_array,
+    pose_stamped,
+)
 from ..shared.parameters import Parameters
 
 READ_AT_ONCE_MAX = 4_000  # characters that are read before the parameter is accepted
@@ -120,9 +126,9 @@ class Prediction:
         """Make the publishers."""
         self._node = node
         self.use(frame, model)
-        self._shape = node.create_publisher(PoseArray, '~/predicted_shape', STATE)
-        self._tip = node.create_publisher(PoseStamped, '~/predicted_tip', STATE)
-        self._markers = node.create_publisher(MarkerArray, '~/markers', STATE)
+        self._shape = passing_publisher(node, PoseArray, '~/predicted_shape', STATE)
+        self._tip = passing_publisher(node, PoseStamped, '~/predicted_tip', STATE)
+        self._markers = passing_publisher(node, MarkerArray, '~/markers', STATE)
 
     def use(self, frame: str, model: Model) -> None:
         """Draw the robot of a model, in a frame."""

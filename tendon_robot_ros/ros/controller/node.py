@@ -30,7 +30,15 @@ from ...model.model import Model
 from ...robot.keep_out import KeepOut
 from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic, hear_anybody
 from ..shared.lifecycle import LEVELS, ManagedNode, Status
-from ..shared.messages import COMMAND, JOINTS, LATCHED, LISTEN, refilled, stamp_now
+from ..shared.messages import (
+    COMMAND,
+    JOINTS,
+    LATCHED,
+    LISTEN,
+    passing_subscription,
+    refilled,
+    stamp_now,
+)
 from ..shared.parameters import Parameters
 from ..shared.runtime import goes_first, repeat, run
 from ..shared.senders import OtherPublishers, Received, Senders, signature
@@ -122,7 +130,7 @@ class ControllerNode(ManagedNode):
         self._targets = [
             *hear_anybody(self, PoseStamped, '~/target_pose', self._pose, self._too_long),
             *hear_anybody(self, PointStamped, '~/target_point', self._point, self._too_long),
-            self.create_subscription(TwistStamped, '~/delta_twist', self._twist, LISTEN),
+            passing_subscription(self, TwistStamped, '~/delta_twist', self._twist, LISTEN),
             *hear_anybody(
                 self, JointTrajectory, '~/tendon_trajectory', self._trajectory, self._too_long
             ),
@@ -199,8 +207,8 @@ class ControllerNode(ManagedNode):
             self.destroy_subscription(self._tracker)
             self._tracker = None
         else:
-            self._tracker = self.create_subscription(
-                PoseStamped, 'measured_tip', self._tip, LISTEN
+            self._tracker = passing_subscription(
+                self, PoseStamped, 'measured_tip', self._tip, LISTEN
             )
 
     def _take(self, kind: str, action: Callable[[ControllerCore, Incoming], None]) -> None:

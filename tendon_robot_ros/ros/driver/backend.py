@@ -28,7 +28,15 @@ from ...model.model import Model
 from ...model.shape import Shape
 from ...robot import Robot
 from ..shared.files import read_mapping
-from ..shared.messages import COMMAND, JOINTS, STATE, pose_array, pose_stamped
+from ..shared.messages import (
+    COMMAND,
+    JOINTS,
+    STATE,
+    passing_publisher,
+    passing_subscription,
+    pose_array,
+    pose_stamped,
+)
 from ..shared.parameters import Parameters
 from ..shared.runtime import repeat
 
@@ -82,8 +90,8 @@ class MockTracker:
         )
         lengths = [section.cell_length for section in robot.sections for _ in range(section.cells)]
         self._arc_lengths = np.cumsum(lengths)
-        self._tip = node.create_publisher(PoseStamped, 'measured_tip', STATE)
-        self._shape = node.create_publisher(PoseArray, 'measured_shape', STATE)
+        self._tip = passing_publisher(node, PoseStamped, 'measured_tip', STATE)
+        self._shape = passing_publisher(node, PoseArray, 'measured_shape', STATE)
         self._timer = repeat(node, 1.0 / float(options['rate']), self._publish)
 
     def close(self) -> None:
@@ -217,8 +225,8 @@ class Ros2ControlLink:
     def __init__(self, node: Node, command_topic: str, state_topic: str) -> None:
         """Begin to listen."""
         self._node, self._heard = node, dict[str, State]()
-        self._commands = node.create_publisher(Float64MultiArray, command_topic, COMMAND)
-        self._states = node.create_subscription(JointState, state_topic, self._hear, JOINTS)
+        self._commands = passing_publisher(node, Float64MultiArray, command_topic, COMMAND)
+        self._states = passing_subscription(node, JointState, state_topic, self._hear, JOINTS)
 
     def send(self, values: list[float]) -> None:
         """Send one value per joint, in the order of the controller."""

@@ -20,7 +20,14 @@ from rclpy.subscription import Subscription
 from rclpy.type_support import check_is_valid_msg_type, check_is_valid_srv_type
 from std_msgs.msg import Bool, String
 
-from .messages import COMMAND, COMMAND_ALL, LATCHED_BY_MANY, LISTEN, LISTEN_ALL
+from .messages import (
+    COMMAND,
+    COMMAND_ALL,
+    LATCHED_BY_MANY,
+    LISTEN,
+    LISTEN_ALL,
+    passing_subscription,
+)
 from .senders import MESSAGE_BYTES_MAX, UNTOLD, Received, Taker
 
 
@@ -159,7 +166,7 @@ def hear_anybody[M](
             hear(deserialize_message(message, kind))
 
     return [
-        node.create_subscription(kind, topic, partial(come, way=way), qos, raw=True)
+        passing_subscription(node, kind, topic, partial(come, way=way), qos, raw=True)
         for way, qos in enumerate((COMMAND, LISTEN))
     ]
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion
 from numpy.typing import NDArray
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from rclpy.time import Time as ClockTime
 from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, Header
@@ -190,3 +193,27 @@ class Frames:
 def matrix(message: Quaternion) -> Array:
     """Return the rotation matrix (3, 3) of a quaternion message."""
     return from_quaternion((message.x, message.y, message.z, message.w))
+
+
+# -----------------------------------------------------------------------------
+# What is destroyed while its node goes on hears no events of the middleware: where one waits (of
+# somebody with another quality of service or type), rclpy's executor of events ends or crashes.
+
+
+def passing_publisher(node: Node, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
+    """Make a publisher that may be destroyed."""
+    quiet = PublisherEventCallbacks(use_default_callbacks=False)
+    return node.create_publisher(kind, topic, qos, event_callbacks=quiet)
+
+
+def passing_subscription(
+    node: Node,
+    kind: Any,
+    topic: str,
+    hear: Callable[[Any], None],
+    qos: QoSProfile,
+    raw: bool = False,
+) -> Subscription:
+    """Make a subscription that may be destroyed."""
+    quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
+    return node.create_subscription(kind, topic, hear, qos, raw=raw, event_callbacks=quiet)
