@@ -1,4 +1,8 @@
-"""A diagnosis names what the robot hides, and nothing else."""
+"""
+A diagnosis names what the robot hides, and nothing else.
+
+Of the blind cases b, f, k and l: test_diagnose_command.py, where the same diagnoses are printed.
+"""
 
 from dataclasses import replace
 
@@ -24,9 +28,8 @@ def names(found):
     return [effect.name for effect in found.effects]
 
 
-@pytest.mark.parametrize('letter', 'bfj')
-def test_a_blind_case_is_consistent_with_what_it_hides(letter):
-    found, hidden = diagnose(load_dataset(blind(letter) / 'fit')), truth(letter)
+def test_a_blind_case_is_consistent_with_what_it_hides():
+    found, hidden = diagnose(load_dataset(blind('j') / 'fit')), truth('j')
     assert (found.verdict, names(found)) == ('missing_effect', [hidden['hidden']])
     assert found.cannot_tell_apart == ()
     for key, value in found.effects[0].parameters.items():
@@ -43,19 +46,10 @@ def test_a_robot_that_hides_nothing_is_adequate():
     assert 1e-6 < found.details['detectable']['hinge_friction']['size'] < 1e-4
 
 
-def test_what_breaks_a_tolerance_is_a_wrong_parameter():
-    found = diagnose(load_dataset(blind('k') / 'fit'))
-    assert found.verdict == 'wrong_parameter'
-    assert found.out_of_tolerance == ('bending_stiffness',)
-    assert 'backbone_stiffness' in found.cannot_tell_apart
-    assert found.error_before > 5e-3, 'the error of the description as it stands'
-
-
-@pytest.mark.parametrize(('letter', 'words'), [('g', 'in every posture'), ('l', 'cell 4 bends')])
-def test_a_cause_outside_the_catalogue_is_called_so(letter, words):
-    found = diagnose(load_dataset(blind(letter) / 'fit'))
+def test_a_cause_outside_the_catalogue_is_called_so():
+    found = diagnose(load_dataset(blind('g') / 'fit'))
     assert found.verdict == 'outside_catalogue'
-    assert words in found.remainder
+    assert 'in every posture' in found.remainder
     assert not found.adds
 
 

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 import yaml
-from measurements import blind
+from measurements import blind, truth
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.cli.options import load_measurements
@@ -21,7 +21,7 @@ def folder(tmp_path, monkeypatch):
     """Run in an empty folder that links to the measurements."""
     (tmp_path / 'hinges').symlink_to(HINGES)
     (tmp_path / 'stiff').symlink_to(STIFF)
-    for letter in 'gikl':
+    for letter in 'ikl':
         (tmp_path / letter).symlink_to(blind(letter))
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -37,8 +37,22 @@ def written(folder):
     return sorted(path.name for path in folder.iterdir() if not path.is_symlink())
 
 
+def assert_named(content, letter):
+    """Refuse a diagnosis that names anything but what a blind case hides."""
+    hidden = truth(letter)
+    (effect,) = content['effects']
+    assert (content['verdict'], effect['name']) == ('missing_effect', hidden['hidden'])
+    assert content['cannot_tell_apart'] == []
+    for key, value in effect['parameters'].items():
+        assert value['low'] <= hidden['parameters'][key] <= value['high']
+    assert effect['explained'] > 0.95  # of the error, not of its square
+    assert content['error_after'] < 1.3 * content['noise_floor'] < content['error_before']
+
+
 def test_a_missing_effect_is_named_added_and_shown(capsys, folder):
-    lines = said(capsys, 'diagnose', 'stiff/fit', '--add', 'better.yaml', '--check', 'stiff/check')
+    lines = said(capsys, 'diagnose', 'stiff/fit', '--add', 'better.yaml', '--check', 'stiff/check',
+                 '--json', 'why.json')  # fmt: skip
+    assert_named(json.loads((folder / 'why.json').read_text()), 'f')
     assert lines == [
         'planar2 on stiff/fit: 12 postures, 60 trials and 30 markers',
         'the arm is taken as it is built: cells, tendons and tracker may be a little off',
@@ -64,14 +78,14 @@ def test_a_missing_effect_is_named_added_and_shown(capsys, folder):
     assert list(robot.fitted) == ['tendon_stiffness']
     read_again = compare(load_dataset('stiff/check'), [('better', robot)]).models[-1]
     assert 1e3 * read_again.rms == pytest.approx(0.230, abs=5e-4)
-    assert written(folder) == ['better.yaml']
+    assert written(folder) == ['better.yaml', 'why.json']
 
 
 def test_the_json_has_the_promised_keys(capsys, folder):
     main(['diagnose', 'hinges/fit', '--json'])
     content = json.loads(capsys.readouterr().out)
     assert content['format'] == 'tendon_robot_ros/diagnosis@1'
-    assert content['verdict'] == 'missing_effect'
+    assert_named(content, 'b')
     (effect,) = content['effects']
     assert effect['name'] == 'hinge_friction'
     assert effect['explained'] > 0.98
@@ -144,7 +158,13 @@ def test_partial_adds_it_and_says_that_more_is_at_work(capsys, folder):
 
 
 def test_a_wrong_parameter_is_said_and_added(capsys, folder):
-    lines = said(capsys, 'diagnose', 'k/fit', '--add', 'better.yaml', '--check', 'k/check')
+    lines = said(capsys, 'diagnose', 'k/fit', '--add', 'better.yaml', '--check', 'k/check',
+                 '--json', 'why.json')  # fmt: skip
+    content = json.loads((folder / 'why.json').read_text())
+    assert (content['verdict'], content['out_of_tolerance']) == (
+        'wrong_parameter', ['bending_stiffness'])  # fmt: skip
+    assert 'backbone_stiffness' in content['cannot_tell_apart']
+    assert content['error_before'] > 5e-3, 'the error of the description as it stands'
     assert lines[1] == (
         'the arm is taken as it is built: cells, tendons and tracker may be a little off; '
         'declared (1 sd): bending_stiffness 2.0 %'

@@ -136,14 +136,29 @@ def test_an_addition_shows_both_kinds_of_postures(hinges):
     assert 'postures left out in turn' in said and 'postures never used' not in said
 
 
-def test_what_became_of_the_file_stands_where_it_was_asked_for(hinges, tmp_path, monkeypatch):
+@pytest.fixture(scope='module')
+def commanded(tmp_path_factory):
+    """Give the page of a diagnosis with --check and --add, as the command writes it."""
+    folder = tmp_path_factory.mktemp('commanded')
+    fit, check = blind('b') / 'fit', blind('b') / 'check'
+    asked = ['diagnose', str(fit), '--check', str(check), '--add', 'new.yaml']
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert main([*asked, '--report', 'page.html']) == 0
+    return folder / 'page.html'
+
+
+def test_what_became_of_the_file_stands_where_it_was_asked_for(
+    commanded, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
-    asked = ['diagnose', str(blind('b') / 'fit'), '--report', 'page.html']
-    for more, told in (([], '--add better.yaml'), (['--add', 'new.yaml'], 'written: new.yaml')):
-        assert main([*asked, *more]) == 0
-        body = (tmp_path / 'page.html').read_text(encoding='utf-8').partition('<body>')[2]
+    assert main(['diagnose', str(blind('b') / 'fit'), '--report', 'page.html']) == 0
+    assert 'report: page.html' in capsys.readouterr().out
+    for page, told in ((tmp_path / 'page.html', '--add better.yaml'),
+                       (commanded, 'written: new.yaml')):  # fmt: skip
+        body = page.read_text(encoding='utf-8').partition('<body>')[2]
         assert told in body
-        assert ('Add it to the robot description' in body) == (not more)
+        assert ('Add it to the robot description' in body) == (page != commanded)
     lacking = diagnosis_page(diagnosis('outside_catalogue'), outcome='Nothing was added.')
     assert 'Nothing was added.' in text(lacking) and '--add better.yaml' not in text(lacking)
 
@@ -239,12 +254,8 @@ def test_no_noise_no_heat_map():
 
 
 @pytest.mark.browser
-def test_the_page_of_the_command_opens_and_fits(tmp_path, capsys):
-    page = tmp_path / 'page.html'
-    fit, check = blind('b') / 'fit', blind('b') / 'check'
-    assert main(['diagnose', str(fit), '--check', str(check), '--report', str(page)]) == 0
-    assert f'report: {page}' in capsys.readouterr().out
-    seen = open_page(page, tmp_path)
+def test_the_page_of_the_command_opens_and_fits(commanded, tmp_path):
+    seen = open_page(commanded, tmp_path)
     assert_fine(seen)
     for part in ('CONSISTENT WITH hinge_friction', 'The error falls', 'What else it could be',
                  'The moment that the model lacks', 'What this rests on'):  # fmt: skip
