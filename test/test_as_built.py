@@ -9,7 +9,7 @@ import pytest
 import yaml
 from simulated import CATALOGUE
 
-from tendon_robot_ros.campaign.cases import simulated
+from tendon_robot_ros.campaign.cases import Case, simulated
 from tendon_robot_ros.campaign.plan import read_plan
 from tendon_robot_ros.comparison.predict import Predictor, free_parameters
 from tendon_robot_ros.comparison.statistics import chi2_isf
@@ -240,6 +240,17 @@ def test_a_fit_looks_beyond_where_friction_turns_over():
     assert near.built.sizes[0] > 4.0 * built, 'else there is nothing to look for'
     assert far.built.sizes[0] == pytest.approx(built, rel=0.5)
     assert fitter.over_turns(far).deviance > far.deviance - 1.0, 'it is the best place'
+
+
+def test_fits_look_beyond_turns_of_friction_at_the_last_weights_too():
+    """There was nothing beyond them at the weights before; the other side is 28 better."""
+    setup = read_plan(PLANS / 'diagnosis.yaml').setup
+    hidden = Case('hinged', 'nonlinear_stiffness', 0.5662455489603104, 0)
+    noise = setup.noises[0][1]
+    made = simulated(hidden, setup.arm('hinged'), setup.designs[0], noise, CATALOGUE, seed=53)
+    found = diagnose(made.fit, catalogue=CATALOGUE, workers=1)
+    assert found.verdict == 'missing_effect'
+    assert [effect.name for effect in found.effects] == ['nonlinear_stiffness']
 
 
 @pytest.mark.parametrize('name', ['messy_008', 'messy_s0'])

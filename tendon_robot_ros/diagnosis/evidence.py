@@ -76,7 +76,6 @@ def gather(session: Session) -> Evidence:
     tested, not_tested = session.split_tested(base.point)
     race = session.race(tested)
     singles = over_turns(session, session.ranked(race.run()))
-    straight = False  # whether nothing was found beyond turns
     for turn in range(ROUNDS):
         if not singles:
             break
@@ -85,9 +84,8 @@ def gather(session: Session) -> Evidence:
         session.weigh(best.fit.point, best.fit.around)
         base = _followed(session, base) if far else _searched(session, base, best)
         found = session.refit(singles, base)
-        singles = found if straight else over_turns(session, found)
-        straight = singles is found
-        if turn > 0 and straight:
+        singles = over_turns(session, found)
+        if turn > 0 and singles is found:
             break
     if not any(r.probability > P_SINGLE_MIN for r in singles):
         singles = _to_their_ends(session, race, singles)  # combinations need them
