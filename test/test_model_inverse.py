@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tendon_robot_ros.common.errors import InputError
+from tendon_robot_ros.model.derivatives import tip_slopes
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.tip_task import Patience
 from tendon_robot_ros.robot import load_robot
@@ -197,3 +198,24 @@ def test_a_direction_alone_is_met_by_a_gentle_bend_and_no_curl():
         found = model.reach(direction=direction)
         assert found.status == 'reached'
         assert np.linalg.norm(found.shape.bend, axis=1).sum() < 1.05 * angle
+
+
+def test_a_target_of_a_stream_is_not_gone_to_by_newtons_of_all_tendons_against_each_other():
+    """Three tendons lead the tip hardly along one direction; the arm would be on its way long."""
+    arm = Model(load_robot(ROBOTS / 'spatial_3.yaml'))
+    here = arm.shape(np.array([0.3, 0.1, 0.12]))
+    hardly = np.linalg.svd(tip_slopes(arm, here, here.memory)[:3])[0][:, 2]
+    hardly *= np.sign(hardly @ here.tip_direction)
+    for sign in (-1.0, 1.0):
+        place = here.tip_position + sign * 3e-3 * hardly
+        near, far = (arm.reach(place, guess=here, relax=True, gently=on) for on in (True, False))
+        ways = [np.linalg.norm(one.tensions - here.inputs) for one in (near, far)]
+        assert near.position_error < far.position_error + 1e-3
+        assert ways[0] <= 0.5 * ways[1] or ways[1] < 0.1
+
+
+def test_a_target_of_a_stream_that_is_near_is_met_as_any_other():
+    arm = Model(load_robot(ROBOTS / 'spatial_3.yaml'))
+    here = arm.shape(np.array([0.7, 0.3, 0.1]))
+    place = arm.shape(np.array([0.75, 0.4, 0.15])).tip_position
+    assert arm.reach(place, guess=here, relax=True, gently=True).position_error < 1e-5

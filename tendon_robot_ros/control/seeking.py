@@ -182,7 +182,8 @@ class ReachQuestion:
             except NoEquilibriumError:
                 if self.tracking:
                     raise
-        return self._reach(past, guess, give_up, tell, gently=False)
+        gently = self.streamed and self.model.sticks
+        return self._reach(past, guess, give_up, tell, gently)
 
     def _reach(
         self,
@@ -192,12 +193,13 @@ class ReachQuestion:
         tell: Tell | None,
         gently: bool,
     ) -> Reach:
+        near = self.tracking or (gently and self.model.remembers)
         return self.model.reach(
             position=self.target.position,
             direction=self.target.direction,
             guess=guess,
             direction_weight=self.settings.direction_weight or None,
-            starts=0 if self.tracking or gently else COLD_SEARCH_STARTS,
+            starts=0 if near else COLD_SEARCH_STARTS,
             by_pulls=self.settings.pull_mode,
             relax=not self.tracking,
             gently=gently,

@@ -44,6 +44,7 @@ STAYED_SHARE, TOLD_SHARE = 0.99, 0.5
 # first start reaches is not left
 NEAR_REACHED_M2 = 0.5 * POSITION_THRESHOLD**2  # [m²]
 PULLING_WEIGHT = 1e-4  # [m/N] how tension counts among ends of different starts there
+GOING_WEIGHT = 1e-3  # [m/N] and, gently, the way there where tendons stick: it takes time
 KINK_REACHED_M2, KINK_STARTS = 2e-11, 4  # [m²] cost that does after so many: 6 µm
 FINISHING_TRIALS_MAX = 40  # equilibria on the way to the least error, where tendons stick
 BALANCE_STEPS_MAX, OUTSIDE_STARTS = 40, 3  # programs after a search, other beginnings
@@ -89,7 +90,8 @@ def reach(
         With a guess, too, go on from a solution to one of low tension, as a cold search does.
     gently : bool
         With a guess, newtons of all tendons against each other are not spent on tenths of a
-        millimetre in directions in which tendons hardly lead the tip: for targets of a stream.
+        millimetre in directions in which tendons hardly lead the tip, and where tendons stick
+        every newton on the way from the guess counts as a millimetre: for targets of a stream.
     memory : optional
         Friction memory where the arm is (`Shape.memory`): tensions then count as reached from
         there, along a straight line. Default: from straight and free of tension.
@@ -117,8 +119,9 @@ def reach(
     task = TipTask(model, target, past, patience)
     starts = min(starts, PULL_STARTS) if by_pulls else starts
     begin = beginnings(task, guess, starts, tell is not None, gently)
-    best = _searched(task, begin, guess, by_pulls, give_up, tell)
-    if not by_pulls and preferences is None and not give_up():
+    going = guess if gently and model.sticks else None
+    best = _searched(task, begin, guess, by_pulls, give_up, tell, going)
+    if not by_pulls and preferences is None and going is None and not give_up():
         best = _finished(task, relax or guess is None, *best)
     made = judged(task, *best[1:], in_time=not give_up())
     if preferences is None and not keep_out:
@@ -139,6 +142,7 @@ def _searched(
     by_pulls: bool,
     give_up: Callable[[], bool],
     tell: Callable[[Reach], None] | None,
+    going: Shape | None,
 ) -> tuple[float, Floats, Floats]:
     """Return cost [m²], tensions and bends of the first start that meets it, or of the best."""
     model = task.model
@@ -152,9 +156,8 @@ def _searched(
             cost, bends = aim_by_pulls(task, search, inputs, bend)
         else:
             cost, bends = search(inputs, bend, model.limits)
-        met, worth = _met(model, cost, inputs), cost
-        if remembers:
-            worth += 0.5 * PULLING_WEIGHT**2 * _above(model, inputs)
+        met, worth = _met(model, cost, inputs), _worth(model, cost, inputs, going)
+        met = met and not (going is not None and _jumps(model, going.inputs, inputs))
         if best is None or worth < least * (1.0 if met else _share(task, guess, inputs, best[1])):
             best, least = (cost, inputs, bends), worth
         if tell is not None and best[0] < told and (sticks or not met):
@@ -172,11 +175,24 @@ def _searched(
     return best
 
 
+def _worth(model: ForwardModel, cost: float, inputs: Floats, going: Shape | None) -> float:
+    """Return a cost [m²] with what tensions (m,) [N], or the way there, count."""
+    if model.remembers:
+        cost += 0.5 * PULLING_WEIGHT**2 * _above(model, inputs)
+    if going is not None:
+        cost += 0.5 * GOING_WEIGHT**2 * float(((inputs - going.inputs) ** 2).sum())
+    return cost
+
+
 def _share(task: TipTask, guess: Shape | None, inputs: Floats, others: Floats) -> float:
     """Return what share of the cost tensions (m,) [N] must have to be taken for others."""
-    low, high = task.model.limits.T
-    jumps = guess is not None and np.any(np.abs(inputs - others) > JUMP_SHARE * (high - low))
-    return AS_GOOD if jumps else 1.0
+    return AS_GOOD if guess is not None and _jumps(task.model, others, inputs) else 1.0
+
+
+def _jumps(model: ForwardModel, before: Floats, inputs: Floats) -> bool:
+    """Tell whether tensions (m,) [N] are far from those before."""
+    low, high = model.limits.T
+    return bool(np.any(np.abs(inputs - before) > JUMP_SHARE * (high - low)))
 
 
 def _balanced(balance: Balance, made: Reach, by_pulls: bool, give_up: Callable[[], bool]) -> Reach:

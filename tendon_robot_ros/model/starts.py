@@ -144,7 +144,8 @@ def beginnings(
     The guess, then the straight arm, from where a gentle bend is nearer than a curl, then the
     shapes of the library whose tips are nearest, those of low tension first: from much tension
     against much tension there is often no way down. `step`: from a guess that is far, early, to
-    where the arm may set out. `gently`: from the guess see `aim_gently`, unless tendons stick.
+    where the arm may set out. `gently`: from the guess see `aim_gently`; where tendons stick that
+    is one start more.
     """
     model, near = task.model, partial(aim, task, GAIN_MIN)
     kept: Kept = []
@@ -158,8 +159,10 @@ def beginnings(
             search = partial(aim, task, TRACKING_GAIN_MIN, most=most)
             yield partial(aim_gently, task, most) if gently else search, inputs, guess.state
         elif task.cost(guess) < FAR_M2:
-            yield from _starts_near(task, guess, inputs, count, kept)
+            yield from _starts_near(task, guess, inputs, count, kept, gently)
         else:
+            if gently:
+                yield partial(aim_gently, task, STICKING_TRIALS_MAX), inputs.copy(), guess.state
             yield from _starts_far(task, guess, inputs, count, kept, step)
     if count:
         yield near, model.limits[:, 0].copy(), np.zeros(3 * model.robot.cells)
@@ -171,11 +174,13 @@ def beginnings(
 
 
 def _starts_near(
-    task: TipTask, guess: Shape, inputs: Floats, count: int, kept: Kept
+    task: TipTask, guess: Shape, inputs: Floats, count: int, kept: Kept, gently: bool
 ) -> Iterator[Start]:
     """Yield starts from a guess with its tip near, where tendons stick."""
     aimed = inputs.copy()
     yield partial(aim, task, TRACKING_GAIN_MIN, most=STICKING_TRIALS_MAX), aimed, guess.state
+    if gently:
+        yield partial(aim_gently, task, STICKING_TRIALS_MAX), inputs.copy(), guess.state
     for wide in NEAR_WIDTHS if count else ():
         yield partial(seek, task, wide, kept), inputs.copy(), guess.state
     if count:
