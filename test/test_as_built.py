@@ -23,6 +23,7 @@ from tendon_robot_ros.diagnosis.fitter import Fitter
 from tendon_robot_ros.diagnosis.likelihood import LOGARITHMS, SIZES, Likelihood
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
 from tendon_robot_ros.diagnosis.outliers import _moves, _without_inputs, find_outliers
+from tendon_robot_ros.diagnosis.patterns import Patterns
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.size_intervals import SizeIntervals
 from tendon_robot_ros.diagnosis.slopes import imperfections
@@ -220,6 +221,22 @@ def levels_case(key):
     setup = plan.setup
     design, noise = setup.designs[case.design], setup.noises[case.noise][1]
     return simulated(case, setup.arm(case.robot), design, noise, CATALOGUE, setup.seed)
+
+
+def test_a_soft_cell_is_looked_for_beyond_where_friction_turns_over():
+    """On the near side it gains 5 over no effect, and a force at another cell 31."""
+    setup = read_plan(PLANS / 'diagnosis.yaml').setup
+    hides = Case('hinged', 'soft_cell', 0.65, 3)
+    noise = setup.noises[0][1]
+    made = simulated(hides, setup.arm('hinged'), setup.designs[0], noise, CATALOGUE, 71)
+    session = Session(made.fit, made.robot, CATALOGUE, workers=1)
+    assert session.weigh({})
+    session.leave_out(find_outliers(session.predictor, {}))
+    base = session.fitters[0].over_turns(session.base_fit())
+    found = Patterns(session.fitters[0], base, turns=True).soft_cell()
+    assert found.deviance < base.deviance - 25.0
+    assert abs(found.cell - made.values['cell']) <= 1
+    assert found.size == pytest.approx(1.0 / made.values['factor'], rel=0.1)
 
 
 def test_a_fit_looks_beyond_where_friction_turns_over():

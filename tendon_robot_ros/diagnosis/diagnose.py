@@ -90,6 +90,7 @@ def diagnose(
     plain = mistake.after <= PLAIN_WITHIN_FLOORS * usual
     if mistake.certain or (plain and not mistake.doubtful):
         return _mistaken(session, mistake)
+    session.brief = True
     diagnosis = _judge(session)  # an effect that explains all is the better story
     if not diagnosis.verdict.may_add:
         return _mistaken(session, mistake)
@@ -121,9 +122,8 @@ def _looked_through(session: Session, diagnosis: Diagnosis) -> Diagnosis:
 
 def _judge_mended(session: Session, mistake: Mistake) -> Diagnosis | None:
     """Judge the measurements without a mistake; None where nothing can be judged then."""
-    dataset = mistake.mended
-    assert dataset is not None
-    mended = Session(dataset, dataset.robot, session.catalogue, session.workers, session.progress)
+    assert mistake.mended is not None
+    mended = session.mended(mistake.mended)
     return _judge(mended) if mended.weigh({}) else None
 
 
@@ -161,9 +161,8 @@ def implausible(diagnosis: Diagnosis) -> list[str]:
 
 def _score_mended(session: Session, mistake: Mistake) -> float:
     """Return what the set-up without its mistake scores on the same readings."""
-    dataset = mistake.mended
-    assert dataset is not None
-    mended = Session(dataset, dataset.robot, session.catalogue, session.workers, session.progress)
+    assert mistake.mended is not None
+    mended = session.mended(mistake.mended)
     if not mended.weigh({}):
         return np.inf
     base = mended.base_fit()
@@ -226,11 +225,11 @@ def decide(evidence: Evidence) -> Diagnosis:
         evidence.singles = session.refit(evidence.singles, evidence.base)
         evidence.best = session.best(evidence.singles)
     candidates = [r for r in (combined, evidence.best) if r is not None]
-    best_overall = min(candidates, key=lambda r: r.score) if candidates else None
+    holds = combined is not None and session.holds(combined)
     evidence.competing = None
-    if best_overall is not None:
-        evidence.competing = competing_pattern(evidence, best_overall.score)
-    if combined is not None and session.holds(combined) and evidence.competing is None:
+    if candidates and (holds or not session.brief):
+        evidence.competing = competing_pattern(evidence, min(r.score for r in candidates))
+    if combined is not None and holds and evidence.competing is None:
         return _several(evidence, combined)
     return _outside(evidence, evidence.best)
 

@@ -20,6 +20,7 @@ from .decide import (
     Verdict,
 )
 from .fit import Fit
+from .fitter import TURN_GAIN_MIN
 from .load import load_of
 from .patterns import Pattern, patterns_of
 from .race import Race
@@ -28,7 +29,6 @@ from .session import Session, better
 SAME_EVERYWHERE = ('contact', 'soft_cell', 'taper')  # patterns that a remainder is not
 
 ROUNDS = 4  # of weights and fits
-TURN_GAIN_MIN = 2.0  # in deviance beyond a turn of friction, that makes weights worth another look
 TURNED_MAX = 3  # best effects whose fits are tried beyond turns of friction
 TELLING_RATIO = 1.25  # up to which a cell bends by so many per cent more, not times as much
 
@@ -44,6 +44,7 @@ class Evidence:
     best: Ranked | None = None
     competing: Pattern | None = None
     scale: float = 1.0  # chi² over freedom of the best, where nothing is adequate
+    turns: bool = False  # whether a fit was better beyond a turn of friction
     _told: dict[str, Fit] = field(default_factory=dict)
 
     def told(self, ranked: Ranked) -> Fit:
@@ -56,13 +57,16 @@ class Evidence:
     @cached_property
     def patterns(self) -> list[Pattern]:
         """What from outside may compete with the effects, on top of the base."""
-        return patterns_of(self.session.fitters, self.base, self.session.progress)
+        fitters, progress = self.session.fitters, self.session.progress
+        return patterns_of(fitters, self.base, progress, turns=self.turns)
 
     def rivals(self, score: float) -> list[Pattern]:
         """Return the same, but those far behind a score that is far better than the base."""
         known = 'patterns' in self.__dict__ or self.base.deviance < score + NEAR_SCORE
         fitters, progress = self.session.fitters, self.session.progress
-        return self.patterns if known else patterns_of(fitters, self.base, progress, score)
+        if known:
+            return self.patterns
+        return patterns_of(fitters, self.base, progress, score, self.turns)
 
 
 def gather(session: Session) -> Evidence:
@@ -75,21 +79,25 @@ def gather(session: Session) -> Evidence:
     base = session.base_fit()
     tested, not_tested = session.split_tested(base.point)
     race = session.race(tested)
-    singles = over_turns(session, session.ranked(race.run()))
+    first = session.ranked(race.run())
+    singles = over_turns(session, first)
+    turns = singles is not first
     for turn in range(ROUNDS):
         if not singles:
             break
         best = session.best(singles)
         far = base.deviance > best.score + NEAR_SCORE
         session.weigh(best.fit.point, best.fit.around)
-        base = _followed(session, base) if far else _searched(session, base, best)
+        near = _followed(session, base) if far else session.base_fit((base, best.fit))
+        base = near if far else session.fitters[0].over_turns(near)
         found = session.refit(singles, base)
         singles = over_turns(session, found)
+        turns |= singles is not found or base.deviance < near.deviance - TURN_GAIN_MIN
         if turn > 0 and singles is found:
             break
     if not any(r.probability > P_SINGLE_MIN for r in singles):
         singles = _to_their_ends(session, race, singles)  # combinations need them
-    evidence = Evidence(session, base, singles, not_tested)
+    evidence = Evidence(session, base, singles, not_tested, turns=turns)
     evidence.best = session.best(singles) if singles else None
     return evidence
 
@@ -101,11 +109,6 @@ def _to_their_ends(session: Session, race: Race, singles: list[Ranked]) -> list[
     return [
         late.get(r.candidate.label, r) if any(r.fit is fit for fit in left) else r for r in singles
     ]
-
-
-def _searched(session: Session, base: Fit, best: Ranked) -> Fit:
-    """Fit no effect again, from where it was, where the best is, and beyond turns of friction."""
-    return session.fitters[0].over_turns(session.base_fit((base, best.fit)))
 
 
 def _followed(session: Session, base: Fit) -> Fit:
@@ -193,6 +196,8 @@ def remainder_text(
         if is_noise
         else f'is {left / floor:.1f} times your repeatability ({1e3 * floor:.2f} mm).'
     )
+    if session.brief and verdict is Verdict.OUTSIDE_CATALOGUE:
+        return text
     if verdict is not Verdict.OUTSIDE_CATALOGUE:
         built = session.random is not None and not is_noise
         return f'{text} How an arm is built accounts for that: see its scatter.' if built else text
@@ -206,9 +211,9 @@ def remainder_text(
 
 def best_pattern(evidence: Evidence, chosen: Ranked | None) -> Pattern | None:
     """Return the pattern that takes a third or more of what is left, if there is one."""
-    fit, patterns = evidence.base, evidence.patterns
-    if chosen is not None:
-        fit, patterns = chosen.fit, patterns_of(evidence.session.fitters, chosen.fit)
+    fit = evidence.base if chosen is None else chosen.fit
+    fitters, turns = evidence.session.fitters, evidence.turns
+    patterns = evidence.patterns if chosen is None else patterns_of(fitters, fit, turns=turns)
     top = min(patterns, key=lambda pattern: pattern.score, default=None)
     excess = fit.chi2 - fit.freedom
     if top is None or fit.deviance - top.deviance < PATTERN_SHARE_MIN * excess:

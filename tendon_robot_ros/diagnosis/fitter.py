@@ -24,6 +24,7 @@ ROUNDS = 8  # of parameters, sizes of the imperfections and imperfections togeth
 SHIFT_SETTLED = 0.3  # whitened change by imperfections that is worth no further look
 WAY_SHARES = (1.0, 0.5, 0.2)  # of the way to what slopes promise, the first that is better
 TURN_FROM_CHI2 = 4.0  # whitened squared bend by one sd of a gain, from which it is a turn
+TURN_GAIN_MIN = 2.0  # in deviance beyond a turn, that makes others worth a look there
 TURNS_MAX = 6  # sides of turns that a fit is tried from
 GAINS_TO_COME = 4.0  # times the gain of its last round, that a fit may still gain
 DEVIANCE_SETTLED = 0.1  # fall of the deviance at which a fit is settled

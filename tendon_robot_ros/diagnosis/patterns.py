@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -16,7 +16,7 @@ from .as_built import PUSH, typical_force
 from .candidates import CellRelief
 from .decide import APART_FROM_SCORE, NEAR_SCORE
 from .fit import Fit
-from .fitter import Fitter
+from .fitter import TURN_GAIN_MIN, Fitter
 from .race import side_by_side
 from .slopes import pushes
 
@@ -65,9 +65,15 @@ class Patterns:
     little.
     """
 
-    def __init__(self, fitter: Fitter, fit: Fit, line: float = np.inf) -> None:
-        """Keep the fit and its whitened residual; fits far behind the `line` are given up."""
-        self.fitter, self.fit, self.line = fitter, fit, line
+    def __init__(
+        self, fitter: Fitter, fit: Fit, line: float = np.inf, turns: bool = False
+    ) -> None:
+        """
+        Keep the fit and its whitened residual.
+
+        Fits far behind the `line` are given up; `turns`: others look beyond turns of friction.
+        """
+        self.fitter, self.fit, self.line, self.turns = fitter, fit, line, turns
         self.point: Point = fit.point
         fitter.resume(fit)
         self.relief = CellRelief(fit, fitter.whitener)
@@ -191,27 +197,50 @@ class Patterns:
             least = min(_deviance(row) for row in fits)
             if fit is None or self._beaten(fit) or fit.deviance > least + reach:
                 break
-            again = self._refit(frees(i), anew=False)
+            again = self._refit(frees(i), self.fit)
             if again is not None and again.deviance < fit.deviance:
                 reach = max(reach, APART_FROM_SCORE + fit.deviance - again.deviance)
                 fits[k] = again, i
-        return fits
+        return self._beyond_turns(fits, frees)
+
+    def _beyond_turns(
+        self,
+        fits: list[tuple[Fit | None, int]],
+        frees: Callable[[int], list[FreeParameter]],
+    ) -> list[tuple[Fit | None, int]]:
+        """Return the fits, those near the best beyond a turn of friction where that is better."""
+        best = min(fits, key=_deviance)[0]
+        if not self.turns or best is None or self._beaten(best):
+            return fits
+        turned = self.fitter.over_turns(best)
+        self.fitter.resume(self.fit)
+        if turned.built is None or turned.deviance > best.deviance - TURN_GAIN_MIN:
+            return fits
+        around, sizes, found = turned.built.around, turned.built.sizes, fits.copy()
+        for k, (fit, i) in enumerate(fits):
+            again = turned if fit is best else None
+            if fit is not None and fit.built is not None and again is None:
+                there = replace(fit.built, around=around, sizes=sizes)
+                again = self._refit(frees(i), replace(fit, built=there))
+            found[k] = min((fit, i), (again, i), key=_deviance)
+        return found
 
     def _beaten(self, fit: Fit) -> bool:
         """Tell whether a fit needs no other start: there is none, or it is far behind the line."""
         return self.fit.built is None or fit.deviance > self.line + FAR_SCORE
 
-    def _refit(self, frees: Sequence[FreeParameter], anew: bool = True) -> Fit | None:
+    def _refit(self, frees: Sequence[FreeParameter], start: Fit | None = None) -> Fit | None:
         """
         Fit parameters of a pattern together with those of the fit; None: no equilibrium.
 
         Of an arm as built from one without imperfections, which else keep their share of it, or
-        with those of the fit.
+        from those of another fit.
         """
         hopeless = min(self.fit.deviance, self.line) + NEAR_SCORE  # it contains the fit
-        start = self.fit.point if anew and self.fit.built is not None else self.fit
+        anew = self.fit.point if self.fit.built is not None else self.fit
         try:
-            return self.fitter.fit((*self.fit.frees, *frees), start, hopeless=hopeless)
+            every = (*self.fit.frees, *frees)
+            return self.fitter.fit(every, start or anew, hopeless=hopeless)
         except (ArithmeticError, np.linalg.LinAlgError):
             return None
         finally:
@@ -295,16 +324,18 @@ def patterns_of(
     fit: Fit,
     progress: Callable[[str, int, int], None] | None = None,
     line: float = np.inf,
+    turns: bool = False,
 ) -> list[Pattern]:
     """
     Fit all patterns on top of a fit; those without equilibrium drop out.
 
-    Those whose deviance stays far above a `line` need not be fitted to their ends.
+    Those whose deviance stays far above a `line` need not be fitted to their ends; the others are
+    tried beyond `turns` of friction as well.
     """
     found: dict[str, Pattern | None] = {}
 
     def work(worker: int, names: Sequence[str]) -> None:
-        own = Patterns(fitters[worker], fit, line)
+        own = Patterns(fitters[worker], fit, line, turns)
         for name in names:
             found[name] = getattr(own, name)()
             if progress is not None:

@@ -70,9 +70,16 @@ class Session:
         self.candidates = candidates_of(robot, self.catalogue)
         self.accuracy = dataset.accuracy or 0.0
         self.use_accuracy = False
+        self.brief = False  # nobody asks what remains where no effect explains the data
         self.noise: Noise | None = None
         self.random: RandomEffects | None = None  # None: the description is exact
         self.imperfections: Imperfections | None = None
+
+    def mended(self, dataset: DataSet) -> Session:
+        """Return a session of the measurements without a mistake: whether effects explain them."""
+        other = Session(dataset, dataset.robot, self.catalogue, self.workers, self.progress)
+        other.brief = True
+        return other
 
     def _measured_by(self, dataset: DataSet) -> None:
         """Take measurements."""
