@@ -63,6 +63,21 @@ def test_a_tendon_that_crept_is_named_with_its_amount(driver):
     assert said[1].startswith(f'{driver.inputs[1]}: has crept: 1.') and 'longer' in said[1]
 
 
+def test_readings_that_come_one_by_one_from_a_busy_computer_are_waited_for(driver, monkeypatch):
+    now, read = [0.0], driver.read
+
+    def late():
+        now[0] += 0.15 if now[0] < 1.0 else 0.01  # longer than it is to stand still
+        return read()
+
+    driver.enable()
+    monkeypatch.setattr(driver, 'read', late)
+    arm = tendon_check._HeldTendons(driver, lambda: now[0], lambda: None, np.ones(4))
+    pulls, _ = arm.still()
+    assert pulls == pytest.approx(1e-3, abs=3e-5)
+    assert now[0] > 1.0
+
+
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_whoever_ends_it_the_tendons_are_let_go_and_not_dropped(driver, monkeypatch, number):
     monkeypatch.setattr(tendon_check, 'STOP_S', 0.1)

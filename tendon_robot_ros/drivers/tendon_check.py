@@ -218,7 +218,7 @@ class _HeldTendons:
             pulls, tensions = self._cycle(self.command)
             rows.append((self.clock(), pulls, tensions))
             recent = [row for row in rows if row[0] > rows[-1][0] - STILL_S]
-            if rows[-1][0] - began < 2.0 * STILL_S:
+            if rows[-1][0] - began < 2.0 * STILL_S or len(recent) < 2:  # the computer was busy
                 continue
             seen = np.array([row[1] for row in recent])
             half = len(seen) // 2
