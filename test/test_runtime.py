@@ -346,16 +346,20 @@ def test_what_moves_motors_goes_first_where_it_may():
 
 
 @pytest.mark.skipif(not os.path.exists('/proc/self/autogroup'), reason='a kernel without sessions')
-def test_its_session_goes_first_too_where_it_may():
+@pytest.mark.parametrize('leads', [True, False], ids=['its own', 'of a terminal'])
+def test_its_own_session_goes_first_too_where_it_may_and_one_with_others_does_not(leads):
     """Within it alone the nice value of what solves beside the commands would weigh."""
     if os.getpriority(os.PRIO_PROCESS, 0) != 0:
         pytest.skip('the tests themselves were started with another priority')
     wanted = processes.run(['nice', '-n', str(FIRST_NICENESS), 'nice']).stdout.strip()
-    program = (
+    program = [
+        *([] if leads else ['bash', '-c', '"$@"; true', 'shell']),  # as a child of who leads
+        sys.executable,
+        '-c',
         'from tendon_robot_ros.common.processes import go_first; go_first(); '
-        'print(open("/proc/self/autogroup").read())'
-    )
-    assert f' nice {wanted}\n' in processes.run([sys.executable, '-c', program]).stdout
+        'print(open("/proc/self/autogroup").read())',
+    ]
+    assert f' nice {wanted if leads else 0}\n' in processes.run(program).stdout
 
 
 REALTIME = """

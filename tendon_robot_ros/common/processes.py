@@ -58,15 +58,17 @@ def go_first() -> None:
     """
     Have this thread, and all it starts, preferred to others; do nothing where it may not.
 
-    Also the session (autogroup): a nice value weighs within it only, and what solves beside the
-    commands holds Python's lock at times, for which they wait while others have the processor.
-    Who was started with a nice value of its own keeps it. Needs root, CAP_SYS_NICE or a line
-    `nice -15` in /etc/security/limits.conf.
+    Also the session (autogroup) where this process leads it: a nice value weighs within it only,
+    and what solves beside the commands holds Python's lock at times, for which they wait while
+    others have the processor. The session of a terminal stays as it is: all that a person runs
+    there would go first, too. Who was started with a nice value of its own keeps it. Needs root,
+    CAP_SYS_NICE or a line `nice -15` in /etc/security/limits.conf.
     """
     if os.getpriority(os.PRIO_PROCESS, 0) == 0:
         with contextlib.suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, 0, FIRST_NICENESS)
-            Path('/proc/self/autogroup').write_text(str(FIRST_NICENESS))
+            if os.getsid(0) == os.getpid():
+                Path('/proc/self/autogroup').write_text(str(FIRST_NICENESS))
 
 
 def go_realtime(
