@@ -261,6 +261,7 @@ def test_a_motor_that_is_weakened_lets_the_arm_have_its_wire_and_is_strong_again
     assert [line.servo(i).get('goal_current') for i in (1, 2, 3, 4)] == [counts] * 4
     assert driver.read().tensions.max() < 0.6 < held.max()
     driver.weaken(0.0, 0.5)
+    time.sleep(0.2)  # a computer that stands still; the motors stayed weak after that
     settled(driver, command)
     assert line.servo(1).get('goal_current') == motor.strongest
     np.testing.assert_allclose(driver.read().tensions, held, atol=0.1)

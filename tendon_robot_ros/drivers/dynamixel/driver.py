@@ -98,7 +98,7 @@ def driver_reading(
 # Dynamixel servos behind the driver interface: fails safe, comes back from where the arm is.
 
 REBOOT_TIME_S = 2.0  # [s]
-STRENGTH_REPEATED_S = 0.1  # [s] nobody acknowledges a goal
+STRENGTH_REPEATED = 20  # times: nobody acknowledges a goal
 
 
 class DynamixelDriver(PortDriver):
@@ -121,7 +121,7 @@ class DynamixelDriver(PortDriver):
         self._turn = 0
         observable = config.allow_coarse or mode == 'tension'
         self.gives_way = self._operating == CURRENT_POSITION_MODE
-        self._weak_until = -np.inf  # monotonic [s]
+        self._strength_due = 0  # times that it is still to be sent
         self._observable = np.array([observable or not w.resolution.coarse for w in config.wires])
 
     def open(self) -> None:
@@ -222,18 +222,19 @@ class DynamixelDriver(PortDriver):
         if not self.gives_way:
             return
         if share > 0.0 or any(motor.weakened is not None for motor in self.motors.values()):
-            self._weak_until = time.monotonic() + STRENGTH_REPEATED_S
+            self._strength_due = STRENGTH_REPEATED
         for motor in self.motors.values():
             motor.weaken(share, least)
 
     def _send_strength(self) -> None:
         """Send what the motors may hold while it is less than usual, and for a while after."""
         weak = any(motor.weakened is not None for motor in self.motors.values())
-        if weak or time.monotonic() < self._weak_until:
+        if weak or self._strength_due > 0:
             motors = [motor for motor in self.motors.values() if motor.wanted]
             bounds = {motor.identity: motor.current_bounds for motor in motors}
             most = {identity: high for identity, (_, high) in bounds.items()}
             self.bus.send_goals('goal_current', most, bounds)
+            self._strength_due -= 1
 
     def read(self) -> Reading:
         """Read every motor; look after errors, watchdogs and what was lost."""
