@@ -137,7 +137,8 @@ class Station:
             nonlocal given, at
             status = last(self.controller)
             said, passed = values(status), time.monotonic() - at
-            asked = AGAIN in status.message and passed > 1.0  # the driver was late
+            late = AGAIN in status.message or said['code'].startswith('refused')
+            asked = late and passed > 1.0  # the driver was, or an older message that is refused
             if asked or (said.get('target_stamp') != given and passed > UNHEARD):
                 given, at = sent()
             return said.get('target_stamp') == given and said['code'] in SETTLED

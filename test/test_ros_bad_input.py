@@ -12,10 +12,12 @@ pytest.importorskip('rclpy')
 from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
 from ros_station import BASE, HIGH, LOW, holding, last, point, values
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from tendon_robot_ros.robot import dump_robot
 from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.ros.shared.messages import COMMAND
 
 pytestmark = pytest.mark.ros
 SPACE = '/bad_input'
@@ -168,15 +170,48 @@ def test_what_is_too_long_to_be_read_beside_the_commands_is_refused(station, top
     words = f'{topic.rpartition("/")[2]}: expected at most 250,000 bytes, got 300,'
 
     def refused():
-        station.send(topic, message)
         return any(
             words in said.message and values(said)['code'] == 'refused_length' for _, said in heard
         )
 
-    station.until(refused, words)
+    station.send_until(topic, message, refused, words)
     there = pytest.approx([0.06, 0.0, 0.17], abs=1e-3)
     station.until(lambda: station.tip() == there, 'the arm where it was')
     station.go_to_point(0.05, 0.18)
+
+
+@pytest.mark.parametrize(
+    ('topic', 'kind', 'says'),
+    [
+        ('controller/target_pose', PoseStamped, 'controller'),
+        ('tendon_states', JointState, 'controller'),
+        ('tendon_command', JointState, 'driver'),
+        ('stop', Bool, None),
+    ],
+)
+def test_bytes_that_are_no_message_are_refused_and_the_next_one_is_heard(
+    station, topic, kind, says
+):
+    """A program with another definition of the message, or a broken one."""
+    cut = station.node.create_publisher(kind, topic, COMMAND)
+    heard = {'controller': station.controller, 'driver': station.driver}.get(says, [])
+    words = f'{topic.rpartition("/")[2]}: expected a message {kind.__name__}, got 4 bytes'
+    try:
+        station.until(lambda: cut.get_subscription_count() > 0, f'a subscriber of {topic}')
+
+        def refused():
+            cut.publish(b'\x00\x01\x00\x00')
+            return says is None or any(words in said.message for _, said in heard)
+
+        station.until(refused, words)
+        station.spin(0.2)
+    finally:
+        station.node.destroy_publisher(cut)
+    station.go_to_point(0.05, 0.18)
+    station.send_until('stop', Bool(data=True), lambda: station.code() == 'stopped', 'a stop')
+    station.send('stop', Bool(data=False))
+    station.until(lambda: station.trigger('driver/reset').success, 'a reset of the driver')
+    station.until(lambda: station.trigger('controller/reset').success, 'a reset')
 
 
 @pytest.mark.parametrize(

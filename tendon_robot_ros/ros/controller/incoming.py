@@ -9,7 +9,6 @@ import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory
 
@@ -17,6 +16,7 @@ from ...control import Refusal, Target, Twist
 from ...control.checks import by_name, check_frame, check_stamp, direction, finite, position
 from ...control.trajectory import Playing, checked
 from ...model.model import Model
+from ..shared.joints import Joints
 from ..shared.messages import Frames, nanoseconds_now, seconds
 from ..shared.parameters import Parameters
 
@@ -81,10 +81,10 @@ class Incoming:
             )
         return Twist(values[:3], values[3:], message.header.frame_id == self.tip)
 
-    def states(self, message: JointState) -> tuple[Array, Array]:
+    def states(self, message: Joints) -> tuple[Array, Array]:
         """Return tensions [N] and wire pulls [m]; nan where not observable."""
-        self._stamp(message.header, 'tendon_states')
-        inputs, names = self._model.inputs, message.name
+        self._fresh(message.stamp, 'tendon_states')
+        inputs, names = self._model.inputs, message.names
         found = []
         for quantity, values in (('effort', message.effort), ('position', message.position)):
             values = values or [np.nan] * len(names)
@@ -129,8 +129,11 @@ class Incoming:
         return self._frames.to_base(header.frame_id, what)
 
     def _stamp(self, header: Header, what: str) -> None:
+        self._fresh(seconds(header.stamp), what)
+
+    def _fresh(self, stamp: float, what: str) -> None:
         now = 1e-9 * nanoseconds_now(self._node)
-        check_stamp(seconds(header.stamp), now, self._parameters['stamp_tolerance'], what)
+        check_stamp(stamp, now, self._parameters['stamp_tolerance'], what)
 
 
 def _text(header: Header) -> str:

@@ -29,6 +29,7 @@ from ...control.status import controller_status
 from ...model.model import Model
 from ...robot.keep_out import KeepOut
 from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic, hear_anybody
+from ..shared.joints import JointReader, Joints
 from ..shared.lifecycle import LEVELS, ManagedNode, Status
 from ..shared.messages import (
     COMMAND,
@@ -84,7 +85,7 @@ class ControllerNode(ManagedNode):
         self._command = JointState()
         self._commands = self.create_publisher(JointState, 'tendon_command', COMMAND)
         self._controllers = OtherPublishers(self, self._commands)
-        self._measured = Inbox(self, JointState, 'tendon_states', JOINTS)
+        self._measured = Inbox(self, JointState, 'tendon_states', JOINTS, JointReader())
         self._tracker: Subscription | None = None
         self._hear_tip()
         stop = Service(self, Trigger, '~/stop', self._stop)
@@ -185,10 +186,10 @@ class ControllerNode(ManagedNode):
         if self.core is not None:
             self.core.refusals['target'] = Refusal('length', problem)
 
-    def _states(self, heard: Received[JointState]) -> None:
+    def _states(self, heard: Received[Joints]) -> None:
         def take(core: ControllerCore, incoming: Incoming) -> None:
             now, measured = time.monotonic(), incoming.states(heard.message)
-            if self._drivers.counts(now, heard.message.header.frame_id, heard):
+            if self._drivers.counts(now, heard.message.frame, heard):
                 core.measured(now, *measured)
 
         self._take('states', take)

@@ -25,8 +25,9 @@ from ...drivers.supervisor import FOLLOWING, LIMP, OFF, RELEASED, Supervisor
 from ...drivers.tendon_check import due
 from ..shared.files import read_robot
 from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic
+from ..shared.joints import JointReader, Joints
 from ..shared.lifecycle import ERROR, OK, WARN, ManagedNode, Status
-from ..shared.messages import JOINTS, STATE, nanoseconds_now, refilled, seconds, stamp_now
+from ..shared.messages import JOINTS, STATE, nanoseconds_now, refilled, stamp_now
 from ..shared.parameters import Parameters
 from ..shared.runtime import asked_to_end, goes_first, repeat, run, when_asked_to_end
 from ..shared.senders import OtherPublishers, Received, Senders, signature
@@ -64,7 +65,7 @@ class DriverNode(ManagedNode):
         self._state = JointState(header=Header(frame_id=signature(self)))
         self._states = self.create_publisher(JointState, 'tendon_states', STATE)
         self._drivers = OtherPublishers(self, self._states)
-        self._commands = Inbox(self, JointState, 'tendon_command', JOINTS)
+        self._commands = Inbox(self, JointState, 'tendon_command', JOINTS, JointReader())
         stop = Service(self, Trigger, '~/stop', self._stop)  # answers while torque comes on, too
         self._stop_topic = StopTopic(self, self._stop_said, self._stop_gone, [stop])
         self.create_service(Trigger, '~/reset', self._reset)
@@ -151,20 +152,16 @@ class DriverNode(ManagedNode):
         rules = self.loop.supervisor.rules
         return float(np.max(np.ptp(rules.limits, axis=1)) / rules.release_rate) + 1.0
 
-    def _command(self, heard: Received[JointState]) -> None:
+    def _command(self, heard: Received[Joints]) -> None:
         if self.loop is None:
             return
         message = heard.message
         try:
             now = 1e-9 * nanoseconds_now(self)
-            check_stamp(
-                seconds(message.header.stamp),
-                now,
-                self.parameters['stamp_tolerance'],
-                'tendon_command',
-            )
-            if not message.name:
-                if self._senders.counts(time.monotonic(), message.header.frame_id, heard):
+            tolerance = self.parameters['stamp_tolerance']
+            check_stamp(message.stamp, now, tolerance, 'tendon_command')
+            if not message.names:
+                if self._senders.counts(time.monotonic(), message.frame, heard):
                     self.loop.let_go(NO_MORE)
                 return
             tension = self.loop.driver.mode == 'tension'
@@ -172,10 +169,10 @@ class DriverNode(ManagedNode):
                 ('effort', message.effort) if tension else ('position', message.position)
             )
             ordered = by_name(
-                message.name, values, self.loop.driver.inputs, 'tendon_command', quantity
+                message.names, values, self.loop.driver.inputs, 'tendon_command', quantity
             )
             command = finite(ordered.tolist(), 'tendon_command')
-            if self._senders.counts(time.monotonic(), message.header.frame_id, heard):
+            if self._senders.counts(time.monotonic(), message.frame, heard):
                 self.loop.put(command)
                 self._refusal = None
         except Refusal as refusal:

@@ -5,6 +5,7 @@ messages.py            ROS messages to arrays and back; their frames (TF); quali
 parameters.py          declared parameters with range and unit; those of another node
 lifecycle.py           nodes that start by themselves; their status
 inbox.py               subscriptions of any kind; what a thread of its own hears; the topic `stop`
+joints.py              joint messages from their bytes
 senders.py             who published a message; of several, whose messages count
 transport.py           how nodes reach each other
 runtime.py             running nodes so that they end safe; nodes as processes

@@ -28,7 +28,7 @@ from .messages import (
     LISTEN_ALL,
     passing_subscription,
 )
-from .senders import MESSAGE_BYTES_MAX, UNTOLD, Received, Taker
+from .senders import MESSAGE_BYTES_MAX, UNTOLD, Received, Taker, too_long, unreadable
 
 
 class Inbox[M]:
@@ -42,33 +42,30 @@ class Inbox[M]:
     same topic may have another inbox for them.
     """
 
-    def __init__(self, node: Node, kind: type[M], topic: str, qos: QoSProfile) -> None:
-        """Subscribe."""
+    def __init__(
+        self, node: Node, kind: type, topic: str, qos: QoSProfile, read: Callable[[bytes], M]
+    ) -> None:
+        """Subscribe; `read` makes of bytes what is taken."""
         check_is_valid_msg_type(kind)
         self.topic = topic
         with node.handle:
             self.handle = _rclpy.Subscription(node.handle, kind, topic, qos.get_c_qos_profile())
-        self._take = Taker(self.handle, kind)
+        self._take = Taker(self.handle, kind, read)
 
     def take(self) -> list[Received[M]]:
-        """Give the messages that came since the last time, oldest first; none that is too long."""
+        """Give the messages that came since the last time, oldest first, that can be read."""
         with self.handle:
             return list(iter(self._take, None))
 
     def refused(self) -> str:
-        """Say what was too long to be read since the last time, '' for nothing."""
-        size, self._take.refused = self._take.refused, 0
-        return too_long(self.topic, size) if size else ''
+        """Say why a message since the last time was not read, '' for none."""
+        problem, self._take.refused = self._take.refused, ''
+        return problem and f'{self.topic}: {problem}'
 
     def close(self) -> None:
         """Unsubscribe."""
         self._take.close()
         self.handle.destroy_when_not_in_use()
-
-
-def too_long(topic: str, size: int) -> str:
-    """Say that a message of so many bytes is not read."""
-    return f'{topic}: expected at most {MESSAGE_BYTES_MAX:,} bytes, got {size:,}'
 
 
 class Service:
@@ -160,10 +157,16 @@ def hear_anybody[M](
             other.remove(same)
             return
         own.append((now, message))
+        what = topic.removeprefix('~/')
         if len(message) > MESSAGE_BYTES_MAX:
-            refuse(too_long(topic.removeprefix('~/'), len(message)))
+            refuse(f'{what}: {too_long(len(message))}')
+            return
+        try:
+            read = deserialize_message(message, kind)
+        except _rclpy.RMWError:
+            refuse(f'{what}: {unreadable(kind, len(message))}')
         else:
-            hear(deserialize_message(message, kind))
+            hear(read)
 
     return [
         passing_subscription(node, kind, topic, partial(come, way=way), qos, raw=True)
@@ -266,8 +269,10 @@ class StopTopic:
         A word that waits is lost when its publisher leaves: Fast DDS takes it back.
         """
         kinds = LISTEN_ALL, COMMAND_ALL, LATCHED_BY_MANY
-        inboxes = [Inbox(self._node, Bool, 'stop', qos) for qos in kinds]
-        passed, told = Inbox(self._node, String, PASSED_ON, COMMAND_ALL), String()
+        read, read_text = (partial(deserialize_message, message_type=m) for m in (Bool, String))
+        inboxes = [Inbox(self._node, Bool, 'stop', qos, read) for qos in kinds]
+        passed = Inbox(self._node, String, PASSED_ON, COMMAND_ALL, read_text)
+        told = String()
         while not self._closed:
             for inbox in inboxes:
                 for word in inbox.take():

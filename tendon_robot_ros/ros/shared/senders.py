@@ -12,14 +12,15 @@ import ctypes
 import hashlib
 import os
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.serialization import deserialize_message
 
 UNTOLD = b''  # publisher of a message where the middleware does not say
 MESSAGE_BYTES_MAX = 250_000  # bytes of a message that is read: 10 MB take seconds
@@ -80,10 +81,10 @@ class Received[M]:
 class Taker[M]:
     """Takes messages with the identity of their publisher; without it where it is not told."""
 
-    def __init__(self, handle: Any, kind: type[M]) -> None:
-        """Take the subscription of rclpy's C++ part and the kind of its messages."""
-        self._handle, self._kind = handle, kind
-        self.refused = 0  # bytes of the last message that was too long
+    def __init__(self, handle: Any, kind: type, read: Callable[[bytes], M]) -> None:
+        """Take the subscription of rclpy's C++ part, the kind of its messages, who reads them."""
+        self._handle, self._kind, self._read = handle, kind, read
+        self.refused = ''  # why the last message that was not read
         self._info = _Info()  # of the last message
         try:
             self._take = ctypes.CDLL('librcl.so').rcl_take_serialized_message
@@ -96,34 +97,51 @@ class Taker[M]:
 
     def __call__(self) -> Received[M] | None:
         """Return the next message, None where there is none; the handle must be entered."""
+        while (taken := self._next()) is not None:
+            data, sent, number, publisher = taken
+            if len(data) > MESSAGE_BYTES_MAX:
+                self.refused = too_long(len(data))
+                continue
+            try:
+                return Received(self._read(data), sent, number, publisher)
+            except _rclpy.RMWError:
+                self.refused = unreadable(self._kind, len(data))
+        return None
+
+    def _next(self) -> tuple[bytes, int, int, bytes] | None:
+        """Return the next message as bytes, and what is known of it."""
         if self._bytes is None:
             return self._plain()
         info, pointer = self._info, ctypes.c_void_p(self._handle.pointer)
-        while True:
-            if self._take(pointer, ctypes.byref(self._bytes), ctypes.byref(info), None) != TAKEN:
-                return None
-            if self._bytes.length <= MESSAGE_BYTES_MAX:
-                break
-            self.refused = self._bytes.length
+        if self._take(pointer, ctypes.byref(self._bytes), ctypes.byref(info), None) != TAKEN:
+            return None
         data = ctypes.string_at(self._bytes.buffer, self._bytes.length)
-        message = deserialize_message(data, self._kind)
         number = info.number if info.number < NOT_COUNTED else 0
-        return Received(message, info.sent, number, bytes(info.publisher))
+        return data, info.sent, number, bytes(info.publisher)
 
-    def _plain(self) -> Received[M] | None:
-        taken = self._handle.take_message(self._kind, False)
+    def _plain(self) -> tuple[bytes, int, int, bytes] | None:
+        taken = self._handle.take_message(self._kind, True)
         if taken is None:
             return None
-        message, info = taken
-        return Received(
-            message, info['source_timestamp'], info['publication_sequence_number'] or 0
-        )
+        data, info = taken
+        number = info['publication_sequence_number'] or 0
+        return data, info['source_timestamp'], number, UNTOLD
 
     def close(self) -> None:
         """Give the memory back."""
         if self._bytes is not None:
             self._free(ctypes.byref(self._bytes))
             self._bytes = None
+
+
+def too_long(size: int) -> str:
+    """Say that a message of so many bytes is not read."""
+    return f'expected at most {MESSAGE_BYTES_MAX:,} bytes, got {size:,}'
+
+
+def unreadable(kind: type, size: int) -> str:
+    """Say that so many bytes are no message."""
+    return f'expected a message {kind.__name__}, got {size:,} bytes that are none'
 
 
 GONE_AFTER_S = 1.0  # [s] of silence; a shorter one may be a busy machine
@@ -203,7 +221,7 @@ class Senders:
         self._others: dict[str, float] = {}  # signature -> when it was heard [s]
         self._process = SenderProcess('')
 
-    def counts(self, now: float, name: str, heard: Received[object]) -> bool:
+    def counts(self, now: float, name: str, heard: Received[Any]) -> bool:
         """Whether a message is of the one to follow; the first to come is followed."""
         name = name[:SIGNATURE_LENGTH_MAX]
         known = now - self._heard_at <= GONE_AFTER_S
