@@ -1,5 +1,6 @@
 """Watching an arm: the force at its tip, and the sequential test of drift."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -80,7 +81,7 @@ def test_a_force_at_mid_arm_is_told_from_one_at_the_tip():
 
 @pytest.fixture(scope='module')
 def learned():
-    """Return an arm as it is built, and how often its watch may be made anew."""
+    """Return an arm as it is built, and its reference postures as they were seen."""
     plant = make_plant(ROBOT, {}, seed=4, work=Workmanship())
     rows = postures(24, 7)
     return plant, rows, looked(plant, rows, 2)
@@ -97,8 +98,23 @@ def watching(learned):
     return watch
 
 
-def test_an_arm_that_stays_as_it_is_raises_no_alarm(learned):
-    watch, rows = watching(learned), postures(40, 11)
+@pytest.fixture(scope='module')
+def known(learned):
+    """Return the watch of an arm that has learned its reference postures."""
+    return watching(learned)
+
+
+@pytest.fixture
+def watch(known):
+    """Return one that knows as much and is nobody else's."""
+    made, arm = copy(known), known.alarm.arm
+    made._arm = arm.as_known(arm.mean.copy(), arm.covariance.copy())
+    made.alarm = DriftAlarm(made._arm, known.settings.alarm_postures)
+    return made
+
+
+def test_an_arm_that_stays_as_it_is_raises_no_alarm(learned, watch):
+    rows = postures(40, 11)
     for tensions, positions in zip(rows, looked(learned[0], rows, 3), strict=True):
         assert not watch.stands(tensions, positions).alarm
     assert watch.text == 'as it was'
@@ -146,8 +162,8 @@ def test_a_wrong_tension_and_a_hand_at_the_arm_are_misread_references_that_are_n
     [({'tip_load': {'force_x': 0.004}}, 'tip_load'), ({}, 'the tracker')],
     ids=['load', 'bump'],
 )
-def test_a_change_is_told_within_twenty_postures_and_named(learned, hidden, name):
-    watch, rows = watching(learned), postures(20, 12)
+def test_a_change_is_told_within_twenty_postures_and_named(watch, hidden, name):
+    rows = postures(20, 12)
     changed = make_plant(ROBOT, hidden, seed=4, work=Workmanship())
     shift = 0.0 if hidden else np.array([0.0, 2e-3, 0.0])
     for tensions, positions in zip(rows, looked(changed, rows, 5) + shift, strict=True):
@@ -160,8 +176,8 @@ def test_a_change_is_told_within_twenty_postures_and_named(learned, hidden, name
     assert watch.state is None
 
 
-def test_one_odd_posture_alone_raises_no_alarm_and_the_next_one_does(learned):
-    watch, rows = watching(learned), postures(2, 12)
+def test_one_odd_posture_alone_raises_no_alarm_and_the_next_one_does(watch):
+    rows = postures(2, 12)
     loaded = make_plant(ROBOT, {'tip_load': {'force_x': 0.004}}, seed=4, work=Workmanship())
     first, second = (
         watch.stands(tensions, positions)
@@ -456,12 +472,6 @@ def test_the_evidence_for_a_change_that_did_not_happen_is_one_on_average():
         ratios.append(np.exp(alarm._log_ratio(begun, 0)))
     assert np.mean(ratios) == pytest.approx(1.0, abs=4 * np.std(ratios) / np.sqrt(len(ratios)))
     assert alarm.threshold == 5000.0
-
-
-@pytest.fixture(scope='module')
-def known(learned):
-    """Return the watch of an arm that has learned its reference postures."""
-    return watching(learned)
 
 
 def alarmed(watch, plant):
