@@ -7,19 +7,21 @@ import socket
 import sys
 import time
 import urllib.request
+from types import SimpleNamespace
 
 import numpy as np
 import processes
 import pytest
 
 from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.common.errors import TendonRobotError
 
 pytest.importorskip('rclpy')
 pytestmark = pytest.mark.ros
 LIVE = [sys.executable, '-u', '-m', 'tendon_robot_ros', 'live']
 
 
-def told(*arguments, timeout=280.0):
+def told(*arguments, timeout=500.0):
     run = processes.run([*LIVE, '--headless', *arguments], timeout=timeout)
     return run.returncode, run.stdout + run.stderr
 
@@ -64,6 +66,19 @@ def test_beside_the_page_the_terminal_says_every_posture(capsys):
         director.wait(heard, 20.0, 'both lines')
         director.destroy_node()
     assert lines == ['posture 1: one 0.2 N', 'one name is left']
+
+
+def test_a_node_that_ends_while_all_others_start_is_named_at_once():
+    from tendon_robot_ros.ros.commands.director import Director
+    from tendon_robot_ros.ros.shared.runtime import ros
+
+    with ros([]) as ending:
+        director = Director(f'/live_{os.getpid()}', 'base', ending)
+        ended = SimpleNamespace(name='monitor', process=SimpleNamespace(poll=lambda: 1))
+        director.nodes = [ended]
+        with pytest.raises(TendonRobotError, match='the monitor has ended with code 1'):
+            director.wait_until_up()
+        director.destroy_node()
 
 
 @pytest.mark.slow

@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 
+from ...common.errors import TendonRobotError
 from ...simulation.rehearsal import TourPosture
 from ..shared.messages import LATCHED, LATCHED_BY_MANY, LISTEN, STATE, seconds
 from ..shared.robot_client import RobotClient
-from ..shared.runtime import Ending
+from ..shared.runtime import Ending, NodeProcess
 
 Array = NDArray[np.float64]
 STARTING_CODES = (None, 'loading', 'compiling', 'building', 'not_ready')
+START_TIMEOUT_S = 600.0  # [s] for all nodes
 POSTURE_STAY_S = 1.0  # [s] at a stop
 TIP_AVERAGE_S = 0.5  # [s] over which the tip is taken there
 TIP_MESSAGES_MIN = 5  # messages in that time
@@ -35,6 +37,7 @@ class Director(RobotClient):
         super().__init__('tour', ending, namespace, base, watched=('monitor',))
         self.progress, self.verdict = '', dict[str, Any]()
         self.touring = True  # the page may switch it off
+        self.nodes: list[NodeProcess] = []  # that were started for it
         self._tips: list[tuple[float, Array]] = []
         self._errors: list[tuple[float, Array]] = []
         self._tensions: list[tuple[float, Array]] = []
@@ -54,17 +57,17 @@ class Director(RobotClient):
         self.create_subscription(String, 'investigate/progress', heard, LATCHED_BY_MANY)
 
     def wait_until_up(self) -> None:
-        """Wait for all nodes."""
-        self.wait(
-            lambda: (
-                self.status.get('code') not in STARTING_CODES
-                and self.statuses['monitor'].get('code') == 'comparing'
-                and self._errors
-                and self.has_listener
-            ),
-            120.0,
-            'controller, driver and monitor to start',
-        )
+        """Wait for all nodes, however slow the computer is, as long as none has ended."""
+
+        def up() -> bool:
+            for node in self.nodes:
+                if (code := node.process.poll()) is not None:
+                    raise TendonRobotError(f'the {node.name} has ended with code {code}')
+            starting = self.status.get('code') in STARTING_CODES
+            compares = self.statuses['monitor'].get('code') == 'comparing'
+            return not starting and compares and bool(self._errors) and self.has_listener
+
+        self.wait(up, START_TIMEOUT_S, 'controller, driver and monitor to start')
 
     def go(self, stop: TourPosture) -> bool:
         """

@@ -50,6 +50,7 @@ WATCHED: dict[str, object] = {
     'reference_postures': 20.0,
 }
 INVESTIGATION = ('--add', '--speed', '2', '--output')  # how the mock is investigated, and where
+HEADLESS_RATE_HZ = 100.0  # of controller and driver, where nobody looks
 TRACKER_NOISE_M = 0.0002  # [m] 1 sd of the mock's tracker
 
 
@@ -74,7 +75,7 @@ def main(arguments: Sequence[str]) -> int:
         space = f'/live_{os.getpid()}'
         director = Director(space, f'{robot.name}_base', ending)
         stack.callback(director.destroy_node)
-        _start(stack, space, folder, robot, hidden, seed, options)
+        _start(stack, director, space, folder, robot, hidden, seed, options)
         try:
             code = _run(director, model, options, Story(hidden), folder)
         except KeyboardInterrupt:
@@ -114,6 +115,7 @@ def _run(
 
 def _start(
     stack: ExitStack,
+    director: Director,
     space: str,
     folder: Path,
     robot: Robot,
@@ -135,9 +137,10 @@ def _start(
         'seed': seed,
         'tracker': {'rate': 30.0, 'noise': TRACKER_NOISE_M, 'seed': seed + 1},
     }
+    rate = {'rate': HEADLESS_RATE_HZ} if options.headless else {}
     nodes: list[tuple[str, dict[str, object]]] = [
-        ('driver', {'robot': model, 'config': _yaml(config)}),
-        ('controller', {'model': model}),
+        ('driver', {'robot': model, 'config': _yaml(config), **rate}),
+        ('controller', {'model': model, **rate}),
         ('monitor', {'folder': str(folder.resolve() / 'recordings'), **WATCHED}),
     ]
     if not options.headless:
@@ -147,7 +150,7 @@ def _start(
         nodes.append(('investigate', {}))
     for name, parameters in nodes:
         process = NodeProcess(name, parameters, space, log, own=own.get(name, ()))
-        stack.enter_context(process)
+        director.nodes.append(stack.enter_context(process))
 
 
 def _yaml(content: object) -> str:
