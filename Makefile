@@ -4,6 +4,9 @@ ARGS :=
 
 .PHONY: help venv paper test test-oldest test-slow test-blind demo bench lint format live
 .SILENT:
+# What pytest and its plugins compile is kept, whatever this machine's settings are: each process of
+# tests would else take a second for it, and conftest.py comes too late.
+unexport PYTHONDONTWRITEBYTECODE
 
 help: ## list the targets
 	grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14

@@ -17,6 +17,7 @@ from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring.built_arm import BuiltArm
 from tendon_robot_ros.monitoring.change import ChangeFinder, ChangeFit
 from tendon_robot_ros.monitoring.drift import DriftAlarm, _ChangeBegun
+from tendon_robot_ros.monitoring.noise_sizes import log_likelihoods
 from tendon_robot_ros.monitoring.possible_changes import changes_of
 from tendon_robot_ros.monitoring.references import Reference, contradicted, widening
 from tendon_robot_ros.monitoring.tip_force import TipForceObserver
@@ -266,6 +267,28 @@ def test_innovations_that_vary_more_or_hang_together_widen(variance, shared, low
     own, common = random.normal(size=(320, 4)), np.repeat(random.normal(size=(32, 4)), 10, axis=0)
     scores = np.sqrt(50.0 * variance) * (np.sqrt(1 - shared) * own + np.sqrt(shared) * common)
     assert low < widening([(score, told) for score in scores]) < high
+
+
+def test_the_likelihood_of_sizes_is_that_of_all_postures_as_one_normal_vector():
+    random, gains, noise = np.random.default_rng(2), np.array([1, 4]), 0.1
+    remainders, settings, postures, dense = (0.0, 0.3, 1.0), (0.0, 0.7), [], []
+    for size in (7, 4, 7):
+        rest = random.normal(size=(size, size))
+        rest = rest @ rest.T / size
+        columns, bent = random.normal(size=(size, 6)), 0.2 * random.normal(size=(size, 2))
+        off = random.normal(size=size)
+        postures.append((columns, off, bent, np.linalg.eigh(rest)))
+        dense.append((columns, off, bent @ bent.T + noise**2 * np.eye(size), rest))
+    found = log_likelihoods(postures, gains, noise, remainders, settings)
+    columns, off = (np.concatenate([one[i] for one in dense]) for i in (0, 1))
+    for (i, j), value in np.ndenumerate(found):
+        spread, at = columns @ columns.T, 0
+        for own, _, known, rest in dense:
+            read = settings[j] * own[:, gains]
+            here = slice(at, at := at + len(own))
+            spread[here, here] += known + remainders[i] ** 2 * rest + read @ read.T
+        wanted = -0.5 * (off @ np.linalg.solve(spread, off) + np.linalg.slogdet(spread)[1])
+        assert value == pytest.approx(wanted, rel=1e-9)
 
 
 def references(random, count=30, sizes=1.0):

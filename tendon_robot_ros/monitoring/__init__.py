@@ -4,6 +4,7 @@ Watching a robot against its model, without ROS: compare, record what is still, 
 monitor.py       prediction beside measurement, and the postures worth recording
 measurement.py   the last readings: whether the arm stands still, and their mean while it does
 built_arm.py     one arm as it was built, learned posture by posture
+noise_sizes.py   how likely postures are under sizes of what is new in each of them
 references.py    which reference postures are misread, and how alike the others err
 tip_force.py     the force at the tip, and whether something touches elsewhere
 drift.py         the drift alarm, a sequential test: is the arm still what it was; its threshold

@@ -15,8 +15,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +27,7 @@ from ..effects import Catalogue
 from ..model.shape import ShapeBatch
 from ..robot import Robot
 from ..robot.estimates import bend_rates, end_sections, natural_sizes
+from .noise_sizes import log_likelihoods
 from .references import Reference, contradicted, widening
 
 Floats = npt.NDArray[np.float64]
@@ -249,8 +248,7 @@ class BuiltArm:
         for _ in range(FITS):  # around what the last one found: far from it all looks larger
             base = self._linear(tensions, positions)
             counted = [one for one, c in zip(base, counts, strict=True) if c and one is not None]
-            likelihood = partial(self._likelihood, counted, frames)
-            self._vary(max(product(REMAINDER_SHARES, SETTING_SIZES), key=likelihood))
+            self._vary(counted, frames)
             self._learn_all(counted, frames)
         return base
 
@@ -274,22 +272,27 @@ class BuiltArm:
         usual = np.nanmedian(off) if np.isfinite(off).any() else np.inf
         return np.asarray(~(off > FAR_FACTOR * max(float(usual), self.noise)))
 
-    def _likelihood(
-        self, base: Sequence[_Linear], frames: int, sizes: tuple[float, float]
-    ) -> float:
-        """Return the log likelihood of postures under sizes of remainder and tensions' noise."""
-        self._vary(sizes)
-        return self._learn_all(base, frames)
-
-    def _vary(self, sizes: tuple[float, float]) -> None:
-        """Set the sizes of the remainder [of the length] and of the noise of the tensions [1]."""
-        share, setting = sizes
-        self.remainder = share * self.robot.length
+    def _vary(self, base: Sequence[_Linear], frames: int) -> None:
+        """Set the sizes of remainder and of the noise of the tensions that predict best."""
         usual = self.plausible[self._gains]
-        self.setting = setting / float(usual[0]) if len(usual) else 0.0
+        remainders = [share * self.robot.length for share in REMAINDER_SHARES]
+        settings = [size / float(usual[0]) if len(usual) else 0.0 for size in SETTING_SIZES]
+        axes: dict[bytes, tuple[Floats, Floats]] = {}
+        postures = []
+        for free, measured in base:
+            rows = np.isfinite(measured)
+            off = measured[rows] - free.markers[rows]
+            if (seen := rows.tobytes()) not in axes:
+                sizes, vectors = np.linalg.eigh(self.rest(rows))
+                axes[seen] = sizes, vectors
+            postures.append((free.columns[rows], off, free.bent[rows], axes[seen]))
+        noise = self.noise / np.sqrt(frames)
+        likely = log_likelihoods(postures, self._gains, noise, remainders, settings)
+        i, j = np.unravel_index(likely.argmax(), likely.shape)
+        self.remainder, self.setting = remainders[i], settings[j]
 
-    def learn(self, expected: Expected, measured: Floats, frames: int = 1) -> float:
-        """Take a posture (3 J,) [m] into what is known; return its predictive log likelihood."""
+    def learn(self, expected: Expected, measured: Floats, frames: int = 1) -> None:
+        """Take a posture (3 J,) [m] into what is known."""
         rows = np.isfinite(measured)
         columns = expected.columns[rows]
         off = measured[rows] - expected.markers[rows]
@@ -300,7 +303,6 @@ class BuiltArm:
         gain = np.linalg.solve(root, columns @ self.covariance)  # (rows, q), whitened
         self.mean, self._members = self.mean + gain.T @ white, None
         self.covariance = self.covariance - gain.T @ gain
-        return float(-0.5 * white @ white - np.log(np.diag(root)).sum())
 
     def _linear(self, tensions: Floats, positions: Floats) -> list[_Linear | None]:
         """Return what is expected of postures, linear, at no imperfections; and measurements."""
@@ -310,14 +312,12 @@ class BuiltArm:
             for e, y in seen
         ]
 
-    def _learn_all(self, base: Sequence[_Linear], frames: int) -> float:
-        """Learn from linear postures; return their log likelihood."""
-        total = 0.0
+    def _learn_all(self, base: Sequence[_Linear], frames: int) -> None:
+        """Learn from linear postures."""
         self.forget()
         for free, measured in base:
             expected = replace(free, markers=free.markers + free.columns @ self.mean)
-            total += self.learn(expected, measured, frames)
-        return total
+            self.learn(expected, measured, frames)
 
     def _follow(
         self, tensions: Floats, positions: Floats, frames: int

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.cluster.hierarchy import fcluster, linkage
 
 from ..common.errors import DataSetError
 from ..common.words import digits
@@ -246,6 +245,8 @@ def _clusters(segments: Sequence[Segment], same: float) -> npt.NDArray[np.int64]
     """Return the number (N,) of the posture that each segment belongs to, by its inputs."""
     if len(segments) < 2:
         return np.zeros(len(segments), dtype=np.int64)
+    from scipy.cluster.hierarchy import fcluster, linkage  # takes half a second to import
+
     inputs = np.nan_to_num([one.inputs for one in segments])
     tree = linkage(inputs, 'single', metric='chebyshev')
     return np.asarray(fcluster(tree, same, 'distance'), dtype=np.int64)
@@ -263,6 +264,8 @@ def _guess_same(segments: Sequence[Segment]) -> float:
     usual = float(f'{SAME[1] * size:.3g}')
     if len(segments) < 3:
         return usual
+    from scipy.cluster.hierarchy import linkage
+
     heights = linkage(inputs, 'single', metric='chebyshev')[:, 2]
     steps = np.concatenate([[0.0], heights[heights < SAME[2] * size], [np.inf]])
     steps[-1] = heights[len(steps) - 2] if len(steps) - 2 < len(heights) else SAME[2] * size
