@@ -13,10 +13,12 @@ import pytest
 pytest.importorskip('rclpy')
 pytest.importorskip('rosbags')
 
+from builtin_interfaces.msg import Duration
 from control_rig import ROBOTS
 from forked import Forked
-from ros_station import INPUTS, Station, last, start
+from ros_station import INPUTS, PATIENT, Station, last, stamp, start
 from rosbags.highlevel import AnyReader
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.data.recording.importing import import_bag
@@ -24,6 +26,7 @@ from tendon_robot_ros.robot import dump_robot, load_robot
 
 pytestmark = pytest.mark.ros
 SPACE = '/recorded'
+STOOD, RATE = 2.0, PATIENT['driver']['rate']  # [s] in which it is seen at one place, [Hz]
 HIDDEN = ('tendon_stiffness', {'per_tendon': 4e-4})
 
 
@@ -77,30 +80,45 @@ def recorded(station, folder, name, act):
     return finish(station, process)
 
 
-def tour(folder):
-    """Write six postures, each held long enough to count."""
-    random, passed = np.random.default_rng(4), 0.0
-    rows = ['time,' + ','.join(INPUTS)]
-    for i in range(6):
-        tensions = np.full(4, 0.2)
-        tensions[[i % 2, 2 + i // 2 % 2]] = random.uniform(0.5, 1.3, 2)
-        for wait in (0.6, 2.2):
-            passed += wait
-            rows.append(','.join(f'{value:.4f}' for value in [passed, *tensions]))
-    (folder / 'tour.csv').write_text('\n'.join(rows) + '\n')
+def tour():
+    """Return the tensions (6, 4) [N] of six postures."""
+    random, rows = np.random.default_rng(4), np.full((6, 4), 0.2)
+    for i, row in enumerate(rows):
+        row[[i % 2, 2 + i // 2 % 2]] = random.uniform(0.5, 1.3, 2)
+    return rows
+
+
+def stood(station, row):
+    """Tell whether the arm has been seen under these tensions for as long as counts."""
+    now = stamp(last(station.states))
+    lately = [m for _, m in station.states if now - stamp(m) < STOOD]
+    seen = [m for _, m in station.tips if now - stamp(m) < STOOD]
+    there = np.abs([m.effort for m in lately] - row).max() < 0.003
+    return there and len(lately) > 0.9 * STOOD * RATE and len(seen) > 0.5 * STOOD * RATE
+
+
+def go_to_tensions(station, row):
+    """Play a trajectory of one point, and wait until the arm has stood at its end."""
+    way = JointTrajectoryPoint(effort=row.tolist(), time_from_start=Duration(nanosec=600_000_000))
+    message = JointTrajectory(joint_names=INPUTS, points=[way])
+
+    def taken():
+        return np.abs(np.array(last(station.commands).effort) - row).max() < 1e-9
+
+    station.send_until('controller/tendon_trajectory', message, taken, 'the end of the way')
+    station.until(lambda: stood(station, row), f'the arm under {row}')
 
 
 @pytest.fixture(scope='module')
 def folder(station, tmp_path_factory):
     """Give a folder with the recording of a tour."""
     folder = tmp_path_factory.mktemp('recording')
-    tour(folder)
 
-    def follow():
-        done = finish(station, begin(folder, 'follow', 'tour.csv'))
-        assert done.returncode == 0, done.stderr
+    def go():
+        for row in tour():
+            go_to_tensions(station, row)
 
-    done = recorded(station, folder, 'run', follow)
+    done = recorded(station, folder, 'run', go)
     assert (done.returncode, done.stderr) == (0, '')
     assert 'messages of ' in done.stdout
     return folder
@@ -125,10 +143,9 @@ def test_what_stood_still_is_a_measurement_with_its_noise(folder):
     assert dump_robot(found.robot) == dump_robot(load_robot(ROBOTS / 'kato_10_1.yaml'))
     assert found.input == 'tension'
     assert found.path == 'sequence'
-    rows = np.loadtxt(folder / 'tour.csv', delimiter=',', skiprows=1)[1::2, 1:]
-    for row in rows:  # a busy machine may add others: the driver releases when it hears nothing
+    for row in tour():  # a busy machine may add others: the driver releases when it hears nothing
         assert np.abs(found.inputs - row).max(axis=1).min() < 0.005
-    assert 1.4e-5 < found.position_noise < 1e-4  # 0.2 mm in 10 to 200 frames: at most 3 s at 50 Hz
+    assert 1.4e-5 < found.position_noise < 1e-4  # 0.2 mm in 10 to 200 frames: at most 4 s at 50 Hz
 
 
 def test_it_goes_through_compare_and_diagnose(folder, capsys, monkeypatch):
