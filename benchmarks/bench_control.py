@@ -48,6 +48,7 @@ KINDS = {  # of control, for the orders
     'law_model': {'knows': 'law', 'approach': 'model'},
     'closed': {'tip_gain': 5.0},
     'closed_from_below': {'tip_gain': 5.0, 'approach': 'from_below'},
+    'closed_model': {'tip_gain': 5.0, 'approach': 'model'},
     'closed_law': {'knows': 'law', 'tip_gain': 5.0},
 }
 PATHS = (  # ahead: with look_ahead; told: the model has the load
@@ -92,24 +93,32 @@ def targets(name, count=12):
 def visited(name, number, **settings):
     """Visit the targets in a random order: where the tip ends, and how far it was beyond."""
     places, rig = targets(name), Rig(name, **settings)
-    ends, beyond = np.empty((len(places), 3)), []
+    ends, hardly, beyond = np.empty((len(places), 3)), np.empty((len(places), 3)), []
     for place in np.random.default_rng(number).permutation(len(places)):
         here, tips = rig.tip.copy(), rig.go(places[place])
-        ends[place] = tips[-20:].mean(axis=0)
+        ends[place], hardly[place] = tips[-20:].mean(axis=0), rig.hardly_led()
         step = ends[place] - here
         if np.linalg.norm(step) > 0.02:
             beyond.append(((tips - here) @ step).max() / (step @ step) - 1.0)
-    return {'ends': ends.tolist(), 'beyond': beyond, 'skipped': rig.skipped}
+    made = {'ends': ends.tolist(), 'hardly_led': hardly.tolist()}
+    return made | {'beyond': beyond, 'skipped': rig.skipped}
 
 
 def told(name, rows):
-    """Return spread by the way, error and overshoot of the orders of one kind."""
-    ends = np.array([row['ends'] for row in rows])
-    away = np.linalg.norm(ends - ends.mean(axis=0), axis=2)
+    """
+    Return spread by the way, error and overshoot of the orders of one kind.
+
+    The spread also without the direction along which tendons lead the tip least at each target.
+    """
+    ends, hardly = (np.array([row[key] for row in rows]) for key in ('ends', 'hardly_led'))
+    axes = np.linalg.eigh(np.einsum('opi,opj->pij', hardly, hardly))[1][:, :, :2]
+    parted = ends - ends.mean(axis=0)
+    away, led = np.linalg.norm(parted, axis=2), np.einsum('opi,pij->opj', parted, axes)
     beyond = np.concatenate([row['beyond'] for row in rows])
     return {
         'orders': len(rows),
         'spread_mm': round(1e3 * float(np.sqrt((away**2).mean())), 3),
+        'spread_led_mm': round(1e3 * float(np.sqrt((led**2).sum(axis=2).mean())), 3),
         'error_mm': round(1e3 * float(np.linalg.norm(ends - targets(name), axis=2).mean()), 3),
         'overshoot_p95': round(float(np.quantile(beyond, 0.95)), 3),
         'overshoot_max': round(float(beyond.max()), 3),
@@ -135,6 +144,8 @@ def bench_orders(count, name, exact, kinds, file):
     for kind, figures in made.items():
         figures['share_of_today'] = round(figures['spread_mm'] / (today['spread_mm'] or np.nan), 3)
         figures['spread_noises'] = round(figures['spread_mm'] / noise, 2)
+        two_axes = 1e3 * TIP_NOISE * 2.0**0.5
+        figures['spread_led_noises'] = round(figures['spread_led_mm'] / two_axes, 2)
         figures['met'] = met(figures, 'closed' in kind)
     return made
 

@@ -6,6 +6,7 @@ from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore, Settings, Target
 from tendon_robot_ros.diagnosis.add import add_effects
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.model.derivatives import tip_slopes
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.ros.shared.files import read_robot
 from tendon_robot_ros.simulation.hidden import Workmanship, with_elastic_slip
@@ -129,6 +130,12 @@ class Rig:
         """Return that of the arm's tip along x [N/m]."""
         shape = self.plant.model.follow(self.plant._state, self.plant._state.inputs)
         return self.plant.model.tip_stiffness(shape).along([1, 0, 0])
+
+    def hardly_led(self):
+        """Return the direction (3,) in which the arm's tendons lead its tip least."""
+        model, state = self.plant.model, self.plant._state
+        slopes = tip_slopes(model, state, state.memory)[:3]
+        return np.linalg.svd(slopes * (model.limits[:, 1] - model.limits[:, 0]))[0][:, 2]
 
     def go(self, position):
         self.core.aim(Target(position))

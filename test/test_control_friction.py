@@ -125,6 +125,20 @@ def test_noise_does_not_move_the_tensions_that_act():
     assert felt.take(command, stuck, highest)[0] == pytest.approx(0.5, abs=0.06)
 
 
+def test_a_correction_that_is_held_is_moved_by_no_noise_but_by_a_drive_that_fails():
+    felt, random = FeltTensions(), np.random.default_rng(3)
+    command, highest = np.full(4, 1.0), np.full(4, 5.0)
+
+    def took(held):
+        return felt.take(command, command + 0.005 * random.normal(size=4), highest, held)
+
+    assert np.ptp([took(False) for _ in range(2000)], axis=0).min() > 1e-4
+    begun = took(False)
+    assert all(np.array_equal(took(True), begun) for _ in range(2000))
+    stuck = np.array([0.5, 1.0, 1.0, 1.0])
+    assert felt.take(command, stuck, highest, True)[0] == pytest.approx(0.5, abs=0.06)
+
+
 def test_a_region_at_the_target_is_named_and_the_arm_stays_out():
     tip = model(False).shape(np.array(TARGETS[0])).tip_position
     room = KeepOut((Region('lamp', Sphere(tuple(tip), 0.01)),))

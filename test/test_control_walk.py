@@ -1,6 +1,7 @@
 """A walk of the tensions that leaves the measured tip where it is."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -39,8 +40,16 @@ def test_standing_still_the_offset_is_the_mean_of_what_was_seen_and_no_leak_is_l
 
 
 def test_the_better_the_leak_is_known_the_faster_the_walk_goes():
-    speeds = [replace(leak(), spread=np.diag([1e-10, sd**2])).speed() for sd in (0.2, 0.1, 1e-4)]
+    gone = replace(leak(), way=1.0)
+    speeds = [replace(gone, spread=np.diag([1e-10, sd**2])).speed() for sd in (0.2, 0.1, 1e-4)]
     assert speeds[1] == pytest.approx(2.0 * speeds[0]) and speeds[2] == SPEED_MAX
+
+
+def test_a_walk_goes_no_faster_than_the_way_behind_it_tells_of_the_way_ahead():
+    known = replace(leak(), spread=np.diag([1e-10, 1e-4**2]))
+    speeds = [replace(known, way=way).speed() for way in (-1e-3, 0.0, 1e-3, 2e-3, 1.0)]
+    assert speeds[0] == speeds[1] < SPEED_MAX / 10.0 and speeds[4] == SPEED_MAX
+    assert speeds[2] - speeds[1] == pytest.approx(speeds[3] - speeds[2])
 
 
 def test_tensions_that_may_only_rise_lead_the_tip_anywhere():
@@ -71,6 +80,26 @@ def test_a_walk_that_has_no_way_on_for_a_moment_is_not_over():
     assert walk._over(here + 0.48)
 
 
+def test_a_walk_on_which_the_tip_does_not_come_back_to_its_place_is_over():
+    here, limits = np.full(4, 1.0), np.array([[0.1, 5.0]] * 4)
+    slopes = np.array([[1.0, -1.0, 0.5, -0.5], [0.0] * 4, [0.2, -0.1, -0.4, 0.3]])
+
+    def there(goal, before=None):
+        return SimpleNamespace(inputs=goal, tip_position=0.02 * slopes @ (goal - here))
+
+    ahead = SimpleNamespace(here=there(here), wanted=np.zeros(3), limits=limits, there=there)
+    known = Mismatch.unknown(here, limits, np.full(4, 0.05))
+    walk = begun(None, Led(None, here + 1.0), here, known, here, LENGTH)
+    walk = replace(walk, heading=np.ones(4), leak=leak(1e-5))
+    far = replace(walk, leak=replace(walk.leak, offset=np.array([5e-4, 0.0, 0.0])))
+    ends = []
+    for one in (walk, far):
+        for _ in range(round(1.2 * STUCK_S / 0.02)):
+            one, _ = one.step(ahead, here, known, 0.02)
+        ends.append(one.end is not None)
+    assert ends == [False, True]
+
+
 def test_a_walk_goes_on_where_the_nearest_direction_that_holds_the_tip_would_turn_a_tension():
     slopes = np.array([[-2.0, 1.0, -1.0, 1.5], [-0.1, 0.3, 0.2, -0.05]])
     limits, here = np.array([[0.0, 5.0]] * 4), np.ones(4)
@@ -93,18 +122,19 @@ def test_a_leak_that_is_hardly_known_leads_no_tension():
 class Rig:
     """A controller whose arm rubs more than its model says; the tip is seen with noise."""
 
-    def __init__(self, seed=1):
+    def __init__(self, seed=1, cells=0.0):
         robot = read_robot('kato_10_1').with_effect('friction_memory', {'presliding_length': 2e-4})
         rubs = {'friction_coefficient': 0.4}
         self.arm = Model(robot.with_effect('tendon_friction', rubs))
         self.core = ControllerCore(Model(robot), Settings(tip_gain=6.0))
         self.shape, self.random = self.arm.shape(np.full(4, 0.1)), np.random.default_rng(seed)
-        self.now, self.tips, self.commands = 0.0, [], []
+        self.now, self.tips, self.commands, self.cells = 0.0, [], [], cells  # [N] noise
 
     def run(self, seconds):
         for step in range(round(seconds / CYCLE)):
             self.now += CYCLE
-            self.core.measured(self.now, self.shape.inputs, self.shape.pulls)
+            seen = self.shape.inputs + self.cells * self.random.normal(size=4)
+            self.core.measured(self.now, seen, self.shape.pulls)
             output = self.core.step(self.now)
             if not np.array_equal(output.tensions, self.shape.inputs):
                 self.shape = self.arm.follow(self.shape, output.tensions)
@@ -126,7 +156,7 @@ def test_on_an_arm_that_rubs_more_no_tension_turns_round_and_the_tip_stays():
     before = rig.arm.tip_stiffness(rig.shape).along([1, 0, 0])
     wants = Preferences(low_tension=0.5, stiffness=0.1, stiffness_direction=(1.0, 0.0, 0.0))
     rig.core.settings = replace(rig.core.settings, preferences=wants)
-    rig.run(17.0)
+    rig.run(50.0)
     away = np.linalg.norm(np.array(rig.tips[begin:]) - tip, axis=1)
     risen = np.diff(np.array(rig.commands[begin:]), axis=0)
     assert away.max() < 1.5e-4
@@ -146,7 +176,7 @@ def test_a_walk_ends_where_the_tip_is_as_stiff_as_is_enough():
         low_tension=0.01, stiffness=0.1, stiffness_direction=along, stiffness_enough=enough
     )
     rig.core.settings = replace(rig.core.settings, preferences=wants)
-    rig.run(24.0)
+    rig.run(60.0)
     made = model.tip_stiffness(rig.core.track.last).along(along)
     assert 0.999 < made / enough < 1.01
     begin = len(rig.commands)
@@ -175,6 +205,23 @@ def test_where_a_walk_is_over_the_tip_stays_and_no_tension_turns_round(seed):
     rig.run(4.0)
     assert np.diff(np.array(rig.commands[begin - 1 :]), axis=0).min() > -1e-12
     assert np.linalg.norm(np.array(rig.tips[begin:]) - tip, axis=1).max() < 2e-5
+
+
+def test_noise_of_load_cells_is_no_motion_of_the_arm_on_a_walk():
+    rig = Rig(2, cells=0.005)
+    rig.run(0.1)
+    rig.core.aim(Target(np.array([-0.09, 0.0, 0.175])))
+    rig.run(4.0)
+    loop, solution = rig.core.loop, rig.core.solution
+    loop.lead(Led(solution, loop.goal(rig.core, solution.tensions) + 0.1))
+    biases = []
+    for _ in range(40):
+        rig.run(0.1)
+        biases.append(rig.core.felt.bias)
+    assert np.ptp(biases[1:], axis=0).max() == 0.0
+    rig.core.aim(Target(np.array([-0.08, 0.0, 0.175])))
+    rig.run(1.0)
+    assert not np.array_equal(rig.core.felt.bias, biases[-1])
 
 
 def test_a_load_after_a_walk_is_taken_by_the_ordinary_loop():

@@ -113,7 +113,7 @@ class ControllerCore:
         heard = self._heard
         known = heard is not None and heard.observed and not self._silent
         measured = np.maximum(heard.tensions, 0.0) if known and heard is not None else None
-        return self.felt.take(command, measured, high)
+        return self.felt.take(command, measured, high, self.loop.walking(self))
 
     def tip_shift(self, place: Array) -> Array:
         """Return by how much (3,) [m] the measured tip is off the model near a target (3,) [m]."""

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 Solve = Callable[['Shape', Array], 'Reach']
 APPROACHES = 'any', 'from_below', 'model'
 NOISES = 4.0  # [1] standard deviations of a measured tension that say nothing
+HELD_NOISES = 6.0  # [1] the same while the correction is held: beyond 4 is one of 16,000
 NOISE_SHARES = 2e-4, 1e-2  # [1] of the highest tension: least and largest noise
 NOISE_SAMPLES, MEAN_SAMPLES = 50.0, 100.0  # over which noise and what differs are averaged
 CYCLES_LATE = 2.0  # by which a measured tension may be behind a command on the move
@@ -69,7 +70,9 @@ class FeltTensions:
         """Forget what was sent: the arm is where it is measured."""
         self._followed = None
 
-    def take(self, command: Array, measured: Array | None, highest: Array) -> Array:
+    def take(
+        self, command: Array, measured: Array | None, highest: Array, held: bool = False
+    ) -> Array:
         """
         Return the tensions that act; the correction stays until noise cannot explain it.
 
@@ -79,6 +82,9 @@ class FeltTensions:
         measured : (m,) [N] or None
         highest : (m,) [N]
             Upper limits.
+        held : bool
+            The correction stays where a mean differs, and until one reading is far off: somebody
+            learns what it leaves over, and would take its changes for motions of the arm.
 
         """
         bias = np.zeros_like(command) if self.bias is None else self.bias
@@ -90,7 +96,10 @@ class FeltTensions:
             mean = differs if self._mean is None else self._mean
             self._mean = mean = mean + (differs - mean) / MEAN_SAMPLES
             narrow = width / np.sqrt(8.0 * MEAN_SAMPLES)  # two deviations of the mean
-            bias = np.clip(bias, mean - narrow, mean + narrow)
+            if held:
+                width = width * HELD_NOISES / NOISES
+            else:
+                bias = np.clip(bias, mean - narrow, mean + narrow)
             bias = np.clip(bias, differs - width, differs + width)
         self.bias = bias
         return np.asarray(np.maximum(command + bias, 0.0))

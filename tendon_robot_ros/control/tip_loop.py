@@ -92,6 +92,10 @@ class TipLoop:
         """Walk to other tensions as far as the tip of a solution stays; None: no walk."""
         self._led = led
 
+    def walking(self, core: Controller) -> bool:
+        """Tell whether a walk for the solution that is has the arm."""
+        return bool(self._led and self._led.solution is core.solution and not self.frozen)
+
     def goal(self, core: Controller, solution: Array) -> Array:
         """Return the goal (m,) [N], within the limits."""
         if self.tensions is None or core.settings.tip_gain == 0.0:

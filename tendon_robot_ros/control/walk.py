@@ -39,7 +39,8 @@ KNOWN_M, KNOWN_NOISES = (
     0.075,
 )  # [m]; [1] of that noise: so well the offset is known at first
 SPEED_MAX = 0.002  # [1/s] of the ranges
-DRIFT = 2e-5  # [m/s] by which the tip may leave its place, 1 sd
+SPEED_FIRST, ALIKE_S = 1e-4, 10.0  # [1/s] of the ranges at first; [s] for the way so far again
+DRIFT = 1e-5  # [m/s] by which the tip may leave its place, 1 sd
 OFF_M = 2e-4  # [m] from its place: there the walk waits
 STEP_SHARE = 0.1  # [1] of what the tip is off, in one step of the goal; the slower, the less
 PACE_LEAST = 0.1  # [1] of that share where it stands; else as its speed is to the largest
@@ -49,7 +50,7 @@ FREE = 0.02  # [1] of the ranges: the step by which tensions that hold the tip a
 FREE_DAMPING = 2e-3  # [1] of the largest slope, for that; see `bounded_step`
 DAMPING = 0.02  # [1] of the largest slope, see `bounded_step`
 LOOK = 5e-4  # [1] of the ranges, between two looks at whether what was walked is enough
-STUCK_S = 3.0  # [s] without a way on, after which a walk is over: leaks are misjudged for moments
+STUCK_S = 3.0  # [s] without a way on, or with the tip off its place: then a walk is over
 OVER = 0.01  # [1] of the ranges: nearer to its end a walk is over
 HELD_GAIN = 0.5  # [1/s] with which a walk that is over learns that the tip is elsewhere
 HELD_DEVIATIONS = 4.0  # [1] of what it knows the offset to: nearer, tensions stand
@@ -129,7 +130,8 @@ class Leak:
 
     def speed(self) -> float:
         """Return how fast [1/s] the walk may go by what is known of the leak."""
-        return min(SPEED_MAX, DRIFT / float(np.sqrt(self.spread[1, 1])))
+        most = min(SPEED_MAX, SPEED_FIRST + max(self.way, 0.0) / ALIKE_S)
+        return min(most, DRIFT / float(np.sqrt(self.spread[1, 1])))
 
 
 @dataclass(frozen=True)
@@ -197,13 +199,14 @@ class Walk:
         free = self._free(slopes, goal, ahead.limits)
         longest = float(np.abs(free).max())
         walk = self._started(off, free / max(longest, 1e-12), known)
-        walk = replace(walk, stuck=0.0 if longest > OVER else walk.stuck + passed)
+        away = float(np.linalg.norm(axes @ (off - walk.held)))
+        goes = longest > OVER and (walk.heading is None or away < OFF_M)
+        walk = replace(walk, stuck=0.0 if goes else walk.stuck + passed)
         way = walk.way(goal)
         look = way - walk.looked > LOOK
         walk = replace(walk, looked=way if look else walk.looked)
         if self.end is None and (walk._over(goal) or (look and self.led.enough(ahead.here))):
             return replace(walk, end=goal, left=walk.heading is None), goal
-        away = float(np.linalg.norm(axes @ (off - walk.held)))
         if walk.heading is None or away < walk._rest:
             return walk, goal
         near = max(0.0, 1.0 - away / OFF_M) if self.end is None else 0.0
