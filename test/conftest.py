@@ -51,11 +51,12 @@ RERUNS = 2  # processes that talk to each other are late on a busy machine
 # The files that take longest, longest first. Those that start nodes wait, the others compute: side
 # by side they leave no processor idle, and what is left at the end is short.
 LONGEST = (
-    'docs', 'live', 'ros_life', 'ros_record', 'new_effect', 'diagnose', 'ros_follow',
-    'live_page', 'campaign', 'ros_investigate', 'watch', 'setup_mistakes', 'ros_monitor',
-    'investigate', 'diagnose_command', 'as_built', 'add', 'workspace', 'model_start',
-    'ros_chain', 'rods', 'ros_dynamixel', 'fit', 'ros_bad_input', 'model_reference', 'demo',
-    'report', 'diagnosis_page',
+    'docs', 'live', 'ros_record', 'diagnose', 'investigate', 'ros_follow', 'watch', 'ros_life',
+    'as_built', 'new_effect', 'diagnose_command', 'campaign', 'diagnosis_page', 'live_page',
+    'setup_mistakes', 'ros_monitor', 'control_walk', 'ros_investigate', 'fit', 'ros_dynamixel',
+    'ros_bad_input', 'dynamixel_commands', 'public', 'add', 'data_fuzz', 'ros_viewer', 'rods',
+    'ros_chain', 'workspace', 'ros_closed_loop', 'model_start', 'report', 'readme', 'demo',
+    'house', 'dynamixel_emulator', 'paper', 'model_reference', 'ros_travel', 'cells',
 )  # fmt: skip
 
 
