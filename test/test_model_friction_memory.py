@@ -202,3 +202,22 @@ def test_a_search_goes_to_the_end_of_a_narrow_valley_before_it_looks_elsewhere()
     beyond = place + [5e-4, 0.0, 0.0]  # what takes 4 N against 4 N is left a little off
     found = model.reach(beyond, guess=here, memory=here.memory, relax=True)
     assert found.position_error < 5e-4 and found.tensions.max() < 2.0
+
+
+@pytest.mark.parametrize(
+    ('name', 'seeds'),
+    [('kato_10_1', (8, 9, 10, 17)), ('spatial_3', (6, 11, 21)), ('spatial_6', (1, 6))],
+)
+def test_a_way_at_once_is_that_way_in_many_steps(name, seeds):
+    robot = read_robot(name).with_effect('friction_memory', {'presliding_length': LENGTH})
+    model = Model(robot)
+    low, high = model.limits.T
+    for seed in seeds:  # eyelets turn on these
+        random = np.random.default_rng(seed)
+        begin, end = low + random.random((2, len(low))) * 0.25 * (high - low)
+        start = model.shape(begin)
+        last = start
+        for share in np.linspace(0.0, 1.0, 65)[1:]:
+            last = model.follow(last, begin + share * (end - begin))
+        off = model.follow(start, end).tip_position - last.tip_position
+        assert np.linalg.norm(off) < 3e-5, seed
