@@ -18,6 +18,7 @@ from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
 from tendon_robot_ros.robot.estimates import natural_sizes
+from tendon_robot_ros.ros.shared.files import read_robot
 
 SCALES = ((0.1, 1.0), (10.0, 1.0), (1.0, 1e3), (10.0, 1e3))  # of lengths, of stiffness
 UNITS = {  # unit -> powers of length and force
@@ -160,3 +161,21 @@ def test_a_scaled_robot_with_scaled_data_gets_the_same_verdict(name, values, kin
         assert other[:3] == found[0][:3]
         assert np.allclose(other[3], found[0][3], rtol=0.02)
     assert np.allclose(found[0][3], list(values.values()), rtol=0.2)
+
+
+@pytest.mark.parametrize('name', ['kato_10_1', 'spatial_3'])
+@pytest.mark.parametrize('length', [0.2, 10.0])
+def test_a_stream_of_targets_is_followed_alike(name, length):
+    robot = read_robot(name)
+    force = length**2
+    small, other = Model(robot), Model(scaled(robot, length, length * force))
+    low, high = small.limits.T
+    spread = np.linspace(0.05, 0.12, len(low)) * (high - low)
+    way = low + spread * np.linspace(0.5, 1.5, 8)[:, None]
+    places = small.shapes(way).tip_position
+    here, there = small.shape(way[0]), other.shape(force * way[0])
+    for place in places:
+        here = small.reach(place, guess=here, starts=0, gently=True).shape
+        there = other.reach(length * place, guess=there, starts=0, gently=True).shape
+        np.testing.assert_allclose(there.inputs / force, here.inputs, atol=2e-3 * high.max())
+    assert np.linalg.norm(here.tip_position - places[-1]) < 1e-3

@@ -17,7 +17,7 @@ from .redundancy import Balance, Preferences, balanced
 from .shape import Reach, Shape
 from .starts import (
     GAIN_MIN,
-    LOW_TENSION_WEIGHT,
+    LOW_TENSION_SHARE,
     SEEKING_WIDTHS,
     TRACKING_GAIN_MIN,
     aim,
@@ -35,7 +35,7 @@ POSITION_THRESHOLD = 1e-4  # [m]
 DIRECTION_THRESHOLD = np.deg2rad(0.2)  # [rad]
 COST_REACHED_M2 = 1e-12  # [m²] cost below which no further start is tried: 1 µm
 PULL_STARTS = 4  # each is several searches
-RELAXING_WEIGHTS = (1e-2, 1e-3, 1e-4, 1e-5)  # [m/N] how low tension counts on the way there
+RELAXING_SHARES = (0.4, 0.04, 4e-3, 4e-4)  # how low tension counts on the way there, see `aim`
 # [1] of a tension's range: with a guess, no such jump for a tip that is hardly nearer, by its cost
 JUMP_SHARE, AS_GOOD = 0.1, 0.8
 # [1] of the cost where the arm is, and of the one that was told last: what is nearer is told
@@ -43,8 +43,9 @@ STAYED_SHARE, TOLD_SHARE = 0.99, 0.5
 # Where friction remembers, ways from far away end at much tension against much tension: what the
 # first start reaches is not left
 NEAR_REACHED_M2 = 0.5 * POSITION_THRESHOLD**2  # [m²]
-PULLING_WEIGHT = 1e-4  # [m/N] how tension counts among ends of different starts there
-GOING_WEIGHT = 1e-3  # [m/N] and, gently, the way there where tendons stick: it takes time
+# Shares [1] of `TipTask.per_newton`: how tension counts among ends of different starts there, and,
+# gently, the way there where tendons stick: it takes time
+PULLING_SHARE, GOING_SHARE = 4e-3, 0.06
 KINK_REACHED_M2, KINK_STARTS = 2e-11, 4  # [m²] cost that does after so many: 6 µm
 FINISHING_TRIALS_MAX = 40  # equilibria on the way to the least error, where tendons stick
 BALANCE_STEPS_MAX, OUTSIDE_STARTS = 40, 3  # programs after a search, other beginnings
@@ -156,7 +157,7 @@ def _searched(
             cost, bends = aim_by_pulls(task, search, inputs, bend)
         else:
             cost, bends = search(inputs, bend, model.limits)
-        met, worth = _met(model, cost, inputs), _worth(model, cost, inputs, going)
+        met, worth = _met(task, cost, inputs), _worth(task, cost, inputs, going)
         met = met and not (going is not None and _jumps(model, going.inputs, inputs))
         if best is None or worth < least * (1.0 if met else _share(task, guess, inputs, best[1])):
             best, least = (cost, inputs, bends), worth
@@ -175,12 +176,13 @@ def _searched(
     return best
 
 
-def _worth(model: ForwardModel, cost: float, inputs: Floats, going: Shape | None) -> float:
+def _worth(task: TipTask, cost: float, inputs: Floats, going: Shape | None) -> float:
     """Return a cost [m²] with what tensions (m,) [N], or the way there, count."""
-    if model.remembers:
-        cost += 0.5 * PULLING_WEIGHT**2 * _above(model, inputs)
+    if task.model.remembers:
+        cost += 0.5 * (PULLING_SHARE * task.per_newton) ** 2 * _above(task.model, inputs)
     if going is not None:
-        cost += 0.5 * GOING_WEIGHT**2 * float(((inputs - going.inputs) ** 2).sum())
+        way = GOING_SHARE * task.per_newton * (inputs - going.inputs)
+        cost += 0.5 * float((way**2).sum())
     return cost
 
 
@@ -226,7 +228,7 @@ def _outside(balance: Balance, shape: Shape) -> Iterator[Shape]:
         return
     model, task = balance.task.model, balance.task
     free = balance.keep_out.distances(model.library.positions).min(axis=(0, 2)) > 0.0
-    for row in islice((row for row in rows_near(model, task.target) if free[row]), OUTSIDE_STARTS):
+    for row in islice((row for row in rows_near(task) if free[row]), OUTSIDE_STARTS):
         try:
             yield task.shape(model.library.inputs[row], model.library.state[row])
         except NoEquilibriumError:
@@ -238,7 +240,7 @@ def _finished(
 ) -> tuple[float, Floats, Floats]:
     """Go to the least error from the best that was found or, with it met, to low tension."""
     model = task.model
-    if not _met(model, cost, inputs):
+    if not _met(task, cost, inputs):
         if model.sticks and cost > KINK_REACHED_M2:  # no equilibria were looked for from there
             most = FINISHING_TRIALS_MAX
             cost, bend = aim(task, GAIN_MIN, inputs, bend, model.limits, most=most)
@@ -250,18 +252,21 @@ def _finished(
         new, bends = seek(task, SEEKING_WIDTHS[1], None, less, bend, model.limits)
     else:
         bends = bend
-        for preference in (*RELAXING_WEIGHTS, LOW_TENSION_WEIGHT):
+        for preference in (*RELAXING_SHARES, LOW_TENSION_SHARE):
             new, bends = aim(task, GAIN_MIN, less, bends, model.limits, preference)
-    if new < cost and _met(model, new, less):
+    if new < cost and _met(task, new, less):
         return new, less, bends
     return cost, inputs, bend
 
 
-def _met(model: ForwardModel, cost: float, inputs: Floats) -> bool:
+def _met(task: TipTask, cost: float, inputs: Floats) -> bool:
     """Tell whether a cost [m²] meets the target but for what says how much tension there is."""
     if cost < COST_REACHED_M2:
         return True
-    return cost - 0.5 * LOW_TENSION_WEIGHT**2 * _above(model, inputs) < COST_REACHED_M2
+    return (
+        cost - 0.5 * (LOW_TENSION_SHARE * task.per_newton) ** 2 * _above(task.model, inputs)
+        < COST_REACHED_M2
+    )
 
 
 def _above(model: ForwardModel, inputs: Floats) -> float:

@@ -21,7 +21,6 @@ from .pulls import Aim
 from .tip_task import TipTask
 
 if TYPE_CHECKING:
-    from .forward import ForwardModel
     from .shape import Shape, ShapeBatch
 
 Floats = npt.NDArray[np.float64]
@@ -31,16 +30,17 @@ Kept = list[tuple[Floats, Floats]]  # tensions (m,) [N] and bends where a search
 GAIN_MIN, TRACKING_GAIN_MIN = 1e-6, 1e-2
 POSED_STEPS_MAX = 30  # for a direction, too: little is free, and another start is quicker
 LIBRARY_NEIGHBOURS = 128  # shapes of the library among which starts are chosen
-START_TENSION_WEIGHT = 3e-3  # [m/N] how the tensions of a shape count when a start is chosen
-LOW_TENSION_WEIGHT = 1e-6  # [m/N] how little low tension counts
-GENTLE_WEIGHT = 3e-4  # [m/N] where directions that tendons hardly lead to are to be left
-SEEKING_WEIGHT = 1e-4  # [m/N] and where bends and tensions are found at once
+# How tensions count beside lengths: shares [1] of `TipTask.per_newton`
+START_TENSION_SHARE = 0.1  # those of a shape when a start is chosen
+LOW_TENSION_SHARE = 4e-5  # how little low tension counts
+GENTLE_SHARE = 0.02  # where directions that tendons hardly lead to are to be left
+SEEKING_SHARE = 4e-3  # and where bends and tensions are found at once
 SEEKING_WIDTHS, SEEKING_SHRINK, SEEKING_STEPS_MAX = (1e3, 1e2), 0.5, 60
 NEAR_WIDTHS, FAR_WIDTHS = (10.0, 1e2, 1e3), (1e3, 1e2)  # from a guess, one after the other
 SETTLED_RAD = 1e-3  # [rad] last step of a search whose equilibrium is worth finding
-STUCK_WEIGHT = 1e-3  # [m/N] for low tension, where a search stands at a kink
-FAR_M2 = 5e-5  # [m²] cost of a tip that no search for an equilibrium improves: 1 cm
-FIRST_STEP_M = 5e-3  # [m] towards a tip that is far
+STUCK_SHARE = 0.04  # of `TipTask.per_newton`, for low tension, where a search stands at a kink
+# [1] of the length: a tip so far off no search for an equilibrium improves; a step towards it
+FAR_SHARE, FIRST_STEP_SHARE = 0.06, 0.03
 # [1] of the square of how far the tip is: for a shape of the library so near the arm may set out
 NEARER_SHARE = 0.25
 TRIALS_MAX = 120  # equilibria of a search
@@ -55,7 +55,7 @@ def aim(
     inputs: Floats,
     bend: Floats,
     limits: Floats,
-    preference: float = LOW_TENSION_WEIGHT,
+    preference: float = LOW_TENSION_SHARE,
     far: float = np.inf,
     most: int = TRIALS_MAX,
 ) -> tuple[float, Floats]:
@@ -63,11 +63,13 @@ def aim(
     Improve inputs in place; return the cost [m²] and the bends of the equilibrium.
 
     Once the tip is there, a step that gains less than `enough` of the cost is the last, else the
-    one after so many trials. What costs more than `far` stays as it is.
+    one after so many trials. What costs more than `far` [m²] stays as it is. `preference`: how low
+    tension counts, a share of `TipTask.per_newton`.
     """
     bends = np.array([bend, bend])
     begin, end = _shared(task, inputs, bends, limits)
-    cost = task.model.arrays.part('inverse').aim(*begin, preference, most, enough, far, *end)
+    weight = preference * task.per_newton
+    cost = task.model.arrays.part('inverse').aim(*begin, weight, most, enough, far, *end)
     return float(cost), bends[0]
 
 
@@ -80,7 +82,7 @@ def aim_gently(
     In directions in which tendons hardly lead the tip, tenths of a millimetre are not worth
     newtons of all tendons against each other.
     """
-    bends = aim(task, TRACKING_GAIN_MIN, inputs, bend, limits, GENTLE_WEIGHT, most=most)[1]
+    bends = aim(task, TRACKING_GAIN_MIN, inputs, bend, limits, GENTLE_SHARE, most=most)[1]
     return aim(task, TRACKING_GAIN_MIN, inputs, bends, limits, far=0.0)
 
 
@@ -88,8 +90,8 @@ def step_towards(
     task: TipTask, guess: Shape, inputs: Floats, bend: Floats, limits: Floats
 ) -> tuple[float, Floats]:
     """Improve inputs in place by a step to a tip that is far: the arm may set out."""
-    near, share = task.target.copy(), FIRST_STEP_M / np.sqrt(2.0 * task.cost(guess))
-    near[:6] += (1.0 - share) * task.off(guess)
+    near, reach = task.target.copy(), FIRST_STEP_SHARE * task.model.robot.length
+    near[:6] += (1.0 - reach / np.sqrt(2.0 * task.cost(guess))) * task.off(guess)
     step = replace(task, target=near)
     bends = aim(step, TRACKING_GAIN_MIN, inputs, bend, limits, most=STICKING_TRIALS_MAX)[1]
     return aim(task, TRACKING_GAIN_MIN, inputs, bends, limits, far=0.0)
@@ -102,7 +104,7 @@ def seek(
     inputs: Floats,
     bend: Floats,
     limits: Floats,
-    weight: float = SEEKING_WEIGHT,
+    preference: float = SEEKING_SHARE,
     steps: int = SEEKING_STEPS_MAX,
 ) -> tuple[float, Floats]:
     """
@@ -114,13 +116,19 @@ def seek(
     bends = np.array([bend, bend])
     begin, end = _shared(task, inputs, bends, limits)
     part = task.model.arrays.part('simultaneous')
+    weight = preference * task.per_newton
     step = part.seek(*begin, weight, wide, SEEKING_SHRINK, steps, *end)
     if kept is not None and not step < SETTLED_RAD:
         kept.append((inputs, bends[0]))
         return np.inf, bends[0]
     return aim(
-        task, TRACKING_GAIN_MIN, inputs, bends[0], limits, far=FAR_M2, most=STICKING_TRIALS_MAX
+        task, TRACKING_GAIN_MIN, inputs, bends[0], limits, far=_far(task), most=STICKING_TRIALS_MAX
     )
+
+
+def _far(task: TipTask) -> float:
+    """Return the cost [m²] of a tip that is far off."""
+    return float(0.5 * (FAR_SHARE * task.model.robot.length) ** 2)
 
 
 def _shared(
@@ -158,7 +166,7 @@ def beginnings(
             most = REMEMBERING_TRIALS_MAX if model.remembers else TRIALS_MAX
             search = partial(aim, task, TRACKING_GAIN_MIN, most=most)
             yield partial(aim_gently, task, most) if gently else search, inputs, guess.state
-        elif task.cost(guess) < FAR_M2:
+        elif task.cost(guess) < _far(task):
             yield from _starts_near(task, guess, inputs, count, kept, gently)
         else:
             if gently:
@@ -166,9 +174,9 @@ def beginnings(
             yield from _starts_far(task, guess, inputs, count, kept, step)
     if count:
         yield near, model.limits[:, 0].copy(), np.zeros(3 * model.robot.cells)
-        for row in islice(rows_near(model, task.target), count):
+        for row in islice(rows_near(task), count):
             yield near, model.library.inputs[row].copy(), model.library.state[row]
-    go_on = partial(aim, task, TRACKING_GAIN_MIN, far=FAR_M2, most=STICKING_TRIALS_MAX)
+    go_on = partial(aim, task, TRACKING_GAIN_MIN, far=_far(task), most=STICKING_TRIALS_MAX)
     for inputs, state in kept:
         yield go_on, inputs, state
 
@@ -185,7 +193,11 @@ def _starts_near(
         yield partial(seek, task, wide, kept), inputs.copy(), guess.state
     if count:
         state = task.shape(aimed, guess.state).state
-        yield partial(seek, task, NEAR_WIDTHS[0], kept, weight=STUCK_WEIGHT), aimed.copy(), state
+        yield (
+            partial(seek, task, NEAR_WIDTHS[0], kept, preference=STUCK_SHARE),
+            aimed.copy(),
+            state,
+        )
 
 
 def _starts_far(
@@ -203,7 +215,7 @@ def _starts_far(
 
 def _setting_out(task: TipTask, guess: Shape, inputs: Floats) -> Start:
     """Return what soon brings a far tip nearer: a shape of the library, or a short step."""
-    library, row = task.model.library, next(rows_near(task.model, task.target))
+    library, row = task.model.library, next(rows_near(task))
     if misses(library, task.target)[row] < NEARER_SHARE * 2.0 * task.cost(guess):
         there = partial(aim, task, TRACKING_GAIN_MIN, far=0.0)
         return there, library.inputs[row].copy(), library.state[row]
@@ -218,16 +230,16 @@ def misses(library: ShapeBatch, target: Floats) -> Floats:
     return squares
 
 
-def rows_near(model: ForwardModel, target: Floats) -> Iterator[int]:
+def rows_near(task: TipTask) -> Iterator[int]:
     """
-    Yield shapes of the library whose tips are near a target, those of low tension first.
+    Yield shapes of the library whose tips are near the target, those of low tension first.
 
     Every other one is that whose tensions are furthest from those before: from much tension
     against much tension there is often no way down.
     """
-    library, low, high = model.library, *model.limits.T
-    tension = START_TENSION_WEIGHT * (library.inputs - low).sum(axis=1)
-    near = np.argsort(misses(library, target) + tension * tension)[:LIBRARY_NEIGHBOURS]
+    library, low, high = task.model.library, *task.model.limits.T
+    tension = START_TENSION_SHARE * task.per_newton * (library.inputs - low).sum(axis=1)
+    near = np.argsort(misses(library, task.target) + tension * tension)[:LIBRARY_NEIGHBOURS]
     places, away = library.inputs[near] / high, np.full(len(near), np.inf)
     for count in range(len(near)):
         left = np.flatnonzero(away > 0.0)

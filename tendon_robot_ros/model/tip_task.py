@@ -54,6 +54,12 @@ class TipTask:
     past: Floats  # friction memory; all zero: straight and free of tension
     patience: Patience = field(default_factory=Patience)  # of a search, between its steps
 
+    @property
+    def per_newton(self) -> float:
+        """Length of the robot over the range of its tensions [m/N]: weights are shares of it."""
+        low, high = self.model.limits.T
+        return self.model.robot.length / float((high - low).mean())
+
     def shape(self, inputs: Floats, state: Floats) -> Shape:
         """Return the shape under tensions (m,) [N] that follow the past."""
         past = self.past if self.model.remembers else None

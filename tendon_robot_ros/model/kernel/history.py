@@ -30,7 +30,7 @@ from .stages import friction_travel_acts, memory, offset_scale
 from .sweep import is_implicit, slip_direction
 from .turning import unknowns
 
-PARTS, SAME_RAD = np.int64(256), 1e-6  # of a way at most; a part is halved until it moves less
+PARTS, SAME_RAD = 256, 1e-6  # of a way at most; a part is halved until it moves less
 SAME_SIGN = 1e-2  # [1] by which the direction of friction may be off where an eyelet turns unseen
 NEAR_STEPS_MAX = np.int64(8)  # of Newton, from a state that is near; no literal (see `layout`)
 

@@ -35,7 +35,7 @@ BEND_STEP = 1e-6  # [rad] of differences
 STEP_SHRINKING_RAD = 0.3  # [rad] step after which the slip length shrinks
 STEP_MAX_RAD = 0.2  # [rad] step of a bend
 STEP_SETTLED_RAD = 1e-6  # [rad] step with which the search ends
-LOW_TENSION_WEIGHT = 1e-6  # [m/N] at the target, where a larger one would keep the tip off it
+LOW_TENSION_SHARE = 0.01  # [1] of its weight at the target, where all would keep the tip off it
 UNDAMPED_STEPS, DAMPING = 15, 1e-2  # turns without damping; later tensions may go in circles
 
 
@@ -136,7 +136,7 @@ def seek(
         for r in range(6):
             f[r] += slopes[r, m]  # where the bends go that balance the tensions as they are
         damping = 0.0 if turn < UNDAMPED_STEPS else DAMPING
-        weight = preference if width > SLIP_LENGTH else LOW_TENSION_WEIGHT
+        weight = preference if width > SLIP_LENGTH else LOW_TENSION_SHARE * preference
         gauss_newton_step(slopes, f, inputs, low, high, weight, damping, trial, free)
         longest = move_both(chain, inputs, there, ways, trial, move)
         if not longest < math.inf or (longest < STEP_SETTLED_RAD and width == SLIP_LENGTH):
