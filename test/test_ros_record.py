@@ -1,5 +1,6 @@
 """A running robot is recorded; the recording is compared, diagnosed, drawn and replayed."""
 
+import itertools
 import math
 import re
 import signal
@@ -91,10 +92,15 @@ def tour():
 def stood(station, row):
     """Tell whether the arm has been seen under these tensions for as long as counts."""
     now = stamp(last(station.states))
-    lately = [m for _, m in station.states if now - stamp(m) < STOOD]
-    seen = [m for _, m in station.tips if now - stamp(m) < STOOD]
-    there = np.abs([m.effort for m in lately] - row).max() < 0.003
-    return there and len(lately) > 0.9 * STOOD * RATE and len(seen) > 0.5 * STOOD * RATE
+    lately, seen = since(station.states, now - STOOD), since(station.tips, now - STOOD)
+    if min(len(lately), len(seen)) < 0.5 * STOOD * RATE:
+        return False
+    return np.abs([m.effort for m in lately] - row).max() < 0.003
+
+
+def since(heard, time):
+    """Return the messages after a time [s]."""
+    return [m for _, m in itertools.takewhile(lambda one: stamp(one[1]) > time, reversed(heard))]
 
 
 def go_to_tensions(station, row):
@@ -106,7 +112,7 @@ def go_to_tensions(station, row):
         return np.abs(np.array(last(station.commands).effort) - row).max() < 1e-9
 
     station.send_until('controller/tendon_trajectory', message, taken, 'the end of the way')
-    station.until(lambda: stood(station, row), f'the arm under {row}')
+    station.until(lambda: stood(station, row), f'the arm under {row}', 120.0)
 
 
 @pytest.fixture(scope='module')
