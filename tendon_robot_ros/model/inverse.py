@@ -92,7 +92,7 @@ def reach(
     gently : bool
         With a guess, newtons of all tendons against each other are not spent on tenths of a
         millimetre in directions in which tendons hardly lead the tip, and where tendons stick
-        every newton on the way from the guess counts as a millimetre: for targets of a stream.
+        the way there counts, see `GOING_SHARE`: for targets of a stream.
     memory : optional
         Friction memory where the arm is (`Shape.memory`): tensions then count as reached from
         there, along a straight line. Default: from straight and free of tension.

@@ -101,8 +101,8 @@ def part(chain, inputs, work, past, now, nodes, known, row, reach, bend, before)
     """
     Go on from the memory `now`, which moves on, to a node of the way.
 
-    Returns the last change [rad], and how far it is from where that node was before [1]: of what
-    counts as the same, infinite where it is new or not reached.
+    Returns the last change [rad], and how far the state is from the one that the node had before
+    [rad]; infinite where it is new or not reached.
 
     Parameters
     ----------
