@@ -70,11 +70,12 @@ class Parameter:
         """
         Bounds of a value in a description [unit].
 
-        Wider than those of a fit where they follow the robot: a fit may change it a little.
+        Wider than those of a fit where they follow the robot: a fit may change it a little, and
+        smaller sizes than a fit can tell may be known.
         """
         if not self.of:
             return self.low, self.high
-        return (0.5 if self.low > 0.0 else 2.0) * self.low, 2.0 * self.high
+        return (0.02 if self.low > 0.0 else 2.0) * self.low, 2.0 * self.high
 
     def sized(self, sizes: Mapping[str, float]) -> Parameter:
         """

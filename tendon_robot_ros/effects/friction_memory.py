@@ -5,6 +5,9 @@ import math
 from .effect import Effect, Parameter
 
 SLIPS_BELOW = 1e-12  # [1] of what is left to full friction: the tendon slips
+# [1] of the radius. Below, what a way leaves behind depends on turns that a way in 256 parts does
+# not resolve (model/kernel/history.py): a fit there follows noise.
+SHORTEST = 4e-3
 
 
 def law(sign, before, change, presliding_length, exponent):
@@ -38,7 +41,7 @@ EFFECT = Effect(
     needs='history',
     law=law,
     parameters=(
-        Parameter('presliding_length', 'm', 2e-4, 0.4, 2e-4, typical=0.02, of='radius'),
+        Parameter('presliding_length', 'm', SHORTEST, 0.4, SHORTEST, typical=0.02, of='radius'),
         Parameter('exponent', '1', 0.0, 2.0, 1.0, typical=0.5, has_default=True),
     ),
 )
