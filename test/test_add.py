@@ -86,6 +86,8 @@ def diagnosed(name):
 @pytest.mark.parametrize('name', ['messy_002', 'messy_008', 'messy_s0'])
 def test_a_diagnosis_and_an_addition_tell_the_same_numbers_of_an_arm_as_built(name):
     dataset, found, made = diagnosed(name)
+    hidden = yaml.safe_load((AS_BUILT / 'truth.yaml').read_text(encoding='utf-8'))[name]['hidden']
+    assert (found.verdict, [e.name for e in found.effects]) == ('missing_effect', [hidden])
     numbers = (made.fitted.before, made.fitted.after, made.fitted.floor)
     said = (found.error_before, found.error_after, found.noise_floor)
     assert said == pytest.approx(numbers, rel=0.02)

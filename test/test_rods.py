@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import slow
 from source_tree import ROOT
 
 from tendon_robot_ros.comparison.noise import rms
@@ -33,7 +34,7 @@ def test_rods_are_met_with_and_without_a_force_at_the_tip(cells, table, without,
         assert apart['median'] < median and apart['largest'] < most
 
 
-@pytest.mark.parametrize(('disks', 'seed'), [(40, 0), (20, 2)])
+@pytest.mark.parametrize(('disks', 'seed'), [slow(40, 0), (20, 2)])
 @pytest.mark.parametrize('exact', [True, False], ids=['exact', 'as built'])
 def test_a_diagnosis_names_the_twist_of_a_rod_with_its_size(exact, disks, seed):
     found = diagnose(rods.measured('twisting', disks, seed=seed, exact=exact), workers=1)
@@ -44,7 +45,7 @@ def test_a_diagnosis_names_the_twist_of_a_rod_with_its_size(exact, disks, seed):
         assert value.low <= rods.EI_OVER_GJ <= value.high
 
 
-@pytest.mark.parametrize(('disks', 'seed'), [(40, 0), (20, 1)])
+@pytest.mark.parametrize(('disks', 'seed'), [slow(40, 0), (20, 1)])
 @pytest.mark.parametrize('exact', [True, False], ids=['exact', 'as built'])
 def test_a_diagnosis_of_a_rod_that_does_not_twist_names_nothing(exact, disks, seed):
     found = diagnose(rods.measured('stiff', disks, seed=seed, exact=exact), workers=1)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import simulated
+from marks import slow
 from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.common.rotations import upright_fit
@@ -185,7 +186,10 @@ BESIDE = {
 FEW = ('spatial, a cell too few', 'planar, mN for N')
 
 
-@pytest.mark.parametrize('name', BESIDE)
+@pytest.mark.parametrize(
+    'name',
+    [slow(one) if one in FEW else one for one in BESIDE],
+)
 def test_a_mistake_beside_a_missing_effect_is_said_with_the_effect(name, limp):
     make, mistake, sentence = BESIDE[name]
     count = 5 if name in FEW else 8

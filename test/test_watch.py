@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import slow
 from source_tree import ROOT
 
 from tendon_robot_ros.common.errors import InputError
@@ -367,7 +368,7 @@ def test_where_an_arm_hardly_bends_and_kinks_turn_its_friction_over_nothing_is_t
     assert alarm.update(read, seen, 30).evidence < 100.0
 
 
-@pytest.mark.parametrize('cell', [6, 8, 11])
+@pytest.mark.parametrize('cell', [slow(6), 8, slow(11)])
 def test_a_slightly_softer_cell_is_told_within_twenty_postures(well_known, cell):
     arm, _, random = well_known
     alarm = DriftAlarm(arm.as_known(arm.mean.copy(), arm.covariance.copy()), 21600.0)
@@ -388,7 +389,7 @@ ODD_POSTURES = {
 }
 
 
-@pytest.mark.parametrize('seed', [12, 14])
+@pytest.mark.parametrize('seed', [12, slow(14)])
 @pytest.mark.parametrize('what', ODD_POSTURES)
 def test_the_filter_learns_nothing_of_one_odd_posture_and_no_alarm_comes_of_it(
     well_known, what, seed
