@@ -147,7 +147,8 @@ class Fitter:
             assert fit.built is not None and self.random is not None
             scatter = replace(fit.built, around=around, sizes=self.random.start)
             with suppress(ArithmeticError, np.linalg.LinAlgError):  # no equilibrium there
-                found = self.fit(fit.frees, replace(fit, built=scatter))
+                start = replace(fit, built=scatter)
+                found = self.fit(fit.frees, start, hopeless=best.deviance)
                 best = min(best, found, key=lambda one: one.deviance)
         self.resume(best)
         return best
