@@ -20,6 +20,7 @@ session.py            one diagnosis at work: noise, weights, and the fits that i
 fit.py                a settled fit and what it tells
 fitter.py             how a fit settles: parameters, imperfections and their sizes, in turn
 race.py               fits of many candidates side by side; those far behind are left
+joint.py              several effects at once: which further ones are worth a fit
 search.py             the search for the best values: bounded Gauss-Newton
 interval.py           95 % intervals of fitted parameters
 

@@ -35,12 +35,13 @@ from .evidence import (
     outside_by_itself,
     remainder_text,
 )
+from .joint import joined, several
 from .next_measurement import propose
 from .outliers import find_outliers
 from .patterns import Pattern
 from .report_rows import details_of, finding, left_by, rows_of
 from .result import Diagnosis
-from .session import Progress, Session, joined, several
+from .session import Progress, Session
 from .setup_hypotheses import Mistake
 from .setup_mistakes import find_mistake, partly_mistaken
 

@@ -27,13 +27,9 @@ from .candidates import (
 )
 from .decide import (
     ALARM_LEVEL,
-    APART_FROM_SCORE,
-    EFFECTS_MAX,
-    FIRST_STEP_GAIN_MIN,
     NEAR_SCORE,
     P_SEVERAL_MIN,
     P_SINGLE_MIN,
-    PAIRED_MAX,
     TIE_WITHIN_SCORE,
 )
 from .fit import Fit
@@ -266,33 +262,6 @@ class Session:
         held, _ = base.held_out(self.whitener.owners)
         return self.gain_p_value(base, ranked) * among < ALARM_LEVEL and ranked.held_out < held
 
-    def hints(self, current: Ranked, larger: Candidate) -> bool:
-        """Tell whether a first step of further parameters would gain; kinked ones always may."""
-        random, built, point = self.random, current.fit.built, current.fit.point
-        if random is None or built is None:
-            return True
-        n, columns = len(random.columns), [current.fit.jacobian[:, : len(current.fit.all_frees)]]
-        fitter = self.fitters[0]
-        fitter.resume(current.fit)
-        here = fitter.predictor.markers(point)
-        if here is None:
-            return False
-        raw, near = fitter.residual(here), fitter.predictor.settled
-        for free in larger.frees:
-            if free in point:
-                continue
-            value = point.get(free, self.predictor.value(free))
-            step = 0.05 * free.parameter.typical
-            if value + step > free.parameter.high:
-                step = -step
-            moved = fitter.predictor.markers({**point, free: value + step}, near=near)
-            if moved is None or self.catalogue[free.effect].always_on:
-                return True
-            columns.append(self.whitener.white(here - moved)[:, None] / step)
-        slopes = np.column_stack([column[:n] for column in columns])
-        estimated = random.estimate(raw, slopes, built.sizes)
-        return current.fit.deviance - estimated.deviance > FIRST_STEP_GAIN_MIN
-
     def best(self, ranked: Sequence[Ranked]) -> Ranked:
         """Return the best by score; within a tie the first of the catalogue."""
         top = min(r.score for r in ranked)
@@ -303,95 +272,3 @@ def better(found: Sequence[Ranked], again: Sequence[Ranked]) -> list[Ranked]:
     """Return the better of two fits of every candidate; some were fitted again."""
     others = {r.candidate.label: r for r in again}
     return [min(r, others.get(r.candidate.label, r), key=lambda r: r.fit.deviance) for r in found]
-
-
-def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
-    """
-    Search two or three effects that are adequate together: greedy, then pairs and swaps.
-
-    Returns the best combination found, adequate or not; None when nothing could be combined.
-    """
-    order = sorted(singles, key=lambda r: r.score)
-    current: Ranked = order[0]
-    best: Ranked | None = None
-    for size in range(2, EFFECTS_MAX + 1):
-        extended = _extended(session, current)
-        if size == 2 and not any(session.holds(f) for f in extended):
-            extended += _pairs(session, order[:PAIRED_MAX], current)
-        if not extended:
-            break
-        current = best = min(extended, key=lambda r: r.score)
-        if session.holds(best):
-            best = reweighed(session, best)
-            if session.holds(best):
-                break
-    return best
-
-
-def joined(session: Session, best: Ranked) -> Ranked | None:
-    """
-    Join a second effect, and a third, to an adequate one while the gain is more than chance would.
-
-    An arm as built may scatter as much as a second effect needs; that it need not is told by the
-    likelihood. None where one is enough.
-    """
-    current = best
-    while len(current.candidate.names) < EFFECTS_MAX:
-        more = [
-            r
-            for r in _extended(session, current)
-            if session.stands_out(current.fit, r, len(session.candidates))
-            and r.score < current.score - APART_FROM_SCORE
-        ]
-        if not more:
-            break
-        current = reweighed(session, min(more, key=lambda r: r.score))
-    return None if current is best else current
-
-
-def reweighed(session: Session, ranked: Ranked) -> Ranked:
-    """Fit a candidate again with noise and weights taken at its own fit."""
-    for _ in range(2):
-        session.weigh(ranked.fit.point, ranked.fit.around)
-        ranked = session.fit_all([ranked.candidate], {ranked.candidate.label: ranked.fit})[0]
-    return ranked
-
-
-def _extended(session: Session, current: Ranked) -> list[Ranked]:
-    """Fit the current effects with each other one whose first step gains."""
-    order = [c for c in _extensions(session, current) if session.hints(current, c)]
-    starts = {c.label: current.fit for c in order}
-    return session.fit_joint(order, starts, f'{len(current.candidate.names) + 1} effects')
-
-
-def _extensions(session: Session, current: Ranked) -> list[Candidate]:
-    """List the current effects with each other one that the postures show there."""
-    tested, _ = session.split_tested(current.fit.point)
-    have = set(current.candidate.names)
-    return [
-        current.candidate.with_(c)
-        for c in tested
-        if not have & set(c.names) and not _overlaps(session.catalogue, c, have)
-    ]
-
-
-def _pairs(session: Session, order: Sequence[Ranked], known: Ranked) -> list[Ranked]:
-    """Fit the pairs among the best single effects; those with one of them are known."""
-    pairs, starts = [], {}
-    order = [r for r in order if r is not known]
-    for i, first in enumerate(order):
-        for second in order[i + 1 :]:
-            pair = first.candidate.with_(second.candidate)
-            if _overlaps(session.catalogue, second.candidate, set(first.candidate.names)):
-                continue
-            pairs.append(pair)
-            starts[pair.label] = first.fit
-    return session.fit_joint(pairs, starts, 'pairs')
-
-
-def _overlaps(catalogue: Catalogue, candidate: Candidate, have: set[str]) -> bool:
-    """Tell whether a candidate contains, or is contained in, one that is already there."""
-    name = candidate.names[0]
-    return bool(set(catalogue[name].contains) & have) or any(
-        name in catalogue[other].contains for other in have
-    )
