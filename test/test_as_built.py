@@ -267,6 +267,7 @@ def test_a_fit_looks_beyond_where_friction_turns_over():
     assert fitter.over_turns(far).deviance > far.deviance - 1.0, 'it is the best place'
 
 
+@pytest.mark.slow  # test_a_fit_looks_beyond_where_friction_turns_over is the same at one place
 def test_fits_look_beyond_turns_of_friction_at_the_last_weights_too():
     """There was nothing beyond them at the weights before; the other side is 28 better."""
     setup = read_plan(PLANS / 'diagnosis.yaml').setup

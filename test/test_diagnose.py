@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import simulated
 from arms import planar
+from marks import slow
 from measurements import blind, truth
 from simulated import NOISE, measure, measured, postures
 
@@ -79,7 +80,7 @@ def test_without_the_true_effect_the_catalogue_has_no_answer(monkeypatch):
     assert found.verdict == 'outside_catalogue'
 
 
-@pytest.mark.parametrize('setting', [0.01, 0.03])
+@pytest.mark.parametrize('setting', [0.01, slow(0.03)])
 def test_undeclared_setting_noise_yields_no_name(setting):
     dataset = measured(ROBOT, noise=replace(NOISE, setting=setting), count=12)
     found = diagnose(replace(dataset, setting_noise=0.0))

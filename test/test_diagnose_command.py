@@ -157,6 +157,7 @@ def test_partial_adds_it_and_says_that_more_is_at_work(capsys, folder):
     )
 
 
+@pytest.mark.slow  # the verdict and what it names: test_diagnose.py
 def test_a_wrong_parameter_is_said_and_added(capsys, folder):
     lines = said(capsys, 'diagnose', 'k/fit', '--add', 'better.yaml', '--check', 'k/check',
                  '--json', 'why.json')  # fmt: skip
