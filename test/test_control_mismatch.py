@@ -12,7 +12,7 @@ from tendon_robot_ros.control.mismatch import STEP_SHARE, Mismatch, stability_ma
 from tendon_robot_ros.control.status import controller_status
 from tendon_robot_ros.control.tip_loop import _Step
 from tendon_robot_ros.model.derivatives import tip_slopes
-from tendon_robot_ros.model.redundancy import bounded_step
+from tendon_robot_ros.model.program import bounded_step
 
 LIMITS, DOUBT = np.array([[0.1, 5.0]] * 3), np.full(3, 0.05)
 

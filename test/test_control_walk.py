@@ -10,7 +10,8 @@ from tendon_robot_ros.control import ControllerCore, Settings, Target
 from tendon_robot_ros.control.mismatch import Mismatch
 from tendon_robot_ros.control.walk import NOISE_M, SPEED_MAX, STUCK_S, Leak, Led, begun
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.model.redundancy import Preferences, bounded_step
+from tendon_robot_ros.model.program import bounded_step
+from tendon_robot_ros.model.redundancy import Preferences
 from tendon_robot_ros.ros.shared.files import read_robot
 
 LENGTH, CYCLE = 0.2, 0.005  # [m], [s]

@@ -7,8 +7,10 @@ import pytest
 from arms import planar, spatial, two_sections
 
 from tendon_robot_ros.common.errors import InputError
+from tendon_robot_ros.model.derivatives import take_sides, tip_ways
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.model.redundancy import Preferences, broyden
+from tendon_robot_ros.model.redundancy import Balance, Preferences, broyden
+from tendon_robot_ros.model.tip_task import TipTask, tip_target
 from tendon_robot_ros.robot.keep_out import KeepOut, Plane, Region, Sphere
 from tendon_robot_ros.ros.shared.files import read_robot
 
@@ -182,6 +184,56 @@ def test_a_far_wall_changes_nothing():
     free, kept = (model.reach(tip, preferences=wants, keep_out=k) for k in (None, room))
     assert kept.tensions == pytest.approx(free.tensions, abs=1e-9)
     assert kept.region == ''
+
+
+def stood(model, count, seed=5):
+    """Yield shapes that an arm comes to on a random way, one from another."""
+    random, here = np.random.default_rng(seed), None
+    low, high = model.limits.T
+    for _ in range(count):
+        here = model.follow(here, low + 0.3 * random.random(len(low)) * (high - low))
+        yield here
+
+
+@pytest.mark.parametrize('kind', ['planar', 'spatial'])
+def test_slopes_on_the_side_to_which_eyelets_slide_are_those_of_the_way_there(kind):
+    model, random = arm(kind, remembers=True), np.random.default_rng(2)
+    for here in stood(model, 6):
+        move = random.normal(size=len(here.inputs)) * 1e-5
+        slopes, ways = tip_ways(model, here, here.memory)
+        past = here.memory.copy()
+        assert take_sides(model, here, past, move @ ways) > 0
+        for _ in range(9):  # which way they slide follows from the slopes, too
+            sided, ways = tip_ways(model, here, past)
+            if not take_sides(model, here, past, move @ ways):
+                break
+        moved = model.follow(here, here.inputs + move).tip_position - here.tip_position
+        size = np.linalg.norm(moved)
+        assert np.linalg.norm(sided[:3] @ move - moved) < 0.02 * size
+        assert np.linalg.norm(slopes[:3] @ move - moved) > 0.05 * size  # the mean of both sides
+
+
+def test_eyelets_that_have_slid_take_no_side():
+    model = arm('spatial', remembers=True)
+    begin = model.shape(np.full(6, 1.0))
+    here = model.follow(begin, begin.inputs + np.linspace(0.5, 2.0, 6))
+    past, ways = begin.memory.copy(), tip_ways(model, here, begin.memory)[1]
+    assert take_sides(model, here, past, np.full(6, -1e-3) @ ways) == 0
+    assert np.array_equal(past, begin.memory)
+
+
+@pytest.mark.parametrize(('kind', 'most'), [('planar', (8e-5, 3e-4)), ('spatial', (6e-5, 1e-4))])
+def test_a_step_of_the_program_leaves_the_tip_where_friction_remembers(kind, most):
+    model, off = arm(kind, remembers=True), []
+    wants = Preferences(low_tension=0.0, slack=1.0, margin=0.3)
+    for here in stood(model, 24):
+        target = tip_target(model, here.tip_position, None, 1.0, None)
+        balance = Balance(TipTask(model, target, here.memory), wants)
+        there = model.follow(here, balance.step(balance.begin(here), 0.02))
+        assert np.abs(there.inputs - here.inputs).max() > 0.05
+        off.append(np.linalg.norm(there.tip_position - here.tip_position))
+    assert np.median(off) < most[0]
+    assert np.quantile(off, 0.9) < most[1]
 
 
 def test_corrected_slopes_say_what_the_step_did_and_else_what_they_said():

@@ -15,6 +15,7 @@ from simulated import measure, postures
 from tendon_robot_ros.comparison.noise import Noise
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.model.derivatives import take_sides, tip_ways
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
 from tendon_robot_ros.robot.estimates import natural_sizes
@@ -179,3 +180,18 @@ def test_a_stream_of_targets_is_followed_alike(name, length):
         there = other.reach(length * place, guess=there, starts=0, gently=True).shape
         np.testing.assert_allclose(there.inputs / force, here.inputs, atol=2e-3 * high.max())
     assert np.linalg.norm(here.tip_position - places[-1]) < 1e-3
+
+
+@pytest.mark.parametrize('length', [0.2, 10.0])
+def test_friction_at_rest_takes_the_same_sides(length):
+    robot = read_robot('kato_10_1').with_effect('friction_memory', {'presliding_length': 2e-4})
+    force, found = length**2, []
+    low, high = Model(robot).limits.T
+    for scale, pull in ((1.0, 1.0), (length, force)):
+        model = Model(scaled(robot, scale, scale * pull))
+        here = model.shape(pull * (low + 0.1 * (high - low)))
+        past, move = here.memory.copy(), 1e-3 * pull * np.array([1.0, -0.5, 0.3, -1.0])
+        turned = take_sides(model, here, past, move @ tip_ways(model, here, past)[1])
+        found.append((turned, tip_ways(model, here, past)[0][:3] * pull / scale))
+    assert found[0][0] == found[1][0] > 0
+    np.testing.assert_allclose(found[1][1], found[0][1], atol=1e-4 * np.abs(found[0][1]).max())

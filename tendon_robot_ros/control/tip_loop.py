@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..common.errors import TendonRobotError
 from ..model.derivatives import tip_slopes
-from ..model.redundancy import STEP_DAMPING, bounded_step
+from ..model.program import STEP_DAMPING, bounded_step
 from .mismatch import STEP_SHARE, Mismatch, here_counts, slope_doubt
 from .remainder import LED_SHARE, LeftOver, Remainder
 from .walk import Led, Walk, begun

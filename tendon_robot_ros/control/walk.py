@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.redundancy import bounded_step
+from ..model.program import bounded_step
 
 if TYPE_CHECKING:
     from ..model.shape import Reach, Shape

@@ -8,6 +8,7 @@ tip_task.py      what is asked of the tip, from which state of friction, and in 
 inverse.py       a pose, a target of the tip, to tensions within the limits
 starts.py        the searches that this is made of, and where they start
 redundancy.py    what the freedom of the tensions is used for; the arm kept out of regions
+program.py       one quadratic program with bounds, and the step of the tip that is one
 pulls.py         wire pulls to tensions, with slack wires
 inputs.py        what a caller commands, by name or in order, checked
 plot.py          arms drawn for notebooks

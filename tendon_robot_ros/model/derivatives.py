@@ -44,16 +44,41 @@ def tip_slopes(model: ForwardModel, shape: Shape, past: Floats) -> Floats:
         That of the shape itself gives the mean of both directions in which tendons may slide on.
 
     """
-    slopes = np.empty((6, len(shape.inputs)))
-    model.arrays.part('derivatives').jacobian(
-        model.arrays.address,
-        shape.inputs.copy(),
-        np.array([shape.state, shape.state]),
-        past,
-        model.scratch,
-        slopes,
-    )
-    return slopes
+    return tip_ways(model, shape, past)[0]
+
+
+def tip_ways(model: ForwardModel, shape: Shape, past: Floats) -> tuple[Floats, Floats]:
+    """Return `tip_slopes` (6, m), and how the state follows the tensions (m, u) [rad/N]."""
+    m, entries = len(shape.inputs), len(shape.state)
+    slopes, ways = np.empty((6, m)), np.empty((m, _unknowns(model, entries)))
+    states, part = np.array([shape.state, shape.state]), model.arrays.part('derivatives')
+    inputs, where = shape.inputs.copy(), model.arrays.address
+    part.jacobian(where, inputs, states, past, model.scratch, ways, slopes)
+    return slopes, ways
+
+
+def take_sides(model: ForwardModel, shape: Shape, past: Floats, way: Floats) -> int:
+    """
+    Let friction at rest be on the side to which the arm goes; return at how many eyelets it turns.
+
+    Parameters
+    ----------
+    shape : Shape
+    past : ndarray
+        Friction memory of the posture before, changed in place: the slopes of an eyelet that has
+        not slid since are then those of the way it will. See the kernel's `derivatives`.
+    way : (u,) [rad]
+        How the state goes on, by `tip_ways`.
+
+    """
+    states, part = np.array([shape.state, shape.state]), model.arrays.part('derivatives')
+    where, inputs = model.arrays.address, shape.inputs.copy()
+    return int(part.take_sides(where, inputs, states, way, past, model.scratch))
+
+
+def _unknowns(model: ForwardModel, entries: int) -> int:
+    """Return how many of the entries of a state count."""
+    return entries if model.arrays.twists else entries // 3 * 2
 
 
 def derivatives(
@@ -219,7 +244,7 @@ def _ways(
     arrays.link()
     part, (b, entries) = arrays.part('derivatives'), states.shape
     with _twisting(model, moves):
-        count = entries if arrays.twists else entries // 3 * 2
+        count = _unknowns(model, entries)
         inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
         changes, rows = np.empty((b, len(moves), count)), np.empty((b, len(moves), count))
         sides = np.empty((2, b, count))

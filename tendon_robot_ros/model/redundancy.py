@@ -9,7 +9,8 @@ u of the tensions in shares of their range R = high - low:
 
 with f the weighted error of the tip (6,), J its Jacobian, P_i the motion of a point of the arm
 that is d_i [m] from a region in direction n_i. A step that does not pay is tried again with half
-the trust. Where friction remembers, J is corrected by what each step did (Broyden 1965).
+the trust. Where friction remembers, J is that of the way to which the step lets eyelets slide: the
+program says the way, and J the program. What a step in vain did corrects J (Broyden 1965).
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ import numpy.typing as npt
 
 from ..common.errors import InputError, NoEquilibriumError
 from ..robot.keep_out import KeepOut
-from .derivatives import derivatives, tip_slopes, tip_stiffness
+from .derivatives import derivatives, take_sides, tip_stiffness, tip_ways
+from .program import solved, within
 
 if TYPE_CHECKING:
     from .shape import Shape, ShapeBatch
@@ -37,11 +39,13 @@ POINTS_MAX = 8  # of the arm that are held away from a region at once
 TRUST, TRUST_MIN = 0.15, 1e-4  # [1] of a tension's range
 STEP_DONE = 3e-5  # [1] of a tension's range: a step that is none
 CO_CONTRACTIONS = 0.1, 0.3  # [1] of the range, more on all tendons
-STEP_DAMPING, STEP_MAX = 0.1, 0.03  # [1] of the largest slope, of a range: one step of the tip
 DAMPING = 1e-4  # [1] keeps tensions where nothing speaks for a change
 SLOPE_SHARE = 2e-3  # [1] of a tension's range, for the slope of the stiffness
 CORRECTIONS_MAX, CORRECTED_M = 3, 2e-6  # after a step: how often, and from what error on [m]
 POINT_STEP_M = 1e-6  # [m] for the direction away from a region
+# How often a step is looked for anew as eyelets turn; share [1] of them that may do so unseen
+TURNS_MAX, TURNED_SHARE = 3, 0.1
+LEARNS_WITHIN = 5e-3  # [1] of a range: a longer correction in vain says nothing of slopes here
 
 
 @dataclass(frozen=True)
@@ -79,8 +83,10 @@ class Linearised:
 
     shape: Shape
     error: Floats  # (6,) weighted [m]
-    slopes: Floats  # (6, m) of the weighted error by shares of the range [m]
-    stiffness_slope: Floats | None = None  # (m,) of the logarithm, by shares of the range
+    past: Floats  # friction memory from which tensions go on, with the side of eyelets at rest
+    slopes: Floats | None = None  # (6, m) of the weighted error by shares of the range [m]
+    ways: Floats | None = None  # (m, u) of the state by tensions [rad/N]
+    preferred: tuple[Floats, Floats] | None = None  # see `Balance._preferred`
 
 
 @dataclass
@@ -94,26 +100,32 @@ class Balance:
     here: Floats | None = None  # (m,) [N] where the arm is, for smooth commands
     low: Floats = field(init=False)
     range: Floats = field(init=False)
+    weights: Floats = field(init=False)  # (6,) [1], [m] of the tip's error
 
     def __post_init__(self) -> None:
         """Scale tensions by their range."""
         limits = self.task.model.limits if self.limits is None else self.limits
         self.low, self.range = limits[:, 0], limits[:, 1] - limits[:, 0]
+        self.weights = np.repeat(self.task.target[6:], 3)
 
     def begin(self, shape: Shape) -> Linearised:
         """Look at an equilibrium."""
-        return Linearised(shape, self.error(shape), self.slopes(shape))
+        return Linearised(shape, self.error(shape), self.task.past)
 
     def error(self, shape: Shape) -> Floats:
         """Return the weighted error of the tip (6,) [m]."""
-        target = self.task.target
-        miss = np.concatenate([shape.tip_position - target[:3], shape.tip_direction - target[3:6]])
-        return np.asarray(np.repeat(target[6:], 3) * miss)
+        return self.weights * self.task.off(shape)
 
-    def slopes(self, shape: Shape) -> Floats:
+    def slopes(self, at: Linearised) -> Floats:
         """Return the slopes of the weighted error (6, m) by shares of the range [m]."""
-        slopes = tip_slopes(self.task.model, shape, self.task.past)
-        return np.repeat(self.task.target[6:], 3)[:, None] * slopes * self.range
+        if at.slopes is None:
+            at.slopes, at.ways = self._slopes_after(at.shape, at.past)
+        return at.slopes
+
+    def _slopes_after(self, shape: Shape, past: Floats) -> tuple[Floats, Floats]:
+        """Return slopes (6, m) of the weighted error, and ways (m, u) of the state [rad/N]."""
+        slopes, ways = tip_ways(self.task.model, shape, past)
+        return self.weights[:, None] * slopes * self.range, ways
 
     def cost(self, shape: Shape, error: Floats, stiffness: bool = True) -> float:
         """Return what a posture costs [1]."""
@@ -164,6 +176,16 @@ class Balance:
 
     def quadratic(self, at: Linearised) -> tuple[Floats, Floats]:
         """Return matrix (m, m) and slope (m,) of the cost of a step in shares of the range."""
+        if at.preferred is None:
+            at.preferred = self._preferred(at)
+        slopes, (diagonal, slope) = self.slopes(at), at.preferred
+        weighted = TIP_WEIGHT * slopes.T
+        matrix = weighted @ slopes
+        matrix.ravel()[:: len(slope) + 1] += diagonal
+        return matrix, slope + weighted @ at.error
+
+    def _preferred(self, at: Linearised) -> tuple[Floats, Floats]:
+        """Return diagonal (m,) and slope (m,) of what is preferred, in shares of the range."""
         wants, u = self.preferences, (at.shape.inputs - self.low) / self.range
         diagonal = np.full(len(u), DAMPING + wants.low_tension + wants.smooth)
         slope = wants.low_tension * u
@@ -173,31 +195,56 @@ class Balance:
             (wants.slack, np.minimum(u - wants.margin, 0.0)),
             (wants.limit, np.maximum(u - 1.0 + wants.margin, 0.0)),
         ):
-            slope = slope + weight / wants.margin**2 * over
-            diagonal = diagonal + weight / wants.margin**2 * (over != 0.0)
+            if weight > 0.0:
+                slope = slope + weight / wants.margin**2 * over
+                diagonal = diagonal + weight / wants.margin**2 * (over != 0.0)
         if wants.stiffness > 0.0:
-            if at.stiffness_slope is None:
-                at.stiffness_slope = self.stiffness_slope(at.shape)
-            slope = slope - wants.stiffness * at.stiffness_slope
-        matrix = TIP_WEIGHT * at.slopes.T @ at.slopes + np.diag(diagonal)
-        return matrix, slope + TIP_WEIGHT * at.slopes.T @ at.error
+            slope = slope - wants.stiffness * self.stiffness_slope(at.shape)
+        return diagonal, slope
 
     def step(self, at: Linearised, trust: float) -> Floats:
-        """Return the tensions (m,) [N] of the program about a posture."""
+        """
+        Return the tensions (m,) [N] of the program about a posture.
+
+        Where friction remembers, slopes are those of the way there: it says to which side each
+        eyelet slides, and the slopes on these sides say the way. Where they go to and fro, it runs
+        along a kink, and the mean of the slopes on its sides counts.
+        """
+        tensions = self._program(at, trust)
+        for turn in range(TURNS_MAX if self.task.model.remembers else 0):
+            if not self._turned(at, tensions, 1.0 / (turn + 1)):
+                break
+            tensions = self._program(at, trust)
+        return tensions
+
+    def _turned(self, at: Linearised, tensions: Floats, share: float) -> bool:
+        """Move slopes by a share to those of the way there, if too many eyelets turn on it."""
+        model, slopes, ways, past = self.task.model, at.slopes, at.ways, at.past.copy()
+        assert slopes is not None and ways is not None
+        turned = take_sides(model, at.shape, past, (tensions - at.shape.inputs) @ ways)
+        if turned <= TURNED_SHARE * model.arrays.chain.n * model.arrays.chain.k:
+            return False
+        at.past = past
+        new_slopes, new_ways = self._slopes_after(at.shape, past)
+        at.slopes = slopes + share * (new_slopes - slopes)
+        at.ways = ways + share * (new_ways - ways)
+        return True
+
+    def _program(self, at: Linearised, trust: float) -> Floats:
         matrix, slope = self.quadratic(at)
         u = (at.shape.inputs - self.low) / self.range
         upper, lower = np.minimum(1.0 - u, trust), np.maximum(-u, -trust)
-        rows, room = self._walls(at.shape)
-        inside = room > 0.0
-        if inside.any():  # there the way out is a matter of cost: all at once may be too much
-            out = rows[inside]
-            matrix = matrix + KEEP_OUT_WEIGHT * out.T @ out
-            slope = slope - KEEP_OUT_WEIGHT * out.T @ room[inside]
-        bounds = np.concatenate([lower, room[~inside]])
-        made = _solved(matrix, slope, rows[~inside], bounds, upper)
-        return (
-            np.asarray(np.clip(u + np.clip(made, lower, upper), 0.0, 1.0)) * self.range + self.low
-        )
+        rows, bounds = None, lower
+        if self.keep_out:
+            rows, room = self._walls(at)
+            inside = room > 0.0
+            if inside.any():  # there the way out is a matter of cost: all at once may be too much
+                out = rows[inside]
+                matrix = matrix + KEEP_OUT_WEIGHT * out.T @ out
+                slope = slope - KEEP_OUT_WEIGHT * out.T @ room[inside]
+            rows, bounds = rows[~inside], np.concatenate([lower, room[~inside]])
+        made = solved(matrix, slope, rows, bounds, upper)
+        return within(u + made, 0.0, 1.0) * self.range + self.low
 
     def improve(self, at: Linearised, trust: float) -> tuple[Linearised | None, float]:
         """Make one step that pays; None where none does. Returns the trust of the next one."""
@@ -213,10 +260,16 @@ class Balance:
                 least, made = min(costs, key=lambda one: one[0])
                 if least < cost:
                     return made, min(2.0 * trust, TRUST)
-                if self.task.model.remembers:  # what it did is known by now
-                    at.slopes = looked.slopes
+                self._learned(at, looked)
             trust = 0.5 * min(trust, size)
         return None, trust
+
+    def _learned(self, at: Linearised, there: Linearised) -> bool:
+        """Take from a step in vain what it did, where friction remembers; tell whether it does."""
+        if self.task.model.remembers:
+            share = (there.shape.inputs - at.shape.inputs) / self.range
+            at.slopes = broyden(self.slopes(at), share, there.error - at.error)
+        return self.task.model.remembers
 
     def ways_on(self, looked: Linearised) -> tuple[Linearised, ...]:
         """Return a posture with its tip brought back, and as it is where regions may forbid it."""
@@ -229,35 +282,32 @@ class Balance:
             if float(at.error @ at.error) < CORRECTED_M**2:
                 break
             u = (at.shape.inputs - self.low) / self.range
-            matrix = TIP_WEIGHT * at.slopes.T @ at.slopes + DAMPING * np.eye(len(u))
-            slope = TIP_WEIGHT * at.slopes.T @ at.error
-            back = np.clip(_solved(matrix, slope, None, -u, 1.0 - u), -u, 1.0 - u)
-            made = self.look(at, at.shape.inputs + back * self.range)
-            if made is None or not made.error @ made.error < at.error @ at.error:
+            slopes = self.slopes(at)
+            matrix = TIP_WEIGHT * slopes.T @ slopes + DAMPING * np.eye(len(u))
+            slope = TIP_WEIGHT * slopes.T @ at.error
+            back = solved(matrix, slope, None, -u, 1.0 - u)
+            made = self.look(at, within(u + back, 0.0, 1.0) * self.range + self.low)
+            if made is not None and made.error @ made.error < at.error @ at.error:
+                at = made
+            elif made is None or max(abs(back)) > LEARNS_WITHIN or not self._learned(at, made):
                 break
-            at = made
         return at
 
     def look(self, at: Linearised, tensions: Floats) -> Linearised | None:
-        """Solve for tensions; the slopes there, or those of before as the step has shown them."""
+        """Solve for tensions from a posture; None where there is no equilibrium."""
         try:
-            shape = self.task.shape(tensions, at.shape.state)
+            return self.begin(self.task.shape(tensions, at.shape.state))
         except NoEquilibriumError:
             return None
-        error = self.error(shape)
-        if not self.task.model.remembers:
-            return Linearised(shape, error, self.slopes(shape))
-        share = (tensions - at.shape.inputs) / self.range
-        return Linearised(shape, error, broyden(at.slopes, share, error - at.error))
 
-    def _walls(self, shape: Shape) -> tuple[Floats, Floats]:
+    def _walls(self, at: Linearised) -> tuple[Floats, Floats]:
         """Return rows (r, m) and room (r,) [m]: rows @ step >= room is out; room > 0: inside."""
-        model, near = self.task.model, NEAR_SHARE * self.task.model.robot.length
+        model, shape, near = self.task.model, at.shape, NEAR_SHARE * self.task.model.robot.length
         rows: list[Floats] = []
         room: list[float] = []
-        away = self.keep_out.distances(shape.positions) if self.keep_out else np.empty((0, 1))
-        if self.keep_out and away.min() < near:
-            past = self.task.past if model.remembers else None
+        away = self.keep_out.distances(shape.positions)
+        if away.min() < near:
+            past = at.past if model.remembers else None
             moves = derivatives(model, shape.batch, model.inputs, _positions, past)[0]
             for region, far in zip(self.keep_out.regions, away, strict=True):
                 nearest = np.argsort(far)[:POINTS_MAX]
@@ -319,19 +369,6 @@ def broyden(slopes: Floats, step: Floats, change: Floats) -> Floats:
     return np.asarray(slopes + np.outer(change - slopes @ step, step) / size)
 
 
-def _solved(
-    matrix: Floats, slope: Floats, rows: Floats | None, lower: Floats, upper: Floats
-) -> Floats:
-    """Return the step (m,) of one program; zero, which is always allowed, where it fails."""
-    import daqp  # not before: what solves no program does without
-
-    m = len(slope)
-    rows = np.empty((0, m)) if rows is None else rows
-    high = np.concatenate([upper, np.full(len(rows), 1e30)])
-    made, _, flag, _ = daqp.solve(matrix, slope, np.ascontiguousarray(rows), high, lower)
-    return np.asarray(made) if flag >= 1 else np.zeros(m)
-
-
 def _outward(distance: Callable[[Floats], Floats], point: Floats) -> Floats:
     """Return the direction (3,) in which a point gets away from a solid, by differences."""
     step = POINT_STEP_M * np.eye(3)
@@ -341,46 +378,3 @@ def _outward(distance: Callable[[Floats], Floats], point: Floats) -> Floats:
 def _positions(batch: ShapeBatch) -> Floats:
     """Return the ends of the cells (b, n, 3) [m]."""
     return batch.positions
-
-
-def bounded_step(
-    slopes: Floats,
-    wanted: Floats,
-    tensions: Floats,
-    limits: Floats,
-    damping: float = STEP_DAMPING,
-    least: Floats | None = None,
-    ways: Floats | None = None,
-) -> Floats:
-    """
-    Return the tensions (m,) [N] within limits that move the tip as wanted by the least change.
-
-    min |J u - w|² + (damping |J|)² |u - least|², with u the change in shares of the ranges.
-
-    Parameters
-    ----------
-    slopes : (3, m)
-        Motion of the tip [m] over the ranges of the tensions.
-    wanted : (3,) [m]
-    tensions : (m,) [N]
-        Where the step begins.
-    limits : (m, 2) [N]
-    damping : float
-        Share of the largest slope below which a direction of the tip is hardly followed [1].
-    least : (m,), optional
-        Change that is made where the tip allows it [1] of the ranges; default: none.
-    ways : (m,), optional
-        1: a tension that may only rise, -1: only fall; default: both.
-
-    """
-    low, width = limits[:, 0], limits[:, 1] - limits[:, 0]
-    u = (tensions - low) / width
-    size = float(np.linalg.norm(slopes, 2))
-    damped = (damping * size) ** 2 + 1e-12
-    first = np.zeros(len(u)) if least is None else least
-    down, up = np.maximum(-u, -STEP_MAX), np.minimum(1.0 - u, STEP_MAX)
-    if ways is not None:
-        down, up = np.where(ways > 0.0, 0.0, down), np.where(ways > 0.0, up, 0.0)
-    matrix = slopes.T @ slopes + damped * np.eye(len(u))
-    made = np.clip(_solved(matrix, -slopes.T @ wanted - damped * first, None, down, up), down, up)
-    return np.asarray(low + np.clip(u + made, 0.0, 1.0) * width)

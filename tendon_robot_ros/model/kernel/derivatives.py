@@ -8,9 +8,12 @@ explicit, a difference of sweeps says it at once.) What a posture shows is then 
 along both, without solving again.
 """
 
+import math
+
 import numpy as np
 
 from .begin import work_in, workspace
+from .history import remember
 from .layout import (
     address,
     chain_at,
@@ -19,17 +22,23 @@ from .layout import (
     floats,
     keep,
     memory_in,
+    memory_size,
     residual_at,
     respond_at,
     words,
 )
-from .linear import fill
+from .linear import fill, largest
 from .shape import mean_pulls, place, wire_pulls
 from .stages import actuation, eyelet_acts, length_acts, stretch_acts, winding_acts
 from .sweep import is_implicit
 from .turning import half_turns, unknowns
 
 TENSION_STEP = 1e-6  # [N]
+AHEAD_RAD = 1e-6  # [rad] step of a state that says which way eyelets slide
+RESTS_BELOW = 1e-2  # [1] change of the direction of friction at an eyelet that rests
+# [1] of the radius, that an eyelet at rest is taken to have slid: beyond the differences of the
+# law's slopes (`tangent`), and no travel that the law tells (presliding lengths are 2e-4 and more)
+ASIDE_SHARE = 3e-6
 
 
 @compiled
@@ -151,11 +160,57 @@ def output_slopes(chain, inputs, there, ways, slopes):
 
 
 @entry()
-def jacobian(robot, inputs, bends, past, scratch, slopes):
-    """Fill `output_slopes` (6, m) at the equilibrium bends[0] of inputs (m,) [N]."""
+def jacobian(robot, inputs, bends, past, scratch, ways, slopes):
+    """Fill slopes (6, m) and ways (m, u), see `output_slopes`, at bends[0] of inputs (m,) [N]."""
     chain = chain_at(robot)
     there = workspace(chain, bends, past, scratch)
-    output_slopes(chain, address(inputs), there, np.empty((chain.m, unknowns(chain))), slopes)
+    output_slopes(chain, address(inputs), there, ways, slopes)
+
+
+@entry()
+def take_sides(robot, inputs, bends, way, past, scratch):
+    """
+    Let eyelets at rest be on the side to which they slide on a way; return how many turn to it.
+
+    The law of friction has another slope on each side. An eyelet rests where the direction of its
+    friction is as good as that in the memory `past`. Its travel there is set off a little, so that
+    derivatives are those of its side; one that is already on it does not count.
+
+    Parameters
+    ----------
+    inputs : ndarray, shape (m,)
+        [N]
+    bends : ndarray, shape (2, 3n)
+        The equilibrium [rad]; scratch.
+    way : ndarray, shape (u,)
+        How the state goes on [rad].
+    past : ndarray
+        Memory of the posture before; changed in place.
+
+    """
+    chain = chain_at(robot)
+    there = workspace(chain, bends, past, scratch)
+    share, tension = AHEAD_RAD / max(largest(way), AHEAD_RAD), address(inputs)
+    for q in range(unknowns(chain)):
+        floats(there.near)[q] = floats(there.bend)[q] + share * way[q]
+    kept, turned = np.zeros(memory_size(chain.n, chain.k, chain.m)), 0
+    here, ahead, then = memory_in(chain, address(kept)), there.now, there.past
+    remember(chain, tension, there.near, there.work, then, ahead)
+    remember(chain, tension, there.bend, there.work, then, here)
+    tendon, aside = words(chain.tendon), ASIDE_SHARE * chain.radius
+    for k in range(chain.k):
+        for i in range(tendon[2 * k] - 1):
+            at = chain.k * i + k
+            slid = floats(here.travel)[at] - floats(then.travel)[at]
+            going = floats(ahead.travel)[at] - floats(here.travel)[at]
+            since = slid if abs(slid) > 2.0 * aside else 0.0  # else it was set off, or stands
+            side = math.copysign(1.0, share * since + going)
+            rests = abs(floats(here.sign)[at] - floats(then.sign)[at]) < RESTS_BELOW
+            if rests and slid * side < 0.5 * aside:
+                floats(then.travel)[at] = floats(here.travel)[at] - aside * side
+                turned += 1
+    keep(kept)
+    return turned
 
 
 @entry()
