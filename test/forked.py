@@ -11,6 +11,7 @@ That commands start as a person types them, the tests of live, demo, launch and 
 import ctypes
 import gc
 import importlib
+import importlib.util
 import io
 import json
 import os
@@ -26,6 +27,11 @@ from processes import DEVNULL, ROOT, SET_DEATH_SIGNAL, Process
 
 LONGEST = 100_000  # bytes of arguments and environment
 WANTED = 'cli.main', 'control', 'diagnosis', 'monitoring', 'simulation.plant'
+MESSAGES = (
+    'builtin_interfaces.msg', 'diagnostic_msgs.msg', 'geometry_msgs.msg', 'lifecycle_msgs.msg',
+    'lifecycle_msgs.srv', 'rcl_interfaces.msg', 'rcl_interfaces.srv', 'sensor_msgs.msg',
+    'std_msgs.msg', 'std_srvs.srv', 'trajectory_msgs.msg', 'visualization_msgs.msg',
+)  # fmt: skip
 ROBOT = ROOT / 'config' / 'robots' / 'kato_10_1.yaml'
 
 
@@ -103,6 +109,9 @@ def load():
 
     for name in WANTED:
         importlib.import_module(f'tendon_robot_ros.{name}')
+    if importlib.util.find_spec('rclpy') is not None:
+        for name in MESSAGES:
+            importlib.import_module(name)
     load_model(load_robot(ROBOT), load_catalogue())
     gc.freeze()
     assert len(os.listdir('/proc/self/task')) == 1, 'a fork takes no threads along'

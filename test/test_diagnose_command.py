@@ -50,6 +50,28 @@ def assert_named(content, letter):
 
 
 def test_a_missing_effect_is_named_added_and_shown(capsys, folder):
+    lines = said(capsys, 'diagnose', 'hinges/fit', '--add', 'better.yaml', '--check',
+                 'hinges/check', '--json', 'why.json')  # fmt: skip
+    assert_named(json.loads((folder / 'why.json').read_text()), 'b')
+    assert lines[4:7] == [
+        'CONSISTENT WITH hinge_friction: lever = 0.154 ± 0.014 mm.',
+        'It explains 100 % of the explainable error.',
+        'What is left (0.23 mm) equals your repeatability (0.25 mm).',
+    ]
+    assert lines[-2:] == [
+        'error on postures never used: 2.50 mm -> 0.245 mm  (floor 0.227 mm)',
+        'written: better.yaml    send it to the robot: controller parameter model := better.yaml',
+    ]
+    robot = load_robot('better.yaml')
+    assert robot.effects['hinge_friction']['lever'] == pytest.approx(1.54e-4, rel=0.02)
+    assert list(robot.fitted) == ['hinge_friction']
+    read_again = compare(load_dataset('hinges/check'), [('better', robot)]).models[-1]
+    assert 1e3 * read_again.rms == pytest.approx(0.245, abs=5e-4)
+    assert written(folder) == ['better.yaml', 'why.json']
+
+
+@pytest.mark.slow  # eight times as long: two sections, and friction that turns over
+def test_tendons_that_resist_bending_are_named_added_and_shown(capsys, folder):
     lines = said(capsys, 'diagnose', 'stiff/fit', '--add', 'better.yaml', '--check', 'stiff/check',
                  '--json', 'why.json')  # fmt: skip
     assert_named(json.loads((folder / 'why.json').read_text()), 'f')

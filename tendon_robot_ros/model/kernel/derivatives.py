@@ -37,7 +37,7 @@ TENSION_STEP = 1e-6  # [N]
 AHEAD_RAD = 1e-6  # [rad] step of a state that says which way eyelets slide
 RESTS_BELOW = 1e-2  # [1] change of the direction of friction at an eyelet that rests
 # [1] of the radius, that an eyelet at rest is taken to have slid: beyond the differences of the
-# law's slopes (`tangent`), and no travel that the law tells (presliding lengths are 2e-4 and more)
+# law's slopes (`tangent`), and no travel that the law tells (presliding lengths are 8e-5 and more)
 ASIDE_SHARE = 3e-6
 
 
