@@ -148,6 +148,7 @@ class Rig:
             self.commands.append(output.tensions)
 
 
+@pytest.mark.slow  # the next one looks at the same on a walk towards less
 def test_on_an_arm_that_rubs_more_no_tension_turns_round_and_the_tip_stays():
     rig = Rig()
     rig.run(0.1)
@@ -177,7 +178,11 @@ def test_a_walk_ends_where_the_tip_is_as_stiff_as_is_enough():
         low_tension=0.01, stiffness=0.1, stiffness_direction=along, stiffness_enough=enough
     )
     rig.core.settings = replace(rig.core.settings, preferences=wants)
+    tip, begin = rig.tips[-1], len(rig.tips)
     rig.run(60.0)
+    away = np.linalg.norm(np.array(rig.tips[begin:]) - tip, axis=1)
+    assert away.max() < 1.5e-4
+    assert np.diff(np.array(rig.commands[begin:]), axis=0).min() > -1e-12
     made = model.tip_stiffness(rig.core.track.last).along(along)
     assert 0.999 < made / enough < 1.01
     begin = len(rig.commands)
