@@ -49,6 +49,17 @@ def assert_named(content, letter):
     assert content['error_after'] < 1.3 * content['noise_floor'] < content['error_before']
 
 
+def assert_better(folder, data, effects, error):
+    """Hold the description that was written to what was said of it: values, error [mm]."""
+    robot = load_robot('better.yaml')
+    for name, values in effects.items():
+        assert robot.effects[name] == pytest.approx(values, rel=0.02)
+    assert list(robot.fitted) == list(effects)
+    read_again = compare(load_dataset(f'{data}/check'), [('better', robot)]).models[-1]
+    assert 1e3 * read_again.rms == pytest.approx(error, abs=5e-4)
+    assert written(folder) == ['better.yaml', 'why.json']
+
+
 def test_a_missing_effect_is_named_added_and_shown(capsys, folder):
     lines = said(capsys, 'diagnose', 'hinges/fit', '--add', 'better.yaml', '--check',
                  'hinges/check', '--json', 'why.json')  # fmt: skip
@@ -62,12 +73,7 @@ def test_a_missing_effect_is_named_added_and_shown(capsys, folder):
         'error on postures never used: 2.50 mm -> 0.245 mm  (floor 0.227 mm)',
         'written: better.yaml    send it to the robot: controller parameter model := better.yaml',
     ]
-    robot = load_robot('better.yaml')
-    assert robot.effects['hinge_friction']['lever'] == pytest.approx(1.54e-4, rel=0.02)
-    assert list(robot.fitted) == ['hinge_friction']
-    read_again = compare(load_dataset('hinges/check'), [('better', robot)]).models[-1]
-    assert 1e3 * read_again.rms == pytest.approx(0.245, abs=5e-4)
-    assert written(folder) == ['better.yaml', 'why.json']
+    assert_better(folder, 'hinges', {'hinge_friction': {'lever': 1.54e-4}}, 0.245)
 
 
 @pytest.mark.slow  # eight times as long: two sections, and friction that turns over
@@ -95,12 +101,7 @@ def test_tendons_that_resist_bending_are_named_added_and_shown(capsys, folder):
         'error on postures never used: 1.06 mm -> 0.230 mm  (floor 0.372 mm)',
         'written: better.yaml    send it to the robot: controller parameter model := better.yaml',
     ]
-    robot = load_robot('better.yaml')
-    assert robot.effects['tendon_stiffness']['per_tendon'] == pytest.approx(2.25e-4, rel=0.02)
-    assert list(robot.fitted) == ['tendon_stiffness']
-    read_again = compare(load_dataset('stiff/check'), [('better', robot)]).models[-1]
-    assert 1e3 * read_again.rms == pytest.approx(0.230, abs=5e-4)
-    assert written(folder) == ['better.yaml', 'why.json']
+    assert_better(folder, 'stiff', {'tendon_stiffness': {'per_tendon': 2.25e-4}}, 0.230)
 
 
 def test_the_json_has_the_promised_keys(capsys, folder):

@@ -17,10 +17,10 @@ from .decide import (
     NEAR_SCORE,
     PAIRED_MAX,
 )
+from .search import LADDER
 from .session import Session
 
 Floats = npt.NDArray[np.float64]
-LADDER = (0.03, 0.1, 0.3, 1.0, 3.0)  # typical sizes
 
 
 def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:

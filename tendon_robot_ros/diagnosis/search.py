@@ -17,6 +17,7 @@ Indices = npt.NDArray[np.intp]
 Ways = tuple[Floats, ...]  # states (q, P, 3n) and tensions (q, P, m), per unit
 GAIN_LEAST, GAIN_LEAST_SHARE = 1e-3, 1e-5  # of chi², and of its size: a smaller gain ends a search
 PROMISED_SHARE = 0.3  # of that: what a step must promise to be tried
+LADDER = (0.03, 0.1, 0.3, 1.0, 3.0)  # typical sizes from which a single one is looked for
 NEAR_TYPICALS = 0.03  # typical sizes within which a Jacobian is good enough for the next step
 
 
@@ -78,7 +79,7 @@ class Search:
             starts = []  # its neutral value is no absence
         if starts and self.count != 1:
             return starts
-        for factor in (0.03, 0.1, 0.3, 1.0, 3.0):
+        for factor in LADDER:
             for sign in (1.0, -1.0):
                 point = start.copy()
                 for i, free in enumerate(self.frees):
