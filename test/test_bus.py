@@ -126,6 +126,20 @@ def test_a_motor_error_takes_its_torque_and_a_reset_brings_it_back(bus):
     assert bus.call(bus.driver.read).tensions == pytest.approx(COMMAND)
 
 
+def test_a_cycle_names_a_fault_exactly_when_it_gives_it_as_a_reason(bus):
+    """A status whose fault comes before its reason is logged without the reason, and not again."""
+    follow(bus)
+    for _ in range(20):
+        bus.cycles.clear()
+        bus.driver.inject('silent', ['right'])
+        until(lambda: bus.cycles and bus.cycles[-1].faults)
+        bus.driver.clear()
+        until(lambda: not bus.cycles[-1].faults)
+        for cycle in tuple(bus.cycles):
+            said = any('right' in reason for reason in cycle.decision.reasons)
+            assert said == bool(cycle.faults)
+
+
 def test_a_reboot_takes_the_torque_of_healthy_motors_until_a_reset(bus):
     follow(bus)
     bus.call(bus.reboot)

@@ -14,6 +14,7 @@ pytest.importorskip('rclpy')
 
 import rclpy
 import ros_station  # noqa: F401  (prepares the environment for rclpy)
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -30,7 +31,7 @@ from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.paths.plan import Pace
 from tendon_robot_ros.ros.commands import follow
 from tendon_robot_ros.ros.driver import backend as driver_backend
-from tendon_robot_ros.ros.shared import robot_client
+from tendon_robot_ros.ros.shared import lifecycle, robot_client
 from tendon_robot_ros.ros.shared.files import read_mapping, read_robot
 from tendon_robot_ros.ros.shared.messages import Frames, matrix, quaternion
 from tendon_robot_ros.ros.shared.parameters import Spec
@@ -91,6 +92,28 @@ def test_with_tf_another_frame_is_brought_into_the_base_frame():
     )
     rotation, shift = made.to_base('map', 'target_pose')
     assert rotation @ [1.0, 0.0, 0.0] + shift == pytest.approx([0.1, 1.0, 0.0])
+
+
+def test_the_last_state_that_stays_is_the_last_line_of_the_log(monkeypatch):
+    told, now = [], [0.0]
+    log = SimpleNamespace(info=told.append, warning=told.append, error=told.append)
+    stamp = SimpleNamespace(now=lambda: SimpleNamespace(to_msg=Time))
+    node = SimpleNamespace(
+        get_fully_qualified_name=lambda: '/driver',
+        get_name=lambda: 'driver',
+        create_publisher=lambda *given: SimpleNamespace(publish=lambda message: None),
+        get_logger=lambda: log,
+        get_clock=lambda: stamp,
+    )
+    monkeypatch.setattr(lifecycle, 'time', SimpleNamespace(monotonic=lambda: now[0]))
+    status = lifecycle.Status(node)
+    for now[0] in np.arange(0.0, 1.9, 0.1):  # it comes and goes, and stays
+        code = 'stopped' if now[0] < 0.25 or now[0] > 0.55 else 'following'
+        status.say(lifecycle.OK, code, 'so it is')
+    assert told == ['stopped: so it is', 'following: so it is']
+    for now[0] in np.arange(1.9, 9.0, 0.1):
+        status.say(lifecycle.OK, 'stopped', 'so it is')
+    assert told[2:] == ['stopped: so it is']
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,6 @@ def test_a_port_that_goes_while_the_arm_is_stopped_is_told_in_the_log_too(rig):
     station = rig.station
     station.trigger('driver/stop')
     station.until_code(station.driver, 'stopped')
-    rig.servos.say('unplug')
 
     def told():
         logs = [file.read_text(encoding='utf-8') for file in rig.folder.glob('driver_*.log')]
@@ -108,8 +107,11 @@ def test_a_port_that_goes_while_the_arm_is_stopped_is_told_in_the_log_too(rig):
             for line in text.splitlines()
         )
 
-    station.until(told, 'a line in the log')
-    rig.servos.say('plug')
+    rig.servos.say('unplug')
+    try:
+        station.until(told, 'a line in the log')
+    finally:  # what comes next needs the port
+        rig.servos.say('plug')
     rig.operate()
     rig.until_following()
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.errors import DriverError, MovedError
-from ...drivers import Driver, Reading
+from ...drivers import Driver, Fault, Reading
 from ...drivers.safety import Decision
 from ...drivers.supervisor import FOLLOWING, LIMP, OFF, RELEASED, Supervisor
 
@@ -26,12 +26,11 @@ RAMP_SETTLE_S = 0.1  # [s] that motors lag behind the end of the ramp
 
 @dataclass(frozen=True)
 class Cycle:
-    """What one cycle saw and did."""
+    """What one cycle did, and what the motors said after it."""
 
     reading: Reading
     decision: Decision
-    duration: float  # [s] without the wait
-    stopped: bool  # a stop is latched
+    faults: tuple[Fault, ...]  # the decision's own: those of `reading` are judged next
 
 
 class MotorLoop:
@@ -176,13 +175,13 @@ class MotorLoop:
             self._calls.get()()
         command, self._command = self._command, None
         assert self._last is not None
-        decision = self.supervisor.step(began, command, self._last)
-        stopped = bool(self.supervisor.latch)
+        judged = self._last
+        decision = self.supervisor.step(began, command, judged)
         began_again = self._torque(decision)
         if decision.state not in (OFF, LIMP) and not began_again:
             self._write(decision)
         self._last = self.driver.read()
-        self._report(Cycle(self._last, decision, time.monotonic() - began, stopped))
+        self._report(Cycle(self._last, decision, judged.faults))
 
     def _write(self, decision: Decision) -> None:
         self.driver.weaken(decision.weakening, self.supervisor.rules.give_way or 0.0)

@@ -217,7 +217,7 @@ class DriverNode(ManagedNode):
             'tension_source': cycle.reading.source,
             'clipped': ', '.join(decision.clipped),
             'torque_off': ', '.join(loop.off),
-            'faults': ', '.join(fault.code for fault in cycle.reading.faults),
+            'faults': ', '.join(fault.code for fault in cycle.faults),
             **senders,
             **loop.driver.describe(),
         }

@@ -166,8 +166,9 @@ class Status:
     """
     Publishes a level, a sentence, a code and values.
 
-    A new level, code or fault goes out at once and into the log; changed values go out at most
-    ten times a second, and everything at least once a second.
+    A new level, code or fault goes out at once and into the log (what comes and goes is logged
+    again after some seconds, or as soon as it stays); changed values go out at most ten times a
+    second, and everything at least once a second.
     """
 
     def __init__(self, node: Node) -> None:
@@ -180,6 +181,7 @@ class Status:
         self._sent_at = 0.0
         self._key: tuple[bytes, str, str] | None = None
         self._logged: dict[str, float] = {}
+        self._to_log = False
 
     def say(
         self, level: bytes, code: str, message: str, values: Mapping[str, str] | None = None
@@ -218,8 +220,9 @@ class Status:
         if not news and status == self._sent and now - self._sent_at < STATUS_PERIOD_S:
             return
         name = f'{code} {faults}'
-        if news and now - self._logged.get(name, -LOG_PERIOD_S) >= LOG_PERIOD_S:
-            self._logged[name] = now
+        self._to_log |= news
+        if self._to_log and now - self._logged.get(name, -LOG_PERIOD_S) >= LOG_PERIOD_S:
+            self._logged[name], self._to_log = now, False
             self._log(level, f'{code}: {message}')
         self._key, self._sent, self._sent_at = key, status, now
         self._latched.publish(status)
