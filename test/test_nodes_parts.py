@@ -35,6 +35,7 @@ from tendon_robot_ros.ros.shared import lifecycle, robot_client
 from tendon_robot_ros.ros.shared.files import read_mapping, read_robot
 from tendon_robot_ros.ros.shared.messages import Frames, matrix, quaternion
 from tendon_robot_ros.ros.shared.parameters import Spec
+from tendon_robot_ros.ros.shared.robot_client import Pilot
 from tendon_robot_ros.ros.shared.runtime import Ending, _yaml
 
 parts = st.floats(-1.0, 1.0)
@@ -114,6 +115,23 @@ def test_the_last_state_that_stays_is_the_last_line_of_the_log(monkeypatch):
     for now[0] in np.arange(1.9, 9.0, 0.1):
         status.say(lifecycle.OK, 'stopped', 'so it is')
     assert told[2:] == ['stopped: so it is']
+
+
+@pytest.mark.parametrize('lag', [0.02, 0.05, 0.1, 0.15])
+def test_a_tip_is_told_where_it_stands_however_slowly_the_motors_come_to_rest(monkeypatch, lag):
+    monkeypatch.setattr(robot_client, 'time', SimpleNamespace(monotonic=lambda: now[0]))
+    pilot, now, there = Pilot.__new__(Pilot), [0.0], np.array([0.06, 0.0, 0.17])
+    pilot._tips = {'measured': [], 'predicted': []}
+
+    def spin(seconds):
+        for at in np.arange(now[0], now[0] + seconds, 0.01) + 0.01:
+            off = 0.08 * np.exp(-at / lag) * np.array([1.0, 0.0, -1.0])
+            pilot._tips['measured'].append((at, there + off, np.array([0.0, 0.0, 1.0])))
+            now[0] = at
+
+    pilot.spin = spin
+    pilot.stand()
+    assert pilot.tip()[0] == pytest.approx(there, abs=3e-5)
 
 
 @pytest.mark.parametrize(

@@ -309,7 +309,7 @@ class Pilot(RobotClient):
         self.wait(done, timeout, what)
 
     def stand(self) -> None:
-        """Wait until the tip stands, at most a few seconds: motors and trackers lag."""
+        """Wait until the tip has stood a moment, at most a few seconds: motors, trackers lag."""
         end = time.monotonic() + STANDING_TIMEOUT_S
         self.spin(TIP_AVERAGE_S)
         while time.monotonic() < end:
@@ -320,6 +320,7 @@ class Pilot(RobotClient):
                 continue
             moved = places[late].mean(axis=0) - places[early & ~late].mean(axis=0)
             if np.linalg.norm(moved) < STILL_WITHIN_M:
+                self.spin(TIP_AVERAGE_S)  # `tip` then takes none of what was still on its way
                 return
 
     def clear(self) -> None:
