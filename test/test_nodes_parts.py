@@ -95,19 +95,40 @@ def test_with_tf_another_frame_is_brought_into_the_base_frame():
     assert rotation @ [1.0, 0.0, 0.0] + shift == pytest.approx([0.1, 1.0, 0.0])
 
 
-def test_the_last_state_that_stays_is_the_last_line_of_the_log(monkeypatch):
-    told, now = [], [0.0]
+@pytest.fixture
+def status(monkeypatch):
+    """Make the status of a node without ROS: `told`, what was logged, `sent` and `now` [s]."""
+    told, sent, now = [], [], [0.0]
     log = SimpleNamespace(info=told.append, warning=told.append, error=told.append)
     stamp = SimpleNamespace(now=lambda: SimpleNamespace(to_msg=Time))
     node = SimpleNamespace(
         get_fully_qualified_name=lambda: '/driver',
         get_name=lambda: 'driver',
-        create_publisher=lambda *given: SimpleNamespace(publish=lambda message: None),
+        create_publisher=lambda *given: SimpleNamespace(publish=sent.append),
         get_logger=lambda: log,
         get_clock=lambda: stamp,
     )
     monkeypatch.setattr(lifecycle, 'time', SimpleNamespace(monotonic=lambda: now[0]))
-    status = lifecycle.Status(node)
+    made = lifecycle.Status(node)
+    made.told, made.sent, made.now = told, sent, now
+    return made
+
+
+def test_a_refusal_right_after_another_word_is_said_and_logged_once(status):
+    for status.now[0] in (1.0, 3.5, 6.0):
+        status.say(lifecycle.WARN, 'starting', 'switches torque on')
+        status.say(lifecycle.ERROR, 'not_ready', 'no answer', once=True)
+        status.say(lifecycle.ERROR, 'not_ready', 'no port', once=True)
+        assert status.sent[-2].message == 'no port'  # and in /diagnostics
+    for status.now[0] in (8.5, 11.0):  # tried again and again
+        status.say(lifecycle.ERROR, 'not_ready', 'no port', once=True)
+    assert status.told == 3 * [
+        'starting: switches torque on', 'not_ready: no answer', 'not_ready: no port',
+    ]  # fmt: skip
+
+
+def test_the_last_state_that_stays_is_the_last_line_of_the_log(status):
+    told, now = status.told, status.now
     for now[0] in np.arange(0.0, 1.9, 0.1):  # it comes and goes, and stays
         code = 'stopped' if now[0] < 0.25 or now[0] > 0.55 else 'following'
         status.say(lifecycle.OK, code, 'so it is')

@@ -166,7 +166,7 @@ class ControllerNode(ManagedNode):
 
     def problem(self, message: str) -> None:
         """Say why a transition was refused."""
-        self.status.say(LEVELS['error'], 'not_ready', message)
+        self.status.say(LEVELS['error'], 'not_ready', message, once=True)
 
     def _pose(self, message: PoseStamped) -> None:
         self._take('target', lambda core, incoming: core.aim(incoming.pose(message)))

@@ -145,7 +145,7 @@ class DriverNode(ManagedNode):
 
     def problem(self, message: str) -> None:
         """Say why a transition was refused."""
-        self.status.say(ERROR, 'not_ready', message)
+        self.status.say(ERROR, 'not_ready', message, once=True)
 
     def _release_time(self) -> float:
         assert self.loop is not None

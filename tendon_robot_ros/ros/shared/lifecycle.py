@@ -184,7 +184,12 @@ class Status:
         self._to_log = False
 
     def say(
-        self, level: bytes, code: str, message: str, values: Mapping[str, str] | None = None
+        self,
+        level: bytes,
+        code: str,
+        message: str,
+        values: Mapping[str, str] | None = None,
+        once: bool = False,
     ) -> None:
         """
         Say how the node is.
@@ -199,13 +204,17 @@ class Status:
             One sentence for a person.
         values : mapping, optional
             More, as text with units; `faults` lists the codes of what is broken.
+        once : bool
+            Nobody will say it again: goes out however soon it comes after something else.
 
         """
         now = time.monotonic()
         faults = ', '.join(sorted(set((values or {}).get('faults', '').split(', '))))
         key = level, code, faults
-        news = key != self._key
-        if now - self._sent_at < (NEWS_INTERVAL_MIN_S if news else VALUES_INTERVAL_MIN_S):
+        again = self._sent is not None and message == self._sent.message
+        news = key != self._key or (once and not again)
+        wait = 0.0 if once else NEWS_INTERVAL_MIN_S if news else VALUES_INTERVAL_MIN_S
+        if now - self._sent_at < wait:
             return
         status = DiagnosticStatus(
             level=level,
@@ -219,7 +228,7 @@ class Status:
         )
         if not news and status == self._sent and now - self._sent_at < STATUS_PERIOD_S:
             return
-        name = f'{code} {faults}'
+        name = message if once else f'{code} {faults}'
         self._to_log |= news
         if self._to_log and now - self._logged.get(name, -LOG_PERIOD_S) >= LOG_PERIOD_S:
             self._logged[name], self._to_log = now, False
