@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -22,9 +21,9 @@ from ..shared.runtime import Ending, NodeProcess
 Array = NDArray[np.float64]
 STARTING_CODES = (None, 'loading', 'compiling', 'building', 'not_ready')
 START_TIMEOUT_S = 600.0  # [s] for all nodes
-POSTURE_STAY_S = 1.0  # [s] at a stop
-TIP_AVERAGE_S = 0.5  # [s] over which the tip is taken there
-TIP_MESSAGES_MIN = 5  # messages in that time
+SETTLE_S = 0.5  # [s] from the end of a way until what is measured counts
+MESSAGES_MIN = 15  # of each kind over which a mean is taken: half a second of a tracker
+MESSAGES_KEPT = 500
 POSTURE_TIMEOUT_S = 20.0  # [s] for a stop
 RECORDING_TIMEOUT_S = 6.0  # [s] that a posture may take to be recorded: machines are busy
 
@@ -37,6 +36,7 @@ class Director(RobotClient):
         super().__init__('tour', ending, namespace, base, watched=('monitor',))
         self.progress, self.verdict = '', dict[str, Any]()
         self.touring = True  # the page may switch it off
+        self._stands_since = np.inf  # [s] by the stamps of messages
         self.nodes: list[NodeProcess] = []  # that were started for it
         self._tips: list[tuple[float, Array]] = []
         self._errors: list[tuple[float, Array]] = []
@@ -71,7 +71,7 @@ class Director(RobotClient):
 
     def go(self, stop: TourPosture) -> bool:
         """
-        Send a target and wait until the arm has stood there for a while.
+        Send a target and wait until the arm has stood there, seen often enough.
 
         Returns
         -------
@@ -79,13 +79,13 @@ class Director(RobotClient):
             Whether it did, and was seen; what `tip` and `tensions` say is then of this posture.
 
         """
-        stamp, since = self.send(stop.position, stop.direction), [np.inf]
+        self._stands_since, stamp = np.inf, self.send(stop.position, stop.direction)
 
         def stood() -> bool:
+            now = 1e-9 * self.get_clock().now().nanoseconds
             settled = self.settled(stamp)
-            since[0] = min(since[0], time.monotonic()) if settled else np.inf
-            standing = time.monotonic() - since[0] > POSTURE_STAY_S and self._seen()
-            return standing or not self.touring
+            self._stands_since = min(self._stands_since, now + SETTLE_S) if settled else np.inf
+            return self._seen() or not self.touring
 
         return (
             self.wait(stood, POSTURE_TIMEOUT_S, 'the arm to stand', strict=False) and self.touring
@@ -111,30 +111,30 @@ class Director(RobotClient):
         return all(name in model for name in effects for model in models)
 
     def tip(self) -> Array:
-        """Return the mean measured tip (3,) [m] over the last moment."""
+        """Return the mean measured tip (3,) [m] since the arm stands."""
         return self._mean(self._tips)
 
     def error(self) -> float:
-        """Return how far the tip is off [m]: the mean error over the last moment."""
+        """Return how far the tip is off [m]: the mean error since the arm stands."""
         return float(np.linalg.norm(self._mean(self._errors)))
 
     def tensions(self) -> Array:
-        """Return the mean measured tensions (m,) [N] over the last moment."""
+        """Return the mean measured tensions (m,) [N] since the arm stands."""
         return self._mean(self._tensions)
 
-    def _recent(self, heard: Sequence[tuple[float, Array]]) -> list[Array]:
-        """Return what was measured lately, by stamps: a busy machine hears late."""
-        now = 1e-9 * self.get_clock().now().nanoseconds
-        recent = [value for at, value in heard if now - at < TIP_AVERAGE_S]
-        return [value for value in recent if np.isfinite(value).all()]
+    def _standing(self, heard: Sequence[tuple[float, Array]]) -> list[Array]:
+        """Return what was measured since the arm stands: a busy machine hears late, and less."""
+        return [
+            value for at, value in heard if at > self._stands_since and np.isfinite(value).all()
+        ]
 
     def _seen(self) -> bool:
         kinds = (self._tips, self._errors, self._tensions)
-        return all(len(self._recent(heard)) >= TIP_MESSAGES_MIN for heard in kinds)
+        return all(len(self._standing(heard)) >= MESSAGES_MIN for heard in kinds)
 
     def _mean(self, heard: Sequence[tuple[float, Array]]) -> Array:
-        recent = self._recent(heard)
-        return np.array(np.mean(recent, axis=0)) if recent else np.full(3, np.nan)
+        values = self._standing(heard)
+        return np.array(np.mean(values, axis=0)) if values else np.full(3, np.nan)
 
     def _tip(self, message: PoseStamped) -> None:
         p = message.pose.position
@@ -159,5 +159,4 @@ class Director(RobotClient):
 
 def _keep(heard: list[tuple[float, Array]], at: float, value: Array) -> None:
     heard.append((at, value))
-    while heard[0][0] < at - 2.0 * TIP_AVERAGE_S:
-        heard.pop(0)
+    del heard[:-MESSAGES_KEPT]
