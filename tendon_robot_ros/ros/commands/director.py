@@ -25,7 +25,7 @@ SETTLE_S = 0.5  # [s] from the end of a way until what is measured counts
 MESSAGES_MIN = 15  # of each kind over which a mean is taken: half a second of a tracker
 MESSAGES_KEPT = 500
 POSTURE_TIMEOUT_S = 20.0  # [s] for a stop
-RECORDING_TIMEOUT_S = 6.0  # [s] that a posture may take to be recorded: machines are busy
+RECORDING_TIMEOUT_S = 15.0  # [s] that a posture may take to be recorded: machines are busy
 
 
 class Director(RobotClient):
