@@ -187,7 +187,7 @@ def learned_and_changed(space):
     space.until_code(space.monitor, 'no_tracker', 'not_compared')
     space.run('driver', robot=dump_robot(STRETCHED), config=EXACT_TRACKER)
     space.comparing()
-    for x, z in POINTS:
+    for x, z in POINTS * 4:  # on a busy machine not every posture is seen to stand
         space.go_to_point(x, z)
         if values(last(space.monitor))['drift'] == 'true':
             break
