@@ -20,7 +20,7 @@ from tendon_robot_ros.diagnosis.trust import (
     smallest_sizes,
     wilson,
 )
-from tendon_robot_ros.report import diagnosis_text as trust_text
+from tendon_robot_ros.report.trust_text import trust_lines
 
 ROBOT = replace(simulated.robot(), exact=True)
 
@@ -43,8 +43,8 @@ def test_clean_data_rarely_alarms_and_small_effects_are_seen(trust):
 
 def test_it_is_told_in_words(trust):
     found = diagnose(measured(ROBOT, count=3))
-    assert trust_text.trust_lines(found) == []
-    lines = trust_text.trust_lines(replace(found, details={'trust': trust.to_json()}))
+    assert trust_lines(found) == []
+    lines = trust_lines(replace(found, details={'trust': trust.to_json()}))
     assert lines[0].startswith('With nothing missing, this procedure raises an alarm in ')
     assert '16 simulated on your postures' in lines[0]
     assert 'hinge_friction lever ' in lines[1]

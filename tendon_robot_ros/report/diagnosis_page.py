@@ -23,10 +23,11 @@ from ..robot.description import EffectValues
 from . import addition_text, diagnosis_text
 from .arm_text import Fault, where_wrong
 from .comparison_page import add_shapes
-from .diagnosis_text import next_measurement, trust_lines
+from .diagnosis_text import next_measurement
 from .error_plots import Step, heat_maps, moments, per_marker, per_posture, staircase
 from .numbers import quantities
 from .page import Page
+from .trust_text import trust_lines
 
 BEFORE = 'as described'
 
