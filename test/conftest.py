@@ -51,12 +51,14 @@ RERUNS = 2  # processes that talk to each other are late on a busy machine
 # The files that take longest, longest first. Those that start nodes wait, the others compute: side
 # by side they leave no processor idle, and what is left at the end is short.
 LONGEST = (
-    'docs', 'live', 'ros_record', 'diagnose', 'investigate', 'ros_follow', 'watch', 'ros_life',
-    'as_built', 'new_effect', 'diagnose_command', 'campaign', 'diagnosis_page', 'live_page',
-    'setup_mistakes', 'ros_monitor', 'control_walk', 'ros_investigate', 'fit', 'ros_dynamixel',
-    'ros_bad_input', 'dynamixel_commands', 'public', 'add', 'data_fuzz', 'ros_viewer', 'rods',
-    'ros_chain', 'workspace', 'ros_closed_loop', 'model_start', 'report', 'readme', 'demo',
-    'house', 'dynamixel_emulator', 'paper', 'model_reference', 'ros_travel', 'cells',
+    'ros_record', 'ros_life', 'ros_follow', 'docs', 'diagnose', 'dynamixel_commands', 'live',
+    'investigate', 'ros_monitor', 'live_page', 'ros_bad_input', 'new_effect', 'as_built',
+    'control_walk', 'dynamixel_faults', 'diagnosis_page', 'watch', 'report',
+    'campaign_cluster', 'ros_dynamixel', 'ros_investigate', 'demo', 'model_start',
+    'cli_describe', 'ros_travel', 'campaign', 'ros_chain', 'workspace', 'dynamixel_start',
+    'diagnose_command', 'driver_contract', 'model_reference', 'fit', 'add', 'watch_filter',
+    'tendon_check', 'ros_closed_loop', 'senders', 'dynamixel_emulator', 'serial_faults',
+    'model_equilibrium', 'setup_mistakes',
 )  # fmt: skip
 
 

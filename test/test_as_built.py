@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,22 +12,16 @@ from simulated import CATALOGUE
 from tendon_robot_ros.campaign.cases import Case, simulated
 from tendon_robot_ros.campaign.plan import read_plan
 from tendon_robot_ros.comparison.predict import Predictor, free_parameters
-from tendon_robot_ros.comparison.statistics import chi2_isf
 from tendon_robot_ros.data import Marker, load_dataset
-from tendon_robot_ros.diagnosis.arm_report import arm_report
-from tendon_robot_ros.diagnosis.as_built import Kind, SplitPredictor
-from tendon_robot_ros.diagnosis.candidates import gain_p_value
+from tendon_robot_ros.diagnosis.as_built import SplitPredictor
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.fit import Fit, with_imperfections
 from tendon_robot_ros.diagnosis.fitter import Fitter
-from tendon_robot_ros.diagnosis.likelihood import LOGARITHMS, SIZES, Likelihood
+from tendon_robot_ros.diagnosis.likelihood import SIZES, Likelihood
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
-from tendon_robot_ros.diagnosis.outliers import _moves, _without_inputs, find_outliers
+from tendon_robot_ros.diagnosis.outliers import find_outliers
 from tendon_robot_ros.diagnosis.patterns import Patterns
 from tendon_robot_ros.diagnosis.session import Session
-from tendon_robot_ros.diagnosis.size_intervals import SizeIntervals
 from tendon_robot_ros.diagnosis.slopes import imperfections
-from tendon_robot_ros.report.arm_text import as_built
 from tendon_robot_ros.report.diagnosis_text import lines
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
@@ -387,168 +380,3 @@ def test_a_tip_that_three_inputs_may_move_anywhere_has_no_outliers():
         plant = make_plant(robot, seed=seed, scatter=0.0)
         dataset = simulate(plant, default_postures(robot, 12), seed=seed, markers=tip)
         assert not find_outliers(Predictor(dataset, robot, CATALOGUE), {}).readings.any()
-
-
-def scattered(members, size, draws, seed=0):
-    """Return the random effects of one kind that shows far beyond the noise, and residuals."""
-    kinds = [Kind('cell_stiffness', '1', 0.03, tuple(map(str, range(members))))]
-    random = RandomEffects(1e4 * np.eye(2 * members)[:, :members], np.zeros(members, int), kinds)
-    off = np.random.default_rng(seed).normal(0.0, size, (draws, members))
-    return random, off, off @ (1e4 * np.eye(2 * members)[:members])
-
-
-@pytest.mark.parametrize('size', [0.01, 0.03, 0.09])
-def test_a_scatter_that_shows_is_told_as_the_sd_of_so_many_normal_deviates(size):
-    """Closed form: n s² / sigma² is chi² of n degrees of freedom, whatever is plausible."""
-    random, off, residuals = scattered(12, size, 200)
-    held = 0
-    for own, residual in zip(off, residuals, strict=True):
-        found = random.estimate(residual, np.zeros((24, 0)), told=False).values
-        rms = np.sqrt(np.mean(own**2))
-        assert found == pytest.approx([rms], rel=0.03)
-        low, high = (float(end[0]) for end in SizeIntervals(random, found).ends(found))
-        assert low == pytest.approx(found[0] * np.sqrt(12 / chi2_isf(0.025, 12)), rel=0.01)
-        assert high == pytest.approx(found[0] * np.sqrt(12 / chi2_isf(0.975, 12)), rel=0.01)
-        held += low <= size <= high
-    assert 0.90 <= held / 200 <= 0.99
-
-
-def test_parameters_take_deviations_and_no_size():
-    """Closed form: of twelve members that three parameters move as well nine tell the size."""
-    random, off, residuals = scattered(12, 0.03, 3)
-    slopes = 1e4 * np.eye(24)[:, :3]
-    for own, residual in zip(off, residuals, strict=True):
-        found = random.estimate(residual, slopes, told=False).values
-        assert found == pytest.approx([np.sqrt(np.mean(own[3:] ** 2))], rel=0.03)
-        low, high = (float(end[0]) for end in SizeIntervals(random, found, slopes).ends(found))
-        assert low == pytest.approx(found[0] * np.sqrt(9 / chi2_isf(0.025, 9)), rel=0.01)
-        assert high == pytest.approx(found[0] * np.sqrt(9 / chi2_isf(0.975, 9)), rel=0.01)
-
-
-def test_a_scatter_that_is_not_found_is_below_what_noise_would_hide():
-    """Closed form: of 12 deviations of s² + n, n the noise, the mean square was n at most."""
-    seen, random = 100.0, scattered(12, 0.0, 1)[0]
-    random = RandomEffects(seen * np.eye(24)[:, :12], random.owners, random.kinds)
-    low, high = SizeIntervals(random, np.zeros(1)).ends(np.zeros(1))
-    assert low[0] == 0.0
-    assert high[0] == pytest.approx(np.sqrt(12 / chi2_isf(0.975, 12) - 1.0) / seen, rel=0.02)
-
-
-@pytest.mark.parametrize('seen', [30.0, 100.0, 300.0])
-@pytest.mark.parametrize('size', [0.01, 0.03, 0.06])
-def test_intervals_hold_whatever_comes_out(size, seen):
-    """Of a third, once and twice the plausible size; noise of 3.3, 1 and 0.33 %."""
-    random, members = np.random.default_rng(0), scattered(12, 0.0, 1)[0]
-    effects = RandomEffects(seen * np.eye(24)[:, :12], members.owners, members.kinds)
-    held = []
-    for _ in range(100):
-        residual = np.append(seen * size * random.normal(size=12), np.zeros(12))
-        residual += random.normal(size=24)
-        found = effects.estimate(residual, np.zeros((24, 0)), told=False).values
-        low, high = SizeIntervals(effects, found).ends(found)
-        held.append(low[0] <= size <= high[0])
-    assert 0.90 <= np.mean(held) <= 0.99
-
-
-def test_whether_a_size_is_told_does_not_depend_on_what_comes_out():
-    """To print only what comes out large would pick what comes out too large."""
-    robot, kinds = load_robot(ROBOTS / 'kato_10_1_single.yaml'), []
-    for work in (None, Workmanship()):
-        plant = make_plant(robot, work=work, seed=1, scatter=0.0)
-        dataset = simulate(plant, default_postures(robot, 12), seed=1)
-        session = Session(dataset, robot, CATALOGUE, workers=1)
-        assert session.weigh({})
-        report = arm_report(session, session.fitters[0].fit((), None))
-        kinds.append({kind['kind']: kind for kind in report['kinds']})
-    exact, usual = kinds
-    for name in ('cell_stiffness', 'cell_kink', 'position'):
-        assert exact[name]['told'] and usual[name]['told']
-        assert exact[name]['low'] == 0.0 and exact[name]['high'] < 1.5 * usual[name]['plausible']
-    said = as_built({'kinds': [exact['cell_stiffness'], {**usual['position'], 'high': None}]})
-    assert ' of the cells below ' in said[0] and 'position of the tracker above ' in said[0]
-
-
-def test_chance_pays_an_effect_along_imperfections_no_more_often_than_is_said():
-    """An effect that stands for two of six imperfections may make the others' spread small."""
-    random, _, residuals = scattered(6, 0.02, 300)
-    noise = np.random.default_rng(1).normal(size=residuals.shape)
-    slopes, freedoms, chances = 1e4 * np.eye(12)[:, :2], [], []
-    for residual in residuals + noise:
-        base = random.estimate(residual, np.zeros((12, 0)))
-        fit = random.estimate(residual, slopes, base.values)
-        shift = np.where(np.arange(12) < 2, residual, 0.0)
-        freedoms.append(random.freedom(shift, base.values))
-        worth = (SimpleNamespace(deviance=one.deviance, rank=2, frees=()) for one in (base, fit))
-        chances.append(gain_p_value(*worth, (), freedoms[-1]))
-    np.testing.assert_allclose(freedoms, 7.0, rtol=5e-3)  # six, and the prior as one more
-    for level in (0.05, 0.2):
-        assert np.mean(np.array(chances) < level) == pytest.approx(level, rel=0.4)
-
-
-def told_fit(random, residual, slope):
-    """Return a fit of one parameter that moves markers as imperfections may."""
-    sizes = random.estimate(residual, slope[:, None], prior=LOGARITHMS).values
-    lifted = random.lift(random.root(sizes), np.column_stack([slope, residual]))
-    value = -(lifted[:, 0] @ lifted[:, 1]) / (lifted[:, 0] @ lifted[:, 0])
-    there = residual + value * slope
-    plain = Fit(('free',), (), np.array([value]), there, slope[:, None], np.zeros((0, 0, 3)))
-    return with_imperfections(plain, random, sizes, {})
-
-
-@pytest.mark.parametrize('size', [0.012, 0.03])
-def test_intervals_know_that_the_spread_of_few_members_is_an_estimate(size):
-    """Six members tell their spread and their mean, which is what the parameter stands for."""
-    random, _, residuals = scattered(6, size, 400, seed=2)
-    slope, inside, plain = np.where(np.arange(12) < 6, 1e4, 0.0), [], []
-    for residual in residuals + np.random.default_rng(1).normal(size=residuals.shape):
-        fit = told_fit(random, residual, slope)
-        assert fit.told[0, 0] > fit.covariance[0, 0]
-        inside.append(abs(fit.values[0]) < 1.96 * np.sqrt(fit.told[0, 0]))
-        plain.append(abs(fit.values[0]) < 1.96 * np.sqrt(fit.covariance[0, 0]))
-    assert np.mean(plain) < np.mean(inside)
-    assert 0.93 <= np.mean(inside) <= 0.985
-
-
-def test_what_acts_beside_a_kind_widens_intervals_and_nothing_else():
-    """A gain of one input of 1 %, and a hole of 1 % that no fit asks for: 1.4 % together."""
-    kinds = [Kind('channel_gain', '1', 0.01, ('only',), beside) for beside in (0.0, 0.01)]
-    found = []
-    for kind in kinds:
-        random = RandomEffects(1e6 * np.eye(2)[:, :1], np.zeros(1, int), [kind])
-        fit = told_fit(random, np.array([1e4, 0.3]), np.array([1e6, 0.0]))
-        assert fit.covariance[0, 0] == pytest.approx(1e-4, rel=1e-3)
-        found.append(fit.told[0, 0])
-    assert found == pytest.approx([1e-4, 2e-4], rel=1e-3)
-
-
-def test_noise_alone_is_told_by_many_deviations():
-    random, _, residuals = scattered(6, 0.02, 1)
-    base = random.estimate(residuals[0], np.zeros((12, 0)))
-    beside = np.where(np.arange(12) < 6, 0.0, 1.0)  # no imperfection moves these
-    assert random.freedom(beside, base.values) == np.inf
-    few = (
-        SimpleNamespace(deviance=9.0, rank=2, frees=()),
-        SimpleNamespace(deviance=0.0, rank=2, frees=()),
-    )
-    assert gain_p_value(*few, ()) == pytest.approx(np.exp(-4.5))
-    assert gain_p_value(*few, (), 7.0) == pytest.approx((1 + 2 / 7 * 3.5 * np.expm1(1.0)) ** -3.5)
-
-
-def test_a_scatter_that_does_not_show_may_be_none():
-    random, _, _ = scattered(3, 0.0, 1)
-    for slope in (1e-2, 1.0):  # what is plausible moves nothing by more than 0.03 sd
-        random = RandomEffects(slope * np.eye(6)[:, :3], np.zeros(3, int), random.kinds)
-        size = np.array([1e-3])
-        low, high = SizeIntervals(random, size).ends(size)
-        assert low[0] == 0.0 and high[0] >= 0.03
-
-
-def test_a_reading_that_one_trial_lost_makes_none_of_the_others_stand_out():
-    random = np.random.default_rng(3)
-    arm, slope = random.normal(size=(8, 3)), random.normal(size=(8, 3))
-    trials = arm + np.array([0.0, -2.0, -1.0, 4.0, 6.0])[:, None, None] * slope
-    trials[1, 7] = np.nan
-    along = slope.reshape(-1, 1)
-    for move in _moves(trials, along):
-        left, _ = _without_inputs(move, along)
-        assert np.nanmax(np.abs(left)) < 1e-4  # their middles are of other trials: 0.5 and more

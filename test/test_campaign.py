@@ -1,18 +1,11 @@
 """Campaigns: plans, tables that grow, clusters that fail, and figures counted from the rows."""
 
-import contextlib
-import json
-import os
-import shutil
-import signal
-import sys
-import time
 from dataclasses import replace
 
 import numpy as np
-import processes
 import pytest
 import yaml
+from small_campaign import CHEAP, ROBOT, plan, without_time
 from source_tree import ROOT
 
 from tendon_robot_ros.campaign import judge
@@ -27,12 +20,12 @@ from tendon_robot_ros.campaign.figures import (
     to_json,
 )
 from tendon_robot_ros.campaign.judge import CaseRow, scatter_held
-from tendon_robot_ros.campaign.plan import plan_of, read_plan
+from tendon_robot_ros.campaign.plan import read_plan
 from tendon_robot_ros.campaign.running import earlier_rows, run_plan
 from tendon_robot_ros.campaign.table import GrowingTable
 from tendon_robot_ros.campaign.versions import Preparation
 from tendon_robot_ros.cli.main import main
-from tendon_robot_ros.common.errors import ClusterLostError, InputError, NoEquilibriumError
+from tendon_robot_ros.common.errors import InputError, NoEquilibriumError
 from tendon_robot_ros.common.workers import Workers
 from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.effects import load_catalogue
@@ -40,27 +33,6 @@ from tendon_robot_ros.report.campaign_page import robot_rows, summary
 from tendon_robot_ros.simulation.hidden import Built
 
 pytest.importorskip('pyarrow')
-ROBOT = str(ROOT / 'config' / 'robots' / 'kato_10_1_single.yaml')
-CHEAP = {
-    'robots': [ROBOT],
-    'hidden': ['hinge_friction'],
-    'sizes': [1.0],
-    'seeds': 2,
-    'clean': 2,
-    'imperfections': [0],
-    'exact': True,
-    'designs': [{'postures': 4, 'trials': 3, 'markers': 4}],
-}
-
-
-def plan(**changes):
-    """Return a plan of cases that take a tenth of a second each."""
-    return plan_of(CHEAP | changes, 'plan.yaml')
-
-
-def without_time(rows):
-    """Take off what differs from run to run."""
-    return [replace(row, seconds=0.0) for row in rows]
 
 
 @pytest.fixture(scope='module')
@@ -308,119 +280,3 @@ def test_the_command_writes_table_and_page_and_goes_on(tmp_path, capsys, monkeyp
     assert 'Which size of an effect is seen' in (tmp_path / 'out' / 'campaign.html').read_text()
     assert main([*call, '--dry-run']) == 0
     assert '2 cases, 2 of them are there' in capsys.readouterr().out
-
-
-# -----------------------------------------------------------------------------
-# A cluster: a scheduler and workers of dask as they are, each a process.
-
-
-@contextlib.contextmanager
-def started(folder, workers, protocol='tcp', **environment):
-    """Start a scheduler and workers as a user does; yield the address and the scheduler."""
-    told, dask = folder / 'scheduler.json', [sys.executable, '-m', 'dask']
-    scheduler = ['scheduler', '--port', '0', '--host', '127.0.0.1', '--no-dashboard']
-    scheduler += ['--protocol', protocol]
-    worker = ['worker', '--nworkers', str(workers), '--nthreads', '1', '--no-dashboard']
-    kept = ['--local-directory', str(folder)]
-    where = {'PYTHONPATH': f'{ROOT}:{ROOT / "test"}', 'DASK_TEMPORARY_DIRECTORY': str(folder)}
-    with (folder / 'log.txt').open('w') as log:
-        both = [
-            processes.Process(
-                [*dask, *which, '--scheduler-file', str(told)],
-                cwd=folder,
-                stdout=log,
-                stderr=log,
-                env={**os.environ, **where, **environment},
-            )
-            for which in (scheduler, [*worker, *kept])
-        ]
-    try:
-        end = time.monotonic() + 60.0
-        while not (told.exists() and told.read_text().rstrip().endswith('}')):  # written whole
-            assert time.monotonic() < end
-            time.sleep(0.05)
-        yield json.loads(told.read_text())['address'], both[0]
-    finally:
-        for process in reversed(both):
-            process.send_signal(signal.SIGTERM)  # it ends its own workers
-            with contextlib.suppress(processes.TimeoutExpired):
-                process.wait(10.0)
-            process.end()
-
-
-@pytest.fixture(scope='module')
-def cluster(tmp_path_factory):
-    pytest.importorskip('distributed')
-    with started(tmp_path_factory.mktemp('cluster'), workers=2) as both:
-        yield both
-
-
-def slow(number):
-    time.sleep(0.1)
-    return os.getpid(), number
-
-
-def test_workers_of_a_cluster_that_are_killed_again_and_again_lose_nothing(cluster):
-    dead, found, handed = set(), {}, []
-    often = 5  # Dask itself gives a piece of work up after three
-
-    def chunks():
-        while len(dead) < often or len(handed) < 20:
-            handed.append(len(handed))
-            yield handed[-1]
-
-    with Workers(cluster=cluster[0]) as workers:
-        for index, (pid, number) in workers.run(slow, chunks()):
-            assert index not in found
-            found[index] = number
-            if pid not in dead and len(dead) < often:  # a nanny starts it anew
-                dead.add(pid)
-                os.kill(pid, signal.SIGKILL)
-    assert len(dead) == often
-    assert sorted(found.items()) == [(number, number) for number in handed]
-
-
-def test_a_cluster_says_the_same_bit_for_bit(cluster, rows, tmp_path):
-    with Workers(cluster=cluster[0], prepare=Preparation.here()) as workers:
-        assert without_time(run_plan(plan(), tmp_path / 'out', workers)) == without_time(rows)
-
-
-@pytest.mark.skipif(shutil.which('openssl') is None, reason='openssl makes the certificate')
-def test_certificates_of_dasks_own_settings_are_respected(tmp_path):
-    pytest.importorskip('distributed')
-    import dask.config
-
-    key, certificate = str(tmp_path / 'key.pem'), str(tmp_path / 'certificate.pem')
-    made = ['openssl', 'req', '-x509', '-newkey', 'rsa:2048', '-nodes', '-subj', '/CN=test']
-    processes.run([*made, '-keyout', key, '-out', certificate])
-    one = {'cert': certificate, 'key': key}
-    tls = {'ca-file': certificate, 'scheduler': one, 'worker': one, 'client': one}
-    settings = {'distributed': {'comm': {'require-encryption': True, 'tls': tls}}}
-    (tmp_path / 'distributed.yaml').write_text(yaml.safe_dump(settings))
-    with started(tmp_path, 1, 'tls', DASK_CONFIG=str(tmp_path)) as (address, _):
-        assert address.startswith('tls://')
-        with pytest.raises(InputError, match=r'tls://.*client.cert and key; dask names no cert'):
-            Workers(cluster=address)
-        with (
-            dask.config.set({'distributed.comm.require-encryption': True}),
-            pytest.raises(InputError, match=r'--cluster tcp://x:1: expected tls://, as .*--proto'),
-        ):
-            Workers(cluster='tcp://x:1')
-        mine = {'distributed.comm.tls.ca-file': certificate, 'distributed.comm.tls.client': one}
-        with dask.config.set(mine), Workers(cluster=address) as workers:
-            assert [number for _, (_, number) in workers.run(slow, [7])] == [7]
-
-
-def test_a_scheduler_that_dies_is_one_line_and_what_was_finished_has_come(cluster):
-    address, scheduler = cluster
-    found = []
-
-    def take(workers):
-        for index, _ in workers.run(slow, range(10_000)):
-            found.append(index)
-            scheduler.kill()
-
-    gone = r'the scheduler is gone .* then the same command'
-    with Workers(cluster=address) as workers, pytest.raises(ClusterLostError, match=gone):
-        take(workers)
-    assert found

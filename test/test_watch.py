@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from marks import slow
 from source_tree import ROOT
+from watched_arm import NOISE, ROBOT, averaged, looked, postures
 
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.data import default_markers
@@ -20,27 +20,13 @@ from tendon_robot_ros.monitoring.change import ChangeFinder, ChangeFit
 from tendon_robot_ros.monitoring.drift import DriftAlarm, _ChangeBegun
 from tendon_robot_ros.monitoring.noise_sizes import log_likelihoods
 from tendon_robot_ros.monitoring.possible_changes import changes_of
-from tendon_robot_ros.monitoring.references import Reference, contradicted, widening
+from tendon_robot_ros.monitoring.references import widening
 from tendon_robot_ros.monitoring.tip_force import TipForceObserver
 from tendon_robot_ros.monitoring.watch import ArmWatch, WatchSettings, dump_change, load_change
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import default_postures
-
-ROBOT = load_robot(ROOT / 'config' / 'robots' / 'spatial_3.yaml')
-NOISE = 2e-4
-
-
-def looked(plant, rows, seed):
-    markers = default_markers(plant.robot)
-    arcs, offsets = (np.array([getattr(m, k) for m in markers]) for k in ('arc_length', 'offset'))
-    seen = plant.markers(rows, arcs, offsets)
-    return seen + np.random.default_rng(seed).normal(0.0, NOISE, seen.shape)
-
-
-def postures(count, seed):
-    return np.clip(default_postures(ROBOT, count, seed), *ROBOT.tension_limits)
 
 
 @pytest.mark.parametrize('sign', [1.0, -1.0])
@@ -290,157 +276,6 @@ def test_the_likelihood_of_sizes_is_that_of_all_postures_as_one_normal_vector():
             spread[here, here] += known + remainders[i] ** 2 * rest + read @ read.T
         wanted = -0.5 * (off @ np.linalg.solve(spread, off) + np.linalg.slogdet(spread)[1])
         assert value == pytest.approx(wanted, rel=1e-9)
-
-
-def references(random, count=30, sizes=1.0):
-    """Return postures of an arm of four imperfections; the errors of each so much larger."""
-    known = random.normal(size=4)
-    for size in np.broadcast_to(sizes, count):
-        columns = random.normal(size=(60, 4))
-        off = columns @ known + size * random.normal(size=60)
-        yield Reference(off, columns, np.eye(60))
-
-
-def test_of_good_references_one_in_a_thousand_arms_loses_one_and_of_misread_ones_all_are_found():
-    random, counts = np.random.default_rng(5), np.ones(30, dtype=bool)
-    good = [contradicted(list(references(random)), counts).any() for _ in range(400)]
-    assert sum(good) <= 3
-    off = np.where(np.isin(np.arange(30), [3, 4, 20]), 4.0, 1.0)
-    for wide in (1.0, 20.0):  # what is thought to be new in every posture
-        seen = [replace(r, scatter=wide * r.scatter) for r in references(random, 30, off)]
-        assert np.flatnonzero(contradicted(seen, counts)).tolist() == [3, 4, 20]
-    few = list(references(random, 9, np.append(np.ones(8), 50.0)))
-    assert not contradicted(few, counts[:9]).any(), 'nine cannot tell what is usual'
-    assert not contradicted([None, *few], counts[:10]).any()
-
-
-def test_where_a_model_is_wrong_here_and_there_no_reference_is_misread():
-    random, counts = np.random.default_rng(6), np.ones(30, dtype=bool)
-    off = np.exp(0.3 * random.normal(size=30))
-    assert not contradicted(list(references(random, 30, off)), counts).any()
-
-
-@pytest.fixture(scope='module')
-def well_known():
-    """Return an arm as it is built, learned from the mean of thirty frames, tensions as read."""
-    random, free = np.random.default_rng(3), make_plant(ROBOT, {}, seed=12, work=Workmanship())
-    arm = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE)
-    arm.fit(*averaged(free, postures(60, 1012), random), 30)
-    return arm, free, random
-
-
-def averaged(plant, rows, random):
-    markers = default_markers(plant.robot)
-    arcs, offsets = (np.array([getattr(m, k) for m in markers]) for k in ('arc_length', 'offset'))
-    read = rows * (1.0 + 0.001 * random.normal(size=rows.shape))
-    seen = plant.markers(rows, arcs, offsets)
-    return read, seen + random.normal(0.0, NOISE / np.sqrt(30.0), seen.shape)
-
-
-def test_noise_is_learned_at_its_size_and_innovations_vary_as_expected(well_known):
-    arm, free, random = well_known
-    assert arm.setting * arm.plausible[arm._gains[0]] == pytest.approx(0.001)
-    assert arm.remainder == 0.0
-    assert arm.widening < 1.7
-    arm, scores = arm.as_known(arm.mean, arm.covariance), []
-    for tensions, seen in zip(*averaged(free, postures(32, 5012), random), strict=True):
-        expected = arm.expected(tensions)
-        scores.append(arm.score(expected, seen.ravel(), 30))
-        arm.learn(expected, seen.ravel(), 30)
-    off, told = (np.sum([score[i] for score in scores], axis=0) for i in (0, 1))
-    both = np.linalg.solve(told + np.eye(len(off)), np.column_stack([off, told]))
-    assert 0.4 < off @ both[:, 0] / np.trace(both[:, 1:]) < 1.6  # all postures as one batch
-
-
-def test_where_an_arm_hardly_bends_and_kinks_turn_its_friction_over_nothing_is_told():
-    """Both tendons of a section pull nearly alike: the markers may be 1 mm off the tangent."""
-    robot = load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml')
-    random, free = np.random.default_rng(3), make_plant(robot, {}, seed=3, work=Workmanship())
-    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
-    rows = np.clip(default_postures(robot, 60, 1003), *robot.tension_limits)
-    arm.fit(*averaged(free, rows, random), 30)
-    alarm, turning = DriftAlarm(arm, 21600.0), np.array([[0.318, 0.422, 0.402, 0.299]])
-    (read,), (seen,) = averaged(free, turning, random)
-    expected = arm.expected(read)
-    assert np.abs(expected.markers - seen.ravel()).max() > 5e-4
-    assert np.abs(expected.bent).max() > 2e-4
-    assert np.abs(arm.expected(np.array([0.1, 0.5, 0.1, 0.3])).bent).max() < 5e-6
-    assert alarm.update(read, seen, 30).evidence < 100.0
-
-
-@pytest.mark.parametrize('cell', [slow(6), 8, slow(11)])
-def test_a_slightly_softer_cell_is_told_within_twenty_postures(well_known, cell):
-    arm, _, random = well_known
-    alarm = DriftAlarm(arm.as_known(arm.mean.copy(), arm.covariance.copy()), 21600.0)
-    soft = {'soft_cell': {'cell': cell, 'factor': 0.95}}
-    plant = make_plant(ROBOT, soft, seed=12, work=Workmanship())
-    told = [
-        alarm.update(tensions, seen, 30).alarm
-        for tensions, seen in zip(*averaged(plant, postures(20, 2012), random), strict=True)
-    ]
-    assert told[-1]
-    assert alarm.state.suspects[0].name in [f'stiffness of cell {cell + i}' for i in range(-2, 3)]
-
-
-ODD_POSTURES = {
-    'the frame of the tracker 2 mm off': (1.0, np.array([0.0, 2e-3, 0.0])),
-    'a tension read 20 % wrong': (np.array([1.2, 1.0, 1.0]), np.zeros(3)),
-    'everything 1 m off': (1.0, np.array([1.0, 0.0, 0.0])),
-}
-
-
-@pytest.mark.parametrize('seed', [12, slow(14)])
-@pytest.mark.parametrize('what', ODD_POSTURES)
-def test_the_filter_learns_nothing_of_one_odd_posture_and_no_alarm_comes_of_it(
-    well_known, what, seed
-):
-    arm, free, random = well_known
-    read, seen = averaged(free, postures(31, 1000 * seed), random)
-    as_before = arm.as_known(arm.mean.copy(), arm.covariance.copy())
-    alarm, without = DriftAlarm(as_before, 21600.0), DriftAlarm(as_before.as_known(
-        arm.mean.copy(), arm.covariance.copy()), 21600.0)  # fmt: skip
-    gain, shift = ODD_POSTURES[what]
-    states = [alarm.update(gain * read[0], seen[0] + shift, 30)]
-    for tensions, positions in zip(read[1:], seen[1:], strict=True):
-        states.append(alarm.update(tensions, positions, 30))
-        without.update(tensions, positions, 30)
-    assert states[0].evidence > alarm.threshold
-    assert not any(state.alarm for state in states)
-    assert alarm.arm.mean == pytest.approx(without.arm.mean, abs=1e-12)
-    assert states[-1].evidence < 50.0
-
-
-def test_the_filter_stays_the_arm_that_was_when_the_tracker_is_moved_far(well_known):
-    """It followed by hundreds of sd, and ended without a positive covariance."""
-    arm, _, random = well_known
-    alarm = DriftAlarm(arm.as_known(arm.mean.copy(), arm.covariance.copy()), 21600.0)
-    moved = make_plant(ROBOT, {}, seed=12, work=Workmanship())
-    moved.built.position[:] += [0.012, 0.0, 0.016]
-    moved.built.rotation[:] += [0.0, np.radians(10.0), 0.0]
-    told = [
-        alarm.update(tensions, positions, 30).alarm
-        for tensions, positions in zip(*averaged(moved, postures(4, 6012), random), strict=True)
-    ]
-    assert told == [False, True, True, True]
-    assert alarm.arm.mean == pytest.approx(arm.mean, abs=1e-12)
-    assert alarm.state.suspects[0].name == 'the tracker'
-
-
-def test_a_load_after_an_odd_posture_is_told_and_named_as_without_it(well_known):
-    arm, free, random = well_known
-    alarm = DriftAlarm(arm.as_known(arm.mean.copy(), arm.covariance.copy()), 21600.0)
-    read, seen = averaged(free, postures(8, 3012), random)
-    seen[1] += [0.0, 2e-3, 0.0]
-    for tensions, positions in zip(read, seen, strict=True):
-        assert not alarm.update(tensions, positions, 30).alarm
-    loaded = make_plant(ROBOT, {'tip_load': {'force_x': 0.004}}, seed=12, work=Workmanship())
-    told = [
-        alarm.update(tensions, positions, 30).alarm
-        for tensions, positions in zip(*averaged(loaded, postures(4, 4012), random), strict=True)
-    ]
-    assert told == [False, True, True, True]
-    assert alarm.state.suspects[0].name == 'tip_load'
-    assert alarm.state.suspects[0].values['force_x'] == pytest.approx(0.004, rel=0.1)
 
 
 def test_a_force_along_a_straight_arm_is_told_only_as_far_as_it_shows():

@@ -1,0 +1,30 @@
+"""An arm as it is watched: postures of it, and what a tracker sees of a plant in them."""
+
+import numpy as np
+from source_tree import ROOT
+
+from tendon_robot_ros.data import default_markers
+from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.workspace.postures import default_postures
+
+ROBOT = load_robot(ROOT / 'config' / 'robots' / 'spatial_3.yaml')
+NOISE = 2e-4
+
+
+def postures(count, seed):
+    return np.clip(default_postures(ROBOT, count, seed), *ROBOT.tension_limits)
+
+
+def looked(plant, rows, seed):
+    markers = default_markers(plant.robot)
+    arcs, offsets = (np.array([getattr(m, k) for m in markers]) for k in ('arc_length', 'offset'))
+    seen = plant.markers(rows, arcs, offsets)
+    return seen + np.random.default_rng(seed).normal(0.0, NOISE, seen.shape)
+
+
+def averaged(plant, rows, random):
+    markers = default_markers(plant.robot)
+    arcs, offsets = (np.array([getattr(m, k) for m in markers]) for k in ('arc_length', 'offset'))
+    read = rows * (1.0 + 0.001 * random.normal(size=rows.shape))
+    seen = plant.markers(rows, arcs, offsets)
+    return read, seen + random.normal(0.0, NOISE / np.sqrt(30.0), seen.shape)
