@@ -48,17 +48,17 @@ hypothesis.settings.register_profile('busy', deadline=None, suppress_health_chec
 hypothesis.settings.load_profile('busy')
 LIMIT, LONG = 600.0, 3600.0  # [s] for any test with what it sets up; for one marked slow or blind
 RERUNS = 2  # processes that talk to each other are late on a busy machine
-# The files that take longest, longest first. Those that start nodes wait, the others compute: side
-# by side they leave no processor idle, and what is left at the end is short.
+# The files that take longest, longest first, of nodes and of others in turn: those that start nodes
+# wait, the others compute. So no processor is idle, and what is left at the end is short.
 LONGEST = (
-    'ros_record', 'ros_life', 'ros_follow', 'docs', 'diagnose', 'dynamixel_commands', 'live',
-    'investigate', 'ros_monitor', 'live_page', 'ros_bad_input', 'new_effect', 'as_built',
-    'control_walk', 'dynamixel_faults', 'diagnosis_page', 'watch', 'report',
-    'campaign_cluster', 'ros_dynamixel', 'ros_investigate', 'demo', 'model_start',
+    'ros_record', 'docs', 'ros_life', 'diagnose', 'ros_follow', 'investigate',
+    'dynamixel_commands', 'new_effect', 'live', 'as_built', 'ros_monitor', 'control_walk',
+    'live_page', 'diagnosis_page', 'ros_bad_input', 'watch', 'dynamixel_faults', 'report',
+    'ros_dynamixel', 'campaign_cluster', 'ros_investigate', 'model_start', 'demo',
     'cli_describe', 'ros_travel', 'campaign', 'ros_chain', 'workspace', 'dynamixel_start',
-    'diagnose_command', 'driver_contract', 'model_reference', 'fit', 'add', 'watch_filter',
-    'tendon_check', 'ros_closed_loop', 'senders', 'dynamixel_emulator', 'serial_faults',
-    'model_equilibrium', 'setup_mistakes',
+    'diagnose_command', 'driver_contract', 'model_reference', 'tendon_check', 'fit',
+    'ros_closed_loop', 'add', 'senders', 'watch_filter', 'dynamixel_emulator',
+    'model_equilibrium', 'serial_faults', 'setup_mistakes',
 )  # fmt: skip
 
 
