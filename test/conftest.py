@@ -48,8 +48,8 @@ hypothesis.settings.register_profile('busy', deadline=None, suppress_health_chec
 hypothesis.settings.load_profile('busy')
 LIMIT, LONG = 600.0, 3600.0  # [s] for any test with what it sets up; for one marked slow or blind
 RERUNS = 2  # processes that talk to each other are late on a busy machine
-# The files that take longest, longest first, of nodes and of others in turn: those that start nodes
-# wait, the others compute. So no processor is idle, and what is left at the end is short.
+# The files that take longest, longest first, of nodes and of others in turn: those that start
+# nodes wait, the others compute. So no processor is idle, and what is left at the end is short.
 LONGEST = (
     'ros_record', 'docs', 'ros_life', 'diagnose', 'ros_follow', 'investigate',
     'dynamixel_commands', 'new_effect', 'live', 'as_built', 'ros_monitor', 'control_walk',
