@@ -30,6 +30,7 @@ from tendon_robot_ros.data.folder.path_file import TendonRows
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.paths.plan import Pace
 from tendon_robot_ros.ros.commands import follow
+from tendon_robot_ros.ros.commands.director import Director
 from tendon_robot_ros.ros.driver import backend as driver_backend
 from tendon_robot_ros.ros.shared import lifecycle, robot_client
 from tendon_robot_ros.ros.shared.files import read_mapping, read_robot
@@ -153,6 +154,22 @@ def test_a_tip_is_told_where_it_stands_however_slowly_the_motors_come_to_rest(mo
     pilot.spin = spin
     pilot.stand()
     assert pilot.tip()[0] == pytest.approx(there, abs=3e-5)
+
+
+def test_a_tip_error_is_the_mean_of_enough_frames_since_the_arm_stands_however_few_there_are():
+    director = Director.__new__(Director)
+    moving, off = np.array([0.01, 0.0, 0.0]), np.array([0.0, 0.003, 0.004])
+    for rate in (30, 5):  # [Hz] that a busy machine hears
+        times = np.arange(2 * rate + 15) / rate
+        seen = [(at, moving if at < 2.0 else off) for at in times]
+        director._tips = director._errors = director._tensions = seen
+        director._stands_since = 2.0 - 1e-9
+        assert director._seen()
+        assert director.error() == pytest.approx(0.005)
+        director._stands_since = 2.0 + 1e-9  # one frame less
+        assert not director._seen()
+    director._errors = [(3.0, np.full(3, np.nan))] * 20
+    assert np.isnan(director.error())
 
 
 @pytest.mark.parametrize(
