@@ -90,12 +90,11 @@ class DataSet:
             )
         if not self.trial_names:
             object.__setattr__(self, 'trial_names', tuple(str(q) for q in range(Q)))
-        shapes = {'inputs': (P, m), 'positions': (P, Q, J, 3), 'orientations': (P, Q, J, 4)}
-        shapes['trial_inputs'] = (P, Q, m)
-        for key, shape in shapes.items():
-            if getattr(self, key) is None:
+        seen = {'positions': (P, Q, J, 3), 'orientations': (P, Q, J, 4)}
+        for key, shape in {'inputs': (P, m), 'trial_inputs': (P, Q, m), **seen}.items():
+            if (given := getattr(self, key)) is None:
                 continue
-            array = np.array(getattr(self, key), dtype=float)
+            array = np.array(given, dtype=float)
             if array.shape != shape:
                 raise DataSetError(
                     f'{self.name}: {key}',
@@ -374,9 +373,9 @@ class DataSet:
         return self.select(set(measured) - check), self.select(check)
 
     def _rows(self, rows: NDArray[np.intp]) -> DataSet:
-        arrays = ('inputs', 'part', 'positions', 'orientations', 'trial_inputs')
-        present = {key: getattr(self, key) for key in arrays if getattr(self, key) is not None}
-        kept: dict[str, Any] = {key: array[rows] for key, array in present.items()}
+        names = 'inputs', 'part', 'positions', 'orientations', 'trial_inputs'
+        arrays = {name: getattr(self, name) for name in names}
+        kept: dict[str, Any] = {n: a[rows] for n, a in arrays.items() if a is not None}
         return replace(self, postures=tuple(self.postures[i] for i in rows), **kept)
 
 

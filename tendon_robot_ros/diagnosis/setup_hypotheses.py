@@ -25,9 +25,7 @@ from .decide import (
 from .marker_places import along
 
 Floats = npt.NDArray[np.float64]
-INPUTS_PERMUTED_MAX = (
-    4  # inputs all of whose orders are tried; of more, one exchange after another
-)
+INPUTS_PERMUTED_MAX = 4  # all orders of so many are tried; of more, one exchange after another
 UNIT_FACTORS = {
     1000.0: 'milli', 0.001: 'kilo', 9.81: 'kilograms of force', 1.0 / 9.81: 'newtons twice',
     4.448: 'pounds', 1.0 / 4.448: 'newtons as pounds', 10.0: 'a decimal point',
