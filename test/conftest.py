@@ -82,10 +82,12 @@ def pytest_collection_modifyitems(config, items):
 
 @pytest.fixture(scope='module', autouse=True)
 def nothing_is_left():
-    """Refuse a module of tests that leaves a process or a temporary file."""
+    """Refuse a module of tests that leaves a process or a temporary file; close ROS after it."""
     processes.adopt()
     children, files = processes.children(), set(temporary())
     yield
+    if 'rclpy' in sys.modules:
+        sys.modules['rclpy'].try_shutdown()
     left = [*processes.left(children), *sorted(set(temporary()) - files)]
     assert not left, f'left behind: {left}'
 

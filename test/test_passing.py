@@ -27,8 +27,6 @@ TOPICS = 'target', 'twist'
 
 def test_what_is_destroyed_while_an_event_of_the_middleware_waits_ends_nobody():
     """As when a model is unloaded that somebody asked for with another quality of service."""
-    if rclpy.ok():
-        rclpy.shutdown()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     executor, node, person = make_executor(), Node('node'), Node('person')
     executor.add_node(node)
@@ -61,4 +59,3 @@ def test_what_is_destroyed_while_an_event_of_the_middleware_waits_ends_nobody():
     executor.shutdown(timeout_sec=1.0)
     node.destroy_node()
     person.destroy_node()
-    rclpy.try_shutdown()

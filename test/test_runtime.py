@@ -43,8 +43,6 @@ NAMES = ['prox_left', 'prox_right', 'dist_left', 'dist_right']
 
 @pytest.fixture
 def context():
-    if rclpy.ok():
-        rclpy.shutdown()
     yield lambda *arguments: rclpy.init(
         args=['node', *arguments], signal_handler_options=SignalHandlerOptions.NO
     )
