@@ -180,7 +180,7 @@ class Status:
         self._sent: DiagnosticStatus | None = None
         self._sent_at = 0.0
         self._key: tuple[bytes, str, str] | None = None
-        self._logged: dict[str, float] = {}
+        self._logged: dict[tuple[bytes, str, str], float] = {}
         self._to_log = False
 
     def say(
@@ -210,9 +210,8 @@ class Status:
         """
         now = time.monotonic()
         faults = ', '.join(sorted(set((values or {}).get('faults', '').split(', '))))
-        key = level, code, faults
-        again = self._sent is not None and message == self._sent.message
-        news = key != self._key or (once and not again)
+        key = level, code, message if once else faults
+        news = key != self._key
         wait = 0.0 if once else NEWS_INTERVAL_MIN_S if news else VALUES_INTERVAL_MIN_S
         if now - self._sent_at < wait:
             return
@@ -228,10 +227,9 @@ class Status:
         )
         if not news and status == self._sent and now - self._sent_at < STATUS_PERIOD_S:
             return
-        name = message if once else f'{code} {faults}'
         self._to_log |= news
-        if self._to_log and now - self._logged.get(name, -LOG_PERIOD_S) >= LOG_PERIOD_S:
-            self._logged[name], self._to_log = now, False
+        if self._to_log and now - self._logged.get(key, -LOG_PERIOD_S) >= LOG_PERIOD_S:
+            self._logged[key], self._to_log = now, False
             self._log(level, f'{code}: {message}')
         self._key, self._sent, self._sent_at = key, status, now
         self._latched.publish(status)
