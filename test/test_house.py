@@ -8,7 +8,7 @@ from source_tree import ROOT, files, parse
 
 from tendon_robot_ros.diagnosis.decide import Verdict
 
-FUNCTION_LINES = 40
+FUNCTION_LINES = 80
 
 # path:function -> why splitting it would hurt
 LONGER = {}
