@@ -36,7 +36,7 @@ from sensor_msgs.msg import JointState
 from tendon_robot_ros.common.processes import REALTIME_PRIORITY_MOCK, go_realtime, in_realtime
 from tendon_robot_ros.model.forward import TOLERANCE
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.shared.messages import COMMAND
 from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
@@ -148,7 +148,7 @@ def latencies(
         due += 1.0 / stream.rate
         sender.spin(due)
     sender.spin(time.monotonic() + 0.5)
-    model = Model(read_robot(robot))
+    model = Model(load_robot(robot))
     tips = [model.shape(command).tip_position for _, command in sender.changes]
     tips = np.array(tips).reshape(-1, 3)
     return {
@@ -210,7 +210,7 @@ def streams(sender: Sender, robot: str, count: int) -> dict[str, object]:
     """Measure the targets that belong to a robot."""
     if robot == ROBOT:
         return latencies(sender, count)
-    own, fewer = Model(read_robot(robot)), min(count, RANDOM_TARGETS)
+    own, fewer = Model(load_robot(robot)), min(count, RANDOM_TARGETS)
     return {
         'path': latencies(sender, count, round_the_base(own), robot),
         'all over': latencies(sender, fewer, all_over(own, fewer), robot),

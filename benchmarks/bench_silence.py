@@ -28,7 +28,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
-from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
 from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
@@ -67,7 +67,7 @@ class Watcher(Node):
 
 def targets(robot: str, count: int) -> np.ndarray:
     """Return random points [m] in the half space of the arm, a third of them out of reach."""
-    random, length = np.random.default_rng(5), read_robot(robot).length
+    random, length = np.random.default_rng(5), load_robot(robot).length
     along = random.normal(size=(count, 3))
     along[:, 2] = np.abs(along[:, 2])
     along /= np.linalg.norm(along, axis=1, keepdims=True)

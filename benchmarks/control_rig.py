@@ -8,7 +8,7 @@ from tendon_robot_ros.diagnosis.add import add_effects
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.derivatives import tip_slopes
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship, with_elastic_slip
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
@@ -24,7 +24,7 @@ LAW = ['friction_memory', 'tendon_friction', 'backbone_stiffness']  # effects fi
 
 
 def robot_of(name, remembers=True):
-    robot = read_robot(name)
+    robot = load_robot(name)
     for effect, values in LENGTH.items() if remembers else ():
         robot = robot.with_effect(effect, values)
     return robot

@@ -18,10 +18,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 
+from tendon_robot_ros.common.files import shared_file
 from tendon_robot_ros.common.rotations import towards
 from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.ros.shared.files import read_robot, shared_file
+from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED, LISTEN, pose_stamped
 from tendon_robot_ros.ros.shared.runtime import NodeProcess
 from tendon_robot_ros.workspace.constant_view import salient
@@ -106,7 +107,7 @@ def pull_the_plug(watcher, servos):
 
 def main():
     mode = sys.argv[1] if len(sys.argv) > 1 else 'tension'
-    model = Model(read_robot(ROBOT))
+    model = Model(load_robot(ROBOT))
     postures = salient(model)
     rclpy.init()
     watcher = Watcher()

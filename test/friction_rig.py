@@ -7,7 +7,7 @@ import numpy as np
 from tendon_robot_ros.control import ControllerCore, Settings, Target
 from tendon_robot_ros.control.status import controller_status
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.robot import load_robot
 
 CYCLE = 0.005  # [s]
 TARGETS = ((0.9, 0.1, 0.1, 0.5), (0.1, 0.7, 0.4, 0.1), (0.3, 0.1, 0.1, 0.9), (0.1, 0.2, 0.8, 0.1))
@@ -15,7 +15,7 @@ TARGETS = ((0.9, 0.1, 0.1, 0.5), (0.1, 0.7, 0.4, 0.1), (0.3, 0.1, 0.1, 0.9), (0.
 
 @cache
 def model(remembers=True):
-    robot = read_robot('kato_10_1')
+    robot = load_robot('kato_10_1')
     if remembers:
         robot = robot.with_effect('friction_memory', {'presliding_length': 2e-4})
     return Model(robot)

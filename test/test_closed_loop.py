@@ -5,7 +5,7 @@ import pytest
 
 from tendon_robot_ros.control import ControllerCore, Settings, Target
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.robot import load_robot
 
 RATE = 0.01  # [s]
 
@@ -14,7 +14,7 @@ class Rig:
     """A controller whose arm is softer than its model says."""
 
     def __init__(self, gain=2.0):
-        robot = read_robot('kato_10_1')
+        robot = load_robot('kato_10_1')
         self.model = Model(robot)
         self.arm = Model(robot.with_effect('backbone_stiffness', {'relative_change': -0.05}))
         self.core = ControllerCore(self.model, Settings(tip_gain=gain))

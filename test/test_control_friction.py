@@ -13,8 +13,8 @@ from tendon_robot_ros.control.status import controller_status
 from tendon_robot_ros.control.trajectory import Playing
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.redundancy import Preferences
+from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
-from tendon_robot_ros.ros.shared.files import read_robot
 
 
 def missed(order=TARGETS, **settings):
@@ -36,7 +36,7 @@ def test_also_where_wire_lengths_are_commanded():
 
 
 def test_a_stream_of_targets_asks_for_no_newtons_where_three_tendons_hardly_lead_the_tip():
-    robot = read_robot('spatial_3')
+    robot = load_robot('spatial_3')
     way = np.array([(0.3, 0.1 + 0.01 * k, 0.1) for k in range(20)])
     places = Model(robot).shapes(way).tip_position
     arm = Model(robot.with_effect('friction_memory', {'presliding_length': 2e-4}))
@@ -93,7 +93,7 @@ def test_from_below_the_last_leg_pulls_every_tendon_from_its_lowest():
 
 @pytest.mark.parametrize('name', ['kato_10_1', 'spatial_3'])
 def test_from_below_friction_forgets_the_way_though_nobody_knows_its_law(name):
-    known = Model(read_robot(name))
+    known = Model(load_robot(name))
     arm = Model(known.robot.with_effect('friction_memory', {'presliding_length': 3e-4}))
     low, high = known.limits.T
     goals = low + 0.12 * (high - low) * np.random.default_rng(4).random((5, len(low)))

@@ -7,7 +7,7 @@ from tendon_robot_ros.control import ControllerCore, Settings, Target
 from tendon_robot_ros.control.remainder import SETTLED_S, LeftOver, Remainder, foreign
 from tendon_robot_ros.control.status import controller_status
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.robot import load_robot
 
 CYCLE = 0.005  # [s]
 NAMES = ('one', 'two', 'three')
@@ -69,8 +69,8 @@ def test_a_model_that_is_far_off_its_arm_leads_to_diagnose(remembers):
 
 def seen(shift, seconds=5.0):
     """Close the loop on an arm whose tip is shifted (3,) [m] from its model's."""
-    core = ControllerCore(Model(read_robot('kato_10_1')), Settings(tip_gain=5.0))
-    arm = Model(read_robot('kato_10_1'))
+    core = ControllerCore(Model(load_robot('kato_10_1')), Settings(tip_gain=5.0))
+    arm = Model(load_robot('kato_10_1'))
     shape, codes = arm.shape(np.full(4, 0.1)), []
     for step in range(round(seconds / CYCLE)):
         now = CYCLE * step

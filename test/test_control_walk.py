@@ -12,7 +12,7 @@ from tendon_robot_ros.control.walk import NOISE_M, SPEED_MAX, STUCK_S, Leak, Led
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.program import bounded_step
 from tendon_robot_ros.model.redundancy import Preferences
-from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.robot import load_robot
 
 LENGTH, CYCLE = 0.2, 0.005  # [m], [s]
 TRACKER_M = 1e-4  # [m] noise on each axis
@@ -124,7 +124,7 @@ class Rig:
     """A controller whose arm rubs more than its model says; the tip is seen with noise."""
 
     def __init__(self, seed=1, cells=0.0):
-        robot = read_robot('kato_10_1').with_effect('friction_memory', {'presliding_length': 2e-4})
+        robot = load_robot('kato_10_1').with_effect('friction_memory', {'presliding_length': 2e-4})
         rubs = {'friction_coefficient': 0.4}
         self.arm = Model(robot.with_effect('tendon_friction', rubs))
         self.core = ControllerCore(Model(robot), Settings(tip_gain=6.0))

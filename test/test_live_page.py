@@ -14,7 +14,7 @@ from PIL import Image
 
 from tendon_robot_ros.common.colours import ERROR, MEASURED, PREDICTED, rgb
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.viewer.node import _is_local
 from tendon_robot_ros.ros.viewer.page import LivePage
 from tendon_robot_ros.ros.viewer.state import ViewState
@@ -38,7 +38,7 @@ def free_port():
 def state():
     """Return what the page shows of an arm that is off by centimetres."""
     shown = ViewState()
-    robot = read_robot('kato_10_1')
+    robot = load_robot('kato_10_1')
     shown.inputs, shown.tensions = robot.inputs, tuple(TENSIONS)
     shown.predicted = Model(robot).shape(TENSIONS).positions
     soft = robot.with_effect('backbone_stiffness', {'relative_change': -0.2})

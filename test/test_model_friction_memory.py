@@ -11,7 +11,7 @@ from reference import Reference
 from tendon_robot_ros.common.errors import RobotDescriptionError
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import elastic_slip
 
 R, MU, LENGTH = 0.0055, 0.4, 2e-4
@@ -191,7 +191,7 @@ def test_memory_has_no_default_length():
 
 
 def test_a_search_goes_to_the_end_of_a_narrow_valley_before_it_looks_elsewhere():
-    robot = read_robot('kato_10_1').with_effect('friction_memory', {'presliding_length': 2e-4})
+    robot = load_robot('kato_10_1').with_effect('friction_memory', {'presliding_length': 2e-4})
     robot = robot.with_effect('backbone_stiffness', {'relative_change': -0.03})
     model = Model(robot.with_effect('tendon_friction', {'friction_coefficient': 0.363}))
     here, place = model.follow(None, model.limits[:, 0]), np.array([0.0438, 0.0, 0.2029])
@@ -209,7 +209,7 @@ def test_a_search_goes_to_the_end_of_a_narrow_valley_before_it_looks_elsewhere()
     [('kato_10_1', (8, 9, 10, 17)), ('spatial_3', (6, 11, 21)), ('spatial_6', (1, 6))],
 )
 def test_a_way_at_once_is_that_way_in_many_steps(name, seeds):
-    robot = read_robot(name).with_effect('friction_memory', {'presliding_length': LENGTH})
+    robot = load_robot(name).with_effect('friction_memory', {'presliding_length': LENGTH})
     model = Model(robot)
     low, high = model.limits.T
     for seed in seeds:  # eyelets turn on these

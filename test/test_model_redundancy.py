@@ -11,8 +11,8 @@ from tendon_robot_ros.model.derivatives import take_sides, tip_ways
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.redundancy import Balance, Preferences, broyden
 from tendon_robot_ros.model.tip_task import TipTask, tip_target
+from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.keep_out import KeepOut, Plane, Region, Sphere
-from tendon_robot_ros.ros.shared.files import read_robot
 
 FRICTION = {'tendon_friction': {'friction_coefficient': 0.3}}
 HELD_N = 3.0  # on every tendon
@@ -47,7 +47,7 @@ def test_the_straight_arm_gives_way_as_a_chain_of_hinges():
 @pytest.mark.parametrize('name', ['spatial_3', 'spatial_6'])
 def test_tendons_that_pull_against_each_other_soften_a_straight_arm_of_hinges(name):
     # between two guides a tendon is l cos(angle / 2) long: a cell holds k - l T / 4 per radian
-    robot, compliance, arc = read_robot(name), 0.0, 0.0
+    robot, compliance, arc = load_robot(name), 0.0, 0.0
     sections = [section.name for section in robot.sections]
     for i, section in enumerate(robot.sections):
         passing = sum(sections.index(tendon.section) >= i for tendon in robot.tendons)

@@ -12,7 +12,7 @@ from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring import History, Monitor, StillWindow
 from tendon_robot_ros.monitoring.job import Course, Work, guide_of
-from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.rehearsal import Story, choices, draw, refined, tour
 from tendon_robot_ros.workspace.postures import default_postures
 
@@ -21,7 +21,7 @@ NAN = np.full(4, np.nan)
 
 @pytest.fixture(scope='module')
 def model():
-    return Model(read_robot('kato_10_1'))
+    return Model(load_robot('kato_10_1'))
 
 
 def test_a_moment_between_two_samples_has_the_value_between():
@@ -153,7 +153,7 @@ def test_add_needs_a_diagnosis_first():
 
 @pytest.mark.parametrize('name', ['hinge_friction', 'tip_load', 'soft_cell', 'none'])
 def test_what_is_hidden_moves_the_tip_by_millimetres(name):
-    robot, catalogue = refined(read_robot('kato_10_1')), load_catalogue()
+    robot, catalogue = refined(load_robot('kato_10_1')), load_catalogue()
     assert name in choices(robot, catalogue)
     hidden = draw(robot, catalogue, name, 1)
     assert hidden.outside == (name == 'soft_cell')
@@ -168,7 +168,7 @@ def test_what_is_hidden_moves_the_tip_by_millimetres(name):
 @pytest.mark.parametrize(('name', 'seeds'), [('kato_10_1', (110,)), ('spatial_3', (103, 106))])
 def test_what_is_drawn_shows_on_the_arm_that_it_is_drawn_for(name, seeds):
     """A planar arm does not twist, and one that knows no gravity has no weight."""
-    robot, catalogue = read_robot(name), load_catalogue()
+    robot, catalogue = load_robot(name), load_catalogue()
     tensions = np.clip(default_postures(robot, 6), *robot.tension_limits)
     for seed in seeds:
         hidden = draw(robot, catalogue, '', seed)
@@ -185,7 +185,7 @@ def test_the_tour_stays_where_the_tip_can_go(model):
 
 
 def story(name, verdict, **values):
-    robot, catalogue = refined(read_robot('kato_10_1')), load_catalogue()
+    robot, catalogue = refined(load_robot('kato_10_1')), load_catalogue()
     return Story(draw(robot, catalogue, name, 0), verdict, **values)
 
 

@@ -29,11 +29,12 @@ from tendon_robot_ros.control.loading import Loader
 from tendon_robot_ros.data.folder.path_file import TendonRows
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.paths.plan import Pace
+from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.commands import follow
 from tendon_robot_ros.ros.commands.director import Director
 from tendon_robot_ros.ros.driver import backend as driver_backend
 from tendon_robot_ros.ros.shared import lifecycle, robot_client
-from tendon_robot_ros.ros.shared.files import read_mapping, read_robot
+from tendon_robot_ros.ros.shared.files import read_mapping
 from tendon_robot_ros.ros.shared.messages import Frames, matrix, quaternion
 from tendon_robot_ros.ros.shared.parameters import Spec
 from tendon_robot_ros.ros.shared.robot_client import Pilot
@@ -201,19 +202,19 @@ def test_a_parameter_refuses_what_does_not_fit(spec, value, words):
 
 
 def test_a_robot_comes_from_a_name_a_path_or_text(tmp_path):
-    named = read_robot('kato_10_1')
+    named = load_robot('kato_10_1')
     path = tmp_path / 'mine.yaml'
     path.write_text('name: [')
     assert named.name == 'kato_10_1'
-    assert read_robot(named.source).cells == 30
+    assert load_robot(named.source).cells == 30
     with pytest.raises(RobotDescriptionError, match='expected valid YAML'):
-        read_robot(str(path))
+        load_robot(str(path))
     with pytest.raises(RobotDescriptionError, match='expected a readable YAML file'):
-        read_robot('nobody.yaml')
+        load_robot('nobody.yaml')
     with pytest.raises(InputError, match=r'nobody: .*known names: kato_10_1, kato_10_1_single, '):
-        read_robot('nobody')
+        load_robot('nobody')
     with pytest.raises(InputError, match='got nothing'):
-        read_robot(' ')
+        load_robot(' ')
 
 
 @pytest.mark.parametrize(
@@ -238,7 +239,7 @@ def test_a_configuration_that_cannot_be_read_says_why(text, words):
 def test_motors_without_a_configuration_of_theirs_say_what_is_missing(backend, mode, text):
     given = {'backend': backend, 'config': text, 'command_mode': mode}
     with pytest.raises(InputError) as told:
-        driver_backend.make(read_robot('kato_10_1'), given, None)
+        driver_backend.make(load_robot('kato_10_1'), given, None)
     words = rf'configuration of the motors for backend {backend}, got (none|that of the mock arm)'
     assert re.search(words, str(told.value))
     example = re.search(r'copy (config/\w+\.yaml), put in your motors', str(told.value)).group(1)
@@ -261,7 +262,7 @@ def test_text_passes_the_command_line_as_text(text):
 
 
 def test_a_loader_tells_what_takes_so_long(monkeypatch, tmp_path):
-    robot, doing = read_robot('kato_10_1'), []
+    robot, doing = load_robot('kato_10_1'), []
     monkeypatch.setattr(loading, 'compiled_mark', lambda catalogue: tmp_path / 'not_there')
     monkeypatch.setattr(Loader, '_compile', lambda loader, _: doing.append(loader.doing))
     monkeypatch.setattr(loading, 'load', lambda *_: doing.append(made.doing))
@@ -279,13 +280,13 @@ def test_a_loader_tells_what_takes_so_long(monkeypatch, tmp_path):
 
 
 def test_a_loader_refuses_effects_that_nobody_knows():
-    robot = read_robot('kato_10_1').with_effect('magnetism', {'strength': 1.0})
+    robot = load_robot('kato_10_1').with_effect('magnetism', {'strength': 1.0})
     with pytest.raises(EffectError, match="unknown effect 'magnetism'"):
         Loader(lambda: robot, []).result()
 
 
 def test_a_loader_says_what_is_wrong_with_the_values():
-    robot = read_robot('kato_10_1').with_effect('eyelet_wrap', {'fraction': 7.0})
+    robot = load_robot('kato_10_1').with_effect('eyelet_wrap', {'fraction': 7.0})
     with pytest.raises(Exception, match='fraction'):
         Loader(lambda: robot, []).result()
 
@@ -298,7 +299,7 @@ def test_a_file_of_the_tendons_is_refused_whose_way_enters_a_region(tmp_path, mo
     """Both rows are outside of the ball, the way between them is not."""
     room = tmp_path / 'room.yaml'
     room.write_text(ROOM)
-    model = Model(read_robot('kato_10_1'))
+    model = Model(load_robot('kato_10_1'))
     shapes = [
         model.shape(model.limits[:, 0]),
         *(model.reach(tip).shape for tip in ([0.03, 0.0, 0.175], [0.07, 0.0, 0.165])),

@@ -15,8 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from tendon_robot_ros.robot import dump_robot
-from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.robot import dump_robot, load_robot
 from tendon_robot_ros.ros.shared.messages import COMMAND
 
 pytestmark = pytest.mark.ros
@@ -261,7 +260,7 @@ def test_a_whole_number_is_as_good_as_a_decimal_one(station):
 
 
 def test_an_unknown_effect_is_refused_with_the_known_ones(station):
-    robot = read_robot('kato_10_1').with_effect('magnetism', {'strength': 1.0})
+    robot = load_robot('kato_10_1').with_effect('magnetism', {'strength': 1.0})
     result = station.set('controller', 'model', dump_robot(robot))
     assert not result.successful
     assert "unknown effect 'magnetism'; known: tendon_friction" in result.reason
@@ -269,7 +268,7 @@ def test_an_unknown_effect_is_refused_with_the_known_ones(station):
 
 def test_another_model_is_taken_without_a_jump(station):
     station.commands.clear()
-    robot = read_robot('kato_10_1').with_effect('backbone_stiffness', {'relative_change': 0.2})
+    robot = load_robot('kato_10_1').with_effect('backbone_stiffness', {'relative_change': 0.2})
     assert station.set('controller', 'model', dump_robot(robot)).successful
     station.until(
         lambda: 'backbone_stiffness' in values(last(station.controller))['model'],
@@ -287,7 +286,7 @@ def test_another_model_is_taken_without_a_jump(station):
 
 
 def test_with_a_model_its_name_limits_and_length_change_what_comes_in(station):
-    other = replace(read_robot('kato_10_1'), name='other', tension_limits=(0.1, 2.0))
+    other = replace(load_robot('kato_10_1'), name='other', tension_limits=(0.1, 2.0))
     assert station.set('controller', 'model', dump_robot(other)).successful
     station.until(
         lambda: values(last(station.controller)).get('model', '').startswith('other'),

@@ -18,8 +18,7 @@ from ros_station import LOW, PATIENT, Station, last, stamp, start, values
 from source_tree import ROOT
 
 from tendon_robot_ros.drivers.supervisor import CYCLE_MAX_S
-from tendon_robot_ros.robot import dump_robot
-from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.robot import dump_robot, load_robot
 from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
 pytestmark = pytest.mark.ros
@@ -275,7 +274,7 @@ def test_two_robots_live_in_two_namespaces(tmp_path):
 
 def test_in_pull_mode_the_chain_reaches_a_target_too(space):
     # how hard tendons pull against each other is in the stretch of the wires alone
-    elastic = read_robot('kato_10_1').with_effect('tendon_elongation', {'compliance': 1e-4})
+    elastic = load_robot('kato_10_1').with_effect('tendon_elongation', {'compliance': 1e-4})
     space.run('driver', command_mode='pull', robot=dump_robot(elastic))
     space.run('controller', command_mode='pull', model=dump_robot(elastic))
     space.until_code(space.controller, 'holding', timeout=120.0)

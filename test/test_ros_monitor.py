@@ -16,13 +16,12 @@ from geometry_msgs.msg import WrenchStamped
 from ros_station import LATCHED, PATIENT, ForkedNode, Station, last, values
 from std_msgs.msg import Float64, Float64MultiArray, String
 
-from tendon_robot_ros.robot import dump_robot
-from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.robot import dump_robot, load_robot
 
 pytestmark = pytest.mark.ros
 LOADED = 120.0  # [s] a busy machine may need to load the model
 TRACKER = 'tracker: {rate: 30.0, noise: 1.0e-4, missing: 0.1, lost: 0.1}'
-ROBOT = read_robot('kato_10_1')
+ROBOT = load_robot('kato_10_1')
 SOFT = ROBOT.with_effect('backbone_stiffness', {'relative_change': 0.1})
 INTERVAL = {'value': 0.0, 'low': -0.2, 'high': 0.2, 'unit': '1'}
 STRETCHED = replace(  # one channel pulls 3 % more than it says
@@ -159,7 +158,7 @@ def test_a_stiffer_arm_is_followed_within_the_interval_and_undo_gives_the_old_mo
     assert 0.05 < change['after'] <= 0.1, 'a quarter of the interval at most'
     _, before = space.rolling[0]  # the model may be another by now
     space.until(lambda: space.text('controller', 'model') != dump_robot(FITTED), 'another model')
-    stiffer = read_robot(space.text('controller', 'model')).effects['backbone_stiffness']
+    stiffer = load_robot(space.text('controller', 'model')).effects['backbone_stiffness']
     assert stiffer['relative_change'] == pytest.approx(change['after'], rel=1e-4)
     space.until(lambda: last(space.rolling).data < 0.4 * before.data, 'a smaller error at the tip')
     undone = space.trigger('monitor/undo')

@@ -9,8 +9,7 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
 from ros_station import Station, last, start, values
 
-from tendon_robot_ros.robot import dump_robot
-from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.robot import dump_robot, load_robot
 from tendon_robot_ros.ros.shared.robot_client import Pilot
 from tendon_robot_ros.ros.shared.runtime import Ending
 
@@ -48,7 +47,7 @@ def test_an_effect_of_the_users_own_is_loaded_while_the_arm_is_held(tmp_path, mo
         station.commands.clear()
         station.driver.clear()
         before, held = len(station.states), max(last(station.states).effort)
-        robot = read_robot('kato_10_1').with_effect('own', {'change': 0.2})
+        robot = load_robot('kato_10_1').with_effect('own', {'change': 0.2})
         assert station.set('controller', 'model', dump_robot(robot)).successful
         station.until(lambda: 'own' in values(last(station.controller))['model'], 'it', 300.0)
         station.until_code(station.controller, 'reached')

@@ -9,8 +9,7 @@ pytest.importorskip('rclpy')
 
 from ros_station import Station, point, stamp, start, values
 
-from tendon_robot_ros.robot import dump_robot
-from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.robot import dump_robot, load_robot
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 SPACE = '/slow_model'
@@ -40,7 +39,7 @@ def lets_go(station, since):
 def test_commands_stops_and_the_end_do_not_wait_for_the_model(tmp_path):
     path = tmp_path / 'slow.py'
     path.write_text(SLOW)
-    robot = dump_robot(read_robot('kato_10_1').with_effect('slow', {'turns': TURNS}))
+    robot = dump_robot(load_robot('kato_10_1').with_effect('slow', {'turns': TURNS}))
     station = Station(SPACE)
     with (
         start('driver', SPACE, tmp_path),

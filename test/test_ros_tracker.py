@@ -11,7 +11,7 @@ from ros_station import INPUTS, LATCHED, ForkedNode, Station, last, start, value
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.ros.shared.files import read_robot
+from tendon_robot_ros.robot import load_robot
 
 pytestmark = pytest.mark.ros
 LOADED = 120.0  # [s] a busy machine may need to load the model
@@ -83,7 +83,7 @@ def tracked(request, tmp_path):
 
 def test_a_topic_per_marker_in_the_frame_of_the_tracker(tracked):
     station = tracked(measured_markers=TOPICS, tracker_transform=TURNED)
-    arm = Model(read_robot('kato_10_1')).shape(TENSIONS)
+    arm = Model(load_robot('kato_10_1')).shape(TENSIONS)
     wanted = arm.markers(np.array([0.1, 0.2]), np.zeros((2, 3)))
     x, y, z = (wanted - [0.1, 0.0, 0.0]).T
     seen = np.array([y, -x, z]).T  # as the turned camera sees it
@@ -110,7 +110,7 @@ def test_a_topic_per_marker_in_the_frame_of_the_tracker(tracked):
 
 def test_what_comes_too_late_or_in_another_frame_is_refused_and_named(tracked):
     station = tracked()
-    arm = Model(read_robot('kato_10_1')).shape(TENSIONS)
+    arm = Model(load_robot('kato_10_1')).shape(TENSIONS)
     tip = arm.tip_position
     station.feed(lambda: station.says('comparing'), 'the tip', measured_tip=tip)
     assert np.isnan(station.places()[0]).all(), 'a tip says nothing of the other markers'

@@ -14,8 +14,8 @@ from lifecycle_msgs.srv import ChangeState
 from ros_station import Station, last, start, values
 from std_msgs.msg import Bool
 
+from tendon_robot_ros.common.files import shared_file
 from tendon_robot_ros.emulator.process import EmulatorProcess
-from tendon_robot_ros.ros.shared.files import shared_file
 from tendon_robot_ros.ros.shared.lifecycle import RETRY_PERIOD_S
 
 pytestmark = pytest.mark.ros

@@ -18,8 +18,8 @@ from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.derivatives import take_sides, tip_ways
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
+from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
-from tendon_robot_ros.ros.shared.files import read_robot
 
 SCALES = ((0.1, 1.0), (10.0, 1.0), (1.0, 1e3), (10.0, 1e3))  # of lengths, of stiffness
 UNITS = {  # unit -> powers of length and force
@@ -167,7 +167,7 @@ def test_a_scaled_robot_with_scaled_data_gets_the_same_verdict(name, values, kin
 @pytest.mark.parametrize('name', ['kato_10_1', 'spatial_3'])
 @pytest.mark.parametrize('length', [0.2, 10.0])
 def test_a_stream_of_targets_is_followed_alike(name, length):
-    robot = read_robot(name)
+    robot = load_robot(name)
     force = length**2
     small, other = Model(robot), Model(scaled(robot, length, length * force))
     low, high = small.limits.T
@@ -184,7 +184,7 @@ def test_a_stream_of_targets_is_followed_alike(name, length):
 
 @pytest.mark.parametrize('length', [0.2, 10.0])
 def test_friction_at_rest_takes_the_same_sides(length):
-    robot = read_robot('kato_10_1').with_effect('friction_memory', {'presliding_length': 2e-4})
+    robot = load_robot('kato_10_1').with_effect('friction_memory', {'presliding_length': 2e-4})
     force, found = length**2, []
     low, high = Model(robot).limits.T
     for scale, pull in ((1.0, 1.0), (length, force)):

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import ast
-import difflib
 import importlib
 import importlib.util
 import os
@@ -23,6 +22,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from ..common.errors import InputError, MissingExtraError, TendonRobotError
+from ..common.given import meant
 from ..common.words import PROGRAM
 
 # The one list of commands: `python -m`, `ros2 run` and setup.py all read it.
@@ -127,8 +127,7 @@ def _run(name: str, arguments: list[str], program: str) -> int:
         return 0
     module_name = COMMANDS.get(name)
     if module_name is None:
-        near = difflib.get_close_matches(name, COMMANDS, n=1)
-        hint = f'did you mean {near[0]}? ' if near else ''
+        hint = meant(name, COMMANDS)
         raise InputError(f'no command {name!r}; {hint}known: {", ".join(COMMANDS)}')
     if '.ros.' in module_name:
         return _run_node(module_name, arguments, program)

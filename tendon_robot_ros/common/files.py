@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ from .errors import DataSetError, InputError
 TEXT_ENDINGS = ('.csv', '.txt', '.tsv', '.dat')
 TABLE_ENDINGS = (*TEXT_ENDINGS, '.parquet', '.c3d')  # of laboratories
 PICTURE_ENDINGS = ('.png', '.svg', '.pdf')
+PACKAGE = 'tendon_robot_ros'
 
 
 @contextmanager
@@ -115,3 +117,15 @@ def refuse_ending(option: str, path: str | Path) -> None:
     """Raise InputError where the ending of a picture's name is of no format."""
     if Path(path).suffix not in PICTURE_ENDINGS:
         raise InputError(f'{option} {path}: end the name with {", ".join(PICTURE_ENDINGS)}')
+
+
+def shared_file(name: str) -> Path | None:
+    """
+    Find a file such as `config/driver.yaml`.
+
+    Looks in a source tree first, then where pip and colcon install shared files.
+    """
+    roots = [Path(__file__).resolve().parents[2]]
+    prefixes = [sys.prefix, *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
+    roots += [Path(prefix) / 'share' / PACKAGE for prefix in prefixes if prefix]
+    return next((root / name for root in roots if (root / name).is_file()), None)

@@ -6,7 +6,7 @@ effect.py      what an effect is: parameters with bounds and units, one law
 stage.py       where laws act: what a law takes there, and what it gives back
 """
 
-from .catalogue import BUILT_IN, Catalogue, load_catalogue
+from .catalogue import BUILT_IN, Catalogue, CatalogueLike, load_catalogue
 from .effect import Effect, Parameter
 from .stage import STAGES, Quantity, Stage
 
@@ -14,6 +14,7 @@ __all__ = [
     'BUILT_IN',
     'STAGES',
     'Catalogue',
+    'CatalogueLike',
     'Effect',
     'Parameter',
     'Quantity',

@@ -12,6 +12,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from ..common.errors import EffectError
+from ..common.given import meant, refusal
 from .effect import Effect
 
 # Order matters twice: laws of one stage apply in it, and exact twins are reported in it.
@@ -73,7 +74,7 @@ class Catalogue:
         if name not in self._effects:
             raise EffectError(
                 f'unknown effect {name!r}; known: {", ".join(self.names)} '
-                '(name your own by its file)'
+                f'({meant(name, self.names)}name your own by its file)'
             )
         return self._effects[name]
 
@@ -111,27 +112,38 @@ class Catalogue:
         return Catalogue((effect.sized(sizes) for effect in self), self.files, is_sized=True)
 
 
-def load_catalogue(files: Iterable[str | Path] = ()) -> Catalogue:
+CatalogueLike = Catalogue | str | Path | Iterable[str | Path]
+
+
+def load_catalogue(files: CatalogueLike | None = None) -> Catalogue:
     """
     Load the built-in effects, those of installed packages, and the files that a user named.
 
     Parameters
     ----------
-    files : iterable of path
-        Python files, each with an `EFFECT`. They are executed: name only your own.
+    files : path, iterable of paths, or Catalogue, optional
+        Python files, each with an `EFFECT`. They are executed: name only your own. A catalogue
+        is given back.
 
     Raises
     ------
     EffectError
         A file cannot be read, has no `EFFECT`, or uses a name that is taken.
+    InputError
+        It is none of these.
 
     """
+    if isinstance(files, Catalogue):
+        return files
+    paths = [files] if isinstance(files, str | Path) else () if files is None else files
+    if not isinstance(paths, Iterable) or not all(isinstance(one, str | Path) for one in paths):
+        raise refusal('catalogue', 'a Catalogue, or the paths of files with an EFFECT', files)
     effects = [importlib.import_module(f'{__package__}.{name}').EFFECT for name in BUILT_IN]
     effects += [
         _checked(point.load(), point.value)
         for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name)
     ]
-    named = tuple(str(Path(file).resolve()) for file in files)
+    named = tuple(str(Path(file).resolve()) for file in paths)
     return Catalogue(effects + [_from_file(Path(file)) for file in named], named)
 
 

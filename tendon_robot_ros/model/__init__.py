@@ -10,7 +10,6 @@ starts.py        the searches that this is made of, and where they start
 redundancy.py    what the freedom of the tensions is used for; the arm kept out of regions
 program.py       one quadratic program with bounds, and the step of the tip that is one
 pulls.py         wire pulls to tensions, with slack wires
-inputs.py        what a caller commands, by name or in order, checked
 plot.py          arms drawn for notebooks
 derivatives.py   slopes of an equilibrium with respect to tensions and parameters; how stiff the
                  tip is

@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import NoEquilibriumError
-from ..effects import STAGES, Catalogue, load_catalogue
-from ..robot import Robot
+from ..effects import STAGES, CatalogueLike, load_catalogue
+from ..robot import RobotLike, load_robot
 from ..robot.estimates import natural_sizes
+from ..robot.inputs import TensionsLike, are_tensions, input_rows, tensions_of
 from .arrays import KernelArrays
-from .inputs import TensionsLike, are_tensions, tension_rows, tensions_of
 from .shape import FIELDS, ResultLayout, Shape, ShapeBatch
 
 Floats = npt.NDArray[np.float64]
@@ -35,9 +35,16 @@ class ForwardModel:
     PCCA is the chain alone; with `tendon_friction` it is the FKM of Kato et al. 2015.
     """
 
-    def __init__(self, robot: Robot, catalogue: Catalogue | None = None) -> None:
+    def __init__(self, robot: RobotLike, catalogue: CatalogueLike | None = None) -> None:
         """
         Compile (or load from the cache) the kernel and read the robot.
+
+        Parameters
+        ----------
+        robot : Robot, name, path, text or dict
+            As `load_robot` takes it.
+        catalogue : Catalogue or paths, optional
+            With your own effects, as `load_catalogue` takes them.
 
         Raises
         ------
@@ -45,12 +52,17 @@ class ForwardModel:
             An effect is not known, or a parameter is out of its bounds.
 
         """
-        self.robot = robot
-        self.catalogue = (catalogue or load_catalogue()).sized(natural_sizes(robot))
+        self.robot = robot = load_robot(robot)
+        self.catalogue = load_catalogue(catalogue).sized(natural_sizes(robot))
         self.arrays = KernelArrays(robot, self.catalogue)
         self.inputs = robot.inputs
         self.limits: Floats = np.array([robot.tension_limits] * len(robot.inputs))
         self._own = threading.local()
+
+    def __repr__(self) -> str:
+        """Say of which robot, and which effects act."""
+        acting = [effect.name for effect in self.catalogue if self.acts(effect.name)]
+        return f'<Model of {self.robot.name}: {", ".join(acting) or "no effect (PCCA)"}>'
 
     @property
     def implicit(self) -> bool:
@@ -186,14 +198,14 @@ class ForwardModel:
         InputError, NoEquilibriumError
 
         """
-        inputs = tension_rows(self.robot, tensions)
+        inputs = input_rows(self.robot, tensions)
         batch, changes = self.solve(inputs, guesses)
         self._refuse(inputs, changes)
         return batch
 
     def sequence(self, tensions: npt.ArrayLike, memory: Floats | None = None) -> ShapeBatch:
         """Return the shapes (b) of postures one after the other; friction remembers."""
-        inputs = tension_rows(self.robot, tensions)
+        inputs = input_rows(self.robot, tensions)
         past = self.arrays.fresh_memory() if memory is None else memory
         batch, changes = self.solve(inputs, None, past, carry=True)
         self._refuse(inputs, changes)

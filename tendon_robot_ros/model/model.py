@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy.typing as npt
 
+from ..robot.inputs import TensionsLike
 from .derivatives import Column, Seen, TipStiffness, derivatives, tip_jacobian, tip_stiffness
 from .forward import Floats, ForwardModel
-from .inputs import TensionsLike
 from .inverse import reach
 from .pulls import pull_shape
 from .shape import Reach, Shape, ShapeBatch

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError, NoEquilibriumError
-from .inputs import TensionsLike, wire_pulls
+from ..robot.inputs import TensionsLike, wire_pulls
 
 if TYPE_CHECKING:
     from .forward import ForwardModel

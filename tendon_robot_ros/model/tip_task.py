@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
-from .inputs import finite
+from ..robot.inputs import finite
 
 if TYPE_CHECKING:
     from .forward import ForwardModel

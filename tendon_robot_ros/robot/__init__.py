@@ -2,6 +2,8 @@
 The description of a robot: sections, tendons, limits, and the effects of its model.
 
 description.py   YAML to frozen, validated dataclasses and back (docs/robot_file.md)
+loading.py       the robot that a name, a path, text, keys or an object mean
+inputs.py        what a caller commands, by name or in order, checked
 routes.py        where the tendons run: offsets in every cell, winding about the axis
 estimates.py     what it means in the hand: bend per newton, sag, stiffness from a rod or a sag;
                  what is large and what is small for a robot
@@ -11,6 +13,15 @@ urdf.py          the same robot as a URDF with its joints, for RViz and TF
 A new key of the description is read and written in description.py.
 """
 
-from .description import Robot, Section, Tendon, dump_robot, load_robot, parse_robot
+from .description import Robot, Section, Tendon, dump_robot, parse_robot
+from .loading import RobotLike, load_robot
 
-__all__ = ['Robot', 'Section', 'Tendon', 'dump_robot', 'load_robot', 'parse_robot']
+__all__ = [
+    'Robot',
+    'RobotLike',
+    'Section',
+    'Tendon',
+    'dump_robot',
+    'load_robot',
+    'parse_robot',
+]

@@ -6,15 +6,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import yaml
 
 from ..common.errors import InputError, RobotDescriptionError
 from ..common.yaml_reading import Reader, parse_yaml
-
-__all__ = ['Robot', 'Section', 'Tendon', 'dump_robot', 'load_robot', 'parse_robot']
 
 TOLERANCES = (
     'bending_stiffness',
@@ -188,26 +185,6 @@ HELIX_MAX_RAD = math.pi / 2.0  # [rad] of a tendon in one cell: it is straight t
 DESCRIPTION_MAX = 1_000_000  # characters of a description
 
 
-def load_robot(path: str | Path) -> Robot:
-    """
-    Read a robot description from a YAML file.
-
-    Raises
-    ------
-    RobotDescriptionError
-        With file, key, what was expected and what came.
-
-    """
-    path = Path(path)
-    try:
-        with path.open(encoding='utf-8') as file:
-            text = file.read(DESCRIPTION_MAX + 1)
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, 'strerror', None) or 'not a text file'
-        raise RobotDescriptionError(str(path), 'file', 'a readable YAML file', reason) from None
-    return parse_robot(text, str(path))
-
-
 def parse_robot(text: str, source: str = 'robot') -> Robot:
     """Read a robot description from YAML text; `source` names it in messages."""
     if len(text) > DESCRIPTION_MAX:
@@ -217,10 +194,11 @@ def parse_robot(text: str, source: str = 'robot') -> Robot:
         content = parse_yaml(text)
     except ValueError as error:
         raise RobotDescriptionError(source, 'file', 'valid YAML', str(error)) from None
-    return _robot(Reader(source, '', content))
+    return check_robot(Reader(source, '', content))
 
 
-def _robot(top: Reader) -> Robot:
+def check_robot(top: Reader) -> Robot:
+    """Return the robot that a description holds; RobotDescriptionError where it is not valid."""
     top.only(*(key.name for key in fields(Robot) if key.name != 'source'))
     sections = tuple(_section(item) for item in top.items('sections'))
     top.unique('sections', [section.name for section in sections])

@@ -19,7 +19,7 @@ from ..data.recording.importing import segments_dataset
 from ..data.recording.still_segments import Segment
 from ..diagnosis.outliers import Outliers, find_outliers
 from ..effects import Catalogue, load_catalogue
-from ..robot import Robot, load_robot
+from ..robot import Robot, RobotLike, load_robot
 from .choices import Taken, choose_columns
 from .columns import FloatArray, RawTable, from_frame, marker_label
 from .history import FROM_STRAIGHT, SEQUENCE, VISITS, as_visits, frames_only, way_shows
@@ -45,7 +45,7 @@ APART_RAD = 0.3  # [rad] between gravity as the robot says it and as the tracker
 
 def import_table(
     source: Any = (),
-    robot: Robot | str | Path | None = None,
+    robot: RobotLike | None = None,
     recipe: Recipe | Mapping[str, Any] | str | Path | None = None,
     catalogue: Catalogue | None = None,
 ) -> ImportedTable:
@@ -57,7 +57,7 @@ def import_table(
     source : path, DataFrame, or sequence of these
         .csv, .parquet or .c3d: recordings one after the other, or one of inputs and one of
         markers for each. By default those that the recipe names.
-    robot : Robot or path, optional
+    robot : Robot, name, path, text or dict, optional
         By default the one that the recipe names.
     recipe : Recipe, mapping, or path of an import.yaml, optional
         What is not to be guessed; the mapping has the keys of the file (docs/import_table.md).
@@ -154,15 +154,13 @@ def _recipe(recipe: Recipe | Mapping[str, Any] | str | Path | None) -> Recipe:
     return recipe if isinstance(recipe, Recipe) else read_recipe(dict(recipe))
 
 
-def _robot(robot: Robot | str | Path | None, recipe: Recipe) -> Robot:
-    if isinstance(robot, Robot):
-        return robot
-    path = robot or recipe.robot
-    if path is None:
+def _robot(robot: RobotLike | None, recipe: Recipe) -> Robot:
+    named = recipe.robot if robot is None else robot
+    if named is None:
         raise DataSetError(
             'robot', 'none is named', 'describe the arm with new-robot, then say --robot arm.yaml'
         )
-    return load_robot(path)
+    return load_robot(named)
 
 
 def _tables(source: Any, recipe: Recipe) -> list[RawTable]:

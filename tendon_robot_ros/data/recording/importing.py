@@ -11,7 +11,7 @@ import numpy as np
 from ...common.errors import DataSetError
 from ...common.files import new_file
 from ...common.words import listing
-from ...robot import Robot, load_robot, parse_robot
+from ...robot import Robot, RobotLike, load_robot, parse_robot
 from ..dataframes import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
 from ..dataset import DataSet, FloatArray
 from ..folder.description import Description, describe, read_fields
@@ -38,7 +38,7 @@ class Imported:
 
 def import_bag(
     bag: str | Path,
-    robot: Robot | str | Path | None = None,
+    robot: RobotLike | None = None,
     rule: Rule | None = None,
     topics: Topics | None = None,
     description: str | None = None,
@@ -55,7 +55,7 @@ def import_bag(
     ----------
     bag : str or Path
         A rosbag2 folder, or a single .mcap or .db3 file.
-    robot : Robot or path, optional
+    robot : Robot, name, path, text or dict, optional
         By default the one that the recording holds.
     rule : Rule, optional
         When the arm counts as still.
@@ -130,9 +130,7 @@ def segments_dataset(
     )
 
 
-def _robot(recording: Recording, robot: Robot | str | Path | None) -> Robot:
-    if isinstance(robot, Robot):
-        return robot
+def _robot(recording: Recording, robot: RobotLike | None) -> Robot:
     if robot is not None:
         return load_robot(robot)
     if recording.robot is None:

@@ -24,8 +24,8 @@ from ...control.checks import direction
 from ...control.loading import load
 from ...effects import load_catalogue
 from ...model.model import Model
+from ...robot import load_robot
 from ...workspace.constant_view import Posture, salient
-from ..shared.files import read_robot
 from ..shared.messages import COMMAND, LISTEN
 from ..shared.robot_client import RobotClient
 from ..shared.runtime import Ending, NodeProcess, ros
@@ -42,7 +42,7 @@ def main(arguments: Sequence[str]) -> int:
     print(
         'loading the model (the first time it is compiled, about half a minute)', file=sys.stderr
     )
-    model = load(read_robot(ROBOT), load_catalogue())
+    model = load(load_robot(ROBOT), load_catalogue())
     postures = [*salient(model), _out_of_reach(model)]
     _introduce(model)
     namespace = f'/demo_{os.getpid()}'

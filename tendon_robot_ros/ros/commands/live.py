@@ -33,10 +33,9 @@ from ...common.words import mm
 from ...control.loading import load
 from ...effects import Catalogue, load_catalogue
 from ...model.model import Model
-from ...robot import Robot, dump_robot
+from ...robot import Robot, dump_robot, load_robot
 from ...robot.keep_out import KeepOut
 from ...simulation.rehearsal import STIFFNESS_SCATTER, Hidden, Story, draw, refined, reveal, tour
-from ..shared.files import read_robot
 from ..shared.running_arm import RunningArm
 from ..shared.runtime import NodeProcess, ros
 from . import investigate as investigation
@@ -62,7 +61,7 @@ def main(arguments: Sequence[str]) -> int:
     if not options.headless:
         _require_viser()
     catalogue = load_catalogue()
-    robot = refined(read_robot(options.robot))
+    robot = refined(load_robot(options.robot))
     seed = int(time.time()) % 100000 if options.seed is None else options.seed
     print('loading the model (the first time it is compiled: a minute)', file=sys.stderr)
     model = load(robot, catalogue)

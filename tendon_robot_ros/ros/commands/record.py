@@ -33,8 +33,7 @@ from ...data.recording.writer import (
     Builder,
     need_rosbags,
 )
-from ...robot import dump_robot
-from ..shared.files import read_robot
+from ...robot import dump_robot, load_robot
 from ..shared.parameters import RemoteText
 from ..shared.robot_client import add_controller
 from ..shared.runtime import repeat, ros
@@ -191,7 +190,7 @@ class Recorder(Node):
             return
         self._robot_written = True
         try:
-            robot = dump_robot(read_robot(text))
+            robot = dump_robot(load_robot(text))
         except (TendonRobotError, OSError) as error:
             print(f'the robot cannot be read: {error}', file=sys.stderr)
             return

@@ -19,9 +19,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from ...common.errors import TendonRobotError
-from ...robot import Robot
+from ...robot import Robot, load_robot
 from ...robot.urdf import joint_angles, joint_names, transforms, urdf
-from ..shared.files import read_robot
 from ..shared.messages import LATCHED, LISTEN, STATE, joint_state, matrix, quaternion
 from ..shared.parameters import Parameters, RemoteText, Spec
 from ..shared.runtime import repeat, run
@@ -98,7 +97,7 @@ class RobotModelNode(Node):
                 self.get_logger().error(f'the model of the controller: {error}')
 
     def _take(self, text: str) -> None:
-        robot = read_robot(text)
+        robot = load_robot(text)
         self._robot, self._prefix = robot, f'{self.parameters["frame_prefix"]}{robot.name}_'
         self._description.publish(String(data=urdf(robot, self._prefix)))
 

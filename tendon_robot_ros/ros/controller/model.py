@@ -14,8 +14,9 @@ from ...control.loading import Loader
 from ...effects import load_catalogue
 from ...model.model import Model
 from ...model.shape import Shape
+from ...robot import load_robot
 from ...robot.description import DESCRIPTION_MAX
-from ..shared.files import read_robot, robot_file
+from ...robot.loading import robot_file
 from ..shared.messages import (
     STATE,
     arm_markers,
@@ -59,7 +60,7 @@ class ModelLoading:
     def change(self, text: str) -> None:
         """Begin to load another model; raise what is quickly found wrong with it."""
         if _short(text):
-            robot = read_robot(text)
+            robot = load_robot(text)
             if self._inputs:
                 check_inputs(robot.inputs, self._inputs)
             if not self._parameters['effects']:
@@ -102,7 +103,7 @@ class ModelLoading:
         return self._loader
 
     def _begin(self, text: str) -> Loader:
-        return Loader(lambda: read_robot(text), self._parameters['effects'], self._inputs)
+        return Loader(lambda: load_robot(text), self._parameters['effects'], self._inputs)
 
 
 def _short(text: str) -> bool:

@@ -23,7 +23,7 @@ from ...control.checks import Refusal, by_name, check_stamp, finite
 from ...drivers.mock import MockDriver
 from ...drivers.supervisor import FOLLOWING, LIMP, OFF, RELEASED, Supervisor
 from ...drivers.tendon_check import due
-from ..shared.files import read_robot
+from ...robot import load_robot
 from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic
 from ..shared.joints import JointReader, Joints
 from ..shared.lifecycle import ERROR, OK, WARN, ManagedNode, Status
@@ -75,7 +75,7 @@ class DriverNode(ManagedNode):
 
     def configure(self) -> None:
         """Read the robot, open the port, begin to read."""
-        robot = read_robot(self.parameters['robot'])
+        robot = load_robot(self.parameters['robot'])
         reference = self.parameters['tendon_reference']
         self._check_due = due(Path(reference)) if reference else ''
         if self._check_due:

@@ -33,7 +33,7 @@ from ...monitoring import Monitor
 from ...monitoring.job import Work
 from ...monitoring.monitor import Compared, read_markers
 from ...monitoring.watch import ArmWatch
-from ..shared.files import read_robot
+from ...robot import load_robot
 from ..shared.lifecycle import ERROR, OK, WARN, Status
 from ..shared.messages import LATCHED, LISTEN, STATE, pose_array, seconds
 from ..shared.parameters import Parameters, RemoteText
@@ -102,7 +102,7 @@ class MonitorNode(Node):
         if not text or text in (self._in_use, self._loading):
             return
         try:
-            robot = read_robot(text)
+            robot = load_robot(text)
         except TendonRobotError as error:
             self._said = f'model: {error}'
             return

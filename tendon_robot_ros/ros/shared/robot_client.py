@@ -24,8 +24,8 @@ from ...control.loading import load
 from ...control.trajectory import Playing
 from ...effects import load_catalogue
 from ...model.model import Model
+from ...robot import load_robot
 from ...robot.keep_out import joined, text_of
-from .files import read_robot
 from .messages import COMMAND, LATCHED, LISTEN, duration, pose_stamped
 from .parameters import RemoteText
 from .runtime import Ending
@@ -252,7 +252,7 @@ class Pilot(RobotClient):
             return bool(files)
 
         self.wait(asked, 10.0, f'the parameter effects of {self._controller}')
-        return load(read_robot(text), load_catalogue(files[0]))
+        return load(load_robot(text), load_catalogue(files[0]))
 
     @contextmanager
     def keeping_out(self, regions: str) -> Iterator[None]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 
-from .files import shared_file
+from ...common.files import shared_file
 
 RANGE, ONLY_HERE = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY'
 TRANSPORTS, PROFILES = 'FASTDDS_BUILTIN_TRANSPORTS', 'FASTRTPS_DEFAULT_PROFILES_FILE'

@@ -23,7 +23,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
-from ..shared.files import read_robot
+from ...robot import load_robot
 from ..shared.lifecycle import OK, Status
 from ..shared.messages import COMMAND, LATCHED, LATCHED_BY_MANY, LISTEN, STATE
 from ..shared.parameters import Parameters, RemoteText, Spec
@@ -220,7 +220,7 @@ class ViewerNode(Node):
         self.state.touring = message.data
 
     def _hear_model(self, text: str) -> None:
-        robot = read_robot(text)
+        robot = load_robot(text)
         self.state.limits = robot.tension_limits
 
 

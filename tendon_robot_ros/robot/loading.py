@@ -1,0 +1,114 @@
+"""One loader for every way in which a robot is named: shipped name, path, text, keys, object."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..common.errors import InputError, RobotDescriptionError
+from ..common.files import shared_file
+from ..common.given import meant, refusal
+from ..common.yaml_reading import Reader
+from .description import DESCRIPTION_MAX, Robot, check_robot, parse_robot
+
+PATH_CHARACTERS_MAX = 1000
+EXPECTED = (
+    'the name of a robot in config/robots, the path of a description, its YAML text or its keys '
+    'as a dict'
+)
+
+
+class HasRobot(Protocol):
+    """A model, a plant, a data set, a result: what knows its robot."""
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+
+
+RobotLike = Robot | HasRobot | str | Path | Mapping[str, Any]
+
+
+def load_robot(robot: RobotLike) -> Robot:
+    """
+    Return the robot that is meant.
+
+    Parameters
+    ----------
+    robot : str, Path, dict, Robot or Model
+        The name of a robot in config/robots, the path of a description, its YAML text, its keys
+        as a dict; a robot, or what has one (a model, a data set, an addition), gives that.
+
+    Raises
+    ------
+    RobotDescriptionError
+        With file, key, what was expected and what came.
+    InputError
+        No robot has that name, or it is nothing of these.
+
+    """
+    if isinstance(robot, Robot):
+        return robot
+    if isinstance(robot, Path):
+        return _read(robot)
+    if isinstance(robot, str):
+        if not robot.strip():
+            raise InputError(f'robot: expected {EXPECTED}, got nothing')
+        file = robot_file(robot)
+        return parse_robot(robot, 'robot given as text') if file is None else _read(file)
+    if isinstance(robot, Mapping):
+        return check_robot(Reader('robot given as dict', '', _plain(robot)))
+    if isinstance(own := getattr(robot, 'robot', None), Robot):
+        return own
+    raise refusal('robot', EXPECTED, robot)
+
+
+def robot_file(text: str) -> Path | None:
+    """Return the file that a path or a name means; None where the text is the description."""
+    if '\n' in text or ': ' in text or len(text) > PATH_CHARACTERS_MAX:
+        return None
+    path = Path(text)
+    own = shared_file(f'config/robots/{text}.yaml')
+    if own is not None and not path.is_file():
+        return own
+    if not path.suffix and os.sep not in text and not path.exists():
+        names = _known_robots()
+        raise InputError(
+            f'{text}: expected a path or the name of a robot, no such file; '
+            f'{meant(text, names)}known names: {", ".join(names) or "none installed"}'
+        )
+    return path
+
+
+def _known_robots() -> list[str]:
+    """List the names of the robots in config/robots."""
+    first = shared_file('config/robots/kato_10_1.yaml')
+    return [] if first is None else sorted(path.stem for path in first.parent.glob('*.yaml'))
+
+
+def _read(path: Path) -> Robot:
+    """Read a description from a file."""
+    if path.is_dir():
+        own = path / 'robot.yaml'
+        hint = f'its {own}' if own.is_file() else 'a robot description in it'
+        raise InputError(f'{path}: is a folder; name {hint}')
+    try:
+        with path.open(encoding='utf-8') as file:
+            text = file.read(DESCRIPTION_MAX + 1)
+    except (OSError, ValueError) as error:  # a path may hold a null byte, a file any bytes
+        reason = getattr(error, 'strerror', None) or 'not a text file'
+        raise RobotDescriptionError(str(path), 'file', 'a readable YAML file', reason) from None
+    return parse_robot(text, str(path))
+
+
+def _plain(value: Any) -> Any:
+    """Return what YAML would hold: tuples and arrays as lists, numbers of numpy as numbers."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
