@@ -2,7 +2,7 @@
 RUN := tools/bootstrap.sh
 ARGS :=
 
-.PHONY: help venv paper test test-oldest test-slow test-blind demo bench lint format live
+.PHONY: help venv paper test test-oldest test-slow test-blind demo bench figures lint format live
 .SILENT:
 # What pytest and its plugins compile is kept, whatever this machine's settings are: each process of
 # tests would else take a second for it, and conftest.py comes too late.
@@ -46,6 +46,9 @@ bench: ## speed on this machine of model, controller and drivers, as JSON (resul
 	mkdir -p $(BENCH); missed=0; for name in model controller reading serial dynamixel; do \
 		$(RUN) python benchmarks/bench_$$name.py --json $(BENCH)/$$name.json || missed=1; \
 	done; exit $$missed
+
+figures: ## every figure that users rely on, in one file (an hour): ARGS="--parts ticks" or ARGS="--beside OLD NEW"
+	$(RUN) python benchmarks/figures.py $(ARGS)
 
 lint: ## ruff and mypy
 	$(RUN) ruff check $(ARGS)
