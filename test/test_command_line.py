@@ -7,6 +7,7 @@ import processes
 import pytest
 
 from tendon_robot_ros.cli import main as command_line
+from tendon_robot_ros.cli import options
 from tendon_robot_ros.cli.main import COMMANDS, Parser, main
 from tendon_robot_ros.common.errors import InputError
 
@@ -112,3 +113,13 @@ def test_a_reader_that_has_seen_enough_is_no_error():
         ['bash', '-o', 'pipefail', '-c', f'{sys.executable} -m tendon_robot_ros | true'],
     )
     assert (run.returncode, run.stderr) == (0, '')
+
+
+def test_long_work_in_a_pipe_says_now_and_then_how_far_it_is(capsys, monkeypatch):
+    clock = iter(range(0, 1000, 3))  # [s], a call each
+    monkeypatch.setattr(options.time, 'monotonic', lambda: float(next(clock)))
+    with options.progress() as show:
+        for done in range(1, 7):
+            show('effects', done, 6)
+    said = capsys.readouterr().err.split('\n')
+    assert said == ['effects 2/6', 'effects 4/6', 'effects 6/6', '']

@@ -12,13 +12,14 @@ import simulated
 from arms import planar
 from marks import slow
 from measurements import blind, truth
-from simulated import NOISE, measure, measured, postures
+from simulated import CATALOGUE, NOISE, measure, measured, postures
 
 from tendon_robot_ros.common.errors import NoEquilibriumError, TendonRobotError
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis import session as sessions
 from tendon_robot_ros.diagnosis.add import add_effects
 from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.diagnosis.evidence import gather
 from tendon_robot_ros.report.diagnosis_text import lines
 
 ROBOT = simulated.robot()
@@ -165,3 +166,11 @@ def test_a_description_without_an_equilibrium_is_an_error():
     with pytest.raises(TendonRobotError) as error:
         diagnose(replace(measured(ROBOT, count=3), robot=robot))
     assert isinstance(error.value, NoEquilibriumError) or 'tip_load' in str(error.value)
+
+
+@pytest.mark.parametrize('lever', [0.0, 3e-4])
+def test_an_effect_is_there_only_if_its_interval_leaves_out_what_is_described(lever):
+    dataset = measured(simulated.robot(), {'hinge_friction': {'lever': lever}}, count=6)
+    found = gather(sessions.Session(dataset, dataset.robot, CATALOGUE, 1))
+    (ranked,) = (r for r in found.singles if r.candidate.names == ('hinge_friction',))
+    assert found.is_there(ranked) == (lever > 0.0)

@@ -232,3 +232,16 @@ def test_words_for_every_kind_of_place():
     assert of_inputs([zero], '7') == [
         'input left has wound 0.20 mm (0.10 mm to 0.30 mm) more than it says'
     ]
+
+
+def test_a_place_whose_doing_the_others_do_is_not_named():
+    """The fit can do nearly all that the input does, and the cell most of what it leaves."""
+    whole = np.zeros((5, 2))
+    whole[:, 0] = [1.0, 0.03, 0.0, 0.0, 0.0]
+    whole[:, 1] = [0.0, np.cos(0.1), np.sin(0.1), 0.0, 0.0]
+    places = [Place('channel_gain', 'left', '1'), Place('cell_stiffness', 'cell 1', '1')]
+    one_posture, both = np.zeros(5, dtype=int), np.array([-1, -1])
+    columns = PlaceColumns(whole, one_posture, np.array([0, 1]), both)
+    residual, can = np.array([0.0, 100.0, -30.0, 0.0, 0.0]), np.eye(5)[:, :1]
+    found = faults_among(places, columns, residual, can)
+    assert [fault.place.name for fault in found] == ['cell 1']

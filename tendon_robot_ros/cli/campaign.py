@@ -17,16 +17,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from .options import add_cluster, add_effect_files, add_json, emit, progress
 
 HELP = 'simulate and diagnose many robots: what would be seen, how often is it right'
 PAGE = 'campaign.html'
-SAID_EVERY_S = 60.0  # [s] in a log, where no terminal shows a bar
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     page = folder / PAGE
     stopped = False
     try:
-        with Workers(args.workers, args.cluster, prepare) as workers, shown() as show:
+        with Workers(args.workers, args.cluster, prepare) as workers, progress(True) as show:
             rows = run_plan(plan, folder, workers, show, args.accept_change)
     except KeyboardInterrupt:
         rows, stopped = rows_of(plan, folder), True
@@ -80,22 +76,3 @@ def run(args: argparse.Namespace) -> int:
     lines = [*summary(rows), *power_lines(rows), *mixed, f'written: {folder}/table, {page}']
     emit(args, to_json(rows), '\n'.join(lines))
     return 0
-
-
-@contextmanager
-def shown() -> Iterator[Callable[[str, int, int], None]]:
-    """Show progress with the time left: a bar in a terminal, a line a minute in a log."""
-    start, last = time.monotonic(), [time.monotonic()]
-
-    def log(what: str, done: int, total: int) -> None:
-        now = time.monotonic()
-        if now > last[0] + SAID_EVERY_S and done:
-            last[0] = now
-            left = (now - start) / done * (total - done)
-            print(f'{what}: {done:,}/{total:,}, {left / 60.0:.0f} min left', file=sys.stderr)
-
-    if not sys.stderr.isatty():
-        yield log
-        return
-    with progress(remaining=True) as bar:
-        yield bar

@@ -15,8 +15,7 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from .campaign import shown
-from .options import add_cluster, add_effect_files, add_json, emit
+from .options import add_cluster, add_effect_files, add_json, emit, progress
 
 HELP = 'diagnose all recordings of many robots, and say what changed when'
 PAGE = 'fleet.html'
@@ -43,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     found_below(folder)
     effects = UserEffect.read(args.effect_file)
     prepare = Preparation.here(effects)
-    with Workers(args.workers, args.cluster, prepare) as workers, shown() as show:
+    with Workers(args.workers, args.cluster, prepare) as workers, progress(True) as show:
         rows = run_fleet(folder, output, workers, effects, show)
     page = fleet_page(rows, f'Fleet: {folder.resolve().name}').write(output / PAGE)
     content = {

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -255,25 +256,40 @@ def numbers(what: str, text: str, separator: str) -> tuple[float, ...]:
 
 
 # -----------------------------------------------------------------------------
-# A progress bar on stderr, where a person watches.
+# How far long work is, on stderr: a bar where a person watches, else a line now and then.
+
+PIPED_EVERY_S = 5.0  # [s] between lines at first; work that takes less stays silent
+PIPED_EVERY_SHARE = 0.1  # [1] of the time so far, between later lines: a log stays short
 
 
 @contextmanager
 def progress(remaining: bool = False) -> Iterator[Callable[[str, int, int], None]]:
     """
-    Give a function that shows (what, done, total); silent where stderr is no terminal.
+    Give a function that shows (what, done, total) on stderr: a bar, or lines in a pipe.
 
     `remaining` shows the time left as well: where all of the work is counted as one.
     """
     form = '{desc} {n_fmt}/{total_fmt} |{bar}|' + (' {remaining} left' if remaining else '')
+    start = time.monotonic()
+    following = start + PIPED_EVERY_S
     with tqdm(disable=None, leave=False, bar_format=form) as bar:
+
+        def log(what: str, done: int, total: int) -> None:
+            nonlocal following
+            now = time.monotonic()
+            if now < following:
+                return
+            following = now + max(PIPED_EVERY_S, PIPED_EVERY_SHARE * (now - start))
+            left = (now - start) / max(done, 1) * (total - done)
+            end = f', {left / 60.0:.1f} min left' if remaining and done else ''
+            print(f'{what} {done:,}/{total:,}{end}', file=sys.stderr, flush=True)
 
         def show(what: str, done: int, total: int) -> None:
             bar.set_description_str(what, refresh=False)
             bar.total, bar.n = total, done
             bar.refresh()
 
-        yield show
+        yield log if bar.disable else show
 
 
 DATA_HELP = 'data set (folder), or a recording (rosbag2 folder, .mcap or .db3 file)'

@@ -210,23 +210,27 @@ def decide(evidence: Evidence) -> Diagnosis:
     """Say what explains the error: one effect, a class, several, or nothing in the catalogue."""
     session = evidence.session
     adequate = [r for r in evidence.singles if r.probability > P_SINGLE_MIN]
-    if adequate:
-        group = indistinct(session, adequate, P_SINGLE_MIN)
+    group = indistinct(session, adequate, P_SINGLE_MIN) if adequate else []
+    group = [r for r in group if evidence.is_there(r)]
+    if group:
         evidence.competing = competing_pattern(evidence, group[0].score) or _nameless(
             evidence, group[0]
         )
         if evidence.competing:
             return _outside(evidence, group[0])
         more = joined(session, group[0]) if evidence.base.built is not None else None
-        return _named(evidence, group) if more is None else _several(evidence, more)
+        if more is not None and evidence.is_there(more):
+            return _several(evidence, more)
+        return _named(evidence, group)
     combined = several(session, evidence.singles) if evidence.singles else None
     if combined is not None:  # the weights have moved
         evidence.base = session.base_fit((evidence.base,))
         evidence.__dict__.pop('patterns', None)
+        evidence._told.clear()
         evidence.singles = session.refit(evidence.singles, evidence.base)
         evidence.best = session.best(evidence.singles)
     candidates = [r for r in (combined, evidence.best) if r is not None]
-    holds = combined is not None and session.holds(combined)
+    holds = combined is not None and session.holds(combined) and evidence.is_there(combined)
     evidence.competing = None
     if candidates and (holds or not session.brief):
         evidence.competing = competing_pattern(evidence, min(r.score for r in candidates))
@@ -283,7 +287,8 @@ def _outside(evidence: Evidence, best: Ranked | None) -> Diagnosis:
     if best is not None:
         evidence.scale = max(1.0, best.fit.chi2 / max(best.fit.freedom, 1))
     apart = APART_FROM_SCORE * evidence.scale
-    helpful = best is not None and best.score < evidence.base.deviance - apart
+    lower = best is not None and best.score < evidence.base.deviance - apart
+    helpful = lower and best is not None and evidence.is_there(best)
     near = [
         r.candidate.label
         for r in evidence.singles
@@ -313,6 +318,8 @@ def _result(
 ) -> Diagnosis:
     session = evidence.session
     left = left_by(session, evidence.told(chosen[0]) if chosen else None)
+    if verdict is Verdict.OUTSIDE_CATALOGUE and not left.after <= left.before:  # it is no fit
+        chosen, together, left = [], (), left_by(session, None)
     untested = tuple(
         c.names[0]
         for c in evidence.not_tested

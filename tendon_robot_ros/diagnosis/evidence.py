@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..comparison.statistics import chi2_sf
 from .candidates import Candidate, Ranked
 from .decide import (
     ALARM_LEVEL,
@@ -21,6 +22,7 @@ from .decide import (
 )
 from .fit import Fit
 from .fitter import TURN_GAIN_MIN
+from .interval import QUANTILE
 from .load import load_of
 from .patterns import Pattern, patterns_of
 from .race import Race
@@ -28,6 +30,7 @@ from .session import Session, better
 
 SAME_EVERYWHERE = ('contact', 'soft_cell', 'taper')  # patterns that a remainder is not
 
+NEUTRAL_LEVEL = 0.05  # of the intervals in which no effect has the value that is described
 ROUNDS = 4  # of weights and fits
 TURNED_MAX = 3  # best effects whose fits are tried beyond turns of friction
 TELLING_RATIO = 1.25  # up to which a cell bends by so many per cent more, not times as much
@@ -53,6 +56,28 @@ class Evidence:
         if label not in self._told:
             self._told[label] = self.session.fitters[0].told(ranked.fit)
         return self._told[label]
+
+    def is_there(self, ranked: Ranked) -> bool:
+        """
+        Tell whether each effect of a candidate is other than described, by 95 % intervals.
+
+        By that of one of its parameters, or of all of them together. An effect that is always on
+        has no absence.
+        """
+        session, fit = self.session, self.told(ranked)
+        for name in ranked.candidate.names:
+            if session.catalogue[name].always_on and name not in session.robot.effects:
+                continue
+            own = [i for i, free in enumerate(fit.frees) if free.effect == name]
+            known = fit.told[np.ix_(own, own)] * self.scale
+            seen = np.isfinite(np.diag(known)) & (np.diag(known) > 0.0)
+            described = np.array([session.predictor.value(fit.frees[i]) for i in own])
+            off, known = (fit.values[own] - described)[seen], known[np.ix_(seen, seen)]
+            alone = np.abs(off) > QUANTILE * np.sqrt(np.diag(known))
+            far = float(off @ np.linalg.pinv(known) @ off)
+            if not alone.any() and chi2_sf(far, max(len(off), 1)) > NEUTRAL_LEVEL:
+                return False
+        return True
 
     @cached_property
     def patterns(self) -> list[Pattern]:

@@ -171,10 +171,13 @@ def faults_among(
     for _ in range(REFINEMENTS):  # a place is told best when what the others do is known
         for k in range(len(chosen)):
             z, _ = tests.beside(chosen[:k] + chosen[k + 1 :])
-            chosen[k] = max(tests.same_kind(chosen[k], z), key=lambda i: abs(z[i]))
+            told = tests.same_kind(chosen[k], z)  # none: the others do all that it would
+            chosen[k] = max(told, key=lambda i: abs(z[i]), default=chosen[k])
     faults = []
     for k, best in enumerate(chosen):
         z, length = tests.beside(chosen[:k] + chosen[k + 1 :])
+        if not np.isfinite(z[best]):
+            continue
         size, half = float(z[best] / length[best]), float(normal_ppf(0.975) / length[best])
         alike = tuple(
             places[i].name
