@@ -41,6 +41,7 @@ EXTRAS = {
         'ros-jazzy-trajectory-msgs',
         'ros-jazzy-visualization-msgs',
     ],
+    'ros-test': ['ros-jazzy-test-msgs'],  # an action that every rclpy knows
     'test': [
         'hypothesis>=6.98',
         'pytest>=7.4,<8.4',

@@ -159,7 +159,7 @@ if [ "${1:-}" = --find ]; then
     exit
 fi
 if [ "$kind" = wheels ]; then
-    extras="$extras,ros"
+    extras="$extras,ros,ros-test"
     export AMENT_PREFIX_PATH="$venv"
     if [ "$(uname -sm)" != 'Linux x86_64' ]; then
         say "ROS 2 comes as wheels for x86-64 Linux only; on $(uname -sm), source ROS 2 Jazzy first"

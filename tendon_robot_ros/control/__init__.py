@@ -11,6 +11,7 @@ checks.py       refusals of what comes in, each with a code and a sentence
 jog.py          moving the tip with a velocity
 keeping_out.py  whether the arm would enter a region on its way
 trajectory.py   trajectories of tensions or wire pulls; the way of an arm driven by wire lengths
+goals.py        targets in turn or a trajectory, with progress, outcome and cancel: for actions
 tip_loop.py     the closed loop: changes of tension by which the measured tip comes nearer to its
                 target; when the tracker is not believed
 remainder.py    what the closed loop leaves between tip and target, and why, in words

@@ -200,6 +200,14 @@ class ControllerCore:
         return self.command if self.way is None else self.way.pulls
 
     @property
+    def heard_values(self) -> Array:
+        """What is measured of what is commanded, (m,) [N] or [m]; nan where not observable."""
+        heard = self._heard
+        if heard is None:
+            return np.full(len(self.model.inputs), np.nan)
+        return heard.pulls if self.settings.pull_mode else heard.tensions
+
+    @property
     def moving(self) -> bool:
         """Whether the command is still on its way."""
         if self.search is not None:

@@ -32,12 +32,8 @@ def controller_status(core: ControllerCore, now: float) -> ControllerStatus:
     """Say how the controller is; codes are listed in docs/ros_interface.md."""
     level, code, message = _condition(core, now)
     values = {'moving': str(core.moving).lower()}
-    if core.target is not None:
-        values['target_stamp'] = core.target.stamp
-    if core.search is not None:
-        values['target_stamp'] = core.search.target.stamp
-    elif core.playing is not None:
-        values['target_stamp'] = core.playing.stamp
+    if stamp := followed(core):
+        values['target_stamp'] = stamp
     if core.playing is not None:
         values['trajectory'] = core.playing.progress(now)
     if core.solution is not None:
@@ -53,6 +49,16 @@ def controller_status(core: ControllerCore, now: float) -> ControllerStatus:
     return ControllerStatus(level, code, message, values)
 
 
+def followed(core: ControllerCore) -> str:
+    """Return the stamp of the target or the trajectory that the controller is at, '' for none."""
+    if core.search is not None:
+        return core.search.target.stamp
+    for one in (core.looked, core.playing, core.target):
+        if one is not None:
+            return one.stamp
+    return ''
+
+
 def _condition(core: ControllerCore, now: float) -> tuple[str, str, str]:
     if core.latch:
         return ERROR, 'stopped', '; '.join(core.latch.reasons) + '; call reset to go on'
@@ -66,6 +72,11 @@ def _condition(core: ControllerCore, now: float) -> tuple[str, str, str]:
         return ERROR, 'no_equilibrium', core.no_equilibrium
     for refusal in core.refusals.values():
         return WARN, f'refused_{refusal.code}', str(refusal)
+    return activity(core, now)
+
+
+def activity(core: ControllerCore, now: float) -> tuple[str, str, str]:
+    """Return level, code and sentence of what the arm does, where nothing keeps it from that."""
     if core.search is not None:
         return _searching(core.search, now)
     if core.jogging:

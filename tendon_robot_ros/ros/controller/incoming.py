@@ -42,21 +42,31 @@ class Incoming:
         self._frames.base, self._model = self.base, model
         self._farthest = 1.5 * robot.length  # [m]
 
-    def pose(self, message: PoseStamped) -> Target:
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The names of the tendons."""
+        return self._model.inputs
+
+    @property
+    def pull(self) -> bool:
+        """Whether wire pulls are commanded."""
+        return bool(self._parameters['command_mode'] == 'pull')
+
+    def pose(self, message: PoseStamped, what: str = 'target_pose') -> Target:
         """Return a target with position and approach direction (+z of the orientation)."""
-        rotation, shift = self._header(message.header, 'target_pose')
+        rotation, shift = self._header(message.header, what)
         p, q = message.pose.position, message.pose.orientation
-        along = direction([q.x, q.y, q.z, q.w], 'target_pose')
-        place = rotation @ finite([p.x, p.y, p.z], 'target_pose') + shift
-        place = position(place.tolist(), self._farthest, 'target_pose')
+        along = direction([q.x, q.y, q.z, q.w], what)
+        place = rotation @ finite([p.x, p.y, p.z], what) + shift
+        place = position(place.tolist(), self._farthest, what)
         return Target(place, rotation @ along, _text(message.header))
 
-    def point(self, message: PointStamped) -> Target:
+    def point(self, message: PointStamped, what: str = 'target_point') -> Target:
         """Return a target with a position alone."""
-        rotation, shift = self._header(message.header, 'target_point')
+        rotation, shift = self._header(message.header, what)
         p = message.point
-        place = rotation @ finite([p.x, p.y, p.z], 'target_point') + shift
-        place = position(place.tolist(), self._farthest, 'target_point')
+        place = rotation @ finite([p.x, p.y, p.z], what) + shift
+        place = position(place.tolist(), self._farthest, what)
         return Target(place, stamp=_text(message.header))
 
     def measured_tip(self, message: PoseStamped) -> Array:
@@ -98,7 +108,7 @@ class Incoming:
 
     def trajectory(self, message: JointTrajectory) -> Playing | None:
         """Return a trajectory of tensions, or of wire pulls in pull mode; None ends one."""
-        what, pull = 'tendon_trajectory', self._parameters['command_mode'] == 'pull'
+        what, pull = 'tendon_trajectory', self.pull
         self._stamp(message.header, what)
         if not message.points:
             return None

@@ -4,7 +4,8 @@ The controller node: takes targets of the tip and publishes the tendon commands 
 Topics: ~/target_pose, ~/target_point, ~/delta_twist, ~/tendon_trajectory, tendon_states, stop
 (subscribed);
 tendon_command, ~/predicted_shape, ~/predicted_tip, ~/markers, ~/status, /diagnostics (published).
-Services: ~/stop, ~/reset. Parameters and units: docs/ros_interface.md.
+Services: ~/stop, ~/reset. Actions, where their types are installed: ~/follow_joint_trajectory,
+~/navigate_to_pose, ~/navigate_through_poses. Parameters and units: docs/ros_interface.md.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ from ..shared.parameters import Parameters
 from ..shared.runtime import goes_first, repeat, run
 from ..shared.senders import OtherPublishers, Received, Senders, signature
 from . import parameters
+from .actions import Actions
 from .incoming import Incoming
 from .model import ModelLoading, Prediction
 
@@ -80,6 +82,7 @@ class ControllerNode(ManagedNode):
         self._latency = self._told = self._asked = 0.0
         self._solver: Worker | None = None
         self._targets: list[Subscription] = []
+        self._actions: Actions | None = None
         self._signature, self._drivers = signature(self), Senders()
         self._speaking = threading.Lock()
         self._command = JointState()
@@ -128,6 +131,8 @@ class ControllerNode(ManagedNode):
 
     def activate(self) -> None:
         """Begin to hear targets: who waits for a subscriber sends none in vain."""
+        if self._actions is None:
+            self._actions = Actions(self)
         self._targets = [
             *hear_anybody(self, PoseStamped, '~/target_pose', self._pose, self._too_long),
             *hear_anybody(self, PointStamped, '~/target_point', self._point, self._too_long),
@@ -258,6 +263,8 @@ class ControllerNode(ManagedNode):
             self._idle(now)
             return
         self._reload(core)
+        if self._actions is not None and self._incoming is not None:
+            self._actions.serve(now, core, self._incoming)
         output = core.step(now)
         if output is not None:
             pulls = output.pulls
@@ -281,6 +288,8 @@ class ControllerNode(ManagedNode):
 
     def _idle(self, now: float) -> None:
         """Publish that it waits for a transition: the last status would go on being heard."""
+        if self._actions is not None:
+            self._actions.drop('the controller is not active')
         if now - self._told < STATUS_LOOK_PERIOD_S:
             return
         self._told = now

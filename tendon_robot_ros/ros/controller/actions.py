@@ -1,0 +1,304 @@
+"""
+Actions: goals with feedback, result and cancel, for scripts and behaviour trees.
+
+~/follow_joint_trajectory (control_msgs), ~/navigate_to_pose and ~/navigate_through_poses
+(nav2_msgs): offered where the package of the type is installed. What the arm does for a goal is
+control/goals.py; here it is only translated.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from geometry_msgs.msg import PointStamped, PoseStamped
+from numpy.typing import NDArray
+from rclpy.action.server import ActionServer, CancelResponse
+from rclpy.node import Node
+from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from ...control import ControllerCore, Refusal, Target
+from ...control.goals import GoalOutcome, MotionGoal, Progress, Tolerance
+from ..shared.messages import duration, pose, seconds, stamp_now
+from .incoming import Incoming
+
+Array = NDArray[np.float64]
+FEEDBACK_PERIOD_S = 0.1  # [s] as often as a status whose values change
+
+
+class ActionKind(Protocol):
+    """A type of action: from its messages to goals and back."""
+
+    type: Any
+
+    def goal(self, request: Any, incoming: Incoming, stamp: str) -> MotionGoal:
+        """Read a goal; Refusal says what is wrong."""
+
+    def feedback(self, progress: Progress, header: Header) -> Any:
+        """Write how far a goal is."""
+
+    def result(self, outcome: GoalOutcome) -> Any:
+        """Write how a goal ended."""
+
+
+# error_code of control_msgs/FollowJointTrajectory; INVALID_GOAL for what is not here
+INVALID_GOAL = -1
+TRAJECTORY_ERRORS = {
+    '': 0,
+    'canceled': 0,  # the status of the goal tells, as with joint_trajectory_controller
+    'names': -2,  # INVALID_JOINTS
+    'stale': -3,  # OLD_HEADER_TIMESTAMP
+    'path_tolerance': -4,  # PATH_TOLERANCE_VIOLATED
+    'goal_tolerance': -5,  # GOAL_TOLERANCE_VIOLATED
+}
+# error_code of nav2_msgs/NavigateToPose and NavigateThroughPoses; those of nav2 begin at 100
+POSE_REFUSED = 3
+POSE_ERRORS = {'': 0, 'nearest': 1, 'at_limit': 1, 'ended': 2, 'canceled': 2}
+
+
+class TendonTrajectory:
+    """control_msgs/FollowJointTrajectory: tensions [N] in `effort`, or wire pulls [m]."""
+
+    def __init__(self, kind: Any) -> None:
+        """Take the type."""
+        self.type, self._pull = kind, False
+        self._inputs: tuple[str, ...] = ()
+
+    def goal(self, request: Any, incoming: Incoming, stamp: str) -> MotionGoal:
+        """Read a goal; Refusal says what is wrong."""
+        if request.multi_dof_trajectory.points:
+            raise Refusal('length', 'multi_dof_trajectory: expected none, tendons have one axis')
+        playing = incoming.trajectory(request.trajectory)
+        if playing is None:
+            raise Refusal('length', 'trajectory: expected points, got none')
+        self._inputs, self._pull = incoming.inputs, incoming.pull
+        tolerance = self._tolerance(request) if self._pull else None
+        asked = [*request.path_tolerance, *request.goal_tolerance]
+        if not self._pull and any(one.position > 0.0 for one in asked):
+            raise Refusal(
+                'mode', 'path_tolerance, goal_tolerance: they are of positions; expected none, or '
+                'a controller in pull mode'
+            )  # fmt: skip
+        return MotionGoal([replace(playing, stamp=stamp)], tolerance)
+
+    def _tolerance(self, request: Any) -> Tolerance:
+        given = []
+        for what in ('path_tolerance', 'goal_tolerance'):
+            allowed = np.full(len(self._inputs), np.inf)
+            for one in getattr(request, what):
+                if one.name not in self._inputs:
+                    raise Refusal(
+                        'names', f'{what}: unknown {one.name!r}; expected one of '
+                        f'{", ".join(self._inputs)}'
+                    )  # fmt: skip
+                if one.position > 0.0:  # 0: not given, -1: erased; there is no default
+                    allowed[self._inputs.index(one.name)] = one.position
+            given.append(allowed)
+        path, goal = given
+        return Tolerance(path, goal, seconds(request.goal_time_tolerance) or np.inf)
+
+    def feedback(self, progress: Progress, header: Header) -> Any:
+        """Write how far a goal is."""
+        quantity, nothing = 'positions' if self._pull else 'effort', np.array([])
+        desired, actual = (
+            nothing if values is None else values for values in (progress.desired, progress.actual)
+        )
+        error = desired - actual if desired.size == actual.size else nothing
+        passed = duration(progress.passed)
+        points = {
+            name: JointTrajectoryPoint(time_from_start=passed, **{quantity: values.tolist()})
+            for name, values in (('desired', desired), ('actual', actual), ('error', error))
+        }
+        header = Header(stamp=header.stamp)  # joints have no frame
+        return self.type.Feedback(header=header, joint_names=list(self._inputs), **points)
+
+    def result(self, outcome: GoalOutcome) -> Any:
+        """Write how a goal ended."""
+        code = TRAJECTORY_ERRORS.get(outcome.code, INVALID_GOAL)
+        return self.type.Result(error_code=code, error_string=outcome.message)
+
+
+class TipPoses:
+    """
+    nav2_msgs/NavigateToPose and NavigateThroughPoses: poses of the tip, each to be reached.
+
+    An orientation of zeros asks for a position alone.
+    """
+
+    def __init__(self, kind: Any) -> None:
+        """Take the type."""
+        self.type = kind
+
+    def goal(self, request: Any, incoming: Incoming, stamp: str) -> MotionGoal:
+        """Read a goal; Refusal says what is wrong."""
+        many = hasattr(request, 'poses')
+        poses = getattr(request.poses, 'goals', request.poses) if many else [request.pose]
+        if not poses:
+            raise Refusal('length', 'poses: expected some, got none')
+        return MotionGoal([
+            replace(
+                self._target(one, incoming, f'pose {i + 1} of {len(poses)}' if many else 'pose'),
+                stamp=f'{stamp}/{i + 1}',
+            )
+            for i, one in enumerate(poses)
+        ])  # fmt: skip
+
+    @staticmethod
+    def _target(message: PoseStamped, incoming: Incoming, what: str) -> Target:
+        q = message.pose.orientation
+        if any((q.x, q.y, q.z, q.w)):
+            return incoming.pose(message, what)
+        return incoming.point(
+            PointStamped(header=message.header, point=message.pose.position), what
+        )
+
+    def feedback(self, progress: Progress, header: Header) -> Any:
+        """Write how far a goal is."""
+        message = self.type.Feedback(
+            navigation_time=duration(progress.passed),
+            estimated_time_remaining=duration(progress.left),
+            distance_remaining=float(np.nan_to_num(progress.distance)),
+        )
+        if progress.tip is not None and progress.frame is not None:
+            message.current_pose = PoseStamped(
+                header=header, pose=pose(progress.tip, progress.frame)
+            )
+        _fill(message, number_of_poses_remaining=progress.steps_left)
+        return message
+
+    def result(self, outcome: GoalOutcome) -> Any:
+        """Write how a goal ended."""
+        message, code = self.type.Result(), POSE_ERRORS.get(outcome.code, POSE_REFUSED)
+        _fill(message, error_code=code, error_msg=outcome.message)
+        return message
+
+
+def _fill(message: Any, **values: object) -> None:
+    """Set those fields that this version of the type has."""
+    for name, value in values.items():
+        if hasattr(message, name):
+            setattr(message, name, value)
+
+
+OFFERED: tuple[tuple[str, str, str, Callable[[Any], ActionKind]], ...] = (
+    ('follow_joint_trajectory', 'control_msgs', 'FollowJointTrajectory', TendonTrajectory),
+    ('navigate_to_pose', 'nav2_msgs', 'NavigateToPose', TipPoses),
+    ('navigate_through_poses', 'nav2_msgs', 'NavigateThroughPoses', TipPoses),
+)
+
+
+class CycledServer(ActionServer):
+    """
+    An action server whose goals are served by the cycle of its node.
+
+    rclpy has a coroutine wait for the end of every goal, and its executors poll that without
+    rest: a third of a processor.
+    """
+
+    def __init__(self, node: Node, kind: Any, name: str, accepted: Callable[[Any], None]) -> None:
+        """Offer the action."""
+        super().__init__(
+            node,
+            kind,
+            name,
+            execute_callback=lambda handle: None,  # never called: `notify_execute`
+            handle_accepted_callback=accepted,
+            cancel_callback=lambda handle: CancelResponse.ACCEPT,
+        )
+
+    def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:
+        """Have nothing executed, unless it is the end."""
+        if execute_callback is not None:
+            super().notify_execute(goal_handle, execute_callback)
+
+    def end(self, handle: Any, result: Any) -> None:
+        """Answer with the result of a goal that has come to its end."""
+        self.notify_execute(handle, lambda _: result)
+
+
+@dataclass
+class Pursued:
+    """A goal that a client waits for."""
+
+    server: CycledServer
+    kind: ActionKind
+    handle: Any
+    goal: MotionGoal | None = None  # until the next cycle reads it
+    told: float = -np.inf  # [s] when feedback was sent
+
+
+class Actions:
+    """The action servers of the controller, and the goals that they pursue."""
+
+    def __init__(self, node: Node) -> None:
+        """Offer the actions whose types can be imported."""
+        self._node = node
+        self._pursued: list[Pursued] = []
+        self.names: list[str] = []
+        missing = {}
+        for name, package, kind, make in OFFERED:
+            try:
+                kind_of = getattr(importlib.import_module(f'{package}.action'), kind)
+            except ImportError:
+                missing[package] = f'ros-jazzy-{package.replace("_", "-")}'
+            else:
+                self._offer(name, make(kind_of))
+        if missing:
+            node.get_logger().info(
+                f'actions of {" and ".join(missing)} are not offered: they are not installed: '
+                f'apt install {" ".join(missing.values())}'
+            )
+
+    def _offer(self, name: str, kind: ActionKind) -> None:
+        def accepted(handle: Any) -> None:
+            handle.execute()
+            self._pursued.append(Pursued(server, kind, handle))
+
+        server = CycledServer(self._node, kind.type, f'~/{name}', accepted)
+        self.names.append(name)
+
+    def serve(self, now: float, core: ControllerCore, incoming: Incoming) -> None:
+        """Begin what came, look how the rest goes, end what is over; called once per cycle."""
+        for one in list(self._pursued):
+            if one.handle.is_cancel_requested:
+                if one.goal is not None:
+                    one.goal.cancel(core, now)
+                self._end(one, GoalOutcome('canceled', 'canceled; the arm holds'))
+            elif one.goal is None:
+                self._begin(one, now, core, incoming)
+            elif (outcome := one.goal.look(core, now)) is not None:
+                self._end(one, outcome)
+            elif now - one.told >= FEEDBACK_PERIOD_S:
+                one.told = now
+                header = Header(frame_id=incoming.base, stamp=stamp_now(self._node))
+                progress = one.goal.progress(core, now)
+                one.handle.publish_feedback(one.kind.feedback(progress, header))
+
+    def drop(self, reason: str) -> None:
+        """End all goals: the controller commands nothing."""
+        for one in list(self._pursued):
+            self._end(one, GoalOutcome('ended', reason))
+
+    def _begin(self, one: Pursued, now: float, core: ControllerCore, incoming: Incoming) -> None:
+        """Ask for a goal; one that is refused ends with the reason and changes nothing else."""
+        try:
+            stamp = bytes(one.handle.goal_id.uuid).hex()
+            one.goal = one.kind.goal(one.handle.request, incoming, stamp)
+            one.goal.begin(core, now)
+        except Refusal as refusal:
+            self._end(one, GoalOutcome(refusal.code, str(refusal)))
+
+    def _end(self, one: Pursued, outcome: GoalOutcome) -> None:
+        self._pursued.remove(one)
+        handle = one.handle
+        if handle.is_cancel_requested:
+            handle.canceled()
+        elif outcome.code:
+            handle.abort()
+        else:
+            handle.succeed()
+        one.server.end(handle, one.kind.result(outcome))
