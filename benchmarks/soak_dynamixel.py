@@ -23,7 +23,7 @@ from bench_dynamixel import rules
 from emulated_bus import driver_for, emulator
 
 from tendon_robot_ros.common.errors import DriverError
-from tendon_robot_ros.drivers.dynamixel.bus import open_port
+from tendon_robot_ros.drivers.dynamixel.port import open_port
 from tendon_robot_ros.drivers.supervisor import FOLLOWING, Supervisor
 from tendon_robot_ros.ros.driver.motor_loop import MotorLoop
 

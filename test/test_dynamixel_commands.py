@@ -183,7 +183,12 @@ def test_whoever_ends_a_calibration_the_torque_is_off(scales, monkeypatch, numbe
 
 def test_a_port_lost_while_calibrating_is_one_line(scales, capsys):
     calibrate, line, _ = scales
-    threading.Timer(0.4, line.unplug).start()
+
+    def unplug_while_it_turns():
+        emulated.wait(lambda: line.servo(1).torque)
+        line.unplug()
+
+    threading.Thread(target=unplug_while_it_turns).start()
     assert calibrate('east') == 1
     assert 'lost while calibrating' in capsys.readouterr().err
 

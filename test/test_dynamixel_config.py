@@ -26,7 +26,8 @@ from tendon_robot_ros.drivers.dynamixel.control_table import (
 from tendon_robot_ros.drivers.dynamixel.motor import make_motors
 
 pytest.importorskip('dynamixel_sdk')
-from tendon_robot_ros.drivers.dynamixel.bus import UDEV_RULE, check_latency, without_header
+from tendon_robot_ros.drivers.dynamixel.bus import without_header
+from tendon_robot_ros.drivers.dynamixel.port import UDEV_RULE, check_latency
 
 
 def refusal(mode='tension', **changes):

@@ -17,7 +17,6 @@ from tendon_robot_ros.emulator.rig import SpringArm
 pytest.importorskip('dynamixel_sdk')
 
 from tendon_robot_ros.drivers.dynamixel import homing, torque
-from tendon_robot_ros.drivers.dynamixel.bus import Bus
 
 
 def driver_for(line, mode='tension', **changes):
@@ -60,7 +59,8 @@ def test_another_model_is_refused_by_name():
 @pytest.mark.parametrize(
     ('name', 'value', 'words'),
     [
-        ('drive_mode', 1, 'use direction: -1 in arm.yaml'),
+        ('drive_mode', 1, 'use direction: -1 for that'),
+        ('drive_mode', 4, 'expected 0, got 4: bit 0 turns the motor round'),
         ('drive_mode', 8, 'torque on by goal update'),
         ('homing_offset', -7, 'homing offset (address 20): expected 0, got -7'),
         ('status_return_level', 1, 'level (address 68): expected 2, got 1: whether it took a'),
@@ -102,31 +102,6 @@ def test_it_describes_resolution_calibration_and_servos_in_words():
         assert said['tension of east'].startswith('one count of current is 0.00731 N (683 counts')
         assert said['tension of east'].endswith('data sheet, not calibrated')
         assert said['east (id 1)'].startswith('XL330-M077 firmware 48, torque off')
-
-
-def test_a_late_answer_is_not_taken_for_that_of_the_next_register(monkeypatch):
-    read, on_the_way = Bus.read, []
-
-    def late(bus, identity, name):
-        value = read(bus, identity, name)
-        if on_the_way:
-            on_the_way.append(value)
-            return on_the_way.pop(0)
-        if name == 'min_voltage_limit':
-            on_the_way.append(value)
-            return None
-        return value
-
-    with emulated.line() as line:
-        driver = driver_for(line)
-        monkeypatch.setattr(Bus, 'read', late)
-        driver.open()
-        monkeypatch.undo()
-        assert on_the_way
-        end = time.monotonic() + 0.6  # voltages are polled four times a second
-        while time.monotonic() < end:
-            assert 'supply' not in emulated.codes(driver.read())
-        driver.close()
 
 
 def test_what_is_written_arrives_and_a_port_that_takes_nothing_is_lost():

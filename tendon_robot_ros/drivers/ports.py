@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 import select
@@ -12,6 +13,7 @@ from pathlib import Path
 # what an unplugged port raises: serial's error is an OSError, termios.error is none
 PORT_ERRORS = (OSError, termios.error)
 WRITE_TIMEOUT_S = 0.1  # [s] for which a port may take nothing
+NAME_SHOWN = 60  # characters of a command: a message is a line
 
 
 class PortLostError(Exception):
@@ -21,6 +23,20 @@ class PortLostError(Exception):
 def take_alone(file: int) -> None:
     """Let no other process open the port; a lock that pyserial takes binds its users only."""
     fcntl.ioctl(file, termios.TIOCEXCL)
+
+
+def refuse_held(path: str) -> None:
+    """
+    Refuse a port that is open already: a program without a lock would share its answers.
+
+    Raises
+    ------
+    OSError
+        Somebody has it; `why_not` says who.
+
+    """
+    if held_by(path):
+        raise OSError(errno.EBUSY, 'open already')
 
 
 def write_all(file: int, data: bytes) -> None:
@@ -55,21 +71,35 @@ def why_not(path: str, error: BaseException) -> str:
         return (
             f'{path}: not allowed; type: sudo usermod -aG dialout $USER, then log out and in again'
         )
-    if code in (11, 16) or 'lock' in str(error):
-        return f'{path}: another process has the port{_holder(path)}; stop it first'
+    if code in (errno.EAGAIN, errno.EBUSY) or 'lock' in str(error):
+        return f'{path}: {held_by(path) or "another process has the port"}; stop it first'
     return f'{path}: cannot open: {error}'
 
 
-def _holder(path: str) -> str:
-    """Name the process that has the port open, where it may be seen."""
+def held_by(path: str, others: bool = False) -> str:
+    """
+    Say which process has a port open, '' where none is seen.
+
+    Parameters
+    ----------
+    path : str
+    others : bool
+        Not this process.
+
+    """
     wanted = os.path.realpath(path)
     for link in Path('/proc').glob('[0-9]*/fd/*'):
         try:
-            if os.readlink(link) == wanted and int(link.parts[2]) != os.getpid():
-                command = Path('/proc', link.parts[2], 'cmdline').read_bytes()
-                name = command.replace(b'\0', b' ').decode(errors='replace').strip()
-                return f' (process {link.parts[2]}: {name[:60]})'
-        except OSError:
+            if os.readlink(link) != wanted:
+                continue
+            if int(link.parts[2]) == os.getpid():
+                if others:
+                    continue
+                return 'this process has the port already'
+            command = Path('/proc', link.parts[2], 'cmdline').read_bytes()
+            name = ' '.join(command.decode(errors='replace').replace('\0', ' ').split())
+            return f'another process has the port (process {link.parts[2]}: {name[:NAME_SHOWN]})'
+        except OSError:  # it has ended, or belongs to somebody else
             continue
     return ''
 

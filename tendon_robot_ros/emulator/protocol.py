@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from ..drivers.dynamixel.control_table import BAUD_RATES, REGISTERS
 from .rig import Rig
-from .servo import INSTRUCTION_ERROR, Servo
+from .servo import EEPROM_END, INSTRUCTION_ERROR, Servo
 
 HEADER = b'\xff\xff\xfd\x00'
 BROADCAST = 0xFE
@@ -143,6 +143,7 @@ class InstructionReceiver:
 # -----------------------------------------------------------------------------
 # What the servos of a bus do with an instruction, and what they answer together.
 
+SECONDARY_OFF = 253  # a secondary id from here on is none
 BOOT_TIME_S = 0.3  # [s] in which a rebooting servo is silent
 LEVELS = {PING: 0, READ: 1, SYNC_READ: 1, FAST_SYNC_READ: 1}
 WATCHED = {
@@ -186,6 +187,9 @@ class Responder:
         if code in (SYNC_READ, FAST_SYNC_READ):
             speaking = {i: servo for i, servo in servos.items() if _answers(servo, code)}
             return _sync_read(speaking, parameters, code == FAST_SYNC_READ)
+        if code == WRITE and len(parameters) > 2:
+            address, data = int.from_bytes(parameters[:2], 'little'), parameters[2:]
+            self._shadowed(servos, instruction.identity, address, data)
         everyone = instruction.identity == BROADCAST
         wanted = sorted(servos) if everyone else [instruction.identity]
         answers = [self._single(servos[i], code, parameters) for i in wanted if i in servos]
@@ -220,9 +224,20 @@ class Responder:
     def _sync_write(self, servos: dict[int, Servo], parameters: bytes) -> None:
         address, length = _address_and_length(parameters)
         for start in range(4, len(parameters) - length, length + 1):
+            data = parameters[start + 1 : start + 1 + length]
+            self._shadowed(servos, parameters[start], address, data)
             servo = servos.get(parameters[start])
             if servo is not None:
-                self._write(servo, address, parameters[start + 1 : start + 1 + length])
+                self._write(servo, address, data)
+
+    def _shadowed(
+        self, servos: dict[int, Servo], identity: int, address: int, data: bytes
+    ) -> None:
+        """Let servos whose secondary id is meant obey, without an answer; not in their flash."""
+        for servo in servos.values():
+            shadows = servo.get('secondary_id') == identity != servo.identity
+            if shadows and identity < SECONDARY_OFF and address >= EEPROM_END:
+                self._write(servo, address, data)
 
     def _write(self, servo: Servo, address: int, data: bytes) -> int:
         error = servo.write(address, data)

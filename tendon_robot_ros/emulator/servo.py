@@ -14,7 +14,9 @@ from ..drivers.dynamixel import control_table
 from ..drivers.dynamixel.control_table import (
     CURRENT_MODE,
     CURRENT_POSITION_MODE,
+    PWM_FULL,
     REGISTERS,
+    TABLE_BYTES,
     TICKS_PER_TURN,
     WATCHDOG_TRIPPED,
     Register,
@@ -103,12 +105,18 @@ class ServoMotion:
         self.current = current
         self._turn(current * self.model.torque_per_ampere, load, step)
 
-    def drive_position(self, goal: float, limit: float, load: Load, step: float) -> None:
-        """Turn towards an angle [rad] with at most the given current [A]."""
-        way = goal - self.angle
-        wanted = max(
-            -self.model.no_load_speed, min(self.model.no_load_speed, _POSITION_GAIN * way)
-        )
+    def drive_position(
+        self,
+        goal: float,
+        limit: float,
+        load: Load,
+        step: float,
+        top: float = math.inf,
+        gain: float = 1.0,
+    ) -> None:
+        """Turn towards an angle [rad] with at most the given current [A] and speed [rad/s]."""
+        way, top = goal - self.angle, min(top, self.model.no_load_speed)
+        wanted = max(-top, min(top, gain * _POSITION_GAIN * way))
         friction = math.copysign(self.friction, wanted) if abs(way) > 0.5 * TICK else 0.0
         torque = load.torque(wanted * step) + friction + self._damping * wanted
         needed = torque / self.model.torque_per_ampere
@@ -151,6 +159,8 @@ def drive(
     limit: float,
     load: Load,
     step: float,
+    top: float = math.inf,
+    gain: float = 1.0,
 ) -> None:
     """
     Advance a motor whose torque is on.
@@ -168,6 +178,10 @@ def drive(
         Of the wires against positive turning.
     step : float
         [s]
+    top : float
+        Fastest turning towards a goal [rad/s].
+    gain : float
+        Of the position, as a share of what is usual.
 
     """
     current, angle = goals
@@ -175,7 +189,7 @@ def drive(
         motion.drive_current(max(-limit, min(limit, current)), load, step)
     else:
         strongest = min(limit, abs(current)) if mode == CURRENT_POSITION_MODE else limit
-        motion.drive_position(angle, strongest, load, step)
+        motion.drive_position(angle, strongest, load, step, top, gain)
 
 
 # -----------------------------------------------------------------------------
@@ -189,7 +203,6 @@ def drive(
 RESULT_FAIL, INSTRUCTION_ERROR = 0x01, 0x02
 DATA_RANGE, DATA_LENGTH, DATA_LIMIT, ACCESS = 0x04, 0x05, 0x06, 0x07
 ALERT = 0x80
-TABLE_END = 147
 EEPROM_END = 64
 READ_ONLY = (
     'model_number',
@@ -203,6 +216,18 @@ READ_ONLY = (
     'present_temperature',
 )
 GOALS = ('goal_pwm', 'goal_current', 'goal_velocity', 'goal_position')
+WITHIN_LIMIT = {'goal_current': 'current_limit', 'goal_pwm': 'pwm_limit'}
+REVERSE, TIME_BASED, TORQUE_BY_GOAL = 0x01, 0x04, 0x08  # bits of the drive mode, address 10
+TORQUE_AT_START = 0x01  # bit of the startup configuration, address 60
+GAINS = {
+    'velocity_i_gain': 400,
+    'velocity_p_gain': 40,
+    'position_d_gain': 0,
+    'position_i_gain': 400,
+    'position_p_gain': 400,
+    'feedforward_2nd_gain': 0,
+    'feedforward_1st_gain': 0,
+}  # of the XL330-M077; only the position's own counts here
 BY_ADDRESS = {register.address: name for name, register in REGISTERS.items()}
 
 
@@ -221,7 +246,8 @@ class Servo:
         self.motion = ServoMotion(model)
         self.temperature = 30.0  # [°C]
         self.voltage = 0.5 * sum(model.voltage)  # [V]
-        self._bytes = bytearray(TABLE_END)
+        self._bytes = bytearray(TABLE_BYTES)
+        self._leg = 0.0  # [rad] from where the last goal position found it
         self._eeprom = {
             'model_number': model.number,
             'firmware_version': firmware,
@@ -229,6 +255,9 @@ class Servo:
             'baud_rate': next(k for k, v in control_table.BAUD_RATES.items() if v == baud),
             'return_delay_time': 250,
             'operating_mode': 3,
+            'secondary_id': 255,
+            'pwm_limit': PWM_FULL,
+            'pwm_slope': model.pwm_slope or 0,
             'shutdown': model.shutdown,
             'temperature_limit': model.temperature_limit,
             'current_limit': model.current_limit,
@@ -240,14 +269,21 @@ class Servo:
         self.boot()
 
     def boot(self) -> None:
-        """Start the firmware: RAM goes to its defaults, turns are forgotten."""
-        self._bytes[EEPROM_END:] = bytes(TABLE_END - EEPROM_END)
+        """
+        Start the firmware: RAM goes to its defaults, turns are forgotten.
+
+        With bit 0 of the startup configuration the torque comes on where the motor is.
+        """
+        self._bytes[EEPROM_END:] = bytes(TABLE_BYTES - EEPROM_END)
         self.put('status_return_level', 2)
         self.motion.angle = self.motion.ticks % control_table.TICKS_PER_TURN * TICK
         self.motion.speed = self.motion.current = self.motion.drag = 0.0
         self.silence = 0.0  # [s] since the last instruction packet
-        self._goals_to_defaults()
+        self._mode_to_defaults()
         self.refresh()
+        if self.get('startup_configuration') & TORQUE_AT_START:
+            self.put('goal_position', self.get('present_position'))
+            self.put('torque_enable', 1)
 
     def get(self, name: str) -> int:
         """Read a register by name."""
@@ -278,7 +314,7 @@ class Servo:
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Answer a read: error byte and data."""
-        if length < 1 or address + length > TABLE_END:
+        if length < 1 or address + length > TABLE_BYTES:
             return ACCESS | self.alert, b''
         return self.alert, bytes(self._bytes[address : address + length])
 
@@ -304,19 +340,25 @@ class Servo:
             return ACCESS
         if name in GOALS and self.tripped:
             return DATA_RANGE
-        if name == 'goal_current' and abs(value) > self.get('current_limit'):
-            return DATA_LIMIT
         if name == 'torque_enable' and (value > 1 or (value and self._shut_down())):
             return DATA_RANGE if value > 1 else RESULT_FAIL
         if name == 'bus_watchdog' and (value > 127 or (value and self.tripped)):
             return DATA_RANGE
-        if name == 'torque_enable' and value and not self.torque:
-            self.put('goal_position', self.motion.ticks + self.get('homing_offset'))
+        if name in WITHIN_LIMIT and abs(value) > self.get(WITHIN_LIMIT[name]):
+            return DATA_LIMIT
+        on_by_goal = name in GOALS and self.get('drive_mode') & TORQUE_BY_GOAL
+        if (on_by_goal or (name == 'torque_enable' and value)) and not self.torque:
+            self.put('goal_position', self.get('present_position'))
             if self.get('operating_mode') == CURRENT_MODE:
                 self.put('goal_current', 0)
+        before = self.get(name)
         self.put(name, value)
-        if name == 'operating_mode':
-            self._goals_to_defaults()
+        if on_by_goal and not self._shut_down():
+            self.put('torque_enable', 1)
+        if name == 'operating_mode' and value != before:
+            self._mode_to_defaults()
+        if name == 'goal_position':
+            self._leg = abs(self._to_angle(value) - self.motion.angle)
         self.refresh()
         return 0
 
@@ -324,10 +366,35 @@ class Servo:
         """Tell whether a hardware error keeps the torque off until a reboot."""
         return bool(self.get('hardware_error_status') & self.get('shutdown'))
 
-    def _goals_to_defaults(self) -> None:
+    def _mode_to_defaults(self) -> None:
+        """Reset what a new operating mode resets: gains, profile, goals, PWM."""
+        for name, value in GAINS.items():
+            self.put(name, value)
+        self.put('profile_velocity', 0)
+        self.put('profile_acceleration', 0)
+        if self.get('operating_mode') == CURRENT_POSITION_MODE:
+            self.put('pwm_limit', PWM_FULL)
         in_current_mode = self.get('operating_mode') == CURRENT_MODE
         self.put('goal_current', 0 if in_current_mode else self.get('current_limit'))
-        self.put('goal_pwm', 885)
+        self.put('goal_pwm', self.get('pwm_limit'))
+
+    def _to_angle(self, position: int) -> float:
+        """Return the angle [rad] of a position as the table has it."""
+        sign = -1 if self.get('drive_mode') & REVERSE else 1
+        return sign * (position - self.get('homing_offset')) * TICK
+
+    def _to_position(self, ticks: int) -> int:
+        sign = -1 if self.get('drive_mode') & REVERSE else 1
+        return sign * ticks + self.get('homing_offset')
+
+    def _top_speed(self, duty: float) -> float:
+        """Return how fast PWM and profile let it turn towards a goal [rad/s]."""
+        top, profile = duty * self.model.no_load_speed, self.get('profile_velocity')
+        if not profile or self.get('operating_mode') == CURRENT_MODE:
+            return top
+        if self.get('drive_mode') & TIME_BASED:
+            return min(top, self._leg / (1e-3 * profile))
+        return min(top, profile * control_table.RPM_PER_COUNT * 2.0 * math.pi / 60.0)
 
     def heard(self) -> None:
         """Note that an instruction packet went over the bus: it feeds the watchdog."""
@@ -354,7 +421,7 @@ class Servo:
     def _stop(self) -> None:
         """Trip the watchdog."""
         self.put('bus_watchdog', WATCHDOG_TRIPPED)
-        self.put('goal_position', self.motion.ticks + self.get('homing_offset'))
+        self.put('goal_position', self._to_position(self.motion.ticks))
         if self.get('operating_mode') == CURRENT_MODE:
             self.put('goal_current', 0)
 
@@ -363,21 +430,25 @@ class Servo:
         if not self.torque:
             self.motion.limp(load, step)
             return
-        unit = self.model.current_unit
-        angle = (self.get('goal_position') - self.get('homing_offset')) * TICK
+        unit, model = self.model.current_unit, self.model
+        duty = min(self.get('pwm_limit'), abs(self.get('goal_pwm'))) / PWM_FULL
+        stalled = duty * model.stall_torque / model.torque_per_ampere  # [A]
+        sign = -1 if self.get('drive_mode') & REVERSE else 1
         drive(
             self.motion,
             self.get('operating_mode'),
-            (self.get('goal_current') * unit, angle),
-            self.get('current_limit') * unit,
+            (sign * self.get('goal_current') * unit, self._to_angle(self.get('goal_position'))),
+            min(self.get('current_limit') * unit, stalled),
             load,
             step,
+            self._top_speed(duty),
+            self.get('position_p_gain') / GAINS['position_p_gain'],
         )
 
     def refresh(self) -> None:
         """Put what the sensors say into the table."""
         motion = self.motion
-        self.put('present_position', motion.ticks + self.get('homing_offset'))
+        self.put('present_position', self._to_position(motion.ticks))
         self.put('present_current', round(motion.current / self.model.current_unit))
         self.put(
             'present_velocity',

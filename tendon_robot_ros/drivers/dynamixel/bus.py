@@ -1,163 +1,31 @@
 """
-The bus: the serial port, and every conversation with the servos, through the SDK.
+The bus: every conversation with the servos, through the SDK, with its traps closed.
 
-Of the port only what the SDK leaves to its port handler is replaced: opening (exclusively),
-waiting for bytes (asleep instead of spinning), the clock (monotonic) and the time to wait for an
-answer (the SDK waits 34 ms whatever the adapter's latency is).
+The SDK drops a whole group read when one servo is silent and then gives zeros, hides the alert
+bit in group reads, hands signed values back unsigned, and forgets to lengthen a packet whose
+bytes look like a header. Whatever the failure, a method here returns what was really read and
+nothing else; only a lost port raises.
+
+An answer that comes after its time would be taken for that of the next question: a position for
+an error, a watchdog for a temperature. Answers keep their order. So after a silence a servo that
+is there is asked for as many bytes as nobody else asks for, another number every time: what
+comes before those is old.
 """
 
 from __future__ import annotations
 
-import contextlib
 import os
-import re
-import select
 import struct
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
 from typing import Any, TypeVar
 
-import serial
-from dynamixel_sdk import (
-    COMM_SUCCESS,
-    GroupSyncRead,
-    GroupSyncWrite,
-    PortHandler,
-    Protocol2PacketHandler,
-)
+from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, Protocol2PacketHandler
 
-from ...common.errors import DriverError
-from ..ports import PORT_ERRORS, PortLostError, take_alone, why_not, write_all
-from .control_table import REGISTERS, decode, encode
-
-UDEV_FILE = '/etc/udev/rules.d/99-usb-serial-latency.rules'
-UDEV_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
-LATENCY_MAX_MS = 2  # [ms]
-
-
-class Port(PortHandler):  # type: ignore[misc]
-    """The SDK's port handler for one process; `clock` tells how long it waits for answers [s]."""
-
-    clock = staticmethod(time.monotonic)
-
-    def __init__(self, path: str, baud: int, answer_time: float) -> None:
-        """Take path, baud rate and the time to wait for an answer besides its bytes [s]."""
-        super().__init__(path)
-        self.is_open: bool = False
-        self.baudrate = baud
-        self.answer_time = 1000.0 * answer_time  # [ms]
-
-    def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
-        """Open the port so that no other process can."""
-        if self.is_open:
-            self.closePort()
-        self.ser = serial.Serial(
-            port=self.port_name, baudrate=cflag_baud, timeout=0, exclusive=True
-        )
-        take_alone(self.ser.fileno())
-        self.is_open = True
-        self.ser.reset_input_buffer()
-        self.tx_time_per_byte = 10_000.0 / self.baudrate
-        return True
-
-    def closePort(self) -> None:  # noqa: N802
-        """Close for good; an unplugged port only becomes free again when it is closed."""
-        self.is_open = False
-        self.is_using = False
-        if self.ser is not None:
-            with contextlib.suppress(*PORT_ERRORS):
-                self.ser.reset_output_buffer()  # goals that are still waiting are old
-            with contextlib.suppress(*PORT_ERRORS):
-                self.ser.close()
-
-    def getCurrentTime(self) -> float:  # noqa: N802
-        """Return a time that no clock adjustment moves [ms]."""
-        return 1000.0 * self.clock()
-
-    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
-        """Wait for the bytes of an answer and the adapter's latency."""
-        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + self.answer_time)
-
-    def writePort(self, packet: list[int]) -> int:  # noqa: N802
-        """Write a packet; return its length."""
-        write_all(self.ser.fileno(), bytes(packet))
-        return len(packet)
-
-    def readPort(self, length: int) -> bytes:  # noqa: N802
-        """Read up to `length` bytes; sleep until the first comes or the time is over."""
-        left = 0.001 * (self.packet_timeout - self.getTimeSinceStart())
-        if left > 0.0:
-            select.select([self.ser.fileno()], [], [], left)
-        return bytes(self.ser.read(length))
-
-
-def open_port(path: str, baud: int, answer_time: float) -> Port:
-    """
-    Open a port for this process alone.
-
-    Raises
-    ------
-    DriverError
-        It does not exist, is not allowed, or another process has it.
-
-    """
-    port = Port(path, baud, answer_time)
-    try:
-        if port.openPort():
-            return port
-        raise DriverError(f'{path}: baudrate: the SDK does not know {baud}')
-    except PORT_ERRORS as error:
-        port.closePort()
-        raise DriverError(why_not(path, error)) from None
-
-
-def latency(path: str, sysfs: str = '/sys') -> int | None:
-    """Read the adapter's latency timer [ms]; None where the port has none."""
-    name = os.path.basename(os.path.realpath(path))
-    if not re.fullmatch(r'tty\w+', name):
-        return None
-    file = Path(sysfs, 'class', 'tty', name, 'device', 'latency_timer')
-    try:
-        return int(file.read_text())
-    except (OSError, ValueError):
-        return None
-
-
-def check_latency(path: str, allow: bool, sysfs: str = '/sys') -> int | None:
-    """
-    Return the latency timer [ms], None where there is none.
-
-    Raises
-    ------
-    DriverError
-        The adapter holds answers back for longer than 2 ms and that is not allowed.
-
-    """
-    milliseconds = latency(path, sysfs)
-    if milliseconds is not None and milliseconds > LATENCY_MAX_MS and not allow:
-        raise DriverError(
-            f'{path}: latency_timer: expected at most {LATENCY_MAX_MS} ms, '
-            f'got {milliseconds} ms: every '
-            f"answer comes that late; type: echo '{UDEV_RULE}' | sudo tee {UDEV_FILE} && "
-            'sudo udevadm control --reload && sudo udevadm trigger --action=add '
-            '--subsystem-match=usb-serial (or set allow_latency: true)'
-        )
-    return milliseconds
-
-
-# -----------------------------------------------------------------------------
-# The bus: every conversation with the servos, through the SDK, with its traps closed.
-#
-# The SDK drops a whole group read when one servo is silent and then gives zeros, hides the alert
-# bit in group reads, hands signed values back unsigned, and forgets to lengthen a packet whose
-# bytes look like a header. Whatever the failure, a method here returns what was really read and
-# nothing else; only a lost port raises.
-#
-# An answer that comes after its time would be taken for that of the next question: a position for
-# an error, a watchdog for a temperature. Answers keep their order. So after a silence a servo that
-# is there is asked for as many bytes as nobody else asks for, another number every time: what
-# comes before those is old.
+from ..ports import PORT_ERRORS, PortLostError, held_by
+from .control_table import REGISTERS, TABLE_BYTES, decode, encode
+from .port import Port, open_port
 
 T = TypeVar('T')
 GOALS = ('goal_current', 'goal_position')
@@ -165,6 +33,12 @@ GOALS = ('goal_current', 'goal_position')
 
 PACKET_ID, PACKET_LENGTH, PACKET_ERROR = 4, 5, 8  # places in a status packet
 FEWEST_BYTES, DIFFERENT_LENGTHS = 11, 20  # from address 0; no other read is so long
+
+# Between its questions a bus is silent. Bytes that come all the same, and are no late answer, are
+# somebody else's conversation: another program on the port, another adapter on the bus.
+LATE_S = 0.1  # [s] after which no answer of ours comes: the longest `answer_time`
+LISTENING_S = 0.2  # [s]; who talks less often disturbs little
+STRAY_MAX, STRAY_WITHIN_S = 3, 2.0  # conversations with bytes before them: a hiccup comes once
 
 
 class Bus:
@@ -193,6 +67,8 @@ class Bus:
         self._there: list[int] = []  # who has answered, the last one first
         self._behind = False  # an answer may be on its way that nobody waits for
         self._turn = 0
+        self._stray: deque[float] = deque(maxlen=STRAY_MAX)  # [s] when bytes had come unasked
+        self._talker = ''
 
     @property
     def connected(self) -> bool:
@@ -230,12 +106,41 @@ class Bus:
         if self._port is None:
             raise PortLostError(self.path)
         try:
+            if not self._behind and self._port.waiting():
+                self._stray.append(time.monotonic())
             self._catch_up(self._port)
             return what(self._port)
         except PORT_ERRORS as error:
             self.failures['port lost'] += 1
             self.close()
             raise PortLostError(f'{self.path}: {error}') from None
+
+    def second_talker(self) -> str:
+        """Look, and listen for a moment; say who else talks on this bus, '' for nobody."""
+        who = held_by(self.path, others=True)
+        if who or self._port is None:
+            return who
+        try:
+            time.sleep(LATE_S)
+            self._port.clearPort()
+            if self._port.waiting(LISTENING_S):
+                return self._other_talker()
+        except PORT_ERRORS:
+            self.close()
+        return ''
+
+    def disturbed(self) -> str:
+        """Say who else talks on this bus, from what came between the last conversations."""
+        stray = self._stray
+        if len(stray) < STRAY_MAX or time.monotonic() - stray[0] > STRAY_WITHIN_S:
+            self._talker = ''
+        elif not self._talker:  # looked up once: it takes a while
+            self._talker = self._other_talker()
+        return self._talker
+
+    def _other_talker(self) -> str:
+        who = held_by(self.path, others=True) or 'another program or adapter talks'
+        return f'bytes come that nobody here has asked for: {who}'
 
     def _learn(self, what: Callable[[Port], T | None]) -> T | None:
         """Run a conversation that reads; None while an old answer may be taken for a new one."""
@@ -290,6 +195,16 @@ class Bus:
         register = REGISTERS[name]
         data = self._read_bytes(identity, register.address, register.size)
         return None if data is None else decode(register, data)
+
+    def table(self, identity: int) -> dict[str, int] | None:
+        """Read all registers at once, name to value; None when there is no good answer."""
+        data = self._read_bytes(identity, 0, TABLE_BYTES)
+        if data is None:
+            return None
+        return {
+            name: decode(register, data[register.address : register.address + register.size])
+            for name, register in REGISTERS.items()
+        }
 
     def write(self, identity: int, name: str, value: int) -> str | None:
         """Write one register that is no goal; return what went wrong, or None."""

@@ -23,13 +23,16 @@ from ..hardware import (
 from ..interface import Array
 from .control_table import (
     BAUD_RATES,
+    INSTEAD,
     MODELS,
+    WITHOUT_CURRENT,
     Calibration,
     CurrentLine,
     Resolution,
     ServoModel,
     Spool,
     from_data_sheet,
+    plain_model,
     resolution,
 )
 
@@ -113,7 +116,7 @@ def _wire(
 ) -> WireConfig:
     item.only(*MOTOR_KEYS)
     identity = item.whole('id', 0, 252)
-    model = MODELS[nearest(item, top, 'model').choice('model', tuple(MODELS))]
+    model = read_model(nearest(item, top, 'model'))
     direction = read_direction(item, 'counter-clockwise winds')
     spool = Spool(read_spool_radius(item, top), direction)
     calibration = from_data_sheet(model, spool.radius)
@@ -140,6 +143,14 @@ def _wire(
         rate=_rate(top, item, highest, mode),
         calibration=calibration,
     )
+
+
+def read_model(fields: ConfigFields) -> ServoModel:
+    """Return a motor by the name on its label, or say what else there is."""
+    name = plain_model(str(fields.content.get('model', '')))
+    if name in WITHOUT_CURRENT.values():
+        raise fields.error('model', INSTEAD, name)
+    return MODELS[name] if name in MODELS else MODELS[fields.choice('model', tuple(MODELS))]
 
 
 def _rate(top: ConfigFields, item: ConfigFields, highest: float, mode: str) -> float:

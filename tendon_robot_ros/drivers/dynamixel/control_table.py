@@ -21,6 +21,7 @@ RPM_PER_COUNT = 0.229  # [rev/min], present and goal velocity
 VOLT_PER_COUNT = 0.1  # [V]
 WATCHDOG_UNIT_S = 0.020  # [s], address 98
 WATCHDOG_TRIPPED = 255  # -1 as an unsigned byte
+PWM_FULL = 885  # counts, 100 %
 POSITION_MAX_TICKS = 1_048_575  # [ticks], 256 turns in the multi-turn modes
 
 CURRENT_MODE, EXTENDED_MODE, CURRENT_POSITION_MODE = 0, 4, 5  # operating mode, address 11
@@ -43,16 +44,27 @@ REGISTERS = {
     'return_delay_time': Register(9, 1),
     'drive_mode': Register(10, 1),
     'operating_mode': Register(11, 1),
+    'secondary_id': Register(12, 1),
     'homing_offset': Register(20, 4, signed=True),
     'temperature_limit': Register(31, 1),
     'max_voltage_limit': Register(32, 2),
     'min_voltage_limit': Register(34, 2),
+    'pwm_limit': Register(36, 2),
     'current_limit': Register(38, 2),
+    'startup_configuration': Register(60, 1),
+    'pwm_slope': Register(62, 1),
     'shutdown': Register(63, 1),
     'torque_enable': Register(64, 1),
     'led': Register(65, 1),
     'status_return_level': Register(68, 1),
     'hardware_error_status': Register(70, 1),
+    'velocity_i_gain': Register(76, 2),
+    'velocity_p_gain': Register(78, 2),
+    'position_d_gain': Register(80, 2),
+    'position_i_gain': Register(82, 2),
+    'position_p_gain': Register(84, 2),
+    'feedforward_2nd_gain': Register(88, 2),
+    'feedforward_1st_gain': Register(90, 2),
     'bus_watchdog': Register(98, 1),
     'goal_pwm': Register(100, 2, signed=True),
     'goal_current': Register(102, 2, signed=True),
@@ -67,6 +79,8 @@ REGISTERS = {
     'present_input_voltage': Register(144, 2),
     'present_temperature': Register(146, 1),
 }
+TABLE_BYTES = 147  # from 0 to the last of them; indirect data begin behind them
+GAINS = tuple(name for name in REGISTERS if name.endswith('_gain'))
 
 # bit of address 70 -> code and what a person reads
 HARDWARE_ERRORS = {
@@ -117,6 +131,8 @@ class ServoModel:
         First firmware with the fast sync read.
     shutdown : int
         Default of address 63: which hardware errors switch the torque off.
+    pwm_slope : int, optional
+        Default of address 62, None where there is no such register.
 
     """
 
@@ -132,6 +148,7 @@ class ServoModel:
     temperature_limit: int
     fast_read_firmware: int
     shutdown: int
+    pwm_slope: int | None
 
 
 _FRICTION_SHARE = 0.13 / 2.3  # of the stall current; measured on an XM430-W350
@@ -149,6 +166,7 @@ def _model(
     celsius: int,
     firmware: int,
     shutdown: int,
+    slope: int | None,
 ) -> ServoModel:
     torque, current = stall
     return ServoModel(
@@ -164,24 +182,42 @@ def _model(
         celsius,
         firmware,
         shutdown,
+        slope,
     )
 
 
 MODELS = {
     model.name: model
     for model in (
-        # name, number, [A], limit, stall ([N·m], [A]), [rev/min], [V], [°C], firmware, shutdown
-        _model('XM430-W210', 1030, 2.69e-3, 1193, (3.0, 2.3), 77, (10.0, 14.8), 80, 45, 52),
-        _model('XM430-W350', 1020, 2.69e-3, 1193, (4.1, 2.3), 46, (10.0, 14.8), 80, 45, 52),
-        _model('XL330-M077', 1190, 1e-3, 1750, (0.215, 1.47), 383, (3.7, 6.0), 70, 46, 53),
-        _model('XL330-M288', 1200, 1e-3, 1750, (0.52, 1.47), 103, (3.7, 6.0), 70, 46, 53),
-        _model('XC330-T181', 1210, 1e-3, 910, (0.76, 0.80), 104, (6.5, 12.0), 70, 46, 52),
-        _model('XC330-T288', 1220, 1e-3, 910, (0.92, 0.80), 65, (6.5, 12.0), 70, 46, 52),
-        _model('XC330-M181', 1230, 1e-3, 2352, (0.60, 1.80), 129, (3.7, 6.0), 70, 46, 52),
-        _model('XC330-M288', 1240, 1e-3, 2352, (0.93, 1.80), 81, (3.7, 6.0), 70, 46, 52),
+        # name, number, [A], limit, stall ([N·m], [A]), [rev/min], [V], [°C], firmware, shutdown,
+        # PWM slope
+        _model('XM430-W210', 1030, 2.69e-3, 1193, (3.0, 2.3), 77, (10.0, 14.8), 80, 45, 52, None),
+        _model('XM430-W350', 1020, 2.69e-3, 1193, (4.1, 2.3), 46, (10.0, 14.8), 80, 45, 52, None),
+        _model('XL330-M077', 1190, 1e-3, 1750, (0.215, 1.47), 383, (3.7, 6.0), 70, 46, 53, 140),
+        _model('XL330-M288', 1200, 1e-3, 1750, (0.52, 1.47), 103, (3.7, 6.0), 70, 46, 53, 140),
+        _model('XC330-T181', 1210, 1e-3, 910, (0.76, 0.80), 104, (6.5, 12.0), 70, 46, 52, 255),
+        _model('XC330-T288', 1220, 1e-3, 910, (0.92, 0.80), 65, (6.5, 12.0), 70, 46, 52, 255),
+        _model('XC330-M181', 1230, 1e-3, 2352, (0.60, 1.80), 129, (3.7, 6.0), 70, 46, 52, 140),
+        _model('XC330-M288', 1240, 1e-3, 2352, (0.93, 1.80), 81, (3.7, 6.0), 70, 46, 52, 140),
     )
 }
 MODEL_NAMES = {model.number: model.name for model in MODELS.values()}
+WITHOUT_CURRENT = {
+    1060: 'XL430-W250',
+    1070: 'XC430-W150',
+    1080: 'XC430-W240',
+    1090: '2XL430-W250',
+    1160: '2XC430-W250',
+}  # model number -> name
+INSTEAD = (
+    f'one of {", ".join(MODELS)}, or pull mode through backend: ros2_control (without current '
+    'control nothing sets or limits the tension of a wire)'
+)
+
+
+def plain_model(name: str) -> str:
+    """Return the name of a model as it stands here: the label of a motor ends in -T or -R."""
+    return name.strip().upper().removesuffix('-T').removesuffix('-R')
 
 
 def decode(register: Register, data: bytes) -> int:

@@ -13,12 +13,13 @@ from ...robot import Robot
 from ..hardware import PortDriver
 from ..interface import Array, Fault, Reading
 from ..ports import PortLostError
-from .bus import Bus, check_latency
+from .bus import Bus
 from .config import DynamixelConfig, limits, read_config
 from .control_table import CURRENT_POSITION_MODE
-from .handshake import shake_hands
+from .handshake import second_talker_told, shake_hands
 from .homing import find_slack
 from .motor import Motor, make_motors
+from .port import check_latency
 from .torque import (
     Watch,
     come_back,
@@ -49,6 +50,9 @@ def driver_facts(
         out[str(motor)] = (
             f'{motor.model.name} firmware {motor.firmware}, torque {torque}{warm}{power}'
         )
+        if motor.settled:
+            changed = (f'{name.replace("_", " ")} {how}' for name, how in motor.settled.items())
+            out[f'registers of {motor} that were set'] = ', '.join(changed)
         for wire in motor.wires:
             known = 'calibrated' if wire.calibration.measured else 'data sheet, not calibrated'
             out[f'tension of {wire.name}'] = f'{wire.resolution}; {known}'
@@ -65,7 +69,7 @@ def driver_reading(
     motors: Mapping[int, Motor],
     observable: NDArray[np.bool_],
     now: float,
-    faults: tuple[Fault, ...] | None = None,
+    faults: tuple[Fault, ...],
 ) -> Reading:
     """
     Put together what was last read.
@@ -78,8 +82,7 @@ def driver_reading(
         Inputs whose tension the current shows well enough.
     now : float
         `time.monotonic()` [s].
-    faults : tuple of Fault, optional
-        Instead of the motors' own: they cannot be asked.
+    faults : tuple of Fault
 
     """
     pairs = [(motors[wire.motor], wire) for wire in config.wires]
@@ -87,9 +90,6 @@ def driver_reading(
     spread = [
         wire.calibration.uncertainty(t) for (_, wire), t in zip(pairs, tensions, strict=True)
     ]
-    if faults is None:
-        every = (motor.faults(config.port) for motor in motors.values())
-        faults = tuple(fault for some in every for fault in some)
     pulls = np.array([motor.pull(wire) for motor, wire in pairs])
     return Reading(now, pulls, tensions, 'current', np.array(spread), faults)
 
@@ -145,13 +145,15 @@ class DynamixelDriver(PortDriver):
         return any(motor.zero is None for motor in self.motors.values())
 
     def _find_slack(self) -> None:
-        find_slack(self.bus, self.config, list(self.motors.values()), self.cancelled)
+        with second_talker_told(self.bus):
+            find_slack(self.bus, self.config, list(self.motors.values()), self.cancelled)
 
     def _torque_on(self) -> None:
         seconds, why = watchdog_time(self.config)
         self._watch.watchdog = watchdog_counts(seconds)
         self._silence = f'{seconds:g} s ({why})' if seconds else f'off ({why})'
-        torque_on(self.bus, list(self.motors.values()), self._operating, self._watch.watchdog)
+        with second_talker_told(self.bus):
+            torque_on(self.bus, list(self.motors.values()), self._operating, self._watch.watchdog)
         self._zero_here()
 
     def disable(self, inputs: Sequence[str] = ()) -> None:
@@ -202,7 +204,8 @@ class DynamixelDriver(PortDriver):
         self._goal = self._towards(self.checked(command), self.limits, self._since_write())
         goals, bounds = {}, {}
         for identity, motor in self.motors.items():
-            if motor.wanted:
+            # a silent one may have lost its power and with it its turns: a place would wind it on
+            if motor.wanted and (motor.answers or self.mode == 'tension'):
                 goals[identity] = motor.goal(
                     [self._goal[self.inputs.index(n)] for n in motor.names]
                 )
@@ -275,8 +278,11 @@ class DynamixelDriver(PortDriver):
         return True
 
     def _reading(self, now: float) -> Reading:
-        faults: tuple[Fault, ...] | None = None
-        if not self.bus.connected:
+        if self.bus.connected:
+            talker = '' if not self._lost else self.bus.disturbed()
+            every = (motor.faults(self.config.port, talker) for motor in self.motors.values())
+            faults = tuple(fault for some in every for fault in some)
+        else:
             for motor in self.motors.values():
                 motor.answers = False
             gone = f'{self.config.port}: the port is gone; plug the adapter in again'

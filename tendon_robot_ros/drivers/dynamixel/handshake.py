@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from ...common.errors import DriverError
 from ..ports import PortLostError
 from .bus import Bus
 from .config import DynamixelConfig
-from .control_table import MODEL_NAMES, VOLT_PER_COUNT
+from .control_table import INSTEAD, MODEL_NAMES, VOLT_PER_COUNT, WITHOUT_CURRENT
 from .motor import Motor
+from .settings import read_table, refuse_settings
 
-REVERSE, TORQUE_BY_GOAL = 0x01, 0x08  # bits of the drive mode, address 10
 PING_ATTEMPTS = 3
 OTHER_RATES = (57600, 1_000_000)  # as delivered, and what most people set
+
+
+@contextmanager
+def second_talker_told(bus: Bus) -> Iterator[None]:
+    """Where a conversation fails because somebody else talks on the bus, say that instead."""
+    try:
+        yield
+    except DriverError as error:
+        talker = bus.second_talker()
+        if not talker:
+            raise
+        raise type(error)(f'{bus.path}: {talker}; one program at a time: stop it first') from None
 
 
 def shake_hands(bus: Bus, config: DynamixelConfig, motors: dict[int, Motor]) -> None:
@@ -24,22 +39,30 @@ def shake_hands(bus: Bus, config: DynamixelConfig, motors: dict[int, Motor]) -> 
         With what was expected and what was found; servos at other baud rates are looked for.
 
     """
-    models = {identity: _who(bus, identity) for identity in motors}
-    wrong = [i for i, motor in motors.items() if models[i] != motor.model.number]
-    if wrong:
-        raise DriverError(_difference(bus, motors, models))
-    for motor in motors.values():
-        motor.firmware = _ask(bus, motor, 'firmware_version')
-        _check_settings(bus, config, motor)
-        low, high = (
-            VOLT_PER_COUNT * _ask(bus, motor, name)
-            for name in ('min_voltage_limit', 'max_voltage_limit')
-        )
-        motor.voltage_limits = (low, high)
-        motor.hottest = _ask(bus, motor, 'temperature_limit') - config.margin
-        motor.errors = _ask(bus, motor, 'hardware_error_status')
-        motor.answers = True
+    with second_talker_told(bus):
+        models = {identity: _who(bus, identity) for identity in motors}
+        wrong = [i for i, motor in motors.items() if models[i] != motor.model.number]
+        if wrong:
+            _refuse_without_current(bus, models)
+            raise DriverError(_difference(bus, motors, models))
+        for motor in motors.values():
+            table = read_table(bus, motor)
+            refuse_settings(bus, motor, table)
+            motor.firmware = table['firmware_version']
+            low, high = table['min_voltage_limit'], table['max_voltage_limit']
+            motor.voltage_limits = (VOLT_PER_COUNT * low, VOLT_PER_COUNT * high)
+            motor.hottest = table['temperature_limit'] - config.margin
+            motor.errors = table['hardware_error_status']
+            motor.answers = True
     bus.fast = all(m.firmware >= m.model.fast_read_firmware for m in motors.values())
+
+
+def _refuse_without_current(bus: Bus, models: dict[int, int | None]) -> None:
+    """Say what else there is for motors that control no current."""
+    without = {i: WITHOUT_CURRENT[n] for i, n in models.items() if n in WITHOUT_CURRENT}
+    if without:
+        named = ', '.join(f'{identity}: {name}' for identity, name in without.items())
+        raise DriverError(f'{bus.path}: model: expected {INSTEAD}, found {named}')
 
 
 def _who(bus: Bus, identity: int) -> int | None:
@@ -49,52 +72,6 @@ def _who(bus: Bus, identity: int) -> int | None:
         if number is not None:
             return number
     return None
-
-
-def _ask(bus: Bus, motor: Motor, name: str) -> int:
-    """Read a setting until two answers agree: a late one may be that of the register before."""
-    lost, last = 0, None
-    for _ in range(3 * PING_ATTEMPTS):
-        value = bus.read(motor.identity, name)
-        if value is None:
-            lost += 1
-            if lost == PING_ATTEMPTS:
-                break
-        elif value == last:
-            return value
-        else:
-            last = value
-    if bus.ping(motor.identity) is not None:
-        raise DriverError(
-            f'{bus.path}: {motor}: status return level (address 68): expected 2, got 0 as it '
-            'seems: pings are answered, reads are not; write 2, or check the cable'
-        )
-    raise DriverError(
-        f'{bus.path}: {motor}: {name}: no answer in {PING_ATTEMPTS} tries; check the cable'
-    )
-
-
-def _check_settings(bus: Bus, config: DynamixelConfig, motor: Motor) -> None:
-    """Refuse settings under which this driver would not do what it says."""
-    drive_mode = _ask(bus, motor, 'drive_mode')
-    if drive_mode & (REVERSE | TORQUE_BY_GOAL):
-        raise DriverError(
-            f'{bus.path}: {motor}: drive mode (address 10): expected normal direction and no '
-            f'"torque on by goal update", got {drive_mode:#04x}; write 0, and use direction: -1 '
-            f'in {config.source}'
-        )
-    offset = _ask(bus, motor, 'homing_offset')
-    if offset:
-        raise DriverError(
-            f'{bus.path}: {motor}: homing offset (address 20): expected 0, got {offset}: with '
-            'some firmwares a tripped bus watchdog then makes the motor run; write 0'
-        )
-    level = _ask(bus, motor, 'status_return_level')
-    if level != 2:
-        raise DriverError(
-            f'{bus.path}: {motor}: status return level (address 68): expected 2, got {level}: '
-            'whether it took a command stays unknown; write 2'
-        )
 
 
 def describe(models: dict[int, int]) -> str:
@@ -143,5 +120,8 @@ def _elsewhere(bus: Bus) -> str:
         finally:
             other.close()
         if models:
-            return f'at {baud} baud: {describe(models)}; '
-    return ''
+            break
+    else:
+        models = {}
+    bus.reopen()
+    return f'at {baud} baud: {describe(models)}; ' if models else ''

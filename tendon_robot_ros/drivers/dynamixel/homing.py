@@ -169,7 +169,7 @@ def _cycle(bus: Bus, config: DynamixelConfig, searches: list[SlackSearch], passe
             _back_off(bus, config, search, passed)
         elif search.middle is not None:
             _return(config, search, search.middle)
-        elif _wind(config, search, passed) and not _awoken(bus, search):
+        elif _wind(config, search, passed) and not _awoken(bus, search) and _pulls(config, search):
             _stalled(search)
     goals = {s.motor.identity: round(s.goal) for s in searches}
     bus.send_goals(
@@ -243,6 +243,25 @@ def _stay_near(config: DynamixelConfig, search: SlackSearch) -> None:
             f'{config.home_travel:g} m; is the wire on its spool, is direction right? torque is '
             'off'
         )
+
+
+def _pulls(config: DynamixelConfig, search: SlackSearch) -> bool:
+    """
+    Tell whether a motor that stands has the current of a taut wire; refuse one that goes without.
+
+    Against a wire it has all that it may have, without one what its friction takes. One that
+    stands with less is held back by something else: its wire is not found.
+    """
+    motor = search.motor
+    drawn = search.way * (motor.current or 0) * motor.model.current_unit
+    taut = max(w.calibration.wind.current(0.5 * config.home_tension) for w in motor.wires)
+    if drawn < taut and search.still > TURNS_WITHIN_S:
+        raise MovedError(
+            f'{config.port}: {motor}: stands still with {drawn:.3f} A, expected more than '
+            f'{taut:.3f} A against a taut wire: something else holds it back; does the spool '
+            'turn freely, is the supply strong enough? torque is off'
+        )
+    return drawn >= taut
 
 
 def _stalled(search: SlackSearch) -> None:

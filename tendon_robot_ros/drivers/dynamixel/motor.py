@@ -52,6 +52,10 @@ class Motor:
         Last good reading, position in ticks and current in counts.
     zero : float, optional
         Ticks at which the pulls are zero, None while unknown.
+    gains : dict of int to list of int
+        Operating mode -> gains (76 to 91) that the motor itself has for it.
+    settled : dict of str to str
+        Register -> what the driver has changed, in words.
 
     """
 
@@ -74,6 +78,8 @@ class Motor:
     hottest: float = math.inf
     guided: tuple[int, tuple[int, int]] | None = None  # while the driver itself moves it
     weakened: int | None = None  # [counts] what it may hold since a stop in pull mode
+    gains: dict[int, list[int]] = field(default_factory=dict)
+    settled: dict[str, str] = field(default_factory=dict)
     _carried: int = 0  # [counts] what it may have held when that began
     _lately: deque[int] = field(default_factory=lambda: deque(maxlen=LATELY))
 
@@ -188,8 +194,8 @@ class Motor:
             self._carried = min(max(carried, end), self.strongest)
         self.weakened = round(end + max(0.0, 1.0 - share) * (self._carried - end))
 
-    def faults(self, port: str) -> Iterator[Fault]:
-        """List what is wrong with it."""
+    def faults(self, port: str, talker: str = '') -> Iterator[Fault]:
+        """List what is wrong with it; `talker` says who else talks on the bus."""
         who = f'{port}: {self}'
         advice = 'torque is off; remove the cause, then reboot it'
         for code, words in hardware_errors(self.errors):
@@ -198,13 +204,13 @@ class Motor:
             words = 'it lost its power or its torque was switched off'
             advice = 'stays off until it is enabled again'
             yield Fault('restarted', f'{who}: {words}; {advice}', True, self.names)
-        for code, words in self._mild():
+        for code, words in self._mild(talker):
             yield Fault(code, f'{who}: {words}', False, self.names)
 
-    def _mild(self) -> Iterator[tuple[str, str]]:
+    def _mild(self, talker: str) -> Iterator[tuple[str, str]]:
         """List codes and words of what does not take its torque."""
         if not self.answers:
-            yield 'silent', 'no answer; check its cable and the motor supply'
+            yield 'silent', f'no answer; {talker or "check its cable and the motor supply"}'
         if self.tripped:
             yield 'watchdog', 'its bus watchdog stopped it: no instruction came in time'
         if self.temperature is not None and self.temperature >= self.hottest:

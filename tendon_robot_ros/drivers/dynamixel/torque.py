@@ -21,8 +21,8 @@ from .control_table import (
     hardware_errors,
 )
 from .motor import HEALTH, STATE, Motor
+from .settings import must_write, settle
 
-WRITE_ATTEMPTS = 3
 WATCHDOG_S = 0.2  # [s] that a busy computer may be late
 WATCHDOG_REALTIME_S = 0.08  # [s]
 
@@ -51,21 +51,6 @@ def operating_mode(config: DynamixelConfig, mode: str) -> int:
     if mode == 'tension':
         return CURRENT_MODE
     return EXTENDED_MODE if config.operation == 'extended' else CURRENT_POSITION_MODE
-
-
-def must_write(bus: Bus, motor: Motor, name: str, value: int) -> None:
-    """Write a register, again if need be; raise DriverError when the servo refuses."""
-    for _ in range(WRITE_ATTEMPTS):
-        problem = bus.write(motor.identity, name, value)
-        if problem is None:
-            return
-    raise DriverError(f'{bus.path}: {motor}: {name} = {value}: {problem}')
-
-
-def _settle(bus: Bus, motor: Motor, name: str, value: int) -> None:
-    """Write a register of the flash memory only when it differs: it wears."""
-    if bus.read(motor.identity, name) != value:
-        must_write(bus, motor, name, value)
 
 
 def read_state(bus: Bus, motors: Iterable[Motor]) -> None:
@@ -105,10 +90,7 @@ def torque_on(bus: Bus, motors: Iterable[Motor], mode: int, watchdog: int) -> No
             words = ', '.join(text for _, text in hardware_errors(errors))
             raise DriverError(f'{bus.path}: {motor}: {words}; remove the cause, then reboot it')
         must_write(bus, motor, 'torque_enable', 0)
-        must_write(bus, motor, 'bus_watchdog', 0)
-        _settle(bus, motor, 'return_delay_time', 0)
-        _settle(bus, motor, 'operating_mode', mode)
-        _settle(bus, motor, 'current_limit', motor.strongest)
+        settle(bus, motor, mode)
     read_state(bus, chosen)
     silent = [str(motor) for motor in chosen if not motor.answers]
     if silent:

@@ -11,7 +11,7 @@ import serial
 
 from ...common.errors import DriverError
 from ..interface import Array
-from ..ports import PORT_ERRORS, PortLostError, take_alone, why_not, write_all
+from ..ports import PORT_ERRORS, PortLostError, refuse_held, take_alone, why_not, write_all
 from . import messages
 from .config import BoardConfig
 from .messages import VERSION, Frame, FrameReceiver, Identity, Telemetry, encode
@@ -75,6 +75,7 @@ class BoardLink:
         return self.connected
 
     def _open(self) -> None:
+        refuse_held(self.path)
         port = serial.Serial(self.path, self.baud, timeout=0, exclusive=True)
         try:
             take_alone(port.fileno())
