@@ -54,9 +54,11 @@ def test_emulate_prints_a_port_that_the_driver_opens_and_obeys_its_input(robot_f
         assert emulator.process.wait(60) == 0
 
 
-def test_emulate_ends_on_a_signal_and_takes_its_port_away(tmp_path, robot_file):
+@pytest.mark.parametrize('named', [False, True])
+def test_emulate_ends_on_a_signal_and_takes_its_port_away(tmp_path, robot_file, named):
     path = str(tmp_path / 'port')
-    with EmulatorProcess(robot_file, '--arm', 'springs', '--port', path) as emulator:
+    robot = 'kato_10_1' if named else robot_file
+    with EmulatorProcess(robot, '--arm', 'springs', '--port', path) as emulator:
         assert emulator.port == path
         emulator.process.terminate()
         assert emulator.process.wait(60) == 0

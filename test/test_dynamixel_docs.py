@@ -12,11 +12,13 @@ from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.config import KEYS
 from tendon_robot_ros.drivers.dynamixel.control_table import (
     MODELS,
+    REGISTERS,
     from_data_sheet,
     resolution,
     smallest_spool,
 )
 from tendon_robot_ros.drivers.dynamixel.port import UDEV_FILE, UDEV_RULE
+from tendon_robot_ros.drivers.dynamixel.settings import SETTINGS
 from tendon_robot_ros.robot import load_robot
 
 PAGE = (ROOT / 'docs' / 'dynamixel.md').read_text(encoding='utf-8')
@@ -58,3 +60,12 @@ def test_the_example_configuration_is_accepted(mode):
     content = parse_yaml(path.read_text(encoding='utf-8'))
     driver = make_driver('dynamixel', robot, content, mode=mode, source=str(path))
     assert driver.limits.shape == (4, 2)
+
+
+def test_the_page_lists_every_register_that_the_driver_owns():
+    rows = [line for line in PAGE.splitlines() if line.endswith(('set |', 'refused |', '` |'))]
+    for setting in SETTINGS:
+        (row,) = [row for row in rows if f'({REGISTERS[setting.name].address})' in row]
+        assert ('refused' in row.split('|')[-2]) == setting.refused
+        if setting.value is not None:
+            assert str(setting.value) in row

@@ -53,7 +53,9 @@ class Emulated:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument('kind', choices=('dynamixel', 'serial'), help='what is emulated')
-    parser.add_argument('--robot', required=True, help='robot description (YAML)')
+    parser.add_argument(
+        '--robot', required=True, help='robot description (YAML), or the name of one'
+    )
     parser.add_argument('--model', default='XL330-M077', choices=tuple(MODELS))
     parser.add_argument(
         '--spool-radius',

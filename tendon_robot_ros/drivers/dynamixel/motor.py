@@ -210,7 +210,8 @@ class Motor:
     def _mild(self, talker: str) -> Iterator[tuple[str, str]]:
         """List codes and words of what does not take its torque."""
         if not self.answers:
-            yield 'silent', f'no answer; {talker or "check its cable and the motor supply"}'
+            blamed = 'no answer; check its cable and the motor supply'
+            yield 'silent', f'no answer; {talker}' if talker else blamed
         if self.tripped:
             yield 'watchdog', 'its bus watchdog stopped it: no instruction came in time'
         if self.temperature is not None and self.temperature >= self.hottest:
