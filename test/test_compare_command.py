@@ -1,6 +1,7 @@
 """The command `compare`: what it prints, its JSON, and how models are named."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,10 +14,10 @@ from tendon_robot_ros.common.words import mm
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.comparison.saved import from_json, load_comparison, to_json
-from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.data import load_dataset, save_dataset
 from tendon_robot_ros.diagnosis.outliers import find_outliers
 from tendon_robot_ros.effects import load_catalogue
-from tendon_robot_ros.report.comparison_text import kind
+from tendon_robot_ros.report.comparison_text import kind, sentences
 
 
 @pytest.fixture(scope='module')
@@ -93,25 +94,52 @@ def test_a_model_with_friction_is_called_fkm_whatever_else_it_has():
 
 
 @pytest.mark.parametrize('name', ['messy_002', 'messy_s0'])
-def test_readings_that_a_diagnosis_leaves_out_are_named_with_its_noise_floor(
-    name, tmp_path, capsys
-):
+def test_readings_that_other_trials_contradict_are_named_and_left_out(name, tmp_path, capsys):
     folder = ROOT / 'test' / 'data' / 'as_built' / name / 'fit'
     assert main(['compare', str(folder), '--report', str(tmp_path / 'page.html')]) == 0
     lines = capsys.readouterr().out.splitlines()
     dataset = load_dataset(folder)
     kept = find_outliers(Predictor(dataset, dataset.robot, load_catalogue()), {}).without(dataset)
-    floor = mm(compare(kept).noise_floor)
-    assert floor != mm(compare(dataset).noise_floor)
+    direct = compare(kept)
+    assert mm(direct.noise_floor) != mm(compare(dataset).noise_floor)
     start = next(i for i, line in enumerate(lines) if line.startswith('noise floor'))
-    assert lines[start + 1].startswith('diagnose leaves out')
-    told = f'without that the noise floor is {floor}, and diagnose starts from it'
-    assert told in lines[start + 1 : start + 4]
-    assert told[1:] in (tmp_path / 'page.html').read_text(encoding='utf-8')
+    assert lines[start].split()[-2:] == mm(direct.noise_floor).split()
+    assert mm(direct.best.rms) in lines[start - 1]
+    assert lines[start + 1].startswith('left out')
+    assert lines[start + 1][1:] in (tmp_path / 'page.html').read_text(encoding='utf-8')
+
+
+@pytest.mark.parametrize(
+    ('noise', 'said'),
+    [
+        (2e-4, 'The model is as good as your measurements can tell'),
+        (8e-3, 'Nothing can be judged: the noise floor is '),
+    ],
+)
+def test_a_floor_that_is_a_large_share_of_the_motion_judges_nothing(noise, said, hinges):
+    exact = compare(hinges).models[0].markers[:, None]
+    places = exact + np.random.default_rng(1).normal(0.0, noise, hinges.positions.shape)
+    last = sentences(compare(replace(hinges, positions=places)))[-1]
+    assert last.startswith(said)
+    assert 'diagnose' not in last
+
+
+def test_a_trial_that_went_elsewhere_does_not_make_the_floor_that_judges(hinges, tmp_path, capsys):
+    """It makes a floor of many times the noise, with which a wrong model would pass."""
+    places = hinges.positions.copy()
+    places[3, 1] = places[8, 1]
+    data = replace(hinges, positions=places)
+    save_dataset(data, tmp_path / 'data')
+    assert main(['compare', str(tmp_path / 'data')]) == 0
+    out = capsys.readouterr().out
+    assert f'trial 1 of posture {data.postures[3]}' in out
+    assert 'The model is off by' in out
+    raw = compare(data)
+    assert raw.best.rms < 1.3 * raw.noise_floor, 'with that trial nothing would be told'
 
 
 def test_nothing_is_said_of_readings_where_none_is_left_out(capsys):
     assert main(['compare', str(blind('b') / 'fit')]) == 0
     out = capsys.readouterr().out
-    assert 'diagnose leaves out' not in out
+    assert 'left out' not in out
     assert '\nworst: posture 10' in out, 'of one model it is clear whose posture that is'

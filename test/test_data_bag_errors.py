@@ -49,8 +49,9 @@ def test_a_recording_of_ros_1(tmp_path):
 def test_a_missing_topic_is_named_with_those_that_would_do(tmp_path):
     bag = Recorder(by_topic=True, rate=20.0).write(tmp_path / 'bag', STILL)
     assert error_of(bag) == (
-        'BAG: topic /measured_shape is not in it; name one that is a '
-        'geometry_msgs/msg/PoseArray; there: none'
+        'BAG: topic /measured_shape is not in it, and no topic or frame of /tf is called 1, 2, 3; '
+        'say which is which marker, --marker 1=NAME for each; there: /tracker/m0, /tracker/m1, '
+        '/tracker/m2'
     )
     assert error_of(bag, topics=Topics(markers={'tip': 'tip'})) == (
         'BAG: topic /tip is not in it; name one that is a geometry_msgs/msg/PoseStamped; there: '

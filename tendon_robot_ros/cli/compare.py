@@ -3,7 +3,8 @@ Show how far a model is off, where, and how much of that is noise.
 
 Errors are distances between the model and the mean over the trials of a posture; the tip error is
 that of the last marker, trial by trial: the mean over the trials, then postures. The noise
-floor is the rms that a perfect model would show, setting noise included. Without --model the
+floor is the rms that a perfect model would show, setting noise included. Readings and trials that
+the other trials of their posture contradict are named and left out. Without --model the
 description that the data set names is compared.
 
 JSON: models [{name, rms, max, tip_error, per_marker_rms, per_posture}], noise_floor, paired_t, and
@@ -19,10 +20,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..common.errors import InputError
-from ..common.words import mm
 from ..comparison.compare import compare
 from ..comparison.predict import Predictor
-from ..comparison.result import Comparison
 from ..comparison.saved import to_json
 from ..comparison.statistics import ERRORS
 from ..data import DataSet
@@ -64,8 +63,9 @@ def run(args: argparse.Namespace) -> int:
     """Compare and print."""
     dataset = load_measurements(args.data, args.model[0] if args.model else None)
     catalogue = effects_of(args)
-    comparison = compare(dataset, _models(args, dataset), catalogue, args.error)
-    notes = _contradicted(dataset, comparison, catalogue)
+    models = _models(args, dataset)
+    kept, notes = _consistent(dataset, catalogue)
+    comparison = compare(kept, models, catalogue, args.error)
     lines = [table(comparison), *notes, *sentences(comparison)]
     if args.report:
         from ..report.comparison_page import write_comparison
@@ -75,14 +75,12 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _contradicted(dataset: DataSet, comparison: Comparison, catalogue: Catalogue) -> list[str]:
-    """Name readings that a diagnosis leaves out, and the noise floor that it has therefore."""
+def _consistent(dataset: DataSet, catalogue: Catalogue) -> tuple[DataSet, list[str]]:
+    """Leave out what other trials contradict, as a diagnosis does, and name it."""
     outliers = find_outliers(Predictor(dataset, dataset.robot, catalogue), {})
-    if not outliers.any or comparison.noise_floor is None:
-        return []
-    kept = compare(outliers.without(dataset), dataset.robot, catalogue).noise_floor
-    names = left_out(left_out_details(dataset, outliers, ()), 'diagnose leaves out')
-    return [*names, f'without that the noise floor is {mm(kept)}, and diagnose starts from it']
+    if not outliers.any:
+        return dataset, []
+    return outliers.without(dataset), left_out(left_out_details(dataset, outliers, ()))
 
 
 def _models(args: argparse.Namespace, dataset: DataSet) -> list[tuple[str, Robot]]:

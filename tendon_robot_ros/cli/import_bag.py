@@ -2,9 +2,10 @@
 Make a data set from a rosbag2 recording: wherever the arm stands still, it was measured.
 
 The recording holds the tendon states (sensor_msgs/JointState) and the shape: one
-geometry_msgs/PoseArray with a pose per marker, or one geometry_msgs/PoseStamped topic per marker.
-Still segments with the same inputs are trials of one posture. Look at the picture before you
-trust them.
+geometry_msgs/PoseArray with a pose per marker, or a geometry_msgs/PoseStamped topic or a frame of
+/tf per marker. Markers in another frame than the base's are taken there by the transforms in the
+recording, else their frame is found as import-table does. Still segments with the same inputs are
+trials of one posture. Look at the picture before you trust them.
 
 example: python -m tendon_robot_ros import-bag run.mcap --robot robot.yaml --output data/run
 """
@@ -17,11 +18,13 @@ from pathlib import Path
 
 from ..common.errors import InputError
 from ..common.files import refuse_ending
-from ..data import save_dataset
+from ..data import DataSet, save_dataset
 from ..data.folder.description import read_text
-from ..data.recording.importing import draw_segments, import_bag, summary
+from ..data.recording.importing import Imported, draw_segments, import_bag, summary
 from ..data.recording.reader import Topics
 from ..data.recording.still_segments import Rule
+from ..data.recording.transforms import is_base
+from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe
 from .options import input_size
 
 NAME = 'import-bag'
@@ -43,6 +46,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--picture', metavar='PNG', help='draw the segments (.png, .svg, .pdf)')
     _add_rule(parser, Rule())
     _add_topics(parser, Topics())
+    parser.add_argument('--up', choices=UPS, help='axis of the tracker that points up')
+    parser.add_argument(
+        '--frame',
+        choices=METHODS,
+        help="how a tracker's frame is found, as of import-table; base: it is the base frame "
+        '(default: base where the frame is called so or transforms lead there, else level or '
+        'model)',
+    )
 
 
 def _add_rule(parser: argparse.ArgumentParser, rule: Rule) -> None:
@@ -90,7 +101,14 @@ def _add_topics(parser: argparse.ArgumentParser, topics: Topics) -> None:
         action='append',
         default=[],
         metavar='NAME=TOPIC',
-        help='geometry_msgs/PoseStamped of one marker, instead of the shape; may be repeated',
+        help='geometry_msgs/PoseStamped, or frame of /tf, of one marker, instead of the shape; '
+        'may be repeated',
+    )
+    parser.add_argument(
+        '--sender',
+        default=topics.sender,
+        metavar='TEXT',
+        help='of several programs that published the states, the one with this in its frame_id',
     )
 
 
@@ -109,17 +127,42 @@ def run(args: argparse.Namespace) -> int:
         args.bag,
         args.robot,
         Rule(1e-3 * args.speed, args.duration, change),
-        Topics(args.states_topic, args.shape_topic, _markers(args.marker)),
+        Topics(args.states_topic, args.shape_topic, _markers(args.marker), args.sender),
         description,
         rest,
+        in_tracker_frame=True,
     )
     for line in imported.left_out:
         print('left out:', line, file=sys.stderr)
     print(summary(imported))
-    print(f'written: {save_dataset(imported.dataset, args.output, args.overwrite)}')
+    dataset, lines = _placed(imported, args.frame, args.up)
+    for line in lines:
+        print(line)
+    print(f'written: {save_dataset(dataset, args.output, args.overwrite)}')
     if args.picture:
         print(f'picture: {draw_segments(imported, args.picture)}')
     return 0
+
+
+def _placed(imported: Imported, method: str | None, up: str | None) -> tuple[DataSet, list[str]]:
+    """Return the data set in the base frame, and what to say of how it came there."""
+    from ..effects import load_catalogue
+    from ..tables.imported import frame_lines, told
+    from ..tables.placing import place
+
+    known = is_base(imported.frame)
+    choice = FrameChoice(method or ('base' if known else None))
+    try:
+        placed = place(imported.dataset, Recipe(up=up, frame=choice), load_catalogue(()))
+    except InputError as error:
+        if not known or method is not None:
+            raise
+        return imported.dataset, [f'the frame was not checked: {error}']
+    if choice.method == 'base':  # as it is; what contradicts it is said
+        return imported.dataset, told('LOOK', placed.frame_look)
+    lines = told('frame', [f'{imported.frame!r}, which no transform joins with the base'])
+    lines += told('', frame_lines(placed.frame, placed.dataset.robot))
+    return placed.dataset, lines + told('dropped', placed.dropped) + told('LOOK', placed.look)
 
 
 def _markers(pairs: list[str]) -> dict[str, str]:

@@ -47,6 +47,12 @@ class Measured:
         return None if self.floor is None else root_mean(self.floor)
 
     @cached_property
+    def motion(self) -> float:
+        """How far markers move from posture to posture [m]: rms distance from their middle."""
+        middle = mean_over(self.mean, 0)
+        return root_mean(((self.mean - middle) ** 2).sum(axis=-1))
+
+    @cached_property
     def floor_per_marker(self) -> Floats | None:
         """Expected rms (J,) [m] for a perfect model over postures."""
         return None if self.floor is None else np.sqrt(mean_over(self.floor, 0))

@@ -4,6 +4,7 @@ Measurements: `DataSet`, and where it comes from.
 dataset.py      measured postures as frozen arrays; a missing value is nan (SI units)
 joining.py      several data sets of one robot as one; one, apart by where the arm came from
 markers.py      tracked points of the arm
+seen.py         what trackers write for a marker that was not seen, and one that is numbered anew
 visits.py       settled visits in any order: what differs by where the arm came from
 dataframes.py   the same as a tidy table of pandas, and back; what cannot be metres and newtons
 folder/         a data set as a folder of plain files, read strictly and written whole

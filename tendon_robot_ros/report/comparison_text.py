@@ -19,6 +19,9 @@ from ..comparison.statistics import Estimate, PairedT
 from ..data.dataset import at_rest
 
 GOOD_WITHIN_FLOORS = 1.3  # times the noise floor: as good as the measurements can tell
+# Of what markers move: a noise floor above lets a model pass that is off by a tenth of the motion;
+# measurements of an arm with a tracker have a hundredth.
+FLOOR_SHARE_MAX = 0.1
 
 
 def table(comparison: Comparison) -> str:
@@ -134,6 +137,14 @@ def verdict(comparison: Comparison) -> str:
             'Nothing tells how well you can measure: record every posture at least three times, '
             'or write position_noise into dataset.yaml.'
         )
+    if _drowned(comparison):
+        moved = comparison.measured.motion
+        return (
+            f'Nothing can be judged: the noise floor is {digits(100.0 * floor / moved, 2)} % of '
+            f'what the markers move from posture to posture ({mm(moved)} rms), and a model that '
+            'is off by as much would pass. See which trials of a posture differ, and measure '
+            'again.'
+        )
     ratio = best.rms / floor
     if ratio < GOOD_WITHIN_FLOORS:
         return (
@@ -141,6 +152,13 @@ def verdict(comparison: Comparison) -> str:
             'times your repeatability.'
         )
     return f'{who} is off by {times(ratio)} your repeatability.'
+
+
+def _drowned(comparison: Comparison) -> bool:
+    """Tell whether the noise floor is a large share of the motion, if there is any."""
+    measured, floor = comparison.measured, comparison.noise_floor
+    several = int((measured.trials > 0).sum()) > 1
+    return several and floor is not None and floor > FLOOR_SHARE_MAX * measured.motion
 
 
 def _best(comparison: Comparison) -> str:
@@ -153,6 +171,8 @@ def _best(comparison: Comparison) -> str:
 def next_step(comparison: Comparison) -> str:
     """Say what to type next; empty when nothing is to be explained."""
     floor = comparison.noise_floor
+    if _drowned(comparison):
+        return ''
     if floor is not None and comparison.best.rms < GOOD_WITHIN_FLOORS * floor:
         return ''
     return f'Ask why: `{PROGRAM} diagnose {comparison.measured.data}`'

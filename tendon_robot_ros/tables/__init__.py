@@ -11,10 +11,12 @@ columns.py        named columns of numbers, as they were found (a DataFrame as w
 recipe.py         import.yaml: every choice written out
 choices.py        the columns and units that a recipe leaves open
 traces.py         columns to inputs and markers over time, in SI units
+visibility.py     columns that say whether a marker was seen
 clocks.py         how the clock of the tracker's file runs against that of the inputs
 measuring.py      where the arm stood still: cleaned, named by posture and trial
 history.py        how the arm came to its postures: what is assumed, what contradicts it, visits
 marker_order.py   which marker is where on the arm
+placing.py        measurements to the base frame, without trials that the others contradict
 registration.py   how the tracker's frame lies in the base's, with the model's help
                   (of a live tracker: ros/monitor/measured.py)
 """

@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import DataSetError
-from ..common.units import STANDARD_GRAVITY
 from ..common.words import listed, mm
 from ..comparison.predict import Predictor
 from ..data import DataSet, Marker
 from ..data.folder.description import Description
 from ..data.recording.importing import segments_dataset
 from ..data.recording.still_segments import Segment
-from ..diagnosis.outliers import Outliers, find_outliers
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot, RobotLike, load_robot
 from .choices import Taken, choose_columns
@@ -26,21 +24,15 @@ from .history import FROM_STRAIGHT, SEQUENCE, VISITS, as_visits, frames_only, wa
 from .imported import ImportedTable
 from .marker_order import AS_GIVEN, MarkerOrder, order_markers, places_contradicted
 from .measuring import StillMeasurements, measure
+from .placing import place
 from .reading import read_table
 from .recipe import FrameChoice, MarkerColumns, Recipe, load_recipe, read_recipe
-from .registration import (
-    TrackerFrame,
-    find_frame,
-    gravity_of,
-    rotation_vector,
-    side_offset,
-)
+from .registration import TrackerFrame, rotation_vector, side_offset
 from .traces import make_traces
+from .visibility import flag_columns
 
 OFFSET_STEP_M = 1e-3  # [m] of a derivative
 MOVED_AT_BASE_M = 2e-3  # [m] from which a marker does not sit at the base
-TRIALS_SHOWN = 6  # of those that were left out
-APART_RAD = 0.3  # [rad] between gravity as the robot says it and as the tracker does
 
 
 def import_table(
@@ -77,13 +69,13 @@ def import_table(
     tables = _tables(source, recipe)
     recipe = _with_up(recipe, tables)
     taken = choose_columns(tables, robot, recipe)
-    measured = measure(make_traces(tables, taken), taken, robot)
+    measured = measure(make_traces(tables, taken, robot.length), taken, robot)
     name = tables[0].name
     order = _order(measured, taken, robot, name)
     raw, markers = _in_tracker_frame(measured, taken, order, robot, name)
     catalogue = catalogue or load_catalogue(())
-    dataset, frame, left_out = _registered(raw, recipe, catalogue)
-    final, look = _known_frame(dataset, frame, taken.recipe)
+    placed = place(raw, taken.recipe, catalogue)
+    final, frame, left_out = placed.dataset, placed.frame, placed.left_out
     predicted = Predictor(final, final.robot, catalogue).markers({})
     assert predicted is not None  # it was, before
     return ImportedTable(
@@ -95,14 +87,13 @@ def import_table(
         frame=frame,
         source=', '.join(f'{t.name} ({len(t):,} rows of {t.width} columns)' for t in tables),
         predicted=predicted,
-        dropped=(*_columns_dropped(taken), *measured.dropped, *_trials_dropped(left_out)),
+        dropped=(*_columns_dropped(taken, tables), *measured.dropped, *placed.dropped),
         assumed=(*taken.assumed, *measured.assumed, *_markers_assumed(order, taken)),
         look=(
             *taken.look,
             *_way_look(final, measured, taken.recipe),
-            *look,
+            *placed.look,
             *_places_look(final),
-            *_frame_look(frame),
             *_offset_look(final, predicted, catalogue),
         ),
     )
@@ -131,19 +122,6 @@ def _written_out(
         frame=FrameChoice(frame.method, rotation_vector(frame.rotation), (x, y, z)),
         leave_out=left_out,
     )
-
-
-def _known_frame(
-    dataset: DataSet, frame: TrackerFrame, recipe: Recipe
-) -> tuple[DataSet, tuple[str, ...]]:
-    """Say gravity, and how well the frame is known, so that a diagnosis may move it."""
-    gravity, look = _gravity(dataset, frame, recipe)
-    robot = dataset.robot
-    known = frame.tolerances(robot.length)
-    if recipe.frame.rotation is not None:  # a frame that is given comes with its tolerances
-        known |= {key: robot.tolerances[key] for key in known if key in robot.tolerances}
-    robot = replace(robot, tolerances={**robot.tolerances, **known})
-    return replace(dataset, gravity=gravity, robot=robot), look
 
 
 def _recipe(recipe: Recipe | Mapping[str, Any] | str | Path | None) -> Recipe:
@@ -223,94 +201,14 @@ def _picked(segment: Segment, members: Sequence[int]) -> Segment:
     )
 
 
-def _registered(
-    raw: DataSet, recipe: Recipe, catalogue: Catalogue
-) -> tuple[DataSet, TrackerFrame, tuple[tuple[str, str], ...]]:
-    """Find the frame, the trials that the others contradict, and the frame without them."""
-    robot, choice = raw.robot, recipe.frame
-    kept = raw
-    if recipe.leave_out is not None:
-        kept = _without(raw, recipe.leave_out)
-    predictor = Predictor(kept, robot, catalogue)
-    frame = find_frame(kept, predictor, choice, recipe.up)
-    if recipe.leave_out is not None:
-        return _placed(kept, frame), frame, recipe.leave_out
-    placed = _placed(kept, frame)
-    outliers = find_outliers(Predictor(placed, robot, catalogue), {})
-    pairs = tuple(
-        (raw.postures[p], raw.trial_names[q]) for p, q in np.argwhere(outliers.trials).tolist()
-    )
-    if pairs:
-        kept = _without(raw, pairs)
-        frame = find_frame(kept, Predictor(kept, robot, catalogue), choice, recipe.up)
-    return _placed(kept, frame), frame, pairs
-
-
-def _without(dataset: DataSet, pairs: Sequence[tuple[str, str]]) -> DataSet:
-    out = np.zeros(dataset.trial_mask.shape, dtype=bool)
-    for posture, trial in pairs:
-        if posture not in dataset.postures or trial not in dataset.trial_names:
-            raise DataSetError(
-                f'{dataset.name}: leave_out',
-                f'there is no posture {posture!r}, trial {trial!r}',
-                'take that line out',
-            )
-        out[dataset.postures.index(posture), dataset.trial_names.index(trial)] = True
-    nothing = np.zeros((*out.shape, len(dataset.markers)), dtype=bool)
-    return Outliers(nothing, out, np.zeros(nothing.shape)).without(dataset)
-
-
-def _placed(dataset: DataSet, frame: TrackerFrame) -> DataSet:
-    positions = dataset.positions @ frame.rotation.T + frame.shift
-    return replace(dataset, positions=positions.round(9))
-
-
-def _gravity(
-    dataset: DataSet, frame: TrackerFrame, recipe: Recipe
-) -> tuple[tuple[float, float, float] | None, tuple[str, ...]]:
-    """Return gravity as the tracker tells it where the robot does not, and what contradicts."""
-    known = dataset.robot.gravity
-    if recipe.up is None:
-        told = 'where down is: say --up (y for OptiTrack, z for most others)'
-        return None, (f'nothing says {told}',) if known is None else ()
-    seen = gravity_of(frame, recipe.up)
-    if known is None or not np.linalg.norm(known):
-        at = ', '.join(f'{g:.2g}' for g in seen)
-        return (seen if known is None else None), (
-            f'up is told ({recipe.up}), but the description '
-            + (
-                'has no gravity: the tracker is not levelled by it, and gravity is taken as '
-                f'[{at}] m/s² from the frame as found; say where the arm points (gravity in the '
-                'description, new-robot asks for it)'
-                if known is None
-                else 'says that gravity is zero: up is not used, and no weight is looked for'
-            ),
-        )
-    cosine = float(np.dot(known, seen) / (STANDARD_GRAVITY * np.linalg.norm(known)))
-    apart = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    if apart < APART_RAD:
-        return None, ()
-    return None, (
-        f'gravity of the robot and up of the tracker are {np.degrees(apart):.0f}° apart; '
-        "the robot's counts",
-    )
-
-
-def _columns_dropped(taken: Taken) -> list[str]:
-    if not taken.unused:
+def _columns_dropped(taken: Taken, tables: Sequence[RawTable]) -> list[str]:
+    markers = [marker.columns for marker in taken.recipe.markers or ()]
+    flags = {name.column for t in tables for name, _, _ in flag_columns(t, markers)}
+    names = [column for column in taken.unused if column not in flags]
+    if not names:
         return []
-    names = list(taken.unused)
     shown = listed(names[:8]) if len(names) <= 8 else f'{", ".join(names[:8])} and more'
     return [f'{len(names)} columns: {shown}']
-
-
-def _trials_dropped(pairs: Sequence[tuple[str, str]]) -> list[str]:
-    if not pairs:
-        return []
-    names = [f'posture {posture} trial {trial}' for posture, trial in pairs]
-    more = len(names) - TRIALS_SHOWN
-    told = listed(names if more < 2 else [*names[:TRIALS_SHOWN], f'{more} more'])
-    return [f'{told}: the other trials contradict (a slipped tendon?)']
 
 
 def _markers_assumed(order: MarkerOrder, taken: Taken) -> list[str]:
@@ -352,22 +250,6 @@ def _places_look(dataset: DataSet) -> list[str]:
         f'than its {mm(dataset.robot.length)}? Check cells and cell_length of the robot, or say '
         'where markers sit (--markers)',
     ]
-
-
-def _frame_look(frame: TrackerFrame) -> list[str]:
-    said = []
-    if frame.is_mirrored:
-        said.append(
-            f'a left-handed frame would fit better ({mm(frame.mirrored)} instead of '
-            f'{mm(frame.free)}): an axis has the wrong sign, or two inputs are swapped'
-        )
-    elif frame.residual > 3.0 * frame.free + 1e-3:
-        said.append(
-            f'free to turn, the frame would fit to {mm(frame.free)} instead of '
-            f'{mm(frame.residual)}: a load that the description lacks, or is what is said of it '
-            '(up, gravity, frame) not right?'
-        )
-    return said
 
 
 def _offset_look(dataset: DataSet, predicted: FloatArray, catalogue: Catalogue) -> list[str]:

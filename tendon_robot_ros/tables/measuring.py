@@ -21,6 +21,7 @@ from ..data.recording.still_segments import (
     name_segments,
     still_stretches,
 )
+from ..data.seen import unseen_lines
 from ..robot import Robot
 from .choices import Taken
 from .columns import FloatArray, marker_label
@@ -90,7 +91,10 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
     rule = Rule(recipe.speed or SPEED_LIMITS_M_S[0], recipe.duration, recipe.change)
     rule = rule.fill(robot, kind)
     motions: list[ArmMotion | None] = [None] * len(traces)
-    dropped, assumed = _zeros(traces), [one.clocks for one in traces if one.clocks]
+    dropped, assumed = (
+        _unseen(traces, recipe.markers or ()),
+        [one.clocks for one in traces if one.clocks],
+    )
     if recipe.time is not None:
         motions = [motion(one.recording, one.inputs, rule) for one in traces]
         rule = _still_rule([m for m in motions if m is not None], traces, rule, recipe)
@@ -302,9 +306,13 @@ def _without_rest(piece: Piece, rest: float, first: bool) -> Piece:
     )
 
 
-def _zeros(traces: Sequence[Traces]) -> list[str]:
-    count = sum(one.zeros for one in traces)
-    return [f'{count:,} marker readings of exactly 0, 0, 0: not seen'] if count else []
+def _unseen(traces: Sequence[Traces], markers: Sequence[MarkerColumns]) -> list[str]:
+    """Say which readings are none, of all recordings together."""
+    counts: dict[str, npt.NDArray[np.int64]] = {}
+    for one in traces:
+        for why, count in one.unseen.items():
+            counts[why] = counts.get(why, np.zeros(len(count), dtype=np.int64)) + count
+    return unseen_lines(counts, [marker_label(marker.columns) for marker in markers])
 
 
 def _told(pieces: Sequence[Piece], markers: Sequence[MarkerColumns]) -> list[str]:

@@ -13,10 +13,12 @@ from ..common.errors import DataSetError, InputError
 from ..common.units import UNITS, find_unit
 from ..common.words import listing
 from ..data.recording.reader import Recording, Track
+from ..data.seen import FAR_M, without_unseen
 from .choices import Taken, time_column
 from .clocks import find_clock
 from .columns import FloatArray, RawTable
 from .recipe import Recipe, WireSpool
+from .visibility import not_visible
 
 IntArray = npt.NDArray[np.int64]
 JUMP_MAX_S = 0.3  # [s] a marker is taken for another one for a few frames
@@ -84,16 +86,18 @@ class Traces:
 
     recording: Recording
     inputs: FloatArray  # (T, m) [N] or [m] at `recording.state_times`
-    zeros: int  # marker readings of exactly 0, 0, 0: not seen
+    unseen: dict[str, IntArray]  # readings (J,) of each marker that are none, by why
     cut: CutReadings  # a marker was elsewhere for a moment
     delay: float | None = None  # [s] that the tracker's file begins later; None: there is one file
     drift: float = 0.0  # [s/s] that the tracker's clock loses
     clocks: str = ''  # how these are known, where there are two clocks
 
 
-def make_traces(tables: Sequence[RawTable], taken: Taken) -> list[Traces]:
+def make_traces(tables: Sequence[RawTable], taken: Taken, length: float) -> list[Traces]:
     """
     Return one recording per table, or per pair of tables where markers have their own.
+
+    `length` [m] is that of the arm.
 
     Raises
     ------
@@ -121,7 +125,7 @@ def make_traces(tables: Sequence[RawTable], taken: Taken) -> list[Traces]:
     delays = _for_each('delay', recipe.delay, told)
     drifts = _for_each('drift', recipe.drift, told)
     pairs = zip(told, seen, zip(delays, drifts, strict=True), strict=True)
-    return [_trace(a, b, recipe, clock) for a, b, clock in pairs]
+    return [_trace(a, b, recipe, clock, length) for a, b, clock in pairs]
 
 
 def _for_each(
@@ -144,19 +148,17 @@ def _holds(table: RawTable, columns: Sequence[str]) -> bool:
 
 
 def _trace(
-    told: RawTable, seen: RawTable, recipe: Recipe, clock: tuple[float | None, float | None]
+    told: RawTable,
+    seen: RawTable,
+    recipe: Recipe,
+    clock: tuple[float | None, float | None],
+    length: float,
 ) -> Traces:
     uses = (recipe.inputs or {}).values()
     inputs = np.column_stack(
         [told.numbers(use.column) * input_factor(use.unit, recipe.spool) for use in uses]
     )
-    factor = UNITS['length'][find_unit(recipe.positions or 'm').text]  # type: ignore[union-attr]
-    positions = np.empty((len(seen), len(recipe.markers or ()), 3))
-    for j, marker in enumerate(recipe.markers or ()):
-        for axis, column in enumerate(marker.columns):
-            positions[:, j, axis] = seen.numbers(column) * factor
-    lost = (positions == 0.0).all(axis=2)
-    positions[lost | ~np.isfinite(positions).all(axis=2)] = np.nan
+    positions, unseen = marker_places(seen, recipe, length)
     _refuse_nothing(told, seen, recipe, inputs, positions)
     clocks, delay, drift = '', clock[0], clock[1] or 0.0
     if recipe.time is None:
@@ -174,7 +176,27 @@ def _trace(
     turned = np.broadcast_to(np.nan, (*positions.shape[:2], 4))
     track = Track(times, positions, turned)
     recording = Recording(seen.name, state_times, [], (track,), (), [], None, None)
-    return Traces(recording, inputs, int(lost.sum()), cut, delay, drift, clocks)
+    return Traces(recording, inputs, unseen, cut, delay, drift, clocks)
+
+
+def marker_places(
+    seen: RawTable, recipe: Recipe, length: float
+) -> tuple[FloatArray, dict[str, IntArray]]:
+    """Return places (T, J, 3) [m], NaN where not seen, and the readings (J,) left out, by why."""
+    factor = UNITS['length'][find_unit(recipe.positions or 'm').text]  # type: ignore[union-attr]
+    markers = recipe.markers or ()
+    positions = np.empty((len(seen), len(markers), 3))
+    for j, marker in enumerate(markers):
+        for axis, column in enumerate(marker.columns):
+            positions[:, j, axis] = seen.numbers(column)
+    positions, unseen = without_unseen(positions, length / factor, FAR_M / factor)
+    there = np.isfinite(positions).all(axis=2)
+    for why, hidden in not_visible(seen, [marker.columns for marker in markers]).items():
+        if (hidden & there).any():
+            unseen[why] = (hidden & there).sum(axis=0)
+            positions[hidden] = np.nan
+            there &= ~hidden
+    return positions * factor, unseen
 
 
 def _refuse_nothing(

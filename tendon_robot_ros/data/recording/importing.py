@@ -16,8 +16,11 @@ from ..dataframes import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
 from ..dataset import DataSet, FloatArray
 from ..folder.description import Description, describe, read_fields
 from ..markers import Marker, default_markers
-from .reader import Recording, Topics, read_bag
+from ..seen import changes, unseen_lines, without_unseen
+from .reader import Recording, Topics, Track, read_bag
+from .senders import refuse_two_senders
 from .still_segments import ArmMotion, Rule, Segment, assemble, find_segments, motion
+from .transforms import in_base, is_base, with_markers
 from .writer import DESCRIPTION, ROBOT
 
 NOISE_MIN_M = 1e-7  # [m] of noise that is assumed where frames do not differ
@@ -33,7 +36,8 @@ class Imported:
     state_times: FloatArray  # (T,) [s]
     inputs: FloatArray  # (T, m) [N] or [m]
     rule: Rule
-    left_out: tuple[str, ...]  # one line about each measurement that could not be used
+    left_out: tuple[str, ...]  # one line about each measurement or reading that was not used
+    frame: str = 'base'  # in which the positions are
 
 
 def import_bag(
@@ -43,6 +47,7 @@ def import_bag(
     topics: Topics | None = None,
     description: str | None = None,
     rest: float | None = None,
+    in_tracker_frame: bool = False,
 ) -> Imported:
     """
     Make a data set from a recording.
@@ -65,6 +70,9 @@ def import_bag(
         Text of a dataset.yaml, for example with the markers; by default the recording's.
     rest : float, optional
         [N] or [m] segments whose inputs all stay below are no measurements but the rest between.
+    in_tracker_frame : bool
+        Positions may stay in a frame of which the recording does not say where the base is in it;
+        else that is refused.
 
     Raises
     ------
@@ -74,11 +82,26 @@ def import_bag(
         The package rosbags is not installed.
 
     """
+    topics = topics or Topics()
     recording = read_bag(bag, topics)
     robot = _robot(recording, robot)
     described = _describe(recording, robot, description)
+    if recording.tracks:
+        recording = in_base(recording)
+    else:
+        names = [marker.name for marker in described.markers or default_markers(robot)]
+        recording = with_markers(recording, topics, names, bag)
+    if not in_tracker_frame and not is_base(recording.frame):
+        raise DataSetError(
+            recording.name,
+            f'markers are in the frame {recording.frame!r}, and no transform in it says where the '
+            'base is',
+            'import it with import-bag, which finds where it lies (--frame base: it is the base)',
+        )
     markers = _markers(recording, robot, described)
     inputs = _inputs(recording, robot, described.input)
+    recording, unseen = _without_unseen(recording, robot, [marker.name for marker in markers])
+    refuse_two_senders(recording, inputs)
     rule = (rule or Rule()).fill(robot, described.input)
     moved = motion(recording, inputs, rule)
     segments, left_out = find_segments(
@@ -88,12 +111,35 @@ def import_bag(
         segments = [one for one in segments if (np.nan_to_num(one.inputs) >= rest).any()]
     if not any(np.isfinite(one.positions).any() for one in segments):
         raise _never_still(recording.name, moved, rule)
-    _check_places(recording.name, segments, robot)
+    _check_places(recording.name, segments, robot, is_base(recording.frame))
     segments = plausible_inputs(recording.name, segments, robot, described.input, rule)
     dataset = segments_dataset(recording.name, segments, robot, described, markers)
     return Imported(
-        dataset, tuple(segments), moved, recording.state_times, inputs, rule, tuple(left_out)
+        dataset,
+        tuple(segments),
+        moved,
+        recording.state_times,
+        inputs,
+        rule,
+        (*unseen, *left_out),
+        recording.frame,
     )
+
+
+def _without_unseen(
+    recording: Recording, robot: Robot, names: list[str]
+) -> tuple[Recording, list[str]]:
+    """Take out readings of markers that are none, and say how many and why."""
+    steps = [track.times[1:][changes(track.positions).any(axis=1)] for track in recording.tracks]
+    tracks: list[Track] = []
+    said: list[str] = []
+    for k, track in enumerate(recording.tracks):
+        others = np.sort(np.concatenate([np.zeros(0), *steps[:k], *steps[k + 1 :]]))
+        news = np.diff(np.searchsorted(others, track.times)) > 0
+        positions, counts = without_unseen(track.positions, robot.length, news=news)
+        said += unseen_lines(counts, names if len(recording.tracks) == 1 else [names[k]])
+        tracks.append(replace(track, positions=positions))
+    return replace(recording, tracks=tuple(tracks)), said
 
 
 def segments_dataset(
@@ -198,9 +244,12 @@ def _inputs(recording: Recording, robot: Robot, kind: str) -> FloatArray:
     return inputs
 
 
-def _check_places(bag: str, segments: list[Segment], robot: Robot) -> None:
-    """Refuse positions in another unit or frame."""
-    far = max(float(np.nan_to_num(np.abs(one.positions)).max()) for one in segments)
+def _check_places(bag: str, segments: list[Segment], robot: Robot, from_base: bool) -> None:
+    """Refuse positions in another unit or frame; in that of a tracker only how far they spread."""
+    places = np.array([one.positions for one in segments])
+    if not from_base:
+        places = places - np.nanmedian(places, axis=(0, 1))
+    far = float(np.nan_to_num(np.abs(places)).max())
     if far > DISTANCE_MAX_LENGTHS * robot.length:
         raise DataSetError(
             bag,

@@ -27,6 +27,7 @@ from .writer import (
     poses_of,
 )
 
+TF = 'tf2_msgs/msg/TFMessage'
 Message = tuple[str, int, Any]  # topic, time [ns], message or (frame, poses)
 
 
@@ -37,6 +38,7 @@ class Topics:
     states: str = 'tendon_states'  # sensor_msgs/JointState
     shape: str = 'measured_shape'  # geometry_msgs/PoseArray
     markers: Mapping[str, str] = field(default_factory=dict)  # marker -> PoseStamped topic
+    sender: str = ''  # of several that published the states, the one whose frame_id has this
 
 
 @dataclass(frozen=True)
@@ -55,11 +57,13 @@ class Recording:
     name: str
     state_times: FloatArray  # (T,) [s]
     states: list[Any]  # (T,) the JointState messages
-    tracks: tuple[Track, ...]  # one of all markers, or one per marker
+    tracks: tuple[Track, ...]  # one of all markers, or one per marker; empty: see transforms.py
     marker_names: tuple[str, ...]  # of tracks of one marker each; empty for a PoseArray
     labels: list[tuple[float, str]]  # (time [s], text)
     description: str | None  # text of dataset.yaml
     robot: str | None  # text of robot.yaml
+    frame: str = ''  # in which the markers are
+    start: int = 0  # [ns] when it began
 
     def inputs(self, names: tuple[str, ...], kind: str) -> FloatArray:
         """Return the inputs at `state_times`, (T, m) [N] or [m], NaN where not given."""
@@ -84,7 +88,7 @@ def read_bag(path: str | Path, topics: Topics | None = None) -> Recording:
         types = {c.topic: c.msgtype for c in reader.connections}
         wanted = _wanted(str(path), types, topics)
         messages = list(_messages(reader, wanted))
-    return _sorted(str(path), messages, wanted, topics)
+    return _sorted(str(path), messages, wanted, topics, bool(other_sources(types)))
 
 
 @contextmanager
@@ -146,6 +150,10 @@ def _wanted(bag: str, types: Mapping[str, str], topics: Topics) -> dict[str, str
     for topic, role, kind in [(topics.states, 'states', JOINT_STATE), *shapes]:
         name = '/' + topic.lstrip('/')
         if (there := topic_of(types, topic, kind)) is None:
+            sources = other_sources(types)
+            told = [t for t in sources if role == 'shape' or types[t] == TF]
+            if role != 'states' and name not in types and told:
+                continue  # markers come otherwise: transforms.py finds them, or says so
             known = listing(sorted(t for t, k in types.items() if k == kind))
             problem = f'is a {types[name]}' if name in types else 'is not in it'
             raise DataSetError(
@@ -153,6 +161,11 @@ def _wanted(bag: str, types: Mapping[str, str], topics: Topics) -> dict[str, str
             )
         wanted[there] = role
     return wanted
+
+
+def other_sources(types: Mapping[str, str]) -> list[str]:
+    """Return the topics that may tell places of markers, if no topic was named or is there."""
+    return sorted(t for t, kind in types.items() if kind in (TF, POSE_STAMPED))
 
 
 def _messages(reader: Any, wanted: Mapping[str, str]) -> Iterator[Message]:
@@ -167,16 +180,22 @@ def _messages(reader: Any, wanted: Mapping[str, str]) -> Iterator[Message]:
 
 
 def _sorted(
-    bag: str, messages: list[Message], wanted: Mapping[str, str], topics: Topics
+    bag: str,
+    messages: list[Message],
+    wanted: Mapping[str, str],
+    topics: Topics,
+    elsewhere: bool,
 ) -> Recording:
-    """Sort messages by what they are."""
+    """Sort messages by what they are; markers may be told `elsewhere`."""
     by_role: dict[str, list[tuple[float, Any]]] = {role: [] for role in wanted.values()}
     start = min((time for _, time, _ in messages), default=0)
     frames = set()
     for topic, time, message in messages:
-        by_role[wanted[topic]].append((1e-9 * (time - start), message))
         if isinstance(message, tuple):
             frames.add(message[0])
+        elif wanted[topic] == 'states' and topics.sender not in message.header.frame_id:
+            continue
+        by_role[wanted[topic]].append((1e-9 * (time - start), message))
     if len(frames) > 1:
         raise DataSetError(
             bag,
@@ -184,6 +203,9 @@ def _sorted(
             'record all markers in the frame of the base',
         )
     shapes = [f'marker {name}' for name in topics.markers] or ['shape']
+    silent = shapes == ['shape'] and not by_role.get('shape') and elsewhere
+    if silent or not all(role in by_role for role in shapes):
+        shapes = []
     for role in ('states', *shapes):
         if not by_role[role]:
             raise DataSetError(bag, f'there is no message about {role}', 'record it again')
@@ -193,10 +215,12 @@ def _sorted(
         state_times=np.array([time for time, _ in by_role['states']]),
         states=[message for _, message in by_role['states']],
         tracks=tuple(_track(bag, by_role[role]) for role in shapes),
-        marker_names=tuple(topics.markers),
+        marker_names=tuple(topics.markers) if shapes else (),
         labels=[(time, message.data) for time, message in by_role.get(LABEL, [])],
         description=texts[DESCRIPTION][-1] if texts[DESCRIPTION] else None,
         robot=texts[ROBOT][-1] if texts[ROBOT] else None,
+        frame=next(iter(frames), ''),
+        start=start,
     )
 
 
@@ -209,10 +233,11 @@ def _track(bag: str, samples: list[tuple[float, Any]]) -> Track:
             f'the shape has {min(counts)} poses in one message and {max(counts)} in another',
             'publish every marker always, NaN where it is not seen',
         )
-    values = _sane(np.stack(poses))
+    values = np.stack(poses)
     missing = ~np.isfinite(values[..., :3]).all(axis=-1)
     values[missing] = np.nan
-    return Track(np.array([time for time, _ in samples]), values[..., :3], values[..., 3:])
+    times = np.array([time for time, _ in samples])
+    return Track(times, values[..., :3], _sane(values[..., 3:]))
 
 
 def _sane(values: FloatArray) -> FloatArray:

@@ -1,0 +1,207 @@
+"""
+Which readings of markers are none, whatever wrote them: one meaning of "not seen" for all readers.
+
+Trackers and their exports write something where they did not see a marker: an empty cell or NaN,
+0 0 0, a number that no place has (-3.697e28 of NDI, 9999999, -9999), or once more the place where
+the marker was seen last. And a marker that was lost may come back under another number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.words import listed
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
+
+FAR_M = 1e3  # [m] no tracker sees a marker farther away
+ABSURD_LENGTHS = 5.0  # arm lengths from the middle of all readings: no place on this arm
+MANY_SHARE = 0.5  # of the readings: so many places are in another unit, and no sentinels
+# A reading that repeats the last one exactly is the last one, where that cannot be chance: so
+# many steps at which others change are without a change with this probability at most.
+HELD_BY_CHANCE = 1e-9
+HELD_STEPS_MIN = 10
+CHANGES_SHARE_MIN = 0.5  # of those steps; places that change more rarely are rounded coarsely
+TOGETHER_SHARE_MAX = 0.01  # of its frames, that a marker and the one it turns into may share
+NEAREST_SHARE = 0.5  # of the distance to the next marker, within which a lost one is found again
+
+ZERO, SENTINEL, HELD = 'zero', 'sentinel', 'held'
+WHY = {
+    ZERO: 'exactly 0, 0, 0',
+    SENTINEL: 'a number that stands for "not seen"',
+    HELD: 'the last place, repeated exactly while other markers change',
+}
+
+
+def not_there(places: FloatArray, far: float = FAR_M) -> BoolArray:
+    """
+    Tell which places (..., 3) are none by themselves: no numbers, 0 0 0, or too far away.
+
+    Parameters
+    ----------
+    places : (..., 3)
+        In metres, or in a unit in which 1 km is `far`.
+    far : float
+
+    """
+    with np.errstate(invalid='ignore'):
+        within = (np.abs(places) < far).all(axis=-1)  # False for NaN
+    return np.asarray(~within | (places == 0.0).all(axis=-1))
+
+
+def without_unseen(
+    positions: FloatArray,
+    length: float | None,
+    far: float = FAR_M,
+    news: BoolArray | None = None,
+) -> tuple[FloatArray, dict[str, IntArray]]:
+    """
+    Return positions with NaN for all that was not seen, and how many readings that were, by why.
+
+    Parameters
+    ----------
+    positions : (T, J, 3)
+        Frames of J markers, in metres or another unit.
+    length : float or None
+        Of the arm in the same unit; None: the unit is not known yet.
+    far : float
+        1 km in the same unit.
+    news : (T - 1,), optional
+        At which steps from frame to frame markers changed that are not among these.
+
+    Returns
+    -------
+    positions : (T, J, 3)
+    counts : dict of (J,)
+        By the keys of `WHY`, of each marker; what was no number to begin with is not counted.
+
+    """
+    numbers = np.isfinite(positions).all(axis=2)
+    none = not_there(positions, far)
+    zero = numbers & (positions == 0.0).all(axis=2)
+    seen = np.where(none[..., None], np.nan, positions)
+    sentinel = (numbers & none & ~zero) | _stands_for_none(seen, length)
+    seen[sentinel] = np.nan
+    held = _held(seen, news)
+    seen[held] = np.nan
+    found = {ZERO: zero, SENTINEL: sentinel, HELD: held}
+    return seen, {why: mask.sum(axis=0) for why, mask in found.items() if mask.any()}
+
+
+def unseen_lines(counts: dict[str, IntArray], labels: Sequence[str]) -> list[str]:
+    """Say how many readings were left out, of which markers, and why."""
+    lines = []
+    for why, count in counts.items():
+        of = np.flatnonzero(count)
+        names = listed(labels[j] for j in of.tolist())
+        whose = '' if len(of) == len(labels) > 1 else f' of {names}'
+        lines.append(f'{int(count.sum()):,} marker readings{whose} are none: {WHY.get(why, why)}')
+    return lines
+
+
+def _stands_for_none(positions: FloatArray, length: float | None) -> BoolArray:
+    """Tell which readings (T, J) are one value, repeated exactly, that is no place on this arm."""
+    seen = np.isfinite(positions[..., 0])
+    marked = np.zeros(seen.shape, dtype=bool)
+    if not seen.any():
+        return marked
+    places = positions[seen]
+    odd = (places == places[:, :1]).all(axis=1)  # such as -1, -1, -1
+    if length is not None:
+        away = np.linalg.norm(places - np.median(places, axis=0), axis=1)
+        far = away > ABSURD_LENGTHS * length
+        odd |= far if far.mean() < MANY_SHARE else False
+    if odd.any():
+        _, which, times = np.unique(places[odd], axis=0, return_inverse=True, return_counts=True)
+        odd[odd] = times[which.ravel()] > 1
+        marked[seen] = odd
+    return marked
+
+
+def changes(positions: FloatArray) -> BoolArray:
+    """Tell at which steps (T - 1, J) the places (T, J, 3) of markers that were seen change."""
+    seen = np.isfinite(positions[..., 0])
+    return np.asarray((seen[1:] & seen[:-1]) & (positions[1:] != positions[:-1]).any(axis=2))
+
+
+def _held(positions: FloatArray, news: BoolArray | None) -> BoolArray:
+    """
+    Tell which readings (T, J) only repeat the last place of their marker.
+
+    A marker that keeps its place to the last digit while others change, and else changes with
+    them, was not seen: its column holds the last value.
+    """
+    seen = np.isfinite(positions[..., 0])
+    held = np.zeros(seen.shape, dtype=bool)
+    both = seen[1:] & seen[:-1]
+    changed = changes(positions)
+    count = changed.sum(axis=1) + (0 if news is None else news)
+    for j in range(seen.shape[1]):
+        asked = both[:, j] & (count > changed[:, j])  # steps at which another marker changed
+        same = both[:, j] & ~changed[:, j]
+        edges = np.flatnonzero(np.diff(same, prepend=False, append=False))
+        runs = [np.flatnonzero(asked[a:b]) + a for a, b in edges.reshape(-1, 2).tolist()]
+        runs = [run for run in runs if len(run) >= HELD_STEPS_MIN]
+        if not runs:
+            continue
+        free = asked.copy()
+        free[np.concatenate(runs)] = False
+        if free.sum() < HELD_STEPS_MIN or (rate := changed[free, j].mean()) < CHANGES_SHARE_MIN:
+            continue
+        least = np.log(HELD_BY_CHANCE) / np.log(max(1.0 - rate, 1e-12))
+        for run in runs:
+            if len(run) >= least:
+                held[run[0] + 1 : run[-1] + 2, j] = True
+    return held
+
+
+def renumbered(positions: FloatArray) -> list[tuple[int, ...]]:
+    """
+    Tell which columns hold one marker, one after the other: a tracker numbered it anew.
+
+    Parameters
+    ----------
+    positions : (T, J, 3)
+        NaN = not seen.
+
+    Returns
+    -------
+    list of tuple of int
+        The columns of each marker in the order of time, by the first of them; one that was
+        never seen is a marker of its own.
+
+    """
+    seen = np.isfinite(positions[..., 0])
+    T, J = seen.shape
+    first = np.where(seen.any(axis=0), seen.argmax(axis=0), T)
+    last = np.where(seen.any(axis=0), T - 1 - seen[::-1].argmax(axis=0), -1)
+    chains = [[j] for j in range(J)]
+    for j in np.argsort(first, kind='stable').tolist():
+        if not 0 < first[j] < T:
+            continue
+        ends = [c for c in chains if c[0] != j and _ended(seen, c[-1], j, int(first[j]))]
+        place = positions[first[j], j]
+        off = [float(np.linalg.norm(positions[last[c[-1]], c[-1]] - place)) for c in ends]
+        if not off:
+            continue
+        chain = ends[int(np.argmin(off))]
+        ignored = [j, chain[-1]]
+        others = np.delete(positions[first[j]], ignored, axis=0)
+        others = others[np.isfinite(others[:, 0])]
+        apart = np.linalg.norm(others - place, axis=1).min(initial=np.inf)
+        if len(others) and min(off) < NEAREST_SHARE * apart:
+            mine = next(c for c in chains if c[0] == j)
+            chain += mine
+            chains.remove(mine)
+    return [tuple(chain) for chain in chains]
+
+
+def _ended(seen: BoolArray, one: int, other: int, begin: int) -> bool:
+    """Tell whether a marker is gone when another one begins, and does not come back."""
+    fewest = min(int(seen[:, one].sum()), int(seen[:, other].sum()))
+    return fewest > 0 and int(seen[begin:, one].sum()) <= TOGETHER_SHARE_MAX * fewest
