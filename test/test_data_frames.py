@@ -12,7 +12,7 @@ pytest.importorskip('pandas')
 import pandas
 
 from tendon_robot_ros import DataSet, Marker, Model, compare, load_dataset, load_robot
-from tendon_robot_ros.common.errors import DataSetError
+from tendon_robot_ros.common.errors import DataSetError, TendonRobotError
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.diagnosis.result import CandidateRow, Diagnosis, EffectFinding, Value
 from tendon_robot_ros.effects import load_catalogue
@@ -93,13 +93,17 @@ def test_arrays_of_any_rank_make_a_data_set():
         ({'markers': [1e3 * k for k in range(CELLS)]}, 'a marker is at .* m of an arm of'),
         ({'positions': np.full((2, CELLS, 3), 50.0)}, 'a marker is 50 m away, but the robot is'),
         ({'inputs': [[1000.0, 0.0], [0.0, 1.0]]}, 'a tension is 1000 N, but tension_limits end'),
-        ({'inputs': [[-1.0, 0.0], [0.0, 1.0]]}, 'a tension is -1 N, but a tendon cannot push'),
-        ({'inputs': [[1.0], [0.0]]}, 'inputs: has shape'),
+        ({'inputs': [[-1.0, 0.0], [0.0, 1.0]]}, 'expected a finite tension not below'),
+        ({'inputs': [[1.0], [0.0]]}, r'inputs: expected \(postures, 2\) numbers for '),
+        ({'inputs': [[np.nan, 1.0], [0.0, 0.0]]}, 'posture 0, .*got nan; say 0 where a tendon'),
+        ({'inputs': [[1.0, 1.0]]}, 'inputs: has shape'),
+        ({'position_noise': 0.2 * 1e3}, 'position_noise: expected a number from 0 to 0.1'),
+        ({'path': 'visits'}, 'path: expected one of from_straight, sequence, got'),
     ],
 )  # fmt: skip
 def test_arrays_in_other_units_or_shapes_are_refused(change, message):
     fields = {'inputs': [[1.0, 0.0], [0.0, 2.0]], 'positions': np.zeros((2, CELLS, 3)), **change}
-    with pytest.raises(DataSetError, match=message):
+    with pytest.raises(TendonRobotError, match=message):
         DataSet.from_arrays(ROBOT, **fields)
 
 

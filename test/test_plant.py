@@ -242,5 +242,5 @@ def test_what_cannot_be_hidden_is_refused(hidden, message):
 
 
 def test_senseless_plants_are_refused():
-    with pytest.raises(InputError, match='expected refine >= 1 and scatter from'):
+    with pytest.raises(InputError, match='refine: expected a whole number from 1 on, got 0'):
         make_plant(robot(ARCS), refine=0)

@@ -121,9 +121,9 @@ def test_markers_stand_where_they_are_put(plant):
 @pytest.mark.parametrize(
     ('change', 'message'),
     [
-        ({'trials': 0}, 'trials: expected at least 1, got 0'),
+        ({'trials': 0}, 'trials: expected a whole number from 1 on, got 0'),
         ({'inputs': [[1.0]]}, 'postures: expected (postures, 4) numbers for prox_left, '),
-        ({'inputs': [[-1.0, 0.0, 0.0, 0.0]]}, 'tensions: '),
+        ({'inputs': [[-1.0, 0.0, 0.0, 0.0]]}, 'postures: posture 0, prox_left: expected a finite'),
     ],
 )
 def test_senseless_measurements_are_refused(plant, change, message):
@@ -201,7 +201,7 @@ def test_own_postures_and_gravity(tmp_path, capsys):
         (['--noise', 'tracker=1'], "--noise: expected position, setting, trial, got 'tracker'"),
         (
             ['--noise', 'position=1000'],
-            'noise: position: expected a number from 0 to 0.1, got',
+            'noise: position: expected a number from 0 to 0.1 [m], got',
         ),
         (['--noise', 'position=2e-4'], '--noise: position=0.0002 mm is no noise of a tracker; '),
         (['--markers', '30,500'], 'markers: expected arc lengths from 0 to 0.208 m (the tip)'),

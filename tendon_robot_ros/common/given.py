@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
@@ -20,9 +21,13 @@ def refusal(name: str, expected: str, given: object) -> InputError:
 
 def whole(name: str, given: object, low: int = 0) -> int:
     """Return a whole number from `low` on; one of numpy is one as well."""
-    if isinstance(given, bool) or not hasattr(given, '__index__') or given.__index__() < low:
+    try:
+        value = low - 1 if isinstance(given, bool) else operator.index(given)  # type: ignore[arg-type]
+    except TypeError:
+        value = low - 1
+    if value < low:
         raise refusal(name, f'a whole number from {low} on', given)
-    return int(given.__index__())
+    return value
 
 
 def number(name: str, given: object, low: float, high: float, unit: str = '1') -> float:
@@ -51,6 +56,16 @@ def place(name: str, given: object) -> Path:
     if not isinstance(given, str | os.PathLike) or not str(given).strip():
         raise refusal(name, 'a path', given)
     return Path(given)
+
+
+def names(what: str, given: object, count: int) -> tuple[str, ...]:
+    """Return names for `count` things, '0' to 'count-1' where none are given."""
+    if not isinstance(given, Iterable) or isinstance(given, str | bytes):
+        raise refusal(what, f'{count} names', given)
+    listed = tuple(map(str, given)) or tuple(map(str, range(count)))
+    if len(listed) != count or len(set(listed)) < count:
+        raise refusal(what, f'{count} names that differ', listed)
+    return listed
 
 
 def function(name: str, given: object) -> None:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError, NoEquilibriumError
-from ..data import DataSet, default_markers
-from ..effects import Catalogue, load_catalogue
+from ..common.given import choice
+from ..data import DataSet, DataSetLike, default_markers, load_dataset
+from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..model.model import Model
 from ..model.pulls import pull_shapes
 from ..model.shape import FIELDS, ShapeBatch
-from ..robot import Robot
+from ..robot import Robot, RobotLike, load_robot
 from .noise import Whitener, input_slopes
 from .predict import Predictor
 from .repeatability import estimate_noise
@@ -23,6 +25,7 @@ from .result import Comparison, Measured, ModelErrors
 from .statistics import ERRORS
 
 Floats = npt.NDArray[np.float64]
+Models = RobotLike | Sequence[RobotLike | tuple[str, RobotLike]] | Mapping[str, RobotLike]
 
 
 def equilibria(predictor: Predictor) -> ShapeBatch:
@@ -64,9 +67,9 @@ def _shapes(dataset: DataSet, model: Model, inputs: Floats) -> ShapeBatch:
 
 
 def compare(
-    dataset: DataSet,
-    models: Robot | Sequence[Robot | tuple[str, Robot]] = (),
-    catalogue: Catalogue | None = None,
+    dataset: DataSetLike,
+    models: Models = (),
+    catalogue: CatalogueLike | None = None,
     error: str = 'ci',
 ) -> Comparison:
     """
@@ -74,11 +77,13 @@ def compare(
 
     Parameters
     ----------
-    dataset : DataSet
-    models : sequence of Robot or (name, Robot), optional
-        Default: the data set's robot description. Without a name it has the robot's.
-    catalogue : Catalogue, optional
-        With the user's own effects.
+    dataset : DataSet, path, or a list of these
+        As `load_dataset` takes them.
+    models : robot, sequence of robots or of (name, robot), or mapping of names to robots, optional
+        Robots as `load_robot` takes them: names, paths, dicts, models. Default: the data set's
+        robot description. Without a name it has the robot's.
+    catalogue : Catalogue or paths, optional
+        With your own effects.
     error : str
         'ci' for 95 % t-intervals of means, 'sem' for standard errors.
 
@@ -90,13 +95,12 @@ def compare(
         A model has no equilibrium in a posture.
 
     """
-    if error not in ERRORS:
-        raise InputError(f'error: expected {" or ".join(ERRORS)}, got {error!r}')
+    choice('error', error, ERRORS)
+    dataset, catalogue = load_dataset(dataset), load_catalogue(catalogue)
     named = _named(models) or [(dataset.robot.name, dataset.robot)]
     names = [name for name, _ in named]
     if len(set(names)) < len(names):
         raise InputError(f'models: expected different names, got {", ".join(names)}')
-    catalogue = catalogue or load_catalogue()
     for name, robot in named:
         _check(dataset, name, robot)
     predictors = [Predictor(dataset, robot, catalogue) for _, robot in named]
@@ -113,23 +117,21 @@ def compare(
     return Comparison(_measured(dataset, predictors[best], angles), errors, error)
 
 
-def _named(models: Robot | Sequence[Robot | tuple[str, Robot]]) -> list[tuple[str, Robot]]:
+def _named(models: Models) -> list[tuple[str, Robot]]:
     """Return models with their names; of robots of one name the later ones are numbered."""
+    if isinstance(models, Mapping) and not {'name', 'sections'} <= set(models):
+        models = list(models.items())
     named, times = list[tuple[str, Robot]](), Counter[str]()
-    for given in [models] if isinstance(models, Robot) else models:
-        if isinstance(given, Robot):
-            times[given.name] += 1
-            count = times[given.name]
-            named.append((given.name if count == 1 else f'{given.name} ({count})', given))
-            continue
+    listed: Sequence[Any] = models if isinstance(models, list | tuple) else [models]
+    for given in listed:
         match given:
-            case (str(name), Robot() as robot):
-                named.append((name, robot))
+            case (str(name), robot):
+                named.append((name, load_robot(robot)))
             case _:
-                raise InputError(
-                    'models: expected robots, or pairs of a name and a robot as '
-                    f"[('better', robot)], got {type(given).__name__}: load_robot(path) reads one"
-                )
+                robot = load_robot(given)
+                times[robot.name] += 1
+                count = times[robot.name]
+                named.append((robot.name if count == 1 else f'{robot.name} ({count})', robot))
     return named
 
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from ..common.dataframes import make_frame
 from ..common.errors import InputError
+from ..common.told import Told
 from .statistics import Estimate, PairedT, estimate, half_width, paired_t
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ class ModelErrors:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(Told):
     """Measurements against models, side by side."""
 
     measured: Measured
@@ -148,7 +149,8 @@ class Comparison:
                 table |= {f'{what}_{axis}': c for axis, c in zip('xyz', columns, strict=True)}
             tables.append(table | {'error': model.distance.ravel()})
         joined = {key: np.concatenate([table[key] for table in tables]) for key in tables[0]}
-        return make_frame(joined, dict.fromkeys(list(joined)[3:], 'm'))
+        ordered = {'posture': measured.postures, 'marker': measured.markers}
+        return make_frame(joined, dict.fromkeys(list(joined)[3:], 'm'), ordered)
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """

@@ -92,9 +92,16 @@ def read_frame(frame: Any, inputs: Sequence[str], name: str) -> FrameArrays:
 
 
 def _codes(column: Any) -> tuple[tuple[str, ...], Codes]:
-    """Return the names in a column, in the order in which they appear, and each row's."""
+    """
+    Return the names in a column, and each row's.
+
+    In the order of an ordered categorical, else in that in which they appear.
+    """
     texts = [str(value) for value in column.tolist()]
-    names = {text: i for i, text in enumerate(dict.fromkeys(texts))}
+    first = list(column.cat.categories) if hasattr(column, 'cat') and column.cat.ordered else []
+    there = set(texts)
+    order = [text for text in map(str, first) if text in there]
+    names = {text: i for i, text in enumerate(dict.fromkeys([*order, *texts]))}
     return tuple(names), np.array([names[text] for text in texts], dtype=np.int64)
 
 

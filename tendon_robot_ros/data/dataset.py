@@ -6,15 +6,18 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..common.dataframes import make_frame
 from ..common.errors import DataSetError, InputError
+from ..common.given import choice, names, number, refusal
+from ..common.told import Told
 from ..common.words import listing
-from ..robot import Robot
+from ..robot import Robot, RobotLike, load_robot
+from ..robot.inputs import finite, input_rows
 from .dataframes import FrameArrays, check_units, frame_columns, read_frame
 from .markers import Marker, Vector, place_markers
 from .visits import Visits
@@ -24,6 +27,8 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 Known = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 
+EXPECTED = 'a DataSet, its folder, a recording, or a list of these'
+FRAME = ' (DataSet.from_frame makes one of a tidy table, import_table of one over time)'
 INPUTS = ('tension', 'displacement')
 REST_SHARE = 0.05  # of the largest input, below which all inputs are where an arm rests
 LOADINGS = ('from_straight', 'sequence')  # every trial of a posture has the same history
@@ -46,7 +51,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class DataSet:
+class DataSet(Told):
     """
     Postures of a robot, what was commanded and where its markers were.
 
@@ -103,6 +108,13 @@ class DataSet:
                 )
             array.setflags(write=False)
             object.__setattr__(self, key, array)
+        if self.input == 'tension' and np.isnan(self.inputs).any():
+            p, i = np.argwhere(np.isnan(self.inputs))[0].tolist()
+            raise DataSetError(
+                f'{self.name}: posture {self.postures[p]!r}',
+                f'the tension of {self.input_names[i]} is nan',
+                'give every tension, 0 where a tendon is slack',
+            )
 
     def __repr__(self) -> str:
         """Say what was measured of which robot."""
@@ -120,11 +132,17 @@ class DataSet:
     def from_frame(
         cls,
         frame: Any,
-        robot: Robot,
+        robot: RobotLike,
         *,
         markers: Sequence[Marker | float] | None = None,
         name: str = 'DataFrame',
-        **fields: Any,
+        input: str = 'tension',
+        path: str = 'from_straight',
+        gravity: Vector | None = None,
+        position_noise: float | None = None,
+        setting_noise: float = 0.0,
+        trial_noise: float = 0.0,
+        accuracy: float | None = None,
     ) -> DataSet:
         """
         Return the data set of a tidy table: a row per posture, trial and marker, SI units.
@@ -136,15 +154,25 @@ class DataSet:
             frame, one per input of the robot [N] or [m], and perhaps `arc_length` [m] and `qx`,
             `qy`, `qz`, `qw`. A marker that was not seen is nan, or has no row. `frame` gives such
             a table back; one over time goes through `import_table`.
-        robot : Robot
+        robot : Robot, name, path, text or dict
             The robot that was measured.
         markers : sequence of Marker or arc lengths [m], optional
             In the order in which the table names them; default: its column `arc_length`, else
             one per cell.
         name : str
             For messages.
-        **fields
-            `input`, `path`, `gravity`, `position_noise` and what else a data set says.
+        input : str
+            'tension' [N], or 'displacement': wire pulls [m].
+        path : str
+            'from_straight', or 'sequence': every trial replays all postures in order.
+        gravity : (3,) [m/s²], optional
+            In the base frame; default: the robot's.
+        position_noise : float, optional
+            [m] 1 sd per coordinate of the tracker.
+        setting_noise, trial_noise : float
+            [1] relative 1 sd of each input, shared by a posture's trials, and per trial.
+        accuracy : float, optional
+            [m] the error that you can live with.
 
         Raises
         ------
@@ -152,30 +180,42 @@ class DataSet:
             A column or a value is missing, in another unit, or stands twice.
 
         """
+        robot = load_robot(robot)
+        if not hasattr(frame, 'columns'):
+            raise refusal(name, 'a DataFrame (of arrays: DataSet.from_arrays)', frame)
         arrays = read_frame(frame, robot.inputs, name)
-        return _checked(cls, arrays, robot, markers, {'name': name, **fields})
+        said = _Said(name, input, path, gravity, position_noise, setting_noise, trial_noise,
+                     accuracy)  # fmt: skip
+        return _checked(cls, arrays, robot, markers, said)
 
     @classmethod
     def from_arrays(
         cls,
-        robot: Robot,
-        inputs: NDArray[Any],
-        positions: NDArray[Any],
+        robot: RobotLike,
+        inputs: Any,
+        positions: ArrayLike,
         *,
         markers: Sequence[Marker | float] | None = None,
         postures: Sequence[str] = (),
         name: str = 'arrays',
-        **fields: Any,
+        input: str = 'tension',
+        path: str = 'from_straight',
+        gravity: Vector | None = None,
+        position_noise: float | None = None,
+        setting_noise: float = 0.0,
+        trial_noise: float = 0.0,
+        accuracy: float | None = None,
     ) -> DataSet:
         """
         Return the data set of arrays.
 
         Parameters
         ----------
-        robot : Robot
+        robot : Robot, name, path, text or dict
             The robot that was measured.
-        inputs : (P, m) [N] or [m]
-            Columns as `robot.inputs`; of wire pulls nan is slack.
+        inputs : (P, m) [N] or [m], or a DataFrame, a dict or a structured array
+            Columns with names are taken by name, in any order; others are in the order of
+            `robot.inputs`. Of wire pulls nan is slack.
         positions : (P, J, 3) or (P, Q, J, 3) [m]
             Of J markers in the base frame, in Q trials; nan was not seen.
         markers : sequence of Marker or arc lengths [m], optional
@@ -184,8 +224,18 @@ class DataSet:
             Names; default '0' to 'P-1'.
         name : str
             For messages.
-        **fields
-            `input`, `path`, `gravity`, `position_noise` and what else a data set says.
+        input : str
+            'tension' [N], or 'displacement': wire pulls [m].
+        path : str
+            'from_straight', or 'sequence': every trial replays all postures in order.
+        gravity : (3,) [m/s²], optional
+            In the base frame; default: the robot's.
+        position_noise : float, optional
+            [m] 1 sd per coordinate of the tracker.
+        setting_noise, trial_noise : float
+            [1] relative 1 sd of each input, shared by a posture's trials, and per trial.
+        accuracy : float, optional
+            [m] the error that you can live with.
 
         Raises
         ------
@@ -193,7 +243,12 @@ class DataSet:
             Shapes do not fit each other, or values are in another unit.
 
         """
-        places = np.asarray(positions, dtype=float)
+        robot = load_robot(robot)
+        rows = input_rows(robot, inputs, choice('input', input, INPUTS), f'{name}: inputs')
+        try:
+            places = np.asarray(positions, dtype=float)
+        except (TypeError, ValueError):
+            raise refusal(f'{name}: positions', 'numbers [m]', positions) from None
         places = places[:, None] if places.ndim == 3 else places
         if places.ndim != 4 or places.shape[3] != 3:
             raise DataSetError(
@@ -203,23 +258,26 @@ class DataSet:
             )
         P, Q, J = places.shape[:3]
         arrays = FrameArrays(
-            tuple(map(str, postures)) or tuple(map(str, range(P))),
+            names('postures', postures, P),
             tuple(map(str, range(Q))),
             tuple(str(j + 1) for j in range(J)),
             None,
-            np.asarray(inputs, dtype=float),
+            rows,
             None,
             places,
             None,
         )
-        return _checked(cls, arrays, robot, markers, {'name': name, **fields})
+        said = _Said(name, input, path, gravity, position_noise, setting_noise, trial_noise,
+                     accuracy)  # fmt: skip
+        return _checked(cls, arrays, robot, markers, said)
 
     def frame(self) -> Any:
         """
         Return a tidy table (pandas): a row per posture, trial and marker, SI units.
 
         Columns `posture`, `trial`, `marker`, `arc_length`, `x`, `y`, `z`, the inputs, and the
-        quaternion where there is one; `from_frame` makes the same measurements of it.
+        quaternion where there is one; postures, trials and markers are categories in their order,
+        markers from the base to the tip. `from_frame` makes the same measurements of it.
         """
         arrays = FrameArrays(
             self.postures,
@@ -234,7 +292,12 @@ class DataSet:
         unit = 'N' if self.input == 'tension' else 'm'
         units = dict.fromkeys(('arc_length', 'x', 'y', 'z'), 'm')
         units |= dict.fromkeys(self.input_names, unit)
-        return make_frame(frame_columns(arrays, self.input_names), units)
+        ordered = {
+            'posture': arrays.postures,
+            'trial': arrays.trials,
+            'marker': arrays.markers,
+        }
+        return make_frame(frame_columns(arrays, self.input_names), units, ordered)
 
     @property
     def input_names(self) -> tuple[str, ...]:
@@ -379,24 +442,71 @@ class DataSet:
         return replace(self, postures=tuple(self.postures[i] for i in rows), **kept)
 
 
+class HasDataSet(Protocol):
+    """An import: what holds measurements."""
+
+    @property
+    def dataset(self) -> DataSet:
+        """The measurements."""
+
+
+def as_dataset(data: object) -> DataSet:
+    """Return a data set as it is, or that of an import; anything else is refused."""
+    dataset = data if isinstance(data, DataSet) else getattr(data, 'dataset', None)
+    if not isinstance(dataset, DataSet):
+        frame = FRAME if hasattr(data, 'columns') else ''
+        raise refusal('data', f'{EXPECTED}{frame}', data)
+    return dataset
+
+
+class _Said(NamedTuple):
+    """What a caller says of arrays."""
+
+    name: str
+    input: str
+    path: str
+    gravity: Vector | None
+    position_noise: float | None
+    setting_noise: float
+    trial_noise: float
+    accuracy: float | None
+
+
+# [m] noise and accuracy, [1] relative noise: what is larger is in another unit
+LENGTH_MAX_M, SHARE_MAX = 0.1, 0.5
+
+
 def _checked(
     cls: type[DataSet],
     arrays: FrameArrays,
     robot: Robot,
     markers: Sequence[Marker | float] | None,
-    fields: dict[str, Any],
+    said: _Said,
 ) -> DataSet:
     """Return a data set of arrays whose values are in plausible units."""
+    choice('input', said.input, INPUTS)
+    choice('path', said.path, LOADINGS)
+    for key, most, unit in (
+        ('position_noise', LENGTH_MAX_M, 'm'),
+        ('accuracy', LENGTH_MAX_M, 'm'),
+        ('setting_noise', SHARE_MAX, '1'),
+        ('trial_noise', SHARE_MAX, '1'),
+    ):
+        if getattr(said, key) is not None:
+            number(key, getattr(said, key), 0.0, most, unit)
+    if said.gravity is not None:
+        down = finite('gravity', said.gravity, 3)
+        said = said._replace(gravity=(float(down[0]), float(down[1]), float(down[2])))
     dataset = cls(
         robot=robot,
-        markers=place_markers(arrays, robot, markers, fields['name']),
+        markers=place_markers(arrays, robot, markers, said.name),
         postures=arrays.postures,
         inputs=arrays.inputs,
         positions=arrays.positions,
         orientations=arrays.orientations,
         trial_inputs=arrays.trial_inputs,
         trial_names=arrays.trials,
-        **fields,
+        **said._asdict(),
     )
     check_units(dataset.name, robot, dataset.arc_lengths, dataset.input, arrays)
     return dataset

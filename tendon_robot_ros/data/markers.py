@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..common.errors import DataSetError
+from ..common.given import refusal
 from ..robot import Robot
 from .dataframes import FrameArrays
 
+MARKERS_EXPECTED = 'the arc length [m] of each, or a Marker'
 Vector = tuple[float, float, float]
 
 
@@ -46,6 +48,8 @@ def place_markers(
         given = arrays.arc_lengths.tolist()
     if given is None and len(arrays.markers) == robot.cells:
         return default_markers(robot)
+    if given is not None and not isinstance(given, Sequence | np.ndarray):
+        raise refusal(f'{name}: markers', MARKERS_EXPECTED, given)
     if given is None or len(given) != len(arrays.markers):
         known = 'none' if given is None else f'{len(given)}'
         raise DataSetError(
@@ -53,7 +57,17 @@ def place_markers(
             f'there are {len(arrays.markers)}, {known} with a place',
             'give the arc length [m] of each, from the base along the arm',
         )
-    return tuple(
-        one if isinstance(one, Marker) else Marker(label, float(one))
-        for label, one in zip(arrays.markers, given, strict=True)
-    )
+    return markers_of(given, arrays.markers, name)
+
+
+def markers_of(
+    given: Sequence[Marker | float], labels: Sequence[str], name: str
+) -> tuple[Marker, ...]:
+    """Return markers that are given as such or by their arc lengths [m]."""
+    try:
+        return tuple(
+            one if isinstance(one, Marker) else Marker(label, float(one))
+            for label, one in zip(labels, given, strict=True)
+        )
+    except (TypeError, ValueError):
+        raise refusal(f'{name}: markers', MARKERS_EXPECTED, given) from None

@@ -13,11 +13,13 @@ import numpy as np
 
 from ..common.dataframes import make_frame
 from ..common.errors import InputError, NoEquilibriumError
+from ..common.given import refusal
 from ..common.processes import one_thread
+from ..common.told import Told
 from ..comparison.predict import FreeParameter, Point
-from ..data import DataSet
-from ..effects import Catalogue, load_catalogue
-from ..robot import Robot
+from ..data import DataSet, DataSetLike, load_dataset
+from ..effects import CatalogueLike, load_catalogue
+from ..robot import Robot, RobotLike, load_robot
 from .candidates import Candidate, is_tested, why_untested
 from .decide import P_SINGLE_MIN
 from .fit import Fit
@@ -31,7 +33,7 @@ from .written import Written, written
 
 
 @dataclass(frozen=True)
-class Addition:
+class Addition(Told):
     """A description with fitted effects, and what they do to the error."""
 
     robot: Robot
@@ -171,11 +173,11 @@ def _short(value: float | None) -> float | None:
 
 @one_thread()
 def add_effects(
-    dataset: DataSet,
+    dataset: DataSetLike,
     names: Sequence[str],
-    robot: Robot | None = None,
-    catalogue: Catalogue | None = None,
-    check: DataSet | None = None,
+    robot: RobotLike | None = None,
+    catalogue: CatalogueLike | None = None,
+    check: DataSetLike | None = None,
     start: Sequence[EffectFinding] = (),
     partial: bool = False,
 ) -> Addition:
@@ -187,13 +189,14 @@ def add_effects(
 
     Parameters
     ----------
-    dataset : DataSet
+    dataset : DataSet, path, or a list of these
+        As `load_dataset` takes them.
     names : sequence of str
         Effects, fitted together.
-    robot : Robot, optional
+    robot : Robot, name, path, text or dict, optional
         Default: the data set's.
-    catalogue : Catalogue, optional
-    check : DataSet, optional
+    catalogue : Catalogue or paths, optional
+    check : DataSet or path, optional
         Other postures to judge by; default: groups of postures are left out in turn.
     start : sequence of EffectFinding, optional
         Values to start from, as a diagnosis found them.
@@ -207,10 +210,12 @@ def add_effects(
     NoEquilibriumError
 
     """
-    if not names:
-        raise InputError('add: expected the name of an effect, got none')
-    described = robot or dataset.robot
-    session = Session(dataset, described, catalogue or load_catalogue(), workers=1)
+    if isinstance(names, str) or not names or not all(isinstance(name, str) for name in names):
+        raise refusal('add', 'the names of effects', names)
+    dataset = load_dataset(dataset)
+    described = dataset.robot if robot is None else load_robot(robot)
+    other = None if check is None else load_dataset(check, described)
+    session = Session(dataset, described, load_catalogue(catalogue), workers=1)
     session.leave_out_unsettled()
     if not session.weigh({}):
         raise InputError(
@@ -222,7 +227,7 @@ def add_effects(
     found = settle(session, names, _point(session, names, start))
     fit, made, probability, scale = found.fit, found.made, found.probability, found.scale
     values = values_with_intervals(session.fitters[0], fit, scale)
-    fitted, on_check = _errors(session, made, check)
+    fitted, on_check = _errors(session, made, other)
     more = more_at_work(fitted, probability) if partial or probability <= P_SINGLE_MIN else ''
     by = session.accuracy if session.use_accuracy else None
     loads, moved = loads_of(fit, session.predictor, scale), fit.prior_z
@@ -287,17 +292,34 @@ def _by_accuracy(
     return fit, made
 
 
-def add_effect(dataset: DataSet, name: str, **options: Any) -> Addition:
+def add_effect(
+    dataset: DataSetLike,
+    name: str,
+    robot: RobotLike | None = None,
+    catalogue: CatalogueLike | None = None,
+    check: DataSetLike | None = None,
+    start: Sequence[EffectFinding] = (),
+    partial: bool = False,
+) -> Addition:
     """
     Fit one effect on a data set and write its values into a description.
 
     Parameters
     ----------
-    dataset : DataSet
+    dataset : DataSet, path, or a list of these
+        As `load_dataset` takes them.
     name : str
         An effect of the catalogue.
-    **options
-        As of `add_effects`: robot, catalogue, check, partial.
+    robot : Robot, name, path, text or dict, optional
+        Default: the data set's.
+    catalogue : Catalogue or paths, optional
+        With your own effects.
+    check : DataSet or path, optional
+        Other postures to judge by; default: groups of postures are left out in turn.
+    start : sequence of EffectFinding, optional
+        Values to start from: `diagnosis.effects`.
+    partial : bool
+        Something outside the catalogue is known to be at work, too.
 
     Returns
     -------
@@ -305,7 +327,7 @@ def add_effect(dataset: DataSet, name: str, **options: Any) -> Addition:
         The new description is its `robot`.
 
     """
-    return add_effects(dataset, [name], **options)
+    return add_effects(dataset, [name], robot, catalogue, check, start, partial)
 
 
 def fit_effects(session: Session, names: Sequence[str], start: Point | None = None) -> Fit:

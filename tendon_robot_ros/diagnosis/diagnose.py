@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from ..common.errors import NoEquilibriumError
+from ..common.given import function, whole
 from ..common.processes import one_thread
 from ..common.words import listed, mm
 from ..comparison.noise import rms
-from ..data import DataSet
-from ..effects import Catalogue, load_catalogue
-from ..robot import Robot
+from ..data import DataSetLike, load_dataset
+from ..effects import CatalogueLike, load_catalogue
+from ..robot import RobotLike, load_robot
 from .arm_report import usual_floor
 from .candidates import Ranked
 from .decide import (
@@ -48,9 +49,9 @@ from .setup_mistakes import find_mistake, partly_mistaken
 
 @one_thread()
 def diagnose(
-    dataset: DataSet,
-    robot: Robot | None = None,
-    catalogue: Catalogue | None = None,
+    dataset: DataSetLike,
+    robot: RobotLike | None = None,
+    catalogue: CatalogueLike | None = None,
     workers: int = 2,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -59,10 +60,11 @@ def diagnose(
 
     Parameters
     ----------
-    dataset : DataSet
-    robot : Robot, optional
+    dataset : DataSet, path, or a list of these
+        As `load_dataset` takes them.
+    robot : Robot, name, path, text or dict, optional
         The description to judge; default: the data set's.
-    catalogue : Catalogue, optional
+    catalogue : Catalogue or paths, optional
         The effects to consider; default: the built-in ones and installed ones.
     workers : int
         Threads.
@@ -75,9 +77,10 @@ def diagnose(
         The description does not fit the catalogue, or the model finds no equilibrium at all.
 
     """
-    session = Session(
-        dataset, robot or dataset.robot, catalogue or load_catalogue(), workers, progress
-    )
+    dataset, workers = load_dataset(dataset), whole('workers', workers, 1)
+    judged = dataset.robot if robot is None else load_robot(robot)
+    function('progress', progress)
+    session = Session(dataset, judged, load_catalogue(catalogue), workers, progress)
     lacking = _what_is_lacking(session)
     if isinstance(lacking, Mistake):
         return _mistaken(session, lacking)

@@ -21,11 +21,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
+from ..common.given import function, whole
 from ..common.processes import one_thread
 from ..comparison.predict import Predictor
-from ..data import DataSet
-from ..effects import Catalogue, load_catalogue
-from ..robot import Robot
+from ..data import DataSet, DataSetLike, load_dataset
+from ..effects import Catalogue, CatalogueLike, load_catalogue
+from ..robot import Robot, RobotLike, load_robot
 from .add import Addition, more_at_work, with_origin
 from .as_built import SplitPredictor
 from .as_found import AsFound, as_found, as_found_without, of_the_search
@@ -47,10 +48,10 @@ GROUPS_MAX = 16  # groups of postures that the search is made without
 
 @one_thread()
 def improve(
-    dataset: DataSet,
-    robot: Robot | None = None,
-    catalogue: Catalogue | None = None,
-    check: DataSet | None = None,
+    dataset: DataSetLike,
+    robot: RobotLike | None = None,
+    catalogue: CatalogueLike | None = None,
+    check: DataSetLike | None = None,
     workers: int = 2,
     progress: Progress | None = None,
 ) -> Improvement:
@@ -59,11 +60,12 @@ def improve(
 
     Parameters
     ----------
-    dataset : DataSet
-    robot : Robot, optional
+    dataset : DataSet, path, or a list of these
+        As `load_dataset` takes them.
+    robot : Robot, name, path, text or dict, optional
         Default: the data set's.
-    catalogue : Catalogue, optional
-    check : DataSet, optional
+    catalogue : Catalogue or paths, optional
+    check : DataSet or path, optional
         Other postures, whose error is shown at every step; they have no part in anything.
     workers : int
         Threads.
@@ -79,7 +81,11 @@ def improve(
 
     """
     show = progress or (lambda what, done, total: None)
-    search = Stepwise(dataset, robot or dataset.robot, catalogue or load_catalogue())
+    dataset, workers = load_dataset(dataset), whole('workers', workers, 1)
+    function('progress', progress)
+    before = dataset.robot if robot is None else load_robot(robot)
+    other = None if check is None else load_dataset(check, before)
+    search = Stepwise(dataset, before, load_catalogue(catalogue))
     held = _held(search.dataset)
     most = STEPS_MAX * (1 + len(held))
     states = search.path(show=lambda k: show('searching', k, most))
@@ -91,7 +97,7 @@ def improve(
         way = replace(way, found=as_found(search, way.final))
     if way.found is not None and way.found.is_worthwhile:
         way = _with_the_arm(way, way.found, paths, workers)
-    return _result(way, check)
+    return _result(way, other)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.colours import GOOD, HELD_OUT, PREDICTED
+from ..common.dataframes import make_frame
+from ..common.told import Told
 from ..robot import Robot
 from .described_arm import PROFILE
 from .result import LoadVector, Value
@@ -50,7 +52,7 @@ class ImprovementStep:
 
 
 @dataclass(frozen=True)
-class Improvement:
+class Improvement(Told):
     """An improved description, the way there, and what remains."""
 
     robot: Robot  # with what was taken
@@ -85,6 +87,23 @@ class Improvement:
             kind: [total(step.errors[kind]) for step in self.steps]
             for kind in self.steps[0].errors
         }
+
+    def frame(self) -> Any:
+        """
+        Return the errors as a table (pandas): a row per step, kind of error and marker.
+
+        Columns `step` (0: as described), `joined`, `taken`, `kind` ('fitted', 'left out',
+        'check'), `marker`, and the rms `error` [m] over the postures.
+        """
+        rows = [
+            (k, step.joined, k <= self.taken, kind, marker, float(error))
+            for k, step in enumerate(self.steps)
+            for kind, errors in step.errors.items()
+            for marker, error in zip(self.markers, errors, strict=True)
+        ]
+        names = 'step', 'joined', 'taken', 'kind', 'marker', 'error'
+        columns = dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
+        return make_frame(columns, {'error': 'm'}, {'marker': self.markers})
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..common.colours import ERROR, GOOD, PREDICTED
 from ..common.dataframes import make_frame
+from ..common.told import Told
 from .decide import Verdict
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ class NextMeasurement:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(Told):
     """Verdict, effects to add, alternatives, what was not tested, errors and remainder."""
 
     verdict: Verdict

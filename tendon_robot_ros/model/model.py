@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy.typing as npt
 
+from ..common.given import refusal, whole
 from ..robot.inputs import TensionsLike
+from ..robot.keep_out import KeepOut
 from .derivatives import Column, Seen, TipStiffness, derivatives, tip_jacobian, tip_stiffness
 from .forward import Floats, ForwardModel
 from .inverse import reach
 from .pulls import pull_shape
+from .redundancy import Preferences
 from .shape import Reach, Shape, ShapeBatch
+from .tip_task import refuse_other_unit
 
 
 class Model(ForwardModel):
@@ -38,10 +42,38 @@ class Model(ForwardModel):
         self,
         position: npt.ArrayLike | None = None,
         direction: npt.ArrayLike | None = None,
-        **options: object,
+        *,
+        guess: Shape | None = None,
+        position_weight: float = 1.0,
+        direction_weight: float | None = None,
+        starts: int = 24,
+        by_pulls: bool = False,
+        relax: bool = False,
+        gently: bool = False,
+        memory: Floats | None = None,
+        preferences: Preferences | None = None,
+        keep_out: KeepOut | None = None,
+        give_up: Callable[[], bool] = lambda: False,
+        tell: Callable[[Reach], None] | None = None,
     ) -> Reach:
-        """Return tensions that bring the tip to a target; see `inverse.reach`."""
-        return reach(self, position, direction, **options)  # type: ignore[arg-type]
+        """
+        Return tensions that bring the tip to a target [m]; see `inverse.reach`.
+
+        Raises
+        ------
+        InputError
+            Neither position nor direction, or not finite; a position that is no place in metres.
+
+        """
+        refuse_other_unit(self.robot, position)
+        if guess is not None and not isinstance(guess, Shape):
+            raise refusal('guess', 'a Shape of this robot', guess)
+        return reach(
+            self, position, direction, guess=guess, position_weight=position_weight,
+            direction_weight=direction_weight, starts=whole('starts', starts),
+            by_pulls=by_pulls, relax=relax, gently=gently, memory=memory,
+            preferences=preferences, keep_out=keep_out, give_up=give_up, tell=tell,
+        )  # fmt: skip
 
     def tip_stiffness(self, shape: Shape, wires_held: bool = False) -> TipStiffness:
         """Return how the tip gives way to a force on it; see `derivatives.tip_stiffness`."""

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from ..common.dataframes import make_frame
 from ..common.errors import InputError
 from ..common.rotations import bent, turned_in_plane
+from ..common.told import Told
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -247,7 +249,7 @@ class ShapeBatch:
         return place_markers(self, np.asarray(arc_length, float), np.asarray(offset, float))
 
 
-class Shape:
+class Shape(Told):
     """One posture: the fields of `ShapeBatch` without the first axis."""
 
     def __init__(self, form: ResultLayout, block: Floats) -> None:
@@ -277,6 +279,22 @@ class Shape:
         from .plot import plot_arms
 
         return plot_arms(self.positions[None], axes, **style)
+
+    def frame(self) -> Any:
+        """
+        Return the arm as a table (pandas): a row per cell, SI units.
+
+        Columns `cell`, `arc_length`, `x`, `y`, `z` of its far end [m], `bend_x`, `bend_y` [rad].
+        """
+        places, bends = self.positions.T, self.bend.T
+        columns = {
+            'cell': np.arange(1, len(self.positions) + 1),
+            'arc_length': np.cumsum(self.form.cell_length),
+            **dict(zip('xyz', places, strict=True)),
+            **{f'bend_{axis}': bend for axis, bend in zip('xy', bends, strict=True)},
+        }
+        units = dict.fromkeys(('arc_length', 'x', 'y', 'z'), 'm')
+        return make_frame(columns, units | dict.fromkeys(('bend_x', 'bend_y'), 'rad'))
 
     def _field(self, name: str) -> Floats:
         where, shape = self.form.one[name]
@@ -360,7 +378,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Reach:
+class Reach(Told):
     """Tensions for a target, and how near they bring the tip."""
 
     shape: Shape

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import InputError
+from ..common.errors import InputError, short
+from ..robot import Robot
 from ..robot.inputs import finite
 
 if TYPE_CHECKING:
@@ -83,6 +84,24 @@ class TipTask:
         ax, ay, az = shape.tip_direction.tolist()
         across = math.hypot(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
         return position, math.atan2(across, ax * bx + ay * by + az * bz)
+
+
+FAR_LENGTHS = 10.0  # [1] of the arm from its base: millimetres are a thousand times as far
+
+
+def refuse_other_unit(robot: Robot, position: npt.ArrayLike | None) -> None:
+    """Refuse a position (3,) that is so far that it must be in another unit."""
+    if position is None:
+        return
+    values = finite('position', position, 3)
+    away = float(np.linalg.norm(values))
+    if away > FAR_LENGTHS * robot.length:
+        mm = 1e-3 * away <= FAR_LENGTHS * robot.length
+        hint = '; if these are mm, divide by 1000' if mm else ''
+        raise InputError(
+            f'position: expected metres, got {short(values.tolist())}, {away:.4g} m from the base '
+            f'of an arm of {robot.length:.4g} m{hint}'
+        )
 
 
 def tip_target(

@@ -3,6 +3,7 @@ Tables, pictures and pages that people read.
 
 page.py               a page that opens without a network; page.css and page.js are in it
 numbers.py            fitted values and arrays as people and figures need them
+in_words.py           what a script prints of a result, and what a notebook shows
 comparison_text.py    a comparison in words; comparison_page.py is its page
 diagnosis_text.py     a diagnosis in words; trust_text.py: how far to trust it
 arm_text.py           in words: an arm as built, readings left out, where the model is still wrong

@@ -230,15 +230,14 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
         page.box(map(capital, lines), 'warn', 'Cannot be told apart')
     elif alike:
         page.text(f'{capital(alike)}.')
-    header = ['effect', 'explains', 'error left', 'left-out postures', 'chance', 'status', 'value']
     rows, kinds = [], []
     for row in sorted(diagnosis.candidates, key=lambda row: row.status != 'best'):
-        rows.append(_row(row))
+        rows.append(candidate_row(row))
         kinds.append({'best': 'strong', 'rejected': 'faint'}.get(row.status, ''))
     if rows:
         found = diagnosis_text.with_arm(diagnosis)
         with_what = 'the effect and the arm as it was found' if found else 'the effect'
-        page.table(header, rows, kinds, left=(5, 6))
+        page.table(CANDIDATE_HEAD, rows, kinds, left=(5, 6))
         page.text(
             '“Explains” is the share of the error above the noise floor that goes away; “error '
             f'left” is that of the description with {with_what}; “left-out postures” is the error '
@@ -253,7 +252,13 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
     )
 
 
-def _row(row: CandidateRow) -> list[str]:
+CANDIDATE_HEAD = [
+    'effect', 'explains', 'error left', 'left-out postures', 'chance', 'status', 'value',
+]  # fmt: skip
+
+
+def candidate_row(row: CandidateRow) -> list[str]:
+    """Return what a table of candidates says of one, as `CANDIDATE_HEAD` names it."""
     name = f'{row.name} (another value)' if row.present else row.name
     return [
         name,

@@ -1,7 +1,8 @@
 """
 The description of a robot: sections, tendons, limits, and the effects of its model.
 
-description.py   YAML to frozen, validated dataclasses and back (docs/robot_file.md)
+description.py   YAML to frozen, validated dataclasses (docs/robot_file.md)
+writing.py       the same back to YAML
 loading.py       the robot that a name, a path, text, keys or an object mean
 inputs.py        what a caller commands, by name or in order, checked
 routes.py        where the tendons run: offsets in every cell, winding about the axis
@@ -10,11 +11,12 @@ estimates.py     what it means in the hand: bend per newton, sag, stiffness from
 keep_out.py      regions that no part of the arm may enter: planes, spheres, boxes
 urdf.py          the same robot as a URDF with its joints, for RViz and TF
 
-A new key of the description is read and written in description.py.
+A new key of the description is read in description.py and written in writing.py.
 """
 
-from .description import Robot, Section, Tendon, dump_robot, parse_robot
+from .description import Robot, Section, Tendon, parse_robot
 from .loading import RobotLike, load_robot
+from .writing import dump_robot
 
 __all__ = [
     'Robot',

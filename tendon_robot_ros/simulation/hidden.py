@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import EffectError, InputError
+from ..common.given import refusal
 from ..effects import Catalogue, Effect, Parameter
 from ..robot import Robot
 from ..robot.description import EffectValues
@@ -129,8 +130,12 @@ def hide(
 
     """
     effects: dict[str, EffectValues] = {name: dict(own) for name, own in robot.effects.items()}
+    if not isinstance(hidden, Mapping):
+        raise refusal('hidden', "a dict such as {'tip_load': {'force_x': 0.01}}", hidden)
     for name, parameters in hidden.items():
-        values = parameters or {}
+        values = {} if parameters is None else parameters
+        if not isinstance(values, Mapping):
+            raise refusal(f'hidden: {name}', 'its parameters as a dict', values)
         if name in CAUSES:
             _refuse_unknown(name, values, tuple(CAUSES[name].parameters))
             CAUSES[name].act(damage, {key: _one(name, key, v) for key, v in values.items()})

@@ -9,17 +9,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import InputError
 from ..common.files import new_file
+from ..common.given import choice, names, number, refusal, whole
 from ..common.rotations import towards
 from ..data import DataSet, Marker, default_markers
+from ..data.dataset import INPUTS, PATHS
 from ..data.joining import divide
+from ..data.markers import markers_of
 from ..data.visits import Split, split_by_order
-from .plant import Plant
+from ..robot import RobotLike
+from ..robot.inputs import input_rows
+from .plant import Plant, make_plant
 
 Floats = npt.NDArray[np.float64]
 
@@ -42,20 +47,22 @@ class SimulatedNoise:
             A value is negative, or so large that it must be in another unit.
 
         """
-        for key, high in (('position', 0.1), ('setting', 0.5), ('trial', 0.5)):
-            value = getattr(self, key)
-            if not 0.0 <= value <= high:
-                raise InputError(f'noise: {key}: expected a number from 0 to {high}, got {value}')
+        for key, high, unit in (
+            ('position', 0.1, 'm'),
+            ('setting', 0.5, '1'),
+            ('trial', 0.5, '1'),
+        ):
+            number(f'noise: {key}', getattr(self, key), 0.0, high, unit)
 
 
 def simulate(
-    plant: Plant,
-    inputs: npt.ArrayLike,
+    plant: Plant | RobotLike,
+    inputs: Any,
     *,
     noise: SimulatedNoise | None = None,
     trials: int = 5,
     seed: int = 0,
-    markers: Sequence[Marker] | None = None,
+    markers: Sequence[Marker | float] | None = None,
     postures: Sequence[str] = (),
     input: str = 'tension',
     path: str = 'from_straight',
@@ -67,16 +74,17 @@ def simulate(
     Parameters
     ----------
     plant : Plant
-        The real robot.
-    inputs : (P, m) [N] or [m]
-        What is set; nan = slack, with `input` 'displacement'.
+        The real robot, of `make_plant`; of a robot, one that hides nothing.
+    inputs : (P, m) [N] or [m], DataFrame, or dict of columns
+        What is set, by name or in the order of `robot.inputs`; nan = slack, with `input`
+        'displacement'.
     noise : SimulatedNoise, optional
         Of tracker and tendons.
     trials : int
         Trials of every posture.
     seed : int
         Of the noise.
-    markers : sequence of Marker, optional
+    markers : sequence of Marker or arc lengths [m], optional
         Default: one per cell.
     postures : sequence of str, optional
         Names; default '0' to 'P-1'.
@@ -91,11 +99,23 @@ def simulate(
         The plant cannot take these inputs.
 
     """
-    noise, robot = noise or SimulatedNoise(), plant.robot
-    rows, random = _rows(plant, inputs, trials), np.random.default_rng(seed)
-    made = tuple(markers or default_markers(robot))
-    names, pulls = tuple(postures or map(str, range(len(rows)))), input == 'displacement'
-    visits = _order(random, names, trials) if path == 'visits' else None
+    if not isinstance(plant, Plant):
+        plant = make_plant(plant)
+    noise = SimulatedNoise() if noise is None else noise
+    robot, trials = plant.robot, whole('trials', trials, 1)
+    if not isinstance(noise, SimulatedNoise):
+        raise refusal('noise', 'a SimulatedNoise', noise)
+    kind, _ = choice('input', input, INPUTS), choice('path', path, PATHS)
+    rows = input_rows(robot, inputs, kind, 'postures')
+    if not len(rows):
+        raise refusal('postures', 'at least one row of inputs', inputs)
+    random = np.random.default_rng(whole('seed', seed))
+    made = default_markers(robot)
+    if markers is not None:
+        named = names('simulate: markers', (), len(markers) if hasattr(markers, '__len__') else 0)
+        made = markers_of(markers, named, 'simulate')
+    labels, pulls = names('postures', postures, len(rows)), kind == 'displacement'
+    visits = _order(random, labels, trials) if path == 'visits' else None
     if visits is not None:
         used = rows[visits.command[visits.posture]] * _visit_factors(random, noise, visits, rows)
         positions = _placed(visits, _seen(plant, used[None], made, True, pulls))
@@ -107,7 +127,7 @@ def simulate(
         name=f'simulated {robot.name}',
         robot=robot,
         markers=made,
-        postures=names,
+        postures=labels,
         inputs=rows,
         positions=positions,
         input=input,
@@ -149,19 +169,6 @@ def _visit_factors(
     setting = noise.setting * random.normal(size=(len(split.postures), rows.shape[1]))
     trial = noise.trial * random.normal(size=(len(split.posture), rows.shape[1]))
     return np.maximum((1.0 + setting[split.posture]) * (1.0 + trial), 0.0)
-
-
-def _rows(plant: Plant, inputs: npt.ArrayLike, trials: int) -> Floats:
-    names = plant.robot.inputs
-    rows = np.asarray(inputs, dtype=float)
-    if trials < 1:
-        raise InputError(f'trials: expected at least 1, got {trials}')
-    if rows.ndim != 2 or rows.shape[1] != len(names) or not len(rows):
-        raise InputError(
-            f'postures: expected (postures, {len(names)}) numbers for {", ".join(names)}, '
-            f'got shape {rows.shape}'
-        )
-    return rows
 
 
 def _seen(

@@ -8,13 +8,13 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import InputError
+from ..common.given import number, whole
 from ..common.rotations import bent
-from ..effects import Catalogue, Effect, load_catalogue
+from ..effects import Catalogue, CatalogueLike, Effect, load_catalogue
 from ..model.model import Model
 from ..model.pulls import pull_shapes
 from ..model.shape import Shape, ShapeBatch, bends_in, twists_in
-from ..robot import Robot, Section
+from ..robot import Robot, RobotLike, Section, load_robot
 from ..robot.description import XY, EffectValues
 from ..robot.estimates import natural_sizes
 from ..robot.routes import helix_angles
@@ -308,14 +308,17 @@ def _joined(state: Floats, n: int, parts: int) -> Floats:
     return np.concatenate([bends, twists_in(state).reshape(b, n, parts).sum(axis=2)], axis=1)
 
 
+SCATTER_MAX = 0.2  # [1] 1 sd: cells that are softer by five of them would be none
+
+
 def make_plant(
-    robot: Robot,
+    robot: RobotLike,
     hidden: Hidden | None = None,
     refine: int = 3,
     scatter: float = 0.02,
     capstan: bool = True,
     seed: int = 0,
-    catalogue: Catalogue | None = None,
+    catalogue: CatalogueLike | None = None,
     work: Workmanship | None = None,
 ) -> Plant:
     """
@@ -323,7 +326,7 @@ def make_plant(
 
     Parameters
     ----------
-    robot : Robot
+    robot : Robot, name, path, text or dict
         What its owner wrote down.
     hidden : mapping, optional
         Effect, or cause outside the catalogue (`causes.CAUSES`), to its parameters; no parameters:
@@ -336,7 +339,7 @@ def make_plant(
         Friction at eyelets follows the exponential instead of the paper's quotient.
     seed : int
         Of the scatter.
-    catalogue : Catalogue, optional
+    catalogue : Catalogue or paths, optional
         With the user's own effects.
     work : Workmanship, optional
         How well it is built, instead of `scatter`; default: the stiffness scatters, and no more.
@@ -349,13 +352,11 @@ def make_plant(
         `refine` or `scatter` make no sense.
 
     """
-    if refine < 1 or not 0.0 <= scatter <= 0.2:
-        raise InputError(
-            f'plant: expected refine >= 1 and scatter from 0 to 0.2, got {refine} and {scatter}'
-        )
-    catalogue = (catalogue or load_catalogue()).sized(natural_sizes(robot))
+    robot, refine, seed = load_robot(robot), whole('refine', refine, 1), whole('seed', seed)
+    scatter = number('scatter', scatter, 0.0, SCATTER_MAX)
+    catalogue = load_catalogue(catalogue).sized(natural_sizes(robot))
     damage = Damage.none(robot, seed)
-    effects = hide(robot, hidden or {}, catalogue, damage)
+    effects = hide(robot, {} if hidden is None else hidden, catalogue, damage)
     stiffness, built = damage.stiffness, Built.exact(robot)
     if work is not None:
         built = Built.draw(robot, work, seed)

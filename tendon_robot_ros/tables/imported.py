@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..common.colours import COLOURS, GOOD, LEFT_OUT, MEASURED, PREDICTED, REST
+from ..common.told import Told
 from ..common.words import mm, postures
 from ..data import DataSet, save_dataset
 from ..data.dataset import at_rest
@@ -30,7 +31,7 @@ RECIPE, PICTURE = 'import.yaml', 'import.png'
 
 
 @dataclass(frozen=True)
-class ImportedTable:
+class ImportedTable(Told):
     """
     A data set, and how it came out of tables.
 

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import DataSetError
+from ..common.given import refusal
 from ..common.words import listed, mm
 from ..comparison.predict import Predictor
 from ..data import DataSet, Marker
 from ..data.folder.description import Description
 from ..data.recording.importing import segments_dataset
 from ..data.recording.still_segments import Segment
-from ..effects import Catalogue, load_catalogue
+from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..robot import Robot, RobotLike, load_robot
 from .choices import Taken, choose_columns
 from .columns import FloatArray, RawTable, from_frame, marker_label
@@ -39,7 +40,7 @@ def import_table(
     source: Any = (),
     robot: RobotLike | None = None,
     recipe: Recipe | Mapping[str, Any] | str | Path | None = None,
-    catalogue: Catalogue | None = None,
+    catalogue: CatalogueLike | None = None,
 ) -> ImportedTable:
     """
     Make a data set of a laboratory's tables.
@@ -53,7 +54,7 @@ def import_table(
         By default the one that the recipe names.
     recipe : Recipe, mapping, or path of an import.yaml, optional
         What is not to be guessed; the mapping has the keys of the file (docs/import_table.md).
-    catalogue : Catalogue, optional
+    catalogue : Catalogue or paths, optional
         Of effects, where the description has one of your own.
 
     Raises
@@ -73,7 +74,7 @@ def import_table(
     name = tables[0].name
     order = _order(measured, taken, robot, name)
     raw, markers = _in_tracker_frame(measured, taken, order, robot, name)
-    catalogue = catalogue or load_catalogue(())
+    catalogue = load_catalogue(catalogue)
     placed = place(raw, taken.recipe, catalogue)
     final, frame, left_out = placed.dataset, placed.frame, placed.left_out
     predicted = Predictor(final, final.robot, catalogue).markers({})
@@ -129,6 +130,8 @@ def _recipe(recipe: Recipe | Mapping[str, Any] | str | Path | None) -> Recipe:
         return Recipe()
     if isinstance(recipe, str | Path):
         return load_recipe(recipe)
+    if not isinstance(recipe, Recipe | Mapping):
+        raise refusal('recipe', 'a dict, or the path of an import.yaml', recipe)
     return recipe if isinstance(recipe, Recipe) else read_recipe(dict(recipe))
 
 
@@ -142,12 +145,18 @@ def _robot(robot: RobotLike | None, recipe: Recipe) -> Robot:
 
 
 def _tables(source: Any, recipe: Recipe) -> list[RawTable]:
-    if isinstance(source, str | Path) or hasattr(source, 'columns'):
+    if _is_table(source):
         source = [source]
+    if not isinstance(source, list | tuple) or not all(map(_is_table, source)):
+        raise refusal('tables', 'the path of a table, a DataFrame, or a list of these', source)
     found = list(source) or list(recipe.sources)
     if not found:
         raise DataSetError('tables', 'none is named', 'name a .csv, .parquet or .c3d file')
     return [read_table(s) if isinstance(s, str | Path) else from_frame(s) for s in found]
+
+
+def _is_table(source: object) -> bool:
+    return isinstance(source, str | Path) or hasattr(source, 'columns')
 
 
 def _with_up(recipe: Recipe, tables: Sequence[RawTable]) -> Recipe:

@@ -5,17 +5,18 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import InputError
+from ..common.given import choice, whole
 from ..model.model import Model
-from ..robot import Robot
+from ..robot import Robot, RobotLike, load_robot
 from ..robot.estimates import bend_rates, end_sections
 
 Floats = npt.NDArray[np.float64]
+INPUTS = ('tension', 'displacement')
 SECTION_BEND_MAX_RAD = 2.0  # [rad] largest bend of a section, by the frictionless model
 
 
 def default_postures(
-    robot: Robot,
+    robot: RobotLike,
     count: int = 12,
     seed: int = 0,
     input: str = 'tension',
@@ -30,7 +31,7 @@ def default_postures(
 
     Parameters
     ----------
-    robot : Robot
+    robot : Robot, name, path, text or dict
         Every section bends by at most `SECTION_BEND_MAX_RAD`, tensions stay within the limits.
     count : int
         Number of postures.
@@ -42,8 +43,9 @@ def default_postures(
         'from_straight' or 'sequence'.
 
     """
-    if count < 1:
-        raise InputError(f'postures: expected at least 1, got {count}')
+    robot, count, seed = load_robot(robot), whole('count', count, 1), whole('seed', seed)
+    choice('input', input, INPUTS)
+    choice('path', path, ('from_straight', 'sequence'))
     design = _Design(robot, np.random.default_rng(seed), input == 'tension')
     if path == 'sequence':
         rows = design.cycles(count)

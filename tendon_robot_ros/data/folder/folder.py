@@ -13,9 +13,10 @@ import numpy as np
 
 from ...common.errors import DataSetError
 from ...common.files import TABLE_ENDINGS, new_folder
+from ...common.given import place
 from ...common.words import PROGRAM
-from ...robot import Robot, dump_robot, load_robot
-from ..dataset import DataSet
+from ...robot import Robot, dump_robot
+from ..dataset import DataSet, HasDataSet, as_dataset
 from ..joining import divide
 from ..markers import default_markers
 from ..visits import Visits, split_by_order, split_by_origin
@@ -33,15 +34,15 @@ from .measurement_files import (
 TAKEN = ('markers', 'path')  # fields of a description that are taken one by one
 
 
-def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) -> DataSet:
+def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
     """
     Read and check a data set; nothing in its files is ever executed.
 
     Parameters
     ----------
-    folder : str or Path
+    folder : Path
         Holds dataset.yaml, inputs.csv and shapes.csv.
-    robot : Robot or path, optional
+    robot : Robot, optional
         The robot to use instead of the one that dataset.yaml names.
 
     Raises
@@ -52,14 +53,11 @@ def load_dataset(folder: str | Path, robot: Robot | str | Path | None = None) ->
         The robot description is not valid.
 
     """
-    folder = Path(folder)
     refuse_table(folder)
     path = folder / 'dataset.yaml'
     fields = read_fields(read_text(path), str(path))
     if robot is None:
         robot = find_robot(fields, folder)
-    elif not isinstance(robot, Robot):
-        robot = load_robot(robot)
     description = describe(fields, robot)
     markers = description.markers or default_markers(robot)
     names = tuple(marker.name for marker in markers)
@@ -147,7 +145,7 @@ def refuse_dataset_in(folder: str | Path, overwrite: bool) -> None:
 
 
 def save_dataset(
-    dataset: DataSet,
+    dataset: DataSet | HasDataSet,
     folder: str | Path,
     overwrite: bool = False,
     beside: Mapping[str, bytes] | None = None,
@@ -157,7 +155,7 @@ def save_dataset(
 
     Parameters
     ----------
-    dataset : DataSet
+    dataset : DataSet or ImportedTable
         Markers that no trial saw are left out.
     folder : str or Path
         A new or empty folder.
@@ -172,6 +170,7 @@ def save_dataset(
         The folder is not empty or cannot be written, or there is no measurement to write.
 
     """
+    dataset, folder = as_dataset(dataset), place('folder', folder)
     if dataset.parts:
         names = ', '.join(part.name for part in dataset.parts)
         raise DataSetError(dataset.name, f'was joined from {names}', 'write each of them')

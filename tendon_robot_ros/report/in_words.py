@@ -1,0 +1,126 @@
+"""What a script prints of a result, and what a notebook shows: `text()` and `_repr_html_`."""
+
+from __future__ import annotations
+
+from functools import singledispatch
+from html import escape
+
+import numpy as np
+
+from ..common.told import Told
+from ..common.words import columns, digits
+from ..comparison.result import Comparison
+from ..data import DataSet
+from ..diagnosis.add import Addition
+from ..diagnosis.improvement import Improvement
+from ..diagnosis.result import Diagnosis
+from ..model.shape import Reach, Shape
+from ..robot import Robot
+from . import addition_text, comparison_text, diagnosis_text
+from .diagnosis_page import CANDIDATE_HEAD, candidate_row
+from .improvement_page import improvement_lines
+from .trust_text import trust_lines
+
+POSTURES_SHOWN = 20  # rows of a data set in a notebook; `frame()` has all
+Rows = list[list[str]]
+
+
+@singledispatch
+def text(result: Told) -> str:
+    """Return a result in words; of what has no words of its own its `repr`, and its table."""
+    said = repr(result).strip('<>')
+    return '\n'.join([said, columns(rows(result))]) if rows(result) else said
+
+
+@singledispatch
+def rows(result: object) -> Rows:
+    """Return the rows of a table that goes with the words, its head first; none: no table."""
+    return []
+
+
+def html(result: Told) -> str:
+    """Return a result for a notebook: the words, and the table below."""
+    table = rows(result)
+    said = result.text()
+    if table:
+        said = said.removesuffix(columns(table)).rstrip()
+    shown = [f'<pre style="white-space: pre-wrap">{escape(said)}</pre>']
+    if table:
+        shown += ['<table>', _row('th', table[0]), *(_row('td', row) for row in table[1:])]
+        shown.append('</table>')
+    return '\n'.join(shown)
+
+
+def _row(tag: str, cells: list[str]) -> str:
+    return f'<tr>{"".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells)}</tr>'
+
+
+@text.register
+def _(result: Comparison) -> str:
+    return '\n'.join([comparison_text.table(result), *comparison_text.sentences(result)])
+
+
+@text.register
+def _(result: Diagnosis) -> str:
+    return '\n'.join([*diagnosis_text.lines(result), *trust_lines(result)])
+
+
+@rows.register
+def _(result: Diagnosis) -> Rows:
+    if not result.candidates:
+        return []
+    return [CANDIDATE_HEAD, *map(candidate_row, result.candidates)]
+
+
+@text.register
+def _(result: Addition) -> str:
+    return '\n'.join(addition_text.addition_lines(result))
+
+
+@text.register
+def _(result: Improvement) -> str:
+    return '\n'.join(improvement_lines(result))
+
+
+@rows.register
+def _(result: DataSet) -> Rows:
+    unit = 'N' if result.input == 'tension' else 'mm'
+    scale = 1.0 if unit == 'N' else 1e3
+    inputs = [f'{name} [{unit}]' for name in result.input_names]
+    table = [['posture', *inputs, 'trials', 'markers seen', 'last marker at [mm]']]
+    for p, posture in enumerate(result.postures[:POSTURES_SHOWN]):
+        values = [digits(scale * value, 3) for value in result.inputs[p].tolist()]
+        seen = f'{int((result.counts[p] > 0).sum())} of {len(result.markers)}'
+        tip = ', '.join(f'{1e3 * x:.1f}' for x in result.mean[p, -1].tolist())
+        table.append([posture, *values, str(result.trials[p]), seen, tip])
+    more = len(result.postures) - POSTURES_SHOWN
+    return [*table, [f'and {more} more']] if more > 0 else table
+
+
+@rows.register
+def _(result: Robot) -> Rows:
+    table = [['tendon', 'offset [mm]', 'ends in', 'pulled by']]
+    for tendon in result.tendons:
+        offset = ', '.join(f'{1e3 * x:.4g}' for x in tendon.base)
+        table.append([tendon.name, offset, tendon.section, tendon.group or tendon.name])
+    return table
+
+
+@rows.register
+def _(result: Shape) -> Rows:
+    tensions, pulls = result.inputs.tolist(), result.pulls.tolist()
+    table = [['input', 'tension [N]', 'wire pull [mm]']]
+    numbers = zip(tensions, pulls, strict=True)
+    return table + [
+        [name, f'{tension:.4g}', f'{1e3 * pull:.4g}']
+        for name, (tension, pull) in zip(_names(result), numbers, strict=True)
+    ]
+
+
+def _names(shape: Shape) -> list[str]:
+    return [str(i + 1) for i in range(np.size(shape.inputs))]
+
+
+@rows.register
+def _(result: Reach) -> Rows:
+    return rows(result.shape)
