@@ -80,6 +80,8 @@ class Rig:
     def until_following(self):
         """Wait until the node follows, and the arm is now where it is told to be."""
         begun, near = self.station.now(), self.near[self.mode == 'pull']
+        if self.station.driver:
+            self.station.until(lambda: self.station.trigger('driver/resume').success, 'no fault')
 
         def there():
             heard = self.station.states

@@ -159,6 +159,7 @@ def test_a_command_that_came_with_the_wish_to_let_go_counts_no_more(bus):
     until(lambda: bus.supervisor.state == RELEASED)
     assert bus.cycles[-1].decision.reasons == ('the controller stopped',)
     assert bus.driver.written[-1] == pytest.approx([LOW, LOW])
+    bus.call(bus.supervisor.resume)
     follow(bus)
 
 
@@ -175,6 +176,7 @@ def test_limp_comes_back_from_the_measured_state(bus):
     )
     until(lambda: bus.supervisor.state == LIMP)
     assert set(bus.driver.switched_off[0]) == set(ROBOT.inputs)
+    bus.call(bus.supervisor.resume)
     follow(bus)
     assert bus.driver.written[0].max() <= 50.0 * 0.05
 

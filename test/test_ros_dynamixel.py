@@ -16,7 +16,7 @@ pytest.importorskip('rclpy')
 pytest.importorskip('dynamixel_sdk')
 
 from dynamixel_rig import PULL, ROBOT, TENSION, Rig, steps
-from ros_station import LOW, Station, last, point, start, values
+from ros_station import LOW, Station, last, point, stamp, start, values
 
 from tendon_robot_ros.drivers.safety import CYCLE_MAX_S
 
@@ -60,6 +60,23 @@ FAULTS = {
 LATCHED_BY_MOTOR = ('volts 2.9',)
 
 
+def assert_holds(rig, words):
+    """Check that no wire gets tighter: the commands of before go on, and the cause is gone."""
+
+    def well():
+        said = last(rig.station.driver)
+        return values(said)['code'] in ('released', 'holding') and not values(said)['faults']
+
+    rig.station.until(well, 'an arm that holds')
+    rig.station.spin(0.2)  # the motors are where they are told to be
+    start = rig.measured()
+    moved = rig.station.now() + 0.5
+    rig.station.until(lambda: stamp(last(rig.station.states)) > moved, 'half a second')
+    assert np.all(rig.measured() <= start + rig.near[rig.mode == 'pull'])
+    assert well()
+    assert words in values(last(rig.station.driver))['released']
+
+
 @pytest.mark.parametrize('name', FAULTS)
 def test_a_fault_is_said_releases_the_arm_and_is_recovered_from(rig, name):
     broken, mended, words, off = FAULTS[name]
@@ -87,6 +104,8 @@ def test_a_fault_is_said_releases_the_arm_and_is_recovered_from(rig, name):
     if mended is None or broken in LATCHED_BY_MOTOR:
         rig.operate()
     back = time.monotonic()
+    if mended:
+        assert_holds(rig, words)
     rig.until_following()
     print(
         f'{rig.mode}, {name}: said after {1e3 * (seen - began):.0f} ms, follows again after '

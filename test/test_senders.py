@@ -187,7 +187,7 @@ def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
     assert robot.code() == 'reached'
     first.process.send_signal(signal.SIGKILL)
     robot.until(lambda: '/second' in values(last(robot.driver))['follows'], 'the second')
-    robot.until_code(second, 'holding', 'refused_driver_stopped')  # the target of before
+    robot.until_code(second, 'released')
     robot.send('second/target_point', point(-0.06, 0.17))
     robot.until_code(second, 'reached')
     assert intruder.process.poll() is None

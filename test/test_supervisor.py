@@ -137,7 +137,7 @@ def test_a_command_outside_the_limits_is_clipped_and_named():
     assert decision.clipped == INPUTS
 
 
-def test_silence_releases_to_pretension_and_a_new_command_is_followed_again():
+def test_silence_releases_to_pretension_and_commands_are_followed_again_when_it_is_resumed():
     supervisor = started()
     _, now = run(supervisor, 0.0, 1.0, np.array([3.0, 1.0]))
     decision, now = run(supervisor, now, 0.2)
@@ -147,6 +147,7 @@ def test_silence_releases_to_pretension_and_a_new_command_is_followed_again():
     assert decision.state == 'released'
     assert decision.command == pytest.approx([LOW, LOW])
     assert decision.off == ()
+    supervisor.resume()
     decision, _ = run(supervisor, now, 1.0, np.array([3.0, 1.0]))
     assert decision.command == pytest.approx([3.0, 1.0])
 
@@ -181,7 +182,7 @@ def test_an_error_of_a_motor_releases_the_others_slowly():
     assert decision.command[0] == pytest.approx(4.0 - 0.1 * RELEASE)
 
 
-def test_a_sender_that_ends_lets_go_until_somebody_commands_again():
+def test_a_sender_that_ends_lets_go_until_it_is_resumed():
     supervisor = started()
     _, now = run(supervisor, 0.0, 1.0, np.array([4.0, 1.0]))
     supervisor.let_go('the controller stopped')
@@ -189,6 +190,7 @@ def test_a_sender_that_ends_lets_go_until_somebody_commands_again():
     assert decision.reasons == ('the controller stopped',)
     assert decision.command == pytest.approx([LOW, LOW])
     assert decision.state == 'released'
+    supervisor.resume()
     decision, now = run(supervisor, now, CYCLE, np.array([4.0, 1.0]))
     assert decision.state == 'following'
     assert decision.command[0] == pytest.approx(LOW + RATE * CYCLE)
@@ -203,6 +205,7 @@ def test_release_to_limp_switches_torque_off_at_the_end_only():
     decision, now = run(supervisor, now, 0.5)
     assert decision.state == 'limp'
     assert decision.off == INPUTS
+    supervisor.resume()
     decision = supervisor.step(now + CYCLE, np.array([1.0, 1.0]), reading())
     assert decision.state == 'following'
     assert decision.off == ()
@@ -261,7 +264,102 @@ def test_after_a_lost_connection_it_begins_again_at_the_measured_state():
     decision, now = run(supervisor, now, 0.1, command, lost)
     assert decision.reasons == ('the port is gone',)
     decision = supervisor.step(now + CYCLE, command, reading((1.0, 1.0)))
+    assert (decision.state, decision.reasons) == ('holding', ())
+    assert decision.command == pytest.approx([1.0] * 2)
+    supervisor.resume()
+    decision = supervisor.step(now + 2 * CYCLE, command, reading((1.0, 1.0)))
     assert decision.command == pytest.approx([1.0 + RATE * CYCLE] * 2)
+
+
+def silence(supervisor):
+    return None, reading((3.0, 3.0))
+
+
+def fault(code, hardware=False, inputs=('right',)):
+    def cause(supervisor):
+        return HELD, reading((3.0, 3.0), (0.01, 0.01), [Fault(code, code, hardware, inputs)])
+
+    return cause
+
+
+def lets_go(supervisor):
+    supervisor.let_go('the controller stopped')
+    return None, reading((3.0, 3.0))
+
+
+def stopped(supervisor):
+    supervisor.latch.stop('stop', 'stop was called')
+    return HELD, reading((3.0, 3.0))
+
+
+HELD = np.array([3.0, 3.0])
+CAUSES = {
+    'silence': silence,
+    'motor silent': fault('silent'),
+    'port lost': fault('port', inputs=()),
+    'watchdog': fault('watchdog'),
+    'overload': fault('overload', hardware=True),
+    'sender lets go': lets_go,
+    'stop': stopped,
+}
+
+
+@pytest.mark.parametrize('seconds', [CYCLE, 0.12, 2.0])
+@pytest.mark.parametrize('mode', ['tension', 'pull'])
+@pytest.mark.parametrize('cause', CAUSES)
+def test_after_any_release_nothing_moves_until_a_person_or_a_new_target(cause, mode, seconds):
+    """The commands of before go on all the time; only the cause comes and goes."""
+    scale = 1.0 if mode == 'tension' else 0.005
+    there = reading((3.0, 3.0), (0.015, 0.015))
+    supervisor = started(mode)
+    _, now = run(supervisor, 0.0, 1.0, scale * HELD, there)
+    if cause == 'silence':
+        seconds = max(seconds, 0.12)
+    releases, path = supervisor.releases, []
+    for _ in range(round(seconds / CYCLE)):
+        command, state = CAUSES[cause](supervisor)
+        command = None if command is None else scale * command
+        decision, now = run(supervisor, now, CYCLE, command, state)
+        path.append(decision.command)
+    assert supervisor.releases == releases + 1
+    assert decision.state in ('releasing', 'released')
+    with contextlib.suppress(DriverError):  # refused while a stop is latched
+        supervisor.latch.stop('x', 'x')
+        supervisor.resume()
+        pytest.fail('resumed a latched stop')
+    supervisor.latch.forget('x')
+    begun, now = run(supervisor, now, CYCLE, scale * HELD, there)
+    for _ in range(100):
+        decision, now = run(supervisor, now, CYCLE, scale * HELD, there)
+        assert np.all(decision.command <= begun.command + 1e-12)
+        assert decision.state in ('holding', 'releasing', 'released')
+        assert supervisor.held
+    if cause in ('overload', 'stop'):  # latched
+        with pytest.raises(DriverError):
+            supervisor.resume()
+        supervisor.reset()
+    else:
+        supervisor.resume()
+    decision, now = run(supervisor, now, 1.0, scale * HELD, there)
+    assert decision.command == pytest.approx(scale * HELD)
+    assert decision.state == 'following'
+
+
+def test_it_is_not_resumed_while_the_cause_is_there():
+    supervisor = started()
+    _, now = run(supervisor, 0.0, 0.5, HELD)
+    run(supervisor, now, 0.05, HELD, fault('silent')(supervisor)[1])
+    with pytest.raises(DriverError, match='silent'):
+        supervisor.resume()
+
+
+def test_who_never_commanded_needs_not_resume():
+    decision, now = run(started(), 0.0, 1.0)
+    assert decision.state == 'released'
+    supervisor = started()
+    _, now = run(supervisor, 0.0, 1.0)
+    decision, _ = run(supervisor, now, 1.0, HELD)
+    assert decision.command == pytest.approx(HELD)
 
 
 def test_a_hiccup_of_the_bus_during_a_stop_makes_no_tension_rise_again():

@@ -37,6 +37,7 @@ COMMANDS: dict[str, str] = {
     'paper': 'tendon_robot_ros.cli.paper',
     'controller': 'tendon_robot_ros.ros.controller.node',
     'driver': 'tendon_robot_ros.ros.driver.node',
+    'stop': 'tendon_robot_ros.ros.commands.stop',
     'teleop': 'tendon_robot_ros.ros.commands.teleop',
     'go-to': 'tendon_robot_ros.ros.commands.go_to',
     'follow': 'tendon_robot_ros.ros.commands.follow',

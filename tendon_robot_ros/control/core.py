@@ -16,6 +16,7 @@ from .friction_state import Approach, Arrival, FeltTensions
 from .jog import Jog, Twist, follow_twist, start_jog
 from .model_change import change_model
 from .rebalance import Rebalance
+from .release import Release
 from .seeking import TargetSearch, seek
 from .solver import GiveUp, InPlace, Solver
 from .state import MeasuredState, Output, Settings, ShapeTracker, Target
@@ -55,6 +56,7 @@ class ControllerCore:
     asked: TargetSearch | None = None  # the last one
     command: Array | None = None  # (m,) [N], None until the driver was heard
     driver_stopped: str = ''  # why the driver does not follow, as it says
+    release: Release = field(default_factory=Release)  # of the arm, by the driver
     refusals: dict[str, Refusal] = field(default_factory=dict)  # kind of message -> why the last
     latch: StopLatch = field(default_factory=StopLatch)
     loop: TipLoop = field(default_factory=TipLoop)
@@ -94,6 +96,8 @@ class ControllerCore:
         self._require_running()
         if self._silent and not self.settings.resume:
             raise Refusal('no_driver', 'target refused: no tendon states; send it again later')
+        if self.release.wait(lambda: self.aim(target), target):
+            return
         self.looked = None
         seek(self, target)
 
@@ -131,7 +135,8 @@ class ControllerCore:
         self._require_running()
         if self.command is None:
             raise Refusal('no_driver', 'twist refused: no tendon states yet')
-        if self.jog is None and not twist.moves:
+        follows = self.release.twist(now, twist, self.settings.twist_timeout)
+        if not follows or (self.jog is None and not twist.moves):
             return  # a joystick at rest takes no target away
         self.search = self.looked = None
         if self.jog is None:
@@ -157,6 +162,8 @@ class ControllerCore:
         self._require_running()
         if self.command is None:
             raise Refusal('no_driver', 'tendon_trajectory refused: no tendon states yet')
+        if self.release.wait(lambda: self.play(self.stepped, trajectory)):
+            return
         if trajectory is not None and self.settings.keep_out:
             look_and_play(self, trajectory, lambda seen: self._play(max(now, self.stepped), seen))
         else:
@@ -164,6 +171,7 @@ class ControllerCore:
 
     def _play(self, now: float, trajectory: Playing | None) -> None:
         self._drop()
+        self.release.dropped = None
         self.playing = None if trajectory is None else trajectory.begin(now, self.commanded)
 
     def stop(self, key: str, reason: str, lasting: bool = False) -> None:
@@ -176,13 +184,67 @@ class ControllerCore:
         if self.driver_stopped:
             raise DriverError(f'reset refused: the driver is stopped: {self.driver_stopped}')
         self.latch.reset()
+        self.refusals.pop('target', None)
+        self.release.dropped = None
         self._lost = True
 
-    def driver_says(self, stopped: str) -> None:
-        """Take why the driver does not follow, '' when it does."""
+    def driver_says(
+        self, stopped: str, released: str = '', releases: int = 0, other: str = ''
+    ) -> None:
+        """
+        Take what the driver says of itself.
+
+        Parameters
+        ----------
+        stopped : str
+            Why it does not follow, '' when it does.
+        released : str
+            Why it let go of the arm and waits until it is told to resume; '' while it follows.
+        releases : int
+            How often it has let go: one that is over by now counts, too.
+        other : str
+            Whom it follows instead.
+
+        """
+        if releases == self.release.over:
+            stopped = ''  # it was said before the driver resumed
+        stopped = stopped or other
         if stopped and not self.driver_stopped:
             self._drop()
+        if self.driver_stopped and not stopped:
+            self._outdated('driver_stopped')
         self.driver_stopped = stopped
+        again, over = self.release.heard(released, releases)
+        if again:
+            self._lose()
+        if over:
+            self.resumed()
+
+    @property
+    def wants_driver(self) -> bool:
+        """Whether a released arm is asked to move: the driver should resume."""
+        kept = self.target is not None and self.settings.resume
+        return bool(self.release.why) and (self.release.waiting is not None or kept)
+
+    def resumed(self) -> None:
+        """Take that the driver follows: from the measured state, to what waits for that."""
+        self.release.why, self._lost = '', True
+        self.release.over = self.release.count or None
+        self.driver_stopped = ''
+        self._outdated('released')
+        self._outdated('driver_stopped')
+
+    def not_resumed(self, problem: str) -> None:
+        """Take why the driver does not follow: what released the arm is still there."""
+        if self.release.waiting is not None:
+            self.release.waiting = None
+            self.refusals['target'] = Refusal('released', f'target refused: {problem}')
+
+    def _outdated(self, code: str) -> None:
+        """Forget a refusal of a target whose cause is over."""
+        said = self.refusals.get('target')
+        if said is not None and said.code == code:
+            del self.refusals['target']
 
     @property
     def no_equilibrium(self) -> str:
@@ -239,8 +301,11 @@ class ControllerCore:
         stalled = np.isfinite(passed) and passed > self.settings.state_timeout
         if self._silent or stalled:
             self._lose()
-        if not self._silent and (self._lost or self.driver_stopped or self.command is None):
+        if not self._silent and (self._lost or self._held or self.command is None):
             self._resync()
+        if self.release.waiting is not None and not (self._lost or self._held or self.latch):
+            waiting, self.release.waiting = self.release.waiting, None
+            waiting()
         if self.latch:
             self._drop()  # another thread may have stopped it
         if self.latch or self.command is None or self.gone(now):
@@ -249,7 +314,7 @@ class ControllerCore:
             return self._output()
         if self._lost and not self.settings.pull_mode:
             return None  # still looking for the tensions of what was measured
-        if not (self._lost or self.driver_stopped):
+        if not (self._lost or self._held):
             self._advance(now, min(max(passed, 0.0), CYCLE_MAX_S))
             if not (self.moving or self.jog or self.playing):
                 self.balance.step(self, now)
@@ -344,7 +409,7 @@ class ControllerCore:
 
     def _resync(self) -> None:
         """Begin at the measured state."""
-        if self._syncing is not None and not self.driver_stopped:
+        if self._syncing is not None and not self._held:
             return
         assert self._heard is not None
         self.jog = self.playing = self._syncing = None
@@ -359,7 +424,7 @@ class ControllerCore:
         unknown = limits[:, 0] if self.command is None else self.command
         if pull and heard.located:  # wires stay where they are, whatever tensions that takes
             self.way, self.command = Way(heard.pulls), unknown
-        if not self.driver_stopped:
+        if not self._held:
             self._look(heard.observed_or(unknown), limits)
 
     def _look(self, unknown: Array, limits: Array) -> None:
@@ -391,7 +456,14 @@ class ControllerCore:
         self.felt.begin()
         self.way = None if pulls is None else Way(pulls)
 
+    @property
+    def _held(self) -> bool:
+        """Whether the driver follows no commands."""
+        return bool(self.driver_stopped or self.release.why)
+
     def _drop(self) -> None:
+        wanted = self.target if self.search is None else self.search.target
+        self.release.dropped, self.release.waiting = wanted or self.release.dropped, None
         self.target = self.solution = self.search = self.jog = self.playing = self.looked = None
         self.via = []
         self.loop.reset()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .release import GO_ON
 from .remainder import foreign
 
 if TYPE_CHECKING:
@@ -68,6 +69,10 @@ def _condition(core: ControllerCore, now: float) -> tuple[str, str, str]:
         if core.command is None:
             return WARN, 'waiting', 'no tendon_states yet: is the driver running?'
         return ERROR, 'no_driver', _silence(core.settings.state_timeout, core.gone(now))
+    if core.release.why:
+        refusal = core.refusals.get('target')
+        again = f'; {refusal}' if refusal is not None else ''
+        return WARN, 'released', f'the driver let go: {core.release.why}; {GO_ON}{again}'
     if core.no_equilibrium:
         return ERROR, 'no_equilibrium', core.no_equilibrium
     for refusal in core.refusals.values():

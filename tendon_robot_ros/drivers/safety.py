@@ -192,7 +192,8 @@ class Decision:
     off : tuple of str
         Inputs whose torque must be off.
     state : str
-        `off`, `following`, `releasing`, `released` (at rest, holding) or `limp`.
+        `off`, `following`, `releasing`, `released` (at rest, holding), `holding` (its cause ended
+        before that) or `limp`.
     reasons : tuple of str
         Why it does not follow, one sentence each.
     clipped : tuple of str

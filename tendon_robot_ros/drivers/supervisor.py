@@ -3,6 +3,9 @@ What may reach the motors: keeps the rules of safety.py, ramps to pretension. No
 
 The driver node asks it once per cycle. However wrong the commands are, what comes out stays within
 the limits, changes no faster than the rates, and goes to pretension when commands stay away.
+
+Whatever released the arm, commands are followed again only after `resume` (the sender has a new
+target), `reset` (a person) or `start`: a cause that comes and goes moves nothing.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from .safety import CYCLE_MAX_S, Decision, SafetyRules, StopLatch, approach, bou
 
 Array = NDArray[np.float64]
 OFF, FOLLOWING, RELEASING, RELEASED, LIMP = 'off', 'following', 'releasing', 'released', 'limp'
+HOLDING = 'holding'  # a release whose cause ended before the arm was at rest
 HARDWARE = 'hardware'  # key of a stop that nobody asked for
 
 
@@ -34,8 +38,11 @@ class Supervisor:
     _now: float = -np.inf
     _clipped: tuple[str, ...] = ()
     _tripped: set[str] = field(default_factory=set)  # inputs with a latched hardware error
-    _faulty: bool = False
+    _faulty: set[str] = field(default_factory=set)  # inputs with a fault, or in reach of one
     _let_go: str = ''  # why the sender of the commands wants no more of them
+    held: str = ''  # why the arm was released, until commands are followed again
+    releases: int = 0  # counted since the beginning
+    _causes: list[str] = field(default_factory=list)  # of a release, but for silence, last cycle
     _stop_rate: float = 0.0  # of the release since a stop was asked for, 0 before that
     _weakening: float = 0.0  # share by which motors have given way, after a stop in pull mode
 
@@ -63,7 +70,7 @@ class Supervisor:
         self._output = self._measured(reading, np.zeros(len(self.rules.inputs)))
         self._asked, self._asked_at, self._now = None, now, now
         self._clipped, self._let_go, self._stop_rate = (), '', 0.0
-        self._weakening = 0.0
+        self._weakening, self.held = 0.0, ''
         self.state = FOLLOWING
 
     def reset(self) -> None:
@@ -78,11 +85,34 @@ class Supervisor:
         """
         self.latch.reset()
         self._tripped.clear()
-        self._asked = None
+        self._follow_anew()
+
+    def resume(self) -> None:
+        """
+        Follow commands again after a release: their sender has a new target.
+
+        Raises
+        ------
+        DriverError
+            A cause is still there, or latched.
+
+        """
+        if causes := list(dict.fromkeys([*self.latch.reasons, *self._causes])):
+            raise DriverError('; '.join(causes))
+        self._follow_anew()
+
+    def _hold_back(self, reason: str) -> None:
+        """Follow no commands from now on."""
+        self.releases += not self.held
+        self.held, self._asked = reason, None
+
+    def _follow_anew(self) -> None:
+        self._asked, self._let_go, self.held = None, '', ''
 
     def let_go(self, reason: str) -> None:
-        """Release as after a stop, until the next command."""
+        """Release as after a stop; a command that came before counts no more."""
         self._let_go = reason
+        self._hold_back(reason)
 
     def step(self, now: float, command: Array | None, reading: Reading) -> Decision:
         """
@@ -101,22 +131,28 @@ class Supervisor:
         passed = now - self._now
         passed = min(max(passed, 0.0), CYCLE_MAX_S) if np.isfinite(passed) else 0.0
         self._now = max(now, self._now) if np.isfinite(now) else self._now
-        self._accept(command)
         reasons = self._watch(reading) + self.latch.reasons
+        self._causes = reasons.copy()
+        self._accept(command)
         if self.state == OFF:
             return Decision(self._output.copy(), self.rules.inputs, OFF, tuple(reasons))
         if self._let_go:
             reasons.append(self._let_go)
-        elif self._now - self._asked_at > self.rules.command_timeout:
+        silent = self._now - self._asked_at > self.rules.command_timeout
+        if silent and not self._let_go:
             reasons.append(f'no command for {self.rules.command_timeout:g} s')
-        if not reasons:
+        if (self._causes or self._let_go) or (silent and self._asked is not None):
+            self._hold_back('; '.join(dict.fromkeys(reasons)))
+        if reasons:
+            self._release(passed, reading)
+        elif self.held:
+            self._hold(passed, reading)
+        else:
             self.state, self._stop_rate = FOLLOWING, 0.0
             if self._weakening > 0.0:  # the arm has moved the motors
                 self._output, self._weakening = self._measured(reading, self._output), 0.0
             goal = self._output if self._asked is None else self._asked
             self._move(goal, self.rules.rates * passed, reading)
-        else:
-            self._release(passed, reading)
         off = (
             self.rules.inputs
             if self.state == LIMP
@@ -132,11 +168,13 @@ class Supervisor:
         )
 
     def _accept(self, command: Array | None) -> None:
-        """Take a command, clipped to the limits."""
+        """Take a command, clipped to the limits; of a released arm only that one came."""
         if command is None or not np.isfinite(command).all():
             return
-        self._asked = bounded(command, self.rules.limits)
         self._asked_at, self._let_go = self._now, ''
+        if self.held or self._causes:
+            return
+        self._asked = bounded(command, self.rules.limits)
         outside = np.abs(command - self._asked) > 1e-9
         self._clipped = ()
         if outside.any():
@@ -152,12 +190,23 @@ class Supervisor:
             if fault.hardware:
                 self._tripped.update(fault.inputs or self.rules.inputs)
                 self.latch.stop(HARDWARE, fault.message, lasting=True)
-        if self._faulty and not reading.faults and self.state not in (OFF, LIMP):
+        faulty = {name for fault in reading.faults for name in fault.inputs or self.rules.inputs}
+        if (back := self._faulty - faulty) and self.state not in (OFF, LIMP):
             measured = self._measured(reading, self._output)
-            stopping = self._stop_rate > 0.0  # a hiccup of the bus makes no tension rise again
-            self._output = np.minimum(measured, self._output) if stopping else measured
-        self._faulty = bool(reading.faults)
+            if self._stop_rate > 0.0:  # a hiccup of the bus makes no tension rise again
+                measured = np.minimum(measured, self._output)
+            again = np.array([name in back for name in self.rules.inputs])
+            self._output = np.where(again, measured, self._output)
+        self._faulty = faulty
         return reasons
+
+    def _hold(self, passed: float, reading: Reading) -> None:
+        """Stay where the end of the cause found the arm."""
+        if self.state == LIMP:
+            return
+        at_rest = np.allclose(self._output, self.rules.rest, atol=1e-12)
+        self.state = RELEASED if at_rest else HOLDING
+        self._move(self._output, self.rules.rates * passed, reading)
 
     def _release(self, passed: float, reading: Reading) -> None:
         if self.state == LIMP:

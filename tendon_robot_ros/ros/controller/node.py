@@ -14,7 +14,6 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
@@ -23,19 +22,19 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from ...common.errors import TendonRobotError
+from ...common.local_stop import StopListener, Stoppable
 from ...common.processes import REALTIME_PRIORITY_SECOND, go_realtime, in_realtime
 from ...control import ControllerCore, Refusal
 from ...control.solver import SOLVER, Worker
 from ...control.status import controller_status
 from ...model.model import Model
 from ...robot.keep_out import KeepOut
-from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic, hear_anybody
+from ..shared.inbox import STOP_REASON, Inbox, LateService, Service, StopTopic, hear_anybody
 from ..shared.joints import JointReader, Joints
 from ..shared.lifecycle import LEVELS, ManagedNode, Status
 from ..shared.messages import (
     COMMAND,
     JOINTS,
-    LATCHED,
     LISTEN,
     passing_subscription,
     refilled,
@@ -46,12 +45,14 @@ from ..shared.runtime import goes_first, repeat, run
 from ..shared.senders import OtherPublishers, Received, Senders, signature
 from . import parameters
 from .actions import Actions
+from .driver_link import DriverLink
 from .incoming import Incoming
 from .model import ModelLoading, Prediction
 
 HELP = 'move the tip to targets: poses, points or twists in, tendon commands out'
 
 STATUS_LOOK_PERIOD_S = 0.02  # [s]
+STOP_CALLED = 'stop was called'
 SAID_IN_S = 0.02  # [s] a word is lost when its publisher leaves before it is heard
 STARTING_WORDS = {
     'loading': 'reading the model',
@@ -75,7 +76,7 @@ class ControllerNode(ManagedNode):
             'keep_out': self._fence,
             'prefer_stiffness_along': parameters.direction_of,
         }
-        self._keep_out = KeepOut()
+        self._keep_out, self._stopped = KeepOut(), False  # before there was anything to stop
         self.parameters.watch(checks, self._retune)
         self._incoming: Incoming | None = None
         self._prediction: Prediction | None = None
@@ -91,16 +92,19 @@ class ControllerNode(ManagedNode):
         self._measured = Inbox(self, JointState, 'tendon_states', JOINTS, JointReader())
         self._tracker: Subscription | None = None
         self._hear_tip()
+        self._driver = DriverLink(
+            self, self.parameters['driver_status'], self._signature, self._driver_said
+        )
         stop = Service(self, Trigger, '~/stop', self._stop)
-        self._stop_topic = StopTopic(self, self._stop_said, self._stop_gone, [stop])
-        if self.parameters['driver_status']:
-            self.create_subscription(
-                DiagnosticStatus, self.parameters['driver_status'], self._driver, LATCHED
-            )
-        self.create_service(Trigger, '~/reset', self._reset)
+        reset = LateService(self, Trigger, '~/reset', self._asked_to_reset)
+        self._stop_topic = StopTopic(self, self._stop_said, self._stop_gone, [stop, reset])
+        self._local_stop = StopListener(
+            self.context.get_domain_id(),
+            Stoppable(self.get_fully_qualified_name(), drives=False),
+            self._stop_now,
+        )
         repeat(self, 1.0 / self.parameters['rate'], self._cycle)
         repeat(self, 1.0 / self.parameters['shape_rate'], self._predict)
-        self._driver_stopped = ''
 
     def ready(self) -> bool:
         """Whether the model is compiled, so that `configure` returns soon."""
@@ -119,9 +123,11 @@ class ControllerNode(ManagedNode):
         self._fence(self.parameters['keep_out'])
         settings = parameters.settings(self.parameters, self._keep_out)
         self.core = ControllerCore(model, settings, self._solver)
-        self.core.driver_says(self._driver_stopped)
+        self.core.driver_says(*self._driver.said)
         if self._stop_topic.says:
             self._stop_said(STOP_REASON)
+        if self._stopped:
+            self.core.latch.stop('stop', STOP_CALLED)
         self._incoming = Incoming(self, self.parameters, model)
         self._prediction = Prediction(self, self._incoming.base, model)
         if goes_first():
@@ -166,6 +172,7 @@ class ControllerNode(ManagedNode):
     def destroy_node(self) -> None:
         """Hear no more."""
         self._stop_topic.close()
+        self._local_stop.close()
         self._measured.close()
         super().destroy_node()
 
@@ -265,6 +272,9 @@ class ControllerNode(ManagedNode):
         self._reload(core)
         if self._actions is not None and self._incoming is not None:
             self._actions.serve(now, core, self._incoming)
+        self._driver.poll()
+        if core.wants_driver and self._driver.may_ask:
+            self._driver.resume(self._resumed)
         output = core.step(now)
         if output is not None:
             pulls = output.pulls
@@ -343,15 +353,16 @@ class ControllerNode(ManagedNode):
         if self.core is not None and self._prediction is not None:
             self.core.predict(time.monotonic(), self._prediction.publish)
 
-    def _driver(self, message: DiagnosticStatus) -> None:
-        values = {item.key: item.value for item in message.values}
-        stopped = values.get('stopped') == 'true'
-        self._driver_stopped = values.get('reasons', message.message) if stopped else ''
-        follows = values.get('follows') or self._signature
-        if follows != self._signature:  # it was there first
-            self._driver_stopped = self._driver_stopped or f'it follows {follows}'
+    def _driver_said(self, stopped: str, released: str, releases: int, other: str) -> None:
         if self.core is not None:
-            self.core.driver_says(self._driver_stopped)
+            self.core.driver_says(stopped, released, releases, other)
+
+    def _resumed(self, follows: bool, why: str) -> None:
+        """Hear whether the driver follows again."""
+        if self.core is not None and follows:
+            self.core.resumed()
+        elif self.core is not None:
+            self.core.not_resumed(why)
 
     def _stop_said(self, reason: str) -> None:
         if self.core is not None:
@@ -363,23 +374,50 @@ class ControllerNode(ManagedNode):
             self.core.latch.cause_gone('stop topic')
 
     def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Stop at once, in the thread that hears stops; the core drops its target next."""
-        core = self.core
-        response.success = core is not None
+        self._stop_now()
+        response.success = True
         response.message = 'stopped; the driver releases the arm; call reset to go on'
-        if core is not None:
-            core.latch.stop('stop', 'stop was called')
-            self._let_go()
         return response
 
-    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = self.core is not None, 'waiting for a target'
-        try:
-            if self.core is not None:
-                self.core.reset()
-        except TendonRobotError as error:
-            response.success, response.message = False, str(error)
-        return response
+    def _stop_now(self) -> None:
+        """Stop at once, in the thread that hears of it; the core drops its target next."""
+        self._stopped = True
+        if (core := self.core) is not None:
+            core.latch.stop('stop', STOP_CALLED)
+            self._let_go()
+
+    def _asked_to_reset(self, request: Trigger.Request, send: Callable[[object], None]) -> None:
+        """Have the executor reset; the thread that hears stops does not wait for the driver."""
+        if self.core is None or self.executor is None:
+            self._stopped = False
+            send(Trigger.Response(success=False, message='the controller is not configured'))
+        else:
+            self.executor.create_task(lambda: self._reset(send))
+
+    def _reset(self, send: Callable[[object], None]) -> None:
+        """Clear the stops when the driver says that it follows: its status comes later."""
+
+        def reset() -> None:
+            response = Trigger.Response(success=True, message='waiting for a target')
+            try:
+                if self.core is not None:
+                    self.core.reset()
+                    self._stopped = False
+            except TendonRobotError as error:
+                response.success, response.message = False, str(error)
+            send(response)
+
+        def answered(follows: bool, why: str) -> None:
+            if follows:
+                self._resumed(follows, why)
+                reset()
+            else:
+                why = f'reset refused: the driver is stopped: {why}'
+                send(Trigger.Response(success=False, message=why))
+
+        another = self._driver.said[-1]  # is followed by the driver
+        if another or not self._driver.resume(answered):
+            reset()
 
     def _retune(self) -> None:
         """Apply changed parameters."""

@@ -58,7 +58,8 @@ SPECS = (
     Spec(
         'resume',
         False,
-        'go on to the old target when the driver comes back, instead of holding where the arm is',
+        'go on to the old target when the driver comes back or its release is over, instead of '
+        'holding where the arm is',
     ),
     Spec('stamp_tolerance', 0.5, 'largest age, and largest lead, of a stamp', 's', 0.01, 60.0),
     Spec('hold_direction', False, 'keep the view while a twist moves the tip'),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import threading
 import time
@@ -31,6 +32,8 @@ class Cycle:
     reading: Reading
     decision: Decision
     faults: tuple[Fault, ...]  # the decision's own: those of `reading` are judged next
+    held: str = ''  # why the arm was released, until commands are followed again
+    releases: int = 0
 
 
 class MotorLoop:
@@ -68,6 +71,11 @@ class MotorLoop:
     def put(self, command: Array) -> None:
         """Give the newest command, shape (m,); only the newest counts."""
         self._command = command
+
+    def newcomer(self) -> None:
+        """Follow whoever begins to command, unless what released the arm is still there."""
+        with contextlib.suppress(DriverError):
+            self.supervisor.resume()
 
     def let_go(self, reason: str) -> None:
         """Release at once; a command that was given before counts no more."""
@@ -181,7 +189,10 @@ class MotorLoop:
         if decision.state not in (OFF, LIMP) and not began_again:
             self._write(decision)
         self._last = self.driver.read()
-        self._report(Cycle(self._last, decision, judged.faults))
+        supervisor = self.supervisor
+        self._report(
+            Cycle(self._last, decision, judged.faults, supervisor.held, supervisor.releases)
+        )
 
     def _write(self, decision: Decision) -> None:
         self.driver.weaken(decision.weakening, self.supervisor.rules.give_way or 0.0)

@@ -18,10 +18,11 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from ...common.errors import TendonRobotError
+from ...common.local_stop import StopListener, Stoppable
 from ...common.processes import REALTIME_PRIORITY, REALTIME_PRIORITY_MOCK, go_realtime
 from ...control.checks import Refusal, by_name, check_stamp, finite
 from ...drivers.mock import MockDriver
-from ...drivers.supervisor import FOLLOWING, LIMP, OFF, RELEASED, Supervisor
+from ...drivers.supervisor import FOLLOWING, HOLDING, LIMP, OFF, RELEASED, Supervisor
 from ...drivers.tendon_check import due
 from ...robot import load_robot
 from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic
@@ -39,10 +40,13 @@ HELP = 'drive motors, or a mock arm, from tendon commands'
 STATE_WORDS = {
     FOLLOWING: 'following commands',
     RELEASED: 'released, holding',
+    HOLDING: 'released in part, holding',
     LIMP: 'released, torque off',
     OFF: 'torque off',
     'releasing': 'releasing',
 }
+GO_ON = 'a new target of the controller, or reset, goes on'
+STOP_CALLED = 'stop was called'
 NO_MORE = 'the sender of the commands lets go'
 INACTIVE, INACTIVE_REASON = 'inactive', 'the node is not active'
 
@@ -60,6 +64,7 @@ class DriverNode(ManagedNode):
         self._tracker: MockTracker | None = None
         self._refusal: Refusal | None = None
         self._check_due = ''  # why the tendons are to be checked
+        self._stopped = False  # by `~/stop`, before there was anything to stop
         self._cycle: Cycle | None = None
         self._senders = Senders()
         self._state = JointState(header=Header(frame_id=signature(self)))
@@ -68,7 +73,13 @@ class DriverNode(ManagedNode):
         self._commands = Inbox(self, JointState, 'tendon_command', JOINTS, JointReader())
         stop = Service(self, Trigger, '~/stop', self._stop)  # answers while torque comes on, too
         self._stop_topic = StopTopic(self, self._stop_said, self._stop_gone, [stop])
+        self._local_stop = StopListener(
+            self.context.get_domain_id(),
+            Stoppable(self.get_fully_qualified_name(), drives=True),
+            self._stop_now,
+        )
         self.create_service(Trigger, '~/reset', self._reset)
+        self.create_service(Trigger, '~/resume', self._resume)
         self.create_service(Trigger, '~/reboot', self._reboot)
         repeat(self, 0.05, self._tell)
         when_asked_to_end(self._let_go)
@@ -94,6 +105,8 @@ class DriverNode(ManagedNode):
             self._tracker = MockTracker(self, driver, tracker, self.parameters)
         if self._stop_topic.says:
             self._stop_said(STOP_REASON)
+        if self._stopped:
+            supervisor.latch.stop('stop', STOP_CALLED)
         self.loop.start()
         if goes_first():  # a mock arm computes: motors of another robot go before it
             mock = isinstance(driver, MockDriver)
@@ -140,6 +153,7 @@ class DriverNode(ManagedNode):
     def destroy_node(self) -> None:
         """Hear no more."""
         self._stop_topic.close()
+        self._local_stop.close()
         self._commands.close()
         super().destroy_node()
 
@@ -173,6 +187,8 @@ class DriverNode(ManagedNode):
             )
             command = finite(ordered.tolist(), 'tendon_command')
             if self._senders.counts(time.monotonic(), message.frame, heard):
+                if self._senders.new:
+                    self.loop.newcomer()
                 self.loop.put(command)
                 self._refusal = None
         except Refusal as refusal:
@@ -180,8 +196,10 @@ class DriverNode(ManagedNode):
 
     def _report(self, cycle: Cycle) -> None:
         """Publish a state; runs in the motor thread."""
-        self._cycle = cycle
+        before, self._cycle = self._cycle, cycle
         assert self.loop is not None
+        if before is not None and before.releases < cycle.releases and self.executor is not None:
+            self.executor.create_task(self._tell)  # who commands hears of it at once
         message, reading = self._state, cycle.reading
         message.name = self.loop.driver.inputs
         refilled(message, stamp_now(self), reading.pulls, reading.tensions)
@@ -201,6 +219,8 @@ class DriverNode(ManagedNode):
         state = 'releasing' if stopped and decision.state == FOLLOWING else decision.state
         level = ERROR if stopped else OK if state == FOLLOWING else WARN
         message = '; '.join(dict.fromkeys([STATE_WORDS[state], *decision.reasons, *latched]))
+        if cycle.held and not (decision.reasons or latched):
+            message += f' ({cycle.held}); {GO_ON}'
         code = 'stopped' if stopped else state
         if self._refusal is not None:
             level, code = max(level, WARN), f'refused_{self._refusal.code}'
@@ -213,6 +233,8 @@ class DriverNode(ManagedNode):
             'tendon_check': self._check_due,
             'stopped': str(stopped).lower(),
             'reasons': '; '.join(decision.reasons),
+            'released': cycle.held,
+            'releases': str(cycle.releases),
             'mode': loop.driver.mode,
             'tension_source': cycle.reading.source,
             'clipped': ', '.join(decision.clipped),
@@ -258,15 +280,29 @@ class DriverNode(ManagedNode):
         if self.loop is not None:
             self.loop.supervisor.latch.cause_gone('stop topic')
 
-    def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _stop_now(self) -> None:
+        """Latch a stop; called by any thread."""
+        self._stopped = True
         if self.loop is not None:
-            self.loop.supervisor.latch.stop('stop', 'stop was called')
+            self.loop.supervisor.latch.stop('stop', STOP_CALLED)
+
+    def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._stop_now()
         response.success, response.message = True, 'releasing; call reset to go on'
         return response
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         done = 'waiting for commands' if self.phase == 'active' else 'activate it next'
-        return self._try(response, lambda loop: loop.reset(), done)
+
+        def reset(loop: MotorLoop) -> None:
+            loop.reset()
+            self._stopped = False
+
+        self._stopped &= self.loop is not None
+        return self._try(response, reset, done)
+
+    def _resume(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._try(response, lambda loop: loop.supervisor.resume(), 'waiting for commands')
 
     def _reboot(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return self._try(response, lambda loop: loop.reboot(), 'rebooted; call reset next')

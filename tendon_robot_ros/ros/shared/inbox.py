@@ -97,6 +97,23 @@ class Service:
         self.handle.destroy_when_not_in_use()
 
 
+class LateService(Service):
+    """A service whose answer comes when it is known: `answer` gets request and how to send it."""
+
+    def serve(self) -> None:
+        """Hand on the requests that came since the last time."""
+        while True:
+            with self.handle:
+                request, header = self.handle.service_take_request(self._kind.Request)
+            if header is None:
+                return
+            self._answer(request, partial(self._send, header.request_id))
+
+    def _send(self, request_id: Any, response: Any) -> None:
+        with contextlib.suppress(_rclpy.RCLError, _rclpy.InvalidHandle), self.handle:
+            self.handle.service_send_response(response, request_id)
+
+
 class Waiting:
     """Sleeps until an inbox has a message or a service a request, or until it is woken."""
 

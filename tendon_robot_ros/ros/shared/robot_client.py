@@ -238,7 +238,8 @@ class Pilot(RobotClient):
     def require_good(self) -> None:
         """Raise what the controller says when it does not follow; old refusals do not count."""
         code = self.status.get('code', '')
-        old = code.startswith('refused_') and self._heard_at < self._since + TIP_AVERAGE_S
+        passing = code.startswith('refused_') or code == 'released'
+        old = passing and self._heard_at < self._since + TIP_AVERAGE_S
         if code not in WORKING_CODES and not old:
             raise TendonRobotError(f'the controller says {code}: {self.status.get("message")}')
 

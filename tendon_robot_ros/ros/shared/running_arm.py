@@ -172,7 +172,7 @@ class RunningArm(Pilot):
         """Tell whether the controller takes commands, or does so again soon: a driver was late."""
 
         def works() -> bool:
-            return self.status.get('code') in WORKING_CODES
+            return self.status.get('code') in (*WORKING_CODES, 'released')
 
         late = self.status.get('code') == 'no_driver'
         return works() or (late and self.wait(works, LATE_S, 'the driver', strict=False))

@@ -220,6 +220,8 @@ class Senders:
         self._heard_at = float('-inf')
         self._others: dict[str, float] = {}  # signature -> when it was heard [s]
         self._process = SenderProcess('')
+        self._publisher = UNTOLD
+        self.new = False  # whether the last message that counts was the first of its sender
 
     def counts(self, now: float, name: str, heard: Received[Any]) -> bool:
         """Whether a message is of the one to follow; the first to come is followed."""
@@ -230,11 +232,14 @@ class Senders:
             if name in self._others or len(self._others) < NAMED_MAX:
                 self._others[name] = now
             return False
+        same = (name, heard.publisher) == (self._first, self._publisher)
+        self.new = not same and name not in self._others
         if name != self._first or not known:
             self._others = {}
             self._process.close()
             self._process = SenderProcess(name)
         self._first, self._number, self._heard_at = name, number, now
+        self._publisher = heard.publisher
         return True
 
     def died(self) -> bool:

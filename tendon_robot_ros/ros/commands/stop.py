@@ -1,0 +1,89 @@
+"""
+Stop every controller and driver that can be found, and say whether all of them have stopped.
+
+Exit code 0: every one has answered that it is stopped; 1: somebody has not, a controller has no
+driver beside it, or nobody was found. It takes 2 s from the beginning of discovery; who is found
+is stopped at once, on the same computer without any discovery. The stop stays until the reset of
+each is called. This is no safety-rated stop.
+
+example: python -m tendon_robot_ros stop
+example: python -m tendon_robot_ros stop --namespace /left_arm
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+
+from ...common.errors import InputError, TendonRobotError
+from ...common.local_stop import stop_local
+from ...common.processes import go_first
+
+HELP = 'stop every controller and driver, say whether they have stopped'
+LOCAL_TIMEOUT_S = 0.3  # [s] sixty cycles; who is slower is asked through ROS, too
+NO_SOFTWARE = 'use the switch in the supply of the motors'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument(
+        '--namespace',
+        default='/',
+        metavar='NAMESPACE',
+        help='stop what is in this one and below it (default: all namespaces)',
+    )
+
+
+def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
+    """Stop all that is found."""
+    go_first()
+    below, domain = '/' + args.namespace.strip('/'), _domain()
+    local = stop_local(domain, below, LOCAL_TIMEOUT_S)
+    from ..shared.stopping import stop_found  # what takes long to import comes after that
+
+    print(verdict(stop_found(ros_arguments, below, local), below, domain))
+    return 0
+
+
+def verdict(found: dict[str, tuple[bool, str]], below: str, domain: int) -> str:
+    """
+    Say who has stopped.
+
+    Parameters
+    ----------
+    found : dict
+        Of every node, whether it drives motors, and why it has not stopped, '' if it has.
+    below : str
+        Namespace.
+    domain : int
+
+    Raises
+    ------
+    TendonRobotError
+        Somebody has not, or nobody was found.
+
+    """
+    if not found:
+        where = below if below != '/' else 'any namespace'
+        raise TendonRobotError(
+            f'nothing was stopped: no controller or driver found in {where} of ROS_DOMAIN_ID '
+            f'{domain}; if an arm moves, {NO_SOFTWARE}'
+        )
+    if said := [f'{name} {why}' for name, (_, why) in sorted(found.items()) if why]:
+        raise TendonRobotError(f'not stopped: {"; ".join(said)}; {NO_SOFTWARE}')
+    driven = {name.rpartition('/')[0] for name, (drives, _) in found.items() if drives}
+    names = ', '.join(sorted(found))
+    for name in sorted(found):
+        if name.rpartition('/')[0] not in driven:
+            raise TendonRobotError(
+                f'stopped: {names}; but no driver was found beside {name}; {NO_SOFTWARE}'
+            )
+    return f'stopped: {names} (call reset of each to go on)'
+
+
+def _domain() -> int:
+    text = os.environ.get('ROS_DOMAIN_ID') or '0'
+    if not text.isdecimal():
+        raise InputError(f'ROS_DOMAIN_ID: expected a number, got {text!r}')
+    return int(text)
