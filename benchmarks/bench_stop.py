@@ -13,7 +13,11 @@ wires carried.
 - `ended_ms`: until the process is gone that was asked to end;
 - `unheard`: publishers whose `false` after the trial was not heard;
 - `late`: trials with a motor above pretension after 100 ms;
+- `failed`: stop commands that ended with another exit code than 0, or left a node that does not
+  say `stopped`;
 - `rise`: by how much a wire was tighter after the cause than at it [N];
+- `stop command`: `python -m tendon_robot_ros stop` in a process of its own, from its start, while
+  another process listens to the topic `stop`; it counts as late after 1 s;
 - `stolen_ms`: processor time that other virtual machines had of this one meanwhile.
 
 Motors whose port is gone get no command: they wait for their watchdog, then have no current, in
@@ -28,6 +32,8 @@ import argparse
 import json
 import os
 import signal
+import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -43,6 +49,16 @@ from tendon_robot_ros.common.processes import go_realtime
 
 FINGER = 2  # priority of the person who stops: no part of what is measured
 SOON = 0.1  # [s]
+COMMAND_LATE = 1.0  # [s] a process starts
+COMMAND_S = 30.0  # [s] that it may take to end
+LISTENER = """
+import sys, rclpy
+from std_msgs.msg import Bool
+rclpy.init()
+node = rclpy.create_node('listener', namespace=sys.argv[1])
+node.create_subscription(Bool, 'stop', lambda _: None, 10)
+rclpy.spin(node)
+"""
 LEAST = {'tension': 0.8, 'pull': 0.0045}  # [N], [m] before a stop
 BEFORE = 0.1  # [s] of the trace before the cause
 AFTER = 0.45  # [s] of the trace after the cause
@@ -72,6 +88,7 @@ class Stops:
             for r, d in kinds
             if r.name in wanted[0] and d.name in wanted[1]
         }
+        self.listener, self.failed = None, []
         self.turn, self.unheard = -1, []  # kinds of publishers whose false was not heard at once
 
     def topic(self):
@@ -136,6 +153,31 @@ class Stops:
     def plug(self):
         self.chain.servos.say('plug')
 
+    def stop_command(self):
+        """Have a process of its own stop the arm, and wait for its end."""
+        if self.listener is None:
+            self.listener = subprocess.Popen([sys.executable, '-c', LISTENER, self.chain.space])
+        now = time.monotonic()
+        command = [sys.executable, '-m', 'tendon_robot_ros', 'stop']
+        said = subprocess.Popen(
+            [*command, '--namespace', self.chain.space],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        self.user.until(lambda: said.poll() is not None, COMMAND_S)
+        text = said.communicate()[0].strip()
+        codes = {name: self.user.code(name) for name in ('driver', 'controller')}
+        listens = self.listener.poll() is None
+        if said.returncode or set(codes.values()) != {'stopped'} or not listens:
+            self.failed.append(f'exit code {said.returncode}, {codes}: {text}')
+        return now
+
+    def close(self):
+        if self.listener is not None:
+            self.listener.kill()
+            self.listener.wait()
+
     def nothing(self):
         """Services need no undoing but a reset."""
 
@@ -149,7 +191,9 @@ KINDS = {
     'SIGINT of the controller': (Stops.ended_controller, Stops.controller_after_end),
     'killed controller': (Stops.killed_controller, Stops.controller_again),
     'pulled port': (Stops.pulled_port, Stops.plug),
+    'stop command': (Stops.stop_command, Stops.nothing),
 }
+LATE = {'stop command': COMMAND_LATE}  # [s] instead of `SOON`
 ENDS = {'SIGINT of the driver': 'driver', 'SIGTERM of the driver': 'driver',
         'SIGINT of the controller': 'controller'}  # fmt: skip
 
@@ -231,7 +275,7 @@ def trial(chain, stops, kind, scale, number):
     found = judge(trace, cause, scale)
     if found is None:
         return None
-    if found['rest_ms'] > 1e3 * SOON:  # to find out why: [ms] and currents [A]
+    if found['rest_ms'] > 1e3 * LATE.get(kind, SOON):  # to find out why: [ms] and currents [A]
         found['trace'] = [[round(1e3 * (at - cause), 1), amperes] for at, amperes, *_ in trace]
     return {**found, 'sent_ms': 1e3 * sent, 'ended_ms': ended, 'stolen_ms': lost}
 
@@ -258,8 +302,13 @@ def measure(args, rows):
                     skipped[kind] += 1
                 else:
                     rows.add({'kind': kind, 'number': number, **got})
-        return skipped, {'died': chain.died, 'unheard': stops.unheard}
+        return skipped, {
+            'died': chain.died,
+            'unheard': stops.unheard,
+            'failed': stops.failed,
+        }
     finally:
+        stops.close()
         load.end()
         chain.close()
 
@@ -294,7 +343,7 @@ class Rows:
         return [row for row in self.rows if row['kind'] == kind]
 
 
-def summary(rows, holds=False):
+def summary(rows, holds=False, late=SOON):
     if not rows:
         return {'trials': 0, 'late': 0}
     columns = {key: np.array([row.get(key, np.nan) for row in rows]) for key in FIGURES}
@@ -306,7 +355,7 @@ def summary(rows, holds=False):
             figures |= {
                 key: {'p50': round(p50, 1), 'p99': round(p99, 1), 'worst': round(worst, 1)}
             }
-    figures['late'] = 0 if holds else int(np.sum(columns['rest_ms'] > 1e3 * SOON))
+    figures['late'] = 0 if holds else int(np.sum(columns['rest_ms'] > 1e3 * late))
     figures['rise'] = round(float(columns['rise'].max()), 3)
     return figures
 
@@ -347,7 +396,9 @@ def main():
     begun, rows = os.getloadavg(), Rows(args.rows)
     skipped, other = measure(args, rows)
     holds = {'pulled port'} if args.mode == 'pull' else ()
-    found = {kind: summary(rows.of(kind), kind in holds) for kind in args.kinds}
+    found = {
+        kind: summary(rows.of(kind), kind in holds, LATE.get(kind, SOON)) for kind in args.kinds
+    }
     result = {
         **machine(),
         'load_average': [round(begun[0], 1), round(os.getloadavg()[1], 1)],
@@ -363,7 +414,7 @@ def main():
     }
     tell(result, args.json)
     print(table(found))
-    return 1 if other['died'] or any(figures['late'] for figures in found.values()) else 0
+    return 1 if other['died'] or other['failed'] or any(figures['late'] for figures in found.values()) else 0
 
 
 if __name__ == '__main__':
