@@ -414,7 +414,11 @@ def main():
     }
     tell(result, args.json)
     print(table(found))
-    return 1 if other['died'] or other['failed'] or any(figures['late'] for figures in found.values()) else 0
+    return (
+        1
+        if other['died'] or other['failed'] or any(figures['late'] for figures in found.values())
+        else 0
+    )
 
 
 if __name__ == '__main__':

@@ -1,5 +1,5 @@
 """
-Jog the running robot with a gamepad or a SpaceMouse.
+Jog the running robot with a gamepad or a SpaceMouse; `ros2 run tendon_robot_ros stop` stops it.
 
 ros2 launch tendon_robot_ros joystick.launch.py
 ros2 launch tendon_robot_ros joystick.launch.py device:=spacemouse frame:=my_arm_tip

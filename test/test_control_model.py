@@ -8,9 +8,10 @@ import pytest
 from control_rig import CYCLE, Rig, model, reachable
 
 from tendon_robot_ros.common.errors import InputError, NoEquilibriumError
-from tendon_robot_ros.control import ControllerCore
+from tendon_robot_ros.control import ControllerCore, Settings
 from tendon_robot_ros.control.loading import load
 from tendon_robot_ros.control.state import Target
+from tendon_robot_ros.control.status import controller_status
 from tendon_robot_ros.control.trajectory import Playing
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
@@ -199,3 +200,55 @@ def see(rig):
 
 def test_a_loaded_model_has_its_library_no_search_waits_for_it():
     assert 'library' in vars(load(model().robot, load_catalogue()))
+
+
+def longer(robot):
+    sections = tuple(replace(one, cell_length=1.05 * one.cell_length) for one in robot.sections)
+    return replace(robot, sections=sections)
+
+
+OTHERS = {
+    'name': lambda robot: replace(robot, name='another'),
+    'length': longer,
+}
+
+
+@pytest.mark.parametrize('resume', [False, True])
+@pytest.mark.parametrize('pull', [False, True])
+@pytest.mark.parametrize('other', OTHERS)
+def test_another_robot_takes_no_target_over(other, pull, resume):
+    """Its base is elsewhere: the same numbers would be another place."""
+    core = ControllerCore(model(), Settings(pull_mode=pull, resume=resume))
+    place, nothing, now = np.zeros(4) if pull else np.full(4, 0.1), np.full(4, np.nan), 0.0
+
+    def run(seconds):
+        nonlocal now, place
+        for _ in range(round(seconds / CYCLE)):
+            now += CYCLE
+            core.measured(now, *((nothing, place) if pull else (place, nothing)))
+            if (output := core.step(now)) is not None:
+                place = output.pulls if pull else output.tensions
+
+    run(0.1)
+    core.aim(reachable())
+    run(1.0)
+    before = place
+    core.set_model(Model(OTHERS[other](model().robot)))
+    run(1.0)
+    assert core.target is core.search is core.solution is None
+    assert place == pytest.approx(before, abs=1e-9)
+    assert controller_status(core, now).code == 'holding'
+    core.aim(reachable((0.3, 0.1, 0.1, 0.5)))
+    run(1.0)
+    assert place != pytest.approx(before, abs=1e-4)
+
+
+def test_a_target_that_is_looked_for_ends_with_another_robot_too():
+    rig = Rig()
+    rig.run(0.1)
+    rig.core.aim(reachable())
+    rig.core.set_model(Model(replace(model().robot, name='another')))
+    before = rig.tensions
+    rig.run(1.0)
+    assert rig.code() == 'holding'
+    assert rig.tensions == pytest.approx(before)

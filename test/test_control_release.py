@@ -1,11 +1,14 @@
 """After a release of the driver the controller holds until it is asked for something new."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from control_rig import CYCLE, Rig, model, reachable
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.control import ControllerCore, Refusal, Settings, Target, Twist
+from tendon_robot_ros.control.goals import MotionGoal
 from tendon_robot_ros.control.status import controller_status
 from tendon_robot_ros.control.trajectory import Playing
 from tendon_robot_ros.drivers import Fault, Reading
@@ -272,3 +275,26 @@ def test_a_refusal_because_of_a_stop_ends_with_it():
     rig.core.driver_says('')
     rig.run(0.1)
     assert rig.code() == 'holding'
+
+
+def test_a_goal_ends_with_a_release_and_says_so_and_the_next_one_goes_on():
+    pair = Pair('kato_10_1', 'tension')
+    pair.run(0.1)
+    goal = MotionGoal([replace(pair.target(), stamp='1')])
+    goal.begin(pair.core, pair.now)
+    pair.run(0.02)
+    assert goal.look(pair.core, pair.now) is None
+    CAUSES['motor silent'](pair)
+    outcome = goal.look(pair.core, pair.now)
+    assert outcome.code == 'ended'
+    assert 'the driver let go: silent' in outcome.message
+    pair.run(CYCLE)
+    goal = MotionGoal([replace(pair.target(), stamp='2')])
+    goal.begin(pair.core, pair.now)
+    assert goal.look(pair.core, pair.now) is None
+    pair.run(2.0)
+    assert goal.look(pair.core, pair.now).code == ''
+    CAUSES['motor silent'](pair)
+    pair.core.play(pair.now, None)  # hold now: nothing is asked for
+    pair.run(0.5)
+    assert pair.code() == 'released'

@@ -1,6 +1,8 @@
 """The topic stop: anybody's true stops the arm, and nobody's false speaks for another."""
 
 import re
+import subprocess
+import sys
 from itertools import product
 
 import pytest
@@ -13,6 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_station import LOW, Station, holding, last, point, start, values
 from std_msgs.msg import Bool, String
 
+from tendon_robot_ros.common.processes import child_environment
 from tendon_robot_ros.ros.shared.inbox import hear_anybody
 from tendon_robot_ros.ros.shared.messages import COMMAND, COMMAND_ALL, LATCHED, LISTEN
 
@@ -246,3 +249,45 @@ def test_who_starts_late_hears_the_true_among_latched_words(running, panels, tmp
     finally:
         namespace.close()
     pressed.publish(Bool(data=False))
+
+
+def test_the_stop_command_stops_all_while_others_listen_and_a_reset_each_goes_on(running, panels):
+    """No `false` is needed after it: the services have latched the stop."""
+    foreign = running.hear(Bool, 'stop')
+    bent(running)
+    command = [sys.executable, '-m', 'tendon_robot_ros', 'stop', '--namespace', SPACE]
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=child_environment(),
+    )
+    running.until(lambda: process.poll() is not None, 'its end')
+    said = process.communicate()[0]
+    assert process.returncode == 0, said
+    assert f'stopped: {SPACE}/controller, {SPACE}/driver' in said
+    stopped(running)
+    assert running.trigger('driver/reset').success
+    assert running.trigger('controller/reset').success  # at once: it has asked the driver
+    running.until_code(running.controller, 'holding')
+    assert [message.data for _, message in foreign] in ([], [True, False])
+    running.go_to_point(0.05, 0.18)
+
+
+def test_both_resets_one_right_after_the_other_are_taken_every_time(running):
+    for _ in range(20):
+        assert running.trigger('driver/stop').success
+        assert running.trigger('driver/reset').success
+        answer = running.trigger('controller/reset')
+        assert answer.success, answer.message
+    running.go_to_point(0.05, 0.18)
+
+
+def test_reset_of_the_controller_is_refused_while_the_driver_is_stopped(running):
+    assert running.trigger('driver/stop').success
+    answer = running.trigger('controller/reset')
+    assert not answer.success
+    assert 'the driver is stopped: stop was called' in answer.message
+    assert running.trigger('driver/reset').success

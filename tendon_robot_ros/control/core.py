@@ -162,7 +162,12 @@ class ControllerCore:
         self._require_running()
         if self.command is None:
             raise Refusal('no_driver', 'tendon_trajectory refused: no tendon states yet')
-        if self.release.wait(lambda: self.play(self.stepped, trajectory)):
+        if trajectory is None and self.release.why:
+            self.release.waiting = None  # the arm holds already
+            return
+        if trajectory is not None and self.release.wait(
+            lambda: self.play(self.stepped, trajectory), trajectory
+        ):
             return
         if trajectory is not None and self.settings.keep_out:
             look_and_play(self, trajectory, lambda seen: self._play(max(now, self.stepped), seen))
@@ -406,6 +411,11 @@ class ControllerCore:
         self._lost, self.playing, self._syncing = True, None, None
         if not self.settings.resume:
             self._drop()
+
+    def begin_anew(self) -> None:
+        """Forget what was asked for, and begin at the measured state."""
+        self._lost, self._syncing = True, None
+        self._drop()
 
     def _resync(self) -> None:
         """Begin at the measured state."""

@@ -153,7 +153,7 @@ class MotionGoal:
     def _replaced(self, core: ControllerCore, now: float) -> tuple[str, str]:
         """Say why the controller follows something else."""
         status = controller_status(core, now)
-        if status.level == 'error':
+        if status.level == 'error' or core.release.why:
             return 'ended', self._said(status.message)
         if not followed(core) and (refusal := core.refusals.get('target')) is not None:
             return refusal.code, self._said(str(refusal))

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .checks import Refusal
+from .state import Target
 
 if TYPE_CHECKING:
     from .jog import Twist
-    from .state import Target
+    from .trajectory import Playing
 
 GO_ON = 'send another target or call reset'
 
@@ -31,6 +32,7 @@ class Release:
     over: int | None = None  # the count of the last one after which it followed again
     dropped: Target | None = None  # what was asked for when the target was taken back
     waiting: Callable[[], None] | None = None  # what was asked for since
+    stamp: str = ''  # of that
     twisted: float = -np.inf  # [s] when a twist last was more than zero
 
     def heard(self, why: str, count: int) -> tuple[bool, bool]:
@@ -41,7 +43,7 @@ class Release:
             self.count, self.why = count, why
         return new and not first, over and not new
 
-    def wait(self, ask: Callable[[], None], target: Target | None = None) -> bool:
+    def wait(self, ask: Callable[[], None], asked: Target | Playing) -> bool:
         """
         Keep what was asked for until the driver follows; False: it does.
 
@@ -53,16 +55,16 @@ class Release:
         """
         if not self.why:
             return False
-        if target is not None and self.dropped is not None and _same(target, self.dropped):
+        if isinstance(asked, Target) and self.dropped and _same(asked, self.dropped):
             raise Refusal('released', f'the same target as before the release; {GO_ON}')
-        self.waiting = ask
+        self.waiting, self.stamp = ask, asked.stamp
         return True
 
     def twist(self, now: float, twist: Twist, timeout: float) -> bool:
         """Take a twist; False: of a released arm, which the next one moves if it was let go of."""
         goes_on, self.twisted = now - self.twisted <= timeout, now if twist.moves else -np.inf
         if self.why and twist.moves and not goes_on:
-            self.waiting = _nothing
+            self.waiting, self.stamp = _nothing, ''
         return not self.why
 
 

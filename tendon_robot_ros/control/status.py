@@ -52,6 +52,8 @@ def controller_status(core: ControllerCore, now: float) -> ControllerStatus:
 
 def followed(core: ControllerCore) -> str:
     """Return the stamp of the target or the trajectory that the controller is at, '' for none."""
+    if core.release.waiting is not None:
+        return core.release.stamp
     if core.search is not None:
         return core.search.target.stamp
     for one in (core.looked, core.playing, core.target):

@@ -16,6 +16,7 @@ from ...control import Refusal, Target, Twist
 from ...control.checks import by_name, check_frame, check_stamp, direction, finite, position
 from ...control.trajectory import Playing, checked
 from ...model.model import Model
+from ...robot import Robot
 from ..shared.joints import Joints
 from ..shared.messages import Frames, nanoseconds_now, seconds
 from ..shared.parameters import Parameters
@@ -41,6 +42,11 @@ class Incoming:
         self.tip = prefix + (parameters['tip_frame'] or f'{robot.name}_tip')
         self._frames.base, self._model = self.base, model
         self._farthest = 1.5 * robot.length  # [m]
+
+    @property
+    def robot(self) -> Robot:
+        """Whose frames they are."""
+        return self._model.robot
 
     @property
     def inputs(self) -> tuple[str, ...]:

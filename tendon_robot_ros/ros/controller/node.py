@@ -25,6 +25,7 @@ from ...common.errors import TendonRobotError
 from ...common.local_stop import StopListener, Stoppable
 from ...common.processes import REALTIME_PRIORITY_SECOND, go_realtime, in_realtime
 from ...control import ControllerCore, Refusal
+from ...control.model_change import another_robot
 from ...control.solver import SOLVER, Worker
 from ...control.status import controller_status
 from ...model.model import Model
@@ -339,6 +340,8 @@ class ControllerNode(ManagedNode):
         if error is not None:
             self._refuse(core, error)
         elif self._incoming is not None and self._prediction is not None:
+            if another_robot(model.robot, self._incoming.robot):
+                self.get_logger().warning('another robot: the target is void, the arm holds')
             self._incoming.use(model)
             self._prediction.use(self._incoming.base, model)
             self._loading.accept(model)
