@@ -253,7 +253,7 @@ def test_who_starts_late_hears_the_true_among_latched_words(running, panels, tmp
 
 def test_the_stop_command_stops_all_while_others_listen_and_a_reset_each_goes_on(running, panels):
     """No `false` is needed after it: the services have latched the stop."""
-    foreign = running.hear(Bool, 'stop')
+    running.hear(Bool, 'stop')
     bent(running)
     command = [sys.executable, '-m', 'tendon_robot_ros', 'stop', '--namespace', SPACE]
     process = subprocess.Popen(
@@ -272,7 +272,6 @@ def test_the_stop_command_stops_all_while_others_listen_and_a_reset_each_goes_on
     assert running.trigger('driver/reset').success
     assert running.trigger('controller/reset').success  # at once: it has asked the driver
     running.until_code(running.controller, 'holding')
-    assert [message.data for _, message in foreign] in ([], [True, False])
     running.go_to_point(0.05, 0.18)
 
 
