@@ -8,6 +8,7 @@ told.py           results that say themselves, in words and in notebooks
 yaml_reading.py   checked reading of YAML; every refusal names file, key, expectation and value
 workers.py        chunks of independent work: here, in processes, on a cluster
 processes.py      children that end with who started them; who goes first; one thread
+local_stop.py     a stop on the same computer, without discovery
 rotations.py      rotation matrices, rotation vectors and quaternions
 units.py          units as people write them, to SI
 words.py          numbers as people read them: millimetres, degrees, names in a list

@@ -20,6 +20,7 @@ mismatch.py      the model's error near the tensions that act, learned from the 
 model_change.py  from one model to another while the arm is controlled
 friction_state.py  tensions that act; ways on which friction ends where it helps the target
 rebalance.py     the freedom of the tensions while the arm stands; how stiff the tip is
+release.py      after a release of the driver nothing moves until it is asked for anew
 status.py       how the controller is, as level, code and sentence
 loading.py      a model read and compiled in a process of its own, beside the commands
 """

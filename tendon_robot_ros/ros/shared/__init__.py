@@ -11,5 +11,6 @@ transport.py           how nodes reach each other
 runtime.py             running nodes so that they end safe; nodes as processes
 robot_client.py        who speaks to a running robot: waits, sends targets, reads statuses
 running_arm.py         the running robot as an investigation asks it
+stopping.py            every node that can be stopped, found and stopped
 files.py               files that come with the package
 """
