@@ -24,7 +24,8 @@ def test_tensions_follow_the_straight_lines_in_time_and_the_end_is_held():
     rig.run(0.5)
     assert rig.tensions == pytest.approx([0.6, 0.1, 0.1, 0.35], abs=1e-9)
     assert rig.code() == 'playing'
-    assert controller_status(rig.core, rig.now).values['trajectory'] == '0.50 of 1.00 s'
+    said = controller_status(rig.core, rig.now).values
+    assert (said['trajectory_time (s)'], said['trajectory_duration (s)']) == ('0.500', '1.000')
     rig.run(1.0)
     assert rig.tensions == pytest.approx(END)
     assert rig.code() == 'played'

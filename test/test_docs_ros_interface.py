@@ -96,7 +96,17 @@ def told_in(path, function):
         keys = node.keys if isinstance(node, ast.Dict) else []
         if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Store):
             keys = [node.slice]
-        yield from (key.value for key in keys if isinstance(key, ast.Constant))
+        yield from filter(None, map(written, keys))
+
+
+def written(key):
+    """Return a key as it is written, names in f-strings in capitals; None: it is computed."""
+    if isinstance(key, ast.JoinedStr):
+        return ''.join(
+            part.value if isinstance(part, ast.Constant) else part.value.id.upper()
+            for part in key.values
+        )
+    return key.value if isinstance(key, ast.Constant) else None
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import emulated
 import emulated_board
 import numpy as np
 import pytest
+from plain import plain_numbers
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import Driver, Reading, make_driver
@@ -192,5 +193,7 @@ def test_disabling_is_allowed_in_every_state(closed):
     closed.disable()
 
 
-def test_it_describes_itself_in_words(driver):
-    assert all(isinstance(k, str) and isinstance(v, str) for k, v in driver.describe().items())
+def test_it_describes_itself_in_words_and_plain_numbers(driver):
+    said = driver.describe()
+    assert all(isinstance(k, str) and isinstance(v, str) for k, v in said.items())
+    plain_numbers(said)

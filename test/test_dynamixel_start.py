@@ -96,12 +96,13 @@ def test_new_firmware_is_read_with_the_fast_sync_read():
         assert driver.describe()['group read'] == 'fast sync read'
 
 
-def test_it_describes_resolution_calibration_and_servos_in_words():
+def test_it_describes_resolution_calibration_and_servos():
     with emulated.line() as line, driver_for(line) as driver:
         said = driver.describe()
-        assert said['tension of east'].startswith('one count of current is 0.00731 N (683 counts')
-        assert said['tension of east'].endswith('data sheet, not calibrated')
-        assert said['east (id 1)'].startswith('XL330-M077 firmware 48, torque off')
+        assert said['east: tension_per_count (N)'] == '0.00731'
+        assert said['east: calibration'] == 'data sheet'
+        assert said['east (id 1): model'] == 'XL330-M077'
+        assert (said['east (id 1): firmware'], said['east (id 1): torque']) == ('48', 'off')
 
 
 def test_what_is_written_arrives_and_a_port_that_takes_nothing_is_lost():
@@ -159,7 +160,10 @@ def test_the_watchdog_is_short_in_real_time_and_what_is_configured_always_counts
             driver.enable()
             servos = line.rig.servos.values()
             assert {servo.get('bus_watchdog') for servo in servos} == {counts}
-            assert driver.silence() == driver.describe()['bus watchdog'] == words
+            assert driver.silence() == words
+            seconds = driver.describe()['bus_watchdog (s)']
+            assert words.startswith(f'{seconds} s (' if counts else 'off')
+            assert (float(seconds) > 0.0) == bool(counts)
 
 
 def test_slack_is_wound_up_and_the_pull_is_zero_where_the_wires_begin_to_pull():

@@ -10,6 +10,7 @@ pytest.importorskip('rclpy')
 
 from documents import environment
 from forked import Forked
+from plain import plain_numbers
 from ros_station import INPUTS, Station, last, start, values
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -68,6 +69,19 @@ def test_go_to_says_where_the_tip_went(station, tmp_path):
     assert done.returncode == 1
     assert 'refused_too_far' in done.stderr
     assert done.stderr.count('\n') == 1
+
+
+@pytest.mark.parametrize(
+    ('node', 'what', 'key'),
+    [('controller', 'control', 'position_error (m)'), ('driver', 'motors', 'lag (s)')],
+)
+def test_a_status_names_node_and_arm_and_holds_plain_numbers(station, node, what, key):
+    station.go_to_point(0.03, 0.19)
+    status = last(getattr(station, node))
+    assert status.name == f'follow/{node}: {what}'
+    assert status.hardware_id == 'kato_10_1'
+    plain_numbers(values(status))
+    assert float(values(status)[key]) < 0.1
 
 
 def test_a_path_is_followed_reported_and_retreated(station, tmp_path):

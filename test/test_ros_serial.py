@@ -44,7 +44,7 @@ def rig(running):
 def test_the_node_says_that_tensions_come_from_load_cells(rig):
     said = values(last(rig.station.driver))
     assert said['tension_source'] == 'load_cell'
-    assert 'release after 0.2 s' in said['on silence']
+    assert said['silence_until_release (s)'] == '0.2'
 
 
 # name -> break, mend, what the status says, to be reset by a person

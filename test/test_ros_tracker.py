@@ -96,7 +96,7 @@ def test_a_topic_per_marker_in_the_frame_of_the_tracker(tracked):
     )
     assert station.places() == pytest.approx(wanted, abs=1e-6)
     station.feed(
-        lambda: float(values(last(station.monitor))['error'].split()[0]) < 1.0,  # [mm]
+        lambda: float(values(last(station.monitor))['error (m)']) < 1e-3,
         'a small error',
         frame='camera',
         camera_one=seen[0],

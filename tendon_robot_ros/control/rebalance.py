@@ -128,11 +128,10 @@ class Rebalance:
         if self._said is not None and self._said[0] is stiffness:
             return self._said[1]
         softest, towards = stiffness.softest
-        axes = (stiffness.along(axis) for axis in np.eye(3))
-        words = {
-            'tip_stiffness': ', '.join(f'{value:.3g}' for value in axes) + ' N/m along x, y, z',
-            'tip_softest': f'{softest:.3g} N/m along ({", ".join(f"{x:.2f}" for x in towards)})',
-        }
+        words = {'tip_stiffness_softest (N/m)': f'{softest:.4g}'}
+        for axis, along, part in zip('xyz', np.eye(3), towards, strict=True):
+            words[f'tip_stiffness_{axis} (N/m)'] = f'{stiffness.along(along):.4g}'
+            words[f'tip_softest_direction_{axis}'] = f'{part:.4f}'
         self._said = stiffness, words
         return words
 

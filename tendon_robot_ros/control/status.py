@@ -36,14 +36,13 @@ def controller_status(core: ControllerCore, now: float) -> ControllerStatus:
     if stamp := followed(core):
         values['target_stamp'] = stamp
     if core.playing is not None:
-        values['trajectory'] = core.playing.progress(now)
+        values['trajectory_time (s)'] = f'{core.playing.passed(now):.3f}'
+        values['trajectory_duration (s)'] = f'{core.playing.times[-1]:.3f}'
     if core.solution is not None:
         values.update(_solution(core.solution))
     if core.command is not None:
-        values['tensions'] = ', '.join(
-            f'{name} {tension:.3f} N'
-            for name, tension in zip(core.model.inputs, core.command, strict=True)
-        )
+        for name, tension in zip(core.model.inputs, core.command, strict=True):
+            values[f'tension {name} (N)'] = f'{tension:.4f}'
     values.update(core.balance.values())
     if core.settings.tip_gain > 0.0:
         values.update(core.loop.values(now))
@@ -154,12 +153,10 @@ def _arrived(solution: Reach, in_time: bool) -> tuple[str, str, str]:
 
 
 def _solution(solution: Reach) -> dict[str, str]:
-    finite = [solution.position_error, solution.direction_error]
-    position, direction = np.nan_to_num(finite)
     return {
         'solution': solution.status,
-        'position_error': f'{1e3 * position:.3f} mm',
-        'direction_error': f'{degrees(direction):.3f} deg',
+        'position_error (m)': f'{solution.position_error:.3g}',
+        'direction_error (rad)': f'{solution.direction_error:.3g}',
         'at_limit': ', '.join(solution.at_limit),
         'kept_out_of': solution.region,
     }

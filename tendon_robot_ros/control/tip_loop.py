@@ -154,12 +154,11 @@ class TipLoop:
         """Say how much of the correction is left to the loop, for the status."""
         silent = self._seen is None or now - self._seen[0] > TRACKER_SILENT_S
         frozen = 'tracker silent' if silent else self.frozen
-        left = '' if np.isnan(self._error).any() else f'{1e3 * np.linalg.norm(self._error):.3f} mm'
         shift = 0.0 if self.known is None else float(np.linalg.norm(self.known.offset))
         return {
-            'correction': f'{1e3 * shift:.3f} mm',
+            'correction (m)': f'{shift:.4g}',
             'correction_frozen': frozen,
-            'measured_error': left,
+            'measured_error (m)': f'{np.linalg.norm(self._error):.4g}',
         }
 
     def remainder(self, now: float) -> Remainder | None:

@@ -143,7 +143,11 @@ class Playing:
 
     def progress(self, now: float) -> str:
         """Say how far it is."""
-        return f'{min(now - self.began, self.times[-1]):.2f} of {self.times[-1]:.2f} s'
+        return f'{self.passed(now):.2f} of {self.times[-1]:.2f} s'
+
+    def passed(self, now: float) -> float:
+        """Return how much of it is played [s]."""
+        return float(min(now - self.began, self.times[-1]))
 
 
 def look_and_play(core: Player, trajectory: Playing, play: Callable[[Playing], None]) -> None:

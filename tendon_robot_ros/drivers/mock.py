@@ -203,8 +203,8 @@ class MockDriver(Driver):
         """Facts for diagnostics."""
         return {
             'backend': 'mock',
-            'lag': f'{self.config.lag:g} s',
-            'tension noise': f'{self.config.tension_noise:g} N',
+            'lag (s)': f'{self.config.lag:g}',
+            'tension_noise (N)': f'{self.config.tension_noise:g}',
         }
 
     def _faults(self) -> tuple[Fault, ...]:

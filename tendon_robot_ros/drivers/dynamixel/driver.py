@@ -35,27 +35,35 @@ from .torque import (
 def driver_facts(
     bus: Bus, config: DynamixelConfig, motors: Iterable[Motor], latency: int | None
 ) -> dict[str, str]:
-    """Describe port, reading, failures and every servo: names to values with units."""
+    """Describe port, reading, failures and every servo: names with units to values."""
     out = {
-        'port': f'{config.port} at {config.baud} baud',
-        'latency_timer': 'none' if latency is None else f'{latency} ms',
+        'port': config.port,
+        'baud_rate (1/s)': str(config.baud),
+        'latency_timer (s)': '' if latency is None else f'{1e-3 * latency:g}',
         'group read': 'fast sync read' if bus.fast else 'sync read',
-        'tension uncertainty': f'{_doubt(config):.3g} N',
+        'tension_uncertainty (N)': f'{_doubt(config):.3g}',
     }
     out |= {what: str(count) for what, count in bus.failures.items()}
     for motor in motors:
-        warm = '' if motor.temperature is None else f', {motor.temperature:.0f} °C'
-        power = '' if motor.voltage is None else f', {motor.voltage:.1f} V'
-        torque = 'on' if motor.wanted else 'off'
-        out[str(motor)] = (
-            f'{motor.model.name} firmware {motor.firmware}, torque {torque}{warm}{power}'
-        )
+        out |= {
+            f'{motor}: model': motor.model.name,
+            f'{motor}: firmware': str(motor.firmware),
+            f'{motor}: torque': 'on' if motor.wanted else 'off',
+        }
+        if motor.temperature is not None:
+            out[f'{motor}: temperature (°C)'] = f'{motor.temperature:.0f}'
+        if motor.voltage is not None:
+            out[f'{motor}: supply (V)'] = f'{motor.voltage:.1f}'
         if motor.settled:
             changed = (f'{name.replace("_", " ")} {how}' for name, how in motor.settled.items())
             out[f'registers of {motor} that were set'] = ', '.join(changed)
         for wire in motor.wires:
-            known = 'calibrated' if wire.calibration.measured else 'data sheet, not calibrated'
-            out[f'tension of {wire.name}'] = f'{wire.resolution}; {known}'
+            known = 'measured' if wire.calibration.measured else 'data sheet'
+            out |= {
+                f'{wire.name}: tension_per_count (N)': f'{wire.resolution.newtons_per_count:.3g}',
+                f'{wire.name}: friction_band (N)': f'{wire.resolution.band:.3g}',
+                f'{wire.name}: calibration': known,
+            }
     return out
 
 
@@ -115,7 +123,7 @@ class DynamixelDriver(PortDriver):
         self.motors = make_motors(config, mode)
         self._operating = operating_mode(config, mode)
         self._watch = Watch(self.bus, self._operating)
-        self._silence = 'set when torque comes on'
+        self._silence, self._silent_after = 'set when torque comes on', float('nan')  # [s]
         self._latency: int | None = None
         self._lost: list[Motor] = []
         self._turn = 0
@@ -152,6 +160,7 @@ class DynamixelDriver(PortDriver):
         seconds, why = watchdog_time(self.config)
         self._watch.watchdog = watchdog_counts(seconds)
         self._silence = f'{seconds:g} s ({why})' if seconds else f'off ({why})'
+        self._silent_after = seconds
         with second_talker_told(self.bus):
             torque_on(self.bus, list(self.motors.values()), self._operating, self._watch.watchdog)
         self._zero_here()
@@ -192,7 +201,7 @@ class DynamixelDriver(PortDriver):
     def describe(self) -> dict[str, str]:
         """Return facts about bus and servos."""
         facts = driver_facts(self.bus, self.config, self.motors.values(), self._latency)
-        return {**facts, 'bus watchdog': self._silence}
+        return {**facts, 'bus_watchdog (s)': f'{self._silent_after:g}'}
 
     def silence(self) -> str:
         """Return what address 98 was set to."""

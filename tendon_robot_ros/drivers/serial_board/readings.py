@@ -105,20 +105,23 @@ def latched_faults(config: BoardConfig, telemetry: Telemetry | None) -> list[Fau
 def board_facts(
     config: BoardConfig, link: BoardLink, identity: Identity | None, telemetry: Telemetry | None
 ) -> dict[str, str]:
-    """Return facts about board and link: names and values as text, with units."""
+    """Return facts about board and link: names with units to values as text."""
     facts = {
-        'port': f'{config.port}, {config.baud} baud',
-        'board': 'not asked yet'
-        if identity is None
-        else f'{identity.channels} channels, firmware {identity.firmware}',
-        'frames': f'{link.missed} missed, {link.bad} bad here, '
-        f'{"?" if telemetry is None else telemetry.bad} bad at the board',
-        'on silence': f'release after {config.timeout:g} s to {config.release_to}',
+        'port': config.port,
+        'baud_rate (1/s)': str(config.baud),
+        'frames_missed': str(link.missed),
+        'frames_bad': str(link.bad),
+        'silence_until_release (s)': f'{config.timeout:g}',
+        'release_to': config.release_to,
     }
+    if identity is not None:
+        facts |= {'channels': str(identity.channels), 'firmware': str(identity.firmware)}
+    if telemetry is not None:
+        facts['frames_bad_at_board'] = str(telemetry.bad)
     for tendon in config.tendons:
-        current = '?' if telemetry is None else f'{telemetry.currents[tendon.channel]:.3f}'
-        facts[str(tendon)] = f'{current} A'
+        if telemetry is not None:
+            facts[f'{tendon}: current (A)'] = f'{telemetry.currents[tendon.channel]:.3f}'
         if tendon.cell is not None:
             doubt = float(tendon.cell.uncertainty(np.array(tendon.tension_limit)))
-            facts[str(tendon)] += f', ±{doubt:.2g} N at {tendon.tension_limit:g} N'
+            facts[f'{tendon}: tension_uncertainty (N)'] = f'{doubt:.2g}'  # at its limit
     return facts

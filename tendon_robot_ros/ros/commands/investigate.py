@@ -88,7 +88,7 @@ class Investigator:
         self.arm, self.args, self.regions = arm, args, regions
         self._asked = False
         self._busy = False
-        self._status = Status(arm)
+        self._status = Status(arm, 'investigation')
         self._progress = arm.create_publisher(String, '~/progress', LATCHED_BY_MANY)
         self._tour = arm.create_publisher(Bool, 'tour', LATCHED)
         self._model = RemoteText(arm, args.controller, 'model')

@@ -69,7 +69,7 @@ class ControllerNode(ManagedNode):
         """Declare parameters and begin to load the model; nothing is commanded yet."""
         super().__init__('controller')
         self.parameters = Parameters(self, parameters.SPECS)
-        self.status = Status(self)
+        self.status = Status(self, 'control')
         self.core: ControllerCore | None = None
         self._loading = ModelLoading(self.parameters)
         checks: dict[str, Callable[[str], object]] = {
@@ -120,6 +120,7 @@ class ControllerNode(ManagedNode):
         self.ready()  # says what takes so long, also where a person configures
         model = self._loading.result()
         self._loading.accept(model)
+        self.status.arm = model.robot.name
         self._solver = Worker(self._wake)
         self._fence(self.parameters['keep_out'])
         settings = parameters.settings(self.parameters, self._keep_out)
@@ -314,7 +315,7 @@ class ControllerNode(ManagedNode):
         status = controller_status(core, now)
         if self._loading.note:
             status.values['model'] = self._loading.note
-        status.values['target_to_command'] = f'{1e3 * self._latency:.2f} ms'
+        status.values['target_to_command (s)'] = f'{self._latency:.5f}'
         level, message = LEVELS[status.level], status.message
         drivers, controllers = self._drivers.others(now), self._controllers.names(now)
         if drivers or controllers:
@@ -345,6 +346,7 @@ class ControllerNode(ManagedNode):
             self._incoming.use(model)
             self._prediction.use(self._incoming.base, model)
             self._loading.accept(model)
+            self.status.arm = model.robot.name
             core.refusals.pop('model', None)
             self.get_logger().info(f'model loaded: {self._loading.note}')
 

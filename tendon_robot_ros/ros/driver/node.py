@@ -59,7 +59,7 @@ class DriverNode(ManagedNode):
         super().__init__('driver')
         self.parameters = Parameters(self, parameters.SPECS)
         self.parameters.watch({'mock_fault': self._inject}, self._retune)
-        self.status = Status(self)
+        self.status = Status(self, 'motors')
         self.loop: MotorLoop | None = None
         self._tracker: MockTracker | None = None
         self._refusal: Refusal | None = None
@@ -87,6 +87,7 @@ class DriverNode(ManagedNode):
     def configure(self) -> None:
         """Read the robot, open the port, begin to read."""
         robot = load_robot(self.parameters['robot'])
+        self.status.arm = robot.name
         reference = self.parameters['tendon_reference']
         self._check_due = due(Path(reference)) if reference else ''
         if self._check_due:

@@ -55,7 +55,7 @@ class MonitorNode(Node):
         """Begin to listen; the model comes when the controller answers."""
         super().__init__('monitor')
         self.parameters = Parameters(self, SPECS)
-        self.status = Status(self)
+        self.status = Status(self, 'model error')
         self.monitor: Monitor | None = None
         self.work = Work()
         self._loader: Loader | None = None
@@ -192,6 +192,7 @@ class MonitorNode(Node):
             if news['text']:
                 self._tell_progress(news['text'])
         level, code, message = self._condition()
+        self.status.arm = '' if self.monitor is None else self.monitor.model.robot.name
         self.status.say(level, code, message, self._values())
 
     def _condition(self) -> tuple[bytes, str, str]:
@@ -222,7 +223,7 @@ class MonitorNode(Node):
             'addition': self.work.addition_ready,
             'added': str(self.work.added),
             'model': '' if monitor is None else ', '.join(monitor.model.robot.effects),
-            'error': f'{1e3 * self._last_error:.3f} mm',
+            'error (m)': f'{self._last_error:.4g}',
             **({} if self.watching is None else self.watching.values()),
             **({} if self.adapting is None else self.adapting.values()),
         }

@@ -75,6 +75,7 @@ class Watching:
             gravity = self.watch.model.robot.gravity
             load = load_of(self.force.force, self.force.covariance, gravity)
             said['tip_force'] = load_words(load)
+            said['tip_force (N)'] = f'{float(np.linalg.norm(self.force.force)):.4g}'
             said['touched_at_cell'] = str(self.force.cell or '')
         return said
 

@@ -169,12 +169,19 @@ class Status:
     A new level, code or fault goes out at once and into the log (what comes and goes is logged
     again after some seconds, or as soon as it stays); changed values go out at most ten times a
     second, and everything at least once a second.
+
+    Parameters
+    ----------
+    node : Node
+    what : str
+        What the status is about: its name is `node: what`, as diagnostic_updater has it.
+
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, what: str) -> None:
         """Make the publishers."""
-        self._node = node
-        self._name = node.get_fully_qualified_name()
+        self._node, self.arm = node, ''  # hardware_id: the robot, once it is known
+        self._name = f'{node.get_fully_qualified_name().removeprefix("/")}: {what}'
         self._latched = node.create_publisher(DiagnosticStatus, '~/status', LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', STATE)
         self._sent: DiagnosticStatus | None = None
@@ -203,7 +210,8 @@ class Status:
         message : str
             One sentence for a person.
         values : mapping, optional
-            More, as text with units; `faults` lists the codes of what is broken.
+            More: numbers plain, with their unit in the key, as `position_error (m)`; `faults`
+            lists the codes of what is broken.
         once : bool
             Nobody will say it again: goes out however soon it comes after something else.
 
@@ -219,7 +227,7 @@ class Status:
             level=level,
             name=self._name,
             message=message,
-            hardware_id=self._node.get_name(),
+            hardware_id=self.arm,
             values=[
                 KeyValue(key=key, value=value)
                 for key, value in {'code': code, **(values or {})}.items()

@@ -76,7 +76,7 @@ class ViewerNode(Node):
         self.page = LivePage(host, port, token, self.parameters['robot_length'])
         self._base = ''
         self._told = 0.0
-        self._status_out = Status(self)
+        self._status_out = Status(self, 'page')
         self._frames: deque[float] = deque(maxlen=100)  # when the arm was drawn
         self._listen(names)
         self._targets = self.create_publisher(
@@ -142,7 +142,7 @@ class ViewerNode(Node):
         statuses = self.state.statuses(now)
         values = {
             'browsers': str(self.page.clients),
-            'frames_per_second': f'{frames:.1f}',
+            'frames (Hz)': f'{frames:.1f}',
             'hears': ', '.join(name for name, (level, _) in statuses.items() if level != 'silent'),
         }
         self._status_out.say(OK, 'serving', f'page on port {self.page.port}', values)
