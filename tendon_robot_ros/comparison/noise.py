@@ -81,6 +81,20 @@ def input_slopes(predictor: Predictor, point: Point) -> Floats:
     return slopes
 
 
+def input_share(dataset: DataSet, slopes: Floats) -> Floats:
+    """
+    Return what the measured inputs of each trial move its markers by, (P, Q, J, 3) [m].
+
+    From where the inputs of the posture would have them, by slopes of `input_slopes`; zero where
+    all trials have the same.
+    """
+    inputs = np.nan_to_num(dataset.inputs)[:, None]
+    relative = (np.nan_to_num(dataset.inputs_by_trial) - inputs) / np.where(
+        inputs == 0.0, np.inf, inputs
+    )
+    return np.asarray(np.einsum('pqm,pmjc->pqjc', relative, slopes))
+
+
 class Whitener:
     """
     Covariance of the marker means, a block per posture, and a root of its inverse.

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from ..data import DataSet
-from .noise import Floats, Noise
+from .noise import Floats, Noise, input_share
 from .statistics import minimum
 
 TRIAL_DOF_MIN = 30  # degrees of freedom within postures from which the trials tell the noise
@@ -32,6 +31,7 @@ def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
     if declared is not None and dataset.visits is not None:
         return declared
     total, parts, wholes = 0.0, [], []
+    explained = input_share(dataset, slopes)
     for p in range(len(dataset.postures)):
         seen = dataset.trial_mask[p]
         complete = dataset.mask[p][seen].all(axis=0)
@@ -40,8 +40,7 @@ def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
             continue
         moves = dataset.positions[p][seen][:, complete].reshape(trials, -1)
         g = slopes[p][:, complete].reshape(len(slopes[p]), -1).T  # (3 J, m)
-        if dataset.trial_inputs is not None:
-            moves = moves - _measured_share(dataset, p, seen, g)
+        moves = moves - explained[p][seen][:, complete].reshape(trials, -1)
         moves = moves - moves.mean(axis=0)
         u, s, _ = np.linalg.svd(g, full_matrices=False)
         along = ((moves @ u) ** 2).sum(axis=0)
@@ -55,15 +54,6 @@ def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
     position, trial = _restricted_likelihood(parts)
     position, trial, shift = _with_shift(wholes, position, trial)
     return Noise(position, trial, dataset.setting_noise, total, 'trials', shift)
-
-
-def _measured_share(dataset: DataSet, p: int, seen: npt.NDArray[np.bool_], g: Floats) -> Floats:
-    """Return what the measured differences of the inputs explain (trials, 3 J) [m]."""
-    assert dataset.trial_inputs is not None
-    inputs = np.nan_to_num(dataset.trial_inputs[p][seen])
-    mean = inputs.mean(axis=0)
-    relative = (inputs - mean) / np.where(mean == 0.0, np.inf, mean)
-    return np.asarray(relative @ g.T)
 
 
 def _restricted_likelihood(

@@ -201,6 +201,17 @@ def renumbered(positions: FloatArray) -> list[tuple[int, ...]]:
     return [tuple(chain) for chain in chains]
 
 
+def joined(places: FloatArray, chains: Sequence[Sequence[int]]) -> FloatArray:
+    """Return places (T, J, n) of markers whose columns follow each other, as of `renumbered`."""
+    made = []
+    for first, *later in chains:
+        place = places[:, first]
+        for j in later:
+            place = np.where(np.isnan(place), places[:, j], place)
+        made.append(place)
+    return np.stack(made, axis=1)
+
+
 def _ended(seen: BoolArray, one: int, other: int, begin: int) -> bool:
     """Tell whether a marker is gone when another one begins, and does not come back."""
     fewest = min(int(seen[:, one].sum()), int(seen[:, other].sum()))

@@ -111,7 +111,7 @@ def way_contradicted(path: str, counts: Sequence[tuple[int, int, float]], unit: 
     ]
 
 
-def way_shows(segments: Sequence[Segment], begins: Sequence[int]) -> list[str]:
+def way_shows(segments: Sequence[Segment], begins: Sequence[int], places: FloatArray) -> list[str]:
     """
     Say that trials of a posture end elsewhere by the posture that the arm came from.
 
@@ -121,16 +121,17 @@ def way_shows(segments: Sequence[Segment], begins: Sequence[int]) -> list[str]:
         Named by posture, in order.
     begins : sequence of int
         Which of them are the first of a recording.
+    places : (N, J, 3) [m]
+        Their markers, in any frame.
 
     """
     origins = ['', *(one.posture for one in segments[:-1])]
     known = [i for i in range(len(segments)) if i not in begins]
     apart: dict[bool, list[float]] = {True: [], False: []}
-    for place, i in enumerate(known):
-        for j in known[:place]:
+    for count, i in enumerate(known):
+        for j in known[:count]:
             if segments[i].posture == segments[j].posture:
-                off = segments[i].positions - segments[j].positions
-                squares = np.sum(off**2, axis=1)
+                squares = np.sum((places[i] - places[j]) ** 2, axis=1)
                 if np.isfinite(squares).any():
                     apart[origins[i] == origins[j]].append(float(np.nanmax(squares)))
     if not apart[False]:
@@ -140,9 +141,15 @@ def way_shows(segments: Sequence[Segment], begins: Sequence[int]) -> list[str]:
     if other < max(APART_MIN_M, APART_FROM_SAME * same):
         return []
     beside = f', {mm(same)} where from the same one' if apart[True] else ''
+    remedy = (
+        'say --path visits'
+        if apart[True]
+        else 'but no posture was reached twice the same way, so that nothing would tell the noise '
+        'of visits: measure rounds in the same order, or let it rest between'
+    )
     return [
         f'trials of one posture are {mm(other)} apart where the arm came from different ones'
-        f'{beside}: the way counts; say --path visits'
+        f'{beside}, their inputs taken into account: the way counts; {remedy}'
     ]
 
 

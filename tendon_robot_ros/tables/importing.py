@@ -12,6 +12,7 @@ import numpy as np
 from ..common.errors import DataSetError
 from ..common.given import refusal
 from ..common.words import listed, mm
+from ..comparison.noise import input_share, input_slopes
 from ..comparison.predict import Predictor
 from ..data import DataSet, Marker
 from ..data.folder.description import Description
@@ -29,7 +30,7 @@ from .placing import place
 from .reading import read_table
 from .recipe import FrameChoice, MarkerColumns, Recipe, load_recipe, read_recipe
 from .registration import TrackerFrame, rotation_vector, side_offset
-from .traces import make_traces
+from .traces import follow_renumbered, make_traces
 from .visibility import flag_columns
 
 OFFSET_STEP_M = 1e-3  # [m] of a derivative
@@ -69,7 +70,7 @@ def import_table(
     robot = _robot(robot, recipe)
     tables = _tables(source, recipe)
     recipe = _with_up(recipe, tables)
-    taken = choose_columns(tables, robot, recipe)
+    taken = follow_renumbered(tables, choose_columns(tables, robot, recipe), robot.length)
     measured = measure(make_traces(tables, taken, robot.length), taken, robot)
     name = tables[0].name
     order = _order(measured, taken, robot, name)
@@ -92,7 +93,7 @@ def import_table(
         assumed=(*taken.assumed, *measured.assumed, *_markers_assumed(order, taken)),
         look=(
             *taken.look,
-            *_way_look(final, measured, taken.recipe),
+            *_way_look(final, measured, order, frame, taken.recipe, catalogue),
             *placed.look,
             *_places_look(final),
             *_offset_look(final, predicted, catalogue),
@@ -235,12 +236,27 @@ def _markers_assumed(order: MarkerOrder, taken: Taken) -> list[str]:
     return said
 
 
-def _way_look(dataset: DataSet, measured: StillMeasurements, recipe: Recipe) -> list[str]:
+def _way_look(
+    dataset: DataSet,
+    measured: StillMeasurements,
+    order: MarkerOrder,
+    frame: TrackerFrame,
+    recipe: Recipe,
+    catalogue: Catalogue,
+) -> list[str]:
     """Say what contradicts the way on which the arm is taken to have come to its postures."""
     said = [*measured.look, *frames_only(dataset)]
-    if recipe.path == FROM_STRAIGHT and not measured.rest and recipe.time is not None:
-        said += way_shows(measured.segments, measured.begins)
-    return said
+    if recipe.path != FROM_STRAIGHT or measured.rest or recipe.time is None:
+        return said
+    segments = measured.segments
+    places = np.array([one.positions[list(order.members)] for one in segments])
+    if not way_shows(segments, measured.begins, places):
+        return said
+    slopes = input_slopes(Predictor(dataset, dataset.robot, catalogue), {})
+    share = input_share(dataset, slopes) @ frame.rotation  # in the tracker's frame
+    rows = [dataset.postures.index(one.posture) for one in segments]
+    columns = [dataset.trial_names.index(one.trial) for one in segments]
+    return [*said, *way_shows(segments, measured.begins, places - share[rows, columns])]
 
 
 def _places_look(dataset: DataSet) -> list[str]:

@@ -37,6 +37,7 @@ class MarkerColumns:
     name: str | None = None  # of the marker in the data set
     arc_length: float | None = None  # [m]; None: found by its place along the straight arm
     offset: Vector = (0.0, 0.0, 0.0)  # [m] in the frame there
+    later: tuple[tuple[str, str, str], ...] = ()  # columns in which it goes on, numbered anew
 
 
 @dataclass(frozen=True)
@@ -210,16 +211,27 @@ def _spool(top: RecipeFields) -> WireSpool:
 
 
 def _marker(item: RecipeFields) -> MarkerColumns:
-    item.only('columns', 'name', 'arc_length', 'offset')
-    columns = item.content.get('columns')
-    if not isinstance(columns, list) or len(columns) != 3:
-        raise item.error('columns', 'the columns of x, y and z', columns)
-    x, y, z = map(str, columns)
+    item.only('columns', 'name', 'arc_length', 'offset', 'later')
+    x, y, z = _triple(item, 'columns', item.content.get('columns'))
+    later = item.content.get('later') or []
+    if not isinstance(later, list):
+        raise item.error('later', 'a list of the columns of x, y and z', later)
     offset = item.vector('offset', 3) if item.has('offset') else (0.0, 0.0, 0.0)
     arc_length = item.some('arc_length', 0.0, 100.0, 'm')
     return MarkerColumns(
-        (x, y, z), item.text('name'), arc_length, (offset[0], offset[1], offset[2])
+        (x, y, z),
+        item.text('name'),
+        arc_length,
+        (offset[0], offset[1], offset[2]),
+        tuple(_triple(item, 'later', columns) for columns in later),
     )
+
+
+def _triple(item: RecipeFields, key: str, columns: Any) -> tuple[str, str, str]:
+    if not isinstance(columns, list) or len(columns) != 3:
+        raise item.error(key, 'the columns of x, y and z', columns)
+    x, y, z = map(str, columns)
+    return x, y, z
 
 
 def _vector(top: RecipeFields, key: str) -> Vector | None:
@@ -306,4 +318,5 @@ def _plain_marker(marker: MarkerColumns) -> dict[str, Any]:
         'columns': list(marker.columns),
         'arc_length': marker.arc_length,
     }
-    return {**plain, 'offset': list(marker.offset)} if any(marker.offset) else plain
+    plain |= {'offset': list(marker.offset)} if any(marker.offset) else {}
+    return plain | ({'later': [list(one) for one in marker.later]} if marker.later else {})

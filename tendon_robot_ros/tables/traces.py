@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -13,10 +14,10 @@ from ..common.errors import DataSetError, InputError
 from ..common.units import UNITS, find_unit
 from ..common.words import listing
 from ..data.recording.reader import Recording, Track
-from ..data.seen import FAR_M, without_unseen
+from ..data.seen import FAR_M, joined, renumbered, without_unseen
 from .choices import Taken, time_column
 from .clocks import find_clock
-from .columns import FloatArray, RawTable
+from .columns import FloatArray, RawTable, marker_label
 from .recipe import Recipe, WireSpool
 from .visibility import not_visible
 
@@ -107,7 +108,8 @@ def make_traces(tables: Sequence[RawTable], taken: Taken, length: float) -> list
     """
     recipe = taken.recipe
     inputs = [u.column for u in (recipe.inputs or {}).values()]
-    places = [c for marker in recipe.markers or () for c in marker.columns]
+    triples = [t for marker in recipe.markers or () for t in (marker.columns, *marker.later)]
+    places = [column for triple in triples for column in triple]
     told = [t for t in tables if _holds(t, inputs)]
     seen = [t for t in tables if _holds(t, places)]
     for table in tables:
@@ -184,19 +186,52 @@ def marker_places(
 ) -> tuple[FloatArray, dict[str, IntArray]]:
     """Return places (T, J, 3) [m], NaN where not seen, and the readings (J,) left out, by why."""
     factor = UNITS['length'][find_unit(recipe.positions or 'm').text]  # type: ignore[union-attr]
-    markers = recipe.markers or ()
-    positions = np.empty((len(seen), len(markers), 3))
-    for j, marker in enumerate(markers):
-        for axis, column in enumerate(marker.columns):
+    columns = [c for marker in recipe.markers or () for c in (marker.columns, *marker.later)]
+    counts = np.cumsum([0, *(1 + len(marker.later) for marker in recipe.markers or ())])
+    positions = np.empty((len(seen), len(columns), 3))
+    for j, triple in enumerate(columns):
+        for axis, column in enumerate(triple):
             positions[:, j, axis] = seen.numbers(column)
     positions, unseen = without_unseen(positions, length / factor, FAR_M / factor)
     there = np.isfinite(positions).all(axis=2)
-    for why, hidden in not_visible(seen, [marker.columns for marker in markers]).items():
+    for why, hidden in not_visible(seen, columns).items():
         if (hidden & there).any():
             unseen[why] = (hidden & there).sum(axis=0)
             positions[hidden] = np.nan
             there &= ~hidden
-    return positions * factor, unseen
+    positions[~there] = np.nan
+    own = [range(a, b) for a, b in pairwise(counts.tolist())]
+    summed = {why: np.add.reduceat(count, counts[:-1]) for why, count in unseen.items()}
+    return joined(positions, own) * factor, summed
+
+
+def follow_renumbered(tables: Sequence[RawTable], taken: Taken, length: float) -> Taken:
+    """
+    Join the columns of markers that the tracker numbered anew, and say which.
+
+    Where a recipe says where each marker is on the arm, it has said that already.
+    """
+    markers = taken.recipe.markers or ()
+    if len(markers) < 2 or any(marker.arc_length is not None for marker in markers):
+        return taken
+    columns = [c for marker in markers for c in marker.columns]
+    seen = [table for table in tables if _holds(table, columns)]
+    if not seen:
+        return taken
+    places = np.concatenate([marker_places(t, taken.recipe, length)[0] for t in seen])
+    chains = renumbered(places)
+    said = [
+        f'{marker_label(markers[j].columns)} is {marker_label(markers[chain[0]].columns)}, '
+        'numbered anew: it begins where that one ends'
+        for chain in chains
+        for j in chain[1:]
+    ]
+    followed = tuple(
+        replace(markers[first], later=tuple(markers[j].columns for j in later))
+        for first, *later in chains
+    )
+    recipe = replace(taken.recipe, markers=followed)
+    return replace(taken, recipe=recipe, assumed=(*taken.assumed, *said))
 
 
 def _refuse_nothing(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from ..dataframes import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
 from ..dataset import DataSet, FloatArray
 from ..folder.description import Description, describe, read_fields
 from ..markers import Marker, default_markers
-from ..seen import changes, unseen_lines, without_unseen
+from ..seen import changes, joined, not_there, renumbered, unseen_lines, without_unseen
 from .reader import Recording, Topics, Track, read_bag
 from .senders import refuse_two_senders
 from .still_segments import ArmMotion, Rule, Segment, assemble, find_segments, motion
@@ -98,6 +99,7 @@ def import_bag(
             'base is',
             'import it with import-bag, which finds where it lies (--frame base: it is the base)',
         )
+    recording, told = _renumbered(recording, described.markers or default_markers(robot))
     markers = _markers(recording, robot, described)
     inputs = _inputs(recording, robot, described.input)
     recording, unseen = _without_unseen(recording, robot, [marker.name for marker in markers])
@@ -121,9 +123,28 @@ def import_bag(
         recording.state_times,
         inputs,
         rule,
-        (*unseen, *left_out),
+        (*told, *unseen, *left_out),
         recording.frame,
     )
+
+
+def _renumbered(recording: Recording, markers: Sequence[Marker]) -> tuple[Recording, list[str]]:
+    """Join poses that follow each other where there are more of them than markers, and say so."""
+    track = recording.tracks[0]
+    if recording.marker_names or track.positions.shape[1] <= len(markers):
+        return recording, []
+    positions = np.where(not_there(track.positions)[..., None], np.nan, track.positions)
+    chains = renumbered(positions)
+    if len(chains) != len(markers):
+        return recording, []
+    said = [
+        f'poses {listing(map(str, chain))} of the shape are one marker, numbered anew'
+        for chain in chains
+        if len(chain) > 1
+    ]
+    turned = np.where(np.isnan(positions[..., :1]), np.nan, track.orientations)
+    one = replace(track, positions=joined(positions, chains), orientations=joined(turned, chains))
+    return replace(recording, tracks=(one,)), said
 
 
 def _without_unseen(

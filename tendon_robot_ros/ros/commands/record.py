@@ -1,8 +1,9 @@
 """
 Record what the running robot says, until Ctrl-C: a rosbag2 folder with one .mcap file.
 
-All topics of the namespace are recorded as they come, with their message definitions, so that
-Foxglove, PlotJuggler and `ros2 bag play` open the file. The description of the robot, as the
+All topics of the namespace are recorded as they come, and those that no namespace has (/tf,
+/tf_static, /diagnostics), with their message definitions, so that Foxglove, PlotJuggler and
+`ros2 bag play` open the file. The description of the robot, as the
 controller has it, goes in, too: `compare`, `diagnose`, `plot`, `follow` and `import-bag` take the
 recording as it is.
 
@@ -40,6 +41,7 @@ from ..shared.runtime import repeat, ros
 
 HELP = 'record the running robot to an mcap file'
 TOPICS_LEFT_OUT = ('/rosout', '/parameter_events')
+TOPICS_OF_ALL = ('/tf', '/tf_static', '/diagnostics')  # of every namespace
 TOPIC_LOOK_PERIOD_S = 0.5  # [s] between looks for new topics
 POLL_PERIOD_S = 0.02  # [s]
 QUEUE_DEPTH = 2000  # messages of a topic that may wait
@@ -140,7 +142,8 @@ class Recorder(Node):
     def _look(self) -> None:
         space = self.get_namespace().rstrip('/') + '/'
         for topic, kinds in self.get_topic_names_and_types():
-            wanted = topic in self._only or (not self._only and topic.startswith(space))
+            own = topic.startswith(space) or topic in TOPICS_OF_ALL
+            wanted = topic in self._only or (not self._only and own)
             if wanted and topic not in self._seen and topic not in TOPICS_LEFT_OUT:
                 publishers = self.get_publishers_info_by_topic(topic)
                 if publishers:

@@ -15,6 +15,7 @@ from trajectory_msgs.msg import JointTrajectory
 from ...control import Refusal, Target, Twist
 from ...control.checks import by_name, check_frame, check_stamp, direction, finite, position
 from ...control.trajectory import Playing, checked
+from ...data.seen import not_there
 from ...model.model import Model
 from ...robot import Robot
 from ..shared.joints import Joints
@@ -79,7 +80,10 @@ class Incoming:
         """Return a measured tip [m]."""
         rotation, shift = self._header(message.header, 'measured_tip')
         p = message.pose.position
-        place = rotation @ finite([p.x, p.y, p.z], 'measured_tip') + shift
+        seen = finite([p.x, p.y, p.z], 'measured_tip')
+        if not_there(seen):  # what trackers send for a marker that they do not see
+            raise Refusal('not_finite', f'measured_tip: {seen.tolist()} says that it is not seen')
+        place = rotation @ seen + shift
         return position(place.tolist(), self._farthest, 'measured_tip')
 
     def twist(self, message: TwistStamped) -> Twist:

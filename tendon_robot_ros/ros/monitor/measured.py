@@ -13,6 +13,7 @@ from std_msgs.msg import Header
 
 from ...common.errors import InputError
 from ...control.checks import Refusal, check_stamp
+from ...data.seen import not_there
 from ...monitoring import Monitor
 from ..shared.messages import LISTEN, Frames, matrix, seconds
 from ..shared.parameters import Parameters
@@ -133,7 +134,7 @@ class MarkerInput:
             self.problem = str(refusal)
             return None
         self.problem = ''
-        points = np.where(np.isfinite(points).all(axis=1)[:, None], points, np.nan)
+        points = np.where(not_there(points)[:, None], np.nan, points)
         return points @ turn.T + shift
 
     def _time(self, header: Header) -> float:
