@@ -138,6 +138,7 @@ def test_the_file_holds_definitions_and_every_topic(folder):
             reader.deserialize(data, connection.msgtype)
     for name in ('tendon_states', 'tendon_command', 'measured_shape', 'controller/status'):
         assert topics[f'{SPACE}/{name}'].msgcount > 10
+    assert topics['/diagnostics'].msgcount > 10, 'a topic that no namespace has'
     assert topics['/dataset/robot'].msgcount == 1
     content = (folder / 'run' / 'run.mcap').read_bytes()
     assert content.startswith(b'\x89MCAP0\r\n')

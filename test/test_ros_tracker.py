@@ -103,7 +103,12 @@ def test_a_topic_per_marker_in_the_frame_of_the_tracker(tracked):
         camera_two=seen[1],
     )
     station.measured.clear()
-    station.feed(lambda: len(station.measured) > 3, 'one marker', camera_two=seen[1])
+    station.feed(
+        lambda: len(station.measured) > 3,
+        'one marker, and 0, 0, 0 for one that was not seen',
+        camera_one=np.zeros(3),
+        camera_two=seen[1],
+    )
     assert np.isnan(station.places()[0]).all()
     assert station.places()[1] == pytest.approx(wanted[1], abs=1e-6)
 

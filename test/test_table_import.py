@@ -270,7 +270,10 @@ def test_a_column_that_says_what_was_seen_counts(noisy, column, seen, hidden):
     imported = import_table(told, ARM, {'up': 'y'})
     assert any(f'the column {column} says so' in line for line in imported.dropped)
     assert not any('columns: ' in line for line in imported.dropped)
-    assert np.abs(imported.dataset.mean - import_table(noisy, ARM, {'up': 'y'}).dataset.mean).max() < 1e-3
+    assert (
+        np.abs(imported.dataset.mean - import_table(noisy, ARM, {'up': 'y'}).dataset.mean).max()
+        < 1e-3
+    )
 
 
 def test_the_way_is_said_and_a_sequence_of_an_arm_that_was_let_go_is_contradicted(noisy):

@@ -192,6 +192,30 @@ def test_an_export_of_optitrack_without_its_rows_is_refused(tmp_path):
         read(tmp_path, 'Format Version,1.23\n1,2\n')
 
 
+@pytest.mark.parametrize(
+    ('labels', 'taken'),
+    [
+        (('disk', 'disk', 'disk'), ('disk', 'disk no 2', 'disk no 3')),
+        (('disk1', 'disk2', 'disk2'), ('disk1', 'disk2', 'disk2 no 2')),
+        (('m', 'm', 'm no 2'), ('m', 'm no 3', 'm no 2')),
+    ],
+)
+def test_points_with_one_label_all_stay(tmp_path, labels, taken):
+    ezc3d = pytest.importorskip('ezc3d')
+    made = ezc3d.c3d()
+    made['parameters']['POINT']['RATE']['value'] = [50.0]
+    made['parameters']['POINT']['LABELS']['value'] = list(labels)
+    made['parameters']['POINT']['UNITS']['value'] = ['mm']
+    points = np.ones((4, 3, 5))
+    points[:3] = np.arange(1.0, 10.0).reshape(3, 3, 1)
+    made['data']['points'] = points
+    made.write(str(tmp_path / 'run.c3d'))
+    table = read_c3d('run.c3d', tmp_path / 'run.c3d')
+    assert list(table.columns) == ['time', *(f'{name} {axis}' for name in taken for axis in 'xyz')]
+    assert [table.columns[f'{name} x'][0] for name in taken] == [1.0, 2.0, 3.0]
+    assert 'points are called' in table.notes[1]
+
+
 def test_points_and_analog_channels_of_a_c3d_file_are_read(tmp_path):
     ezc3d = pytest.importorskip('ezc3d')
     made = ezc3d.c3d()

@@ -10,6 +10,7 @@ import numpy as np
 from ..common.errors import DataSetError, InputError
 from ..common.units import UNITS, find_unit
 from ..common.words import digits, listing
+from ..data.seen import FAR_M, without_unseen
 from ..robot import Robot
 from .columns import (
     ColumnUse,
@@ -24,6 +25,7 @@ from .recipe import MarkerColumns, Recipe
 
 STEP_MAX_S = 2.0  # a median step above is no second: nobody records an arm so slowly
 LENGTH_UNITS = ('m', 'mm', 'cm', 'inch')  # that a table without units may be in
+FAR = FAR_M / UNITS['length']['mm']  # in the smallest unit that is tried
 EXTENT = (0.25, 1.3)  # lengths of the arm that markers on it may be apart
 
 
@@ -266,16 +268,20 @@ def _extent(tables: Sequence[RawTable], recipe: Recipe) -> float:
     largest = 0.0
     for table in tables:
         places = [
-            np.column_stack([table.numbers(c)[:: max(len(table) // 2000, 1)] for c in m.columns])
+            np.column_stack([table.numbers(c) for c in m.columns])
             for m in recipe.markers or ()
             if all(c in table.columns or c in table.texts for c in m.columns)
         ]
+        if places:
+            stacked = np.stack(places, axis=1)[:: max(len(table) // 2000, 1)]
+            places = list(without_unseen(stacked, None, FAR)[0].swapaxes(0, 1))
         for i, one in enumerate(places):
             for other in places[i + 1 :]:
                 apart = np.linalg.norm(one - other, axis=1)
                 largest = max(largest, float(np.nanpercentile(apart, 95)))
         if len(places) == 1:
-            largest = float(np.nanmax(np.ptp(places[0], axis=0)))
+            low, high = np.nanmin(places[0], axis=0), np.nanmax(places[0], axis=0)
+            largest = float((high - low).max())
     return largest
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..common.errors import DataSetError, MissingExtraError
 from ..common.units import find_unit
+from ..common.words import listing
 from .columns import FloatArray, RawTable
 
 BEGINS = 'Format Version'  # the first cell that Motive writes
@@ -155,24 +156,41 @@ def read_c3d(shown: str, path: Path) -> RawTable:
     columns: dict[str, FloatArray] = {'time': np.arange(count) / rate}
     units = {'time': 's'}
     length = str(_value(content, 'POINT', 'UNITS', 'mm'))
-    for j, label in enumerate(_labels(content, 'POINT', points.shape[1])):
+    written = _labels(content, 'POINT', points.shape[1])
+    labels = _apart(written)
+    for j, label in enumerate(labels):
         for axis, values in zip('xyz', points[:3, j], strict=True):
             columns[f'{label} {axis}'] = values.astype(float)
             units[f'{label} {axis}'] = length
     analogs = content['data']['analogs'][0]  # (A, F times frames per point)
     many = content['parameters'].get('ANALOG', {}).get('UNITS', {}).get('value', [])
-    for a, label in enumerate(_labels(content, 'ANALOG', len(analogs))):
+    for a, label in enumerate(_apart(_labels(content, 'ANALOG', len(analogs)))):
         columns[label] = analogs[a].reshape(count, -1).mean(axis=1)
         if a < len(many) and find_unit(many[a]):
             units[label] = many[a].strip()
     up = UP_OF_SCREEN.get(str(_value(content, 'POINT', 'Y_SCREEN', '')).strip().upper())
-    notes = (f'.c3d, lengths in {length}' + (f', {up} up' if up else ''),)
-    return RawTable(shown, columns, {}, units, None, up, notes)
+    notes = [f'.c3d, lengths in {length}' + (f', {up} up' if up else '')]
+    for twice in dict.fromkeys(label for label in written if written.count(label) > 1):
+        own = [new for new, old in zip(labels, written, strict=True) if old == twice]
+        notes.append(f'{len(own)} points are called {twice!r}: taken as {listing(own)}')
+    return RawTable(shown, columns, {}, units, None, up, tuple(notes))
 
 
 def _value(content: Any, group: str, key: str, default: Any) -> Any:
     values = content['parameters'].get(group, {}).get(key, {}).get('value', [])
     return values[0] if len(values) else default
+
+
+def _apart(labels: Sequence[str]) -> list[str]:
+    """Return labels of which none stands twice: the second `disk` is `disk no 2`."""
+    apart: list[str] = []
+    for label in labels:
+        number, name = 1, label
+        while name in apart or (number > 1 and name in labels):
+            number += 1
+            name = f'{label} no {number}'
+        apart.append(name)
+    return apart
 
 
 def _labels(content: Any, group: str, count: int) -> list[str]:
