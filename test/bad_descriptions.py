@@ -66,7 +66,7 @@ BAD = {
         'dataset',
         DATASET + 'position_noise: 0.2',
         'dataset.yaml: position_noise: got 0.2',
-        'expected a finite number from 1e-09 to 0.003 [m]',
+        'expected a finite number from 1e-09 to 0.003 [m] (is it in mm?)',
     ),
     'noise in percent': (
         'dataset',

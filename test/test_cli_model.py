@@ -137,7 +137,10 @@ MISTAKES = [
     (['--tensions', 'dist_right=a'], '--tensions: expected NAME=NUMBER,NAME=NUMBER in N, got '),
     (['--tensions', 'dist_right=1,dist_right=2'], "--tensions: 'dist_right' stands twice"),
     (['--tensions', 'dist_right=nan'], 'tensions: expected 4 finite numbers, got '),
-    (['--tensions', 'dist_right=-1'], 'tensions: expected none below 0 N, got '),
+    (
+        ['--tensions', 'dist_right=-1'],
+        'dist_right: expected a finite tension not below 0 N, ',
+    ),
     ([], 'one of the arguments --tensions --pulls is required; see '),
     (
         ['--pulls', 'dist_right=inf'],

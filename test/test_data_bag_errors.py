@@ -35,8 +35,8 @@ def test_a_recording_that_is_not_there(tmp_path):
 
 def test_a_folder_without_a_recording(tmp_path):
     message = error_of(tmp_path)
-    assert message.startswith('BAG: cannot be read (Expected metadata file')
-    assert message.endswith('repair it (mcap recover) or record it again')
+    assert message.startswith('BAG: is a folder without metadata.yaml, and no recording')
+    assert message.endswith('name a rosbag2 folder, or an .mcap or .db3 file')
 
 
 def test_a_recording_of_ros_1(tmp_path):

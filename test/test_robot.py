@@ -196,7 +196,10 @@ def test_an_unknown_effect_is_answered_with_the_known_ones():
     [
         ('name: [', 'arm.yaml: file: expected valid YAML, got '),
         ('just text', "arm.yaml: file: expected keys with values, got 'just text'"),
-        ('', 'arm.yaml: sections: expected a list with at least one entry, got None'),
+        (
+            '',
+            'arm.yaml: file: expected a robot description (new-robot writes one), got ',
+        ),
         ('name: !!python/object/apply:os.system [ls]', 'arm.yaml: file: expected valid YAML, got'),
     ],
 )

@@ -20,7 +20,7 @@ from itertools import pairwise
 from typing import Any
 
 from ..common.errors import InputError
-from ..common.files import TABLE_ENDINGS
+from ..common.files import TABLE_ENDINGS, YAML_ENDINGS
 from ..common.units import read_unit
 from ..common.words import PROGRAM
 from ..data.dataset import PATHS
@@ -32,7 +32,6 @@ from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe, load_recipe
 from .options import add_effect_files, input_size, length
 
 HELP = 'make a data set of a table of tensions and markers over time'
-YAML_ENDINGS = ('.yaml', '.yml')
 INPUT_KINDS = ('force', 'length', 'angle', 'counts', 'current')
 
 
@@ -136,6 +135,12 @@ def _refuse_swapped(args: argparse.Namespace) -> None:
                 else 'name the tables in it; the folder to write goes behind --output'
             )
             raise InputError(f'{path}: is a folder, and no table; {remedy}')
+        if os.path.isfile(os.path.join(os.path.dirname(path), 'dataset.yaml')):
+            folder = os.path.dirname(path) or '.'
+            raise InputError(
+                f'{path}: belongs to the data set {folder}, which needs no import; compare it: '
+                f'{PROGRAM} compare {folder}'
+            )
         if not os.path.splitext(path)[1] and not os.path.exists(path):
             raise InputError(
                 f'{path}: is not there; tables stand first, the folder to write behind --output'

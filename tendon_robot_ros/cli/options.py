@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from ..common.errors import InputError, TendonRobotError
 from ..common.files import new_file
-from ..common.units import TYPED_LENGTHS, read_quantity
+from ..common.units import TYPED_LENGTHS, other_unit, read_quantity
 from ..common.words import digits
 from ..robot import load_robot
 
@@ -114,7 +114,7 @@ def emit(args: argparse.Namespace, content: dict[str, Any], table: str) -> None:
 
 def named_numbers(option: str, text: str, unit: str) -> dict[str, float]:
     """
-    Read 'left=0.51,right=0'.
+    Read 'left=0.51,right=0'; of newtons a number may have its own unit: left=510mN.
 
     Raises
     ------
@@ -128,7 +128,10 @@ def named_numbers(option: str, text: str, unit: str) -> dict[str, float]:
         try:
             value = float(number)
         except ValueError:
-            equals = ''
+            if unit == 'N' and equals and number[:1].isdigit():
+                value = read_quantity(f'{option}: {name.strip()}', number, unit, 'force')
+            else:
+                equals = ''
         if not equals or not name.strip():
             raise InputError(
                 f'{option}: expected NAME=NUMBER,NAME=NUMBER in {unit}, got {part.strip()!r}'
@@ -207,10 +210,10 @@ def position(option: str, text: str | None, unit: str, reach: float) -> list[flo
     values = [length(option, part, unit) for part in parts]
     away = math.hypot(*values)
     if away > FAR_LENGTHS * reach or 0.0 < away < NEAR_LENGTHS * reach:
-        other = next((u for u in ('mm', 'm') if u != unit), 'mm')
+        mend = other_unit(text, away, unit, NEAR_LENGTHS * reach, FAR_LENGTHS * reach)
         raise InputError(
             f'{option}: {text} {unit} is {digits(1e3 * away, 4)} mm from the base of an arm of '
-            f'{1e3 * reach:.4g} mm; if {other} is meant, say --unit {other}'
+            f'{1e3 * reach:.4g} mm{mend}'
         )
     return values
 

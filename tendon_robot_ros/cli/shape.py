@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..common.errors import InputError
+from ..common.units import other_unit
 from ..common.words import columns
 from .options import add_json, add_robot, add_unit, emit, load_model, named_lengths, named_numbers
 
@@ -55,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         pulls = named_lengths('--pulls', args.pulls, args.unit)
         model = load_model(args)
-        _refuse_other_unit(model, pulls, args.unit)
+        _refuse_other_unit(model, pulls, args.pulls, args.unit)
         shape = model.pull_shape(pulls)
     emit(args, shape_content(model, shape), _table(model, shape))
     return 0
@@ -72,14 +73,15 @@ def _refuse_beyond(model: Model, tensions: dict[str, float]) -> None:
             )
 
 
-def _refuse_other_unit(model: Model, pulls: dict[str, float], unit: str) -> None:
+def _refuse_other_unit(model: Model, pulls: dict[str, float], text: str, unit: str) -> None:
     """Raise InputError where pulls are longer than the arm, or no pulls at all."""
     largest = max(map(abs, pulls.values()))
     if largest > model.robot.length or 0.0 < largest < PULL_MIN_M:
-        other = 'm' if unit == 'mm' else 'mm'
+        numbers = ','.join(part.rpartition('=')[2] for part in text.split(','))
+        mend = other_unit(numbers, largest, unit, PULL_MIN_M, model.robot.length)
         raise InputError(
             f'--pulls: wires are pulled by up to {1e3 * largest:.4g} mm on an arm of '
-            f'{1e3 * model.robot.length:.4g} mm; if {other} is meant, say --unit {other}'
+            f'{1e3 * model.robot.length:.4g} mm{mend}'
         )
 
 

@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from ..common.errors import InputError
+from ..common.given import whole
 from ..data import DataSet, Marker, save_dataset
 from ..data.dataset import INPUTS, PATHS
 from ..data.folder.measurement_files import read_inputs
@@ -125,7 +126,7 @@ def _write_tables(args: argparse.Namespace, plant: Plant) -> int:
     """Write a table over time, and that of a check."""
     if args.input != 'tension' or args.path != 'from_straight':
         raise InputError('--table: of tensions and from straight only')
-    count = args.count or 12
+    count = 12 if args.count is None else whole('--count', args.count, 1)
     for which, path in enumerate(filter(None, (args.table, args.check))):
         names, values = raw_table(
             plant,
@@ -157,7 +158,8 @@ def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:
         commands = read_inputs(Path(args.postures), robot, args.input)
         inputs, names = commands.by_posture(), commands.postures
     else:
-        count = args.count or (20 if args.path == 'sequence' else 12)
+        usual = 20 if args.path == 'sequence' else 12
+        count = usual if args.count is None else whole('--count', args.count, 1)
         inputs = default_postures(
             robot, max(count // (1 + which), 1), which, args.input, args.path
         )

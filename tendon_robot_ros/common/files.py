@@ -14,6 +14,7 @@ from .errors import DataSetError, InputError
 
 TEXT_ENDINGS = ('.csv', '.txt', '.tsv', '.dat')
 TABLE_ENDINGS = (*TEXT_ENDINGS, '.parquet', '.c3d')  # of laboratories
+YAML_ENDINGS = ('.yaml', '.yml')
 PICTURE_ENDINGS = ('.png', '.svg', '.pdf')
 PACKAGE = 'tendon_robot_ros'
 

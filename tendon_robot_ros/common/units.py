@@ -100,6 +100,22 @@ def read_quantity(option: str, text: str, usual: str, *kinds: str) -> float:
     return float(found['number']) * read_unit(option, found['unit'] or usual, *kinds).factor
 
 
+def other_unit(text: str, length: float, unit: str, low: float, high: float) -> str:
+    """
+    Return '; if m is meant, say --unit m' where that helps, else ''.
+
+    It helps where the typed numbers have no unit of their own, and the length [m] that was read
+    in `unit` would in the other one lie between `low` and `high` [m].
+    """
+    if any(found['unit'] for found in map(QUANTITY.match, text.split(',')) if found):
+        return ''
+    for other in TYPED_LENGTHS:
+        scale = read_unit('', other, 'length').factor / read_unit('', unit, 'length').factor
+        if other != unit and low <= scale * length <= high:
+            return f'; if {other} is meant, say --unit {other}'
+    return ''
+
+
 def split_name(column: str) -> tuple[str, Unit | None]:
     """
     Split the name of a column into what it names and its unit: `T1 [N]`, `m3_x (mm)`, `time_s`.

@@ -222,7 +222,8 @@ class Reader:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.error(key, f'a number{bounds} [{unit}]', value)
         if not (math.isfinite(value) and low <= value <= high):
-            raise self.error(key, f'a finite number{bounds} [{unit}]', value)
+            hint = ' (is it in mm?)' if unit == 'm' and 10.0 * high < value <= 1e3 * high else ''
+            raise self.error(key, f'a finite number{bounds} [{unit}]{hint}', value)
         return float(value)
 
     def _where(self, key: str) -> str:

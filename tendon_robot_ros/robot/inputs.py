@@ -39,7 +39,7 @@ def tensions_of(robot: Robot, tensions: TensionsLike) -> Floats:
         return tensions.astype(float)
     values = finite('tensions', _in_order('tensions', robot, tensions, 0.0), len(robot.inputs))
     if (values < 0.0).any():
-        raise InputError(f'tensions: expected none below 0 N, got {values}')
+        raise _no_tension('tensions', robot, values[None])
     return values
 
 
@@ -86,9 +86,9 @@ def _no_tension(what: str, robot: Robot, rows: Floats) -> InputError:
     row, column = np.argwhere(~((rows >= 0.0) & (rows < math.inf)))[0].tolist()
     value, name = rows[row, column], robot.inputs[column]
     slack = '; say 0 where a tendon is slack' if math.isnan(value) else ''
+    where = f'posture {row}, {name}' if len(rows) > 1 else name
     return InputError(
-        f'{what}: posture {row}, {name}: expected a finite tension not below 0 N, '
-        f'got {value:g}{slack}'
+        f'{what}: {where}: expected a finite tension not below 0 N, got {value:g}{slack}'
     )
 
 

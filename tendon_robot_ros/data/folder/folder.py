@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...common.errors import DataSetError
-from ...common.files import TABLE_ENDINGS, new_folder
+from ...common.errors import DataSetError, TendonRobotError
+from ...common.files import TABLE_ENDINGS, YAML_ENDINGS, new_folder
 from ...common.given import place
 from ...common.words import PROGRAM
 from ...robot import Robot, dump_robot
@@ -20,7 +20,14 @@ from ..dataset import DataSet, HasDataSet, as_dataset
 from ..joining import divide
 from ..markers import default_markers
 from ..visits import Visits, split_by_order, split_by_origin
-from .description import describe, dump_description, find_robot, read_fields, read_text
+from .description import (
+    DatasetFields,
+    describe,
+    dump_description,
+    find_robot,
+    read_fields,
+    read_text,
+)
 from .input_columns import ORIGIN, VISIT
 from .measurement_files import (
     KEYS,
@@ -62,7 +69,11 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
     markers = description.markers or default_markers(robot)
     names = tuple(marker.name for marker in markers)
     visits = description.path == 'visits'
-    commands = read_inputs(folder / 'inputs.csv', robot, description.input, visits)
+    try:
+        commands = read_inputs(folder / 'inputs.csv', robot, description.input, visits)
+    except DataSetError:
+        _refuse_other_robot(folder, fields, robot)
+        raise
     between = description.path != 'from_straight'
     shapes = read_shapes(folder / 'shapes.csv', robot, names, commands, between)
     seen = np.isfinite(shapes.positions[..., 0]).any(axis=(0, 1))
@@ -87,8 +98,31 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
     return _by_history(dataset, commands) if visits else dataset
 
 
+def _refuse_other_robot(folder: Path, fields: DatasetFields, robot: Robot) -> None:
+    """Raise DataSetError where the measurements are of a robot with other inputs."""
+    try:
+        own = find_robot(fields, folder)
+    except TendonRobotError:
+        return
+    if own.inputs != robot.inputs:
+        raise DataSetError(
+            str(folder),
+            f'was measured with the inputs {", ".join(own.inputs)} of {own.name}, but '
+            f'{robot.source} has {", ".join(robot.inputs)}',
+            'name a description of the robot that was measured',
+        )
+
+
 def refuse_table(path: Path) -> None:
-    """Raise DataSetError where a file stands in place of the folder: a table is to be imported."""
+    """Raise DataSetError where there is no folder, or a file stands in its place."""
+    if not os.path.exists(path):
+        raise DataSetError(str(path), 'is not there', 'name the folder of a data set')
+    if path.suffix.lower() in YAML_ENDINGS and os.path.isfile(path):
+        raise DataSetError(
+            str(path),
+            'is a file, and no data set',
+            'name the folder that holds dataset.yaml; robots go behind --model or --robot',
+        )
     if path.suffix.lower() in TABLE_ENDINGS and os.path.isfile(path):
         raise DataSetError(
             str(path),

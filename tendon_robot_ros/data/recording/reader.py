@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...common.errors import DataSetError
-from ...common.words import listing
+from ...common.words import PROGRAM, listing
 from ..dataset import FloatArray
 from .writer import (
     DESCRIPTION,
@@ -114,6 +114,15 @@ def opened(path: str | Path) -> Iterator[Any]:
     if path.suffix == '.bag':
         raise DataSetError(
             str(path), 'is a ROS 1 bag', f'convert it: rosbags-convert --src {path} --dst NEW'
+        )
+    if path.is_dir() and not (path / 'metadata.yaml').is_file():
+        is_set = (path / 'dataset.yaml').is_file()
+        raise DataSetError(
+            str(path),
+            f'is {"a data set" if is_set else "a folder without metadata.yaml"}, and no recording',
+            f'compare it: {PROGRAM} compare {path}'
+            if is_set
+            else 'name a rosbag2 folder, or an .mcap or .db3 file',
         )
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:

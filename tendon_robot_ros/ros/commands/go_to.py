@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...common.errors import InputError
-from ...common.units import TYPED_LENGTHS, read_quantity
+from ...common.units import TYPED_LENGTHS, other_unit, read_quantity
 from ...report.path_run import place
 from ..shared.robot_client import Pilot, add_controller
 from ..shared.runtime import ros
@@ -66,10 +66,9 @@ def _target(texts: Sequence[str], unit: str) -> np.ndarray:
     target = np.array([read_quantity(axis, text, unit, 'length') for axis, text in pairs])
     away = float(np.linalg.norm(target))
     if not DISTANCES_M[0] < away < DISTANCES_M[1]:
-        other = 'm' if unit == 'mm' else 'mm'
+        mend = other_unit(','.join(texts), away, unit, *DISTANCES_M)
         raise InputError(
-            f'target: {" ".join(texts)} {unit} is {1e3 * away:.4g} mm from the base; if {other} '
-            f'is meant, say --unit {other}'
+            f'target: {" ".join(texts)} {unit} is {1e3 * away:.4g} mm from the base{mend}'
         )
     return target
 
