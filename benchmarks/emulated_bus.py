@@ -1,18 +1,62 @@
 """Emulated servos of a robot, and a fixed cycle; used by the benchmarks here."""
 
+import math
 import time
 from pathlib import Path
 
+import numpy as np
+
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.emulator.process import EmulatorProcess
+from tendon_robot_ros.emulator.rig import BALANCED_N
 from tendon_robot_ros.robot import load_robot
 
 ROBOTS = Path(__file__).resolve().parents[1] / 'config' / 'robots'
 ROBOT = ROBOTS / 'kato_10_1.yaml'
 
 
-def emulator():
-    return EmulatorProcess(ROBOT)
+def emulator(robot=ROBOT):
+    return EmulatorProcess(robot)
+
+
+class Passings:
+    """How often, and by how much, wires pull more than their limit; from the emulator's traces."""
+
+    PERIOD = 20.0  # [s] between two looks; the emulator remembers more
+
+    def __init__(self, servos, limit):
+        self.servos, self.limit = servos, limit  # [N]
+        self.last, self.samples, self.beyond, self.times = time.monotonic(), 0, 0, 0
+        self.most, self.at_limit = 0.0, 0
+        self._before = None
+
+    def look(self, now=math.inf):
+        """Count what has been since the last look, once a period."""
+        if now < self.last + self.PERIOD:
+            return
+        trace = [moment for moment in self.servos.ask(f'trace {2.0 * self.PERIOD}')
+                 if moment[0] > self.last]  # fmt: skip
+        if not trace:
+            return
+        self.last = trace[-1][0]
+        tensions = np.array([moment[2] for moment in trace])
+        above = tensions > self.limit + BALANCED_N
+        before = np.zeros_like(above[0]) if self._before is None else self._before
+        self._before = above[-1]
+        self.times += int(np.sum(above & ~np.vstack([before, above[:-1]])))
+        self.beyond += int(above.any(axis=1).sum())
+        self.at_limit += int((tensions > 0.9 * self.limit).any(axis=1).sum())
+        self.samples += len(trace)
+        self.most = max(self.most, float(tensions.max()))
+
+    def told(self):
+        share = 1.0 / max(1, self.samples)
+        return {
+            'share of the time above 90 % of the limit': round(self.at_limit * share, 4),
+            'share of the time beyond the limit': round(self.beyond * share, 5),
+            'times beyond the limit': self.times,
+            'highest tension [N]': round(self.most, 3),
+        }
 
 
 def driver_for(emulated, mode='tension', robot=ROBOT):

@@ -1,20 +1,22 @@
 """
 Break the whole chain for half an hour: controller and driver on emulated servos, a user beside.
 
-    python benchmarks/soak_chain.py [--minutes 30] [--mode pull] [--busy 2] [--json FILE]
+    python benchmarks/soak_chain.py [--minutes 30] [--mode pull] [--busy 2] [--at-limit]
 
 Targets come five times a second, a fault every ten seconds on average: of the bus and the motors
 (those of soak_dynamixel.py), stops of every kind, killed, ended and frozen processes, a second
 controller, commands and targets that are wrong, models that are broken. Targets: no goal beyond
 the limits, no tension beyond its limit, no process that died, no wire wound beyond the bound. The
-wires move the mock arm, or with `--arm springs` a spring each; in pull mode the current of the
-motors limits the tension (docs/dynamixel.md): what current and dry friction of a motor hold may
-not pass the limit, the tension by no more than the drag of a motor that the wire turns. Prints
-what was passed each minute, at the end all figures as JSON and a short table. Not under `nice`:
-see bench_stop.py.
+wires move the mock arm (`--robot` takes another one), or with `--arm springs` a spring each; with
+`--at-limit` each wire in turn is to pull with the limit, and how often and by how much the wires
+pass it is counted. In pull mode the current of the motors limits the tension
+(docs/dynamixel.md): what current and dry friction of a motor hold may not pass the limit, the
+tension by no more than the drag of a motor that the wire turns. Prints what was passed each
+minute, at the end all figures as JSON and a short table. Not under `nice`: see bench_stop.py.
 """
 
 import argparse
+import contextlib
 import math
 import os
 import signal
@@ -24,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 from chain import Chain, Load
-from emulated_bus import ROBOT, driver_for
+from emulated_bus import ROBOT, Passings, driver_for
 from machine import machine, tell
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
@@ -33,9 +35,10 @@ from soak_dynamixel import KINDS as OF_THE_BUS
 from soak_dynamixel import Breaker, too_strong
 from std_msgs.msg import Bool
 
-from tendon_robot_ros.drivers.dynamixel.control_table import MODELS, from_data_sheet
+from tendon_robot_ros.common.errors import TendonRobotError
 from tendon_robot_ros.drivers.dynamixel.homing import BACK_OFF_M
 from tendon_robot_ros.emulator.rig import BALANCED_N
+from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
 
@@ -137,31 +140,41 @@ OF_THE_CHAIN = {
 ALL = {**{k: v for k, v in OF_THE_BUS.items() if k not in NOT_HERE}, **OF_THE_CHAIN}
 
 
-def weak_enough(config):
-    """Return the current [A] at which no motor holds a wire that pulls more than its limit."""
-    line = from_data_sheet(MODELS[config['model']], config['spool_radius']).pay_out
-    return line.current(load_robot(ROBOT).tension_limits[1])
+def path(chain, args):
+    """
+    Return the tips [m] of a round that the arm follows between the faults.
+
+    At the limit every wire in turn pulls with it, as far as the arm has a posture for that.
+    """
+    if not args.at_limit and chain.robot == ROBOT:
+        return [(0.05 * math.sin(angle), 0.0, 0.18) for angle in np.linspace(0.0, 2 * np.pi, 100)]
+    if not args.at_limit:
+        return chain.targets
+    model = Model(load_robot(chain.robot))
+    low, high = model.robot.tension_limits
+    tips = []
+    for row in np.eye(len(model.inputs)):
+        for tension in high * np.arange(1.0, 0.0, -0.05):
+            with contextlib.suppress(TendonRobotError):
+                tips.append(model.shape(np.maximum(low, tension * row)).tip_position)
+                break
+    return tips
 
 
-def path(angle):
-    """Return a tip [m] of the path that the arm follows between the faults."""
-    return 0.05 * math.sin(angle), 0.0, 0.18
-
-
-def follow(chain, breaker, args):
+def follow(chain, breaker, passings, args):
     """Send targets and break things until the time is up; return how often it followed."""
     begin = time.monotonic()
     due = begin + breaker.random.expovariate(1.0 / BETWEEN)
     following = ticks = 0
-    told = begin
+    told, tips = begin, path(chain, args)
     while (now := time.monotonic()) < begin + 60.0 * args.minutes:
-        angle = 2.0 * math.pi * (now - begin) / ROUND
-        chain.user.aim(*path(angle))
+        chain.user.aim(*tips[int((now - begin) / ROUND * len(tips)) % len(tips)])
         chain.user.spin(PERIOD)
         breaker.work(time.monotonic())
         if now > due:
             breaker.strike()
             due = now + breaker.random.expovariate(1.0 / BETWEEN)
+        passings.look(now)
         frozen = bool(breaker.later)
         if not frozen:
             chain.look()
@@ -177,7 +190,7 @@ def follow(chain, breaker, args):
 
 def judge(chain, args):
     """Return what was passed: goals, tensions and wire."""
-    driver = driver_for(chain.servos, args.mode)
+    driver = driver_for(chain.servos, args.mode, chain.robot)
     beyond = too_strong(chain.servos, driver)
     state = chain.servos.ask('state')
     high = load_robot(chain.robot).tension_limits[1]
@@ -198,20 +211,22 @@ def judge(chain, args):
 
 def run(args):
     load = Load(args.busy)
-    pulled = {'current_limit': weak_enough} if args.mode == 'pull' else {}
-    chain = Chain(args.logs, args.mode, arm=args.arm, servos={**BOUNDS, **pulled})
+    chain = Chain(args.logs, args.mode, arm=args.arm, servos=BOUNDS, robot=args.robot)
+    passings = Passings(chain.servos, load_robot(chain.robot).tension_limits[1])
     try:
         breaker = ChainBreaker(chain, args.seed)
         chain.user.until(lambda: chain.user.code('driver') == 'following', 60.0)
-        followed = follow(chain, breaker, args)
+        followed = follow(chain, breaker, passings, args)
         breaker.work(math.inf)
         chain.user.spin(1.0)
+        passings.look()
         return {
             'following': round(followed, 3),
             'faults': sum(breaker.done.values()),
             'kinds': dict(sorted(breaker.done.items())),
             'died': chain.died,
             **judge(chain, args),
+            **passings.told(),
         }
     finally:
         load.end()
@@ -233,12 +248,17 @@ def main():
     parser.add_argument('--mode', choices=('tension', 'pull'), default='tension')
     parser.add_argument('--busy', type=int, default=2, help='busy processes beside it')
     parser.add_argument('--arm', default='plant', choices=('plant', 'springs'))
+    parser.add_argument('--robot', type=Path, default=ROBOT)
+    parser.add_argument('--at-limit', action='store_true')
     parser.add_argument('--logs', type=Path, default=Path(tempfile.gettempdir(), 'soak_chain'))
     parser.add_argument('--json', type=Path)
     args = parser.parse_args()
     begun = os.getloadavg()
     found = run(args)
-    given = {key: getattr(args, key) for key in ('minutes', 'seed', 'mode', 'busy', 'arm')}
+    given = {
+        key: getattr(args, key) for key in ('minutes', 'seed', 'mode', 'busy', 'arm', 'at_limit')
+    }
+    given['robot'] = args.robot.stem
     load = [round(begun[0], 1), round(os.getloadavg()[1], 1)]
     tell({**machine(), 'load_average': load, **given, **found}, args.json)
     print(table(found))

@@ -1,9 +1,12 @@
 """
 Run the Dynamixel driver at 100 Hz for a long time while the emulated bus keeps breaking.
 
-    python benchmarks/soak_dynamixel.py [--minutes 30] [--seed 1] [--mode tension] [--json FILE]
+    python benchmarks/soak_dynamixel.py [--minutes 30] [--seed 1] [--mode tension] [--at-limit]
 
 Supervisor, motor loop and driver are those of the driver node; servos run in another process.
+With `--at-limit` one wire after the other is commanded to its tension limit, or 20 mm in pull
+mode, where the motors then hold at their current; how often and by how much the wires themselves
+pull more than the limit is counted. `--robot` takes another arm.
 Targets: it follows at least half the time; no limit is ever passed; nothing crashes; no thread,
 file descriptor or memory is lost.
 """
@@ -17,10 +20,11 @@ import random
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 from bench_dynamixel import rules
-from emulated_bus import driver_for, emulator
+from emulated_bus import ROBOT, Passings, driver_for, emulator
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers.dynamixel.port import open_port
@@ -32,6 +36,7 @@ BETWEEN = 5.0  # [s] from fault to fault, on average
 BACK = 2.0  # [s] in which the driver takes a port that is there again
 NEAR = 0.1  # of the range of the command: what counts as following
 SETTLED = 20.0  # [s] before memory is looked at
+HARD_PULL_M = 0.02  # [m] of wire that no arm here gives below its limit
 MORE_MEMORY = 20.0  # [MB] that may come and go
 
 
@@ -110,19 +115,30 @@ KINDS = {
 class Watcher:
     """Counts the cycles in which the arm follows; plays the operator after a latched stop."""
 
-    def __init__(self, driver):
-        self.driver = driver
+    def __init__(self, driver, at_limit=False):
+        self.driver, self.at_limit = driver, at_limit
         self.cycles = self.following = 0
         self.command = self.wave(0.0)
 
     def wave(self, now):
         """Return tensions [N] about a quarter of the limit, or pulls [m] of antagonists."""
+        if self.at_limit:
+            return self.pull_hard(now)
         phase = 2.0 * np.pi * (0.2 * now + np.array([0.0, 0.0, 0.25, 0.25]))
         if self.driver.mode == 'pull':
             self.command = 0.008 * np.sin(phase) * np.array([1.0, -1.0, 1.0, -1.0])
         else:
             side = np.array([1.0, -1.0, 1.0, -1.0])
             self.command = 0.25 * self.driver.limits[:, 1] * (1.0 + 0.15 * side * np.sin(phase))
+        return self.command
+
+    def pull_hard(self, now):
+        """Command one wire after the other to the limit, for two seconds each."""
+        chosen = int(0.5 * now) % len(self.driver.inputs)
+        low, high = self.driver.limits.T
+        if self.driver.mode == 'pull':
+            low, high = np.zeros_like(high), np.minimum(high, HARD_PULL_M)
+        self.command = np.where(np.arange(len(low)) == chosen, high, low)
         return self.command
 
     def __call__(self, cycle):
@@ -147,11 +163,12 @@ def operate(bus):
 
 
 def run(args):
-    with emulator() as servos:
-        driver = driver_for(servos, args.mode)
+    with emulator(args.robot) as servos:
+        driver = driver_for(servos, args.mode, args.robot)
+        passings = Passings(servos, driver.robot.tension_limits[1])
         before = resources()
         driver.open()
-        watcher = Watcher(driver)
+        watcher = Watcher(driver, args.at_limit)
         bus = MotorLoop(driver, Supervisor(rules(driver)), PERIOD, watcher)
         bus.start()
         bus.call(lambda: None)
@@ -169,11 +186,13 @@ def run(args):
                 due = now + breaker.random.expovariate(1.0 / BETWEEN)
             if bus.supervisor.latch and watcher.cycles % 10 == 0:
                 operate(bus)
+            passings.look(now)
             if now - begin > SETTLED and watcher.cycles % 100 == 0:
                 memory.append(resident())
             time.sleep(PERIOD)
         strike.join()
-        found = judge(servos, bus, watcher, breaker, memory)
+        passings.look()
+        found = {**judge(servos, bus, watcher, breaker, memory), **passings.told()}
         bus.close()
         after = resources()
         found['lost'] = {name: after[name] - before[name] for name in before}
@@ -221,6 +240,8 @@ def main(arguments=None):
     parser.add_argument('--minutes', type=float, default=30.0)
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--mode', choices=('tension', 'pull'), default='tension')
+    parser.add_argument('--robot', type=Path, default=ROBOT)
+    parser.add_argument('--at-limit', action='store_true')
     parser.add_argument('--json', metavar='FILE')
     args = parser.parse_args(arguments)
     found = run(args)
@@ -230,7 +251,7 @@ def main(arguments=None):
         with open(args.json, 'w', encoding='utf-8') as file:
             file.write(text)
     good = (
-        found['following'] >= 0.5
+        (found['following'] >= 0.5 or args.at_limit)  # a wire at its limit is near no command
         and not found['beyond limits']
         and not found['crashed']
         and not found['emulator crashed']

@@ -11,6 +11,7 @@ from control_rig import ROBOTS
 
 from tendon_robot_ros.drivers.dynamixel.control_table import MODELS, REGISTERS
 from tendon_robot_ros.emulator import servo as servos
+from tendon_robot_ros.emulator.motion import STEP_S, TICK, Load
 from tendon_robot_ros.emulator.rig import (
     BALANCED_N,
     ElasticArm,
@@ -19,7 +20,7 @@ from tendon_robot_ros.emulator.rig import (
     SpringArm,
     Wire,
 )
-from tendon_robot_ros.emulator.servo import STEP_S, TICK, Load, Servo
+from tendon_robot_ros.emulator.servo import Servo
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.plant import make_plant
 
@@ -93,6 +94,67 @@ def test_a_tripped_watchdog_stops_the_servo_and_locks_the_goals_until_zero_is_wr
     servo.heard()
     rig.advance(0.05)
     assert servo.motion.speed > 0.0
+
+
+@pytest.mark.parametrize(
+    ('startup', 'torque'), [(0, 0), (1, 1), (2, 0)]
+)  # e-Manual, "Startup Configuration(60)": bit 0 switches the torque on
+def test_torque_comes_on_with_the_power_where_the_startup_configuration_says_so(startup, torque):
+    servo = Servo(MODELS['XM430-W350'], 1)
+    servo.motion.angle = 1.0
+    assert write(servo, 'startup_configuration', startup) == 0
+    servo.boot()
+    assert servo.get('torque_enable') == torque
+    if torque:
+        assert servo.get('goal_position') == servo.get('present_position') == 652
+
+
+@pytest.mark.parametrize(
+    ('registers', 'speed'),  # [rev/min]; a XM430-W350 turns 46 by itself
+    [
+        ({}, 46.0),
+        ({'profile_velocity': 100}, 22.9),  # "Profile Velocity(112)": 0.229 rev/min
+        ({'pwm_limit': 443}, 23.0),  # "PWM Limit(36)": 885 is 100 %
+        ({'goal_pwm': 443}, 23.0),
+        ({'drive_mode': 4, 'profile_velocity': 2000}, 30.0),  # by time: a turn in 2,000 ms
+        ({'drive_mode': 1}, -46.0),  # "Drive Mode(10)": reverse
+    ],
+)
+def test_registers_that_steer_motion_do_what_the_manual_says(registers, speed):
+    servo = Servo(MODELS['XM430-W350'], 1)
+    rig = Rig([servo], [Wire(1, 0.01)], SpringArm(np.array([0.0])))
+    assert write(servo, 'operating_mode', 4) == 0
+    for name, value in {**registers, 'torque_enable': 1, 'goal_position': 4096}.items():
+        assert write(servo, name, value) == 0
+    rig.advance(0.05)
+    assert servo.motion.speed * 60.0 / (2.0 * math.pi) == pytest.approx(speed, rel=0.01)
+
+
+def test_a_goal_switches_the_torque_on_where_the_drive_mode_says_so(servo):
+    assert write(servo, 'goal_position', 10) == 0
+    assert not servo.torque
+    assert write(servo, 'drive_mode', 8) == 0
+    assert write(servo, 'goal_position', 10) == 0
+    assert servo.torque
+
+
+def test_another_operating_mode_resets_gains_profile_and_pwm(servo):
+    for name, value in [('position_p_gain', 7), ('profile_velocity', 5), ('goal_pwm', 9)]:
+        assert write(servo, name, value) == 0
+    assert write(servo, 'operating_mode', 3) == 0  # the same
+    assert servo.get('position_p_gain') == 7
+    assert write(servo, 'operating_mode', 5) == 0
+    found = [servo.get(name) for name in ('position_p_gain', 'profile_velocity', 'goal_pwm')]
+    assert found == [servos.GAINS['position_p_gain'], 0, 885]
+
+
+def test_a_secondary_id_obeys_without_an_answer_and_keeps_its_flash(bus):
+    bus, line = bus
+    line.servo(3).put('secondary_id', 2)
+    assert bus.write(2, 'led', 1) is None
+    assert bus.write(2, 'return_delay_time', 5) is None
+    assert [line.servo(i).get('led') for i in (1, 2, 3, 4)] == [0, 1, 1, 0]
+    assert [line.servo(i).get('return_delay_time') for i in (2, 3)] == [5, 250]
 
 
 def test_the_watchdog_rests_while_torque_is_off(servo):

@@ -244,6 +244,23 @@ def test_nothing_was_ever_commanded_beyond_the_limits(arm):
         assert line.servo(motor.identity).get('current_limit') == motor.strongest
 
 
+def test_in_pull_mode_no_wire_pulls_more_than_its_limit_however_the_arm_pulls_back():
+    """A motor holds its current and its friction: together they are the limit."""
+    with (
+        emulated.line(slack=0.0) as line,
+        emulated.driver_for(line, 'pull', zero='here') as driver,
+    ):
+        driver.enable()
+        command = np.array([0.03, 0.0, 0.0, 0.0])  # 12 N of the spring
+        limit, band = 5.0, driver.config.wires[0].resolution.band
+        winds = (limit - 2.0 * band) / emulated.STIFFNESS  # [m]
+        emulated.until(driver, command, lambda r: r.pulls[0] > winds - 1e-4)
+        line.rig.arm.slack[0] = -0.01  # the arm pulls out what it can
+        held = limit / emulated.STIFFNESS - 0.01  # [m]
+        emulated.until(driver, command, lambda r: r.pulls[0] < held + 2e-4)
+        assert limit - 0.1 < line.rig.held[0] <= limit
+
+
 @pytest.fixture
 def pulled_arm():
     """Give the same in pull mode only."""

@@ -17,6 +17,7 @@ from tendon_robot_ros.emulator.rig import SpringArm
 pytest.importorskip('dynamixel_sdk')
 
 from tendon_robot_ros.drivers.dynamixel import homing, torque
+from tendon_robot_ros.drivers.dynamixel.bus import Bus
 
 
 def driver_for(line, mode='tension', **changes):
@@ -47,6 +48,13 @@ def test_servos_at_another_baud_rate_are_found():
             servo.put('baud_rate', 1)
         message = refused_open(driver_for(line, answer_time=0.004))
         assert 'found none; at 57600 baud: 1: XL330-M077, 2: XL330-M077, ' in message
+
+
+def test_servos_that_are_as_expected_are_not_blamed_for_answers_that_come_late(monkeypatch):
+    with emulated.line() as line:
+        monkeypatch.setattr(Bus, 'ping', lambda bus, identity: None)
+        message = refused_open(driver_for(line))
+        assert 'all servos are there, but answers come late or broken; check' in message
 
 
 def test_another_model_is_refused_by_name():

@@ -391,6 +391,39 @@ def test_in_pull_mode_a_tension_within_its_uncertainty_changes_nothing():
     assert decision.command[1] < 0.005
 
 
+@pytest.mark.parametrize(
+    ('tension', 'sd', 'falls'),
+    [
+        (HIGH + 0.1, None, 0.1),  # all that is beyond, in the same cycle
+        (HIGH + 0.1, 0.04, 0.06),
+        (HIGH + 0.1, 0.2, 0.0),  # the sensor does not know
+        (HIGH + 9.0, None, (HIGH - LOW) / STOP * CYCLE),  # no faster than a stop
+        (HIGH - 0.1, None, 0.0),
+        (np.nan, None, 0.0),
+    ],
+)
+def test_in_tension_mode_a_wire_above_its_limit_gets_less_at_once(tension, sd, falls):
+    supervisor = started(first=reading((HIGH, 1.0)))
+    state = reading((tension, 1.0))
+    if sd is not None:
+        state = replace(state, tension_sd=np.full(2, sd))
+    decision = supervisor.step(CYCLE, np.array([HIGH, 1.0]), state)
+    assert decision.command == pytest.approx([HIGH - falls, 1.0])
+    assert decision.state == 'following'
+
+
+def test_a_wire_that_friction_holds_above_its_limit_comes_down_to_it_and_stays():
+    """The wire pulls 0.8 N more than it is told, whatever it is told."""
+    supervisor, friction = started(first=reading((HIGH, LOW))), np.array([0.8, 0.0])
+    command, now, seen = np.array([HIGH, LOW]), 0.0, []
+    for _ in range(200):
+        now += CYCLE
+        command = supervisor.step(now, np.array([HIGH, LOW]), reading(command + friction)).command
+        seen.append(command[0] + friction[0])
+    assert max(seen[20:]) <= HIGH + RATE * CYCLE + 1e-9  # one step of the way back up
+    assert min(seen) >= HIGH - 2.0 * RATE * CYCLE
+
+
 def weak(pulls=(0.010, -0.008)):
     """Return a supervisor in pull mode whose motors are stopped in `STOP` seconds."""
     return started('pull', reading(pulls=pulls), give_way=LOW, stop_time=STOP)

@@ -134,8 +134,8 @@ class SafetyRules:
     release_to : str
         `pretension`: hold there; `limp`: then torque off.
     tension_limits : tuple of float
-        In pull mode: a wire tighter than the second pays out [N]; a tension that is not
-        observed counts as none.
+        A wire that is measured above the second gets less [N]; a tension that is not observed
+        counts as none.
     give_way : float, optional
         In pull mode: what a motor may still pull `stop_time` after a stop was asked for [N];
         None where motors cannot be told.

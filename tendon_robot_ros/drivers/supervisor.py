@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 
 from ..common.errors import DriverError
 from .interface import Reading
-from .safety import CYCLE_MAX_S, Decision, SafetyRules, StopLatch, approach, bounded
+from .safety import (
+    CYCLE_MAX_S,
+    STOP_TIME_MIN_S,
+    Decision,
+    SafetyRules,
+    StopLatch,
+    approach,
+    bounded,
+)
 
 Array = NDArray[np.float64]
 OFF, FOLLOWING, RELEASING, RELEASED, LIMP = 'off', 'following', 'releasing', 'released', 'limp'
@@ -152,7 +160,7 @@ class Supervisor:
             if self._weakening > 0.0:  # the arm has moved the motors
                 self._output, self._weakening = self._measured(reading, self._output), 0.0
             goal = self._output if self._asked is None else self._asked
-            self._move(goal, self.rules.rates * passed, reading)
+            self._move(goal, self.rules.rates, passed, reading)
         off = (
             self.rules.inputs
             if self.state == LIMP
@@ -206,7 +214,7 @@ class Supervisor:
             return
         at_rest = np.allclose(self._output, self.rules.rest, atol=1e-12)
         self.state = RELEASED if at_rest else HOLDING
-        self._move(self._output, self.rules.rates * passed, reading)
+        self._move(self._output, self.rules.rates, passed, reading)
 
     def _release(self, passed: float, reading: Reading) -> None:
         if self.state == LIMP:
@@ -218,8 +226,8 @@ class Supervisor:
                 rate = self._stopping(rate)
             else:
                 self._give_way(passed)
-        step = np.full(len(self.rules.inputs), rate * passed)
-        self._move(self.rules.rest, step, reading)
+        rates = np.full(len(self.rules.inputs), rate)
+        self._move(self.rules.rest, rates, passed, reading)
         arrived = np.allclose(self._output, self.rules.rest, atol=1e-12)
         held = passed > 0.0 and np.array_equal(before, self._output)
         self.state = RELEASING
@@ -247,24 +255,31 @@ class Supervisor:
             self._stop_rate = max(rate, far / time if time > 0.0 else 0.0)
         return self._stop_rate
 
-    def _move(self, goal: Array, step: Array, reading: Reading) -> None:
+    def _move(self, goal: Array, rate: Array, passed: float, reading: Reading) -> None:
         """
-        Approach a goal; in pull mode pay out a wire that is too tight.
+        Approach a goal; where a wire pulls more than its limit, give it less at once.
+
+        What the sensor does not know says nothing: only what the tension less its standard
+        uncertainty is above the limit counts. A tension falls by that, cycle after cycle, no
+        faster than a stop lets go; a pull by its step.
 
         A slack wire may be paid out further: the arm takes it up as the others bend it, and
         holding it back would strain the wire against them.
         """
-        reached = approach(self._output, goal, step)
-        if self.rules.mode == 'pull':
-            high = self.rules.tension_limits[1]
-            tension, doubt = reading.tensions, np.zeros(len(step))
-            if reading.tension_sd is not None:  # a geared motor's current says little
-                doubt = np.nan_to_num(reading.tension_sd)
-            tight = tension - doubt > high
-            reached = np.where(tight, np.minimum(reached, self._output - step), reached)
-            lowest = np.minimum(self._output, self.rules.limits[:, 0])
-            reached = np.maximum(reached, lowest)
-        self._output = reached
+        rules, reached = self.rules, approach(self._output, goal, rate * passed)
+        high = np.full(len(reached), rules.tension_limits[1])
+        less = np.broadcast_to(rate * passed, high.shape)
+        if rules.mode == 'tension':
+            high = np.minimum(high, rules.limits[:, 1])
+        doubt = np.zeros_like(high)
+        if reading.tension_sd is not None:  # a geared motor's current says little
+            doubt = np.nan_to_num(reading.tension_sd)
+        beyond = np.nan_to_num(reading.tensions - doubt - high)
+        if rules.mode == 'tension':
+            stop = np.ptp(rules.limits, axis=1) / max(rules.stop_time, STOP_TIME_MIN_S)
+            less = np.minimum(beyond, stop * passed)
+        reached = np.where(beyond > 0.0, np.minimum(reached, self._output - less), reached)
+        self._output = np.maximum(reached, np.minimum(self._output, rules.limits[:, 0]))
 
     def _measured(self, reading: Reading, unknown: Array) -> Array:
         """Where the motors are now, as a command; `unknown` where that is not observable."""

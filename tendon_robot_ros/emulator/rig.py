@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import TendonRobotError
-from .servo import STEP_S, Load, Servo
+from .motion import STEP_S, Load
+from .servo import Servo
 
 Array = NDArray[np.float64]
 LINEAR_WITHIN_N = 0.2  # [N] about which an arm keeps its compliance

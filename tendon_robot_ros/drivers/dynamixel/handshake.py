@@ -100,6 +100,11 @@ def _difference(bus: Bus, motors: dict[int, Motor], models: dict[int, int | None
         f'{bus.path}: servos at {bus.baud} baud: expected {expected}; '
         f'found {", ".join(parts) or "none"}'
     )
+    if all(present.get(i) == motor.model.number for i, motor in motors.items()):
+        return (
+            f'{bus.path}: all servos are there, but answers come late or broken; check the cable, '
+            f'answer_time (now {bus.answer_time:g} s) and how busy this computer is'
+        )
     if set(motors) <= set(present):
         return f'{text}; correct the models or ids'
     return f'{text}; {_elsewhere(bus)}check cable, motor supply, ids and baud rate'

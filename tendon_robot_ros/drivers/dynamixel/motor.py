@@ -107,11 +107,19 @@ class Motor:
 
     @property
     def strongest(self) -> int:
-        """Largest current it may ever be given [counts]."""
+        """
+        Largest current it may ever be given [counts].
+
+        In pull mode a motor holds what its current and its friction hold: at the current of the
+        line of paying out it gives way at the limit. Where friction is too large for that it may
+        wind to the limit.
+        """
         amperes = []
         for wire in self.wires:
-            lines = wire.calibration
-            line = lines.mean if self.mode == 'tension' else lines.wind
+            line = wire.calibration.mean
+            if self.mode == 'pull':
+                coarse = wire.resolution.coarse
+                line = wire.calibration.wind if coarse else wire.calibration.pay_out
             amperes.append(min(wire.current_limit, line.current(wire.tension_limit)))
         return max(1, math.floor(min(amperes) / self.model.current_unit + 1e-9))
 
