@@ -86,7 +86,9 @@ class Mixed(Recorder):
             return
         if self.lost_as is not None:
             shape = np.where(seen[:, None], shape, self.lost_as)
-        message = self.build.pose_array(time, shape, np.tile([0.0, 0.0, 0.0, 1.0], (3, 1)))
+        message = self.build.pose_array(
+            time, shape, np.tile([0.0, 0.0, 0.0, 1.0], (len(shape), 1))
+        )
         writer.write('/measured_shape', time, message)
 
 
@@ -224,3 +226,16 @@ def test_two_trackers_on_one_topic_are_named(tmp_path):
 
     with pytest.raises(DataSetError, match='two programs publish markers on one topic'):
         import_bag(Two().write(tmp_path / 'bag', LOADED_TWICE), SMALL)
+
+
+def test_a_marker_that_is_numbered_anew_in_the_shape_is_one(tmp_path):
+    class Renumbered(Mixed):
+        def _write(self, writer, time, shape, inputs):
+            self.count = getattr(self, 'count', 0) + 1
+            poses = np.insert(shape, 3, shape[1], axis=0)
+            poses[1 if self.count > 9.0 * RATE else 3] = np.nan
+            super()._write(writer, time, poses, inputs)
+
+    found = import_bag(Renumbered().write(tmp_path / 'bag', LOADED_TWICE), SMALL, rest=0.2)
+    is_right(found)
+    assert found.left_out[0] == 'poses 1, 3 of the shape are one marker, numbered anew'
