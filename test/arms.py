@@ -38,6 +38,19 @@ TYPICAL = {  # every effect at a size that matters; these two have tests of thei
     if effect.name not in ('friction_memory', 'base_misalignment')
 }
 
+UNITS = {  # unit -> powers of length and force
+    '1': (0, 0),
+    'rad': (0, 0),
+    '1/rad²': (0, 0),
+    'm': (1, 0),
+    'N': (0, 1),
+    '1/N': (0, -1),
+    'm/N': (1, -1),
+    'N·m/rad': (1, 1),
+    'kg/m': (-1, 1),
+}
+CATALOGUE = load_catalogue()
+
 
 def planar(cells=6, effects=None, bends_as='arc', stiffness=0.027, length=0.007, arm=0.0055):
     """Return one section with a tendon to each side."""
@@ -123,3 +136,35 @@ def turned(robot, angle):
     gravity = robot.gravity and (*turn(*robot.gravity[:2]), robot.gravity[2])
     tendons = tuple(replace(t, base=turn(*t.base), end=turn(*t.end)) for t in robot.tendons)
     return replace(robot, tendons=tendons, effects=effects, gravity=gravity)
+
+
+def scaled(robot, length, stiffness):
+    """Return a robot whose lengths and bending stiffness are so many times as large."""
+    sections = tuple(
+        replace(
+            section,
+            cell_length=length * section.cell_length,
+            bending_stiffness=tuple(stiffness * k for k in section.bending_stiffness),
+        )
+        for section in robot.sections
+    )
+    tendons = tuple(
+        replace(t, base=tuple(length * x for x in t.base), end=tuple(length * x for x in t.end))
+        for t in robot.tendons
+    )
+    force = stiffness / length
+    limits = tuple(force * limit for limit in robot.tension_limits)
+    effects = {
+        name: {key: factor(name, key, length, force) * value for key, value in values.items()}
+        for name, values in robot.effects.items()
+    }
+    return replace(
+        robot, sections=sections, tendons=tendons, tension_limits=limits, effects=effects
+    )
+
+
+def factor(effect, key, length, force):
+    """Return what a parameter of an effect is multiplied by."""
+    unit = {p.name: p.unit for p in CATALOGUE[effect].parameters}[key]
+    powers = UNITS[unit]
+    return length ** powers[0] * force ** powers[1]

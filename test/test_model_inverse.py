@@ -219,3 +219,34 @@ def test_a_target_of_a_stream_that_is_near_is_met_as_any_other():
     here = arm.shape(np.array([0.7, 0.3, 0.1]))
     place = arm.shape(np.array([0.75, 0.4, 0.15])).tip_position
     assert arm.reach(place, guess=here, relax=True, gently=True).position_error < 1e-5
+
+
+@pytest.mark.parametrize('name', ['spatial_3', 'kato_10_1'])
+def test_what_is_beyond_reach_is_worth_no_tension_against_tension(name):
+    """All tendons at their limit come nearer by hundredths of the error: it is left."""
+    arm = Model(load_robot(ROBOTS / f'{name}.yaml'))
+    low, high = arm.limits.T
+    for share, angle in ((1.2, 0.1), (1.3, 0.3), (3.0, 0.0)):
+        place = share * arm.robot.length * np.array([np.sin(angle), 0.0, np.cos(angle)])
+        here = arm.shape(0.5 * (low + high))  # an arm that already pulls against itself
+        for found in (arm.reach(place), arm.reach(place, guess=here)):
+            assert found.status == 'nearest'
+            assert ((found.tensions - low) / (high - low)).mean() < 0.15
+            spent = np.log(found.position_error) + 0.5 * 0.15
+            assert spent < np.log(np.linalg.norm(arm.shape(high).tip_position - place)) + 0.15
+
+
+def test_tensions_of_a_stream_that_goes_out_of_reach_and_back_follow_it_without_a_jump():
+    arm = Model(load_robot(ROBOTS / 'spatial_3.yaml'))
+    low, high = arm.limits.T
+    here = arm.shape(low + 0.1 * (high - low) * np.array([0.3, 0.65, 1.0]))
+    begin, out = here.tip_position, 0.5 * arm.robot.length
+    line, largest, along = np.linspace(0.0, 1.0, 40), [], begin / np.linalg.norm(begin)
+    for share in (*line, *line[::-1]):
+        before = here.inputs
+        found = arm.reach(begin + share * out * along, guess=here, relax=True, gently=True)
+        here = found.shape
+        assert ((here.inputs - before) / (high - low)).max() < 0.15  # nothing shoots up
+        largest.append(((here.inputs - low) / (high - low)).max())
+    assert max(largest) < 0.9
+    assert found.status == 'reached'

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import planar, spatial, two_sections
+from arms import UNITS, factor, planar, scaled, spatial, two_sections
 from simulated import measure, postures
 
 from tendon_robot_ros.comparison.noise import Noise
@@ -18,56 +18,14 @@ from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.derivatives import take_sides, tip_ways
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
+from tendon_robot_ros.model.redundancy import Preferences
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
 
 SCALES = ((0.1, 1.0), (10.0, 1.0), (1.0, 1e3), (10.0, 1e3))  # of lengths, of stiffness
-UNITS = {  # unit -> powers of length and force
-    '1': (0, 0),
-    'rad': (0, 0),
-    '1/rad²': (0, 0),
-    'm': (1, 0),
-    'N': (0, 1),
-    '1/N': (0, -1),
-    'm/N': (1, -1),
-    'N·m/rad': (1, 1),
-    'kg/m': (-1, 1),
-}
 CATALOGUE = load_catalogue()
 FRICTION = {'tendon_friction': {'friction_coefficient': 0.3}}
 TENSIONS = np.array([[0.1, 0.9, 0.1, 0.5], [1.2, 0.1, 0.1, 0.4]])
-
-
-def scaled(robot, length, stiffness):
-    """Return a robot whose lengths and bending stiffness are so many times as large."""
-    sections = tuple(
-        replace(
-            section,
-            cell_length=length * section.cell_length,
-            bending_stiffness=tuple(stiffness * k for k in section.bending_stiffness),
-        )
-        for section in robot.sections
-    )
-    tendons = tuple(
-        replace(t, base=tuple(length * x for x in t.base), end=tuple(length * x for x in t.end))
-        for t in robot.tendons
-    )
-    force = stiffness / length
-    limits = tuple(force * limit for limit in robot.tension_limits)
-    effects = {
-        name: {key: factor(name, key, length, force) * value for key, value in values.items()}
-        for name, values in robot.effects.items()
-    }
-    return replace(
-        robot, sections=sections, tendons=tendons, tension_limits=limits, effects=effects
-    )
-
-
-def factor(effect, key, length, force):
-    """Return what a parameter of an effect is multiplied by."""
-    unit = {p.name: p.unit for p in CATALOGUE[effect].parameters}[key]
-    powers = UNITS[unit]
-    return length ** powers[0] * force ** powers[1]
 
 
 def test_natural_sizes_scale_as_their_units():
@@ -195,3 +153,15 @@ def test_friction_at_rest_takes_the_same_sides(length):
         found.append((turned, tip_ways(model, here, past)[0][:3] * pull / scale))
     assert found[0][0] == found[1][0] > 0
     np.testing.assert_allclose(found[1][1], found[0][1], atol=1e-4 * np.abs(found[0][1]).max())
+
+
+@pytest.mark.parametrize('length', [0.2, 10.0])
+def test_what_is_preferred_moves_the_tip_of_robots_of_all_sizes_alike(length):
+    robot, force = load_robot('kato_10_1'), length**2
+    small, other = Model(robot), Model(scaled(robot, length, length * force))
+    there, wants = small.shape([1.4, 0.8, 0.9, 1.1]), Preferences(low_tension=1.0)
+    guess = other.shape(force * there.inputs)
+    found = small.reach(there.tip_position, guess=there, preferences=wants)
+    grown = other.reach(length * there.tip_position, guess=guess, preferences=wants)
+    np.testing.assert_allclose(grown.tensions / force, found.tensions, atol=0.02)
+    assert grown.position_error / length == pytest.approx(found.position_error, abs=2e-6)

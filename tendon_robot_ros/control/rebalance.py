@@ -86,7 +86,9 @@ class Rebalance:
             past = model.arrays.fresh_memory()
             if model.remembers:
                 past = model.follow(last, felt).memory
-            task = TipTask(model, asked, past)
+            target_task = task = TipTask(model, asked, past)
+            if solution.status != 'reached':  # what is beyond reach is not asked for again
+                task = target_task.held_at(solution.shape)
             balance = Balance(task, _further(wants) if closed else wants, keep_out)
             here = balance.task.shape(command, solution.shape.state)
             if closed:
@@ -95,7 +97,7 @@ class Rebalance:
             wanted = aim
             if wanted is None:
                 wanted = balanced(balance, here, PROGRAMS_MAX, give_up).inputs
-            return Led(solution, wanted), _nearer(balance, here, wanted, STEP_N)
+            return Led(solution, wanted), _nearer(balance, target_task, here, wanted)
 
         def done(found: tuple[Led, Reach | None] | None, error: TendonRobotError | None) -> None:
             if core.solution is not solution or self._walk is not walk:
@@ -149,8 +151,9 @@ def _led(balance: Balance, solution: Reach, wanted: Shape) -> Led:
     return Led(solution, wanted.inputs, lambda shape: balance.log_stiffness(shape) >= enough)
 
 
-def _nearer(balance: Balance, here: Shape, wanted: Array, longest: float) -> Reach | None:
+def _nearer(balance: Balance, task: TipTask, here: Shape, wanted: Array) -> Reach | None:
     """Return the next posture on the way to tensions (m,) [N], with the tip where it was."""
+    longest = STEP_N
     way = wanted - here.inputs
     size = float(np.abs(way).max())
     if size < longest * NEAR_SHARE:
@@ -162,6 +165,6 @@ def _nearer(balance: Balance, here: Shape, wanted: Array, longest: float) -> Rea
     made = balance.corrected(next_one)
     if np.abs(wanted - made.shape.inputs).max() > size - NEAR_SHARE * min(longest, size):
         return None  # there is no way on along which the tip stays
-    found = judged(balance.task, made.shape.inputs, made.shape.state)
+    found = judged(task, made.shape.inputs, made.shape.state)
     near = balance.keep_out.clearance(made.shape.positions).distance
     return found if near > -CLEARANCE_BINDS_M else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from ..common.errors import NoEquilibriumError
 from ..robot.keep_out import KeepOut
+from .program import within
 from .pulls import Aim, aim_by_pulls, limits_by_pulls, pull_shape
 from .redundancy import Balance, Preferences, balanced
 from .shape import Reach, Shape
@@ -20,7 +22,9 @@ from .starts import (
     LOW_TENSION_SHARE,
     SEEKING_WIDTHS,
     TRACKING_GAIN_MIN,
+    TRIALS_MAX,
     aim,
+    aim_gently,
     beginnings,
     rows_near,
     seek,
@@ -31,6 +35,7 @@ if TYPE_CHECKING:
     from .forward import ForwardModel
 
 Floats = npt.NDArray[np.float64]
+Found = tuple[float, Floats, Floats]  # cost [m²], tensions (m,) [N] and state [rad]
 POSITION_THRESHOLD = 1e-4  # [m]
 DIRECTION_THRESHOLD = np.deg2rad(0.2)  # [rad]
 COST_REACHED_M2 = 1e-12  # [m²] cost below which no further start is tried: 1 µm
@@ -47,7 +52,6 @@ NEAR_REACHED_M2 = 0.5 * POSITION_THRESHOLD**2  # [m²]
 # gently, the way there where tendons stick: it takes time
 PULLING_SHARE, GOING_SHARE = 4e-3, 0.06
 KINK_REACHED_M2, KINK_STARTS = 2e-11, 4  # [m²] cost that does after so many: 6 µm
-FINISHING_TRIALS_MAX = 40  # equilibria on the way to the least error, where tendons stick
 BALANCE_STEPS_MAX, OUTSIDE_STARTS = 40, 3  # programs after a search, other beginnings
 CLEARANCE_BINDS_M = 1e-4  # [m] from a region: it is what keeps the arm from its target
 
@@ -122,8 +126,11 @@ def reach(
     begin = beginnings(task, guess, starts, tell is not None, gently)
     going = guess if gently and model.sticks else None
     best = _searched(task, begin, guess, by_pulls, give_up, tell, going)
-    if not by_pulls and preferences is None and going is None and not give_up():
-        best = _finished(task, relax or guess is None, *best)
+    if not give_up():
+        if not _is_there(task, best[0], best[1]):
+            best = _beyond(task, best, guess, gently, by_pulls, going)
+        elif (relax or guess is None) and not by_pulls and preferences is None and going is None:
+            best = _relaxed(task, best)
     made = judged(task, *best[1:], in_time=not give_up())
     if preferences is None and not keep_out:
         return made
@@ -133,7 +140,9 @@ def reach(
     limits = limits_by_pulls(model) if by_pulls else model.limits
     here = None if guess is None else guess.inputs
     wants = preferences or Preferences()
-    return _balanced(Balance(task, wants, regions, limits, here), made, by_pulls, give_up)
+    # beyond reach, what is nearest is held: the freedom is not spent on what no tension reaches
+    held = task if made.status == 'reached' else task.held_at(made.shape)
+    return _balanced(task, Balance(held, wants, regions, limits, here), made, by_pulls, give_up)
 
 
 def _searched(
@@ -144,10 +153,10 @@ def _searched(
     give_up: Callable[[], bool],
     tell: Callable[[Reach], None] | None,
     going: Shape | None,
-) -> tuple[float, Floats, Floats]:
+) -> Found:
     """Return cost [m²], tensions and bends of the first start that meets it, or of the best."""
     model = task.model
-    best: tuple[float, Floats, Floats] | None = None
+    best: Found | None = None
     sticks, remembers, least, stayed = model.sticks, model.remembers, np.inf, np.inf
     if tell is not None and guess is not None:
         stayed = STAYED_SHARE * task.cost(guess)
@@ -178,6 +187,7 @@ def _searched(
 
 def _worth(task: TipTask, cost: float, inputs: Floats, going: Shape | None) -> float:
     """Return a cost [m²] with what tensions (m,) [N], or the way there, count."""
+    cost = task.worth(cost, inputs)
     if task.model.remembers:
         cost += 0.5 * (PULLING_SHARE * task.per_newton) ** 2 * _above(task.model, inputs)
     if going is not None:
@@ -197,9 +207,11 @@ def _jumps(model: ForwardModel, before: Floats, inputs: Floats) -> bool:
     return bool(np.any(np.abs(inputs - before) > JUMP_SHARE * (high - low)))
 
 
-def _balanced(balance: Balance, made: Reach, by_pulls: bool, give_up: Callable[[], bool]) -> Reach:
+def _balanced(
+    task: TipTask, balance: Balance, made: Reach, by_pulls: bool, give_up: Callable[[], bool]
+) -> Reach:
     """Use the freedom that is left as it is preferred, and keep the arm out of regions."""
-    task, regions = balance.task, balance.keep_out
+    regions = balance.keep_out
     away = regions.clearance(made.shape.positions)
     if by_pulls and away.distance >= 0.0:
         return made  # wires of given lengths leave no freedom
@@ -235,28 +247,56 @@ def _outside(balance: Balance, shape: Shape) -> Iterator[Shape]:
             continue
 
 
-def _finished(
-    task: TipTask, relax: bool, cost: float, inputs: Floats, bend: Floats
-) -> tuple[float, Floats, Floats]:
-    """Go to the least error from the best that was found or, with it met, to low tension."""
-    model = task.model
-    if not _met(task, cost, inputs):
-        if model.sticks and cost > KINK_REACHED_M2:  # no equilibria were looked for from there
-            most = FINISHING_TRIALS_MAX
-            cost, bend = aim(task, GAIN_MIN, inputs, bend, model.limits, most=most)
-        return cost, inputs, bend
-    if not relax:
-        return cost, inputs, bend
-    less = inputs.copy()
+def _beyond(
+    task: TipTask,
+    best: Found,
+    guess: Shape | None,
+    gently: bool,
+    by_pulls: bool,
+    going: Shape | None,
+) -> Found:
+    """
+    Return the posture for a target beyond reach whose error is worth its tension.
+
+    From the best that was found, from where the arm is and, unless targets follow each other, from
+    the straight arm at its lowest tensions.
+    """
+    model, least, found = task.model, _worth(task, *best[:2], going), best
+    starts = [best[1:]]
+    if guess is not None:
+        starts.append((within(guess.inputs, *model.limits.T), guess.state))
+    if not gently:
+        starts.append((model.limits[:, 0], np.zeros(3 * model.robot.cells)))
+    search: Aim = partial(aim, task, GAIN_MIN, priced=True)
+    if gently:
+        search = partial(aim_gently, task, TRIALS_MAX)
+    for start, state in starts:
+        inputs = start.copy()
+        if by_pulls:
+            cost, bend = aim_by_pulls(task, search, inputs, state)
+        else:
+            cost, bend = search(inputs, state, model.limits)
+        worth = _worth(task, cost, inputs, going)
+        if worth < least:
+            least, found = worth, (cost, inputs, bend)
+    return found
+
+
+def _relaxed(task: TipTask, best: Found) -> Found:
+    """Go from what meets the target to low tension, where it is still met there."""
+    model, (cost, _, bend), less = task.model, best, best[1].copy()
     if model.sticks:
         new, bends = seek(task, SEEKING_WIDTHS[1], None, less, bend, model.limits)
     else:
         bends = bend
         for preference in (*RELAXING_SHARES, LOW_TENSION_SHARE):
             new, bends = aim(task, GAIN_MIN, less, bends, model.limits, preference)
-    if new < cost and _met(task, new, less):
-        return new, less, bends
-    return cost, inputs, bend
+    return (new, less, bends) if new < cost and _met(task, new, less) else best
+
+
+def _is_there(task: TipTask, cost: float, inputs: Floats) -> bool:
+    """Tell whether a search need not go on, as `_met` or as near as a kink lets tendons stick."""
+    return _met(task, cost, inputs) or (task.model.sticks and cost < KINK_REACHED_M2)
 
 
 def _met(task: TipTask, cost: float, inputs: Floats) -> bool:

@@ -32,8 +32,10 @@ if TYPE_CHECKING:
     from .tip_task import TipTask
 
 Floats = npt.NDArray[np.float64]
-TIP_WEIGHT = 1e7  # [1/m²] of the tip's error against preferences of about 1
-KEEP_OUT_WEIGHT = 1e10  # [1/m²] of what is inside a region
+# [1] of the square of the tip's error in lengths of the robot, against preferences of about 1: one
+# that asks for a whole range moves the tip by some 1/600 of the length where tendons hardly lead
+# it, else by next to nothing; and by how much more counts what is inside a region
+TIP_WEIGHT, KEEP_OUT_RATIO = 4e5, 1e3
 NEAR_SHARE = 0.25  # of the arm's length: further regions bind no step
 POINTS_MAX = 8  # of the arm that are held away from a region at once
 TRUST, TRUST_MIN = 0.15, 1e-4  # [1] of a tension's range
@@ -41,7 +43,7 @@ STEP_DONE = 3e-5  # [1] of a tension's range: a step that is none
 CO_CONTRACTIONS = 0.1, 0.3  # [1] of the range, more on all tendons
 DAMPING = 1e-4  # [1] keeps tensions where nothing speaks for a change
 SLOPE_SHARE = 2e-3  # [1] of a tension's range, for the slope of the stiffness
-CORRECTIONS_MAX, CORRECTED_M = 3, 2e-6  # after a step: how often, and from what error on [m]
+CORRECTIONS_MAX, CORRECTED_SHARE = 3, 1e-5  # after a step: how often, from what error on [1] of L
 POINT_STEP_M = 1e-6  # [m] for the direction away from a region
 # How often a step is looked for anew as eyelets turn; share [1] of them that may do so unseen
 TURNS_MAX, TURNED_SHARE = 3, 0.1
@@ -101,12 +103,14 @@ class Balance:
     low: Floats = field(init=False)
     range: Floats = field(init=False)
     weights: Floats = field(init=False)  # (6,) [1], [m] of the tip's error
+    tip_weight: float = field(init=False)  # [1/m²] of the square of that error
 
     def __post_init__(self) -> None:
         """Scale tensions by their range."""
         limits = self.task.model.limits if self.limits is None else self.limits
         self.low, self.range = limits[:, 0], limits[:, 1] - limits[:, 0]
         self.weights = np.repeat(self.task.target[6:], 3)
+        self.tip_weight = TIP_WEIGHT / self.task.model.robot.length**2
 
     def begin(self, shape: Shape) -> Linearised:
         """Look at an equilibrium."""
@@ -130,7 +134,7 @@ class Balance:
     def cost(self, shape: Shape, error: Floats, stiffness: bool = True) -> float:
         """Return what a posture costs [1]."""
         wants, u = self.preferences, (shape.inputs - self.low) / self.range
-        cost = 0.5 * TIP_WEIGHT * float(error @ error)
+        cost = 0.5 * self.tip_weight * float(error @ error)
         cost += 0.5 * wants.low_tension * float(u @ u)
         near, far = np.maximum(wants.margin - u, 0.0), np.maximum(u - 1.0 + wants.margin, 0.0)
         cost += (
@@ -143,7 +147,7 @@ class Balance:
             cost += 0.5 * wants.smooth * float(moved @ moved)
         if self.keep_out:
             inside = np.minimum(self.keep_out.distances(shape.positions), 0.0)
-            cost += 0.5 * KEEP_OUT_WEIGHT * float((inside * inside).sum())
+            cost += 0.5 * KEEP_OUT_RATIO * self.tip_weight * float((inside * inside).sum())
         if stiffness and wants.stiffness > 0.0:
             cost -= wants.stiffness * self.log_stiffness(shape)
         return cost
@@ -179,7 +183,7 @@ class Balance:
         if at.preferred is None:
             at.preferred = self._preferred(at)
         slopes, (diagonal, slope) = self.slopes(at), at.preferred
-        weighted = TIP_WEIGHT * slopes.T
+        weighted = self.tip_weight * slopes.T
         matrix = weighted @ slopes
         matrix.ravel()[:: len(slope) + 1] += diagonal
         return matrix, slope + weighted @ at.error
@@ -240,8 +244,8 @@ class Balance:
             inside = room > 0.0
             if inside.any():  # there the way out is a matter of cost: all at once may be too much
                 out = rows[inside]
-                matrix = matrix + KEEP_OUT_WEIGHT * out.T @ out
-                slope = slope - KEEP_OUT_WEIGHT * out.T @ room[inside]
+                matrix = matrix + KEEP_OUT_RATIO * self.tip_weight * out.T @ out
+                slope = slope - KEEP_OUT_RATIO * self.tip_weight * out.T @ room[inside]
             rows, bounds = rows[~inside], np.concatenate([lower, room[~inside]])
         made = solved(matrix, slope, rows, bounds, upper)
         return within(u + made, 0.0, 1.0) * self.range + self.low
@@ -278,13 +282,14 @@ class Balance:
 
     def corrected(self, at: Linearised) -> Linearised:
         """Bring the tip back to where it should be by least changes, as far as these do."""
+        near = CORRECTED_SHARE * self.task.model.robot.length
         for _ in range(CORRECTIONS_MAX):
-            if float(at.error @ at.error) < CORRECTED_M**2:
+            if float(at.error @ at.error) < near**2:
                 break
             u = (at.shape.inputs - self.low) / self.range
             slopes = self.slopes(at)
-            matrix = TIP_WEIGHT * slopes.T @ slopes + DAMPING * np.eye(len(u))
-            slope = TIP_WEIGHT * slopes.T @ at.error
+            matrix = self.tip_weight * slopes.T @ slopes + DAMPING * np.eye(len(u))
+            slope = self.tip_weight * slopes.T @ at.error
             back = solved(matrix, slope, None, -u, 1.0 - u)
             made = self.look(at, within(u + back, 0.0, 1.0) * self.range + self.low)
             if made is not None and made.error @ made.error < at.error @ at.error:

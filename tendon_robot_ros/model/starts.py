@@ -58,18 +58,20 @@ def aim(
     preference: float = LOW_TENSION_SHARE,
     far: float = np.inf,
     most: int = TRIALS_MAX,
+    priced: bool = False,
 ) -> tuple[float, Floats]:
     """
     Improve inputs in place; return the cost [m²] and the bends of the equilibrium.
 
     Once the tip is there, a step that gains less than `enough` of the cost is the last, else the
     one after so many trials. What costs more than `far` [m²] stays as it is. `preference`: how low
-    tension counts, a share of `TipTask.per_newton`.
+    tension counts, a share of `TipTask.per_newton`. `priced`: to what a target beyond reach is
+    worth, see `TipTask.worth`.
     """
     bends = np.array([bend, bend])
     begin, end = _shared(task, inputs, bends, limits)
-    weight = preference * task.per_newton
-    cost = task.model.arrays.part('inverse').aim(*begin, weight, most, enough, far, *end)
+    tension = task.tension(preference, priced)
+    cost = task.model.arrays.part('inverse').aim(*begin, tension, most, enough, far, *end)
     return float(cost), bends[0]
 
 
@@ -82,7 +84,8 @@ def aim_gently(
     In directions in which tendons hardly lead the tip, tenths of a millimetre are not worth
     newtons of all tendons against each other.
     """
-    bends = aim(task, TRACKING_GAIN_MIN, inputs, bend, limits, GENTLE_SHARE, most=most)[1]
+    gently = partial(aim, task, TRACKING_GAIN_MIN, preference=GENTLE_SHARE, priced=True)
+    bends = gently(inputs, bend, limits, most=most)[1]
     return aim(task, TRACKING_GAIN_MIN, inputs, bends, limits, far=0.0)
 
 

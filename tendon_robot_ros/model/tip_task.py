@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +19,13 @@ if TYPE_CHECKING:
     from .shape import Shape
 
 Floats = npt.NDArray[np.float64]
+# [1] for ln of the error: all tendons from their lowest to their highest tension must bring it
+# down to exp(-1/2) = 61 %. Up to 1/2 tensions are a continuous function of a target that leaves
+# what is reached: beside an error s (1 - t) that tension t takes away and d that it cannot, the
+# least of ln(d² + s² (1 - t)²)/2 + t/2 goes from t = 1 to 0 without a jump; beyond 1/2 it jumps.
+TENSION_PRICE = 0.5
+NONE = 0.01  # [1] of a tension's range: a step of the search to no tension ends below that
+FAR_LENGTHS = 100.0  # [1] so far off all places cost the same: exp would overflow
 
 
 class Patience:
@@ -58,8 +65,42 @@ class TipTask:
     @property
     def per_newton(self) -> float:
         """Length of the robot over the range of its tensions [m/N]: weights are shares of it."""
+        return self.model.robot.length / self._range
+
+    @property
+    def _range(self) -> float:
+        """Return the mean range of the tensions [N]."""
         low, high = self.model.limits.T
-        return self.model.robot.length / float((high - low).mean())
+        return float((high - low).mean())
+
+    def tension(self, share: float, priced: bool) -> Floats:
+        """
+        Return what tension costs in a search (4,), see `aim` of the kernel.
+
+        A share [1] of `per_newton`, and, priced, what `worth` says.
+        """
+        width, tendons = self._range, len(self.model.inputs)
+        price = TENSION_PRICE / (width * tendons) if priced else 0.0
+        return np.array([share * self.per_newton, price, self.model.robot.length, NONE * width])
+
+    def worth(self, cost: float, inputs: Floats) -> float:
+        """
+        Return a cost [m²] with what tensions (m,) [N] cost beside the error e that is left.
+
+        It grows with ln e + `TENSION_PRICE` x the mean share of the tensions in their range: how
+        far a target is beyond reach does not make tension cheap. Beyond a length of the robot e
+        itself counts, in lengths.
+        """
+        above = float((inputs - self.model.limits[:, 0]).mean()) / self._range
+        length = self.model.robot.length
+        away = math.sqrt(2.0 * cost) / length
+        size = away if away < 1.0 else math.exp(min(away - 1.0, FAR_LENGTHS))
+        return 0.5 * (length * size * math.exp(TENSION_PRICE * above)) ** 2
+
+    def held_at(self, shape: Shape) -> TipTask:
+        """Return the task to stay where a tip is: what is beyond reach is not asked for again."""
+        target = np.concatenate([shape.tip_position, shape.tip_direction, self.target[6:]])
+        return replace(self, target=target)
 
     def shape(self, inputs: Floats, state: Floats) -> Shape:
         """Return the shape under tensions (m,) [N] that follow the past."""

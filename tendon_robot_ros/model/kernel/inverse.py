@@ -42,15 +42,35 @@ def tip_residual(chain, inputs, there, bend, target, f):
 
 
 @compiled
-def cost_of(f, inputs, low, preference):
-    """Half the squared error plus the small preference for low tension [m²]."""
-    total = 0.0
+def cost_of(f, inputs, low, preference, pull):
+    """
+    Half the squared error plus what tension costs [m²].
+
+    `preference` [m/N] weighs its square, `pull` [m²/N] its sum.
+    """
+    total, tension = 0.0, 0.0
     for r in range(6):
         total += f[r] * f[r]
     for j in range(inputs.shape[0]):
-        pull = preference * (inputs[j] - low[j])
-        total += pull * pull
-    return 0.5 * total
+        above = inputs[j] - low[j]
+        total += (preference * above) ** 2
+        tension += above
+    return 0.5 * total + pull * tension
+
+
+@compiled
+def tension_price(f, tension):
+    """
+    Return what a newton costs beside a weighted tip error (6,) that is left [m²/N].
+
+    A search goes down half the squared error e²/2, whose slope is that of ln e times e²: a price
+    of `tension[1]` [1/N] for ln e is that times e². Beyond `tension[2]` [m] the price is one for
+    e itself: a place that is ten lengths away is no reason to do nothing.
+    """
+    square = 0.0
+    for r in range(6):
+        square += f[r] * f[r]
+    return tension[1] * min(square, math.sqrt(square) * tension[2])
 
 
 @compiled
@@ -68,7 +88,7 @@ def free_inputs(inputs, gradient, low, high, free):
 
 
 @compiled
-def normal_equations(jacobian, f, inputs, low, preference, damping, normal, gradient):
+def normal_equations(jacobian, f, inputs, low, price, damping, normal, gradient):
     """
     Fill the damped normal matrix (m, m) and the gradient (m,) of the cost.
 
@@ -80,28 +100,32 @@ def normal_equations(jacobian, f, inputs, low, preference, damping, normal, grad
         That error [m].
     inputs, low : ndarray, shape (m,)
         [N]
-    preference : float
-        Weight of low tension [m/N].
+    price : tuple
+        Of tension above the lowest: weights of its squares [m/N] and of its sum [m²/N], and how
+        much of it is next to none [N].
     damping : float
         Of Levenberg and Marquardt [1].
     normal, gradient : ndarray, shapes (m, m) and (m,)
         Take the result [m²/N²], [m²/N].
 
     """
-    m = inputs.shape[0]
+    m, (preference, pull, small) = inputs.shape[0], price
     for j in range(m):
-        gradient[j] = preference * preference * (inputs[j] - low[j])
+        above = inputs[j] - low[j]
+        gradient[j] = preference * preference * above + pull
         for r in range(6):
             gradient[j] += jacobian[r, j] * f[r]
         for q in range(m):
             normal[j, q] = 0.0
             for r in range(6):
                 normal[j, q] += jacobian[r, j] * jacobian[r, q]
-        normal[j, j] += preference * preference + damping * (normal[j, j] + 1e-12)
+        # a sum has no curvature: that of the square that touches it from above
+        normal[j, j] += preference * preference + pull / max(above, small)
+        normal[j, j] += damping * (normal[j, j] + 1e-12)
 
 
 @compiled
-def gauss_newton_step(jacobian, f, inputs, low, high, preference, damping, trial, free):
+def gauss_newton_step(jacobian, f, inputs, low, high, price, damping, trial, free):
     """
     Damped Gauss-Newton step into `trial`; return the count of the inputs that could move.
 
@@ -116,8 +140,9 @@ def gauss_newton_step(jacobian, f, inputs, low, high, preference, damping, trial
         That error [m].
     inputs, low, high : ndarray, shape (m,)
         Where the step begins, and limits [N].
-    preference : float
-        Weight of low tension [m/N].
+    price : tuple
+        Of tension above the lowest: weights of its squares [m/N] and of its sum [m²/N], and how
+        much of it is next to none [N].
     damping : float
         Of Levenberg and Marquardt [1].
     trial : ndarray, shape (m,)
@@ -129,7 +154,7 @@ def gauss_newton_step(jacobian, f, inputs, low, high, preference, damping, trial
     m = inputs.shape[0]
     normal, part, step = np.empty((m, m)), np.empty((m, m)), np.empty(m)
     gradient, move = np.empty(m), np.zeros(m)
-    normal_equations(jacobian, f, inputs, low, preference, damping, normal, gradient)
+    normal_equations(jacobian, f, inputs, low, price, damping, normal, gradient)
     count = free_inputs(inputs, gradient, low, high, free)
     moving = count
     while moving > 0:
@@ -200,9 +225,7 @@ def weighted_slopes(chain, inputs, there, target, ways, slopes):
 
 
 @entry()
-def aim(
-    robot, inputs, bends, target, low, high, preference, most, enough, far, until, past, scratch
-):
+def aim(robot, inputs, bends, target, low, high, tension, most, enough, far, until, past, scratch):
     """
     Move inputs (m,) [N] within [low, high] so that the tip meets the target; return the cost.
 
@@ -222,8 +245,9 @@ def aim(
         Position [m], direction, weight of the position [1], weight of the direction [m/rad].
     low, high : ndarray, shape (m,)
         [N]
-    preference : float
-        Weight of low tension [m/N].
+    tension : ndarray, shape (4,)
+        What it costs: weight of its squares [m/N], `tension_price` [1/N] and [m], and how much
+        of it is next to none [N].
     most : int
         Equilibria of trials.
     enough : float
@@ -241,7 +265,8 @@ def aim(
     f, moved, jacobian = np.empty(6), np.empty(6), np.zeros((6, m))
     trial, free, ways = np.empty(m), np.empty(m, np.int64), np.empty((m, unknowns(chain)))
     tip_residual(chain, inputs, there, there.bend, target, f)
-    cost, damping = cost_of(f, inputs, low, preference), 1e-9
+    preference, pull, damping = tension[0], tension_price(f, tension), 1e-9
+    cost = cost_of(f, inputs, low, preference, pull)
     is_explicit = not (is_implicit(chain) or memory_acts(chain))
     floats(there.work.slip)[3] = 0.0
     while most > 0 and cost < far and monotonic() < floats(until)[0]:
@@ -252,13 +277,14 @@ def aim(
         gain = 0.0
         for _ in range(min(most, 12)):
             most -= 1
-            problem = (jacobian, f, inputs, low, high, preference, damping)
+            price = (preference, pull, tension[3])
+            problem = (jacobian, f, inputs, low, high, price, damping)
             if gauss_newton_step(*problem, trial, free) == 0:
                 break
             if not is_explicit:
                 predict(chain, there, ways, inputs, trial)
             tip_residual(chain, trial, there, there.near, target, moved)
-            new = cost_of(moved, trial, low, preference)
+            new = cost_of(moved, trial, low, preference, pull)
             if new < cost:
                 gain = cost - new
                 break
@@ -267,8 +293,9 @@ def aim(
             break
         damping = max(0.05 * damping, 1e-13)
         accept(chain, there, trial, moved, inputs, f)
-        cost -= gain
-        is_there = cost_of(f, low, low, preference) < COST_REACHED_M2
+        pull = tension_price(f, tension)
+        cost = cost_of(f, inputs, low, preference, pull)
+        is_there = cost_of(f, low, low, 0.0, 0.0) < COST_REACHED_M2
         if gain < 1e-6 * cost or cost < 1e-16 or (is_there and gain < enough * cost):
             break
-    return cost
+    return cost_of(f, inputs, low, preference, 0.0)

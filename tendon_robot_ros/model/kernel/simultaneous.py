@@ -137,7 +137,7 @@ def seek(
             f[r] += slopes[r, m]  # where the bends go that balance the tensions as they are
         damping = 0.0 if turn < UNDAMPED_STEPS else DAMPING
         weight = preference if width > SLIP_LENGTH else LOW_TENSION_SHARE * preference
-        gauss_newton_step(slopes, f, inputs, low, high, weight, damping, trial, free)
+        gauss_newton_step(slopes, f, inputs, low, high, (weight, 0.0, 1.0), damping, trial, free)
         longest = move_both(chain, inputs, there, ways, trial, move)
         if not longest < math.inf or (longest < STEP_SETTLED_RAD and width == SLIP_LENGTH):
             break
