@@ -11,10 +11,12 @@ pytest.importorskip('viser')
 
 from live_browser import Browser
 from PIL import Image
+from test_framing import FOV, seen
 
 from tendon_robot_ros.common.colours import ERROR, MEASURED, PREDICTED, rgb
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.ros.viewer.framing import framed
 from tendon_robot_ros.ros.viewer.node import _is_local
 from tendon_robot_ros.ros.viewer.page import LivePage
 from tendon_robot_ros.ros.viewer.state import ViewState
@@ -157,9 +159,12 @@ def test_a_desktop_and_a_phone_see_both_arms_from_base_to_tip(trusted, tmp_path)
                 lambda b=browser, c=colour: spans(b, tmp_path, c), f'the arm at {width} px'
             )
 
+    arm = np.vstack([np.zeros(3), shown.measured])
+    whole = np.ptp(seen(framed(0.208, FOV, 400, 900), arm, 400, 900)[:, 1])  # [px]
+
     def seen_from_base_to_tip():
         page.tell(shown, 0.0)
-        return spans(browsers[1], tmp_path, is_measured, 230)
+        return spans(browsers[1], tmp_path, is_measured, 0.9 * whole)
 
     browsers[1].until(seen_from_base_to_tip, 'the whole arm above the panel of a phone')
     top, bottom, left, right = browsers[1].run(STOP_AND_PANEL)

@@ -167,7 +167,7 @@ def beginnings(
         inputs = np.minimum(np.maximum(guess.inputs, model.limits[:, 0]), model.limits[:, 1])
         if not model.sticks:
             most = REMEMBERING_TRIALS_MAX if model.remembers else TRIALS_MAX
-            search = partial(aim, task, TRACKING_GAIN_MIN, most=most)
+            search = partial(aim, task, TRACKING_GAIN_MIN, most=most, priced=True)
             yield partial(aim_gently, task, most) if gently else search, inputs, guess.state
         elif task.cost(guess) < _far(task):
             yield from _starts_near(task, guess, inputs, count, kept, gently)

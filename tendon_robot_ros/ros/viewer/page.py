@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ...common.colours import BAD, ERROR, GOOD, INK, MEASURED, ORANGE, PREDICTED, rgb
 from ...common.errors import DriverError, MissingExtraError
 from . import page_parts
+from .framing import View, framed
 from .page_parts import tube_faces, tube_vertices
 from .state import ViewState
 
@@ -30,9 +31,8 @@ BUTTONS: tuple[tuple[str, str, str, str], ...] = (  # name, label, hint, colour
 # neither hides the other where they coincide
 MEASURED_WIDTH, PREDICTED_WIDTH = 0.034, 0.011
 MEASURED_OPACITY = 0.4
-VIEW_FROM = (0.1, -1.75, 0.7)  # of the robot's length: where the scene is looked at from
-PHONE_ASPECT = 0.8  # width over height of a scene, below which it is a phone's
-VIEW_HELD_S = 20.0  # [s] in which a slow phone may still take that of all pages
+FIRST_VIEW = float(np.deg2rad(75.0)), 1200.0, 900.0  # viser's own [rad], and a desktop's [px]
+VIEW_KEPT = 0.01  # [1] of the robot's length: a camera so near to where it was placed is not moved
 
 
 class LivePage:
@@ -62,7 +62,8 @@ class LivePage:
             raise DriverError(f'port {port}: {error.strerror}; choose another port') from None
         self.commands: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         self._token, self._allowed, self._size = token, set[int](), size
-        self._phones: dict[int, float] = {}  # client -> until when its view is held [s]
+        # client -> its picture for which it was placed, and where
+        self._views: dict[int, tuple[tuple[float, ...], View]] = {}
         self._shown: dict[str, str] = {}
         self._scene()
         self._panel()
@@ -136,8 +137,8 @@ class LivePage:
         scene, size = self._server.scene, self._size
         scene.set_up_direction('+z')
         camera = self._server.initial_camera
-        camera.position = size * np.array(VIEW_FROM)
-        camera.look_at = (0.1 * size, 0.0, 0.45 * size)
+        self._first = framed(self._radius, *FIRST_VIEW)
+        camera.position, camera.look_at = self._first.position, self._first.look_at
         camera.near = 0.01 * size
         self._square = page_parts.round_length(0.15 * size)
         scene.add_grid('/grid', width=2.0 * size, height=2.0 * size, cell_size=self._square,
@@ -223,10 +224,8 @@ class LivePage:
         self._guarded('target', lambda: np.array(self._target.position))(event)
 
     def _welcome(self, client: Any) -> None:
-        """Place the arm above the panel of a phone; ask a browser for the token, if any."""
-        if client.camera.aspect < PHONE_ASPECT:  # there the panel lies below
-            self._phones[client.client_id] = time.monotonic() + VIEW_HELD_S
-            self._look_above(client)
+        """Show a browser all that the arm can reach; ask it for the token, if any."""
+        self._place(client)
         if not self._token:
             return
         field = client.gui.add_text('token', '', order=-1.0)
@@ -237,28 +236,42 @@ class LivePage:
                 self._allowed.add(client.client_id)
                 field.remove()
 
-    def _look_above(self, client: Any) -> None:
-        size = self._size
-        client.camera.position = (0.1 * size, -2.3 * size, 0.0)
-        client.camera.look_at = (0.1 * size, 0.0, -0.45 * size)
+    def _place(self, client: Any) -> None:
+        """Look at all that the arm can reach."""
+        picture = _picture(client.camera)
+        view = framed(self._radius, *picture)
+        self._views[client.client_id] = picture, view
+        client.camera.position, client.camera.look_at = view.position, view.look_at
 
     def _hold_views(self) -> None:
-        """Place phones again that took the first view of all pages after their own."""
+        """Place cameras anew in windows of another shape, and those that took the first view."""
         for number, client in self._server.get_clients().items():
-            if client.camera.aspect < PHONE_ASPECT and number not in self._phones:  # narrowed now
-                self._phones[number] = time.monotonic() + VIEW_HELD_S
-                self._look_above(client)
-                continue
-            if time.monotonic() > self._phones.get(number, 0.0):
-                continue
-            away = np.linalg.norm(client.camera.position - self._size * np.array(VIEW_FROM))
-            if away < 0.01 * self._size:
-                self._look_above(client)
+            picture, view = self._views.get(number, ((), self._first))
+            is_placed = self._is_at(client, view)
+            if not is_placed and not self._is_at(client, self._first):
+                continue  # somebody has moved it
+            if not is_placed or _picture(client.camera) != picture:
+                self._place(client)
+
+    def _is_at(self, client: Any, view: View) -> bool:
+        """Whether nobody has moved a camera since it took a view."""
+        away = np.linalg.norm(client.camera.position - view.position)
+        return bool(away < VIEW_KEPT * self._size)
+
+    @property
+    def _radius(self) -> float:
+        """Return how far from the base the arm may be seen, with its width [m]."""
+        return (1.0 + 0.5 * MEASURED_WIDTH) * self._size
 
     def _html(self, name: str, content: str) -> None:
         if self._shown.get(name) != content:
             self._shown[name] = content
             self._boxes[name].content = content
+
+
+def _picture(camera: Any) -> tuple[float, float, float]:
+    """Return a picture's angle from edge to edge [rad], its width and its height [px]."""
+    return float(camera.fov), float(camera.image_width), float(camera.image_height)
 
 
 def _nodes(points: Array) -> Array:
