@@ -8,8 +8,9 @@ from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.viewer.framing import framed
 
 FOV = np.deg2rad(75.0)
-# width and height [px], and what the panel leaves free: left, right, upper, lower [px]
-WINDOWS = {1200: (1200, 900, (0, 810, 0, 900)), 400: (400, 900, (0, 400, 0, 360))}
+# of the scene beside the panel, width and height [px], and what the panel leaves free of it:
+# left, right, upper, lower [px]
+WINDOWS = {1200: (812, 900, (0, 812, 0, 900)), 400: (400, 900, (0, 400, 0, 360))}
 
 
 def seen(view, points, width, height):

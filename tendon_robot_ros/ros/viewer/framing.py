@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 ALONG = np.array([0.0, 0.99, -0.14])  # [1] direction of sight: from the side and a little above
-# What viser's panel covers: so much of the width at the right edge [px], its `control_width` of
-# large; on phones so much of the height at the lower edge [1], its `max-height`
-PANEL_PX, PANEL_OF_PHONES = 390.0, 0.6
+# [1] of the height of a phone that viser's panel may cover, at the lower edge: its `max-height`;
+# on a desktop the panel is docked beside the scene
+PANEL_OF_PHONES = 0.6
 PHONE_ASPECT = 0.8  # width over height of a scene, below which it is a phone's
 
 
@@ -42,12 +42,9 @@ def framed(radius: float, fov: float, width: float, height: float) -> View:
 
     """
     half = np.tan(0.5 * fov)
-    aspect, lower, right_edge = width / height, -1.0, 1.0  # the last two [1] of half the picture
-    if aspect < PHONE_ASPECT:
-        lower += 2.0 * PANEL_OF_PHONES
-    elif width > 2.0 * PANEL_PX:
-        right_edge -= 2.0 * PANEL_PX / width
-    sides = half * np.array([[-aspect, right_edge * aspect], [lower, 1.0]])  # at depth 1
+    aspect = width / height
+    lowest = 2.0 * PANEL_OF_PHONES - 1.0 if aspect < PHONE_ASPECT else -1.0
+    sides = half * np.array([[-aspect, aspect], [lowest, 1.0]])  # at depth 1
     margins = radius * np.sqrt(1.0 + sides**2)
     depth = float((margins.sum(axis=1) / (sides[:, 1] - sides[:, 0])).max())
     across = 0.5 * (sides.sum(axis=1) * depth + margins[:, 0] - margins[:, 1])
