@@ -96,8 +96,11 @@ def test_tensions_with_names_are_taken_by_name():
     [
         ({'one': [1.0], 'tree': [1.0]}, "unknown 'tree'; did you mean three?"),
         ({'one': [1.0]}, "tensions: 'two', 'three' missing; spatial_3 has one, two, three"),
-        ([[1.0, np.nan, 0.0]], r'posture 0, two: expected a finite .* nan; say 0 where'),
-        ([[1.0, -1.0, 0.0]], 'posture 0, two: expected a finite tension not below 0 N'),
+        (
+            [[1.0] * 3, [1.0, np.nan, 0.0]],
+            r'posture 1, two: expected a finite .* nan; say 0 where',
+        ),
+        ([[1.0, -1.0, 0.0]], 'tensions: two: expected a finite tension not below 0 N'),
         ([['a', 'b', 'c']], 'tensions: expected numbers for one'),
         ('spatial_3', 'tensions: expected numbers'),
         (None, r'got shape \(1,\)'),
