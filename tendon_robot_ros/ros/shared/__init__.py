@@ -3,6 +3,7 @@ What the nodes share.
 
 messages.py            ROS messages to arrays and back; their frames (TF); quality of service
 parameters.py          declared parameters with range and unit; those of another node
+overrides.py           settings that a node was started with and does not know
 lifecycle.py           nodes that start by themselves; their status
 inbox.py               subscriptions of any kind; what a thread of its own hears; the topic `stop`
 joints.py              joint messages from their bytes

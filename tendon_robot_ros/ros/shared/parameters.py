@@ -24,6 +24,8 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from ...common.errors import InputError, TendonRobotError
+from .overrides import check_files, check_overrides
+from .runtime import given
 
 TYPES = {
     bool: ParameterType.PARAMETER_BOOL,
@@ -109,6 +111,8 @@ class Parameters:
             except ParameterException as error:
                 raise InputError(f'{spec.name}: {error}') from None
             self._values[spec.name] = spec.checked(value)
+        check_overrides(node._parameter_overrides, self._specs, node.get_name(), given)
+        check_files(given, node.get_fully_qualified_name())
         node.add_on_set_parameters_callback(self._set)
 
     def __getitem__(self, name: str) -> Any:

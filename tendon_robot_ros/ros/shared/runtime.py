@@ -34,6 +34,7 @@ from ...common.processes import (
 )
 from .transport import without_shared_memory
 
+given: list[str] = []  # what this process was told on its command line, for ROS
 # [s] launch passes on the signal that the terminal or systemd has sent to all, too
 SIGNAL_ECHO_S = 1.0
 
@@ -150,6 +151,7 @@ def ros(arguments: Sequence[str], first: bool = False) -> Iterator[Ending]:
     ending = Ending(first)
     end_with_parent()
     without_shared_memory()
+    given[:] = arguments
     try:
         rclpy.init(args=['node', *arguments], signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # RCLError, UnknownROSArgsError: what a person typed
