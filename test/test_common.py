@@ -1,5 +1,6 @@
 """Rotations in their three forms, and the colours that mean something."""
 
+import errno
 import re
 
 import numpy as np
@@ -10,6 +11,8 @@ from source_tree import ROOT, files
 
 from tendon_robot_ros.common import colours
 from tendon_robot_ros.common.colours import COLOURS, ERROR, MEASURED, PREDICTED, rgb
+from tendon_robot_ros.common.errors import DataSetError
+from tendon_robot_ros.common.files import new_file
 from tendon_robot_ros.common.rotations import (
     about,
     bent,
@@ -111,3 +114,11 @@ def test_points_that_turned_about_an_axis_are_laid_back(angle, axis):
     tilted = points @ about((axis + 1) % 3, 0.3).T  # what another axis does stays
     turn, _ = upright_fit(points, tilted, np.eye(3)[axis])
     np.testing.assert_allclose(turn @ np.eye(3)[axis], np.eye(3)[axis], atol=1e-9)
+
+
+def test_a_full_disk_names_the_file_that_was_to_be_written(tmp_path):
+    path = tmp_path / 'run.csv'
+    full = pytest.raises(DataSetError, match=r'run.csv: cannot be written \(No space left')
+    with full, new_file(path):
+        raise OSError(errno.ENOSPC, 'No space left on device')
+    assert not list(tmp_path.iterdir())

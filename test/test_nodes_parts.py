@@ -91,10 +91,44 @@ def test_with_tf_another_frame_is_brought_into_the_base_frame():
         translation=SimpleNamespace(x=0.1, y=0.0, z=0.0),
     )
     made._buffer = SimpleNamespace(
-        lookup_transform=lambda *names: SimpleNamespace(transform=transform)
+        lookup_transform=lambda *names: SimpleNamespace(
+            transform=transform, header=SimpleNamespace(stamp=Time())
+        )
     )
     rotation, shift = made.to_base('map', 'target_pose')
     assert rotation @ [1.0, 0.0, 0.0] + shift == pytest.approx([0.1, 1.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ('at', 'stamp', 'asked', 'taken'),
+    [
+        (0, 0.0, [0], True),  # static
+        (0, 7000.0, [0], True),
+        (6400, 0.0, [0], False),  # 3,600 s old: its publisher has gone
+        (6400, 9999.0, [0], False),
+        (9999, 0.0, [0], True),
+        (9999, 9990.0, [0, 9990], True),  # where the frame was when that was measured
+    ],
+)
+def test_a_transform_is_of_the_time_of_the_message(at, stamp, asked, taken):
+    made, times = frames(), []
+    nothing = SimpleNamespace(
+        rotation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
+        translation=SimpleNamespace(x=0.1, y=0.0, z=0.0),
+    )
+
+    def lookup(base, frame, time):
+        times.append(time.nanoseconds // 10**9)
+        return SimpleNamespace(transform=nothing, header=SimpleNamespace(stamp=Time(sec=at)))
+
+    made._buffer = SimpleNamespace(lookup_transform=lookup)
+    given = ('map', 'target_pose', stamp, 10_000.0, 2.0)
+    if taken:
+        assert made.to_base(*given)[1] == pytest.approx([0.1, 0.0, 0.0])
+    else:
+        with pytest.raises(Refusal, match=r"transform from 'map' to 'arm_base' is 3.* s old"):
+            made.to_base(*given)
+    assert times == asked
 
 
 @pytest.fixture

@@ -75,7 +75,7 @@ def new_file(path: Path) -> Iterator[Path]:
     path = Path(os.path.realpath(path))
     special = path.exists() and not path.is_file() and not path.is_dir()
     folder = None if special else _parent(path)
-    with tempfile.TemporaryDirectory(prefix='.tmp-', dir=folder) as temporary:
+    with _told(path), tempfile.TemporaryDirectory(prefix='.tmp-', dir=folder) as temporary:
         draft = Path(temporary) / path.name
         yield draft
         if special:
@@ -83,6 +83,21 @@ def new_file(path: Path) -> Iterator[Path]:
                 shutil.copyfileobj(made, device)
         else:
             draft.replace(path)
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Name the file in an error of the system that names none, or the draft: a full disk."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None and '.tmp-' not in str(error.filename):
+            raise
+        raise DataSetError(
+            str(path),
+            f'cannot be written ({error.strerror or error})',
+            'make room there or name another place',
+        ) from None
 
 
 def _replace(folder: Path, filled: Path, old: Path) -> None:

@@ -89,7 +89,14 @@ class Incoming:
     def twist(self, message: TwistStamped) -> Twist:
         """Return a velocity, in the axes of base or tip."""
         self._stamp(message.header, 'delta_twist')
-        check_frame(message.header.frame_id, [self.base, self.tip], 'delta_twist')
+        frame, axes = message.header.frame_id, np.eye(3)
+        if frame != self.tip:
+            try:
+                axes, _ = self._to_base(message.header, 'delta_twist')
+            except Refusal as refusal:
+                if refusal.code == 'frame':
+                    check_frame(frame, [self.base, self.tip], 'delta_twist')
+                raise
         linear, angular = message.twist.linear, message.twist.angular
         values = finite(
             [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z], 'delta_twist'
@@ -99,7 +106,7 @@ class Incoming:
                 'too_fast',
                 f'delta_twist: expected at most 1 m/s and 10 rad/s, got {values.tolist()}',
             )
-        return Twist(values[:3], values[3:], message.header.frame_id == self.tip)
+        return Twist(axes @ values[:3], axes @ values[3:], frame == self.tip)
 
     def states(self, message: Joints) -> tuple[Array, Array]:
         """Return tensions [N] and wire pulls [m]; nan where not observable."""
@@ -146,7 +153,12 @@ class Incoming:
 
     def _header(self, header: Header, what: str) -> tuple[Array, Array]:
         self._stamp(header, what)
-        return self._frames.to_base(header.frame_id, what)
+        return self._to_base(header, what)
+
+    def _to_base(self, header: Header, what: str) -> tuple[Array, Array]:
+        now = 1e-9 * nanoseconds_now(self._node)
+        stamp, tolerance = seconds(header.stamp), self._parameters['stamp_tolerance']
+        return self._frames.to_base(header.frame_id, what, stamp, now, tolerance)
 
     def _stamp(self, header: Header, what: str) -> None:
         self._fresh(seconds(header.stamp), what)

@@ -128,8 +128,11 @@ class MarkerInput:
     def _in_base(self, header: Header, points: Array, what: str) -> Array | None:
         try:
             tolerance = self._parameters['stamp_tolerance']
-            check_stamp(seconds(header.stamp), self._now(), tolerance, what)
-            turn, shift = self._fixed or self._frames.to_base(header.frame_id, what)
+            stamp, now = seconds(header.stamp), self._now()
+            check_stamp(stamp, now, tolerance, what)
+            turn, shift = self._fixed or self._frames.to_base(
+                header.frame_id, what, stamp, now, tolerance
+            )
         except Refusal as refusal:
             self.problem = str(refusal)
             return None

@@ -168,23 +168,48 @@ class Frames:
             self._buffer = Buffer()
             self._listener = TransformListener(self._buffer, node)
 
-    def to_base(self, frame: str, what: str) -> tuple[Array, Array]:
+    def to_base(
+        self, frame: str, what: str, stamp: float = 0.0, now: float = 0.0, tolerance: float = 0.5
+    ) -> tuple[Array, Array]:
         """
         Return rotation (3, 3) and shift (3,) [m] from a frame to the base frame.
+
+        Parameters
+        ----------
+        frame, what : str
+            The frame, and what the message is called.
+        stamp : float
+            When the message is of [s]; 0: now.
+        now : float
+            By the clock of the node [s].
+        tolerance : float
+            Largest age of a transform that moves [s]; a static one has none.
 
         Raises
         ------
         Refusal
-            No transform between the two is known.
+            No transform between the two is known, or none of that time.
 
         """
         if frame == self.base:
             return np.eye(3), np.zeros(3)
         try:
-            transform = self._buffer.lookup_transform(self.base, frame, ClockTime()).transform
+            newest = self._buffer.lookup_transform(self.base, frame, ClockTime())
+            at = seconds(newest.header.stamp)
+            if 0.0 < stamp < at:
+                of_then = ClockTime(nanoseconds=round(1e9 * stamp))
+                newest = self._buffer.lookup_transform(self.base, frame, of_then)
+            transform = newest.transform
         except Exception:  # no buffer, or whatever tf2 raises: no transform
             check_frame(frame, [self.base], what)
             raise Refusal('frame', f'{what}: frame {cut(frame)!r} is not usable') from None
+        age = (stamp or now) - at
+        if at > 0.0 and age > tolerance:
+            raise Refusal(
+                'stale',
+                f'{what}: the newest transform from {cut(frame)!r} to {self.base!r} is '
+                f'{age:.3g} s old, expected at most {tolerance:g} s; does its publisher run?',
+            )
         return matrix(transform.rotation), np.array(
             [transform.translation.x, transform.translation.y, transform.translation.z]
         )
