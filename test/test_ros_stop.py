@@ -251,7 +251,7 @@ def test_who_starts_late_hears_the_true_among_latched_words(running, panels, tmp
     pressed.publish(Bool(data=False))
 
 
-def test_the_stop_command_stops_all_while_others_listen_and_a_reset_each_goes_on(running, panels):
+def test_the_stop_command_stops_all_while_others_listen_and_a_reset_each_goes_on(running):
     """No `false` is needed after it: the services have latched the stop."""
     running.hear(Bool, 'stop')
     bent(running)

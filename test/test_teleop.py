@@ -4,16 +4,18 @@ import os
 import pty
 import sys
 import time
+from types import SimpleNamespace
 
 import processes
 import pytest
 
 pytest.importorskip('rclpy')
 
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TwistStamped
 from ros_station import Station, last
 
-from tendon_robot_ros.ros.commands.teleop import MOVES, Deadman
+from tendon_robot_ros.ros.commands.teleop import MOVES, Deadman, TeleopNode
 
 pytestmark = pytest.mark.ros
 
@@ -88,3 +90,18 @@ def test_without_a_terminal_it_says_so():
     assert run.stderr == (
         'error: teleop: expected a terminal to read keys from, got a pipe or file\n'
     )
+
+
+def test_it_tells_once_why_the_tip_does_not_move(capsys):
+    node = SimpleNamespace(_problem='')
+
+    def says(code, message):
+        values = [KeyValue(key='code', value=code)]
+        TeleopNode._hear(node, DiagnosticStatus(message=message, values=values))
+        return capsys.readouterr().out
+
+    refused = "delta_twist: frame 'kato_10_1_base', expected 'my_arm_base' or 'my_arm_tip'"
+    assert says('refused_frame', refused) == f'refused_frame: {refused}\n'
+    assert says('refused_frame', refused) == ''
+    assert says('jogging', 'following a twist') == ''
+    assert says('released', 'the driver let go') == 'released: the driver let go\n'

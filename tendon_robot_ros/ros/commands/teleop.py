@@ -17,12 +17,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped, Vector3
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from ...common.errors import InputError
-from ..shared.messages import COMMAND
+from ..shared.messages import COMMAND, LATCHED
 from ..shared.parameters import Parameters, Spec
 from ..shared.runtime import repeat, run
 
@@ -40,6 +41,7 @@ SPECS = (
     Spec('angular_speed', 0.3, 'turning speed of the tip', 'rad/s', 0.001, 5.0),
     Spec('hold', 0.15, 'time after the last repeat of a key until the tip stops', 's', 0.05, 1.0),
 )
+KEPT_FROM_MOVING = 'stopped', 'driver_stopped', 'released', 'no_driver', 'not_ready'
 TWIST_RATE_HZ = 50.0  # [Hz]
 
 
@@ -58,6 +60,8 @@ class TeleopNode(Node):
             key: self.create_client(Trigger, f'{name}/{service}')
             for key, service in ((' ', 'stop'), ('c', 'reset'))
         }
+        self._problem = ''  # of the controller, as it was told last
+        self.create_subscription(DiagnosticStatus, f'{name}/status', self._hear, LATCHED)
         self._deadman = Deadman(self.parameters['hold'])
         self._factor, self._in_tip, self._quit, self._moved = 1.0, False, False, False
         self._keyboard = keyboard()
@@ -107,6 +111,16 @@ class TeleopNode(Node):
             self._quit = True
         elif key in self._calls:
             self._call(key)
+
+    def _hear(self, status: DiagnosticStatus) -> None:
+        """Tell why the tip does not move: twists in frames of another robot are refused."""
+        code = next((item.value for item in status.values if item.key == 'code'), '')
+        problem = ''
+        if code.startswith('refused_') or code in KEPT_FROM_MOVING:
+            problem = f'{code}: {status.message}'
+        if problem and problem != self._problem:
+            print(problem)
+        self._problem = problem
 
     def _call(self, key: str) -> None:
         client = self._calls[key]
