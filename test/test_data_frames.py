@@ -95,7 +95,7 @@ def test_arrays_of_any_rank_make_a_data_set():
         ({'inputs': [[1000.0, 0.0], [0.0, 1.0]]}, 'a tension is 1000 N, but tension_limits end'),
         ({'inputs': [[-1.0, 0.0], [0.0, 1.0]]}, 'expected a finite tension not below'),
         ({'inputs': [[1.0], [0.0]]}, r'inputs: expected \(postures, 2\) numbers for '),
-        ({'inputs': [[np.nan, 1.0], [0.0, 0.0]]}, 'expected a finite .*got nan; say 0 where a tendon'),
+        ({'inputs': [[np.nan, 1.0], [0.0, 0.0]]}, 'got nan; say 0 where a tendon is slack'),
         ({'inputs': [[1.0, 1.0]]}, 'inputs: has shape'),
         ({'position_noise': 0.2 * 1e3}, 'position_noise: expected a number from 0 to 0.1'),
         ({'path': 'visits'}, 'path: expected one of from_straight, sequence, got'),
