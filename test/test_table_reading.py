@@ -1,6 +1,7 @@
 """Files as laboratories have them: what can be read is read, the rest is refused in one line."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,15 +13,19 @@ pytest.importorskip('pandas')
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DataSetError, InputError
 from tendon_robot_ros.common.units import find_unit, read_quantity, split_name
+from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.tables.choices import choose_columns
 from tendon_robot_ros.tables.columns import (
     RawTable,
     guess_inputs,
-    guess_markers,
     guess_time,
     names_of,
+    triples_of,
 )
 from tendon_robot_ros.tables.formats import read_c3d
-from tendon_robot_ros.tables.reading import read_table
+from tendon_robot_ros.tables.points import choose_points
+from tendon_robot_ros.tables.reading import read_tables
+from tendon_robot_ros.tables.recipe import Recipe
 
 PLAIN = 'time,T1 [N],m_x\n0,1,2\n0.5,1.5,\n'
 MOTIVE = """\
@@ -39,7 +44,13 @@ Frame,Time (Seconds),X,X,X,Y,Z,X,Y,Z
 def read(folder, text, name='raw.csv', **options):
     path = folder / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode(**options))
-    return read_table(path)
+    (table,) = read_tables(path)
+    return table
+
+
+def points_of(table, choice=None):
+    """Return the columns of the points that are taken of a table."""
+    return choose_points([table], choice).columns
 
 
 def test_a_plain_table_is_read(tmp_path):
@@ -128,12 +139,12 @@ def test_two_gigabytes_are_refused_by_their_size_before_they_are_read(tmp_path):
         file.write(PLAIN)
         file.truncate(2_000_000_000)  # it takes no room
     with pytest.raises(DataSetError, match=r'has 2\.0 GB, .* are not read at once; export 50'):
-        read_table(tmp_path / 'raw.csv')
+        read_tables(tmp_path / 'raw.csv')
 
 
 @pytest.mark.parametrize('name', ['raw.xlsx', 'raw', 'raw.parquet', 'raw.c3d'])
 def test_a_file_of_another_kind_is_refused(tmp_path, name):
-    with pytest.raises(DataSetError, match=r'is no (table that can be read|Parquet|\.c3d) ?'):
+    with pytest.raises(DataSetError, match=r'is (no (table|Parquet|\.c3d)|a file of Excel) ?'):
         read(tmp_path, PLAIN, name)
 
 
@@ -142,16 +153,15 @@ def test_parquet_and_a_frame_give_the_same_columns(tmp_path):
     pytest.importorskip('pyarrow')
     frame = pandas.DataFrame({'time': [0.0, 0.5], 'T1 [N]': [1, 2], 'note': ['a', None]})
     frame.to_parquet(tmp_path / 'raw.parquet')
-    table = read_table(tmp_path / 'raw.parquet')
+    (table,) = read_tables(tmp_path / 'raw.parquet')
     assert list(table.columns) == ['time', 'T1 [N]']
     assert table.texts == {'note': ('a', '')}
 
 
 def test_the_export_of_optitrack_is_read_with_its_header_rows(tmp_path):
     table = read(tmp_path, MOTIVE)
-    markers = guess_markers(names_of(table))
-    assert list(markers) == ['unlabeled 10', 'tip']
-    assert table.columns[markers['tip'][1]][0] == 5.0
+    ((_, y, _),) = points_of(table)
+    assert table.columns[y][0] == 5.0
     assert table.units['tip X'] == 'millimeters'
     assert table.up == 'y'
     assert guess_time(names_of(table)).column == 'time'
@@ -171,9 +181,8 @@ Frame,Sub Frame,X,Y,Z,X,Y,Z
 
 def test_an_export_of_vicon_gives_markers_their_unit_time_and_up(tmp_path):
     table = read(tmp_path, VICON)
-    markers = guess_markers(names_of(table))
-    assert list(markers) == ['elbow', 'tip']
-    assert table.columns[markers['tip'][1]].tolist()[0] == 5.0
+    _, (_, y, _) = points_of(table)
+    assert table.columns[y][0] == 5.0
     assert np.isnan(table.columns['tip Z'][1])
     assert table.units['tip X'] == 'mm'
     assert table.up == 'z'
@@ -181,14 +190,24 @@ def test_an_export_of_vicon_gives_markers_their_unit_time_and_up(tmp_path):
     assert table.columns['time'].tolist() == [0.01, 0.02]
 
 
-@pytest.mark.parametrize('text', ['Devices\n1000\n', VICON.replace('100\n', '\n', 1)])
-def test_another_export_of_vicon_is_refused(text, tmp_path):
-    with pytest.raises(DataSetError, match='export from Nexus the section Trajectories alone'):
-        read(tmp_path, text)
+def test_an_export_of_vicon_without_points_is_refused(tmp_path):
+    with pytest.raises(DataSetError, match=r'is an export of Vicon .* its header rows'):
+        read(tmp_path, 'Devices\n1000\n')
+
+
+def test_frames_of_an_unknown_rate_are_no_seconds(tmp_path):
+    robot = load_robot(ROOT / 'config/robots/kato_10_1_single.yaml')
+    table = read(tmp_path, VICON.replace('100\n', '\n', 1))
+    with pytest.raises(DataSetError, match=r'counts frames, .* say --unit time=60Hz, or how many'):
+        choose_columns([table], robot, Recipe())
+    table = replace(table, columns={**table.columns, 'T1 [N]': np.ones(2), 'T2 [N]': np.ones(2)})
+    asked = Recipe(time_unit='60Hz', positions='mm')
+    assert choose_columns([table], robot, asked).recipe.time == {'time': '60Hz'}
+    assert find_unit('60Hz').factor == pytest.approx(1.0 / 60.0)
 
 
 def test_an_export_of_optitrack_without_its_rows_is_refused(tmp_path):
-    with pytest.raises(DataSetError, match='has no rows Name and Frame; export markers from'):
+    with pytest.raises(DataSetError, match='OptiTrack without rows that name the points'):
         read(tmp_path, 'Format Version,1.23\n1,2\n')
 
 
@@ -301,9 +320,8 @@ def test_a_number_too_few_is_no_guess():
 )
 def test_markers_are_told_from_names(columns):
     names = columns.split()
-    assert list(guess_markers(names_of(table_of('time', *names, 'rot_x'))).values()) == [
-        tuple(names)
-    ]
+    (one,) = triples_of(table_of('time', *names, 'rot_x'))
+    assert one.columns == tuple(names) and not one.quantity
 
 
 def test_the_command_refuses_in_one_line_and_writes_nothing(tmp_path, capsys):

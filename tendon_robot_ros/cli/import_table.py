@@ -1,12 +1,13 @@
 """
 Make a data set of a table as laboratories have it: time, tensions, x, y, z of every marker.
 
-RAW is .csv, .parquet, .c3d or OptiTrack's CSV export; several are recordings one after the other,
-or one of tensions and one of markers per recording. What a column is, is guessed from its name and
-shown; units are read from names ("T1 [N]", "m3_x (mm)", "time_s"). Where the arm stood still it
-was measured; the same inputs are trials of one posture; markers are put in order along the arm,
-and the tracker's frame is laid onto the robot's. DIR gets the data set, import.yaml with every
-choice (edit it, then import again with --recipe) and import.png: look at it before you trust it.
+RAW is .csv, .parquet, .c3d or an export of OptiTrack, Vicon, Qualisys, NDI or Cortex; several are
+recordings one after the other, or one of tensions and one of markers per recording. What a column
+is, is guessed from its name and shown; units are read from names ("T1 [N]", "m3_x (mm)",
+"time_s"). Where the arm stood still it was measured; the same inputs are trials of one posture;
+markers are put in order along the arm, and the tracker's frame is laid onto the robot's. DIR gets
+the data set, import.yaml with every choice (edit it, then import again with --recipe) and
+import.png: look at it before you trust it.
 
 example: python -m tendon_robot_ros import-table raw.csv --robot arm.yaml --up y --output data/run
 """
@@ -28,6 +29,7 @@ from ..data.folder.folder import refuse_dataset_in
 from ..robot import load_robot
 from ..tables import import_table
 from ..tables.columns import ColumnUse
+from ..tables.points import CHOICES
 from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe, load_recipe
 from .options import add_effect_files, input_size, length
 
@@ -70,6 +72,11 @@ def _add_arm(group: argparse._ArgumentGroup) -> None:
         'the tip, the others as far below as the arm between them is long)'
     )
     add('--markers', metavar='MM,MM,...', help=what)
+    what = (
+        'markers: each by itself; rims: markers around a disk give its centre; bodies: origins of '
+        'rigid bodies (default: rims where markers are fixed around a circle, else markers)'
+    )
+    add('--points', choices=CHOICES, help=what)
     what = 'where markers sit beside the backbone [mm] in the frame there (default: on it)'
     add('--offset', metavar='X,Y', help=what)
     what = (
@@ -210,6 +217,8 @@ def _with_arm(recipe: Recipe, args: argparse.Namespace) -> Recipe:
             raise InputError('--markers: expected distances that grow, from base to tip [mm]')
         open_ones = tuple(replace(m, arc_length=None) for m in recipe.markers or ())
         recipe = replace(recipe, places=places, markers=open_ones or None)
+    if args.points:
+        recipe = replace(recipe, points=args.points, markers=None)
     if args.offset:
         aside = _lengths('--offset', args.offset)
         if len(aside) != 2:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from .errors import DataSetError, InputError
 
-TEXT_ENDINGS = ('.csv', '.txt', '.tsv', '.dat')
+TEXT_ENDINGS = ('.csv', '.txt', '.tsv', '.dat', '.trc')
 TABLE_ENDINGS = (*TEXT_ENDINGS, '.parquet', '.c3d')  # of laboratories
 YAML_ENDINGS = ('.yaml', '.yml')
 PICTURE_ENDINGS = ('.png', '.svg', '.pdf')

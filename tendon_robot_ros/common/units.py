@@ -32,6 +32,7 @@ TYPED_LENGTHS = ('mm', 'm', 'cm', 'inch')  # units of what a person types; the f
 QUANTITY = re.compile(
     r'^\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>\S*)\s*$'
 )
+RATE = re.compile(r'(\d+(?:\.\d*)?)\s*Hz')
 MARKED = re.compile(r'^(?P<name>.+?)\s*(?:\[\s*(?P<a>[^\]]+?)\s*\]|\(\s*(?P<b>[^)]+?)\s*\))$')
 TAILED = re.compile(r'^(?P<name>.+?)(?:[ _./]+|\s*/\s*)(?P<unit>[A-Za-zµ°]+)$')
 AFTER_NAME_ONLY = ('min', 'm', 'g', 'A', '°', 'count', 'tick', 'rev')  # rather names than units
@@ -47,12 +48,18 @@ class Unit:
 
 
 def find_unit(text: str) -> Unit | None:
-    """Return the unit that a text is, None where it is none; long ones in any case of letters."""
+    """
+    Return the unit that a text is, None where it is none; long ones in any case of letters.
+
+    A rate such as `60Hz` is a unit of time: of one that counts frames.
+    """
     cleaned = text.strip()
     for kind, known in UNITS.items():
         for name, factor in known.items():
             if cleaned == name or (len(name) > 2 and cleaned.lower() == name.lower()):
                 return Unit(name, kind, factor)
+    if (rate := RATE.fullmatch(cleaned)) and float(rate[1]) > 0.0:  # time counted in frames
+        return Unit(cleaned, 'time', 1.0 / float(rate[1]))
     return None
 
 

@@ -13,20 +13,23 @@ from ..common.words import digits, listing
 from ..data.seen import FAR_M, without_unseen
 from ..robot import Robot
 from .columns import (
+    FRAMES,
     ColumnUse,
     RawTable,
     guess_inputs,
-    guess_markers,
     guess_time,
     names_of,
     need_column,
+    triples_of,
 )
+from .points import FRAMES_MAX, choose_points
 from .recipe import MarkerColumns, Recipe
 
 STEP_MAX_S = 2.0  # a median step above is no second: nobody records an arm so slowly
-LENGTH_UNITS = ('m', 'mm', 'cm', 'inch')  # that a table without units may be in
+LENGTH_UNITS = ('m', 'mm')  # a thousand apart, so that lengths on an arm tell one from the other
 FAR = FAR_M / UNITS['length']['mm']  # in the smallest unit that is tried
 EXTENT = (0.25, 1.3)  # lengths of the arm that markers on it may be apart
+MOST = 0.5  # of the triples: where more are left out, it asks for a look
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,7 @@ class Taken:
     assumed: tuple[str, ...]
     kind: str  # 'tension' or 'displacement'
     look: tuple[str, ...] = ()  # what a table says otherwise than its reader
+    aside: tuple[str, ...] = ()  # triples that are left aside, and as what
 
 
 def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> Taken:
@@ -55,7 +59,7 @@ def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> 
     reasons: dict[str, str] = {}
     recipe = _choose_times(tables, recipe, reasons, assumed)
     recipe = _choose_inputs(tables, robot, recipe, reasons)
-    recipe = _choose_markers(tables, recipe, reasons)
+    recipe, aside, share = _choose_markers(tables, recipe, reasons, assumed)
     recipe = _choose_position_unit(tables, robot, recipe, assumed)
     used = set(reasons)
     unused = [c for t in tables for c in (*t.columns, *t.texts) if c not in used]
@@ -66,8 +70,15 @@ def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> 
         recipe = replace(recipe, zero=turned)
         if turned:
             assumed.append('motors count from where they are when the arm first stands still')
-    look = tuple(_units_contradicted(tables, recipe))
-    return Taken(recipe, reasons, tuple(dict.fromkeys(unused)), tuple(assumed), kind, look)
+    look = _units_contradicted(tables, recipe)
+    if share > MOST:
+        look.append(
+            f'{100 * share:.0f} % of all x, y, z are left out, {listing(aside)}: are the markers '
+            'those that are taken?'
+        )
+    triples = {c for table in tables for triple in triples_of(table) for c in triple.columns}
+    unused = [column for column in dict.fromkeys(unused) if column not in triples]
+    return Taken(recipe, reasons, tuple(unused), tuple(assumed), kind, tuple(look), aside)
 
 
 def _units_contradicted(tables: Sequence[RawTable], recipe: Recipe) -> list[str]:
@@ -122,6 +133,12 @@ def _choose_times(
             continue
         reasons[use.column] = 'its name'
         unit = recipe.time_unit or use.unit
+        if not unit and table.units.get(use.column) == FRAMES:
+            raise DataSetError(
+                table.name,
+                'counts frames, and nothing says how many a second',
+                'say --unit time=60Hz, or how many it has',
+            )
         if not unit:
             unit, note = _time_unit(table, use.column)
             assumed += [f'{table.name}: {note}'] if note else []
@@ -204,27 +221,23 @@ def _columns_without_axis(tables: Iterable[RawTable]) -> list[str]:
     return [name.column for t in tables for name in names_of(t) if not name.axis]
 
 
-def _choose_markers(tables: Sequence[RawTable], recipe: Recipe, reasons: dict[str, str]) -> Recipe:
+def _choose_markers(
+    tables: Sequence[RawTable], recipe: Recipe, reasons: dict[str, str], assumed: list[str]
+) -> tuple[Recipe, tuple[str, ...], float]:
+    """Return the recipe, what is left aside as what, and the share of triples that is."""
     if recipe.markers is not None:
         for marker in recipe.markers:
             for column in marker.columns:
                 if not any(column in t.columns or column in t.texts for t in tables):
                     need_column(tables[0], column, 'markers')
                 reasons[column] = 'as given'
-        return recipe
-    found: dict[tuple[str, str, str], str] = {}
-    for table in tables:
-        for name, columns in guess_markers(names_of(table)).items():
-            found.setdefault(columns, name)
-    if not found:
-        raise DataSetError(
-            tables[0].name,
-            'no columns of a marker are recognised',
-            'name them alike but for the axis, such as tip_x, tip_y, tip_z',
-        )
-    for columns in found:
+        return recipe, (), 0.0
+    points = choose_points(tables, recipe.points)
+    for columns in points.columns:
         reasons |= dict.fromkeys(columns, 'its name')
-    return replace(recipe, markers=tuple(MarkerColumns(columns) for columns in found))
+    assumed += [points.told] if points.told else []
+    markers = tuple(MarkerColumns(columns) for columns in points.columns)
+    return replace(recipe, markers=markers), points.aside, points.share_aside
 
 
 def _choose_position_unit(
@@ -252,9 +265,10 @@ def _choose_position_unit(
     if not fitting:
         raise DataSetError(
             tables[0].name,
-            f'nothing says the unit of the markers, and none fits: they are {apart:.4g} apart, '
-            f'the arm is {1e3 * robot.length:.4g} mm long',
-            'say --unit positions=mm, and look at cell_length and cells of the robot',
+            f'nothing says the unit of the markers, and neither m nor mm fits: they are '
+            f'{apart:.4g} apart, the arm is {1e3 * robot.length:.4g} mm long',
+            'say --unit positions=mm (m, cm, inch ...), and look at cell_length and cells of the '
+            'robot',
         )
     assumed.append(
         f'markers are in {fitting[0]}: they are up to {apart:.4g} apart on an arm of '
@@ -264,23 +278,24 @@ def _choose_position_unit(
 
 
 def _extent(tables: Sequence[RawTable], recipe: Recipe) -> float:
-    """Return the largest distance between two markers in their unit; from the origin of one."""
+    """Return the largest distance between two markers in their unit; of one, how far it moves."""
     largest = 0.0
     for table in tables:
         places = [
-            np.column_stack([table.numbers(c) for c in m.columns])
+            np.column_stack([table.numbers(c) for c in m.columns[:3]])
             for m in recipe.markers or ()
             if all(c in table.columns or c in table.texts for c in m.columns)
         ]
         if places:
-            stacked = np.stack(places, axis=1)[:: max(len(table) // 2000, 1)]
+            stacked = np.stack(places, axis=1)[:: max(len(table) // FRAMES_MAX, 1)]
             places = list(without_unseen(stacked, None, FAR)[0].swapaxes(0, 1))
         for i, one in enumerate(places):
             for other in places[i + 1 :]:
                 apart = np.linalg.norm(one - other, axis=1)
-                largest = max(largest, float(np.nanpercentile(apart, 95)))
+                if np.isfinite(apart).any():
+                    largest = max(largest, float(np.nanpercentile(apart, 95)))
         if len(places) == 1:
-            low, high = np.nanmin(places[0], axis=0), np.nanmax(places[0], axis=0)
+            low, high = np.nanpercentile(places[0], [2, 98], axis=0)
             largest = float((high - low).max())
     return largest
 

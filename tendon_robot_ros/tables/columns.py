@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,19 @@ from ..common.units import Unit, find_unit, split_name
 from ..common.words import listing
 
 FloatArray = NDArray[np.float64]
+# what a point is, by the head of an export
+MARKER, BODY_MARKER, BODY, DERIVED = 'markers', 'markers of bodies', 'bodies', 'derived points'
+# units of what is no place, input or time
+OTHER_UNITS = {
+    'm/s': 'velocities', 'mm/s': 'velocities', 'm/s^2': 'accelerations', 'm/s²': 'accelerations',
+    'm/s2': 'accelerations', 'mm/s^2': 'accelerations', 'mm/s²': 'accelerations',
+    'deg/s': 'angular velocities', 'rad/s': 'angular velocities', 'deg/s^2': 'accelerations',
+    'rad/s^2': 'accelerations', 'N.mm': 'torques', 'N.m': 'torques', 'Nm': 'torques',
+    'Nmm': 'torques', 'mNm': 'torques', 'T': 'magnetic fields', 'uT': 'magnetic fields',
+    'µT': 'magnetic fields', 'V': 'voltages', 'mV': 'voltages', 'uV': 'voltages', 'px': 'pixels',
+    'pixel': 'pixels', 'pixels': 'pixels', 'Hz': 'rates', '%': 'shares',
+}  # fmt: skip
+FRAMES = 'frames'  # unit of a time that only counts them
 MISSING = ('', 'nan', 'NaN', 'NAN', 'NA', 'N/A', 'null', 'None', '-', '--')
 
 
@@ -27,6 +41,8 @@ class RawTable:
     texts: dict[str, tuple[str, ...]] = field(default_factory=dict)  # (R,) other columns
     units: dict[str, str] = field(default_factory=dict)  # column -> unit, where the file says it
     first: int | None = None  # row of the file that the first row of numbers stands in
+    kinds: dict[str, str] = field(default_factory=dict)  # column -> what its point is
+    part: str = ''  # of a file that has several
     up: str | None = None  # axis that points up, where the format has one
     notes: tuple[str, ...] = ()  # what was assumed on reading
 
@@ -100,11 +116,37 @@ def table_of(
 
 
 WORDS = re.compile(r'[^\W\d_]+|\d+')
+HUMP = re.compile(r'(?<=[a-zß-öø-ÿ])(?=[A-Z])')  # in tagRvecX
+AXIS = re.compile(r'([tprqvawgfm]?)([xyz])')
 AXES = ('x', 'y', 'z')
 TIMES = {'time', 'timestamp', 'seconds', 'sec', 'zeit', 'stamp'}
-FILLERS = {'pos', 'position', 'coord', 'coordinate', 'marker', 'markers', 'm', 'point', 'p'}
-OTHER_TRIPLES = {'rotation', 'rot', 'quat', 'acc', 'gyro', 'force', 'moment', 'torque', 'vel',
-                 'velocity', 'mag', 'unused'}  # fmt: skip
+FILLERS = {'pos', 'position', 'coord', 'coordinate', 'marker', 'markers', 'm', 'point', 'p',
+           'tvec', 'translation', 'trans', 'tag', 't'}  # fmt: skip
+# x, y and z of what is no measured place: its name in words, and the words that tell it
+QUANTITIES: dict[str, set[str]] = {
+    'rotations': {'rvec', 'rot', 'rotation', 'rotvec', 'orientation', 'orient', 'ori', 'euler',
+                  'rpy', 'roll', 'pitch', 'yaw', 'quat', 'quaternion', 'q', 'angle', 'angles',
+                  'attitude', 'rodrigues'},
+    'accelerations': {'acc', 'accel', 'acceleration', 'accelerometer', 'gravity'},
+    'angular velocities': {'gyro', 'gyroscope', 'omega', 'angular'},
+    'velocities': {'vel', 'velocity', 'speed', 'twist'},
+    'magnetic fields': {'mag', 'magnetic', 'magnetometer', 'compass'},
+    'forces': {'force', 'forces', 'kraft'},
+    'torques': {'moment', 'torque', 'wrench', 'torques', 'moments'},
+    'directions': {'normal', 'direction', 'dir'},
+    'errors': {'error', 'err', 'std', 'stddev', 'sigma', 'cov', 'covariance', 'variance',
+               'residual', 'uncertainty', 'quality'},
+    'commanded places': {'cmd', 'command', 'commanded', 'setpoint', 'desired', 'des', 'goal',
+                         'soll'},
+    'predicted places': {'predicted', 'pred', 'sim', 'simulated'},
+}  # fmt: skip
+# quantity of tx, rx, vx ...; that of a place has no name
+PREFIXES = {'': '', 't': '', 'p': '', 'r': 'rotations', 'q': 'rotations', 'v': 'velocities',
+            'a': 'accelerations', 'w': 'angular velocities', 'g': 'angular velocities',
+            'f': 'forces', 'm': 'torques'}  # fmt: skip
+OF_UNITS = {'angle': 'rotations', 'force': 'forces', 'current': 'currents', 'counts': 'counts',
+            'time': 'times'}  # fmt: skip
+BRACKETED = re.compile(r'^(?P<name>.+?)\s*[\[(]\s*(?P<unit>[^\])]+?)\s*[\])]$')
 COMMANDED = {'cmd', 'command', 'commanded', 'set', 'setpoint', 'ref', 'target', 'des', 'desired',
              'goal', 'soll'}  # fmt: skip
 # kinds of inputs, the first that is there is taken: tension acts on the arm, the others only
@@ -134,13 +176,28 @@ class ColumnName:
     words: tuple[str, ...]  # in lower case, letters and digits apart
     unit: Unit | None
 
+    other: str = ''  # quantity that its unit tells, where it is no place
+
+    @property
+    def component(self) -> tuple[str, str, tuple[str, ...]]:
+        """Return the axis of a coordinate ('' for none), its quantity, and its other words."""
+        for at in (len(self.words) - 1, 0):
+            found = AXIS.fullmatch(self.words[at]) if self.words else None
+            if found is None:
+                continue
+            rest = self.words[:at] + self.words[at + 1 :]
+            quantity = PREFIXES[found[1]] or self.other
+            for name, words in QUANTITIES.items():
+                quantity = quantity or (name if words & set(rest) else '')
+            if not quantity and self.unit is not None:
+                quantity = OF_UNITS.get(self.unit.kind, '')
+            return found[2], quantity, (found[1], *rest) if found[1] else rest
+        return '', '', self.words
+
     @property
     def axis(self) -> str:
         """Which coordinate it is by its last or first word, '' for none."""
-        for word in (self.words[-1:], self.words[:1]):
-            if word and word[0] in AXES:
-                return word[0]
-        return ''
+        return self.component[0]
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -153,15 +210,23 @@ class ColumnName:
         return tuple(word for word in self.words if not word.isdigit())
 
 
+def words_of(name: str) -> tuple[str, ...]:
+    """Take a name apart: words in lower case, and numbers."""
+    return tuple(word.lower() for word in WORDS.findall(HUMP.sub(' ', name)))
+
+
 def names_of(table: RawTable) -> list[ColumnName]:
     """Take the names of all columns apart; units that the file says go before."""
     found = []
     for column in (*table.columns, *table.texts):
         name, unit = split_name(column)
-        if column in table.units:
-            unit = find_unit(table.units[column])
-        words = tuple(word.lower() for word in WORDS.findall(name))
-        found.append(ColumnName(column, words, unit))
+        told = table.units.get(column, '')
+        if unit is None and (marked := BRACKETED.match(column)) and marked['unit'] in OTHER_UNITS:
+            name, told = marked['name'], told or marked['unit']
+        if told:
+            unit = find_unit(told)
+        other = '' if unit is not None else OTHER_UNITS.get(told, told and f'values in {told}')
+        found.append(ColumnName(column, words_of(name), unit, other))
     return found
 
 
@@ -179,39 +244,40 @@ def guess_time(names: Sequence[ColumnName]) -> ColumnUse | None:
     return None
 
 
-def guess_markers(names: Sequence[ColumnName]) -> dict[str, tuple[str, str, str]]:
-    """Return marker -> columns of x, y and z, in the order of the table."""
-    groups: dict[tuple[str, ...], dict[str, str]] = {}
-    for name in names:
-        axis = name.axis
-        if not axis or (name.unit is not None and name.unit.kind != 'length'):
-            continue
-        words = name.words[:-1] if name.words[-1] == axis else name.words[1:]
-        if OTHER_TRIPLES & set(words):
-            continue
-        groups.setdefault(words, {}).setdefault(axis, name.column)
-    whole = {words: axes for words, axes in groups.items() if set(axes) == set(AXES)}
-    return {
-        _marker_name(words, whole): (axes['x'], axes['y'], axes['z'])
-        for words, axes in whole.items()
-    }
+@dataclass(frozen=True)
+class Triple:
+    """Three columns x, y and z."""
+
+    name: tuple[str, ...]  # words
+    columns: tuple[str, str, str]
+    quantity: str  # what it is, where it is no measured place
+    kind: str  # MARKER where nobody says it
 
 
-def _marker_name(words: tuple[str, ...], all_of: Mapping[tuple[str, ...], object]) -> str:
-    """Name a marker by the words that tell it from the others."""
-    short = [word for word in words if word not in FILLERS] or list(words) or ['marker']
-    others = [tuple(w for w in other if w not in FILLERS) for other in all_of]
-    return ' '.join(short if others.count(tuple(short)) <= 1 else words)
+def triples_of(table: RawTable) -> list[Triple]:
+    """Return every three columns that are alike but for x, y and z, in the order of the table."""
+    groups: dict[tuple[tuple[str, ...], str], dict[str, str]] = {}
+    for name in names_of(table):
+        axis, quantity, words = name.component
+        if axis:
+            groups.setdefault((words, quantity), {}).setdefault(axis, name.column)
+    return [
+        Triple(words, (axes['x'], axes['y'], axes['z']), quantity,
+               table.kinds.get(axes['x'], MARKER))
+        for (words, quantity), axes in groups.items() if set(axes) == set(AXES)
+    ]  # fmt: skip
 
 
 def marker_label(columns: Sequence[str]) -> str:
-    """Name a marker by the name of its first column without the axis."""
-    words = WORDS.findall(split_name(columns[0])[0])
-    if words and words[-1].lower() in AXES:
-        words.pop()
-    elif words and words[0].lower() in AXES:
-        words.pop(0)
-    return ' '.join(words) or columns[0]
+    """Name a point by what the names of its columns have in common before the axis."""
+    names = [WORDS.findall(HUMP.sub(' ', split_name(column)[0])) for column in columns[::3]]
+    for words in names:
+        if len(words) > 1 and AXIS.fullmatch(words[-1].lower()):
+            words.pop()
+        elif len(words) > 1 and AXIS.fullmatch(words[0].lower()):
+            words.pop(0)
+    alike = takewhile(lambda words: len(set(words)) == 1, zip(*names, strict=False))
+    return ' '.join(words[0] for words in alike) or columns[0]
 
 
 @dataclass(frozen=True)
@@ -261,7 +327,7 @@ def _by_name(names: Sequence[ColumnName], inputs: Sequence[str], kind: str) -> I
     """Find each input's own name in the name of one column."""
     found = []
     for name in inputs:
-        words = tuple(word.lower() for word in WORDS.findall(name))
+        words = words_of(name)
         exact = [n for n in names if n.words == words]
         having = exact or [n for n in names if set(words) <= set(n.words)]
         if len(having) != 1:

@@ -1,8 +1,7 @@
-"""What the systems that track markers write: CSV exports of OptiTrack and Vicon, and .c3d."""
+"""Files that are no text: .c3d, and those that only their maker's program reads."""
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,118 +13,24 @@ from ..common.units import find_unit
 from ..common.words import listing
 from .columns import FloatArray, RawTable
 
-BEGINS = 'Format Version'  # the first cell that Motive writes
-UNUSED = 'unused'  # columns that are named so get no role
-HEADER_LINES_MAX = 20
+# ending -> whose files have it, and what to export instead
+MAKERS_OWN = {
+    '.tak': ('Motive (OptiTrack)', 'export the take as CSV, with header information, or as C3D'),
+    '.tra': ('Motive (OptiTrack)', 'export the take as CSV, with header information, or as C3D'),
+    '.qtm': ('Qualisys Track Manager', 'export it as TSV, with its header, or as C3D'),
+    '.x1d': ('Vicon Nexus', 'export the trajectories as ASCII (CSV) or C3D'),
+    '.x2d': ('Vicon Nexus', 'export the trajectories as ASCII (CSV) or C3D'),
+    '.cap': ('Cortex (Motion Analysis)', 'export it as .trc or C3D'),
+    '.trb': ('Cortex (Motion Analysis)', 'export it as .trc or C3D'),
+    '.fbx': ('animation programs', 'export the markers as CSV or C3D'),
+    '.bvh': ('animation programs', 'export the markers as CSV or C3D'),
+    '.xlsx': ('Excel', 'save the sheet as CSV'),
+    '.xls': ('Excel', 'save the sheet as CSV'),
+    '.mat': ('MATLAB', 'write it with writetable as CSV'),
+}
 # of a .c3d file: the axis that points up on the screen, as it is written
 UP_OF_SCREEN = {f'{sign}{axis}': f'{sign}{axis}'.replace('+', '').lower()
                 for sign in ('', '+', '-') for axis in 'XYZ'}  # fmt: skip
-
-
-def is_optitrack(lines: Sequence[str]) -> bool:
-    """Tell whether a text file was exported by OptiTrack's Motive."""
-    return bool(lines) and lines[0].lstrip('"').startswith(BEGINS)
-
-
-def optitrack_header(
-    shown: str, lines: Sequence[str]
-) -> tuple[tuple[str, ...], dict[str, str], int, tuple[str, ...]]:
-    """
-    Read the header rows of Motive's CSV export.
-
-    Its rows say type, name, id and quantity of every column, above `Frame, Time (Seconds), X, Y`.
-
-    Returns
-    -------
-    names, units, skip, notes
-        Names of the columns, their units, the lines before the numbers, and what was assumed.
-
-    Raises
-    ------
-    DataSetError
-        A row is missing.
-
-    """
-    rows = [[cell.strip() for cell in row] for row in csv.reader(lines[:HEADER_LINES_MAX])]
-    number = next((i for i, row in enumerate(rows) if row[:1] == ['Frame']), None)
-    kinds = {row[1]: row for row in rows[:number] if len(row) > 2 and not row[0]}
-    if number is None or 'Name' not in kinds:
-        raise DataSetError(
-            shown,
-            'begins as an export of OptiTrack, but has no rows Name and Frame',
-            'export markers from Motive with header information',
-        )
-    axes, name = rows[number], kinds['Name']
-    quantity = kinds.get('', rows[number - 1])
-    kind = kinds.get('Type', [''] * len(axes))
-    only = 'Marker' if 'Marker' in kind else None
-    names = ['frame', 'time']
-    for i in range(2, len(axes)):
-        is_place = quantity[i] == 'Position' and (only is None or kind[i] == only)
-        names.append(f'{name[i]} {axes[i]}' if is_place else f'{UNUSED} {i + 1} {name[i]}')
-    stands = [n for i, n in enumerate(names) if names.index(n) != i]
-    if stands:
-        raise DataSetError(shown, f'column {stands[0]!r} stands twice', 'rename that marker')
-    told = dict(zip(rows[0][::2], rows[0][1::2], strict=False)).get('Length Units', '')
-    unit = find_unit(told)
-    notes = (f'exported by OptiTrack, lengths in {told or "an unknown unit"}, y up',)
-    units = {'time': 's'}
-    if unit is not None:
-        units |= {n: unit.text for n in names[2:] if not n.startswith(UNUSED)}
-    return tuple(names), units, number + 1, notes
-
-
-def is_vicon(lines: Sequence[str]) -> bool:
-    """Tell an export of Nexus by its first line, the name of a section."""
-    return bool(lines) and lines[0].strip().strip(',"') in ('Trajectories', 'Devices', 'Joints')
-
-
-def vicon_header(
-    shown: str, lines: Sequence[str]
-) -> tuple[tuple[str, ...], dict[str, str], int, tuple[str, ...], float]:
-    """
-    Read the header rows of the section Trajectories of Vicon Nexus' CSV export.
-
-    Below the name of the section stand frames per second, a marker above its x, the axes, units.
-
-    Returns
-    -------
-    names, units, skip, notes, rate
-        As of `optitrack_header`; `time` counts frames, `rate` of them a second.
-
-    Raises
-    ------
-    DataSetError
-        A row is missing, or another section begins the file.
-
-    """
-    rows = [[cell.strip() for cell in row] for row in csv.reader(lines[:5])]
-    try:
-        rate = float(rows[1][0])
-        axes, told = rows[3], rows[4]
-        owners = [*rows[2], *([''] * len(axes))]
-    except (ValueError, IndexError):
-        rate, axes, told, owners = 0.0, [], [], []
-    if rows[0][0] != 'Trajectories' or rate <= 0.0 or axes[:1] != ['Frame']:
-        raise DataSetError(
-            shown,
-            'begins as an export of Vicon, but not with frames of trajectories',
-            'export from Nexus the section Trajectories alone, with its header rows',
-        )
-    names, owner = ['time', UNUSED], ''
-    for i in range(2, len(axes)):
-        owner = owners[i].rpartition(':')[2] or owner
-        is_place = axes[i] in ('X', 'Y', 'Z')
-        names.append(f'{owner} {axes[i]}' if is_place else f'{UNUSED} {i + 1} {axes[i]}')
-    stands = [n for i, n in enumerate(names) if names.index(n) != i]
-    if stands:
-        raise DataSetError(shown, f'column {stands[0]!r} stands twice', 'rename that marker')
-    units = {'time': 's'}
-    for name, unit in zip(names[2:], told[2:], strict=False):
-        if find_unit(unit) is not None:
-            units[name] = unit
-    notes = (f'exported by Vicon, {rate:g} frames a second, z up',)
-    return tuple(names), units, 5, notes, rate
 
 
 def read_c3d(shown: str, path: Path) -> RawTable:
@@ -173,7 +78,7 @@ def read_c3d(shown: str, path: Path) -> RawTable:
     for twice in dict.fromkeys(label for label in written if written.count(label) > 1):
         own = [new for new, old in zip(labels, written, strict=True) if old == twice]
         notes.append(f'{len(own)} points are called {twice!r}: taken as {listing(own)}')
-    return RawTable(shown, columns, {}, units, None, up, tuple(notes))
+    return RawTable(shown, columns, units=units, up=up, notes=tuple(notes))
 
 
 def _value(content: Any, group: str, key: str, default: Any) -> Any:

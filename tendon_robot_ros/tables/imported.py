@@ -137,7 +137,9 @@ def columns_table(recipe: Recipe, taken: Taken) -> str:
     placed = []
     for marker in recipe.markers or ():
         why = f'{1e3 * (marker.arc_length or 0.0):.4g} mm from the base along the arm'
-        label = f'{marker_label(marker.columns)} x, y, z'
+        many = len(marker.columns) // 3
+        what = 'x, y, z' if many == 1 else f'centre of {many} markers'
+        label = f'{marker_label(marker.columns)} {what}'
         placed.append([label, f'marker {marker.name}', recipe.positions or '', why])
     if len(placed) > MARKERS_MAX:
         placed = [*placed[: MARKERS_MAX // 2], ['...', '', '', ''], *placed[-MARKERS_MAX // 2 :]]

@@ -27,9 +27,10 @@ from .imported import ImportedTable
 from .marker_order import AS_GIVEN, MarkerOrder, order_markers, places_contradicted
 from .measuring import StillMeasurements, measure
 from .placing import place
-from .reading import read_table
+from .reading import read_tables
 from .recipe import FrameChoice, MarkerColumns, Recipe, load_recipe, read_recipe
-from .registration import TrackerFrame, rotation_vector, side_offset
+from .registration import TrackerFrame, rotation_vector, side_offset, up_that_fits
+from .tidy import widened
 from .traces import follow_renumbered, make_traces
 from .visibility import flag_columns
 
@@ -69,13 +70,21 @@ def import_table(
     recipe = _recipe(recipe)
     robot = _robot(robot, recipe)
     tables = _tables(source, recipe)
+    is_up_given = recipe.up is not None
     recipe = _with_up(recipe, tables)
-    taken = follow_renumbered(tables, choose_columns(tables, robot, recipe), robot.length)
-    measured = measure(make_traces(tables, taken, robot.length), taken, robot)
+    taken = choose_columns(tables, robot, recipe)
+    used = _used(tables, taken)
+    taken = follow_renumbered(used, taken, robot.length)
+    measured = measure(make_traces(used, taken, robot.length), taken, robot)
     name = tables[0].name
     order = _order(measured, taken, robot, name)
     raw, markers = _in_tracker_frame(measured, taken, order, robot, name)
     catalogue = load_catalogue(catalogue)
+    up_assumed: list[str] = []
+    if not is_up_given:
+        predictor = Predictor(raw, robot, catalogue)
+        up, up_assumed = up_that_fits(raw, predictor, taken.recipe.frame, recipe.up)
+        taken = replace(taken, recipe=replace(taken.recipe, up=up))
     placed = place(raw, taken.recipe, catalogue)
     final, frame, left_out = placed.dataset, placed.frame, placed.left_out
     predicted = Predictor(final, final.robot, catalogue).markers({})
@@ -90,7 +99,12 @@ def import_table(
         source=', '.join(f'{t.name} ({len(t):,} rows of {t.width} columns)' for t in tables),
         predicted=predicted,
         dropped=(*_columns_dropped(taken, tables), *measured.dropped, *placed.dropped),
-        assumed=(*taken.assumed, *measured.assumed, *_markers_assumed(order, taken)),
+        assumed=(
+            *taken.assumed,
+            *measured.assumed,
+            *up_assumed,
+            *_markers_assumed(order, taken),
+        ),
         look=(
             *taken.look,
             *_way_look(final, measured, order, frame, taken.recipe, catalogue),
@@ -153,7 +167,15 @@ def _tables(source: Any, recipe: Recipe) -> list[RawTable]:
     found = list(source) or list(recipe.sources)
     if not found:
         raise DataSetError('tables', 'none is named', 'name a .csv, .parquet or .c3d file')
-    return [read_table(s) if isinstance(s, str | Path) else from_frame(s) for s in found]
+    read = [read_tables(s) if isinstance(s, str | Path) else [from_frame(s)] for s in found]
+    return [widened(table) for tables in read for table in tables]
+
+
+def _used(tables: Sequence[RawTable], taken: Taken) -> list[RawTable]:
+    """Leave out parts of a file of which nothing is taken."""
+    columns = {use.column for use in (taken.recipe.inputs or {}).values()}
+    columns |= {c for marker in taken.recipe.markers or () for c in marker.columns}
+    return [t for t in tables if not t.part or columns & {*t.columns, *t.texts}]
 
 
 def _is_table(source: object) -> bool:
@@ -212,13 +234,14 @@ def _picked(segment: Segment, members: Sequence[int]) -> Segment:
 
 
 def _columns_dropped(taken: Taken, tables: Sequence[RawTable]) -> list[str]:
-    markers = [marker.columns for marker in taken.recipe.markers or ()]
+    markers = [point for marker in taken.recipe.markers or () for point in marker.points]
     flags = {name.column for t in tables for name, _, _ in flag_columns(t, markers)}
     names = [column for column in taken.unused if column not in flags]
+    said = [f'no markers: {line}' for line in taken.aside]
     if not names:
-        return []
+        return said
     shown = listed(names[:8]) if len(names) <= 8 else f'{", ".join(names[:8])} and more'
-    return [f'{len(names)} columns: {shown}']
+    return [*said, f'{len(names)} columns: {shown}']
 
 
 def _markers_assumed(order: MarkerOrder, taken: Taken) -> list[str]:

@@ -18,6 +18,7 @@ from .recipe import Recipe
 from .registration import TrackerFrame, find_frame, gravity_of
 
 TRIALS_SHOWN = 6  # of those that were left out
+UNKNOWN_SHARE = 0.1  # of the arm, by which its tip may be off for the frame alone
 APART_RAD = 0.3  # [rad] between gravity as the robot says it and as the tracker does
 
 
@@ -33,7 +34,7 @@ class Placed:
     @property
     def frame_look(self) -> list[str]:
         """Say what contradicts the frame."""
-        return _frame_look(self.frame)
+        return _frame_look(self.frame, self.dataset.robot.length)
 
     @property
     def look(self) -> list[str]:
@@ -164,14 +165,22 @@ def _trials_dropped(pairs: Sequence[tuple[str, str]]) -> list[str]:
     return [f'{told}: the other trials contradict (a slipped tendon?)']
 
 
-def _frame_look(frame: TrackerFrame) -> list[str]:
+def _frame_look(frame: TrackerFrame, length: float) -> list[str]:
     said = []
+    known = frame.tolerances(length)
+    if known and max(known['position'], known['rotation'] * length) > UNKNOWN_SHARE * length:
+        said.append(
+            f'the frame is known to {mm(known["position"], 2)} and '
+            f'{np.degrees(known["rotation"]):.2g}° only, more than a tenth of the arm at its tip: '
+            'are markers, inputs and units right? (--frame base, where the table is in the base '
+            'frame)'
+        )
     if frame.is_mirrored:
         said.append(
             f'a left-handed frame would fit better ({mm(frame.mirrored)} instead of '
             f'{mm(frame.free)}): an axis has the wrong sign, or two inputs are swapped'
         )
-    elif frame.residual > 3.0 * frame.free + 1e-3:
+    elif frame.is_contradicted:
         said.append(
             f'free to turn, the frame would fit to {mm(frame.free)} instead of '
             f'{mm(frame.residual)}: a load that the description lacks, or is what is said of it '

@@ -1,28 +1,37 @@
-"""A file to named columns: CSV, also OptiTrack's and Vicon's, Parquet, .c3d."""
+"""A file to tables of named columns: text of any tracker or logger, Parquet, .c3d."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import io
+import mmap
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+
+import numpy as np
 
 from ..common.dataframes import pandas
 from ..common.errors import DataSetError, MissingExtraError, short
 from ..common.files import TABLE_ENDINGS, TEXT_ENDINGS
 from ..common.units import find_unit
-from .columns import MISSING, RawTable, is_number, table_of
-from .formats import is_optitrack, is_vicon, optitrack_header, read_c3d, vicon_header
+from .columns import DERIVED, FRAMES, MISSING, FloatArray, RawTable, is_number, table_of
+from .formats import MAKERS_OWN, read_c3d
+from .heads import Head, first_row_of_data, maker_of, read_head, unnamed
 
 BYTES_MAX = 1_000_000_000  # of a file: its numbers and their parse must fit into the memory
 HEAD = 1 << 16  # bytes that tell what kind of file it is
-BLOCK = 1 << 24  # bytes that are counted at once
-DELIMITERS = {',': 'commas', ';': 'semicolons', '\t': 'tabs'}
+SAMPLE = 200  # rows of a part that tell what is head and what is data
+DELIMITERS = {';': 'semicolons', '\t': 'tabs', ',': 'commas'}  # commas may be decimal ones
+EMPTY_LINES = re.compile(rb'(?:\A|\n)(?:[ \t\r,;]*\n)+')  # between the parts of a file
 
 
-def read_table(path: str | Path) -> RawTable:
+def read_tables(path: str | Path) -> list[RawTable]:
     """
-    Read a file by its ending: .csv (.txt, .tsv, .dat), .parquet or .c3d.
+    Read a file by its ending: .csv (.txt, .tsv, .dat, .trc), .parquet or .c3d.
+
+    An export with several parts, each with its own head, gives a table of each.
 
     Raises
     ------
@@ -49,9 +58,12 @@ def read_table(path: str | Path) -> RawTable:
         raise DataSetError(shown, 'is empty', 'export it again')
     ending = path.suffix.lower()
     if ending == '.parquet':
-        return _read_parquet(shown, path)
+        return [_read_parquet(shown, path)]
     if ending == '.c3d':
-        return read_c3d(shown, path)
+        return [read_c3d(shown, path)]
+    if ending in MAKERS_OWN:
+        maker, remedy = MAKERS_OWN[ending]
+        raise DataSetError(shown, f'is a file of {maker} and cannot be read', remedy)
     if ending not in TEXT_ENDINGS:
         raise DataSetError(
             shown,
@@ -73,35 +85,30 @@ def _read_parquet(shown: str, path: Path) -> RawTable:
 
 
 # -----------------------------------------------------------------------------
-# Text: which delimiter, where the header ends, and whether all rows are whole.
+# Text: its parts, the head of each, and whether all rows are whole.
 
 
-@dataclass(frozen=True)
-class TextLayout:
-    """How a text file is laid out."""
+@dataclass
+class TextPart:
+    """TextPart of a text file that has a head of its own."""
 
-    encoding: str
-    delimiter: str
-    header: tuple[str, ...]
-    units: dict[str, str]
-    skip: int  # lines before the numbers
-    notes: tuple[str, ...]
+    head: list[tuple[int, list[str]]]  # line number from 0, cells
+    begin: int  # first byte of its data
+    end: int  # byte behind them
+    line: int  # number, from 0, of its first line of data
+    width: int  # cells in its first row of data
+    sample: list[list[str]] = field(default_factory=list)  # first rows of data
 
 
-def _read_text(shown: str, path: Path) -> RawTable:
+def _read_text(shown: str, path: Path) -> list[RawTable]:
     head = _head(shown, path)
     encoding, notes = _encoding(head)
-    lines = head.decode(encoding, errors='ignore').splitlines()
-    if is_optitrack(lines):
-        names, units, skip, told = optitrack_header(shown, lines)
-        table = _numbers(shown, path, TextLayout(encoding, ',', names, units, skip, told))
-        return replace(table, up='y')
-    if is_vicon(lines):
-        names, units, skip, told, rate = vicon_header(shown, lines)
-        table = _numbers(shown, path, TextLayout(encoding, ',', names, units, skip, told))
-        columns = {**table.columns, 'time': table.numbers('time') / rate}
-        return replace(table, columns=columns, up='z')
-    return _numbers(shown, path, _layout(shown, lines, encoding, notes))
+    with path.open('rb') as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        delimiter = _delimiter(shown, head, encoding)
+        if delimiter != ',':
+            notes = (*notes, f'columns are separated by {DELIMITERS[delimiter]}')
+        parts = _parts(shown, data, encoding, delimiter)
+        return [_read_part(shown, data, part, encoding, delimiter, notes) for part in parts]
 
 
 def _head(shown: str, path: Path) -> bytes:
@@ -123,69 +130,85 @@ def _encoding(head: bytes) -> tuple[str, tuple[str, ...]]:
     return 'utf-8-sig', ()
 
 
-def _layout(shown: str, lines: Sequence[str], encoding: str, notes: tuple[str, ...]) -> TextLayout:
-    """Find the header: the first line that is no comment, and a line of units below it."""
-    skip = 0
-    while skip < len(lines) and (not lines[skip].strip() or lines[skip].startswith(('#', '%'))):
-        skip += 1
-    if skip == len(lines):
-        raise DataSetError(shown, 'has no header', 'start it with the names of the columns')
-    line = lines[skip]
-    delimiter = max(DELIMITERS, key=line.count)
-    if not line.count(delimiter):
-        raise DataSetError(
-            f'{shown}, row {skip + 1}',
-            f'has one column only ({short(line.strip()[:40])})',
-            'separate columns by commas, semicolons or tabs',
-        )
-    if delimiter != ',':
-        notes = (*notes, f'columns are separated by {DELIMITERS[delimiter]}')
-    header = _cells(line, delimiter)
-    _check_header(shown, skip + 1, header)
-    skip += 1
-    units: dict[str, str] = {}
-    below = _cells(lines[skip], delimiter) if skip < len(lines) else []
-    if len(below) == len(header) and any(below) and all(not c or find_unit(c) for c in below):
-        units = {name: unit for name, unit in zip(header, below, strict=True) if unit}
-        skip += 1
-    return TextLayout(encoding, delimiter, tuple(header), units, skip, notes)
+def _delimiter(shown: str, head: bytes, encoding: str) -> str:
+    """Return what stands in most lines; a comma beside another delimiter is a decimal one."""
+    lines = [line for line in head.decode(encoding, errors='ignore').splitlines() if line.strip()]
+    for mark in DELIMITERS:
+        if 2 * sum(mark in line for line in lines) >= len(lines):
+            return mark
+    if (maker := maker_of([[line.strip()] for line in lines])) is not None:
+        raise unnamed(shown, 1, maker)
+    raise DataSetError(
+        f'{shown}, row {1 + next(i for i, line in enumerate(lines) if line.strip())}',
+        f'has one column only ({short(lines[0].strip()[:40])})',
+        'separate columns by commas, semicolons or tabs',
+    )
 
 
-def _cells(line: str, delimiter: str) -> list[str]:
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+def _parts(shown: str, data: mmap.mmap, encoding: str, delimiter: str) -> list[TextPart]:
+    """Split a file where, below an empty line, another head begins."""
+    parts: list[TextPart] = []
+    head: list[tuple[int, list[str]]] = []
+    for begin, end, line in _blocks(data):
+        data.seek(begin)
+        lines = [data.readline()]
+        while data.tell() < end and len(lines) < SAMPLE:
+            lines.append(data.readline())
+        texts = (raw.decode(encoding, 'replace') for raw in lines)
+        rows = [[c.strip() for c in row] for row in csv.reader(texts, delimiter=delimiter)]
+        first = first_row_of_data(rows)
+        if first == 0 and not head and parts:
+            parts[-1].end = end
+        elif first is None:
+            head += enumerate(rows, line)
+        else:
+            head += enumerate(rows[:first], line)
+            at = begin + sum(map(len, lines[:first]))
+            parts.append(TextPart(head, at, end, line + first, len(rows[first]), rows[first:]))
+            head = []
+    if not parts:
+        raise DataSetError(shown, 'has no row below its header', 'export it again')
+    return parts
 
 
-def _check_header(shown: str, row: int, header: list[str]) -> None:
-    where = f'{shown}, row {row}'
-    if sum(is_number(cell) for cell in header) > len(header) / 2:
-        raise DataSetError(
-            where, 'is no header, it holds numbers', 'start the file with the names of the columns'
-        )
-    while header and not header[-1]:  # a delimiter at the end of every line
-        header[-1] = f'column {len(header)}'
-    for index, name in enumerate(header):
-        if not name:
-            raise DataSetError(where, f'column {index + 1} has no name', 'give it one')
-        if header.index(name) != index:
-            raise DataSetError(where, f'column {short(name)} stands twice', 'rename one of them')
+def _blocks(data: mmap.mmap) -> Iterator[tuple[int, int, int]]:
+    """Yield first byte, end and first line of what stands between empty lines."""
+    begin = line = 0
+    for gap in [*EMPTY_LINES.finditer(data), None]:
+        end = len(data) if gap is None else gap.start() + (gap.start() > 0)
+        if data[begin:end].strip():
+            yield begin, end, line
+        if gap is not None:
+            line += data[begin : gap.end()].count(b'\n')
+            begin = gap.end()
 
 
-def _numbers(shown: str, path: Path, layout: TextLayout) -> RawTable:
-    """Parse the rows below a header."""
+def _read_part(
+    shown: str,
+    data: mmap.mmap,
+    part: TextPart,
+    encoding: str,
+    delimiter: str,
+    notes: tuple[str, ...],
+) -> RawTable:
+    """Parse the rows below a head."""
+    last = part.head[-1][0] + 1 if part.head else 0
+    head = read_head(shown, last, [row for _, row in part.head], part.width)
     decimal = '.'
-    notes = layout.notes
-    if layout.delimiter != ',' and _has_decimal_commas(path, layout):
+    if delimiter != ',' and any(
+        ',' in cell and is_number(cell.replace(',', '.')) for row in part.sample for cell in row
+    ):
         decimal, notes = ',', (*notes, 'numbers have decimal commas')
-    rows = _count_rows(shown, path, layout)
+    content = data[part.begin : part.end]
+    rows = _count_rows(shown, content, part, encoding, delimiter)
     try:
         frame = pandas().read_csv(
-            path,
-            sep=layout.delimiter,
+            io.BytesIO(content),
+            sep=delimiter,
             decimal=decimal,
             header=None,
-            names=list(layout.header),
-            skiprows=layout.skip,
-            encoding=layout.encoding,
+            names=list(head.names),
+            encoding=encoding,
             encoding_errors='replace',
             na_values=list(MISSING),
             keep_default_na=False,
@@ -198,19 +221,73 @@ def _numbers(shown: str, path: Path, layout: TextLayout) -> RawTable:
         reason = ' '.join(str(error).split())[:160]
         raise DataSetError(shown, f'cannot be read ({reason})', 'export it again') from None
     if rows is not None:
-        notes = (*notes, f'the last row, {layout.skip + rows + 1}, is cut short: left out')
-    empty = [n for n in frame.columns if n.startswith('column ') and frame[n].isna().all()]
-    return table_of(shown, frame.drop(columns=empty), dict(layout.units), layout.skip + 1, notes)
+        notes = (*notes, f'the last row, {part.line + rows + 1}, is cut short: left out')
+    blank = [name for name in frame.columns if name.startswith('column ')]
+    full = [name for name in blank if not frame[name].isna().all()]
+    if full:
+        raise _bad_row(shown, delimiter, len(head.names) - len(blank), part.line + 1, part.width)
+    frame = frame.drop(columns=blank)
+    table = table_of(shown, frame, dict(head.units), part.line + 1, notes)
+    return _with_times(replace(table, kinds=head.kinds, part=head.title), head)
 
 
-def _has_decimal_commas(path: Path, layout: TextLayout) -> bool:
-    with path.open(encoding=layout.encoding, errors='ignore') as file:
-        lines = [line for _, line in zip(range(layout.skip + 20), file, strict=False)]
-    cells = [c for line in lines[layout.skip :] for c in _cells(line, layout.delimiter)]
-    return any(',' in cell and is_number(cell.replace(',', '.')) for cell in cells)
+def _with_times(table: RawTable, head: Head) -> RawTable:
+    """Count the time of an export that only counts frames, and say what its maker leaves open."""
+    if head.maker is None:
+        return table
+    columns, units = dict(table.columns), dict(table.units)
+    said = [f'exported by {head.maker.name}{f", {head.title}" if head.title else ""}']
+    known = {n: find_unit(u) for n, u in units.items() if n in head.kinds}
+    lengths = {u.text for u in known.values() if u is not None and u.kind == 'length'}
+    said += [f'lengths in {next(iter(lengths))}'] if len(lengths) == 1 else []
+    if 'time' in columns:
+        units.setdefault('time', 's')
+    elif head.rate is not None and 'time' not in table.texts:
+        frames, rate, told = _frames(table, head)
+        columns = {'time': frames / rate, **columns}
+        units['time'] = 's'
+        said += [told]
+    elif 'time' not in table.texts and set(head.kinds.values()) - {DERIVED}:
+        counted = next((n for n in columns if n.lower().split(' ')[-1] == 'frame'), None)
+        if counted is None:
+            raise DataSetError(
+                table.name,
+                f'is an export of {head.maker.name} that says neither times nor frames per second',
+                'export it again with its header rows, or add a column time [s]',
+            )
+        columns = {'time': columns[counted], **columns}
+        units['time'] = FRAMES
+    up = head.maker.up
+    said += [f'{up} up'] if up else []
+    return replace(
+        table, columns=columns, units=units, up=up, notes=(*table.notes, ', '.join(said))
+    )
 
 
-def _count_rows(shown: str, path: Path, layout: TextLayout) -> int | None:
+def _frames(table: RawTable, head: Head) -> tuple[FloatArray, float, str]:
+    """Return the number (R,) of the frame of each row, frames per second, and what is said."""
+    rate = head.rate or 1.0
+    sub = table.columns.get('Sub Frame', np.zeros(len(table)))
+    if 'frame' in table.columns:
+        per = float(np.nanmax(sub)) + 1.0  # samples of a device in each frame
+        return table.columns['frame'] * per + sub, rate, f'{rate:g} frames a second'
+    every = 1
+    if head.frames is not None and head.frames > len(table):
+        every = -(-head.frames // len(table))
+        if -(-head.frames // every) != len(table):
+            raise DataSetError(
+                table.name,
+                f'says that it has {head.frames:,} frames and has {len(table):,} rows',
+                'export it again, with the columns of frames and times',
+            )
+    thinned = f', every {every}th of {head.frames:,} frames' if every > 1 else ''
+    count: FloatArray = np.arange(len(table), dtype=float)
+    return count * every, rate, f'{rate:g} frames a second{thinned}'
+
+
+def _count_rows(
+    shown: str, raw: bytes, part: TextPart, encoding: str, delimiter: str
+) -> int | None:
     """
     Refuse a row with too few or too many cells; None: all rows are whole.
 
@@ -218,49 +295,33 @@ def _count_rows(shown: str, path: Path, layout: TextLayout) -> int | None:
     come out the rows are looked at one by one. Returns how many are whole where the last, as a
     logger that was switched off leaves it, is cut short.
     """
-    wanted, mark = len(layout.header) - 1, layout.delimiter.encode()
-    delimiters = lines = 0
-    plain, last = True, b'\n'
-    with path.open('rb') as file:
-        for _ in range(layout.skip):
-            file.readline()
-        while block := file.read(BLOCK):
-            delimiters += block.count(mark)
-            lines += block.count(b'\n')
-            plain = plain and b'"' not in block and b'\n\n' not in block and b'\n\r' not in block
-            last = block[-1:]
-    lines += last != b'\n'
-    if plain and delimiters == wanted * lines:
+    lines = raw.count(b'\n') + (raw[-1:] != b'\n')
+    plain = b'"' not in raw and b'\n\n' not in raw and b'\n\r' not in raw
+    if plain and raw.count(delimiter.encode()) == (part.width - 1) * lines:
         return None
-    return _find_bad_row(shown, path, layout)
-
-
-def _find_bad_row(shown: str, path: Path, layout: TextLayout) -> int | None:
-    wanted, whole = len(layout.header), 0
-    with path.open(encoding=layout.encoding, errors='replace', newline='') as file:
-        for _ in range(layout.skip):
-            file.readline()
-        reader = csv.reader(file, delimiter=layout.delimiter)
-        bad: tuple[int, int] | None = None
-        for cells in reader:
-            if not cells:
-                continue
-            if bad is not None:
-                raise _bad_row(shown, layout, *bad)
-            if len(cells) != wanted:
-                bad = layout.skip + reader.line_num, len(cells)
-                continue
-            whole += 1
+    whole = 0
+    bad: tuple[int, int] | None = None
+    reader = csv.reader(io.TextIOWrapper(io.BytesIO(raw), encoding, 'replace', newline=''),
+                        delimiter=delimiter)  # fmt: skip
+    for cells in reader:
+        if not any(cells):
+            continue
+        if bad is not None:
+            raise _bad_row(shown, delimiter, part.width, *bad)
+        if len(cells) != part.width:
+            bad = part.line + reader.line_num, len(cells)
+            continue
+        whole += 1
     if bad is None:
         return None
-    if bad[1] > wanted or not whole:
-        raise _bad_row(shown, layout, *bad)
+    if bad[1] > part.width or not whole:
+        raise _bad_row(shown, delimiter, part.width, *bad)
     return whole
 
 
-def _bad_row(shown: str, layout: TextLayout, row: int, cells: int) -> DataSetError:
+def _bad_row(shown: str, delimiter: str, width: int, row: int, cells: int) -> DataSetError:
     remedy = 'write every row with the same columns, empty cells where there is nothing'
-    if cells > len(layout.header) and layout.delimiter == ',':
+    if cells > width and delimiter == ',':
         remedy += ' (decimal commas? export with points)'
-    problem = f'has {cells} cells under {len(layout.header)} columns'
+    problem = f'has {cells} cells under {width} columns'
     return DataSetError(f'{shown}, row {row}', problem, remedy)

@@ -16,9 +16,10 @@ from ..common.yaml_reading import Reader, parse_yaml
 from ..data.dataset import PATHS
 from ..data.markers import Vector
 from .columns import ColumnUse
+from .points import CHOICES
 
-KEYS = ('sources', 'robot', 'time', 'inputs', 'zero', 'spool', 'positions', 'markers', 'offset',
-        'places', 'up', 'delay', 'drift', 'still', 'same', 'rest', 'path',
+KEYS = ('sources', 'robot', 'time', 'inputs', 'zero', 'spool', 'positions', 'points', 'markers',
+        'offset', 'places', 'up', 'delay', 'drift', 'still', 'same', 'rest', 'path',
         'frame', 'leave_out')  # fmt: skip
 UPS = ('x', 'y', 'z', '-x', '-y', '-z')
 METHODS = ('model', 'level', 'straight', 'base')
@@ -33,11 +34,21 @@ HEAD = """\
 class MarkerColumns:
     """Columns of a marker, and where on the arm it is."""
 
-    columns: tuple[str, str, str]  # of x, y and z
+    columns: tuple[str, ...]  # of x, y and z; of three or more points on a rim all of theirs
     name: str | None = None  # of the marker in the data set
     arc_length: float | None = None  # [m]; None: found by its place along the straight arm
     offset: Vector = (0.0, 0.0, 0.0)  # [m] in the frame there
-    later: tuple[tuple[str, str, str], ...] = ()  # columns in which it goes on, numbered anew
+    later: tuple[tuple[str, ...], ...] = ()  # columns in which it goes on, numbered anew
+
+    @property
+    def points(self) -> list[tuple[str, ...]]:
+        """Columns of x, y and z of each point."""
+        return points_of(self.columns)
+
+
+def points_of(columns: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """Return the columns of x, y and z of each point."""
+    return [columns[i : i + 3] for i in range(0, len(columns), 3)]
 
 
 @dataclass(frozen=True)
@@ -71,6 +82,7 @@ class Recipe:
     zero: bool | None = None  # inputs count from their value when the arm first stands still
     spool: WireSpool = WireSpool()
     positions: str | None = None  # unit of the markers
+    points: str | None = None  # one of CHOICES, where columns are guessed
     markers: tuple[MarkerColumns, ...] | None = None
     offset: Vector | None = None  # [m] of all markers, where columns are guessed
     places: tuple[float, ...] = ()  # [m] arc lengths from base to tip, where columns are guessed
@@ -160,6 +172,7 @@ def read_recipe(content: Any, source: str = 'recipe', folder: Path | None = None
         zero=top.flag('zero') if top.has('zero') else None,
         spool=_spool(top),
         positions=top.unit('positions', 'length'),
+        points=top.choice('points', CHOICES) if top.has('points') else None,
         markers=tuple(map(_marker, top.items('markers'))) if top.has('markers') else None,
         offset=_vector(top, 'offset'),
         places=_numbers(top, 'places'),
@@ -212,26 +225,25 @@ def _spool(top: RecipeFields) -> WireSpool:
 
 def _marker(item: RecipeFields) -> MarkerColumns:
     item.only('columns', 'name', 'arc_length', 'offset', 'later')
-    x, y, z = _triple(item, 'columns', item.content.get('columns'))
     later = item.content.get('later') or []
     if not isinstance(later, list):
         raise item.error('later', 'a list of the columns of x, y and z', later)
     offset = item.vector('offset', 3) if item.has('offset') else (0.0, 0.0, 0.0)
     arc_length = item.some('arc_length', 0.0, 100.0, 'm')
     return MarkerColumns(
-        (x, y, z),
+        _points(item, 'columns', item.content.get('columns')),
         item.text('name'),
         arc_length,
         (offset[0], offset[1], offset[2]),
-        tuple(_triple(item, 'later', columns) for columns in later),
+        tuple(_points(item, 'later', columns) for columns in later),
     )
 
 
-def _triple(item: RecipeFields, key: str, columns: Any) -> tuple[str, str, str]:
-    if not isinstance(columns, list) or len(columns) != 3:
-        raise item.error(key, 'the columns of x, y and z', columns)
-    x, y, z = map(str, columns)
-    return x, y, z
+def _points(item: RecipeFields, key: str, columns: Any) -> tuple[str, ...]:
+    if not isinstance(columns, list) or len(columns) not in (3, *range(9, 100, 3)):
+        expected = 'the columns of x, y and z, of one point or of three and more around a disk'
+        raise item.error(key, expected, columns)
+    return tuple(map(str, columns))
 
 
 def _vector(top: RecipeFields, key: str) -> Vector | None:

@@ -11,13 +11,14 @@ from scipy.spatial.transform import Rotation
 from ..common.errors import InputError
 from ..common.rotations import rigid_fit, towards, turn_angle
 from ..common.units import STANDARD_GRAVITY
+from ..common.words import mm
 from ..comparison.noise import rms
 from ..comparison.predict import Predictor
 from ..data import DataSet
 from ..data.dataset import BoolArray
 from ..data.markers import Vector
 from .columns import FloatArray
-from .recipe import FrameChoice
+from .recipe import UPS, FrameChoice
 
 DIGITS = 9  # nanometres
 ROUNDS = 6  # of weights and fit
@@ -71,6 +72,11 @@ class TrackerFrame:
     def is_mirrored(self) -> bool:
         """Whether the postures ask for a left-handed frame (or for two inputs swapped)."""
         return self.mirrored < MIRRORED_SHARE_MAX * self.free and self.free > MIRRORED_MIN_M
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether what was said of the frame leaves much more than a free one would."""
+        return self.residual > 3.0 * self.free + 1e-3
 
     def tolerances(self, length: float) -> dict[str, float]:
         """
@@ -151,6 +157,31 @@ def find_frame(
         _left(measured[seen], markers[seen]),
         _left(measured[seen] * [1.0, 1.0, -1.0], markers[seen]),
     )
+
+
+def up_that_fits(
+    dataset: DataSet, predictor: Predictor, choice: FrameChoice, usual: str | None
+) -> tuple[str | None, list[str]]:
+    """
+    Return the axis that points up, where only a kind of file says it, and what is assumed.
+
+    A tracker may be set up otherwise: another axis is taken where with the usual one the
+    verticals contradict the postures, and with the other they do not.
+    """
+    gravity = predictor.robot.gravity
+    if usual is None or gravity is None or not any(gravity) or choice.method or choice.rotation:
+        return usual, []
+    told = find_frame(dataset, predictor, choice, usual)
+    if not told.is_contradicted:
+        return usual, []
+    others = {up: find_frame(dataset, predictor, choice, up) for up in UPS if up != usual}
+    best = min(others, key=lambda up: others[up].residual)
+    if others[best].is_contradicted:
+        return usual, []
+    return best, [
+        f'{best} points up: with {usual}, as files of this kind usually have it, the frame would '
+        f'fit to {mm(told.residual)} instead of {mm(others[best].residual)} (otherwise say --up)'
+    ]
 
 
 def _weighted(

@@ -18,7 +18,8 @@ from ..data.seen import FAR_M, joined, renumbered, without_unseen
 from .choices import Taken, time_column
 from .clocks import find_clock
 from .columns import FloatArray, RawTable, marker_label
-from .recipe import Recipe, WireSpool
+from .points import circle_centres
+from .recipe import Recipe, WireSpool, points_of
 from .visibility import not_visible
 
 IntArray = npt.NDArray[np.int64]
@@ -168,7 +169,7 @@ def _trace(
         times = state_times = np.arange(len(told), dtype=float)
     else:
         state_times, times = _times(told, recipe), _times(seen, recipe)
-        if told is not seen:  # clocks of their own
+        if told is not seen and not (told.part and told.name == seen.name):  # own clocks
             if delay is None:
                 delay, drift, clocks = _clock(state_times, inputs, times, positions)
             times = delay + (1.0 + drift) * times
@@ -186,23 +187,27 @@ def marker_places(
 ) -> tuple[FloatArray, dict[str, IntArray]]:
     """Return places (T, J, 3) [m], NaN where not seen, and the readings (J,) left out, by why."""
     factor = UNITS['length'][find_unit(recipe.positions or 'm').text]  # type: ignore[union-attr]
-    columns = [c for marker in recipe.markers or () for c in (marker.columns, *marker.later)]
-    counts = np.cumsum([0, *(1 + len(marker.later) for marker in recipe.markers or ())])
-    positions = np.empty((len(seen), len(columns), 3))
-    for j, triple in enumerate(columns):
-        for axis, column in enumerate(triple):
-            positions[:, j, axis] = seen.numbers(column)
-    positions, unseen = without_unseen(positions, length / factor, FAR_M / factor)
+    markers = [(marker.columns, *marker.later) for marker in recipe.markers or ()]
+    rims = [points_of(columns) for parts in markers for columns in parts]
+    points = [point for rim in rims for point in rim]
+    positions = np.array([[seen.numbers(column) for column in point] for point in points])
+    positions, unseen = without_unseen(
+        positions.transpose(2, 0, 1), length / factor, FAR_M / factor
+    )
     there = np.isfinite(positions).all(axis=2)
-    for why, hidden in not_visible(seen, columns).items():
+    for why, hidden in not_visible(seen, points).items():
         if (hidden & there).any():
             unseen[why] = (hidden & there).sum(axis=0)
             positions[hidden] = np.nan
             there &= ~hidden
     positions[~there] = np.nan
+    of_rims = np.split(positions, np.cumsum([len(rim) for rim in rims])[:-1], axis=1)
+    centres = np.stack([circle_centres(one) for one in of_rims], axis=1)
+    counts = np.cumsum([0, *map(len, markers)])
     own = [range(a, b) for a, b in pairwise(counts.tolist())]
-    summed = {why: np.add.reduceat(count, counts[:-1]) for why, count in unseen.items()}
-    return joined(positions, own) * factor, summed
+    first = np.cumsum([0, *(sum(len(c) // 3 for c in parts) for parts in markers)])[:-1]
+    summed = {why: np.add.reduceat(count, first) for why, count in unseen.items()}
+    return joined(centres, own) * factor, summed
 
 
 def follow_renumbered(tables: Sequence[RawTable], taken: Taken, length: float) -> Taken:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -41,14 +41,14 @@ def flag_columns(
     names = names_of(table)
     used = {column for columns in markers for column in columns}
     own = {name.column: name for name in names if name.column in used}
-    owners = [_owner(own[c[0]], {own[c[0]].axis}) if c[0] in own else () for c in markers]
+    owners = [_words(own[c[0]].component[2]) if c[0] in own else () for c in markers]
     for name in names:
         kind = next((kind for kind in (SEEN, HIDDEN, STATE) if kind & set(name.words)), None)
         if kind is None or name.column in used:
             continue
         if kind is STATE and name.column in table.columns:
             continue  # numbers: what they mean only their maker knows
-        owner = _owner(name, kind)
+        owner = _words(word for word in name.words if word not in kind)
         of = [j for j, words in enumerate(owners) if words == owner]
         if of or not owner:
             yield name, kind, of or list(range(len(markers)))
@@ -66,8 +66,8 @@ def not_visible(table: RawTable, markers: Sequence[Sequence[str]]) -> dict[str, 
     return found
 
 
-def _owner(name: ColumnName, without: set[str]) -> tuple[str, ...]:
-    return tuple(word for word in name.words if word not in without | FILLERS)
+def _words(words: Iterable[str]) -> tuple[str, ...]:
+    return tuple(word for word in words if word not in FILLERS)
 
 
 def _hidden(table: RawTable, column: str, kind: set[str]) -> BoolArray:

@@ -1,0 +1,374 @@
+"""
+The head of a text table, read by its structure, whoever wrote it.
+
+A head is what stands above the first row that looks like the rows below it. Its last row names
+the columns, or their axes; whose axes they are stands above it, and so do types, quantities and
+identifiers, which are told by what stands in them. What else is there are words with values.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+from ..common.errors import DataSetError, short
+from ..common.units import find_unit
+from .columns import BODY, BODY_MARKER, DERIVED, MARKER, MISSING, OTHER_UNITS, is_number
+
+Row = list[str]  # cells
+AHEAD = 3  # rows that follow each other and look alike are no head
+STAMP = re.compile(r'\d[\d:./T +-]*\d(?:Z|[+-]\d\d:?\d\d)?')  # a date or a time of day
+AXIS = re.compile(r'[RTQ]?([XYZW])\d*|Q0', re.IGNORECASE)
+COORDINATE = re.compile(r'T?[XYZ]\d*', re.IGNORECASE)
+LABELS = ('type', 'name', 'id', 'parent')  # of rows of OptiTrack's, since Motive 1.5
+IDENTIFIER = re.compile(r'[0-9A-Fa-f]{16,}(?::[0-9A-Fa-f]+)?|\d+|[0-9A-Fa-f]+:[0-9A-Fa-f]{8,}')
+TYPES = {'marker', 'rigid body', 'rigid body marker', 'bone', 'bone marker', 'marker constraint',
+         'rigid body constraint', 'skeleton', 'skeleton marker', 'skeleton bone', 'asset marker',
+         'markerset', 'trained markerset', 'trained markerset bone',
+         'trained markerset marker'}  # fmt: skip
+# title of a part of Vicon's exports -> what its points are
+VICON = {
+    'trajectories': MARKER,
+    'objects': BODY,
+    'segments': BODY,
+    'joints': DERIVED,
+    'model outputs': DERIVED,
+    'devices': DERIVED,
+}
+NO_NAMES = ('format version', 'pathfiletype', *VICON)  # begin rows that name no column
+PLACE = 'position'
+QUANTITIES = {PLACE, 'rotation', 'mean marker error', 'marker quality', 'marker size',
+              'error per marker', 'mean error', 'velocity', 'acceleration'}  # fmt: skip
+RATES = ('export frame rate', 'capture frame rate', 'frequency', 'datarate', 'frame rate',
+         'framerate', 'sampling rate', 'sample rate', 'rate')  # fmt: skip
+LENGTHS = ('length units', 'units', 'unit')
+
+
+@dataclass(frozen=True)
+class Maker:
+    """A system that tracks markers: how its files are told, and what they leave unsaid."""
+
+    name: str
+    told_by: tuple[str, ...]  # one of these words begins a row of the head
+    up: str | None = None  # axis that points up if nobody turned it
+    unit: str = ''  # of lengths, where the file names none
+
+
+MAKERS = (
+    Maker('OptiTrack', ('format version', 'take name'), up='y'),
+    Maker('Vicon', tuple(VICON), up='z', unit='mm'),
+    Maker('Qualisys', ('no_of_frames', 'no_of_markers', 'marker_names', 'body_names'), unit='mm'),
+    Maker('Motion Analysis (.trc)', ('pathfiletype',)),
+    Maker('NDI', ('tools', 'number of frames', 'number of tools'), unit='mm'),
+)
+
+
+@dataclass(frozen=True)
+class Head:
+    """What the head of a table says."""
+
+    names: tuple[str, ...]
+    units: dict[str, str] = field(default_factory=dict)
+    kinds: dict[str, str] = field(default_factory=dict)  # column -> what its point is
+    maker: Maker | None = None
+    title: str = ''  # of a part of the file
+    rate: float | None = None  # [Hz]
+    frames: int | None = None  # that the file says it has
+
+
+def is_value(cell: str) -> bool:
+    """Tell whether a cell holds a number, with a point or a comma, or a time."""
+    return is_number(cell) or is_number(cell.replace(',', '.')) or bool(STAMP.fullmatch(cell))
+
+
+def _filled(row: Row) -> list[int]:
+    return [i for i, cell in enumerate(row) if cell and cell not in MISSING]
+
+
+def first_row_of_data(rows: Sequence[Row]) -> int | None:
+    """
+    Return the index of the first row of data among rows without empty ones, None for no data.
+
+    Which columns hold values is told by the last quarter of the rows.
+    """
+    sample = rows[-max(len(rows) // 4, 1) :]
+    count: Counter[int] = Counter()
+    values: Counter[int] = Counter()
+    for row in sample:
+        for i in _filled(row):
+            count[i] += 1
+            values[i] += is_value(row[i])
+    numeric = {i for i in count if 2 * values[i] > count[i]}
+    if not numeric or 2 * values.total() < count.total():
+        return None
+
+    def is_head(row: Row) -> bool:
+        filled = _filled(row)
+        if filled[0] not in count and not is_value(row[filled[0]]):
+            return True
+        texts = [i for i in filled if i in numeric and not is_value(row[i])]
+        among = sum(i in numeric for i in filled)
+        is_key = bool(texts) and texts[0] == filled[0]
+        return 2 * len(texts) > among or (is_key and 2 * len(texts) >= among)
+
+    heads = [is_head(row) for row in rows]
+    first = next((i for i in range(len(rows)) if not any(heads[i : i + AHEAD])), None)
+    if first == 0 and 0 not in numeric:  # words, each with its value
+        return None
+    return first
+
+
+def read_head(shown: str, first: int, rows: Sequence[Row], width: int) -> Head:
+    """
+    Read what stands above the data.
+
+    Parameters
+    ----------
+    shown : str
+        The file, for messages.
+    first : int
+        The row of the file, from 1, that the last row of the head stands in, for messages.
+    rows : sequence of list of str
+        All rows of the head that are not empty, their cells stripped.
+    width : int
+        Columns of the data.
+
+    Raises
+    ------
+    DataSetError
+        There are no names for the columns.
+
+    """
+    rows = [row for row in rows if any(row)]
+    maker = maker_of(rows)
+    marked = [row for row in rows if row[0][:1] in ('#', '%')]
+    labels = [row for row in rows if row not in marked and row[0].lower() not in NO_NAMES]
+    if not labels:  # as numpy writes it
+        bare = [[row[0].lstrip('#% '), *row[1:]] for row in marked]
+        labels = [row for row in bare[-1:] if len(row) == width]
+    told = _told(rows)
+    title = _title(rows) if maker is not None and maker.name == 'Vicon' else ''
+    if maker is not None and maker.name == 'Qualisys':
+        keys = {row[0]: row[1:] for row in labels if re.fullmatch(r'[A-Z][A-Z_]+', row[0])}
+        labels = [row for row in labels if row[0] not in keys]
+        labels = labels or [_qualisys_names(shown, keys, width)]
+        title = 'objects' if 'BODY_NAMES' in keys and 'MARKER_NAMES' not in keys else ''
+    said = labels and _unit_row(labels)
+    units_row: Row = labels.pop() if said else []
+    if not labels:
+        raise unnamed(shown, max(first, 1), maker)
+    names, kinds = _names(shown, first - bool(said), labels, width, maker, title)
+    units = {n: u for n, u in zip(names, _padded(units_row, width), strict=True) if u}
+    length = _first(told, LENGTHS, find_unit) or ('' if maker is None else maker.unit)
+    if length and (unit := find_unit(length)) and unit.kind == 'length' and not units_row:
+        units |= {n: unit.text for n in names if n in kinds and kinds[n] != DERIVED}
+    rate = _first(told, RATES, is_value)
+    if maker is not None and maker.name == 'Vicon':
+        rate = next((row[0] for row in rows if len(_filled(row)) == 1 and is_value(row[0])), '')
+    frames = _first(told, ('no_of_frames',), str.isdigit)
+    return Head(
+        tuple(names),
+        units,
+        kinds,
+        maker,
+        title,
+        float(rate.replace(',', '.')) or None if rate else None,
+        int(frames) if frames else None,
+    )
+
+
+def maker_of(rows: Sequence[Row]) -> Maker | None:
+    """Return whose export has such a head, None for nobody's that is known."""
+    begins = {cell.lower().rstrip(':') for row in rows for cell in row[:3:2] if cell}
+    return next((maker for maker in MAKERS if begins & set(maker.told_by)), None)
+
+
+def _title(rows: Sequence[Row]) -> str:
+    return next(row[0] for row in rows if row[0].lower() in VICON)
+
+
+def _told(rows: Sequence[Row]) -> dict[str, list[str]]:
+    """Return every word with what stands beside it and below it."""
+    told: dict[str, list[str]] = {}
+    for row, below in pairwise([*rows, []]):
+        parts = [part.strip() for cell in row for part in cell.lstrip('#% ').split(':', 1)]
+        beside = pairwise([part for part in parts if part])
+        for word, value in (*beside, *zip(row, below, strict=False)):
+            told.setdefault(word.rstrip(':').lower(), []).append(value)
+    return told
+
+
+def _first(told: Mapping[str, list[str]], words: Sequence[str], fits: Callable[[str], Any]) -> str:
+    """Return the first value that fits, of the first word that has one; '' for none."""
+    return next((value for word in words for value in told.get(word, ()) if fits(value)), '')
+
+
+def _padded(row: Row, width: int) -> Row:
+    return [*row, *([''] * width)][:width]
+
+
+def _unit_row(labels: Sequence[Row]) -> bool:
+    """Tell whether the last row of labels says units: all cells, or those of known kinds do."""
+    cells = [cell for cell in labels[-1] if cell]
+    return len(labels) > 1 and all(find_unit(c) or c in OTHER_UNITS for c in cells)
+
+
+def unnamed(shown: str, row: int, maker: Maker | None) -> DataSetError:
+    """Build the error for a table whose columns have no names."""
+    if maker is not None:
+        return DataSetError(
+            f'{shown}, row {row}',
+            f'is an export of {maker.name} without rows that name the points',
+            'export it again with its header rows',
+        )
+    return DataSetError(
+        f'{shown}, row {row}',
+        'is no header, it holds numbers',
+        'start the file with the names of the columns',
+    )
+
+
+def _qualisys_names(shown: str, keys: Mapping[str, Row], width: int) -> Row:
+    """Return the names of columns of a file of Qualisys that has no row of them."""
+    markers = [name for name in keys.get('MARKER_NAMES', []) if name]
+    before = width - 3 * len(markers)
+    while before > 2:  # a tab at the end of every row
+        before -= 1
+    if not markers or before < 0:
+        raise DataSetError(
+            shown,
+            f'is an export of Qualisys whose MARKER_NAMES ({len(markers)}) do not fit to its '
+            f'{width} columns',
+            'export 3D data from QTM as TSV with the TSV header, or as C3D',
+        )
+    places = [f'{marker} {axis}' for marker in markers for axis in 'XYZ']
+    return [*('Frame', 'Time')[:before], *places]
+
+
+def _names(
+    shown: str, row: int, labels: Sequence[Row], width: int, maker: Maker | None, title: str
+) -> tuple[list[str], dict[str, str]]:
+    """Return one name for each column, and the kind of point that columns of points belong to."""
+    labels = [_padded(one, width) for one in labels]
+    tracked = maker is not None
+    labelled = [next((cell.lower() for cell in one[:2] if cell), '') for one in labels]
+    if tracked:  # what a row says stands before it
+        labels = [['' if cell.lower() in LABELS else cell for cell in one] for one in labels]
+    axes, above = labels[-1], labels[:-1]
+    types: Row = [''] * width
+    quantities, owners, numbered = list(types), list(types), list(types)
+    for one, label in zip(above, labelled, strict=False):  # the lowest of each kind counts
+        words = {cell.lower() for cell in one if cell}
+        if words and words <= TYPES:
+            types = one
+        elif words and words <= QUANTITIES:
+            quantities = one
+        elif label == 'parent':
+            continue
+        elif label == 'id' or (words and all(IDENTIFIER.fullmatch(word) for word in words)):
+            numbered = one
+        elif len(_filled(one)) > 1 or title:
+            owners = one
+    if not any(owners) and any(types):
+        owners = numbered
+    if _is_whole(axes) and not any(types) and not title:
+        owners = [''] * width
+    elif any(owners):
+        owners = _spread(owners, axes, quantities)
+    elif not any(quantities):
+        owners = _leading(axes)
+    subjects = {owner.rpartition(':')[0] for owner in owners if owner}
+    if title and len(subjects) == 1:  # one subject: it tells nothing apart
+        owners = [owner.rpartition(':')[2] for owner in owners]
+    names: list[str] = []
+    for i in range(width):
+        quantity = quantities[i] if quantities[i].lower() != PLACE else ''
+        parts = [owners[i], quantity, axes[i]]
+        if owners[i] and (axis := AXIS.fullmatch(axes[i])) and axis[1]:
+            parts[2] = axes[i].rstrip('0123456789')
+        name = ' '.join(part for part in parts if part)
+        if not name and tracked:
+            name = next((one[i] for one in reversed(above) if one[i]), '')
+            name = name or ('Frame', 'Time')[i] if i < 2 else name
+        if tracked and not owners[i]:
+            name = {'frame': 'frame', 'frame#': 'frame', 'time': 'time'}.get(
+                name.partition(' ')[0].lower(), name
+            )
+        names.append(name)
+    is_place = [
+        tracked and q.lower() in ('', PLACE) and bool(COORDINATE.fullmatch(a.split(' ')[-1]))
+        for q, a in zip(quantities, axes, strict=True)
+    ]
+    kinds = [_kind(types[i], title) for i in range(width)]
+    twice = {name for name, count in Counter(names).items() if count > 1 and name}
+    names = [f'{n} {types[i]}'.strip() if n in twice else n for i, n in enumerate(names)]
+    names = [_axis_last(n) if n not in axes else n for n in names]
+    _check(shown, row, names)
+    return names, {n: k for n, k, is_one in zip(names, kinds, is_place, strict=True) if is_one}
+
+
+def _axis_last(name: str) -> str:
+    """Put the axis behind the type that tells two columns of one name apart."""
+    words = name.split(' ')
+    at = next((i for i, word in enumerate(words) if word in ('X', 'Y', 'Z', 'W')), None)
+    return name if at is None else ' '.join([*words[:at], *words[at + 1 :], words[at]])
+
+
+def _is_whole(names: Row) -> bool:
+    while names and not names[-1]:
+        names = names[:-1]
+    return all(names) and len(set(names)) == len(names)
+
+
+def _spread(owners: Row, axes: Row, quantities: Row) -> Row:
+    """Write an owner that stands above its first column above all of its columns."""
+    found: Row = []
+    owner, seen = '', set[tuple[str, str]]()
+    for i, cell in enumerate(owners):
+        what = quantities[i], axes[i]
+        if cell and cell != owner:
+            owner, seen = cell, set()
+        elif not cell and (what in seen or not axes[i]):  # nobody named this one
+            owner = f'Unlabeled {i + 1}' if axes[i] else ''
+            seen = set()
+        seen.add(what)
+        is_own = owner and (axes[i] or quantities[i]) and axes[i].lower() not in ('frame',)
+        found.append(owner if is_own and (cell or AXIS.fullmatch(axes[i]) or axes[i]) else '')
+    return found
+
+
+def _leading(names: Row) -> Row:
+    """Return the owner of every name that stands again and again: the one before the group."""
+    count = Counter(names)
+    found, owner = [], ''
+    for i, name in enumerate(names):
+        follows = names[i + 1] if i + 1 < len(names) else ''
+        if count[name] == 1 and count[follows] > 1:
+            owner = name
+        found.append(owner if count[name] > 1 else '')
+    return found
+
+
+def _kind(text: str, title: str) -> str:
+    if title:
+        return VICON[title.lower()]
+    words = set(text.lower().split())
+    if words & {'marker', 'constraint'}:
+        return BODY_MARKER if len(words) > 1 else MARKER
+    return BODY if words else MARKER
+
+
+def _check(shown: str, row: int, names: Row) -> None:
+    where = f'{shown}, row {row}'
+    last = max((i for i, name in enumerate(names) if name), default=-1)
+    for i, name in enumerate(names):
+        if not name and i > last:  # a delimiter at the end of every row
+            names[i] = f'column {i + 1}'
+        elif not name:
+            raise DataSetError(where, f'column {i + 1} has no name', 'give it one')
+        elif names.index(name) != i:
+            raise DataSetError(where, f'column {short(name)} stands twice', 'rename one of them')
