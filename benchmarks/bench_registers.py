@@ -35,6 +35,7 @@ from tendon_robot_ros.robot import load_robot
 ARMS = {'planar': 'kato_10_1', 'spatial': 'spatial_6'}
 MODEL, RADIUS, STIFFNESS = 'XL330-M077', 0.02, 400.0  # spools [m], springs [N/m]
 WOUND_ON_M = 5e-4  # [m] of wire that a motor without power may turn by itself
+SETTLED_S = 1.0  # [s] in which a wire has been wound as far as its motor can
 SEEN_S = 20.0  # [s], a generous end of every wait
 SHARE = 0.1  # of the command limit that the wires are under
 
@@ -101,6 +102,8 @@ class Trial:
             driver.enable()
             if not self.follows(driver):
                 return False
+            settled = time.monotonic() + SETTLED_S
+            self.cycle(driver, lambda _: time.monotonic() > settled)
             servo, place = self.line.servo(self.one), self.one - 1
             servo.put('startup_configuration', 1)
             before, rig = self.line.rig.wound[place], self.line.rig
@@ -146,8 +149,8 @@ class Trial:
             driver.cancelled = lambda: self.line.servo(self.one).put(name, value)
             try:
                 driver.enable()
-            except DriverError as error:
-                return f'(id {self.one})' in str(error)
+            except DriverError:
+                return driver.motors[self.one].zero is None
             return False
 
     def follows(self, driver):
