@@ -1,8 +1,10 @@
 """
-Twenty-two mistakes that everybody makes, on two arms as they are built: what `diagnose` says.
+Mistakes that everybody makes, on two arms as they are built: what `diagnose` says.
 
-Right is the sentence that names the mistake; a wrong story is an effect that is named, or another
-mistake. Plants are of another discretisation than the model (campaign/cases.py).
+With `--hidden` the arms lack effects as well, with `--frames found` the tracker's frame was laid
+onto the model as it is described. Right is the sentence that names the mistake; a wrong story is
+an effect that is named, or another mistake. `no mistake` is right where what is hidden is said.
+Plants are of another discretisation than the model (campaign/cases.py).
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +25,12 @@ from planned import PLANS
 from tendon_robot_ros.campaign.cases import Case, simulated
 from tendon_robot_ros.campaign.judge import NAMING
 from tendon_robot_ros.campaign.plan import read_plan
+from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import DataSet
 from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.diagnosis.mistake import in_frame
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.robot.estimates import natural_sizes
 
 Make = Callable[[DataSet], DataSet]
 
@@ -35,6 +41,8 @@ class Outcome:
 
     robot: str
     mistake: str
+    hidden: str
+    frame: str
     said: str
     right: bool
     wrong_story: bool
@@ -91,6 +99,27 @@ def exchanged(dataset: DataSet) -> DataSet:
     return replace(dataset, positions=dataset.positions[:, :, order])
 
 
+def exchanged_midway(dataset: DataSet) -> DataSet:
+    """Return the data set with two markers taken for each other in the second half of it."""
+    positions, half = dataset.positions.copy(), len(dataset.postures) // 2
+    positions[half:, :, [4, 6]] = positions[half:, :, [6, 4]]
+    return replace(dataset, positions=positions)
+
+
+def misplaced(dataset: DataSet) -> DataSet:
+    """Return the data set whose last marker is said to sit 5 % of the arm below the tip."""
+    last = dataset.markers[-1]
+    low = replace(last, arc_length=last.arc_length - 0.05 * dataset.robot.length)
+    return replace(dataset, markers=(*dataset.markers[:-1], low))
+
+
+def dead(dataset: DataSet) -> DataSet:
+    """Return the data set of an arm whose second load cell tells nothing."""
+    inputs = dataset.inputs.copy()
+    inputs[:, 1] = 0.05 * inputs.max()
+    return replace(dataset, inputs=inputs, trial_inputs=None)
+
+
 def loose(dataset: DataSet) -> DataSet:
     """Return the data set of an arm whose first wire came off: its commands go on."""
     inputs = dataset.inputs.copy()
@@ -123,6 +152,11 @@ def shifted(dataset: DataSet, cells: float) -> DataSet:
 
 # What is done to a right data set, and what must be said: a mistake's name or a word of the text
 MISTAKES: dict[str, tuple[Make, tuple[str, ...]]] = {
+    'no mistake': (lambda d: d, ()),
+    'two markers exchanged half way': (exchanged_midway, ('markers_exchanged',)),
+    'the tip marker lower than it is': (misplaced, ('markers_elsewhere',)),
+    'a dead load cell': (dead, ('input_dead',)),
+    'gravity of 1 m/s²': (lambda d: hung(d, (1.0, 0.0, 0.0)), ('gravity',)),
     'two inputs swapped': (
         lambda d: replace(d, inputs=d.inputs[:, [1, 0, *range(2, d.inputs.shape[1])]]),
         ('inputs_swapped', 'axes'),
@@ -182,7 +216,9 @@ MISTAKES: dict[str, tuple[Make, tuple[str, ...]]] = {
     'two postures': (lambda d: d.select(d.postures[:2]), ('measured posture',)),
     'markers short of the tip': (short, ('markers end at',)),
 }
-WEIGHED = ('gravity upside down', 'gravity along another axis')
+WEIGHED = ('gravity upside down', 'gravity along another axis', 'gravity of 1 m/s²')
+# what a frame that is laid onto the model takes up: nothing is wrong then
+OF_THE_FRAME = ('frame turned by 90° about z', 'frame turned by 30°, 20 mm off')
 
 
 def sections_stiffness(dataset: DataSet, factor: float) -> DataSet:
@@ -207,32 +243,49 @@ def offsets_of(dataset: DataSet, factor: float) -> DataSet:
     return replace(dataset, robot=replace(dataset.robot, tendons=tendons))
 
 
-def arm(name: str, weighed: bool, level: float, seed: int) -> DataSet:
-    """Return measurements of an arm that is described as it is, with or without its weight."""
+def arm(name: str, weighed: bool, level: float, seed: int, hidden: str) -> DataSet:
+    """Return measurements of an arm that lacks an effect, or none; with its weight described."""
     setup = read_plan(PLANS / 'diagnosis.yaml').setup
-    case = Case(name, 'gravity' if weighed else 'none', 3.0, seed, level=level)
-    noise = setup.noises[0][1]
-    made = simulated(case, setup.arm(name), setup.designs[0], noise, load_catalogue())
-    if not weighed:
-        return made.fit
-    return replace(made.fit, robot=made.robot.with_effect('gravity', made.values))
+    planned, catalogue = setup.arm(name), load_catalogue()
+    if weighed:
+        heavy = catalogue['gravity'].sized(natural_sizes(planned.robot)).parameters[0]
+        robot = planned.robot.with_effect('gravity', {heavy.name: 3.0 * heavy.typical})
+        planned = replace(planned, robot=replace(robot, gravity=planned.down))
+    case = Case(name, hidden, 1.0, seed, level=level)
+    return simulated(case, planned, setup.designs[0], setup.noises[0][1], catalogue).fit
 
 
-def judge(robot: str, name: str, level: float, seed: int) -> Outcome:
+def laid_onto_the_model(dataset: DataSet) -> DataSet:
+    """Return the data set in the frame in which the model as described suits it best."""
+    level = bool(np.any(dataset.gravity_for(dataset.robot)))
+    tolerances = {'rotation': 0.035 if level else 0.06, 'position': 5e-3}
+    robot = replace(dataset.robot, tolerances=tolerances)
+    found = Predictor(dataset, robot, load_catalogue())
+    markers = found.markers({})
+    return dataset if markers is None else in_frame(found, replace(dataset, robot=robot), markers)
+
+
+def judge(robot: str, name: str, hidden: str, frame: str, level: float, seed: int) -> Outcome:
     """Make a mistake and hold what is said against it."""
     from tendon_robot_ros.report.diagnosis_text import lines
 
-    dataset = MISTAKES[name][0](arm(robot, name in WEIGHED, level, seed))
+    dataset = MISTAKES[name][0](arm(robot, name in WEIGHED, level, seed, hidden))
+    if frame == 'found':
+        dataset = laid_onto_the_model(dataset)
     start = time.process_time()
     found = diagnose(dataset, workers=1)
     seconds = time.process_time() - start
     mistake = found.details.get('mistake', {}).get('name', '')
     text = ' '.join(lines(found))
-    named = [word == mistake or (' ' in word and word in text) for word in MISTAKES[name][1]]
-    right_one = any(named)
+    words, effects = MISTAKES[name][1], [effect.name for effect in found.effects]
+    if not words or (frame == 'found' and name in OF_THE_FRAME):
+        right_one = not mistake and (hidden in [*effects, *found.cannot_tell_apart] or (
+            hidden == 'none' and found.verdict not in NAMING))  # fmt: skip
+    else:
+        right_one = any(word == mistake or (' ' in word and word in text) for word in words)
     wrong = not right_one and (bool(mistake) or found.verdict in NAMING)
-    said = mistake or f'{found.verdict} {" ".join(e.name for e in found.effects)}'.strip()
-    return Outcome(robot, name, said, right_one, wrong, seconds)
+    said = mistake or f'{found.verdict} {" ".join(effects)}'.strip()
+    return Outcome(robot, name, hidden, frame, said, right_one, wrong, seconds)
 
 
 def main() -> int:
@@ -242,22 +295,26 @@ def main() -> int:
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--robots', nargs='*', default=['hinged', 'arcs'])
     parser.add_argument('--mistakes', nargs='*', default=list(MISTAKES))
+    parser.add_argument('--hidden', nargs='*', default=['none'])
+    parser.add_argument('--frames', nargs='*', default=['known'], choices=['known', 'found'])
     parser.add_argument('--json', type=Path)
     options = parser.parse_args()
     outcomes = []
-    print(f'{"":34s} {"arm":7s} {"said":26s} {"right":6s} {"CPU":>6s}')
-    for name in options.mistakes:
-        for robot in options.robots:
-            one = judge(robot, name, options.level, options.seed)
-            outcomes.append(one)
-            mark = 'right' if one.right else 'WRONG' if one.wrong_story else 'unsaid'
-            print(
-                f'{name:34s} {robot:7s} {one.said:26s} {mark:6s} {one.seconds:5.1f}s', flush=True
-            )
-    for robot in options.robots:
-        own = [o for o in outcomes if o.robot == robot]
+    print(f'{"":34s} {"arm":7s} {"hidden":20s} {"frame":6s} {"said":26s} {"right":6s} {"CPU":>6s}')
+    for case in product(options.mistakes, options.robots, options.hidden, options.frames):
+        name, robot, hidden, frame = case
+        one = judge(robot, name, hidden, frame, options.level, options.seed)
+        outcomes.append(one)
+        mark = 'right' if one.right else 'WRONG' if one.wrong_story else 'unsaid'
         print(
-            f'{robot}: {sum(o.right for o in own)} of {len(own)} right, '
+            f'{name:34s} {robot:7s} {hidden:20s} {frame:6s} {one.said:26s} {mark:6s} '
+            f'{one.seconds:5.1f}s',
+            flush=True,
+        )
+    for robot, frame in product(options.robots, options.frames):
+        own = [o for o in outcomes if (o.robot, o.frame) == (robot, frame)]
+        print(
+            f'{robot}, frame {frame}: {sum(o.right for o in own)} of {len(own)} right, '
             f'{sum(o.wrong_story for o in own)} wrong stories, '
             f'longest {max(o.seconds for o in own):.1f} s'
         )

@@ -16,7 +16,7 @@ from pathlib import Path
 from machine import machine, tell
 
 from tendon_robot_ros.campaign.versions import Preparation
-from tendon_robot_ros.cli.campaign import shown
+from tendon_robot_ros.cli.options import progress
 from tendon_robot_ros.common.workers import Workers
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
@@ -34,7 +34,7 @@ def spent() -> float:
 def measured(model: Model, postures: int, count: int) -> dict[str, float]:
     """Sample a workspace; what it took."""
     start, begun = spent(), time.monotonic()
-    with Workers(count, prepare=Preparation.here()) as workers, shown() as show:
+    with Workers(count, prepare=Preparation.here()) as workers, progress(True) as show:
         volume = find_volume(model, postures, workers=workers, progress=show)
     memory = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     solved = postures * (2 if volume.frictionless else 1)

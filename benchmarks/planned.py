@@ -15,7 +15,7 @@ from tendon_robot_ros.campaign.judge import compile_for
 from tendon_robot_ros.campaign.plan import plan_of
 from tendon_robot_ros.campaign.running import run_plan
 from tendon_robot_ros.campaign.versions import Preparation
-from tendon_robot_ros.cli.campaign import shown
+from tendon_robot_ros.cli.options import progress
 from tendon_robot_ros.common.workers import Workers
 from tendon_robot_ros.report.campaign_page import summary
 
@@ -46,7 +46,7 @@ def run(name: str, options: argparse.Namespace, **changes: object) -> int:
         folder = options.output or Path(scratch) / name
         with (
             Workers(options.workers, options.cluster, Preparation.here()) as workers,
-            shown() as show,
+            progress(True) as show,
         ):
             rows = run_plan(plan, folder, workers, show)
     print('\n'.join(summary(rows)))

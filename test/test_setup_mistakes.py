@@ -11,10 +11,11 @@ from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.common.rotations import upright_fit
 from tendon_robot_ros.comparison.predict import Predictor
-from tendon_robot_ros.diagnosis.diagnose import diagnose, implausible
+from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.marker_places import in_one_place
 from tendon_robot_ros.diagnosis.result import EffectFinding, Value
 from tendon_robot_ros.diagnosis.setup_mistakes import find_mistake
+from tendon_robot_ros.diagnosis.setup_search import implausible
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
 from tendon_robot_ros.report.diagnosis_text import lines
 from tendon_robot_ros.robot import parse_robot
@@ -204,15 +205,57 @@ def test_a_mistake_beside_a_missing_effect_is_said_with_the_effect(name, limp):
     assert found.effects == ()
 
 
+def midway(dataset):
+    """Return the data set with markers 4 and 5 taken for each other from the fourth posture on."""
+    positions = dataset.positions.copy()
+    positions[3:, :, [3, 4]] = positions[3:, :, [4, 3]]
+    return replace(dataset, positions=positions)
+
+
+def misplaced(dataset):
+    *others, last = dataset.markers
+    low = replace(last, arc_length=last.arc_length - 0.01)
+    return replace(dataset, markers=(*others, low))
+
+
+def dead(dataset):
+    inputs = dataset.inputs.copy()
+    inputs[:, 1] = 0.5
+    return replace(dataset, inputs=inputs)
+
+
+BESIDE_A_LOAD = {
+    'swapped': (lambda d: replace(d, inputs=d.inputs[:, [1, 0, 2]]),
+                'inputs_swapped', 'with inputs tendon_1 and tendon_2 swapped'),
+    'from the tip': (lambda d: replace(d, positions=d.positions[:, :, ::-1]),
+                     'markers_from_the_tip', 'with the markers numbered from the tip to the base'),
+    'exchanged half way': (midway, 'markers_exchanged', 'with markers 4 and 5 exchanged in '),
+    'tip marker': (misplaced, 'markers_elsewhere', 'with marker 11 at 220 mm along the arm'),
+    'dead load cell': (dead, 'input_dead', 'input tendon_2 reads 0.5 N in every posture'),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize('frame', ['known', slow('found')])
+@pytest.mark.parametrize('name', BESIDE_A_LOAD)
+def test_a_mistake_beside_a_load_is_said_with_what_and_where(name, frame, limp):
+    make, mistake, sentence = BESIDE_A_LOAD[name]
+    wrong = make(measured(limp, {'tip_load': {'force_x': 0.1}}, count=6))
+    found = diagnose(registered(wrong) if frame == 'found' else wrong, workers=1)
+    assert found.details['mistake']['name'] == mistake
+    assert sentence in found.remainder
+    assert found.effects == ()
+
+
 def test_a_stiffness_that_no_rod_is_off_by_is_said(limp):
     value = Value(1.4, 1.3, 1.5, '1')
     found = SimpleNamespace(effects=[EffectFinding('backbone_stiffness',
-                                                   {'relative_change': value}, 1.0)])  # fmt: skip
+                                                   {'relative_change': value}, 1.0)],
+                            details={})  # fmt: skip
     assert implausible(found)[0].startswith('backbone_stiffness of +140 % is no tolerance: check')
     usual = EffectFinding(
         'backbone_stiffness', {'relative_change': replace(value, value=0.3)}, 1.0
     )
-    assert implausible(SimpleNamespace(effects=[usual])) == []
+    assert implausible(SimpleNamespace(effects=[usual], details={})) == []
 
 
 @pytest.mark.parametrize('hidden', [{}, {'tip_load': {'force_x': 2e-3}}])

@@ -62,6 +62,13 @@ def towards(direction: Array) -> Array:
     return np.array([[1 - k * x * x, -k * x * y, x], [-k * x * y, 1 - k * y * y, y], [-x, -y, z]])
 
 
+def turn_onto(direction: Array, other: Array) -> Array:
+    """Return a rotation (3, 3) that turns one vector (3,) into the direction of another."""
+    one, two = (towards(v / np.linalg.norm(v)) for v in (direction, other))
+    turn: Array = two @ one.T
+    return turn
+
+
 def quaternions(rotations: Array) -> Array:
     """Return quaternions (n, 4) x, y, z, w of rotation matrices (n, 3, 3)."""
     r = rotations

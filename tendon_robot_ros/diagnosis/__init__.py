@@ -35,9 +35,12 @@ local_tests.py        where the best model is still wrong: cell, posture, tendon
 
 Before physics, and without it
 outliers.py           readings and trials that the others contradict
-setup_mistakes.py     mistakes of the set-up: which of them explains a gross error
+setup_mistakes.py     mistakes of the set-up: which of them explains a gross error by itself
+setup_search.py       mistakes against missing effects, each with the effect that helps most
+mistake.py            `Mistake`: what is said of one, and the data set without it
 marker_places.py      where markers may sit, and which cannot sit where they are said to
 setup_hypotheses.py   what these mistakes are: swapped columns, turned axes, wrong units
+marker_hypotheses.py  and those of markers and cells: exchanged, placed or counted otherwise
 patterns.py           patterns without physics: does the catalogue lack the cause
 next_measurement.py   the posture that would separate what the present ones cannot
 missing_moment.py     which moment the model lacks where: what the pictures show

@@ -19,12 +19,14 @@ from .arm_report import usual_floor
 from .candidates import Ranked
 from .decide import (
     APART_FROM_SCORE,
+    ERROR_SHARE_LEFT_LIMIT,
     MISTAKE_HANDICAP,
     P_SINGLE_MIN,
+    PARTLY_LEFT_MAX,
+    PARTLY_TRIED_MAX,
     PLAIN_WITHIN_FLOORS,
     POSTURES_MIN,
     SAME_WITHIN_CHI2,
-    STIFFNESS_FACTOR_MAX,
     STRAY_SD_MAX,
     Verdict,
 )
@@ -37,14 +39,16 @@ from .evidence import (
     remainder_text,
 )
 from .joint import joined, several
+from .marker_hypotheses import exchanged_in
+from .mistake import Mistake
 from .next_measurement import propose
 from .outliers import find_outliers
 from .patterns import Pattern
 from .report_rows import details_of, finding, left_by, rows_of
 from .result import Diagnosis
 from .session import Progress, Session
-from .setup_hypotheses import Mistake
-from .setup_mistakes import find_mistake, partly_mistaken
+from .setup_mistakes import find_mistake
+from .setup_search import Explained, Rival, implausible, rivals_of
 
 
 @one_thread()
@@ -86,42 +90,57 @@ def diagnose(
         return _mistaken(session, lacking)
     if lacking:
         return _cannot_judge(session, lacking)
+    taken = exchanged_in(session.predictor)  # readings that contradict others may be of these
+    if taken is not None:
+        return _mistaken(session, taken)
     session.leave_out(find_outliers(session.predictor, {}))
-    usual = usual_floor(session)
-    mistake = find_mistake(session.predictor, session.whitener.floor(), usual)
-    if mistake is None:
-        return _looked_through(session, _judge(session))
-    plain = mistake.after <= PLAIN_WITHIN_FLOORS * usual
-    if mistake.certain or (plain and not mistake.doubtful):
+    enough = PLAIN_WITHIN_FLOORS * usual_floor(session)
+    mistake = find_mistake(session.predictor, session.whitener.floor(), usual_floor(session))
+    plain = mistake is not None and mistake.after <= enough
+    if mistake is not None and (mistake.certain or (plain and not mistake.doubtful)):
         return _mistaken(session, mistake)
-    session.brief = True
-    diagnosis = _judge(session)  # an effect that explains all is the better story
-    if not diagnosis.verdict.may_add:
-        return _mistaken(session, mistake)
-    return _likelier(session, mistake, diagnosis) if plain else diagnosis
+    described, found = rivals_of(session, enough)
+    likelier = _beyond_effects(session, described, found)
+    if likelier is not None:
+        return _mistaken(session, likelier)
+    session.brief = mistake is not None and plain
+    diagnosis = _judge(session)
+    if mistake is not None and plain:  # an effect that explains all is the better story
+        if not diagnosis.verdict.may_add:
+            return _mistaken(session, mistake)
+        diagnosis = _likelier(session, mistake, diagnosis)
+    said = [*diagnosis.details.get('caveats', ()), *implausible(diagnosis)]
+    if found and found[0].explained.left < PARTLY_LEFT_MAX * diagnosis.error_after:
+        one = found[0]
+        said.append(
+            f'{one.mistake.sentence} and {listed(one.explained.names) or "no effect"} the error '
+            f'would fall to {mm(one.explained.left)}: {one.mistake.mend}'
+        )
+    return replace(diagnosis, details={**diagnosis.details, 'caveats': said})
 
 
-def _looked_through(session: Session, diagnosis: Diagnosis) -> Diagnosis:
+def _beyond_effects(
+    session: Session, described: Explained | None, found: Sequence[Rival]
+) -> Mistake | None:
     """
-    Return a diagnosis, or the mistake without which effects explain what they do not here.
+    Return the mistake without which the measurements are explained as they are not with it.
 
-    Asked where nothing explains a gross error, or only a stiffness that no rod is off by: each
-    mistake that takes much of it is mended, and the measurements are judged again.
+    Where it leaves far less than the effects do nothing else is asked; else where the measurements
+    without it are explained as well as the noise and the arm as built tell.
     """
-    odd = implausible(diagnosis)
-    explained = diagnosis.verdict is not Verdict.OUTSIDE_CATALOGUE
-    if explained and not odd:
-        return diagnosis
-    for mistake in partly_mistaken(session.predictor, session.whitener.floor()):
-        again = _judge_mended(session, mistake)
+    if described is None:
+        return None
+    limit = ERROR_SHARE_LEFT_LIMIT * described.left
+    for one in found[:PARTLY_TRIED_MAX]:
+        if one.explained.left < limit:
+            return one.told(one.explained.left, one.explained.names)
+        if one.explained.left > PARTLY_LEFT_MAX * described.left:
+            continue
+        again = _judge_mended(session, one.mistake)
         if again is None or again.verdict is Verdict.OUTSIDE_CATALOGUE or implausible(again):
             continue
-        if again.error_after < diagnosis.error_after or not explained:
-            names = listed([effect.name for effect in again.effects])
-            rest = f', and with {names} to {mm(again.error_after)}' if names else ''
-            return _mistaken(session, replace(mistake, rest=rest))
-    caveats = [*diagnosis.details['caveats'], *odd]
-    return replace(diagnosis, details={**diagnosis.details, 'caveats': caveats})
+        return one.told(again.error_after, [effect.name for effect in again.effects])
+    return None
 
 
 def _judge_mended(session: Session, mistake: Mistake) -> Diagnosis | None:
@@ -142,25 +161,6 @@ def _likelier(session: Session, mistake: Mistake, diagnosis: Diagnosis) -> Diagn
     names = listed([effect.name for effect in diagnosis.effects])
     mend = f'{mistake.mend}; if that is as described, add {names}, which explains it as well'
     return _mistaken(session, mistake if gain < -APART_FROM_SCORE else replace(mistake, mend=mend))
-
-
-def implausible(diagnosis: Diagnosis) -> list[str]:
-    """Say which found values no rod and no tendon is off by; nothing where all may be."""
-    said = []
-    for effect in diagnosis.effects:
-        for key, value in effect.parameters.items():
-            change = value.value
-            if effect.name == 'transmission_loss':
-                change = -change
-            elif not key.startswith('relative_change'):
-                continue
-            if not 1.0 / STIFFNESS_FACTOR_MAX < 1.0 + change < STIFFNESS_FACTOR_MAX:
-                said.append(
-                    f'{effect.name} of {100.0 * change:+.0f} % is no tolerance: check the unit of '
-                    'the inputs, how the bending stiffness was worked out (modulus, diameter), '
-                    'the offsets of the tendons and the number of cells'
-                )
-    return said
 
 
 def _score_mended(session: Session, mistake: Mistake) -> float:

@@ -121,6 +121,12 @@ class Fitter:
             search.begin(search.starts())
         return search
 
+    def promised(self, frees: Sequence[FreeParameter], start: Point) -> float:
+        """Return the chi² that slopes at a start promise to leave, of an exact arm."""
+        search = self._search(frees, start)
+        slopes = search.derivative() * search.scale
+        return float(np.square(search.r - slopes @ np.linalg.lstsq(slopes, search.r)[0]).sum())
+
     def told(self, fit: Fit) -> Fit:
         """
         Fit again under the likeliest logarithms of the sizes: for values and intervals.

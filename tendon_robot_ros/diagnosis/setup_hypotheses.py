@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from itertools import combinations, permutations, product
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ..common.rotations import rigid_fit, turn_angle, upright_fit
+from ..common.rotations import rigid_fit, turn_angle, turn_onto
 from ..comparison.noise import rms
 from ..comparison.predict import Predictor
 from ..data import DataSet
 from ..robot import Robot
 from .decide import (
     FRAME_HARDLY_KNOWN_RAD,
-    FRAME_LEVEL_RAD,
     FRAME_OFF_SHARE_MIN,
     FRAME_TURNED_MIN_DEG,
 )
-from .marker_places import along
+from .marker_hypotheses import miscounted, numbered, spots
+from .mistake import Mistake, in_frame, off, times, tried
 
 Floats = npt.NDArray[np.float64]
 INPUTS_PERMUTED_MAX = 4  # all orders of so many are tried; of more, one exchange after another
@@ -37,69 +38,9 @@ STIFFNESS_FACTORS = {
     0.01: 'N/mm² for N/cm²', 1000.0: 'MPa for GPa', 0.001: 'GPa for MPa',
     16.0: 'the radius of the rod for its diameter', 0.0625: 'its diameter for the radius',
 }  # fmt: skip
-CELLS_MISCOUNTED_MAX = 3
-
-
-@dataclass(frozen=True)
-class Mistake:
-    """A mistake that would explain the error."""
-
-    name: str
-    sentence: str  # 'with ... the error falls'
-    mend: str
-    after: float  # [m] rms
-    mended: DataSet | None = field(default=None, repr=False)  # without it, where that can be made
-    doubtful: bool = False  # whether an effect may do much the same
-    rest: str = ''  # what becomes of the error that it leaves
-    certain: bool = False  # whether measurements alone show it, whatever the model lacks
-
-    def text(self, before: float) -> str:
-        """Say it with the error before and after."""
-        if not math.isfinite(before):
-            return (
-                f'the model finds no equilibrium; {self.sentence} it does, and is off by '
-                f'{1e3 * self.after:.2g} mm{self.rest}: {self.mend}'
-            )
-        return (
-            f'{self.sentence} the error falls from {1e3 * before:.3g} to '
-            f'{1e3 * self.after:.2g} mm{self.rest}: {self.mend}'
-        )
-
-
-def off(predictor: Predictor, measured: Floats, markers: Floats) -> float:
-    """
-    Return the rms [m] between measured and predicted postures (P, J, 3).
-
-    Up to the tracker's frame where that was found with the model itself: a mistake turned it, too.
-    """
-    return rms(_moved(measured, _frame(predictor, measured, markers)) - markers)
-
-
-Frame = tuple[Floats, Floats] | None  # rotation (3, 3) and shift (3,) [m]
-
-
-def _frame(predictor: Predictor, measured: Floats, markers: Floats) -> Frame:
-    """Return how the tracker's frame would lie; None where it is known as it is."""
-    known, seen = predictor.robot.tolerances.get('rotation', 0.0), np.isfinite(measured)
-    if known < FRAME_HARDLY_KNOWN_RAD or not np.isfinite(markers).all():
-        return None
-    points, onto = measured[seen.all(axis=2)], markers[seen.all(axis=2)]
-    gravity = predictor.parts[0].gravity
-    size = float(np.linalg.norm(gravity))
-    if known < FRAME_LEVEL_RAD and size > 0.0:
-        return upright_fit(points, onto, gravity / size)
-    return rigid_fit(points, onto)
-
-
-def _moved(positions: Floats, frame: Frame) -> Floats:
-    return positions if frame is None else positions @ frame[0].T + frame[1]
-
-
-def _mended(predictor: Predictor, predicted: Floats, **changes: Any) -> DataSet:
-    """Return the data set with changes, in the frame that suits what is predicted best."""
-    made = replace(predictor.dataset, robot=predictor.robot)
-    frame = _frame(predictor, made.mean, predicted)
-    return replace(made, positions=_moved(made.positions, frame), **changes)
+CONSTANT_SHARE_MAX = 0.01  # of the largest input: a reading that moves less is constant
+DEAD_SIZES, DEAD_UP_TO, DEAD_ROUNDS = 26, 1.25, 3  # sizes tried up to so many times the largest
+EARTH, EARTH_WITHIN_SHARE = 9.81, 0.01  # [m/s²] gravity, and by how much it differs on land
 
 
 def _swapped(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
@@ -109,10 +50,28 @@ def _swapped(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         orders = [order for order in permutations(range(m)) if list(order) != sorted(order)]
     else:
         orders = list(_exchanges(predictor))
+    names, dataset = predictor.robot.inputs, predictor.dataset
     for order in orders:
-        after = _in_order(predictor, order)
-        if np.isfinite(after):
-            yield _swap(predictor.robot.inputs, order, after)
+        moved = [i for i in range(m) if order[i] != i]
+        are = ' and '.join(names[i] for i in moved)
+        header = ','.join(names[list(order).index(i)] for i in range(m))
+        yield from tried(
+            predictor,
+            predictor.markers({}, predictor.inputs[:, list(order)]),
+            'inputs_swapped',
+            f'with inputs {are} {"swapped" if len(moved) == 2 else "in another order"}',
+            f'name the columns of inputs.csv {header}',
+            **_with_inputs(dataset, partial(np.take, indices=order, axis=-1)),
+        )
+
+
+def _with_inputs(dataset: DataSet, change: Callable[[Floats], Floats]) -> dict[str, Any]:
+    """Return the inputs of a data set (P, m), and those of its trials (P, Q, m), changed."""
+    each = dataset.trial_inputs
+    return {
+        'inputs': change(dataset.inputs),
+        'trial_inputs': None if each is None else change(each),
+    }
 
 
 def _exchanges(predictor: Predictor) -> Iterator[tuple[int, ...]]:
@@ -138,70 +97,66 @@ def _in_order(predictor: Predictor, order: Sequence[int]) -> float:
     return np.inf if moved is None else off(predictor, predictor.dataset.mean, moved)
 
 
-def _swap(names: Sequence[str], order: Sequence[int], after: float) -> Mistake:
-    off = [i for i in range(len(order)) if order[i] != i]
-    are = ' and '.join(names[i] for i in off)
-    header = ','.join(names[list(order).index(i)] for i in range(len(order)))
-    return Mistake(
-        'inputs_swapped',
-        f'with inputs {are} {"swapped" if len(off) == 2 else "in another order"}',
-        f'name the columns of inputs.csv {header}',
-        after,
-    )
-
-
 def _loose(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try inputs that do not reach the arm."""
+    nothing = 0.0 if predictor.dataset.input == 'tension' else np.nan
     for j, name in enumerate(predictor.robot.inputs):
-        inputs = predictor.inputs.copy()
-        inputs[:, j] = 0.0 if predictor.dataset.input == 'tension' else np.nan
-        moved = predictor.markers({}, inputs)
-        if moved is not None:
-            yield Mistake(
-                'input_loose',
-                f'if input {name} never reached the arm',
-                f'look whether {name} is connected, and its wire taut',
-                off(predictor, predictor.dataset.mean, moved),
-            )
+        yield from tried(
+            predictor,
+            predictor.markers({}, _with_one(j, nothing, predictor.inputs)),
+            'input_loose',
+            f'if input {name} never reached the arm',
+            f'look whether {name} is connected, and its wire taut',
+            **_with_inputs(predictor.dataset, partial(_with_one, j, nothing)),
+        )
+
+
+def _with_one(j: int, value: float | Floats, inputs: Floats) -> Floats:
+    """Return inputs (..., m) of which one has another value."""
+    made = np.array(inputs)
+    made[..., j] = value
+    return made
 
 
 def _rows(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try inputs and shapes that belong to different postures: rows moved by one, or reversed."""
-    measured = predictor.dataset.mean
-    one = 'row of inputs.csv does not belong to its posture in shapes.csv'
-    for shift in (1, -1):
-        kept = slice(max(shift, 0), len(measured) + min(shift, 0))
-        yield Mistake(
+    dataset, one = predictor.dataset, 'row of inputs.csv does not belong to its posture'
+    if dataset.path != 'from_straight':
+        return
+    P, left = len(dataset.postures), f'a {one} in shapes.csv: one was left out, or is double'
+    for how, rows, kept in (
+        ('moved by one row down', np.roll(np.arange(P), 1), slice(1, None)),
+        ('moved by one row up', np.roll(np.arange(P), -1), slice(None, -1)),
+        ('in reverse order', np.arange(P)[::-1], slice(None)),
+    ):
+        moved = replace(dataset, positions=dataset.positions[rows], trial_inputs=None)
+        yield from tried(
+            predictor,
+            markers[kept],
             'rows_moved',
-            f'with the postures moved by one row {"down" if shift > 0 else "up"}',
-            f'a {one}: one was left out, or is double',
-            off(predictor, np.roll(measured, shift, axis=0)[kept], markers[kept]),
+            f'with the postures {how}',
+            f'a {one} in shapes.csv' if how.startswith('in') else left,
+            dataset=moved.select(dataset.postures[kept]),
         )
-    yield Mistake(
-        'rows_moved',
-        'with the postures in reverse order',
-        f'a {one}',
-        off(predictor, measured[::-1], markers),
-    )
 
 
 def _axes(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try all ways in which axes may be flipped and swapped."""
-    measured = predictor.dataset.mean
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             if list(order) == [0, 1, 2] and min(signs) > 0.0:
                 continue
-            turned = measured[..., order] * np.array(signs)
             columns = ', '.join(
                 f'{"" if sign > 0 else "-"}{"xyz"[i]}'
                 for i, sign in zip(order, signs, strict=True)
             )
-            yield Mistake(
+            yield from tried(
+                predictor,
+                markers,
                 'axes',
                 f'with the axes of the tracker taken as ({columns})',
                 f'write {columns} into the columns x, y, z of shapes.csv',
-                off(predictor, turned, markers),
+                positions=predictor.dataset.positions[..., order] * np.array(signs),
             )
 
 
@@ -223,63 +178,65 @@ def _registered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     )
 
 
-def _numbered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
-    """Try markers that are numbered from the tip."""
-    yield Mistake(
-        'markers_from_the_tip',
-        'with the markers numbered from the tip to the base',
-        'turn the order of the markers in shapes.csv around',
-        off(predictor, predictor.dataset.mean[:, ::-1], markers),
-    )
-
-
 def _units(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try units of the inputs and of the positions."""
-    tension = predictor.dataset.input == 'tension'
+    tension, dataset = predictor.dataset.input == 'tension', predictor.dataset
     described = 'bending_stiffness [N·m/rad] and offsets [m]' if tension else 'offsets [m]'
     for factor in UNIT_FACTORS:
-        moved = predictor.markers({}, predictor.inputs * factor)
-        how = f'multiplied by {factor:.4g}' if factor >= 1.0 else f'divided by {1.0 / factor:.4g}'
-        if moved is not None:
-            yield Mistake(
-                'unit_of_inputs',
-                f'with all inputs {how}',
-                f'check their unit in inputs.csv {"[N]" if tension else "[m]"}; if that is right, '
-                f'{described} of the description',
-                off(predictor, predictor.dataset.mean, moved),
-                _mended(predictor, moved, **_scaled_inputs(predictor.dataset, factor)),
-            )
-        if np.isfinite(markers).all():
-            yield Mistake(
-                'unit_of_positions',
-                f'with all positions {how}',
-                'check their unit in shapes.csv [m]',
-                off(predictor, predictor.dataset.mean * factor, markers),
-            )
+        yield from tried(
+            predictor,
+            predictor.markers({}, predictor.inputs * factor),
+            'unit_of_inputs',
+            f'with all inputs {times(factor)}',
+            f'check their unit in inputs.csv {"[N]" if tension else "[m]"}; if that is right, '
+            f'{described} of the description',
+            **_with_inputs(dataset, partial(np.multiply, factor)),
+        )
+        yield from tried(
+            predictor,
+            markers,
+            'unit_of_positions',
+            f'with all positions {times(factor)}',
+            'check their unit in shapes.csv [m]',
+            positions=dataset.positions * factor,
+        )
 
 
-def _scaled_inputs(dataset: DataSet, factor: float) -> dict[str, Any]:
-    each = dataset.trial_inputs
-    return {
-        'inputs': dataset.inputs * factor,
-        'trial_inputs': None if each is None else each * factor,
-    }
+def _offsets(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try tendons that run twice or half as far from the centre as described."""
+    for factor in (0.5, 2.0):
+        tendons = tuple(
+            replace(
+                tendon,
+                base=(factor * tendon.base[0], factor * tendon.base[1]),
+                end=(factor * tendon.end[0], factor * tendon.end[1]),
+            )
+            for tendon in predictor.robot.tendons
+        )
+        if any(tendon.offsets for tendon in tendons):
+            return
+        robot = replace(predictor.robot, tendons=tendons)
+        yield from tried(
+            predictor,
+            Predictor(predictor.dataset, robot, predictor.model.catalogue).markers({}),
+            'offsets',
+            f'with the offsets of the tendons {times(factor)}',
+            'check the offsets [m] of the description (diameter for radius?)',
+            robot=robot,
+        )
 
 
 def _stiffness(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try a bending stiffness far beyond what any rod is off: a wrong unit, or diameter."""
     for factor, why in STIFFNESS_FACTORS.items():
         stiffer = np.full(predictor.model.arrays.chain.n, factor)
-        moved = predictor.markers({}, stiffness=stiffer)
-        if moved is None:
-            continue
-        how = f'multiplied by {factor:g}' if factor > 1.0 else f'divided by {1.0 / factor:g}'
-        yield Mistake(
+        yield from tried(
+            predictor,
+            predictor.markers({}, stiffness=stiffer),
             'stiffness',
-            f'with the bending stiffness {how}',
+            f'with the bending stiffness {times(factor)}',
             f'check how it was worked out ({why}?): modulus, diameter, length of a cell',
-            off(predictor, predictor.dataset.mean, moved),
-            _mended(predictor, moved, robot=_stiffer(predictor.robot, factor)),
+            robot=_stiffer(predictor.robot, factor),
         )
 
 
@@ -296,104 +253,100 @@ def _stiffer(robot: Robot, factor: float) -> Robot:
 
 
 def _gravity(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
-    """Try gravity along every axis, where the weight of the arm is described."""
-    size = float(np.linalg.norm(predictor.parts[0].gravity))
-    if size == 0.0 or not predictor.model.acts('gravity'):
+    """
+    Try gravity along every axis, and as large as on the Earth, where weight is described.
+
+    A tracker's frame that was laid level by the described gravity turns with it.
+    """
+    described = np.asarray(predictor.parts[0].gravity)
+    size = float(np.linalg.norm(described))
+    if not predictor.model.acts('gravity'):
         return
-    for axis, sign in product(range(3), (1.0, -1.0)):
-        with predictor.under_gravity(sign * size * np.eye(3)[axis]):
+    ways = [described / size] if size > 0.0 else []
+    ways += [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
+    sizes = {size} if abs(size / EARTH - 1.0) < EARTH_WITHIN_SHARE else {size, EARTH} - {0.0}
+    positions = predictor.dataset.positions
+    for way, much in product(ways, sizes):
+        vector = np.round(much * way, 9) + 0.0
+        if np.allclose(vector, described):
+            continue
+        with predictor.under_gravity(vector):
             moved = predictor.markers({})
-        if moved is not None:
-            vector = ', '.join(f'{x:g}' for x in sign * size * np.eye(3)[axis])
-            yield Mistake(
-                'gravity',
-                f'with gravity [{vector}]',
-                f'write gravity: [{vector}] into dataset.yaml',
-                off(predictor, predictor.dataset.mean, moved),
-            )
-
-
-def miscounted(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
-    """Try another number of cells in a section, of the same length each."""
-    robot, dataset = predictor.robot, predictor.dataset
-    reach = range(-CELLS_MISCOUNTED_MAX, CELLS_MISCOUNTED_MAX + 1)
-    for s, more in product(range(len(robot.sections)), reach):
-        section = robot.sections[s]
-        count = section.cells + more
-        if count < 1 or more == 0 or section.is_plate:
-            continue
-        place = f'section {section.name}' if len(robot.own_sections) > 1 else 'the arm'
-        again = (section.bending_stiffness[-1],) * CELLS_MISCOUNTED_MAX
-        masses = (section.mass_profile[-1],) * CELLS_MISCOUNTED_MAX
-        other = replace(
-            section,
-            cells=count,
-            bending_stiffness=(section.bending_stiffness + again)[:count],
-            mass_profile=(section.mass_profile + masses)[:count],
+        level = predictor.robot.tolerances.get('rotation', 0.0) >= FRAME_HARDLY_KNOWN_RAD
+        turn = turn_onto(described, vector) if level and size > 0.0 else np.eye(3)
+        x, y, z = vector.tolist()
+        text = f'{x:g}, {y:g}, {z:g}'
+        yield from tried(
+            predictor,
+            moved,
+            'gravity',
+            f'with gravity [{text}]',
+            f'write gravity: [{text}] into dataset.yaml',
+            positions=positions @ turn.T,
+            gravity=(x, y, z),
+            robot=replace(predictor.robot, gravity=(x, y, z)),
         )
-        sections = (*robot.sections[:s], other, *robot.sections[s + 1 :])
-        longer = replace(robot, sections=sections, fitted={})
-        for where, places in along(dataset, robot, longer):
-            spots = tuple(
-                replace(m, arc_length=s) for m, s in zip(dataset.markers, places, strict=True)
+
+
+def dead_inputs(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """
+    Try inputs that read the same in every posture: each posture has its own in truth.
+
+    That which suits the markers of the posture best.
+    """
+    dataset, given = predictor.dataset, predictor.inputs
+    if dataset.input != 'tension' or len(given) < 2:
+        return
+    most, spans = float(np.nanmax(given)), np.ptp(given, axis=0)
+    for j in np.flatnonzero(spans < CONSTANT_SHARE_MAX * most).tolist():
+        name, fitted = predictor.robot.inputs[j], given.copy()
+        if spans.max() < 10.0 * CONSTANT_SHARE_MAX * most:
+            return
+        sizes = np.linspace(0.0, DEAD_UP_TO * most, DEAD_SIZES)
+        moved = [predictor.markers({}, _with_one(j, size, given)) for size in sizes.tolist()]
+        for _ in range(DEAD_ROUNDS):
+            now = predictor.markers({}, fitted)
+            if now is None:
+                break
+            measured = in_frame(predictor, dataset, now).mean
+            errors = np.array(
+                [
+                    np.full(len(given), np.inf)
+                    if one is None
+                    else np.nanmean(((measured - one) ** 2).sum(axis=2), axis=1)
+                    for one in moved
+                ]
             )
-            mended = replace(dataset, robot=longer, markers=spots)
-            moved = Predictor(mended, longer, predictor.model.catalogue).markers({})
-            if moved is not None:
-                yield Mistake(
-                    'cells',
-                    f'with {count} cells instead of {section.cells} in {place} (markers {where})',
-                    f'count the cells of {place}',
-                    off(predictor, dataset.mean, moved),
-                    _mended(predictor, moved, robot=longer, markers=spots),
-                    True,
-                )
+            fitted[:, j] = sizes[np.argmin(np.where(np.isnan(errors), np.inf, errors), axis=0)]
+        own = fitted[:, j]
+        for one in tried(
+            predictor,
+            predictor.markers({}, fitted),
+            'input_dead',
+            f'input {name} reads {np.median(given[:, j]):.3g} N in every posture; with '
+            f'{own.min():.2g} to {own.max():.2g} N, as the markers ask for,',
+            f'look at the load cell of {name}',
+            inputs=fitted,
+            trial_inputs=None,
+        ):
+            yield replace(one, fitted=len(given))
 
 
-def _spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
-    """Try markers that sit elsewhere along the arm: nearer to the base, or the tip."""
-    dataset, length = predictor.dataset, predictor.robot.length
-    cell = predictor.robot.own_sections[0].cell_length
-    moves = [
-        *((f'{abs(c):g} cell nearer to the {"base" if c < 0 else "tip"}', 1.0, c * cell)
-          for c in (-1.0, -0.5, 0.5, 1.0)),
-        *((f'at {100 * s:.0f} % of their arc lengths', s, 0.0) for s in (0.8, 0.9, 1.1, 1.25)),
-    ]  # fmt: skip
-    for how, share, shift in moves:
-        spots = [share * m.arc_length + shift for m in dataset.markers]
-        if min(spots) < -1e-9 * length or max(spots) > (1.0 + 1e-9) * length:
-            continue
-        moved_to = tuple(
-            replace(m, arc_length=s)
-            for m, s in zip(dataset.markers, np.clip(spots, 0.0, length).tolist(), strict=True)
-        )
-        mended = replace(dataset, robot=predictor.robot, markers=moved_to)
-        moved = Predictor(mended, predictor.robot, predictor.model.catalogue).markers({})
-        if moved is not None:
-            yield Mistake(
-                'markers_elsewhere',
-                f'with all markers {how}',
-                'check arc_length of the markers in dataset.yaml, from the base along the arm, '
-                'and the number of cells',
-                off(predictor, dataset.mean, moved),
-                _mended(predictor, moved, markers=moved_to),
-                True,
-            )
-
-
-OF_INPUTS = (_swapped, _units, _stiffness)  # that can be why there is no equilibrium
+OF_INPUTS = (_swapped, _units, _offsets, _stiffness)  # that can be why there is no equilibrium
 # The plainest first: what a free registration can do, some of the others can do as well. It can
 # also do what a tilted base does, which is an effect: only a gross error is laid to it.
 DISCRETE = (
     _swapped,
     _loose,
-    _numbered,
+    numbered,
     _rows,
     _units,
+    _offsets,
     _stiffness,
     _gravity,
-    _spots,
+    spots,
     miscounted,
     _axes,
 )
 HYPOTHESES = (*DISCRETE, _registered)
+BESIDE_EFFECTS = (*DISCRETE, dead_inputs)  # the last needs values of its own

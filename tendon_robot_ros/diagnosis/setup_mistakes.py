@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.words import listed, mm
-from ..comparison.noise import rms
 from ..comparison.predict import Predictor
 from .decide import (
     AS_GOOD_WITHIN,
@@ -24,14 +23,13 @@ from .decide import (
     EXPLAINED_WITHIN_FLOORS,
     GROSS_FROM_FLOORS,
     ODD_FROM_FLOORS,
-    ODD_FROM_SPREADS,
-    PARTLY_LEFT_MAX,
-    PARTLY_TRIED_MAX,
     STILL_FROM_FLOORS,
     STILL_SHARE_MAX,
 )
+from .marker_hypotheses import exchanged, miscounted
 from .marker_places import in_one_place, uncut
-from .setup_hypotheses import DISCRETE, HYPOTHESES, OF_INPUTS, Mistake, miscounted, off
+from .mistake import Mistake, off, tried
+from .setup_hypotheses import DISCRETE, HYPOTHESES, OF_INPUTS
 
 Floats = npt.NDArray[np.float64]
 
@@ -53,50 +51,36 @@ def find_mistake(predictor: Predictor, floor: float, usual: float = 0.0) -> Mist
     markers = predictor.markers({})
     if markers is None:
         return _shapeless(predictor, floor)
-    few = (
-        _cut(predictor, markers, floor)
-        or _frozen(predictor, markers, floor)
-        or _exchanged(predictor, markers)
-    )
-    if few is not None:
-        return few
+    few = alone(predictor, markers, floor)
+    if few and few[0].certain:
+        return few[0]
     before = off(predictor, predictor.dataset.mean, markers)
     if before < ODD_FROM_FLOORS * floor:
         return None
     tries = HYPOTHESES if before > GROSS_FROM_FLOORS * floor else DISCRETE
     enough = max(ERROR_SHARE_LEFT_MAX * before, EXPLAINED_WITHIN_FLOORS * floor, 2.0 * usual)
-    mistakes = [one for tried in tries for one in tried(predictor, markers)]
-    likely = [one for one in mistakes if one.after < min(enough, ERROR_SHARE_LEFT_LIMIT * before)]
+    mistakes = few + [one for kind in tries for one in kind(predictor, markers)]
+    certain = next((one for one in mistakes if one.certain), None)
+    if certain is not None:
+        return certain
+    enough = min(enough, ERROR_SHARE_LEFT_LIMIT * before)
+    likely = [one for one in mistakes if one.after < min(enough, one.most)]
     return _plainest(likely, max(floor, 0.3 * usual))
 
 
-def partly_mistaken(predictor: Predictor, floor: float) -> list[Mistake]:
-    """
-    Return the mistakes that explain much of a gross error, the best of each kind, best first.
-
-    For measurements of an arm that lacks an effect as well: what remains is judged again.
-    """
-    markers = predictor.markers({})
-    if markers is None:
-        return []
-    before = off(predictor, predictor.dataset.mean, markers)
-    if before < GROSS_FROM_FLOORS * floor:
-        return []
-    best: dict[str, Mistake] = {}
-    for one in (one for tried in DISCRETE for one in tried(predictor, markers)):
-        mendable = one.mended is not None and one.after < PARTLY_LEFT_MAX * before
-        if mendable and one.after < best.get(one.name, one).after * (1.0 + 1e-12):
-            best[one.name] = one
-    return sorted(best.values(), key=lambda one: one.after)[:PARTLY_TRIED_MAX]
+def alone(predictor: Predictor, markers: Floats, floor: float) -> list[Mistake]:
+    """Return the mistakes that the measurements show by themselves, whatever the model lacks."""
+    found = [_cut(predictor, markers, floor), *exchanged(predictor, markers)]
+    found.append(_frozen(predictor, markers, floor))
+    return [one for one in found if one is not None]
 
 
 def _shapeless(predictor: Predictor, floor: float) -> Mistake | None:
     """Find the mistake without which the model has an equilibrium at all."""
     measured = predictor.dataset.mean
-    enough = ERROR_SHARE_LEFT_LIMIT * rms(measured - np.nanmean(measured, axis=0))
     nothing = np.full_like(measured, np.nan)
-    mistakes = [one for tried in OF_INPUTS for one in tried(predictor, nothing)]
-    return _plainest([one for one in mistakes if one.after < enough], floor)
+    mistakes = [one for kind in OF_INPUTS for one in kind(predictor, nothing)]
+    return _plainest([one for one in mistakes if one.after < one.most], floor)
 
 
 def _plainest(likely: Sequence[Mistake], floor: float) -> Mistake | None:
@@ -149,29 +133,17 @@ def _frozen(predictor: Predictor, markers: Floats, floor: float) -> Mistake | No
         return None
     name = dataset.markers[int(still[0])].name
     keep = np.arange(len(spread)) != still[0]
-    after = rms((dataset.mean - markers)[:, keep])
-    sentence = f'marker {name} stands still while the arm moves; without it'
-    return Mistake('frozen_marker', sentence, f'take the rows of marker {name} out', after)
-
-
-def _exchanged(predictor: Predictor, markers: Floats) -> Mistake | None:
-    """Find two markers that were taken for each other, the others being where they should."""
-    dataset = predictor.dataset
-    off = np.sqrt(np.nanmean(((dataset.mean - markers) ** 2).sum(axis=2), axis=0))
-    if len(off) < 4 or not np.isfinite(off).all():
-        return None
-    two = np.sort(np.argsort(off)[-2:])
-    others = float(np.delete(off, two).max())
-    order = np.arange(len(off))
-    order[two] = order[two[::-1]]
-    exchanged = dataset.mean[:, order] - markers
-    now = np.sqrt(np.nanmean((exchanged**2).sum(axis=2), axis=0))[two]
-    if off[two].min() < ODD_FROM_SPREADS * others or now.max() > 1.5 * others:
-        return None
-    a, b = (dataset.markers[int(j)].name for j in two)
-    return Mistake(
-        'markers_exchanged',
-        f'with markers {a} and {b} exchanged',
-        'exchange their names in shapes.csv',
-        rms(exchanged),
+    (one,) = tried(
+        predictor,
+        markers[:, keep],
+        'frozen_marker',
+        f'marker {name} stands still while the arm moves; without it',
+        f'take the rows of marker {name} out',
+        dataset=replace(
+            dataset,
+            markers=tuple(m for m, kept in zip(dataset.markers, keep, strict=True) if kept),
+            positions=dataset.positions[:, :, keep],
+            orientations=None,
+        ),
     )
+    return one

@@ -33,9 +33,9 @@ from .described_arm import OF_THE_ARM, DescribedArm, arm_with, blocks_of_the_arm
 from .fit import Fit, Nuisance
 from .fitter import Fitter
 from .into_description import changed_robot
+from .mistake import Mistake
 from .outliers import find_outliers, without_unsettled
 from .prediction_errors import Joining, Ways, described, grown, left_out_errors, predict, promised
-from .setup_hypotheses import Mistake
 from .setup_mistakes import find_mistake
 
 Floats = npt.NDArray[np.float64]

@@ -1,0 +1,235 @@
+"""Mistakes of markers and of cells: numbered, exchanged, placed or counted otherwise than said."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.words import mm
+from ..comparison.predict import Predictor
+from ..robot import Robot
+from .marker_places import along
+from .mistake import Mistake, times, tried
+
+Floats = npt.NDArray[np.float64]
+CELLS_MISCOUNTED_MAX = 3
+MARKER_OFF_SHARE_MIN = 0.02  # of the arm's length: a marker less far off is a tolerance
+SCALE_OFF_MIN = 1.5  # [1] by which all distances of markers are off in a mistake of the unit
+EXCHANGED_LEFT_MAX = 0.3  # of what distances are off, that an exchange of two markers may leave
+EXCHANGED_OFF_MIN = 0.3  # [1] of the usual distance of neighbours, rms, from which it is tried
+EXCHANGED_SHARE_MIN = 0.1  # of the trials: fewer are readings that the others contradict
+
+
+def numbered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try markers that are numbered from the tip."""
+    yield from tried(
+        predictor,
+        markers,
+        'markers_from_the_tip',
+        'with the markers numbered from the tip to the base',
+        'turn the order of the markers in shapes.csv around',
+        positions=predictor.dataset.positions[:, :, ::-1],
+    )
+
+
+def exchanged(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """
+    Find two markers that were taken for each other, in some trials or in all.
+
+    Told by how far the markers of a trial are from each other, wherever the arm is.
+    """
+    dataset = predictor.dataset
+    J = len(dataset.markers)
+    if J < 3:
+        return
+    should, seen = _distances(markers)[:, None], _distances(dataset.positions)  # (P, Q, J, J)
+    neighbour = float(np.median(np.diff(np.sort(dataset.arc_lengths))))
+    off = _off(seen, should)
+    odd = off > EXCHANGED_OFF_MIN * neighbour
+    if not odd.any():
+        return
+    pairs = list(combinations(range(J), 2))
+    others = np.full((len(pairs), *off.shape), np.inf)
+    for k, (i, j) in enumerate(pairs):
+        order = np.arange(J)
+        order[[i, j]] = j, i
+        others[k] = np.where(odd, _off(seen[..., order, :][..., order], should), np.inf)
+    best = np.argmin(others, axis=0)
+    wrong = odd & (others.min(axis=0) < EXCHANGED_LEFT_MAX * off)
+    if not wrong.any():
+        return
+    k = int(np.bincount(best[wrong]).argmax())
+    where = wrong & (best == k)
+    if where.sum() < EXCHANGED_SHARE_MIN * dataset.trials.sum():
+        return
+    order = np.arange(J)
+    order[list(pairs[k])] = pairs[k][::-1]
+    positions = np.where(where[..., None, None], dataset.positions[:, :, order], dataset.positions)
+    a, b = (dataset.markers[i].name for i in pairs[k])
+    if where.sum() == dataset.trials.sum():
+        which = ''
+    else:
+        p, q = np.argwhere(where)[0]
+        first = f'posture {dataset.postures[p]} trial {dataset.trial_names[q]}'
+        which = f' in {int(where.sum())} of {int(dataset.trials.sum())} trials, {first} the first'
+    for one in tried(
+        predictor,
+        markers,
+        'markers_exchanged',
+        f'with markers {a} and {b} exchanged{which}',
+        'exchange their names there in shapes.csv',
+        positions=positions,
+    ):
+        yield replace(one, certain=True)
+
+
+def exchanged_in(predictor: Predictor) -> Mistake | None:
+    """Return the mistake of two markers that were taken for each other, if there is one."""
+    markers = predictor.markers({})
+    return None if markers is None else next(exchanged(predictor, markers), None)
+
+
+def _distances(places: Floats) -> Floats:
+    """Return how far (..., J, J) [m] markers (..., J, 3) are from each other."""
+    return np.asarray(np.linalg.norm(places[..., :, None, :] - places[..., None, :, :], axis=-1))
+
+
+def _off(seen: Floats, should: Floats) -> Floats:
+    """Return by how much (P, Q) [m] distances are off, rms; 0 where none was seen."""
+    squares = (seen - should) ** 2
+    told = np.isfinite(squares)
+    count = np.maximum(told.sum(axis=(2, 3)), 1)
+    return np.asarray(np.sqrt(np.where(told, squares, 0.0).sum(axis=(2, 3)) / count))
+
+
+def miscounted(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try another number of cells in a section: of the same length each, or on the same length."""
+    robot, dataset = predictor.robot, predictor.dataset
+    reach = range(-CELLS_MISCOUNTED_MAX, CELLS_MISCOUNTED_MAX + 1)
+    for s, section in enumerate(robot.sections):
+        if section.is_plate:
+            continue
+        place = f'section {section.name}' if len(robot.own_sections) > 1 else 'the arm'
+        counts = [(section.cells + more, section.cell_length) for more in reach if more]
+        shorter = [(2 * section.cells, section.cell_length / 2.0)]
+        if section.cells % 2 == 0:
+            shorter.append((section.cells // 2, section.cell_length * 2.0))
+        for count, length in (one for one in counts + shorter if one[0] > 0):
+            longer = _of_cells(robot, s, count, length)
+            same = longer.length == robot.length
+            spots = along(dataset, robot, longer)
+            for where, places in [('stay', dataset.arc_lengths.tolist())] if same else spots:
+                markers_there = tuple(
+                    replace(m, arc_length=s) for m, s in zip(dataset.markers, places, strict=True)
+                )
+                mended = replace(dataset, robot=longer, markers=markers_there)
+                each = f' of {1e3 * length:g} mm' if same else ''
+                yield from tried(
+                    predictor,
+                    Predictor(mended, longer, predictor.model.catalogue).markers({}),
+                    'cells',
+                    f'with {count} cells{each} instead of {section.cells} in {place} '
+                    f'(markers {where})',
+                    f'count the cells of {place}',
+                    True,
+                    robot=longer,
+                    markers=markers_there,
+                )
+
+
+def _of_cells(robot: Robot, s: int, count: int, length: float) -> Robot:
+    """Return the description with another number of cells in a section, of a length [m] each."""
+    section = robot.sections[s]
+    again = count * (section.bending_stiffness[-1],)
+    masses = tuple(mass * length / section.cell_length for mass in section.mass_profile)
+    other = replace(
+        section,
+        cells=count,
+        cell_length=length,
+        bending_stiffness=(section.bending_stiffness + again)[:count],
+        mass_profile=(masses + count * masses[-1:])[:count],
+    )
+    return replace(
+        robot, sections=(*robot.sections[:s], other, *robot.sections[s + 1 :]), fitted={}
+    )
+
+
+def spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try markers that sit elsewhere along the arm: nearer to the base, or the tip."""
+    dataset, length = predictor.dataset, predictor.robot.length
+    cell = predictor.robot.own_sections[0].cell_length
+    moves = [
+        *((f'{abs(c):g} cell nearer to the {"base" if c < 0 else "tip"}', 1.0, c * cell)
+          for c in (-1.0, -0.5, 0.5, 1.0)),
+        *((f'at {100 * s:.0f} % of their arc lengths', s, 0.0) for s in (0.8, 0.9, 1.1, 1.25)),
+    ]  # fmt: skip
+    for how, share, shift in moves:
+        places = share * dataset.arc_lengths + shift
+        if places.min() < -1e-9 * length or places.max() > (1.0 + 1e-9) * length:
+            continue
+        yield from _elsewhere(predictor, np.clip(places, 0.0, length), f'with all markers {how}')
+    yield from _by_distances(predictor, markers)
+
+
+def _by_distances(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try what the distances of neighbours tell: one marker elsewhere, or another unit."""
+    dataset = predictor.dataset
+    order = np.argsort(dataset.arc_lengths)
+    apart = np.diff(dataset.arc_lengths[order])
+    if not len(apart) or apart.min() <= 0.0:
+        return
+    chords = [
+        np.linalg.norm(np.diff(one[:, order], axis=1), axis=2) for one in (dataset.mean, markers)
+    ]
+    ratio = np.nanmedian(chords[0] / chords[1], axis=0)
+    straightest = np.nanmax(chords[0], axis=0)  # a chord is never longer than the arm between
+    scale = float(np.median(straightest / apart))
+    if not 1.0 / SCALE_OFF_MIN < scale < SCALE_OFF_MIN:
+        for one in tried(
+            predictor,
+            markers,
+            'unit_of_positions',
+            f'neighbouring markers are {scale:.3g} times as far apart as described: with all '
+            f'positions {times(1.0 / scale)}',
+            'check their unit in shapes.csv [m], and arc_length of the markers in dataset.yaml',
+            positions=dataset.positions / scale,
+        ):
+            yield replace(one, certain=True)
+        return
+    more = (ratio - 1.0) * apart  # [m] of arm between neighbours than described
+    for k, j in enumerate(order):
+        told = [*more[k - 1 : k][:k], *(-more[k : k + 1])]
+        way = float(np.mean(told))
+        if abs(way) > MARKER_OFF_SHARE_MIN * predictor.robot.length:
+            places = dataset.arc_lengths.copy()
+            places[j] += way
+            where = f'{mm(places[j])} along the arm instead of {mm(dataset.arc_lengths[j])}'
+            name = dataset.markers[j].name
+            yield from _elsewhere(predictor, places, f'with marker {name} at {where}')
+
+
+def _elsewhere(predictor: Predictor, places: Floats, sentence: str) -> Iterator[Mistake]:
+    """Try other places (J,) [m] of the markers along the arm."""
+    dataset = predictor.dataset
+    inside = np.clip(places, 0.0, predictor.robot.length)
+    there = tuple(
+        replace(m, arc_length=s, offset=(m.offset[0], m.offset[1], m.offset[2] + beyond))
+        for m, s, beyond in zip(
+            dataset.markers, inside.tolist(), (places - inside).tolist(), strict=True
+        )
+    )
+    mended = replace(dataset, robot=predictor.robot, markers=there)
+    yield from tried(
+        predictor,
+        Predictor(mended, predictor.robot, predictor.model.catalogue).markers({}),
+        'markers_elsewhere',
+        sentence,
+        'check arc_length of the markers in dataset.yaml, from the base along the arm, '
+        'and the number of cells',
+        True,
+        markers=there,
+    )
