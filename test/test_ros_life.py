@@ -214,7 +214,7 @@ def test_a_controller_that_is_not_active_says_so(space):
     [
         ('driver', {'robot': 'nowhere.yaml'}, 'nowhere.yaml: file: expected a readable YAML'),
         ('driver', {'config': 'lags: 1'}, 'expected one of lag, tension_noise'),
-        ('controller', {'model': ''}, 'expected a path'),
+        ('controller', {'model': ''}, 'expected the name of a robot'),
         ('controller', {'model': 'name: x'}, 'sections: expected a list'),
     ],
 )
