@@ -152,8 +152,10 @@ class User(Node):
         return met
 
     def aim(self, x, y, z):
+        """Send a new target: one that repeats what was said goes on after no release."""
         message = PointStamped()
         message.header.frame_id = self.base
+        message.header.stamp = self.get_clock().now().to_msg()
         message.point.x, message.point.y, message.point.z = float(x), float(y), float(z)
         self._points.publish(message)
 

@@ -161,12 +161,12 @@ def path(chain, args):
     return tips
 
 
-def follow(chain, breaker, passings, args):
+def follow(chain, breaker, passings, args, tips):
     """Send targets and break things until the time is up; return how often it followed."""
     begin = time.monotonic()
     due = begin + breaker.random.expovariate(1.0 / BETWEEN)
     following = ticks = 0
-    told, tips = begin, path(chain, args)
+    told = begin
     while (now := time.monotonic()) < begin + 60.0 * args.minutes:
         chain.user.aim(*tips[int((now - begin) / ROUND * len(tips)) % len(tips)])
         chain.user.spin(PERIOD)
@@ -215,8 +215,10 @@ def run(args):
     passings = Passings(chain.servos, load_robot(chain.robot).tension_limits[1])
     try:
         breaker = ChainBreaker(chain, args.seed)
-        chain.user.until(lambda: chain.user.code('driver') == 'following', 60.0)
-        followed = follow(chain, breaker, passings, args)
+        tips = path(chain, args)
+        if not chain.up(tips[0], -math.inf):
+            raise RuntimeError(f'the arm does not follow; see {args.logs}')
+        followed = follow(chain, breaker, passings, args, tips)
         breaker.work(math.inf)
         chain.user.spin(1.0)
         passings.look()

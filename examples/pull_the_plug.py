@@ -62,6 +62,9 @@ class Watcher:
         recent = np.array([state.position for state in self.states[-100:]])
         return len(recent) == 100 and np.ptp(recent, axis=0).max() < 5e-5
 
+    def well(self):
+        return self.driver['code'] in ('released', 'holding') and not self.driver['faults']
+
     def go(self, posture):
         header = PoseStamped().header
         header.frame_id = f'{ROBOT}_base'
@@ -95,14 +98,12 @@ def pull_the_plug(watcher, servos):
     watcher.until(lambda: time.monotonic() > began + 1.0, 2, 'a second')
     servos.say('plug')
     plugged = time.monotonic()
-    watcher.until(lambda: watcher.driver['code'] == 'following', 10, 'the driver')
+    watcher.until(watcher.well, 10, 'the motors')
     for when, message in watcher.said:
         print(f'    {when - began:5.2f} s  driver: {message.replace(servos.port, "PORT")}')
-    print(
-        f'    -- plugged in again after 1 s, followed {time.monotonic() - plugged:.2f} s later --'
-    )
-    watcher.until(lambda: watcher.controller['code'] == 'holding', 10, 'the controller')
-    print('    -- the controller holds the arm where it is; the target is sent again --')
+    print(f'    -- plugged in again after 1 s, heard {time.monotonic() - plugged:.2f} s later --')
+    watcher.until(lambda: watcher.controller['code'] == 'released', 10, 'the controller')
+    print('    -- the arm stays where it is until a target comes; it is sent anew --')
 
 
 def main():

@@ -170,4 +170,7 @@ def test_the_robot_moves_through_ros2_control_and_is_released_when_it_goes_silen
     station.until_code(station.driver, 'releasing', 'released')
     station.until(lambda: np.abs(group.received[-1]).max() <= 0.11 * RADIUS, 'the release')
     group.alive = True
+    station.until(lambda: not values(last(station.driver))['faults'], 'joints that are heard')
+    assert values(last(station.driver))['code'] in ('released', 'holding')
+    assert station.trigger('driver/resume').success
     station.until_code(station.driver, 'following')

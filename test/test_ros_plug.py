@@ -28,6 +28,6 @@ def test_the_demo_with_servos_survives_a_pulled_plug(mode):
     assert max(misses) < FARTHEST[mode]
     assert 'the port is gone; plug the adapter in again' in run.stdout
     assert len(re.findall(r'(reached|nearest)$', run.stdout, re.MULTILINE)) == 5
-    assert 'the controller holds the arm where it is; the target is sent again' in run.stdout
-    again = re.search(r'followed ([\d.]+) s later', run.stdout)
+    assert 'the arm stays where it is until a target comes; it is sent anew' in run.stdout
+    again = re.search(r'heard ([\d.]+) s later', run.stdout)
     assert float(again[1]) < 5.0
