@@ -79,7 +79,7 @@ class ChainBreaker(Breaker):
     def strike(self):
         name = self.random.choice(sorted(ALL))
         self.done[name] += 1
-        ALL[name](self, self.random.randint(1, 4))
+        ALL[name](self, self.random.choice(self.ids))
 
     def stop_topic(self, _):
         publisher = self.random.choice((self.stop, self.latched_stop))

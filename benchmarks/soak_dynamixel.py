@@ -56,6 +56,7 @@ class Breaker:
     def __init__(self, servos, bus, seed):
         self.servos, self.bus, self.random = servos, bus, random.Random(seed)
         self.done = collections.Counter()
+        self.ids = sorted({motor['id'] for motor in servos.content()['motors'].values()})
         self.gone = 0.0  # [s] until when the driver may be without its port
 
     def wait(self):
@@ -64,7 +65,7 @@ class Breaker:
     def strike(self):
         name = self.random.choice(sorted(KINDS))
         self.done[name] += 1
-        KINDS[name](self, self.random.randint(1, 4))
+        KINDS[name](self, self.random.choice(self.ids))
 
     def for_a_while(self, broken, mended):
         unplugs = broken == 'unplug'
