@@ -300,10 +300,19 @@ def test_a_long_table_is_the_same_as_a_wide_one(calm, reference, with_inputs, st
     assert any('rotations (' in line for line in imported.dropped)
 
 
-def test_a_number_of_the_trial_is_no_number_of_a_marker(calm):
+@pytest.mark.parametrize('what', ['number of the trial', 'marker was seen', 'one of two markers'])
+def test_a_table_with_a_row_for_each_time_stays(calm, what):
     places, rest = markers_of(calm)
     half = (np.arange(len(calm)) > len(calm) / 2).astype(int)
-    one = rest.assign(id=half, x=places[:, 0, 0], y=places[:, 0, 1], z=places[:, 0, 2])
+    one = rest.assign(x=places[:, 0, 0], y=places[:, 0, 1], z=places[:, 0, 2])
+    match what:
+        case 'number of the trial':
+            one['id'] = half
+        case 'marker was seen':
+            one['marker_visible'] = np.arange(len(calm)) % 2
+        case 'one of two markers':
+            one[[f'm2_{axis}' for axis in 'xyz']] = places[:, 1]
+            one['label'] = np.arange(len(calm)) % 2
     table = from_frame(one)
     assert widened(table) is table
 

@@ -22,7 +22,7 @@ from .columns import (
     need_column,
     triples_of,
 )
-from .points import FRAMES_MAX, choose_points
+from .points import FRAMES_MAX, Points, choose_points
 from .recipe import MarkerColumns, Recipe
 
 STEP_MAX_S = 2.0  # a median step above is no second: nobody records an arm so slowly
@@ -43,6 +43,13 @@ class Taken:
     kind: str  # 'tension' or 'displacement'
     look: tuple[str, ...] = ()  # what a table says otherwise than its reader
     aside: tuple[str, ...] = ()  # triples that are left aside, and as what
+    nameless: tuple[tuple[str, str, str], ...] = ()  # columns of markers that have no name
+
+    @property
+    def left_aside(self) -> tuple[str, ...]:
+        """What is left aside, those without a name counted."""
+        count = len(self.nameless)
+        return self.aside + ((f'{count} points without a name (unlabeled)',) if count else ())
 
 
 def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> Taken:
@@ -59,7 +66,7 @@ def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> 
     reasons: dict[str, str] = {}
     recipe = _choose_times(tables, recipe, reasons, assumed)
     recipe = _choose_inputs(tables, robot, recipe, reasons)
-    recipe, aside, share = _choose_markers(tables, recipe, reasons, assumed)
+    recipe, points = _choose_markers(tables, recipe, reasons, assumed)
     recipe = _choose_position_unit(tables, robot, recipe, assumed)
     used = set(reasons)
     unused = [c for t in tables for c in (*t.columns, *t.texts) if c not in used]
@@ -70,15 +77,20 @@ def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> 
         recipe = replace(recipe, zero=turned)
         if turned:
             assumed.append('motors count from where they are when the arm first stands still')
-    look = _units_contradicted(tables, recipe)
-    if share > MOST:
-        look.append(
-            f'{100 * share:.0f} % of all x, y, z are left out, {listing(aside)}: are the markers '
-            'those that are taken?'
-        )
+    look = tuple(_units_contradicted(tables, recipe))
     triples = {c for table in tables for triple in triples_of(table) for c in triple.columns}
     unused = [column for column in dict.fromkeys(unused) if column not in triples]
-    return Taken(recipe, reasons, tuple(unused), tuple(assumed), kind, tuple(look), aside)
+    taken = Taken(recipe, reasons, tuple(unused), tuple(assumed), kind, look)
+    if points is None:
+        return taken
+    taken = replace(taken, aside=points.aside, nameless=points.nameless)
+    if points.share_aside > MOST:
+        left = (
+            f'{100 * points.share_aside:.0f} % of all x, y, z are left out, '
+            f'{listing(taken.left_aside)}: are the markers those that are taken?'
+        )
+        taken = replace(taken, look=(*look, left))
+    return taken
 
 
 def _units_contradicted(tables: Sequence[RawTable], recipe: Recipe) -> list[str]:
@@ -223,21 +235,21 @@ def _columns_without_axis(tables: Iterable[RawTable]) -> list[str]:
 
 def _choose_markers(
     tables: Sequence[RawTable], recipe: Recipe, reasons: dict[str, str], assumed: list[str]
-) -> tuple[Recipe, tuple[str, ...], float]:
-    """Return the recipe, what is left aside as what, and the share of triples that is."""
+) -> tuple[Recipe, Points | None]:
+    """Return the recipe, and the points that were chosen, where it names none."""
     if recipe.markers is not None:
         for marker in recipe.markers:
             for column in marker.columns:
                 if not any(column in t.columns or column in t.texts for t in tables):
                     need_column(tables[0], column, 'markers')
                 reasons[column] = 'as given'
-        return recipe, (), 0.0
+        return recipe, None
     points = choose_points(tables, recipe.points)
     for columns in points.columns:
         reasons |= dict.fromkeys(columns, 'its name')
     assumed += [points.told] if points.told else []
     markers = tuple(MarkerColumns(columns) for columns in points.columns)
-    return replace(recipe, markers=markers), points.aside, points.share_aside
+    return replace(recipe, markers=markers), points
 
 
 def _choose_position_unit(

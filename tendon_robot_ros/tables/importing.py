@@ -237,7 +237,7 @@ def _columns_dropped(taken: Taken, tables: Sequence[RawTable]) -> list[str]:
     markers = [point for marker in taken.recipe.markers or () for point in marker.points]
     flags = {name.column for t in tables for name, _, _ in flag_columns(t, markers)}
     names = [column for column in taken.unused if column not in flags]
-    said = [f'no markers: {line}' for line in taken.aside]
+    said = [f'no markers: {line}' for line in taken.left_aside]
     if not names:
         return said
     shown = listed(names[:8]) if len(names) <= 8 else f'{", ".join(names[:8])} and more'

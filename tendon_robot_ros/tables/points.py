@@ -46,6 +46,8 @@ class Points:
         What is left aside, as what.
     share_aside : float
         Share of the triples that are left aside, but for what an export says they are.
+    nameless : tuple of tuple of str
+        Markers without a name among these; a named one that was lost may go on in them.
 
     """
 
@@ -53,6 +55,7 @@ class Points:
     told: str
     aside: tuple[str, ...]
     share_aside: float
+    nameless: tuple[tuple[str, str, str], ...]
 
 
 def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
@@ -108,13 +111,12 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
     used = {columns for point in options[taken] for columns in point}
     left = [t for t, _ in named if t.columns not in used]
     aside = [*_told(left), *_told(others)]
-    if loose:
-        aside.append(f'{len(loose)} points without a name (unlabeled)')
     unknown = [t for t, table in found if not table.kinds and t in others]
     dropped = len(loose) + len(unknown)
+    nameless = tuple(t.columns for t, _ in loose)
     columns = tuple(tuple(c for three in point for c in three) for point in options[taken])
     return Points(columns, _chosen(taken, options, columns), tuple(aside),
-                  dropped / (dropped + len(used)))  # fmt: skip
+                  dropped / (dropped + len(used)), nameless)  # fmt: skip
 
 
 def _chosen(

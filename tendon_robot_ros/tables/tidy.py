@@ -10,6 +10,7 @@ import numpy as np
 
 from ..common.dataframes import pandas
 from .columns import FloatArray, RawTable, guess_time, names_of, table_of, triples_of
+from .visibility import kind_of_flag
 
 WHOSE = {'id', 'ids', 'name', 'tag', 'marker', 'label', 'body', 'object', 'tool', 'sensor',
          'point', 'target', 'landmark', 'tracker', 'child', 'rigidbody', 'idx',
@@ -26,7 +27,7 @@ def widened(table: RawTable) -> RawTable:
     with several values, whose times overlap. Other columns that differ between rows of one time
     are the marker's own.
     """
-    if not any(not triple.quantity for triple in triples_of(table)):
+    if sum(not triple.quantity for triple in triples_of(table)) != 1:
         return table
     time = guess_time(names_of(table))
     if time is None or time.column not in (*table.columns, *table.texts):
@@ -67,6 +68,8 @@ def _whose(table: RawTable, time: str) -> str | None:
     best, many = None, 1
     for name in names_of(table):
         if not WHOSE & set(name.words) or name.column in taken or name.column == time:
+            continue
+        if kind_of_flag(name) is not None:
             continue
         values = _numbered(table, name.column)
         if not np.isfinite(values).all() or np.any(values != np.round(values)):

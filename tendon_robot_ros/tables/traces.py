@@ -19,7 +19,7 @@ from .choices import Taken, time_column
 from .clocks import find_clock
 from .columns import FloatArray, RawTable, marker_label
 from .points import circle_centres
-from .recipe import Recipe, WireSpool, points_of
+from .recipe import MarkerColumns, Recipe, WireSpool, points_of
 from .visibility import not_visible
 
 IntArray = npt.NDArray[np.int64]
@@ -214,7 +214,8 @@ def follow_renumbered(tables: Sequence[RawTable], taken: Taken, length: float) -
     """
     Join the columns of markers that the tracker numbered anew, and say which.
 
-    Where a recipe says where each marker is on the arm, it has said that already.
+    A marker may go on in columns without a name; the others of these are reflections. Where a
+    recipe says where each marker is on the arm, it has said that already.
     """
     markers = taken.recipe.markers or ()
     if len(markers) < 2 or any(marker.arc_length is not None for marker in markers):
@@ -223,20 +224,28 @@ def follow_renumbered(tables: Sequence[RawTable], taken: Taken, length: float) -
     seen = [table for table in tables if _holds(table, columns)]
     if not seen:
         return taken
-    places = np.concatenate([marker_places(t, taken.recipe, length)[0] for t in seen])
-    chains = renumbered(places)
+    nameless = [c for c in taken.nameless if all(_holds(table, c) for table in seen)]
+    every = (*markers, *map(MarkerColumns, nameless))
+    recipe = replace(taken.recipe, markers=every)
+    places = np.concatenate([marker_places(t, recipe, length)[0] for t in seen])
+    chains = [chain for chain in renumbered(places) if chain[0] < len(markers)]
     said = [
-        f'{marker_label(markers[j].columns)} is {marker_label(markers[chain[0]].columns)}, '
+        f'{marker_label(every[j].columns)} is {marker_label(markers[chain[0]].columns)}, '
         'numbered anew: it begins where that one ends'
         for chain in chains
         for j in chain[1:]
     ]
     followed = tuple(
-        replace(markers[first], later=tuple(markers[j].columns for j in later))
+        replace(markers[first], later=tuple(every[j].columns for j in later))
         for first, *later in chains
     )
-    recipe = replace(taken.recipe, markers=followed)
-    return replace(taken, recipe=recipe, assumed=(*taken.assumed, *said))
+    joined_up = {columns for marker in followed for columns in marker.later}
+    return replace(
+        taken,
+        recipe=replace(taken.recipe, markers=followed),
+        assumed=(*taken.assumed, *said),
+        nameless=tuple(columns for columns in taken.nameless if columns not in joined_up),
+    )
 
 
 def _refuse_nothing(

@@ -17,6 +17,11 @@ YES, NO = {'1', 'true', 'yes', 'y', 't'}, {'0', 'false', 'no', 'n', 'f'}
 LOST = HIDDEN | {'disabled', 'unseen', 'untracked', 'out', 'not', 'bad', 'none', 'unknown'}
 
 
+def kind_of_flag(name: ColumnName) -> set[str] | None:
+    """Return the words of which a column's name has one: `SEEN`, `HIDDEN` or `STATE`."""
+    return next((kind for kind in (SEEN, HIDDEN, STATE) if kind & set(name.words)), None)
+
+
 def flag_columns(
     table: RawTable, markers: Sequence[Sequence[str]]
 ) -> Iterator[tuple[ColumnName, set[str], list[int]]]:
@@ -43,7 +48,7 @@ def flag_columns(
     own = {name.column: name for name in names if name.column in used}
     owners = [_words(own[c[0]].component[2]) if c[0] in own else () for c in markers]
     for name in names:
-        kind = next((kind for kind in (SEEN, HIDDEN, STATE) if kind & set(name.words)), None)
+        kind = kind_of_flag(name)
         if kind is None or name.column in used:
             continue
         if kind is STATE and name.column in table.columns:
