@@ -91,12 +91,16 @@ def _say(pattern):
 
 
 def _pair(broken, mended):
-    return lambda breaker, i: breaker.for_a_while(broken.format(i=i), mended.format(i=i))
+    def break_(breaker, i):
+        every = ' '.join(map(str, breaker.ids))
+        breaker.for_a_while(broken.format(i=i, all=every), mended.format(i=i, all=every))
+
+    return break_
 
 
 KINDS = {
     'silent': _pair('silent {i}', 'hear {i}'),
-    'all silent': _pair('silent 1 2 3 4', 'hear 1 2 3 4'),
+    'all silent': _pair('silent {all}', 'hear {all}'),
     'spoilt': _say('spoil {n}'),
     'cut': _say('cut {n}'),
     'doubled': _say('double {n}'),
@@ -125,11 +129,12 @@ class Watcher:
         """Return tensions [N] about a quarter of the limit, or pulls [m] of antagonists."""
         if self.at_limit:
             return self.pull_hard(now)
-        phase = 2.0 * np.pi * (0.2 * now + np.array([0.0, 0.0, 0.25, 0.25]))
+        wires = np.arange(len(self.driver.inputs))  # two by two on the two sides
+        phase = 2.0 * np.pi * (0.2 * now + 0.25 * (wires // 2))
+        side = 1.0 - 2.0 * (wires % 2)
         if self.driver.mode == 'pull':
-            self.command = 0.008 * np.sin(phase) * np.array([1.0, -1.0, 1.0, -1.0])
+            self.command = 0.008 * np.sin(phase) * side
         else:
-            side = np.array([1.0, -1.0, 1.0, -1.0])
             self.command = 0.25 * self.driver.limits[:, 1] * (1.0 + 0.15 * side * np.sin(phase))
         return self.command
 

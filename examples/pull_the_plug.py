@@ -38,6 +38,7 @@ class Watcher:
         self.node = rclpy.create_node('watcher', namespace=SPACE)
         self.targets = self.node.create_publisher(PoseStamped, 'controller/target_pose', COMMAND)
         self.controller, self.driver, self.said, self.states = {}, {}, [], []
+        self.sent = ''  # stamp of the target
         hear = self.node.create_subscription
         hear(DiagnosticStatus, 'controller/status', self.hear_controller, LATCHED)
         hear(DiagnosticStatus, 'driver/status', self.hear_driver, LATCHED)
@@ -66,15 +67,31 @@ class Watcher:
         return self.driver['code'] in ('released', 'holding') and not self.driver['faults']
 
     def go(self, posture):
+        """Go there; again where a busy machine has made the driver let go on the way."""
+        self.send(posture)
+        sent = time.monotonic()
+
+        def there():
+            nonlocal sent
+            if self.controller['code'] == 'released' and time.monotonic() > sent + 1.0:
+                self.send(posture)
+                sent = time.monotonic()
+            mine = self.controller.get('target_stamp') == self.sent
+            return mine and self.controller['code'] in SETTLED
+
+        def stands():
+            return there() and self.still()
+
+        self.until(there, 20, posture.name)
+        self.states.clear()
+        self.until(stands, 30, f'the arm at {posture.name}')
+
+    def send(self, posture):
         header = PoseStamped().header
         header.frame_id = f'{ROBOT}_base'
         header.stamp = self.node.get_clock().now().to_msg()
-        stamp = f'{header.stamp.sec}.{header.stamp.nanosec:09d}'
+        self.sent = f'{header.stamp.sec}.{header.stamp.nanosec:09d}'
         self.targets.publish(pose_stamped(header, posture.position, towards(posture.direction)))
-        mine = lambda: self.controller.get('target_stamp') == stamp  # noqa: E731
-        self.until(lambda: mine() and self.controller['code'] in SETTLED, 20, posture.name)
-        self.states.clear()
-        self.until(self.still, 30, f'the arm at {posture.name}')
 
 
 def row(watcher, servos, posture):

@@ -16,6 +16,10 @@ TURNS_MIN = 4  # from one kind to the other in a group
 FEWEST = 3  # messages of a kind in a group
 APART_SHARE = 0.1  # of what a value goes through in the recording: less is noise and resolution
 GROUPS_MIN = 3  # of a recording: fewer are readings that fail
+# What does not move is nothing but noise, and some groups of that look so: of values that are
+# drawn evenly 0.006 of the groups, of normal ones 0.0008 (counted in 400,000 groups).
+CHANCE = 0.006
+DEVIATIONS = 6.0  # standard deviations above that number of groups are no chance
 
 
 def refuse_two_senders(recording: Recording, inputs: FloatArray) -> None:
@@ -87,8 +91,10 @@ def _taking_turns(times: FloatArray, values: FloatArray) -> tuple[float, float, 
     many = above.sum(axis=1)
     found = (turns >= TURNS_MIN) & (gap[:, 0] > within) & (gap[:, 0] > APART_SHARE * spread)
     found &= (many >= FEWEST) & (many <= GROUP - FEWEST) & (spread > 0.0)
+    chance = CHANCE * count
+    found &= found.sum(axis=0) >= max(GROUPS_MIN, chance + DEVIATIONS * np.sqrt(chance))
     where = np.flatnonzero(found.any(axis=1))
-    if len(where) < GROUPS_MIN:
+    if not len(where):
         return None
     largest = np.where(found, gap[:, 0], 0.0).max(axis=1)
     begin, end = times[where[0] * GROUP], times[min((where[-1] + 1) * GROUP, len(times) - 1)]
