@@ -14,8 +14,9 @@ from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.marker_places import in_one_place
 from tendon_robot_ros.diagnosis.result import EffectFinding, Value
+from tendon_robot_ros.diagnosis.setup_hypotheses import dead_inputs
 from tendon_robot_ros.diagnosis.setup_mistakes import find_mistake
-from tendon_robot_ros.diagnosis.setup_search import implausible
+from tendon_robot_ros.diagnosis.setup_search import Explaining, implausible
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
 from tendon_robot_ros.report.diagnosis_text import lines
 from tendon_robot_ros.robot import parse_robot
@@ -127,6 +128,7 @@ def test_a_tip_load_that_a_miscount_could_nearly_do_is_named(limp):
     assert [effect.name for effect in found.effects] == ['tip_load']
     force = found.effects[0].parameters['force_x']
     assert force.low < 0.1 < force.high
+    assert not any('gravity' in caveat for caveat in found.details['caveats'])
     Stepwise(dataset, limp, CATALOGUE)  # improve does not refuse it either
 
 
@@ -244,6 +246,28 @@ def test_a_mistake_beside_a_load_is_said_with_what_and_where(name, frame, limp):
     assert found.details['mistake']['name'] == mistake
     assert sentence in found.remainder
     assert found.effects == ()
+
+
+def test_a_dead_load_cell_is_given_what_it_read_beside_a_load(limp):
+    right = measured(limp, {'tip_load': {'force_x': 0.3}}, count=6)
+    wrong = dead(right)
+    predictor = Predictor(wrong, limp, CATALOGUE)
+    (alone,) = dead_inputs(predictor, predictor.markers({}))
+    beside = Explaining(CATALOGUE, 1e-3).with_effect(alone)
+    off = [float(np.abs(one.mended.inputs - right.inputs).max()) for one in (alone, beside)]
+    assert off[1] < 0.2 * off[0]
+
+
+def test_a_light_arm_may_hang_upside_down_where_a_load_makes_up_for_it():
+    light = parse_robot(LIMP.replace('0.1364', '0.03'))
+    right = measured(light, {'tip_load': {'force_x': 0.2}}, count=6)
+    up = (-9.81, 0.0, 0.0)
+    found = diagnose(replace(right, robot=replace(light, gravity=up), gravity=up), workers=1)
+    assert [effect.name for effect in found.effects] == ['tip_load']
+    (said,) = (caveat for caveat in found.details['caveats'] if 'with gravity' in caveat)
+    assert said.startswith('with gravity [9.81, 0, 0], or ')
+    assert 'and tip_load the error would fall to ' in said
+    assert said.endswith('values of tip_load depend on it')
 
 
 def test_a_stiffness_that_no_rod_is_off_by_is_said(limp):

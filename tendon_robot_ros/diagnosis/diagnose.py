@@ -110,12 +110,10 @@ def diagnose(
             return _mistaken(session, mistake)
         diagnosis = _likelier(session, mistake, diagnosis)
     said = [*diagnosis.details.get('caveats', ()), *implausible(diagnosis)]
-    if found and found[0].explained.left < PARTLY_LEFT_MAX * diagnosis.error_after:
-        one = found[0]
-        said.append(
-            f'{one.mistake.sentence} and {listed(one.explained.names) or "no effect"} the error '
-            f'would fall to {mm(one.explained.left)}: {one.mistake.mend}'
-        )
+    quiet = described is not None and described.quiet
+    limit = np.inf if quiet else PARTLY_LEFT_MAX * diagnosis.error_after
+    if found and found[0].explained.left < limit and not (quiet and found[0].agrees(diagnosis)):
+        said.append(found[0].possible(quiet))
     return replace(diagnosis, details={**diagnosis.details, 'caveats': said})
 
 
@@ -134,7 +132,7 @@ def _beyond_effects(
     for one in found[:PARTLY_TRIED_MAX]:
         if one.explained.left < limit:
             return one.told(one.explained.left, one.explained.names)
-        if one.explained.left > PARTLY_LEFT_MAX * described.left:
+        if described.quiet or one.explained.left > PARTLY_LEFT_MAX * described.left:
             continue
         again = _judge_mended(session, one.mistake)
         if again is None or again.verdict is Verdict.OUTSIDE_CATALOGUE or implausible(again):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ..common.rotations import rigid_fit, upright_fit
 from ..comparison.noise import rms
-from ..comparison.predict import Predictor
+from ..comparison.predict import Point, Predictor
 from ..data import DataSet
 from .decide import ERROR_SHARE_LEFT_LIMIT, FRAME_HARDLY_KNOWN_RAD, FRAME_LEVEL_RAD
 
@@ -30,6 +30,8 @@ class Mistake:
     mended: DataSet | None = field(default=None, repr=False)  # without it, where that can be made
     doubtful: bool = False  # whether an effect may do much the same
     fitted: int = 0  # values that were fitted to the measurements to mend it
+    free_input: int | None = None  # the input whose values these are
+    beside: Callable[[Point], Mistake | None] | None = field(default=None, repr=False)  # effects
     rest: str = ''  # what becomes of the error that it leaves
     certain: bool = False  # whether measurements alone show it, whatever the model lacks
 

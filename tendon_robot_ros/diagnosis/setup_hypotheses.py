@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ..common.rotations import rigid_fit, turn_angle, turn_onto
 from ..comparison.noise import rms
-from ..comparison.predict import Predictor
+from ..comparison.predict import Point, Predictor
 from ..data import DataSet
 from ..robot import Robot
 from .decide import (
@@ -289,47 +289,63 @@ def _gravity(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
 
 
 def dead_inputs(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
-    """
-    Try inputs that read the same in every posture: each posture has its own in truth.
-
-    That which suits the markers of the posture best.
-    """
-    dataset, given = predictor.dataset, predictor.inputs
-    if dataset.input != 'tension' or len(given) < 2:
+    """Try inputs that read the same in every posture: each posture has its own in truth."""
+    given = predictor.inputs
+    if predictor.dataset.input != 'tension' or len(given) < 2:
         return
     most, spans = float(np.nanmax(given)), np.ptp(given, axis=0)
+    if spans.max() < 10.0 * CONSTANT_SHARE_MAX * most:
+        return
     for j in np.flatnonzero(spans < CONSTANT_SHARE_MAX * most).tolist():
-        name, fitted = predictor.robot.inputs[j], given.copy()
-        if spans.max() < 10.0 * CONSTANT_SHARE_MAX * most:
-            return
-        sizes = np.linspace(0.0, DEAD_UP_TO * most, DEAD_SIZES)
-        moved = [predictor.markers({}, _with_one(j, size, given)) for size in sizes.tolist()]
-        for _ in range(DEAD_ROUNDS):
-            now = predictor.markers({}, fitted)
-            if now is None:
-                break
-            measured = in_frame(predictor, dataset, now).mean
-            errors = np.array(
-                [
-                    np.full(len(given), np.inf)
-                    if one is None
-                    else np.nanmean(((measured - one) ** 2).sum(axis=2), axis=1)
-                    for one in moved
-                ]
-            )
-            fitted[:, j] = sizes[np.argmin(np.where(np.isnan(errors), np.inf, errors), axis=0)]
-        own = fitted[:, j]
-        for one in tried(
-            predictor,
-            predictor.markers({}, fitted),
-            'input_dead',
-            f'input {name} reads {np.median(given[:, j]):.3g} N in every posture; with '
-            f'{own.min():.2g} to {own.max():.2g} N, as the markers ask for,',
-            f'look at the load cell of {name}',
-            inputs=fitted,
-            trial_inputs=None,
-        ):
-            yield replace(one, fitted=len(given))
+        one = _dead(predictor, j, {})
+        if one is not None:
+            yield one
+
+
+def _dead(predictor: Predictor, j: int, point: Point) -> Mistake | None:
+    """Give an input in each posture what suits its markers best, with effects of some values."""
+    dataset, given = predictor.dataset, predictor.inputs
+    name, fitted, most = predictor.robot.inputs[j], given.copy(), float(np.nanmax(given))
+    sizes = np.linspace(0.0, DEAD_UP_TO * most, DEAD_SIZES)
+    moved = [predictor.markers(point, _with_one(j, size, given)) for size in sizes.tolist()]
+    for _ in range(DEAD_ROUNDS):
+        now = predictor.markers(point, fitted)
+        if now is None:
+            break
+        measured = in_frame(predictor, dataset, now).mean
+        errors = np.array(
+            [
+                np.full(len(given), np.inf)
+                if one is None
+                else np.nanmean(((measured - one) ** 2).sum(axis=2), axis=1)
+                for one in moved
+            ]
+        )
+        fitted[:, j] = _least(sizes, np.where(np.isnan(errors), np.inf, errors))
+    own = fitted[:, j]
+    made = tried(
+        predictor,
+        predictor.markers({}, fitted),
+        'input_dead',
+        f'input {name} reads {np.median(given[:, j]):.3g} N in every posture; with '
+        f'{own.min():.2g} to {own.max():.2g} N, as the markers ask for,',
+        f'look at the load cell of {name}',
+        inputs=fitted,
+        trial_inputs=None,
+    )
+    beside = partial(_dead, predictor, j)
+    one = next(made, None)
+    return one and replace(one, fitted=len(given), free_input=j, beside=beside)
+
+
+def _least(sizes: Floats, errors: Floats) -> Floats:
+    """Return where errors (S, P) at equal steps of sizes (S,) are least, between steps as well."""
+    k = np.clip(np.argmin(errors, axis=0), 1, len(sizes) - 2)
+    before, here, after = (errors[k + way, np.arange(errors.shape[1])] for way in (-1, 0, 1))
+    with np.errstate(invalid='ignore', divide='ignore'):
+        way = 0.5 * (before - after) / (before - 2.0 * here + after)
+    way = np.clip(np.where(np.isfinite(way), way, 0.0), -1.0, 1.0)
+    return np.asarray(sizes[k] + way * (sizes[1] - sizes[0]))
 
 
 OF_INPUTS = (_swapped, _units, _offsets, _stiffness)  # that can be why there is no equilibrium
@@ -350,3 +366,4 @@ DISCRETE = (
 )
 HYPOTHESES = (*DISCRETE, _registered)
 BESIDE_EFFECTS = (*DISCRETE, dead_inputs)  # the last needs values of its own
+NEARLY_EFFECTS = (_gravity,)  # a load can take up nearly all that the weight of a light arm does

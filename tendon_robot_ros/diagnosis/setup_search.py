@@ -13,10 +13,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from ..common.words import listed, mm
 from ..comparison.noise import Noise, Whitener, rms
-from ..comparison.predict import Predictor
+from ..comparison.predict import Point, Predictor
 from ..data import DataSet
 from ..effects import Catalogue
 from .arm_report import usual_floor
@@ -34,12 +35,15 @@ from .fitter import Fitter
 from .mistake import Mistake, off
 from .result import Diagnosis
 from .session import Session
-from .setup_hypotheses import BESIDE_EFFECTS
+from .setup_hypotheses import BESIDE_EFFECTS, NEARLY_EFFECTS
 from .setup_mistakes import alone
 
+Floats = npt.NDArray[np.float64]
 FITTED_MAX = 3  # effects whose first steps promise most, and which are fitted
 TURNS = 8  # of such a fit
 OF_A_KIND_MAX = 3  # hypotheses of a kind that leave least by themselves, and are fitted
+FITTED_IN_TURN = 2  # rounds of an effect, and of the values that a mistake asks for beside it
+STEP_SHARE = 0.02  # of the largest input, by which one is moved to see what it does
 WEIGHT = ('gravity', 'linear_density')  # which a scale tells: no tolerance is a factor
 NO_FIT = (ArithmeticError, np.linalg.LinAlgError)
 
@@ -51,6 +55,8 @@ class Explained:
     left: float  # [m] rms
     score: float  # chi² + 2 k, errors as large as those of an arm built as usual
     names: tuple[str, ...]
+    point: Point
+    quiet: bool = False  # whether noise, and an arm built as usual, would leave as much
 
 
 def is_odd(effect: str, key: str, value: float, described: float) -> bool:
@@ -73,15 +79,32 @@ class Explaining:
         """Take the rms [m] that an arm built as usual is off."""
         self.catalogue, self.usual = catalogue, usual
 
-    def explain(self, dataset: DataSet, most: int, enough: float) -> Explained | None:
+    def with_effect(self, mistake: Mistake) -> Mistake:
+        """Return a mistake whose fitted values suit an effect that acts as well."""
+        for _ in range(FITTED_IN_TURN):
+            if mistake.beside is None or mistake.mended is None:
+                break
+            beside = self.explain(mistake.mended, 1, 0.0, mistake.free_input)
+            again = None if beside is None else mistake.beside(beside.point)
+            if again is None:
+                break
+            mistake = again
+        return mistake
+
+    def explain(
+        self, dataset: DataSet, most: int, enough: float, free: int | None = None
+    ) -> Explained | None:
         """
         Return a data set with up to so many effects, as few as leave no more than `enough` [m].
 
-        None where it has no equilibrium.
+        Of an input that is `free` each posture may have any value near the one that it has. None
+        where the data set has no equilibrium.
         """
         predictor = Predictor(dataset, dataset.robot, self.catalogue)
-        noise = Noise(self.usual / np.sqrt(3.0), 0.0, 0.0, np.inf, 'declared')
+        noise = Noise(self.usual / np.sqrt(3.0), 0.0, 1.0, np.inf, 'declared')
         slopes = np.zeros((*predictor.inputs.shape, len(dataset.markers), 3))
+        if free is not None:
+            slopes[:, free] = _answer(predictor, free)
         nuisances = nuisances_of(dataset.robot, self.catalogue, predictor)
         fitter = Fitter(predictor, Whitener(dataset, noise, slopes), nuisances)
         effects = joining_effects(dataset.robot, self.catalogue, dataset)
@@ -95,7 +118,7 @@ class Explaining:
             if better is None:
                 break
             fit, names = better
-        return Explained(rms(dataset.mean - fit.markers), _score(fit), names)
+        return Explained(rms(dataset.mean - fit.markers), _score(fit), names, fit.point)
 
     def _with_one_more(
         self, fitter: Fitter, fit: Fit, names: tuple[str, ...], effects: Sequence[Candidate]
@@ -133,6 +156,21 @@ class Explaining:
         return [candidate for *_, candidate in sorted(promised)[:FITTED_MAX]]
 
 
+def _answer(predictor: Predictor, j: int) -> Floats | float:
+    """Return how markers (P, J, 3) [m] answer to an input, per its largest value; 0 if unknown."""
+    inputs = predictor.inputs
+    step = STEP_SHARE * float(np.nanmax(inputs))
+    sides = []
+    for sign in (1.0, -1.0):
+        moved = inputs.copy()
+        moved[:, j] = np.maximum(moved[:, j] + sign * step, 0.0)
+        sides.append(predictor.markers({}, moved))
+    if sides[0] is None or sides[1] is None:
+        return 0.0
+    width = 2.0 * step - np.maximum(step - inputs[:, j], 0.0)
+    return np.asarray((sides[0] - sides[1]) * (step / STEP_SHARE / width)[:, None, None])
+
+
 def _score(fit: Fit) -> float:
     return fit.chi2 + 2.0 * fit.rank
 
@@ -150,6 +188,21 @@ class Rival:
         rest = f', and with {listed(names)} to {mm(left)}' if helps else ''
         return replace(self.mistake, rest=rest)
 
+    def agrees(self, diagnosis: Diagnosis) -> bool:
+        """Tell whether the values of effects are those of a diagnosis, or it names none."""
+        known = {effect.name: effect.parameters for effect in diagnosis.effects}
+        told = [(known[f.effect].get(f.key), x) for f, x in self.explained.point.items()
+                if f.effect in known]  # fmt: skip
+        return all(one is None or one.low <= value <= one.high for one, value in told)
+
+    def possible(self, quiet: bool) -> str:
+        """Say it beside effects that may be as well; `quiet` where they leave as little."""
+        effects, left = listed(self.explained.names) or 'no effect', mm(self.explained.left)
+        said = f'{self.mistake.sentence} and {effects} the error would fall to {left}'
+        if quiet:
+            return f'{said} as well: check which is right, values of {effects} depend on it'
+        return f'{said}: {self.mistake.mend}'
+
 
 def _rivals(
     predictor: Predictor,
@@ -161,7 +214,8 @@ def _rivals(
     """
     Return the mistakes that explain more than the best effects do, the best first.
 
-    Of those that do about as well the plainest is the first.
+    Of those that do about as well the plainest is the first. Where effects leave a quiet rest only
+    those mistakes are tried that an effect can nearly make up for.
 
     Parameters
     ----------
@@ -180,9 +234,10 @@ def _rivals(
     if markers is None:
         return []
     kinds: dict[str, list[Mistake]] = {}
-    for one in alone(predictor, markers, floor):
-        kinds.setdefault(one.name, []).append(one)
-    for one in (one for kind in BESIDE_EFFECTS for one in kind(predictor, markers)):
+    few = [] if described.quiet else alone(predictor, markers, floor)
+    for kind in NEARLY_EFFECTS if described.quiet else BESIDE_EFFECTS:
+        few += kind(predictor, markers)
+    for one in few:
         kinds.setdefault(one.name, []).append(one)
     tried = [
         one
@@ -194,11 +249,17 @@ def _rivals(
         progress('mistakes of the set-up', k + 1, len(tried))
         if one.mended is None:
             continue
+        one = explaining.with_effect(one)
+        assert one.mended is not None
         explained = explaining.explain(one.mended, 1, floor)
         if explained is None:
             continue
-        handicap = 2.0 * one.fitted + MISTAKE_HANDICAP
-        if explained.left < one.most and explained.score + handicap < described.score:
+        if described.quiet:  # errors as large as usual tell nothing there
+            better = explained.left < AS_GOOD_WITHIN * described.left
+        else:
+            handicap = 2.0 * one.fitted + MISTAKE_HANDICAP
+            better = explained.score + handicap < described.score
+        if better and explained.left < one.most:
             found.append(Rival(one, explained))
     if not found:
         return []
@@ -222,8 +283,8 @@ def rivals_of(session: Session, enough: float) -> tuple[Explained | None, list[R
     """
     Return what effects explain of the data set as it is, and the mistakes that explain more.
 
-    None are looked for where one effect leaves little more than noise, or than an arm built as
-    usual is off, with a value that may be.
+    Where one effect with a value that may be leaves little more than noise, and than an arm built
+    as usual is off, only those are looked for that an effect can nearly make up for.
     """
     predictor, floor = session.predictor, session.whitener.floor()
     markers = predictor.markers({})
@@ -235,10 +296,13 @@ def rivals_of(session: Session, enough: float) -> tuple[Explained | None, list[R
     explaining = Explaining(session.catalogue, usual_floor(session))
     dataset = replace(session.dataset, robot=session.robot)
     described = explaining.explain(dataset, 1, enough)
-    if described is None or (described.left <= enough):
-        return described, []
-    described = explaining.explain(dataset, EFFECTS_MAX, floor)
-    assert described is not None
+    if described is None:
+        return None, []
+    if described.left <= enough:
+        described = replace(described, quiet=True)
+    else:
+        described = explaining.explain(dataset, EFFECTS_MAX, floor)
+        assert described is not None
     return described, _rivals(predictor, explaining, described, floor, session.progress)
 
 
