@@ -20,9 +20,9 @@ from planned import PLANS
 from tendon_robot_ros.campaign.cases import NOTHING, Case, simulated
 from tendon_robot_ros.campaign.judge import built_sizes, scatter_held
 from tendon_robot_ros.campaign.plan import read_plan
+from tendon_robot_ros.comparison.outliers import find_outliers
 from tendon_robot_ros.diagnosis.arm_report import arm_report
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
-from tendon_robot_ros.diagnosis.outliers import find_outliers
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.size_intervals import SizeIntervals
 from tendon_robot_ros.effects import load_catalogue

@@ -7,6 +7,7 @@ import pytest
 from simulated import CATALOGUE
 from source_tree import ROOT
 
+from tendon_robot_ros.comparison.outliers import _moves, _without_inputs
 from tendon_robot_ros.comparison.statistics import chi2_isf
 from tendon_robot_ros.diagnosis.arm_report import arm_report
 from tendon_robot_ros.diagnosis.as_built import Kind
@@ -14,7 +15,6 @@ from tendon_robot_ros.diagnosis.candidates import gain_p_value
 from tendon_robot_ros.diagnosis.fit import Fit, with_imperfections
 from tendon_robot_ros.diagnosis.likelihood import LOGARITHMS
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
-from tendon_robot_ros.diagnosis.outliers import _moves, _without_inputs
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.size_intervals import SizeIntervals
 from tendon_robot_ros.report.arm_text import as_built

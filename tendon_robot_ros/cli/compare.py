@@ -21,14 +21,9 @@ from pathlib import Path
 
 from ..common.errors import InputError
 from ..comparison.compare import compare
-from ..comparison.predict import Predictor
 from ..comparison.saved import to_json
 from ..comparison.statistics import ERRORS
 from ..data import DataSet
-from ..diagnosis.outliers import find_outliers
-from ..diagnosis.report_rows import left_out as left_out_details
-from ..effects import Catalogue
-from ..report.arm_text import left_out
 from ..report.comparison_text import sentences, table
 from ..robot import Robot, load_robot
 from .options import add_data, add_effect_files, add_json, effects_of, emit, load_measurements
@@ -64,23 +59,14 @@ def run(args: argparse.Namespace) -> int:
     dataset = load_measurements(args.data, args.model[0] if args.model else None)
     catalogue = effects_of(args)
     models = _models(args, dataset)
-    kept, notes = _consistent(dataset, catalogue)
-    comparison = compare(kept, models, catalogue, args.error)
-    lines = [table(comparison), *notes, *sentences(comparison)]
+    comparison = compare(dataset, models, catalogue, args.error)
+    lines = [table(comparison), *sentences(comparison)]
     if args.report:
         from ..report.comparison_page import write_comparison
 
-        lines.append(f'report: {write_comparison(comparison, args.report, notes)}')
+        lines.append(f'report: {write_comparison(comparison, args.report)}')
     emit(args, to_json(comparison), '\n'.join(lines))
     return 0
-
-
-def _consistent(dataset: DataSet, catalogue: Catalogue) -> tuple[DataSet, list[str]]:
-    """Leave out what other trials contradict, as a diagnosis does, and name it."""
-    outliers = find_outliers(Predictor(dataset, dataset.robot, catalogue), {})
-    if not outliers.any:
-        return dataset, []
-    return outliers.without(dataset), left_out(left_out_details(dataset, outliers, ()))
 
 
 def _models(args: argparse.Namespace, dataset: DataSet) -> list[tuple[str, Robot]]:

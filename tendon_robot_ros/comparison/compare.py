@@ -19,6 +19,7 @@ from ..model.pulls import pull_shapes
 from ..model.shape import FIELDS, ShapeBatch
 from ..robot import Robot, RobotLike, load_robot
 from .noise import Whitener, input_slopes
+from .outliers import find_outliers
 from .predict import Predictor
 from .repeatability import estimate_noise
 from .result import Comparison, Measured, ModelErrors
@@ -75,6 +76,9 @@ def compare(
     """
     Compare models with the measurements of a data set.
 
+    Readings and trials that the other trials of their posture contradict are left out, as in a
+    diagnosis; `measured.left_out` names them.
+
     Parameters
     ----------
     dataset : DataSet, path, or a list of these
@@ -103,6 +107,9 @@ def compare(
         raise InputError(f'models: expected different names, got {", ".join(names)}')
     for name, robot in named:
         _check(dataset, name, robot)
+    outliers = find_outliers(Predictor(dataset, dataset.robot, catalogue), {})
+    left_out = tuple(outliers.rows(dataset))
+    dataset = outliers.without(dataset)
     predictors = [Predictor(dataset, robot, catalogue) for _, robot in named]
     markers = [_predict(predictor) for predictor in predictors]
     axes = bending_axes(markers[0]) if on_the_centreline(dataset) else None
@@ -114,7 +121,8 @@ def compare(
         )
     best = int(np.argmin([model.rms for model in errors]))
     angles = None if axes is None else _angles(dataset.positions.swapaxes(0, 1), axes)
-    return Comparison(_measured(dataset, predictors[best], angles), errors, error)
+    measured = replace(_measured(dataset, predictors[best], angles), left_out=left_out)
+    return Comparison(measured, errors, error)
 
 
 def _named(models: Models) -> list[tuple[str, Robot]]:

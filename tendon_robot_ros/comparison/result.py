@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -41,6 +42,7 @@ class Measured:
     angles: Floats | None  # (Q, P, J) [rad] angular displacement, where the markers tell it
     position_noise: float | None  # [m] 1 sd per coordinate and trial
     floor: Floats | None  # (P, J) [m²] expected squared distance for a perfect model
+    left_out: tuple[Mapping[str, Any], ...] = ()  # as `Outliers.rows` names them
 
     @cached_property
     def noise_floor(self) -> float | None:
@@ -125,6 +127,8 @@ class Comparison(Told):
         ]
         if self.noise_floor is not None:
             rows.append(f'a perfect model: {_mm(self.noise_floor)}')
+        if left_out := len(self.measured.left_out):
+            rows.append(f'left out, because other trials contradict: {left_out}')
         return f'<Comparison with {self.measured.data}: {"; ".join(rows)}>'
 
     def frame(self) -> Any:

@@ -33,6 +33,7 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
         ],
         'per_cell': measured.per_cell,
         'input': measured.input,
+        'left_out': [dict(row) for row in measured.left_out],
         'measured': [_posture(measured, p) for p in range(len(measured.postures))],
     }
 
@@ -77,6 +78,7 @@ def from_json(content: dict[str, Any]) -> Comparison:
         angles=None if angles is None else angles.swapaxes(0, 1),
         position_noise=content['position_noise'],
         floor=floor,
+        left_out=tuple(content.get('left_out', ())),  # files of older versions have none
     )
     models = tuple(_read_model(model) for model in content['models'])
     return Comparison(measured, models, content['error'])

@@ -34,7 +34,6 @@ arm_report.py         the scatter as it is reported, and what is out of line
 local_tests.py        where the best model is still wrong: cell, posture, tendon, direction
 
 Before physics, and without it
-outliers.py           readings and trials that the others contradict
 setup_mistakes.py     mistakes of the set-up: which of them explains a gross error by itself
 setup_search.py       mistakes against missing effects, each with the effect that helps most
 mistake.py            `Mistake`: what is said of one, and the data set without it

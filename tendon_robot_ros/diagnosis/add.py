@@ -16,6 +16,7 @@ from ..common.errors import InputError, NoEquilibriumError
 from ..common.given import refusal
 from ..common.processes import one_thread
 from ..common.told import Told
+from ..comparison.outliers import find_outliers
 from ..comparison.predict import FreeParameter, Point
 from ..data import DataSet, DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
@@ -24,7 +25,6 @@ from .candidates import Candidate, is_tested, why_untested
 from .decide import P_SINGLE_MIN
 from .fit import Fit
 from .load import loads_of
-from .outliers import find_outliers
 from .prediction_errors import Errors, Staircase, errors_on
 from .report_rows import values_with_intervals
 from .result import EffectFinding, LoadVector, Value

@@ -1,8 +1,9 @@
 """
 The thresholds by which a verdict is found, and the one table of what a verdict is.
 
-`diagnose` decides by them. What belongs to one test alone stands beside it: outliers.py, the noise
-of trials in comparison/repeatability.py, drift in monitoring/drift.py.
+`diagnose` decides by them. What belongs to one test alone stands beside it: readings that others
+contradict in comparison/outliers.py, the noise of trials in comparison/repeatability.py, drift in
+monitoring/drift.py.
 
 Nothing else decides what is said of a data set; the reports, the monitor and the live page read
 what is said from here.
@@ -32,7 +33,7 @@ LEFT_OUT_SHARE_MAX = 0.95  # of the left-out error, from which imperfections are
 CORRELATED_FROM = 0.98  # between two parameters: their values are not told apart
 
 # -----------------------------------------------------------------------------
-# What is looked at before physics: mistakes of the set-up, readings that others contradict.
+# What is looked at before physics: mistakes of the set-up.
 
 POSTURES_MIN = 3  # measured postures from which anything is judged
 POSTURES_ENOUGH = 6  # below which it is said that they are few
@@ -59,10 +60,6 @@ AS_GOOD_WITHIN = 1.3  # times the least error left: then the plainest mistake is
 CUT_AS_GOOD_WITHIN = 1.05  # the same of a number of cells where markers were cut at the tip
 STILL_SHARE_MAX = 0.05  # of the way that a marker should go, below which it is frozen
 STILL_FROM_FLOORS = 10.0  # noise floors that it should go by at least to be called so
-FALSE_OUTLIER_PROBABILITY = 1e-3  # for the most extreme of all readings, or of all trials
-TRIALS_MIN = 3  # trials of a posture from which two can contradict one
-UNSETTLED_SHARE_MAX = 0.25  # of the postures, in which a description may have no equilibrium
-MARKERS_OFF_SHARE = 0.5  # share of the markers of a trial beyond which the trial itself is off
 
 # -----------------------------------------------------------------------------
 # What is said beside the verdict.

@@ -12,6 +12,7 @@ from ..common.given import function, whole
 from ..common.processes import one_thread
 from ..common.words import listed, mm
 from ..comparison.noise import rms
+from ..comparison.outliers import find_outliers
 from ..data import DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
 from ..robot import RobotLike, load_robot
@@ -42,7 +43,6 @@ from .joint import joined, several
 from .marker_hypotheses import exchanged_in
 from .mistake import Mistake
 from .next_measurement import propose
-from .outliers import find_outliers
 from .patterns import Pattern
 from .report_rows import details_of, finding, left_by, rows_of
 from .result import Diagnosis

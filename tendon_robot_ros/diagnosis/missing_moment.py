@@ -71,7 +71,8 @@ def missing_moment(
     edges = blocks_of(robot, len(dataset.markers))
     below = robot.plate_cells
     sd = np.sqrt(measured.floor / 3.0)
-    fits = [arm.fit(p, dataset.mean[p] - markers[p], sd[p], edges) for p in range(len(sd))]
+    missed = measured.mean - markers
+    fits = [arm.fit(p, missed[p], sd[p], edges) for p in range(len(sd))]
     bend, spread = np.array(fits).swapaxes(0, 1)
     spread = np.where(spread < UNTOLD_FROM_RAD, spread, np.nan)
     bend = np.where(np.isfinite(spread), bend, np.nan)
@@ -88,8 +89,7 @@ def missing_moment(
         tension_difference=_means(arm.net_tension(offsets), edges),
         model_bend=_means(arm.along(shapes.bend), edges),
         lever=_means(np.linalg.norm(shapes.positions[:, -1:] - arm.pivots, axis=2), edges),
-        deviation=np.array([arm.sideways(p, dataset.mean[p] - markers[p]) for p in range(len(sd))])
-        / sd,
+        deviation=np.array([arm.sideways(p, off) for p, off in enumerate(missed)]) / sd,
     )
 
 

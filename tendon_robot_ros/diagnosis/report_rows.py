@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.words import mm, spoken
+from ..comparison.outliers import Outliers
 from ..comparison.statistics import chi2_isf, normal_ppf
 from ..data import DataSet
 from ..data.dataset import at_rest
@@ -30,7 +31,6 @@ from .fitter import Fitter
 from .interval import intervals
 from .load import loads_of
 from .local_tests import faults_of
-from .outliers import Outliers
 from .prediction_errors import left_out as predicted_left_out
 from .prediction_errors import share_gone
 from .result import NOT_NEEDED, CandidateRow, EffectFinding, Value
@@ -289,23 +289,8 @@ def left_out(
     dataset: DataSet, outliers: Outliers | None, unsettled: Sequence[str]
 ) -> dict[str, Any]:
     """Name the postures that do not settle, and the readings and trials that others contradict."""
-    left = {'unsettled': list(unsettled), 'outliers': []}
-    if outliers is None:
-        return left
-    named = [
-        {'posture': dataset.postures[p], 'trial': dataset.trial_names[q], 'marker': None}
-        for p, q in np.argwhere(outliers.trials)
-    ]
-    readings = [
-        {
-            'posture': dataset.postures[p],
-            'trial': dataset.trial_names[q],
-            'marker': dataset.markers[j].name,
-            'distance': float(outliers.distance[p, q, j]),
-        }
-        for p, q, j in np.argwhere(outliers.readings)
-    ]
-    return {**left, 'outliers': named + readings}
+    rows = [] if outliers is None else outliers.rows(dataset)
+    return {'unsettled': list(unsettled), 'outliers': rows}
 
 
 def _alternatives(

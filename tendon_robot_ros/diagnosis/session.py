@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..comparison.noise import Noise, Whitener, input_slopes
+from ..comparison.outliers import Outliers, without_unsettled
 from ..comparison.predict import FreeParameter, Point, Predictor
 from ..comparison.repeatability import estimate_noise
 from ..data import DataSet
@@ -35,7 +36,6 @@ from .decide import (
 from .fit import Fit
 from .fitter import AsBuilt, Fitter
 from .marginal import RandomEffects
-from .outliers import Outliers, without_unsettled
 from .race import Race
 from .slopes import imperfections
 

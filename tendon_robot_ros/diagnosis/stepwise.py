@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from ..common.errors import InputError
 from ..comparison.noise import Noise, Whitener, input_slopes, likely, rms
+from ..comparison.outliers import find_outliers, without_unsettled
 from ..comparison.predict import Point
 from ..comparison.repeatability import estimate_noise
 from ..comparison.statistics import chi2_sf, f_sf
@@ -34,7 +35,6 @@ from .fit import Fit, Nuisance
 from .fitter import Fitter
 from .into_description import changed_robot
 from .mistake import Mistake
-from .outliers import find_outliers, without_unsettled
 from .prediction_errors import Joining, Ways, described, grown, left_out_errors, predict, promised
 from .setup_mistakes import find_mistake
 

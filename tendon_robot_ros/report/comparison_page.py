@@ -8,7 +8,7 @@ from pathlib import Path
 from ..common.words import capital, mm
 from ..comparison.result import Comparison
 from . import comparison_text as say
-from .arm_text import Fault
+from .arm_text import Fault, left_out
 from .error_plots import Step, angles, per_marker, per_posture, staircase, tip_boxes
 from .page import Page
 from .shape_plots import chosen_postures, shape_figures, shape_key
@@ -16,17 +16,18 @@ from .shape_plots import chosen_postures, shape_figures, shape_key
 POSTURES_WITH_ANGLES = 4  # postures whose angular displacements are drawn
 
 
-def write_comparison(comparison: Comparison, path: str | Path, notes: Sequence[str] = ()) -> Path:
+def write_comparison(comparison: Comparison, path: str | Path) -> Path:
     """Write the page; it opens without a network."""
-    return comparison_page(comparison, notes).write(path)
+    return comparison_page(comparison).write(path)
 
 
-def comparison_page(comparison: Comparison, notes: Sequence[str] = ()) -> Page:
-    """Return the page: what to know first, with notes of the measurements, then errors, shapes."""
+def comparison_page(comparison: Comparison) -> Page:
+    """Return the page: what to know first, with what was left out, then errors, shapes."""
     measured = comparison.measured
     page = Page(f'Models against measurements: {measured.data}', say.size(comparison))
     add_verdict(page, comparison)
-    page.text(*(f'{capital(note)}.' for note in notes))
+    said = left_out({'outliers': measured.left_out})
+    page.text(*(f'{capital(line)}.' for line in said))
     add_errors(page, comparison)
     add_shapes(page, comparison)
     add_angles(page, comparison)

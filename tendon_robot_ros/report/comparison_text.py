@@ -17,6 +17,7 @@ from ..common.words import (
 from ..comparison.result import Comparison, ModelErrors
 from ..comparison.statistics import Estimate, PairedT
 from ..data.dataset import at_rest
+from .arm_text import left_out
 
 GOOD_WITHIN_FLOORS = 1.3  # times the noise floor: as good as the measurements can tell
 # Of what markers move: a noise floor above lets a model pass that is off by a tenth of the motion;
@@ -45,7 +46,7 @@ def errors(comparison: Comparison, model: ModelErrors) -> list[str]:
 
 def sentences(comparison: Comparison) -> list[str]:
     """Return what to know: where the best model is worst, which model is better, what to do."""
-    lines = [where_worst(comparison)]
+    lines = [*left_out({'outliers': comparison.measured.left_out}), where_worst(comparison)]
     lines += [paired(test) for test in comparison.paired_t if test.posture is None]
     last = f'{verdict(comparison)} {next_step(comparison)}'
     return [*lines, last.strip().replace('`', '')]

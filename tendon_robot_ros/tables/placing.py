@@ -10,9 +10,9 @@ import numpy as np
 from ..common.errors import DataSetError
 from ..common.units import STANDARD_GRAVITY
 from ..common.words import listed, mm
+from ..comparison.outliers import Outliers, find_outliers
 from ..comparison.predict import Predictor
 from ..data import DataSet
-from ..diagnosis.outliers import Outliers, find_outliers
 from ..effects import Catalogue
 from .recipe import Recipe
 from .registration import TrackerFrame, find_frame, gravity_of

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import NoEquilibriumError
 from ..common.words import listed
-from ..comparison.noise import input_slopes
-from ..comparison.predict import Point, Predictor
-from ..comparison.statistics import chi2_isf
 from ..data import DataSet
-from .decide import FALSE_OUTLIER_PROBABILITY, MARKERS_OFF_SHARE, TRIALS_MIN, UNSETTLED_SHARE_MAX
+from .noise import input_slopes
+from .predict import Point, Predictor
+from .statistics import chi2_isf
 
 Floats = npt.NDArray[np.float64]
+FALSE_OUTLIER_PROBABILITY = 1e-3  # for the most extreme of all readings, or of all trials
+TRIALS_MIN = 3  # trials of a posture from which two can contradict one
+MARKERS_OFF_SHARE = 0.5  # share of the markers of a trial beyond which the trial itself is off
+UNSETTLED_SHARE_MAX = 0.25  # of the postures, in which a description may have no equilibrium
 REWEIGHTING_ROUNDS = 4  # of the robust scale
 TOLD_SHARE_MIN = 0.5  # of the noise of a reading, that inputs must not be able to explain
 TRIAL_LIMITS = 1.5  # times the limit of an input's deviation beyond which its trial is off
@@ -38,8 +43,27 @@ class Outliers:
         """Whether there are some."""
         return bool(self.readings.any() or self.trials.any())
 
+    def rows(self, dataset: DataSet) -> list[Mapping[str, Any]]:
+        """Name them: posture, trial and marker, None for the whole trial, and distance [m]."""
+        trials = [
+            {'posture': dataset.postures[p], 'trial': dataset.trial_names[q], 'marker': None}
+            for p, q in np.argwhere(self.trials)
+        ]
+        readings = [
+            {
+                'posture': dataset.postures[p],
+                'trial': dataset.trial_names[q],
+                'marker': dataset.markers[j].name,
+                'distance': float(self.distance[p, q, j]),
+            }
+            for p, q, j in np.argwhere(self.readings)
+        ]
+        return [*trials, *readings]
+
     def without(self, dataset: DataSet) -> DataSet:
         """Return the data set without them; a posture keeps at least one trial."""
+        if not self.any:
+            return dataset
         out = self.readings | self.trials[..., None]
         positions = np.where(out[..., None], np.nan, dataset.positions)
         return replace(dataset, positions=positions)
@@ -56,14 +80,16 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
     to judge it by, and it counts neither as an outlier nor for the spread.
     """
     dataset = predictor.dataset
-    slopes = input_slopes(predictor, point)
     P, Q, J = dataset.mask.shape
+    judged = np.flatnonzero(dataset.trials >= TRIALS_MIN)
+    if not len(judged):
+        nothing = np.zeros((P, Q, J), dtype=bool)
+        return Outliers(nothing, nothing.any(axis=2), np.full((P, Q, J), np.nan))
+    slopes = input_slopes(predictor, point)
     left, along = np.full((P, Q, J, 3), np.nan), np.zeros((P, Q, J, 3))
     inputs = np.zeros((P, Q))
-    for p in range(P):
+    for p in judged.tolist():
         seen = np.flatnonzero(dataset.trial_mask[p])
-        if len(seen) < TRIALS_MIN:
-            continue
         g = slopes[p].reshape(len(slopes[p]), -1).T
         for q, move in zip(seen, _moves(dataset.positions[p, seen], g), strict=True):
             left[p, q], inputs[p, q] = _without_inputs(move, g)
@@ -77,10 +103,7 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
     counted = np.maximum(dataset.mask.sum(axis=2), 1)
     trials |= (readings.sum(axis=2) > MARKERS_OFF_SHARE * counted) & (counted > 2)
     trials &= (trials.sum(axis=1) < TRIALS_OFF_SHARE * dataset.trials)[:, None]
-    with warnings.catch_warnings():  # a marker that no trial of a posture saw is nowhere
-        warnings.simplefilter('ignore', RuntimeWarning)
-        middle = np.nanmedian(dataset.positions, axis=1, keepdims=True)
-    moved = np.linalg.norm(dataset.positions - middle, axis=-1)
+    moved = np.linalg.norm(dataset.positions - _middle(dataset.positions, 1), axis=-1)
     return Outliers(readings & ~trials[..., None], trials, moved)
 
 
@@ -106,6 +129,13 @@ def without_unsettled(predictor: Predictor) -> tuple[DataSet, tuple[str, ...]]:
     return dataset.select(set(dataset.postures) - set(names)), names
 
 
+def _middle(places: Floats, axis: int) -> Floats:
+    """Return the median of places over trials, the axis kept; NaN where no trial saw a marker."""
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', RuntimeWarning)
+        return np.asarray(np.nanmedian(places, axis=axis, keepdims=True))
+
+
 def _moves(trials: Floats, g: Floats) -> Floats:
     """
     Return how far trials (q, J, 3) [m] of a posture are from their middle, as (q, 3J).
@@ -113,9 +143,9 @@ def _moves(trials: Floats, g: Floats) -> Floats:
     The middle is that of the trials with the same inputs: else a marker that one of them lost
     would have the middle of other trials than its neighbours, and would stand out in all.
     """
-    moves = trials - np.nanmedian(trials, axis=0)
+    moves = trials - _middle(trials, 0)
     even = [move.reshape(-1, 3) - _without_inputs(move.ravel(), g)[0] for move in moves]
-    return np.asarray(trials - np.nanmedian(trials - even, axis=0)).reshape(len(trials), -1)
+    return np.asarray(trials - _middle(trials - even, 0)).reshape(len(trials), -1)
 
 
 def _without_inputs(move: Floats, g: Floats) -> tuple[Floats, float]:
