@@ -131,6 +131,8 @@ def test_a_trial_that_went_elsewhere_does_not_make_the_floor_that_judges(hinges,
     out = capsys.readouterr().out
     assert f'trial 1 of posture {data.postures[3]}' in out
     assert 'The model is off by' in out
+    raw = compare(data, leave_out=False)
+    assert raw.best.rms < 1.3 * raw.noise_floor, 'with that trial nothing would be told'
     found = compare(data)
     assert found.measured.left_out == (
         {'posture': data.postures[3], 'trial': '1', 'marker': None},

@@ -238,15 +238,17 @@ def test_add_prints_json(capsys, folder):
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [
-    (['diagnose', 'nowhere'], 'nowhere/dataset.yaml: '),
+    (['diagnose', 'nowhere'], 'nowhere: is not there; name the folder of a data set'),
     (['diagnose', 'hinges/fit', '--partial'], '--partial: expected together with --add'),
     (['diagnose', 'hinges/fit', '--workers', '0'], '--workers: expected at least 1, got 0'),
     (['diagnose', 'hinges/fit', '--add', 'there.yaml'],
      'there.yaml: is there already; use --overwrite or another --add'),
     (['diagnose', 'hinges/fit', '--add', 'no/new.yaml'],
      'no/new.yaml: its folder does not exist; make it or correct --add'),
-    (['diagnose', 'hinges/fit', '--robot', 'stiff/fit/robot.yaml'], 'hinges/fit/inputs.csv'),
-    (['diagnose', 'hinges/fit', '--check', 'nowhere'], 'nowhere/dataset.yaml: '),
+    (['diagnose', 'hinges/fit', '--robot', 'stiff/fit/robot.yaml'],
+     'hinges/fit: was measured with the inputs left, right of planar1, but '),
+    (['diagnose', 'hinges/fit', '--check', 'nowhere'],
+     'nowhere: is not there; name the folder of a data set'),
     (['add', 'hinge_friction', '--data', 'hinges/fit', '--output', 'there.yaml'],
      'there.yaml: is there already; use --overwrite or another --output'),
     (['add', 'gravity', '--data', 'hinges/fit', '--output', 'new.yaml'],

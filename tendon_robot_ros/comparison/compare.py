@@ -72,6 +72,7 @@ def compare(
     models: Models = (),
     catalogue: CatalogueLike | None = None,
     error: str = 'ci',
+    leave_out: bool = True,
 ) -> Comparison:
     """
     Compare models with the measurements of a data set.
@@ -90,6 +91,8 @@ def compare(
         With your own effects.
     error : str
         'ci' for 95 % t-intervals of means, 'sem' for standard errors.
+    leave_out : bool
+        False: what other trials contradict counts as well.
 
     Raises
     ------
@@ -107,9 +110,10 @@ def compare(
         raise InputError(f'models: expected different names, got {", ".join(names)}')
     for name, robot in named:
         _check(dataset, name, robot)
-    outliers = find_outliers(Predictor(dataset, dataset.robot, catalogue), {})
-    left_out = tuple(outliers.rows(dataset))
-    dataset = outliers.without(dataset)
+    left_out: tuple[Mapping[str, Any], ...] = ()
+    if leave_out:
+        outliers = find_outliers(Predictor(dataset, dataset.robot, catalogue), {})
+        left_out, dataset = tuple(outliers.rows(dataset)), outliers.without(dataset)
     predictors = [Predictor(dataset, robot, catalogue) for _, robot in named]
     markers = [_predict(predictor) for predictor in predictors]
     axes = bending_axes(markers[0]) if on_the_centreline(dataset) else None
