@@ -137,7 +137,9 @@ def main():
             NodeProcess('driver', driver, SPACE, quiet),
             NodeProcess('controller', {'model': ROBOT, 'command_mode': mode}, SPACE, quiet),
         ):
-            watcher.until(lambda: watcher.controller.get('code') == 'holding', 120, 'the nodes')
+            watcher.until(
+                lambda: watcher.controller.get('code') in ('holding', 'released'), 120, 'the nodes'
+            )
             print(
                 f'{"target":20} {"tip [mm]":16} {"missed by":9}   {"wire pulls [mm]":27}   '
                 f'{"tensions [N]":23}   controller'

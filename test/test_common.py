@@ -1,9 +1,12 @@
 """Rotations in their three forms, and the colours that mean something."""
 
 import errno
+import os
 import re
+import sys
 
 import numpy as np
+import processes
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -122,3 +125,14 @@ def test_a_full_disk_names_the_file_that_was_to_be_written(tmp_path):
     with full, new_file(path):
         raise OSError(errno.ENOSPC, 'No space left on device')
     assert not list(tmp_path.iterdir())
+
+
+def test_compiled_python_is_kept_where_it_may_not_lie_beside_its_sources(tmp_path):
+    own = {
+        'PYTHONDONTWRITEBYTECODE': '1',
+        'NUMBA_CACHE_DIR': str(tmp_path),
+        'PYTHONPATH': str(ROOT),
+    }
+    command = [sys.executable, '-m', 'tendon_robot_ros', 'reach', '--help']
+    assert processes.run(command, env={**os.environ, **own}).returncode == 0
+    assert any((tmp_path / 'bytecode').rglob('reach.*.pyc'))

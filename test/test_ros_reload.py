@@ -7,7 +7,7 @@ pytest.importorskip('rclpy')
 
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
-from ros_station import Station, last, start, values
+from ros_station import Station, last, stamp, start, values
 
 from tendon_robot_ros.robot import dump_robot, load_robot
 from tendon_robot_ros.ros.shared.robot_client import Pilot
@@ -58,5 +58,5 @@ def test_an_effect_of_the_users_own_is_loaded_while_the_arm_is_held(tmp_path, mo
         station.close()
     # linking the machine code holds Python for about 0.1 s in one piece: a release may just begin
     assert {values(said)['code'] for _, said in station.driver} <= {'following', 'releasing'}
-    assert np.diff([at for at, _ in station.commands]).max() < 0.2  # [s]
+    assert np.diff([stamp(message) for _, message in station.commands]).max() < 0.2  # [s]
     assert min(max(message.effort) for _, message in station.states[before:]) > 0.5 * held

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from ..common.cache import cache_folder
 from ..common.errors import InputError
 from ..common.files import new_file
 from ..effects import Catalogue, load_catalogue
 from ..model import forward
-from ..model.compile import cache_folder, kernel_key
+from ..model.compile import kernel_key
 
 PACKAGE = Path(__file__).parents[1]
 LIBRARIES = ('numpy', 'scipy', 'numba')

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
+from ..common.cache import keep_bytecode
 from ..common.errors import InputError, MissingExtraError, TendonRobotError
 from ..common.given import meant
 from ..common.words import PROGRAM
@@ -102,6 +103,7 @@ def run_named() -> int:
 
 def _guarded(name: str, arguments: list[str], program: str) -> int:
     """Run a command; a known error becomes one line and exit code 1."""
+    keep_bytecode()
     try:
         code = _run(name, arguments, program)
         sys.stdout.flush()

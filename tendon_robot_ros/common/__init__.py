@@ -3,6 +3,7 @@ What every part uses, and what knows nothing of robots.
 
 errors.py         every error that a user can meet: one line that says what to do
 files.py          files and folders that are there whole, or not at all
+cache.py          where compiled code is kept, between one process and the next
 given.py          what a caller gives a public function, taken as what it means or refused
 told.py           results that say themselves, in words and in notebooks
 yaml_reading.py   checked reading of YAML; every refusal names file, key, expectation and value

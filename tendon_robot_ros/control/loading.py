@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..common.cache import cache_folder
 from ..common.errors import TendonRobotError
 from ..common.processes import (
     ComputingThread,
@@ -51,7 +52,7 @@ def load(robot: Robot, catalogue: Catalogue) -> Model:
 
 def compiled_mark(catalogue: Catalogue) -> Path:
     """Return the file that says that the kernel of a catalogue is in the cache."""
-    from ..model.compile import cache_folder, kernel_key
+    from ..model.compile import kernel_key
 
     return cache_folder() / f'tendon_robot_kernel_{kernel_key(catalogue)}' / 'controller_ready'
 

@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
+from ..common.cache import cache_folder
 from ..common.processes import child_environment
 from ..effects import STAGES, Catalogue, load_catalogue
 
@@ -77,32 +77,6 @@ def stages_source(catalogue: Catalogue) -> str:
         )
         lines.append(f'    return {acts or "False"}')
     return '\n'.join(lines) + '\n'
-
-
-@cache
-def cache_folder() -> Path:
-    """Folder for compiled kernels: NUMBA_CACHE_DIR, XDG_CACHE_HOME, home, else temporary."""
-    candidates = [os.environ.get('NUMBA_CACHE_DIR')]
-    if os.environ.get('XDG_CACHE_HOME'):
-        candidates.append(os.path.join(os.environ['XDG_CACHE_HOME'], 'tendon_robot_ros'))
-    elif os.path.expanduser('~') != '~':
-        candidates.append(os.path.join(os.path.expanduser('~'), '.cache', 'tendon_robot_ros'))
-    for candidate in candidates:
-        if not candidate:
-            continue
-        try:
-            path = Path(candidate).resolve()
-            path.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=path):
-                return path
-        except OSError:
-            continue
-    warnings.warn(
-        'no writable cache folder: the model is compiled anew by every process; '
-        'set NUMBA_CACHE_DIR to a writable folder',
-        stacklevel=2,
-    )
-    return Path(tempfile.mkdtemp(prefix='tendon_robot_ros_'))
 
 
 def kernel_key(catalogue: Catalogue) -> str:
