@@ -50,6 +50,13 @@ def test_order_and_places_follow_from_the_straight_arm():
     assert known.arc_lengths == (0.01, 0.028, 0.064, 0.118)
 
 
+def test_metres_that_are_called_millimetres_are_refused():
+    lengths = np.array([0.03, 0.06, 0.09, 0.12])
+    postures = np.array([arc(r, lengths, t) for r, t in ((1e5, 0), (0.1, 0), (0.08, 2))])
+    with pytest.raises(DataSetError, match=r'up to 0\.09 mm apart, the arm is 120 mm'):
+        order_markers(1e-3 * postures, ARM)
+
+
 def test_places_are_measured_along_an_arm_that_is_never_straight():
     lengths = np.array([0.012, 0.03, 0.066, 0.12])
     random = np.random.default_rng(1)

@@ -78,6 +78,8 @@ def _order_seen(
     )
     members = [j for j in range(len(apart)) if j not in twice]
     if len(members) == 1:
+        if len(apart) > 2:  # two may be one, exported twice
+            raise _no_arm(name, float(apart.max()), robot)
         return MarkerOrder((members[0],), _alone(robot, given, name), 'the only marker', (), twice)
     _refuse_apart(apart[np.ix_(members, members)], name)
     base, _ = _ends(positions, apart, members)
@@ -99,15 +101,19 @@ def _order_seen(
     on_arm = below_tip > -BELOW_BASE_CELLS * cell
     kept = tuple(j for j, one in zip(members, on_arm, strict=True) if one)
     if len(kept) < 2:
-        far = 1e3 * float(apart[base, members[-1]])
-        raise DataSetError(
-            name,
-            f'markers are up to {far:.4g} mm apart, the arm is {1e3 * robot.length:.4g} mm long',
-            'check the unit (--unit positions=...), and cells and cell_length of the robot',
-        )
+        raise _no_arm(name, float(apart[base, members[-1]]), robot)
     places, reason = _snapped(below_tip[on_arm], robot)
     off = [j for j in members if j not in kept]
     return MarkerOrder(kept, places, reason, tuple(off), twice)
+
+
+def _no_arm(name: str, far: float, robot: Robot) -> DataSetError:
+    """Return the error of markers that cannot be those of the arm: up to `far` [m] apart."""
+    return DataSetError(
+        name,
+        f'markers are up to {1e3 * far:.4g} mm apart, the arm is {1e3 * robot.length:.4g} mm long',
+        'check the unit (--unit positions=...), and cells and cell_length of the robot',
+    )
 
 
 def _refuse_apart(apart: FloatArray, name: str) -> None:
