@@ -153,7 +153,7 @@ class Sender(RobotClient):
     def wait_until_up(self) -> None:
         """Wait for controller and driver."""
         self.wait(
-            lambda: bool(self.status.get('code') == 'holding' and self._tips),
+            lambda: bool(self.status.get('code') in ('holding', 'released') and self._tips),
             START_TIMEOUT_S,
             'controller and driver to start',
         )
