@@ -43,7 +43,7 @@ PULL_STARTS = 4  # each is several searches
 RELAXING_SHARES = (0.4, 0.04, 4e-3, 4e-4)  # how low tension counts on the way there, see `aim`
 # [1] of a tension's range: with a guess, no such jump for a tip that is hardly nearer, by its cost
 JUMP_SHARE, AS_GOOD = 0.1, 0.8
-# [1] of the cost where the arm is, and of the one that was told last: what is nearer is told
+# [1] of `TipTask.worth` where the arm is, and of what was told last: what is better is told
 STAYED_SHARE, TOLD_SHARE = 0.99, 0.5
 # Where friction remembers, ways from far away end at much tension against much tension: what the
 # first start reaches is not left
@@ -126,11 +126,13 @@ def reach(
     begin = beginnings(task, guess, starts, tell is not None, gently)
     going = guess if gently and model.sticks else None
     best = _searched(task, begin, guess, by_pulls, give_up, tell, going)
-    if not give_up():
-        if not _is_there(task, best[0], best[1]):
-            best = _beyond(task, best, guess, gently, by_pulls, going)
-        elif (relax or guess is None) and not by_pulls and preferences is None and going is None:
-            best = _relaxed(task, best)
+    late = give_up()
+    if not _is_there(task, best[0], best[1]):
+        # from a guess, without friction that sticks, it takes a millisecond: also when it is late
+        if not late or (guess is not None and not model.sticks):
+            best = _beyond(task, best, guess, gently or late, by_pulls, going)
+    elif (relax or guess is None) and not (late or by_pulls or preferences or going):
+        best = _relaxed(task, best)
     made = judged(task, *best[1:], in_time=not give_up())
     if preferences is None and not keep_out:
         return made
@@ -159,7 +161,7 @@ def _searched(
     best: Found | None = None
     sticks, remembers, least, stayed = model.sticks, model.remembers, np.inf, np.inf
     if tell is not None and guess is not None:
-        stayed = STAYED_SHARE * task.cost(guess)
+        stayed = STAYED_SHARE * task.worth(task.cost(guess), guess.inputs)
     told = stayed
     for count, (search, inputs, bend) in enumerate(starts):
         if by_pulls:
@@ -170,9 +172,10 @@ def _searched(
         met = met and not (going is not None and _jumps(model, going.inputs, inputs))
         if best is None or worth < least * (1.0 if met else _share(task, guess, inputs, best[1])):
             best, least = (cost, inputs, bends), worth
-        if tell is not None and best[0] < told and (sticks or not met):
+        good = task.worth(*best[:2])  # what is beyond reach is no reason to set out for the limits
+        if tell is not None and good < told and (sticks or not met):
             tell(judged(task, best[1].copy(), best[2], in_time=False))
-            told = TOLD_SHARE * best[0]
+            told = TOLD_SHARE * good
         does = sticks and count >= KINK_STARTS and best[0] < KINK_REACHED_M2
         does = does or (remembers and count == 0 and cost < NEAR_REACHED_M2)
         # what comes after the first search takes no time: where the arm may set out
@@ -259,9 +262,14 @@ def _beyond(
     Return the posture for a target beyond reach whose error is worth its tension.
 
     From the best that was found, from where the arm is and, unless targets follow each other, from
-    the straight arm at its lowest tensions.
+    the straight arm at its lowest tensions. A target that is nearly met is within reach: there
+    only what is nearer is taken.
     """
-    model, least, found = task.model, _worth(task, *best[:2], going), best
+
+    def worth(cost: float, inputs: Floats) -> float:
+        return cost if best[0] < NEAR_REACHED_M2 else _worth(task, cost, inputs, going)
+
+    model, least, found = task.model, worth(*best[:2]), best
     starts = [best[1:]]
     if guess is not None:
         starts.append((within(guess.inputs, *model.limits.T), guess.state))
@@ -269,16 +277,15 @@ def _beyond(
         starts.append((model.limits[:, 0], np.zeros(3 * model.robot.cells)))
     search: Aim = partial(aim, task, GAIN_MIN, priced=True)
     if gently:
-        search = partial(aim_gently, task, TRIALS_MAX)
+        search = partial(aim_gently, task, TRIALS_MAX, priced=True)
     for start, state in starts:
         inputs = start.copy()
         if by_pulls:
             cost, bend = aim_by_pulls(task, search, inputs, state)
         else:
             cost, bend = search(inputs, state, model.limits)
-        worth = _worth(task, cost, inputs, going)
-        if worth < least:
-            least, found = worth, (cost, inputs, bend)
+        if (now := worth(cost, inputs)) < least:
+            least, found = now, (cost, inputs, bend)
     return found
 
 

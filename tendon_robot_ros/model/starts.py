@@ -76,7 +76,7 @@ def aim(
 
 
 def aim_gently(
-    task: TipTask, most: int, inputs: Floats, bend: Floats, limits: Floats
+    task: TipTask, most: int, inputs: Floats, bend: Floats, limits: Floats, priced: bool = False
 ) -> tuple[float, Floats]:
     """
     Improve inputs in place, with tension that counts; return the plain cost [m²] and the bends.
@@ -84,7 +84,7 @@ def aim_gently(
     In directions in which tendons hardly lead the tip, tenths of a millimetre are not worth
     newtons of all tendons against each other.
     """
-    gently = partial(aim, task, TRACKING_GAIN_MIN, preference=GENTLE_SHARE, priced=True)
+    gently = partial(aim, task, TRACKING_GAIN_MIN, preference=GENTLE_SHARE, priced=priced)
     bends = gently(inputs, bend, limits, most=most)[1]
     return aim(task, TRACKING_GAIN_MIN, inputs, bends, limits, far=0.0)
 
@@ -167,7 +167,7 @@ def beginnings(
         inputs = np.minimum(np.maximum(guess.inputs, model.limits[:, 0]), model.limits[:, 1])
         if not model.sticks:
             most = REMEMBERING_TRIALS_MAX if model.remembers else TRIALS_MAX
-            search = partial(aim, task, TRACKING_GAIN_MIN, most=most, priced=True)
+            search = partial(aim, task, TRACKING_GAIN_MIN, most=most)
             yield partial(aim_gently, task, most) if gently else search, inputs, guess.state
         elif task.cost(guess) < _far(task):
             yield from _starts_near(task, guess, inputs, count, kept, gently)

@@ -127,7 +127,7 @@ class TipTask:
         return position, math.atan2(across, ax * bx + ay * by + az * bz)
 
 
-FAR_LENGTHS = 10.0  # [1] of the arm from its base: millimetres are a thousand times as far
+UNIT_LENGTHS = 10.0  # [1] of the arm from its base: millimetres are a thousand times as far
 
 
 def refuse_other_unit(robot: Robot, position: npt.ArrayLike | None) -> None:
@@ -136,8 +136,8 @@ def refuse_other_unit(robot: Robot, position: npt.ArrayLike | None) -> None:
         return
     values = finite('position', position, 3)
     away = float(np.linalg.norm(values))
-    if away > FAR_LENGTHS * robot.length:
-        mm = 1e-3 * away <= FAR_LENGTHS * robot.length
+    if away > UNIT_LENGTHS * robot.length:
+        mm = 1e-3 * away <= UNIT_LENGTHS * robot.length
         hint = '; if these are mm, divide by 1000' if mm else ''
         raise InputError(
             f'position: expected metres, got {short(values.tolist())}, {away:.4g} m from the base '
