@@ -145,7 +145,7 @@ def status(monkeypatch):
         get_clock=lambda: stamp,
     )
     monkeypatch.setattr(lifecycle, 'time', SimpleNamespace(monotonic=lambda: now[0]))
-    made = lifecycle.Status(node)
+    made = lifecycle.Status(node, 'tendon driver')
     made.told, made.sent, made.now = told, sent, now
     return made
 

@@ -125,7 +125,8 @@ def robot(request, tmp_path):
 def named_at(heard, node, key, name):
     """Return the stamp of the first status in which a node names another [s], or infinity."""
     for _, message in heard:
-        said = {item.name: values(item) for item in message.status}.get(node, {})
+        names = {f'/{item.name.partition(":")[0]}': values(item) for item in message.status}
+        said = names.get(node, {})
         if name in said.get(key, ''):
             return stamp(message)
     return math.inf
