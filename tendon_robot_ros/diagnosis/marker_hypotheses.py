@@ -13,7 +13,7 @@ from ..common.words import mm
 from ..comparison.predict import Predictor
 from ..robot import Robot
 from .marker_places import along
-from .mistake import Mistake, times, tried
+from .mistake import Mistake, as_unit, times, tried
 
 Floats = npt.NDArray[np.float64]
 CELLS_MISCOUNTED_MAX = 3
@@ -172,10 +172,9 @@ def spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         if places.min() < -1e-9 * length or places.max() > (1.0 + 1e-9) * length:
             continue
         yield from _elsewhere(predictor, np.clip(places, 0.0, length), f'with all markers {how}')
-    yield from _by_distances(predictor, markers)
 
 
-def _by_distances(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+def by_distances(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try what the distances of neighbours tell: one marker elsewhere, or another unit."""
     dataset = predictor.dataset
     order = np.argsort(dataset.arc_lengths)
@@ -189,14 +188,15 @@ def _by_distances(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     straightest = np.nanmax(chords[0], axis=0)  # a chord is never longer than the arm between
     scale = float(np.median(straightest / apart))
     if not 1.0 / SCALE_OFF_MIN < scale < SCALE_OFF_MIN:
+        factor = as_unit(1.0 / scale)
         for one in tried(
             predictor,
             markers,
             'unit_of_positions',
             f'neighbouring markers are {scale:.3g} times as far apart as described: with all '
-            f'positions {times(1.0 / scale)}',
+            f'positions {times(factor)}',
             'check their unit in shapes.csv [m], and arc_length of the markers in dataset.yaml',
-            positions=dataset.positions / scale,
+            positions=factor * dataset.positions,
         ):
             yield replace(one, certain=True)
         return

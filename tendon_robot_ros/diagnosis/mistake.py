@@ -17,6 +17,13 @@ from ..data import DataSet
 from .decide import ERROR_SHARE_LEFT_LIMIT, FRAME_HARDLY_KNOWN_RAD, FRAME_LEVEL_RAD
 
 Floats = npt.NDArray[np.float64]
+UNIT_FACTORS = {
+    1000.0: 'milli', 0.001: 'kilo', 9.81: 'kilograms of force', 1.0 / 9.81: 'newtons twice',
+    4.448: 'pounds', 1.0 / 4.448: 'newtons as pounds', 10.0: 'a decimal point',
+    0.1: 'a decimal point', 2.0: 'a double count', 0.5: 'half a count',
+    25.4: 'inches', 1.0 / 25.4: 'millimetres as inches',
+}  # fmt: skip
+UNIT_WITHIN = 1.1  # [1] of a unit's factor: a ratio of distances that near to it means it
 
 
 @dataclass(frozen=True)
@@ -50,8 +57,9 @@ class Mistake:
                 f'the model finds no equilibrium; {self.sentence} it does, and is off by '
                 f'{1e3 * self.after:.2g} mm{self.rest}: {self.mend}'
             )
+        goes = 'falls' if self.after < before else 'goes'  # up, with an effect that acts as well
         return (
-            f'{self.sentence} the error falls from {1e3 * before:.3g} to '
+            f'{self.sentence} the error {goes} from {1e3 * before:.3g} to '
             f'{1e3 * self.after:.2g} mm{self.rest}: {self.mend}'
         )
 
@@ -115,3 +123,9 @@ def tried(
 def times(factor: float) -> str:
     """Say by what something is multiplied, or divided."""
     return f'multiplied by {factor:.4g}' if factor >= 1.0 else f'divided by {1.0 / factor:.4g}'
+
+
+def as_unit(factor: float) -> float:
+    """Return the factor of a unit that is near, or the factor as it is."""
+    near = min(UNIT_FACTORS, key=lambda one: abs(math.log(factor / one)))
+    return near if abs(math.log(factor / near)) < math.log(UNIT_WITHIN) else factor

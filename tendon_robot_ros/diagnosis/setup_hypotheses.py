@@ -22,17 +22,11 @@ from .decide import (
     FRAME_OFF_SHARE_MIN,
     FRAME_TURNED_MIN_DEG,
 )
-from .marker_hypotheses import miscounted, numbered, spots
-from .mistake import Mistake, in_frame, off, times, tried
+from .marker_hypotheses import by_distances, miscounted, numbered, spots
+from .mistake import UNIT_FACTORS, Mistake, in_frame, off, times, tried
 
 Floats = npt.NDArray[np.float64]
 INPUTS_PERMUTED_MAX = 4  # all orders of so many are tried; of more, one exchange after another
-UNIT_FACTORS = {
-    1000.0: 'milli', 0.001: 'kilo', 9.81: 'kilograms of force', 1.0 / 9.81: 'newtons twice',
-    4.448: 'pounds', 1.0 / 4.448: 'newtons as pounds', 10.0: 'a decimal point',
-    0.1: 'a decimal point', 2.0: 'a double count', 0.5: 'half a count',
-    25.4: 'inches', 1.0 / 25.4: 'millimetres as inches',
-}  # fmt: skip
 STIFFNESS_FACTORS = {
     10.0: 'a decimal point', 0.1: 'a decimal point', 100.0: 'N/cm² for N/mm²',
     0.01: 'N/mm² for N/cm²', 1000.0: 'MPa for GPa', 0.001: 'GPa for MPa',
@@ -361,6 +355,7 @@ DISCRETE = (
     _stiffness,
     _gravity,
     spots,
+    by_distances,
     miscounted,
     _axes,
 )

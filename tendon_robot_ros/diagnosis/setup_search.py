@@ -234,11 +234,11 @@ def _rivals(
     if markers is None:
         return []
     kinds: dict[str, list[Mistake]] = {}
-    few = [] if described.quiet else alone(predictor, markers, floor)
+    if not described.quiet:
+        kinds['alone'] = alone(predictor, markers, floor)
     for kind in NEARLY_EFFECTS if described.quiet else BESIDE_EFFECTS:
-        few += kind(predictor, markers)
-    for one in few:
-        kinds.setdefault(one.name, []).append(one)
+        for one in kind(predictor, markers):
+            kinds.setdefault(f'{kind.__name__} {one.name}', []).append(one)
     tried = [
         one
         for own in kinds.values()
