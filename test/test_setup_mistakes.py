@@ -14,9 +14,10 @@ from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.marker_places import in_one_place
 from tendon_robot_ros.diagnosis.result import EffectFinding, Value
+from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.setup_hypotheses import dead_inputs
 from tendon_robot_ros.diagnosis.setup_mistakes import find_mistake
-from tendon_robot_ros.diagnosis.setup_search import Explaining, implausible
+from tendon_robot_ros.diagnosis.setup_search import Explaining, implausible, rivals_of
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
 from tendon_robot_ros.report.diagnosis_text import lines
 from tendon_robot_ros.robot import parse_robot
@@ -256,6 +257,33 @@ def test_a_dead_load_cell_is_given_what_it_read_beside_a_load(limp):
     beside = Explaining(CATALOGUE, 1e-3).with_effect(alone)
     off = [float(np.abs(one.mended.inputs - right.inputs).max()) for one in (alone, beside)]
     assert off[1] < 0.2 * off[0]
+
+
+LOADED = """
+name: loaded
+sections: [{name: arm, cells: 20, cell_length: 0.005, bending_stiffness: 0.03, bends_as: hinge}]
+tendons:
+- {name: a, section: arm, offset: [0.0, 0.006]}
+- {name: b, section: arm, offset: [-0.0052, -0.003]}
+- {name: c, section: arm, offset: [0.0052, -0.003]}
+tension_limits: [0.1, 2.0]
+gravity: [0.0, 0.0, 9.81]
+effects: {gravity: {linear_density: 0.06}}
+"""
+
+
+def test_a_marker_elsewhere_is_tried_though_all_nearer_to_the_base_leave_less():
+    arm = parse_robot(LOADED)
+    right = measured(arm, {'tip_load': {'force_z': 0.09}}, count=8)
+    own = [3, 7, 11, 15, 19]
+    markers = [right.markers[j] for j in own]
+    markers[-1] = replace(markers[-1], arc_length=0.095)
+    wrong = replace(right, markers=tuple(markers), positions=right.positions[:, :, own])
+    session = Session(wrong, arm, CATALOGUE, 1, None)
+    assert session.weigh({})
+    _, found = rivals_of(session, 2e-3)
+    assert 'with marker 20 at 100 mm along the arm instead of 95.0 mm' in found[0].mistake.sentence
+    assert found[0].explained.names == ('tip_load',)
 
 
 def test_a_light_arm_may_hang_upside_down_where_a_load_makes_up_for_it():
