@@ -5,7 +5,7 @@ import simulated
 from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.joint import hints
+from tendon_robot_ros.diagnosis.joint import hints, several
 from tendon_robot_ros.diagnosis.session import Session
 
 MEMORY = {'friction_memory': {'presliding_length': 1e-4}}
@@ -32,3 +32,16 @@ def test_memory_of_friction_beside_another_effect_is_named():
     found = diagnose(measured(robot, hidden, seed=3, count=10, path='sequence'), workers=1)
     assert found.verdict == 'several'
     assert {effect.name for effect in found.effects} == set(hidden)
+
+
+def test_an_effect_that_others_make_needless_leaves_the_combination():
+    robot = simulated.robot('spatial_3')
+    described = robot.with_effect('tendon_friction', {'friction_coefficient': 0.02})
+    hidden = {
+        'tendon_friction': {'friction_coefficient': 0.25},
+        'tip_load': {'force_x': 0.01, 'force_z': 0.02},  # [N]
+    }
+    session = Session(measured(described, hidden, count=10), described, CATALOGUE, workers=1)
+    assert session.weigh({})
+    first = session.fit_all([c for c in session.candidates if c.names == ('moment_arm',)])
+    assert set(several(session, first).candidate.names) == set(hidden)

@@ -75,6 +75,14 @@ class Candidate:
             self.names + other.names, self.frees + other.frees, self.present and other.present
         )
 
+    def without(self, name: str) -> Candidate:
+        """All but one effect."""
+        return Candidate(
+            tuple(one for one in self.names if one != name),
+            tuple(free for free in self.frees if free.effect != name),
+            self.present,
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Ranked:

@@ -40,10 +40,25 @@ def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
             break
         current = best = min(extended, key=lambda r: r.score)
         if session.holds(best):
-            best = reweighed(session, best)
+            best = _pruned(session, reweighed(session, best))
             if session.holds(best):
                 break
     return best
+
+
+def _pruned(session: Session, ranked: Ranked) -> Ranked:
+    """Take out of three effects one that the other two make needless: by it the score falls."""
+    while len(ranked.candidate.names) > 2:
+        fewer = [ranked.candidate.without(name) for name in ranked.candidate.names]
+        starts = {
+            c.label: {free: ranked.fit.point[free] for free in c.frees if free in ranked.fit.point}
+            for c in fewer
+        }
+        best = min(session.fit_all(fewer, starts, 'fewer effects'), key=lambda r: r.score)
+        if best.score > ranked.score:
+            break
+        ranked = best
+    return ranked
 
 
 def joined(session: Session, best: Ranked) -> Ranked | None:
