@@ -2,8 +2,10 @@
 
 import html
 import json
+import os
 import re
 import shutil
+import tempfile
 
 import processes
 
@@ -93,7 +95,8 @@ def open_page(path, folder, widths=tuple(FRAMES)):
     command += ['--enable-unsafe-swiftshader', '--disable-dev-shm-usage']
     command += [f'--user-data-dir={folder}', '--virtual-time-budget=240000', '--dump-dom']
     command += ['--window-size=2800,2200', outer.as_uri()]
-    run = processes.run(command)
+    with tempfile.TemporaryDirectory() as scratch:  # what chromium leaves goes with it
+        run = processes.run(command, env={**os.environ, 'TMPDIR': scratch})
     assert run.returncode == 0, run.stderr[-2000:]
     found = [
         json.loads(html.unescape(one)) for one in re.findall('<pre>(.*?)</pre>', run.stdout, re.S)

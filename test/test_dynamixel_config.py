@@ -154,7 +154,10 @@ REFUSED = {
     'an unknown key': ({'spool': 1}, r'spool: expected one of port, .*, got .spool.'),
     'no port': ({'port': None}, r'port: expected the path of a serial port.*, got None'),
     'an odd baud rate': ({'baudrate': 12345}, r'baudrate: expected one of 9600, .*, got 12345'),
-    'a radius in mm': ({'spool_radius': 10}, r'spool_radius: .*0\.0005 to 0\.2 \[m\], got 10'),
+    'a radius in mm': (
+        {'spool_radius': 10},
+        r'spool_radius: .*0\.0005 to 0\.2 \[m\] \(is it in mm\?\), got 10',
+    ),
     'another motor': ({'model': 'AX-12A'}, r'motors\.east\.model|model: expected one of XM430'),
     'a tendon too many': (
         {'motors': {**emulated.config('')['motors'], 'up': {'id': 9}}},

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import subprocess
 import sys
 import threading
 import time
@@ -10,6 +9,7 @@ import time
 import emulated
 import emulated_board
 import numpy as np
+import processes
 import pytest
 
 from tendon_robot_ros.common.errors import DriverError, MovedError
@@ -184,7 +184,8 @@ HOLDER = (
 def held(port):
     """Let another program, that locks nothing, have a port open."""
     command = [sys.executable, '-c', HOLDER, port]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+    pipes = {'stdin': processes.PIPE, 'stdout': processes.PIPE}
+    with processes.Process(command, **pipes) as holder:
         holder.stdout.readline()
         yield f'another process has the port (process {holder.pid}: '
         holder.stdin.close()

@@ -2,9 +2,9 @@
 
 import os
 import socket
-import subprocess
 import sys
 
+import processes
 import pytest
 
 from tendon_robot_ros.common.errors import TendonRobotError
@@ -84,5 +84,5 @@ def test_the_first_word_needs_no_ros():
         'import sys, tendon_robot_ros.ros.commands.stop; '
         'print([m for m in ("rclpy", "numpy", "yaml") if m in sys.modules])'
     )
-    said = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
-    assert said.stdout.strip() == '[]'
+    said = processes.run([sys.executable, '-c', code])
+    assert said.stdout.strip() == '[]', said.stderr

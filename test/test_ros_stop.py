@@ -1,10 +1,9 @@
 """The topic stop: anybody's true stops the arm, and nobody's false speaks for another."""
 
 import re
-import subprocess
-import sys
 from itertools import product
 
+import processes
 import pytest
 
 pytest.importorskip('rclpy')
@@ -255,13 +254,11 @@ def test_the_stop_command_stops_all_while_others_listen_and_a_reset_each_goes_on
     """No `false` is needed after it: the services have latched the stop."""
     running.hear(Bool, 'stop')
     bent(running)
-    command = [sys.executable, '-m', 'tendon_robot_ros', 'stop', '--namespace', SPACE]
-    process = subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
+    process = processes.Process(
+        processes.package('stop', '--namespace', SPACE),
+        stdin=processes.DEVNULL,
+        stdout=processes.PIPE,
+        stderr=processes.STDOUT,
         env=child_environment(),
     )
     running.until(lambda: process.poll() is not None, 'its end')

@@ -123,7 +123,7 @@ def test_markers_stand_where_they_are_put(plant):
     [
         ({'trials': 0}, 'trials: expected a whole number from 1 on, got 0'),
         ({'inputs': [[1.0]]}, 'postures: expected (postures, 4) numbers for prox_left, '),
-        ({'inputs': [[-1.0, 0.0, 0.0, 0.0]]}, 'postures: posture 0, prox_left: expected a finite'),
+        ({'inputs': [[-1.0, 0.0, 0.0, 0.0]]}, 'postures: prox_left: expected a finite tension'),
     ],
 )
 def test_senseless_measurements_are_refused(plant, change, message):
