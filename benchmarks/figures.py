@@ -173,6 +173,9 @@ def main() -> None:
     parser.add_argument('--beside', type=Path, nargs=2, metavar=('OLD', 'NEW'))
     options = parser.parse_args()
     if options.beside:
+        for path in options.beside:
+            if not path.is_file():
+                parser.error(f'--beside: {path}: no such record; --json writes one')
         beside(*options.beside)
         return
     options.json.parent.mkdir(parents=True, exist_ok=True)

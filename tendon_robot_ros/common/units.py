@@ -76,7 +76,8 @@ def read_unit(option: str, text: str, *kinds: str) -> Unit:
     unit = find_unit(text)
     if unit is None or unit.kind not in kinds:
         known = [name for kind in kinds for name in UNITS[kind]]
-        raise InputError(f'{option}: expected one of {", ".join(known)}, got {text!r}')
+        rate = ', or a rate of frames such as 60Hz' if 'time' in kinds else ''
+        raise InputError(f'{option}: expected one of {", ".join(known)}{rate}, got {text!r}')
     return unit
 
 
