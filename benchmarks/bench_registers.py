@@ -1,11 +1,12 @@
 """
 Try what other programs leave in motors, on the port and on the bus: and count what is mastered.
 
-    python benchmarks/bench_registers.py [--trials 200] [--seed 1] [--json FILE]
+    python benchmarks/bench_registers.py [--trials 200] [--first 0] [--seed 1] [--json FILE]
 
 Emulated servos of a planar arm with four wires and of a spatial one with six, on springs, in
-tension and in pull mode, in turn. Each trial draws its values at random and counts as good when
-what the table below says came true. Target: all of them.
+tension and in pull mode, in turn. Each trial draws its values at random, from the seed and its
+own number (`--first` goes on from there), and counts as good when what the table below says came
+true. A trial that does not says what was seen instead. Target: all of them.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import random
 import subprocess
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 from emulated_bus import ROBOTS
@@ -62,6 +64,7 @@ class Trial:
             'motors': {name: {'id': i} for name, i in zip(robot.inputs, ids, strict=True)},
         }
         self.robot, self.one = robot, draw.choice(list(ids))
+        self.seen = ''  # the last message or measurement: tells why a trial is not good
 
     def driver(self, **changes):
         return make_driver('dynamixel', self.robot, {**self.config, **changes}, mode=self.mode)
@@ -149,8 +152,10 @@ class Trial:
             driver.cancelled = lambda: self.line.servo(self.one).put(name, value)
             try:
                 driver.enable()
-            except DriverError:
-                return driver.motors[self.one].zero is None
+            except DriverError as error:
+                self.seen = f'{name} {value} of id {self.one}: {error}'
+                return driver.motors[self.one].zero is None and f'(id {self.one})' in str(error)
+            self.seen = f'{name} {value} of id {self.one}: a zero was found'
             return False
 
     def follows(self, driver):
@@ -166,9 +171,13 @@ class Trial:
         end = time.monotonic() + SEEN_S
         while time.monotonic() < end:
             driver.write(self.command)
-            if until(driver.read()):
+            reading = driver.read()
+            if until(reading):
                 return True
             time.sleep(0.005)
+        values = reading.tensions if self.mode == 'tension' else reading.pulls
+        faults = '; '.join(fault.message for fault in reading.faults)
+        self.seen = f'commanded {self.command[0]:g}, measured {values.round(4)}; {faults}'
         return False
 
     def refusal(self, **changes):
@@ -176,7 +185,8 @@ class Trial:
         try:
             driver.open()
         except DriverError as error:
-            return str(error)
+            self.seen = str(error)
+            return self.seen
         driver.close()
         return ''
 
@@ -194,24 +204,26 @@ CASES = {
 def main():
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('--trials', type=int, default=200)
+    parser.add_argument('--first', type=int, default=0)
     parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument('--json')
+    parser.add_argument('--json', type=Path)
     args = parser.parse_args()
-    draw, good, all_ = random.Random(args.seed), collections.Counter(), collections.Counter()
+    good, all_ = collections.Counter(), collections.Counter()
     kinds = [(case, arm, mode) for case in CASES for arm in ARMS for mode in ('tension', 'pull')]
     kinds = [kind for kind in kinds if kind[0] != list(CASES)[-1] or kind[2] == 'pull']
-    for number in range(args.trials):
+    for number in range(args.first, args.first + args.trials):
         kind = kinds[number % len(kinds)]
-        trial = Trial(kind[1], kind[2], draw)
+        trial = Trial(kind[1], kind[2], random.Random(f'{args.seed} {number}'))
         Port.clock = staticmethod(lambda line=trial.line: line.lived)  # its own time
         with trial.line:
             mastered = CASES[kind[0]](trial)
         all_[kind] += 1
         good[kind] += mastered
         if not mastered:
-            print(f'trial {number}: {", ".join(kind)}', flush=True)
+            print(f'trial {number}: {", ".join(kind)}: {trial.seen}', flush=True)
     rows = {', '.join(kind): f'{good[kind]} of {all_[kind]}' for kind in kinds}
-    tell({**machine(), 'trials': args.trials, 'seed': args.seed, **rows}, args.json)
+    given = {'trials': args.trials, 'first': args.first, 'seed': args.seed}
+    tell({**machine(), **given, **rows}, args.json)
     print(json.dumps({case: f'{sum(good[k] for k in kinds if k[0] == case)} of '
                             f'{sum(all_[k] for k in kinds if k[0] == case)}' for case in CASES},
                      indent=1))  # fmt: skip

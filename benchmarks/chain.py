@@ -21,6 +21,7 @@ os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 import numpy as np
 import rclpy
 import yaml
+from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticStatus
 from emulated_bus import ROBOT
 from geometry_msgs.msg import PointStamped
@@ -31,6 +32,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.model.model import Model
@@ -115,6 +117,9 @@ class User(Node):
         self.state = None
         self.heard = 0  # commands of the controller
         self._points = self.create_publisher(PointStamped, 'controller/target_point', COMMAND)
+        self._plays = self.create_publisher(
+            JointTrajectory, 'controller/tendon_trajectory', COMMAND
+        )
         for name in self.said:
             self.create_subscription(
                 DiagnosticStatus, f'{name}/status', lambda m, n=name: self._status(n, m), LATCHED
@@ -158,6 +163,18 @@ class User(Node):
         message.header.stamp = self.get_clock().now().to_msg()
         message.point.x, message.point.y, message.point.z = float(x), float(y), float(z)
         self._points.publish(message)
+
+    def play(self, names, values, seconds):
+        """Send a trajectory to tensions [N] or pulls [m] of tendons, over a time."""
+        values = [float(value) for value in values]
+        nanoseconds = round(1e9 * seconds)
+        point = JointTrajectoryPoint(
+            time_from_start=Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+        )
+        setattr(point, 'effort' if self.mode == 'tension' else 'positions', values)
+        message = JointTrajectory(joint_names=list(names), points=[point])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._plays.publish(message)
 
     def ready(self, name, seconds=10.0):
         """Return the client of a service that is there, or None."""

@@ -6,17 +6,16 @@ Break the whole chain for half an hour: controller and driver on emulated servos
 Targets come five times a second, a fault every ten seconds on average: of the bus and the motors
 (those of soak_dynamixel.py), stops of every kind, killed, ended and frozen processes, a second
 controller, commands and targets that are wrong, models that are broken. Targets: no goal beyond
-the limits, no tension beyond its limit, no process that died, no wire wound beyond the bound. The
-wires move the mock arm (`--robot` takes another one), or with `--arm springs` a spring each; with
-`--at-limit` each wire in turn is to pull with the limit, and how often and by how much the wires
-pass it is counted. In pull mode the current of the motors limits the tension
-(docs/dynamixel.md): what current and dry friction of a motor hold may not pass the limit, the
-tension by no more than the drag of a motor that the wire turns. Prints what was passed each
-minute, at the end all figures as JSON and a short table. Not under `nice`: see bench_stop.py.
+the limits, no process that died, no wire wound beyond the bound, none that pulls more than current
+and dry friction of its motor hold (docs/dynamixel.md), but for the drag of a motor that it turns.
+The wires move the mock arm (`--robot` takes another one), or with `--arm springs` a spring each.
+With `--at-limit` each wire in turn is told by trajectories to pull with the limit while the others
+are at their lowest, in pull mode as far as the model winds it for that; how often a motor is at
+its largest current is counted. Prints what was passed each minute, at the end all figures as JSON
+and a short table. Not under `nice`: see bench_stop.py.
 """
 
 import argparse
-import contextlib
 import math
 import os
 import signal
@@ -26,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 from chain import Chain, Load
-from emulated_bus import ROBOT, Passings, driver_for
+from emulated_bus import ROBOT, Passings, driver_for, strongest
 from machine import machine, tell
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
@@ -35,9 +34,8 @@ from soak_dynamixel import KINDS as OF_THE_BUS
 from soak_dynamixel import Breaker, too_strong
 from std_msgs.msg import Bool
 
-from tendon_robot_ros.common.errors import TendonRobotError
+from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.homing import BACK_OFF_M
-from tendon_robot_ros.emulator.rig import BALANCED_N
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
@@ -45,7 +43,8 @@ from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
 BETWEEN = 10.0  # [s] from fault to fault, on average
 PERIOD = 0.2  # [s] of the targets
 ROUND = 20.0  # [s] of a round of the path
-BOUNDS = {'pull_limits': [-0.03, 0.03], 'home_travel': 0.02}  # [m]
+LEG, AGAIN, PLAYED = 4.0, 1.0, 0.8  # [s] of a wire at its limit; to the next trajectory; of one
+PULL_MAX, HOME_TRAVEL = 0.03, 0.02  # [m] of wire away from the limits; of the search for slack
 NOT_HERE = ('busy process', 'second process')  # they need a driver in this process
 BROKEN_MODELS = ('name: [', 'nobody', 'x: ' + 'y' * 2_000_000)
 
@@ -140,35 +139,54 @@ OF_THE_CHAIN = {
 ALL = {**{k: v for k, v in OF_THE_BUS.items() if k not in NOT_HERE}, **OF_THE_CHAIN}
 
 
-def path(chain, args):
-    """
-    Return the tips [m] of a round that the arm follows between the faults.
-
-    At the limit every wire in turn pulls with it, as far as the arm has a posture for that.
-    """
-    if not args.at_limit and chain.robot == ROBOT:
+def path(chain):
+    """Return the tips [m] of a round that the arm follows between the faults."""
+    if chain.robot == ROBOT:
         return [(0.05 * math.sin(angle), 0.0, 0.18) for angle in np.linspace(0.0, 2 * np.pi, 100)]
-    if not args.at_limit:
-        return chain.targets
-    model = Model(load_robot(chain.robot))
-    low, high = model.robot.tension_limits
-    tips = []
-    for row in np.eye(len(model.inputs)):
-        for tension in high * np.arange(1.0, 0.0, -0.05):
-            with contextlib.suppress(TendonRobotError):
-                tips.append(model.shape(np.maximum(low, tension * row)).tip_position)
-                break
-    return tips
+    return chain.targets
 
 
-def follow(chain, breaker, passings, args, tips):
+def hard_pulls(robot, high):
+    """
+    Return the wire pulls (m, m) [m] where one wire after the other has a tension [N].
+
+    The others are at their lowest.
+    """
+    model = Model(load_robot(robot))
+    rows = np.where(np.eye(len(model.inputs)) > 0.0, high, model.robot.tension_limits[0])
+    return np.array([model.shape(row).pulls for row in rows])
+
+
+class Targets:
+    """What the arm is told: tips of a path, or each wire in turn to pull with its limit."""
+
+    def __init__(self, chain, args):
+        self.user, self.tips = chain.user, path(chain)
+        robot = load_robot(chain.robot)
+        low, high = robot.tension_limits
+        self.names, self.rows, self.due = robot.inputs, None, 0.0
+        if args.at_limit and args.mode == 'tension':
+            self.rows = np.where(np.eye(len(self.names)) > 0.0, high, low)
+        elif args.at_limit:
+            self.rows = hard_pulls(chain.robot, high)
+
+    def send(self, passed):
+        """Send what is due so many seconds after the beginning."""
+        if self.rows is None:
+            self.user.aim(*self.tips[int(passed / ROUND * len(self.tips)) % len(self.tips)])
+        elif passed >= self.due:
+            self.due = passed + AGAIN
+            self.user.play(self.names, self.rows[int(passed / LEG) % len(self.rows)], PLAYED)
+
+
+def follow(chain, breaker, passings, args):
     """Send targets and break things until the time is up; return how often it followed."""
     begin = time.monotonic()
     due = begin + breaker.random.expovariate(1.0 / BETWEEN)
     following = ticks = 0
-    told = begin
+    told, targets = begin, Targets(chain, args)
     while (now := time.monotonic()) < begin + 60.0 * args.minutes:
-        chain.user.aim(*tips[int((now - begin) / ROUND * len(tips)) % len(tips)])
+        targets.send(now - begin)
         chain.user.spin(PERIOD)
         breaker.work(time.monotonic())
         if now > due:
@@ -188,17 +206,20 @@ def follow(chain, breaker, passings, args, tips):
     return following / max(1, ticks)
 
 
+def farthest(config, args):
+    """Return how much wire the arm gives at most [m]: what a motor holds pulls at one of them."""
+    if not args.at_limit:
+        return PULL_MAX
+    driver = make_driver('dynamixel', load_robot(args.robot), config, mode=args.mode)
+    return float(np.abs(hard_pulls(args.robot, strongest(driver))).max())
+
+
 def judge(chain, args):
-    """Return what was passed: goals, tensions and wire."""
-    driver = driver_for(chain.servos, args.mode, chain.robot)
-    beyond = too_strong(chain.servos, driver)
-    state = chain.servos.ask('state')
-    high = load_robot(chain.robot).tension_limits[1]
-    within = BOUNDS['home_travel'] + 2.0 * BACK_OFF_M + BOUNDS['pull_limits'][1]
+    """Return what was passed: goals, what motors hold, and wire."""
+    state, driver = chain.servos.ask('state'), driver_for(chain.servos, args.mode, chain.robot)
+    beyond = too_strong(state, driver)
+    within = HOME_TRAVEL + 2.0 * BACK_OFF_M + farthest(chain.servos.content(), args)
     wound = np.maximum(np.abs(state['least']), state['most'])
-    measured = 'highest' if args.mode == 'tension' else 'held'
-    if max(state[measured]) > high + BALANCED_N:
-        beyond.append(f'tension {max(state[measured]):.3f} N, limit {high:g} N')
     if wound.max() > within:
         beyond.append(f'wire {wound.max():.4f} m, bound {within:g} m')
     return {
@@ -211,14 +232,17 @@ def judge(chain, args):
 
 def run(args):
     load = Load(args.busy)
-    chain = Chain(args.logs, args.mode, arm=args.arm, servos=BOUNDS, robot=args.robot)
-    passings = Passings(chain.servos, load_robot(chain.robot).tension_limits[1])
+    servos = {
+        'pull_limits': lambda config: [sign * farthest(config, args) for sign in (-1.0, 1.0)],
+        'home_travel': HOME_TRAVEL,
+    }
+    chain = Chain(args.logs, args.mode, arm=args.arm, servos=servos, robot=args.robot)
+    passings = Passings(chain.servos, driver_for(chain.servos, args.mode, chain.robot))
     try:
         breaker = ChainBreaker(chain, args.seed)
-        tips = path(chain, args)
-        if not chain.up(tips[0], -math.inf):
+        if not chain.up(path(chain)[0], -math.inf):
             raise RuntimeError(f'the arm does not follow; see {args.logs}')
-        followed = follow(chain, breaker, passings, args, tips)
+        followed = follow(chain, breaker, passings, args)
         breaker.work(math.inf)
         chain.user.spin(1.0)
         passings.look()
@@ -237,9 +261,10 @@ def run(args):
 
 def table(found):
     rows = ('following', 'faults', 'highest tension [N]', 'held by the motors [N]')
+    rows += ('motors hold at most [N]', 'share of the time with a motor at its limit')
     rows += ('most wire wound [m]',)
-    lines = [f'{key:22s}{found[key]:10g}' for key in rows]
-    lines += [f'{key:22s}{len(found[key]):10d}' for key in ('died', 'beyond limits')]
+    lines = [f'{key:44s}{found[key]:10g}' for key in rows]
+    lines += [f'{key:44s}{len(found[key]):10d}' for key in ('died', 'beyond limits')]
     return '\n'.join(lines)
 
 

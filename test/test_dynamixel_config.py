@@ -77,6 +77,31 @@ def test_a_calibration_replaces_the_assumed_friction():
     assert wire.calibration.measured
 
 
+@pytest.mark.parametrize('mode', ['tension', 'pull'])
+@pytest.mark.parametrize('share', [None, 0.5, 0.2])
+def test_what_friction_leaves_of_the_limit_is_told_and_a_calibration_narrows_it(mode, share):
+    """A motor holds the limit in pull mode and a band more in tension mode, and winds 2 less."""
+    model, radius = MODELS['XL330-M077'], 0.013
+    changes = {'model': model.name, 'spool_radius': radius}
+    slope, friction = radius / model.torque_per_ampere, model.friction_current * (share or 1.0)
+    if share is not None:
+        lines = {'wind': [friction, slope], 'pay_out': [-friction, slope]}
+        changes['calibration'] = dict.fromkeys(emulated.config('')['motors'], lines)
+    content = emulated.config('/dev/x', **changes)
+    driver = make_driver('dynamixel', emulated.robot(), content, mode=mode)
+    (wire,) = driver.motors[1].wires
+    band, count = friction / slope, wire.resolution.newtons_per_count
+    limit = wire.tension_limit
+    most = limit + (band if mode == 'tension' else 0.0)
+    winds, holds = driver.motors[1].strength(wire)
+    assert most - count < holds <= most + 1e-9
+    assert holds - winds == pytest.approx(2.0 * band)
+    told = driver.strength()
+    assert f'wind up to {winds:.3g} N (east)' in told
+    assert f'hold up to {holds:.3g} N (east, tension_limit {limit:g} N)' in told
+    assert ('which is assumed: calibrate east' in told) == (share is None)
+
+
 def test_the_mean_line_converts_and_half_the_gap_is_the_uncertainty():
     lines = Calibration(
         CurrentLine(0.10, 0.05), CurrentLine(-0.06, 0.03), measured=True, scatter=0.003

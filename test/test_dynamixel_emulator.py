@@ -19,6 +19,7 @@ from tendon_robot_ros.emulator.rig import (
     Rig,
     SpringArm,
     Wire,
+    softer,
 )
 from tendon_robot_ros.emulator.servo import Servo
 from tendon_robot_ros.robot import load_robot
@@ -218,6 +219,45 @@ def test_an_arm_known_from_tension_to_pull_settles_on_the_tension_of_a_pull():
     np.testing.assert_allclose(tensions, [3.0, 2.0], rtol=0.02)
 
 
+def test_an_arm_that_bends_unlike_a_spring_comes_to_its_tensions_without_a_jump():
+    def pulls(tensions):  # [m]: a bend, and what its arc leaves to both wires
+        bend = tensions[0] - tensions[1]
+        return 5e-3 * bend * np.array([1.0, -1.0]) + 1e-4 * bend**2
+
+    def wound(tensions):
+        return pulls(tensions) + 1e-4 * tensions
+
+    arm = ElasticArm(pulls, 2, highest=10.0)
+    for end in np.array([[3.0, 1.0], [4.5, 1.0], [2.0, 2.5]]):
+        before = arm.tensions(wound(end), 0.0)
+        np.testing.assert_allclose(arm.tensions(wound(end), 2.0 * arm.period), before, rtol=1e-6)
+        path = np.array([arm.tensions(wound(end), 0.001) for _ in range(200)])
+        assert np.abs(before - end).max() > 0.05  # [N]: it is not where a spring would be
+        np.testing.assert_allclose(path[-1], end, atol=1e-3)
+        assert (np.abs(path - end).max(axis=1) < np.abs(before - end).max() + 1e-9).all()
+
+
+@pytest.mark.parametrize(
+    ('compliance', 'lacks'),
+    [
+        ([[2.0, -2.0], [-2.0, 2.0]], False),  # antagonists
+        ([[2.0, -1.0], [-6.0, 4.0]], False),  # with friction: skew, but one set of tensions
+        ([[2.0, -3.0], [-6.0, 4.0]], True),  # so skew that a wire wound on would pull less
+        ([[1.0, 0.0], [0.0, -1.0]], True),  # at a kink
+    ],
+)
+def test_an_arm_that_friction_skews_too_far_counts_as_softer_until_any_wire_is_held(
+    compliance, lacks
+):
+    compliance = 1e-3 * np.array(compliance)
+    added = softer(compliance)
+    assert (added > 0.0) == lacks
+    held = compliance + added * np.eye(2)
+    assert np.diag(held).min() > -1e-9
+    assert np.linalg.det(held) > -1e-14
+    assert added < 2.1 * 3e-3  # [m/N]: twice what would do, no more
+
+
 def test_a_wire_that_is_paid_out_further_than_the_arm_takes_it_is_slack():
     compliance = np.array([[2.0, -2.0], [-2.0, 2.0]]) * 1e-3  # [m/N] antagonists
     arm = ElasticArm(lambda tensions: compliance @ tensions, 2, highest=10.0)
@@ -315,6 +355,32 @@ def test_of_two_antagonists_at_their_limits_one_winds_and_one_holds_what_it_can(
         assert rig.tensions[1] < winds + BALANCED_N
     assert rig.held[0] < holds + BALANCED_N
     assert rig.tensions == pytest.approx([holds, winds], abs=0.01)
+
+
+def test_an_arm_that_goes_over_from_one_wire_at_its_limit_to_another_pulls_no_motor_along():
+    """Each wire pulls what current and friction of its motor hold, and the drag of its gear."""
+    robot = load_robot(ROBOTS / 'spatial_6.yaml')
+    plant, radius, limit = make_plant(robot), 0.009, robot.tension_limits[1]
+    arm = ElasticArm(lambda tensions: plant.respond(tensions).pulls, 6, 2.0 * limit, slack=0.002)
+    motors = [Servo(MODELS['XL330-M077'], i + 1) for i in range(6)]
+    rig = Rig(motors, [Wire(i + 1, radius) for i in range(6)], arm)
+    for motor in motors:
+        assert write(motor, 'operating_mode', 0) == write(motor, 'torque_enable', 1) == 0
+    model = motors[0].model
+    newtons = model.current_unit * model.torque_per_ampere / radius
+    most = 0.01 * model.stall_torque / radius  # [N] of drag, at the no-load speed
+    command = np.full(6, 0.1)
+    for wire in (0, 1):
+        goal = np.where(np.arange(6) == wire, limit, 0.1)
+        for part in np.linspace(0.0, 1.0, 100):  # in 0.5 s
+            given = command + part * (goal - command)
+            for motor, value in zip(motors, given, strict=True):
+                assert write(motor, 'goal_current', round(value / newtons)) == 0
+            rig.advance(0.005)
+            currents = np.array([motor.motion.current for motor in motors])
+            holds = (currents * model.torque_per_ampere + motors[0].motion.friction) / radius
+            assert (rig.tensions < holds + most + BALANCED_N).all()
+        command = goal
 
 
 def test_on_the_mock_arm_no_wire_pulls_more_than_its_motor_holds_and_all_come_to_rest():

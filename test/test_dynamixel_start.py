@@ -108,6 +108,8 @@ def test_it_describes_resolution_calibration_and_servos():
     with emulated.line() as line, driver_for(line) as driver:
         said = driver.describe()
         assert said['east: tension_per_count (N)'] == '0.00731'
+        winds, holds = (float(said[f'east: {key} (N)']) for key in ('winds_to', 'holds_to'))
+        assert holds - winds == pytest.approx(2.0 * float(said['east: friction_band (N)']), 0.01)
         assert said['east: calibration'] == 'data sheet'
         assert said['east (id 1): model'] == 'XL330-M077'
         assert (said['east (id 1): firmware'], said['east (id 1): torque']) == ('48', 'off')

@@ -184,6 +184,10 @@ class Driver(abc.ABC):
         """Return facts for diagnostics: names and values as text, with units."""
         return {}
 
+    def strength(self) -> str:
+        """Return up to which tension motors wind and hold, in words; empty: to the limits."""
+        return ''
+
     def silence(self) -> str:
         """Return after how long without a word the motors stop, and why; empty where unknown."""
         return ''

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 import time
 from collections import deque
@@ -21,6 +22,8 @@ Array = NDArray[np.float64]
 LINEAR_WITHIN_N = 0.2  # [N] about which an arm keeps its compliance
 PROBE_N = 0.02  # [N] by which its compliance is felt
 STILL_N = 1e-6  # [N] below which it need not be asked again
+MINOR_ROUNDING, SOFTER_FROM = 1e-9, 0.01  # [1] of the largest compliance
+FOLLOWS_IN_S = 0.01  # [s], time constant with which an arm of this size takes on its shape
 
 
 class Arm(Protocol):
@@ -89,7 +92,13 @@ class ElasticArm:
     The wires stretch a little: wound = slack + pulls(tensions) + stretch * tension, a slack wire
     has less wound than that. Between two calls of `pulls` the arm is linear about the last one,
     with a compliance that is felt anew wherever the tensions have gone. With friction it is far
-    from symmetric, but all its principal minors are positive: one set of tensions holds the wires.
+    from symmetric; where it is so skew that the linear arm would hold some wire by no tensions, or
+    by several, it counts as softer.
+
+    An arm gives way where it bends, and hardly at all where its wires pull against each other:
+    there the fraction of a millimetre by which a bend is not linear is worth newtons. A new call
+    of `pulls` therefore changes no tension at once: what it finds else than expected is wire that
+    the arm still takes up or gives, with a time constant.
     """
 
     def __init__(
@@ -131,15 +140,17 @@ class ElasticArm:
         self._stretch = stretch / highest  # [m/N]
         self._taut = np.zeros(inputs, dtype=bool)
         self._since = 0.0
+        self._coming = np.zeros(inputs)  # (m,) [m] of wire that the arm is still to take up
         self._feel()
         self._linear()
 
     def tensions(self, wound: Array, passed: float) -> Array:
         """Return the present tensions [N]; once a period the arm itself is asked."""
         self._since += passed
+        self._coming *= math.exp(-passed / FOLLOWS_IN_S)
         if self._since >= self.period:
             self._since = 0.0
-            self._ask(np.minimum(self._held(wound), self.highest))
+            self._ask(wound)
         return np.minimum(self._held(wound), self.highest)
 
     def resistance(self, wire: int) -> tuple[float, float]:
@@ -148,8 +159,9 @@ class ElasticArm:
         value = self._values[wire]
         return (value if self._taut[wire] else -stiffness * value), stiffness
 
-    def _ask(self, tensions: Array) -> None:
-        """Make the arm linear about other tensions (m,) [N]."""
+    def _ask(self, wound: Array) -> None:
+        """Make the arm linear about the tensions (m,) [N] that it has with so much wire (m,)."""
+        tensions = np.minimum(self._held(wound), self.highest)
         if np.abs(tensions - self._here).max() < STILL_N:
             return
         with contextlib.suppress(TendonRobotError):
@@ -157,13 +169,16 @@ class ElasticArm:
             if np.abs(tensions - self._felt).max() > LINEAR_WITHIN_N:
                 self._feel()
             self._linear()
+            self._coming = self.slack + self._pulls + self._stretch * self._here - wound
+            slack = tensions <= 0.0
+            self._coming[slack] = np.minimum(0.0, self._coming[slack])
 
     def _feel(self) -> None:
         """Feel the compliance (m, m) [m/N] of arm and wires here."""
         probes = self._here + PROBE_N * np.eye(len(self._here))
         rows = (np.array([self.pulls(probe) for probe in probes]) - self._pulls) / PROBE_N
         self.pulls(self._here)
-        self._compliance = rows.T + self._stretch * np.eye(len(rows))
+        self._compliance = rows.T + (self._stretch + softer(rows.T)) * np.eye(len(rows))
         self._felt = self._here
 
     def _linear(self) -> None:
@@ -174,7 +189,7 @@ class ElasticArm:
 
     def _held(self, wound: Array) -> Array:
         """Return tensions (m,) >= 0 [N] that hold so much wire; Murty's least-index method."""
-        beyond = wound - self._offset
+        beyond = wound + self._coming - self._offset
         values = self._map @ beyond
         for _ in range(2 ** len(values)):
             wrong = np.flatnonzero(values < -1e-12)
@@ -199,6 +214,29 @@ class ElasticArm:
         alone[loose] -= np.sum(follows * self._compliance[np.ix_(taut, loose)].T, axis=1)
         alone[taut] = 1.0 / np.diag(inverse)
         self._stiffness: list[float] = (1.0 / alone).tolist()
+
+
+def softer(compliance: Array) -> float:
+    """
+    Return what the diagonal of a compliance lacks [m/N] to hold any wire by one set of tensions.
+
+    That is so where no principal minor is negative (a P-matrix, with the stretch of the wires).
+
+    Parameters
+    ----------
+    compliance : ndarray, shape (m, m) [m/N]
+
+    """
+    wires = range(len(compliance))
+    chosen = [np.array(list(itertools.combinations(wires, k + 1))) for k in wires]
+    size, added = float(np.abs(np.diag(compliance)).max()), 0.0
+    while size > 0.0:
+        scaled = compliance / size + added * np.eye(len(compliance))
+        minors = [np.linalg.det(scaled[some[:, :, None], some[:, None, :]]) for some in chosen]
+        if min(minor.min() for minor in minors) > -MINOR_ROUNDING:
+            break
+        added = max(2.0 * added, SOFTER_FROM)
+    return added * size
 
 
 # -----------------------------------------------------------------------------

@@ -252,6 +252,10 @@ class CurrentLine:
         """Return the current [A] at a tension [N]."""
         return self.intercept + self.slope * tension
 
+    def tension(self, current: float) -> float:
+        """Return the tension [N] at a current [A]: never negative."""
+        return max(0.0, (current - self.intercept) / self.slope)
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -286,9 +290,8 @@ class Calibration:
         return self.mean.current(tension)
 
     def tension(self, current: float) -> float:
-        """Return the tension [N] at a current [A]: never negative."""
-        mean = self.mean
-        return max(0.0, (current - mean.intercept) / mean.slope)
+        """Return the tension [N] between winding and paying out at a current [A]."""
+        return self.mean.tension(current)
 
     def uncertainty(self, tension: float) -> float:
         """Return half the gap between the two lines at a tension, with their scatter [N]."""

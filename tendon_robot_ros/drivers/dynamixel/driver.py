@@ -59,12 +59,30 @@ def driver_facts(
             out[f'registers of {motor} that were set'] = ', '.join(changed)
         for wire in motor.wires:
             known = 'measured' if wire.calibration.measured else 'data sheet'
+            winds, holds = motor.strength(wire)
             out |= {
                 f'{wire.name}: tension_per_count (N)': f'{wire.resolution.newtons_per_count:.3g}',
                 f'{wire.name}: friction_band (N)': f'{wire.resolution.band:.3g}',
+                f'{wire.name}: winds_to (N)': f'{winds:.3g}',
+                f'{wire.name}: holds_to (N)': f'{holds:.3g}',
                 f'{wire.name}: calibration': known,
             }
     return out
+
+
+def strength_told(motors: Iterable[Motor]) -> str:
+    """Say up to which tension the motors wind and hold their wires, and how to know it better."""
+    wires = [(wire, *motor.strength(wire)) for motor in motors for wire in motor.wires]
+    weakest, strongest = min(wires, key=lambda w: w[1]), max(wires, key=lambda w: w[2])
+    told = (
+        f'at their largest current motors wind up to {weakest[1]:.3g} N ({weakest[0].name}) and '
+        f'hold up to {strongest[2]:.3g} N ({strongest[0].name}, tension_limit '
+        f'{strongest[0].tension_limit:g} N): between them is the friction of the gear'
+    )
+    assumed = [wire.name for wire, *_ in wires if not wire.calibration.measured]
+    if assumed:
+        told += f', which is assumed: calibrate {", ".join(assumed)} (docs/dynamixel.md)'
+    return told
 
 
 def _doubt(config: DynamixelConfig) -> float:
@@ -202,6 +220,10 @@ class DynamixelDriver(PortDriver):
         """Return facts about bus and servos."""
         facts = driver_facts(self.bus, self.config, self.motors.values(), self._latency)
         return {**facts, 'bus_watchdog (s)': f'{self._silent_after:g}'}
+
+    def strength(self) -> str:
+        """Return what current and friction make of the tension limits."""
+        return strength_told(self.motors.values())
 
     def silence(self) -> str:
         """Return what address 98 was set to."""

@@ -123,6 +123,20 @@ class Motor:
             amperes.append(min(wire.current_limit, line.current(wire.tension_limit)))
         return max(1, math.floor(min(amperes) / self.model.current_unit + 1e-9))
 
+    def strength(self, wire: WireConfig) -> tuple[float, float]:
+        """
+        Return what its largest current does to one of its wires [N].
+
+        Returns
+        -------
+        winds, holds : float
+            Up to which tension it winds the wire; above which the wire turns it. Between them, two
+            friction bands, it stands.
+
+        """
+        amperes, lines = self.strongest * self.model.current_unit, wire.calibration
+        return lines.wind.tension(amperes), lines.pay_out.tension(amperes)
+
     @property
     def current_bounds(self) -> tuple[int, int]:
         """Goal currents it may be given [counts]: in tension mode only those that wind."""

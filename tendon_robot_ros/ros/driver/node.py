@@ -120,6 +120,8 @@ class DriverNode(ManagedNode):
         self.status.say(WARN, 'starting', 'switches torque on; looks for slack first if told')
         loop.call(lambda: loop.supervisor.latch.forget(INACTIVE))
         loop.activate()
+        if strength := loop.driver.strength():
+            self.get_logger().info(strength)
         if silence := loop.driver.silence():
             self.get_logger().info(f'motors left in silence stop after {silence}')
 
