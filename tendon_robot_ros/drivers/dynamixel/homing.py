@@ -34,6 +34,7 @@ MISSED_ANSWERS_MAX = 5  # answers in a row
 WATCHDOG_COUNTS = 10  # of address 98: 0.2 s
 TRIPS_MAX = 5  # of the watchdog of one motor: a computer that is late so often is too late
 TURNS_WITHIN_S = 2.0  # [s] or it does not turn
+MORE_TIME_S = 5.0  # [s] than three times the way at `home_speed`, for torque on and stalls
 
 
 @dataclass
@@ -122,7 +123,8 @@ def _search(
 
     A pause of this process counts as one cycle: nobody looked whether a motor turned meanwhile.
     """
-    left, before = 3.0 * config.home_travel / config.home_speed + 5.0, time.monotonic()
+    left = 3.0 * config.home_travel / config.home_speed + MORE_TIME_S
+    before = time.monotonic()
     while not all(search.done for search in searches):
         if cancelled():
             raise DriverError(f'{bus.path}: looking for slack was cancelled; torque is off')
@@ -130,7 +132,10 @@ def _search(
         passed, before = min(now - before, 2.0 * CYCLE_S), now
         left -= passed
         if left < 0.0:
-            raise DriverError(f'{bus.path}: looking for slack took too long; torque is off')
+            late = ', '.join(str(search.motor) for search in searches if not search.done)
+            raise DriverError(
+                f'{bus.path}: {late}: looking for slack took too long; torque is off'
+            )
         _cycle(bus, config, searches, passed)
         time.sleep(CYCLE_S)
     for search in searches:
