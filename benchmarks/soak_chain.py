@@ -43,7 +43,8 @@ from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
 BETWEEN = 10.0  # [s] from fault to fault, on average
 PERIOD = 0.2  # [s] of the targets
 ROUND = 20.0  # [s] of a round of the path
-LEG, AGAIN, PLAYED = 4.0, 1.0, 0.8  # [s] of a wire at its limit; to the next trajectory; of one
+LEG = 8.0  # [s] for a wire: up to 5 to wind 0.1 m at the usual 20 mm/s, then at its limit
+AGAIN, PLAYED = 1.0, 0.8  # [s] from one trajectory to the next; of one
 PULL_MAX, HOME_TRAVEL = 0.03, 0.02  # [m] of wire away from the limits; of the search for slack
 NOT_HERE = ('busy process', 'second process')  # they need a driver in this process
 BROKEN_MODELS = ('name: [', 'nobody', 'x: ' + 'y' * 2_000_000)
