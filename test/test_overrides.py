@@ -25,31 +25,43 @@ def test_names_of_parameters_and_of_ros_are_taken():
     check_overrides([*KNOWN, 'use_sim_time', 'qos_overrides./a.publisher.depth'], KNOWN, 'driver')
 
 
+TAKEN, WARNED, REFUSED = None, ', which takes none of them', '; write {node}: or /**: as the'
 FILES = {
-    'driver: {ros__parameters: {rate: 50.0}}': ('/driver', True),
-    '/**: {ros__parameters: {rate: 50.0}}': ('/a/b/driver', True),
-    '/**/driver: {ros__parameters: {rate: 50.0}}': ('/driver', True),
-    '/*/driver: {ros__parameters: {rate: 50.0}}': ('/left/driver', True),
-    'left: {driver: {ros__parameters: {rate: 50.0}}}': ('/left/driver', True),
-    '/left/driver: {ros__parameters: {rate: 50.0}}': ('/left/driver', True),
-    'controller: {ros__parameters: {rate: 50.0}}': ('/driver', True),  # one file for a launch
-    'tendon_driver: {ros__parameters: {rate: 50.0}}': ('/driver', False),
-    'driver:  {ros__parameters: {rate: 50.0}}': ('/left/driver', False),
-    '/right/driver: {ros__parameters: {rate: 50.0}}': ('/left/driver', False),
+    'driver: {ros__parameters: {rate: 50.0}}': ('/driver', TAKEN),
+    '/**: {ros__parameters: {rate: 50.0}}': ('/a/b/driver', TAKEN),
+    '/**/driver: {ros__parameters: {rate: 50.0}}': ('/driver', TAKEN),
+    '/*/driver: {ros__parameters: {rate: 50.0}}': ('/left/driver', TAKEN),
+    'left: {driver: {ros__parameters: {rate: 50.0}}}': ('/left/driver', TAKEN),
+    '/left/driver: {ros__parameters: {rate: 50.0}}': ('/left/driver', TAKEN),
+    # one file for all nodes of a launch
+    '{driver: {ros__parameters: {rate: 50.0}}, controller: {ros__parameters: {rate: 50.0}}}': (
+        '/driver',
+        TAKEN,
+    ),
+    'controller: {ros__parameters: {rate: 50.0}}': ('/driver', WARNED),
+    'robot_model: {ros__parameters: {rate: 50.0}}': ('/left/driver', WARNED),
+    'tendon_driver: {ros__parameters: {rate: 50.0}}': ('/driver', REFUSED),
+    'driver:  {ros__parameters: {rate: 50.0}}': ('/left/driver', REFUSED),
+    '/right/driver: {ros__parameters: {rate: 50.0}}': ('/left/driver', REFUSED),
 }
 
 
 @pytest.mark.parametrize('content', FILES)
-def test_a_file_for_other_nodes_is_refused(content, tmp_path):
-    node, taken = FILES[content]
+def test_a_file_for_other_nodes_is_named_or_refused(content, tmp_path):
+    node, said = FILES[content]
     file = tmp_path / 'parameters.yaml'
     file.write_text(content, encoding='utf-8')
     arguments = ['--ros-args', '--params-file', str(file)]
-    if taken:
-        check_files(arguments, node)
-    else:
-        with pytest.raises(InputError, match=f'parameters.yaml: its parameters .* not for {node}'):
+    if said is REFUSED:
+        with pytest.raises(InputError, match=r'parameters.yaml: its parameters are for') as caught:
             check_files(arguments, node)
+        told = [str(caught.value)]
+    else:
+        told = check_files(arguments, node)
+    assert len(told) == (said is not TAKEN)
+    for line in told:
+        assert content.partition(':')[0].strip('/') in line
+        assert f', not for {node}{said.format(node=node)}' in line
 
 
 @pytest.mark.parametrize(('name', 'taken'), [('tip_gain', True), ('tip_gian', False)])

@@ -25,6 +25,7 @@ NODES = (
     'monitor',
     'viewer',
     'teleop',
+    'robot_model',
 )  # of launch files: one file for all
 ALL = '/**'
 SPEC = re.compile(r"\bSpec\(\s*'(\w+)'")
@@ -63,9 +64,9 @@ def check_overrides(
         )
 
 
-def check_files(arguments: Sequence[str], node: str) -> None:
+def check_files(arguments: Sequence[str], node: str) -> list[str]:
     """
-    Refuse a file of parameters that says nothing to a node, nor to another one of this package.
+    Look for files of parameters that say nothing to a node.
 
     Parameters
     ----------
@@ -74,19 +75,30 @@ def check_files(arguments: Sequence[str], node: str) -> None:
     node : str
         Name of the node, with its namespace.
 
+    Returns
+    -------
+    list of str
+        What to warn of: files for other nodes of this package. Launch files may give one file to
+        several nodes.
+
+    Raises
+    ------
+    InputError
+        A file is for no node of this package.
+
     """
+    found = []
     for file, content in _files(arguments):
         keys = list(_sections(content))
         names = [key.rpartition('/')[2] for key in keys]
         own = node.rpartition('/')[2]
         if not keys or any(_means(key, node) for key in keys):
             continue
-        if own not in names and any(name in NODES for name in names):
-            continue
-        raise InputError(
-            f'{file}: its parameters are for {", ".join(keys)}, not for {node}; write {node}: or '
-            f'/**: as the first line'
-        )
+        said = f'{file}: its parameters are for {", ".join(keys)}, not for {node}'
+        if own in names or not any(name in NODES for name in names):
+            raise InputError(f'{said}; write {node}: or /**: as the first line')
+        found.append(f'{said}, which takes none of them')
+    return found
 
 
 def _files(arguments: Sequence[str]) -> Iterator[tuple[str, Any]]:

@@ -112,7 +112,8 @@ class Parameters:
                 raise InputError(f'{spec.name}: {error}') from None
             self._values[spec.name] = spec.checked(value)
         check_overrides(node._parameter_overrides, self._specs, node.get_name(), given)
-        check_files(given, node.get_fully_qualified_name())
+        for passed_over in check_files(given, node.get_fully_qualified_name()):
+            node.get_logger().warning(passed_over)
         node.add_on_set_parameters_callback(self._set)
 
     def __getitem__(self, name: str) -> Any:
