@@ -205,6 +205,7 @@ def test_two_programs_that_publish_other_states_are_named(tmp_path, second, sign
         imported(tmp_path, second=second, signed=signed)
     names = '(/driver (process 1), /driver (process 2))'
     assert (names in str(caught.value)) == signed
+    assert ('ros2 topic info --verbose' in str(caught.value)) != signed
     if signed:
         is_right(import_bag(tmp_path / 'bag', SMALL, topics=Topics(sender='process 1'), rest=0.2))
 

@@ -106,7 +106,8 @@ def test_the_service_stop_answers_while_no_callback_is_served(context):
     executor.add_node(person)
     try:
         assert client.wait_for_service(10.0)
-        assert call(executor, client).success  # nothing to stop yet
+        answer = call(executor, client)
+        assert (answer.success, 'no motors are open' in answer.message) == (True, True)
         driver.trigger_configure()
         driver.trigger_activate()
         assert call(executor, client).success
@@ -184,11 +185,15 @@ def test_the_controllers_stop_is_heard_while_no_callback_is_served(context, monk
     executor.add_node(person)
     try:
         assert client.wait_for_service(10.0)
-        assert call(executor, client).success  # no model yet: it counts when that comes
+        answer = call(executor, client)  # no model yet: it counts when that comes
+        assert answer.success
+        assert 'no model and commands nothing, so the driver is told nothing' in answer.message
         assert controller._stopped
         controller.core = SimpleNamespace(latch=StopLatch())
         until(controller._commands.get_subscription_count, 'a listener')
-        assert call(executor, client).success
+        answer = call(executor, client)
+        assert answer.success
+        assert 'the driver releases the arm' in answer.message
         assert controller.core.latch.reasons == ['stop was called']
         until(lambda: executor.spin_once(timeout_sec=0.1) or commands, 'a command')
         assert not commands[0].name  # the driver lets go

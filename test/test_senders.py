@@ -1,63 +1,96 @@
 """Two senders of one topic: the first is followed until it is gone, the other is named."""
 
 import math
-import re
+import os
 import signal
 import sys
 import time
 from itertools import count
-from types import SimpleNamespace
 
 import processes
 import pytest
 
 pytest.importorskip('rclpy')
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
 from ros_station import Station, last, point, stamp, start, values
 from sensor_msgs.msg import JointState
 
+from tendon_robot_ros.common.processes import child_environment
+from tendon_robot_ros.ros.controller.driver_link import DriverLink
+from tendon_robot_ros.ros.shared.inbox import Inbox
+from tendon_robot_ros.ros.shared.joints import JointReader
 from tendon_robot_ros.ros.shared.messages import LATCHED
-from tendon_robot_ros.ros.shared.senders import GONE_AFTER_S, Received, Senders, signature
+from tendon_robot_ros.ros.shared.senders import (
+    GONE_AFTER_S,
+    NAMED_MAX,
+    UNTOLD,
+    PublisherNames,
+    PublisherSocket,
+    Received,
+    SenderProcess,
+    Senders,
+    gid_of,
+    gid_text,
+    process_of,
+)
 
 NAMED_S = 0.5  # [s] after which all name another who commands
-EVERY = QoSProfile(depth=1000)
+EVERY = QoSProfile(depth=10_000)
 
 
-def numbered(number):
-    return Received(None, 0, number)
+ONE, TWO, THREE = (bytes([i]) * 16 for i in (1, 2, 3))
+
+
+def said_by(publisher, number=None):
+    return Received(None, 0, number, publisher)
 
 
 def test_the_first_is_followed_until_it_is_gone():
     senders = Senders()
-    assert senders.first(0.0) == ''
-    assert senders.counts(0.0, '/controller', numbered(1))
-    assert not senders.counts(0.01, '/intruder', numbered(1))
-    assert senders.first(0.02) == '/controller'
-    assert senders.others(0.02) == '/intruder'
-    assert senders.counts(0.5, '/controller', numbered(2))
-    assert not senders.counts(0.5 + GONE_AFTER_S, '/intruder', numbered(2))
-    assert senders.counts(0.6 + GONE_AFTER_S, '/intruder', numbered(3))
-    assert senders.first(0.6 + GONE_AFTER_S) == '/intruder'
-    assert senders.others(0.6 + GONE_AFTER_S) == ''
-    assert senders.first(0.7 + 2.0 * GONE_AFTER_S) == ''
+    assert senders.first(0.0) is None
+    assert senders.counts(0.0, said_by(ONE))
+    assert not senders.counts(0.01, said_by(TWO))
+    assert senders.first(0.02) == ONE
+    assert senders.others(0.02) == [TWO]
+    assert senders.counts(0.5, said_by(ONE))
+    assert not senders.counts(0.5 + GONE_AFTER_S, said_by(TWO))
+    assert senders.counts(0.6 + GONE_AFTER_S, said_by(TWO))
+    assert not senders.new, 'it has commanded all the time'
+    assert senders.first(0.6 + GONE_AFTER_S) == TWO
+    assert senders.others(0.6 + GONE_AFTER_S) == []
+    assert senders.first(0.7 + 2.0 * GONE_AFTER_S) is None
+    assert senders.counts(1.0 + 2.0 * GONE_AFTER_S, said_by(THREE))
+    assert senders.new
 
 
-def test_senders_without_a_signature_are_told_apart_by_their_numbers():
+def test_where_no_publisher_is_told_they_are_told_apart_by_their_numbers():
     senders, one, two = Senders(), count(5000), count(1)
     for cycle in range(100):
         now = 0.005 * cycle
-        assert senders.counts(now, '', numbered(next(one)))
-        assert not senders.counts(now, '', numbered(next(two)))
-    assert senders.others(0.5) == 'one that does not sign'
+        assert senders.counts(now, said_by(UNTOLD, next(one)))
+        assert not senders.counts(now, said_by(UNTOLD, next(two)))
+    assert senders.others(0.5) == [UNTOLD]
 
 
-def test_a_middleware_that_does_not_number_messages_is_no_hindrance():
+@pytest.mark.parametrize('publisher', [UNTOLD, ONE])
+def test_a_middleware_that_does_not_number_messages_is_no_hindrance(publisher):
     senders = Senders()
-    assert all(senders.counts(0.01 * i, '', numbered(None)) for i in range(5))
+    assert all(senders.counts(0.01 * i, said_by(publisher)) for i in range(5))
+
+
+def test_who_comes_is_named_in_place_of_those_who_have_gone():
+    senders, now = Senders(), 0.0
+    for i in range(3 * NAMED_MAX):  # as many people, each with `ros2 topic pub --once`
+        now += 0.5 * GONE_AFTER_S
+        assert senders.counts(now, said_by(ONE))
+        assert not senders.counts(now, said_by(bytes([100 + i]) * 16))
+        assert bytes([100 + i]) * 16 in senders.others(now)
 
 
 WITHOUT_MAIN = """
@@ -70,40 +103,88 @@ ctypes.CDLL(None).pthread_exit(None)
 
 
 def test_a_process_counts_as_dead_when_its_main_thread_is():
-    senders = Senders()
     with processes.Process([sys.executable, '-c', WITHOUT_MAIN]) as process:
-        own = re.sub(r'process \d+', f'process {process.pid}', machine_signature())
-        assert senders.counts(0.0, own, numbered(1))
+        seen = SenderProcess(process.pid)
         end = time.monotonic() + 30.0
-        while not senders.died():
+        while not seen.died:
             assert time.monotonic() < end
             time.sleep(0.01)
         assert process.poll() is None  # another thread goes on
 
 
+PUBLISHES = """
+import sys, threading
+import rclpy
+from std_msgs.msg import Bool
+from tendon_robot_ros.ros.shared.senders import PublisherSocket, gid_of
+rclpy.init()
+publisher = rclpy.create_node('someone').create_publisher(Bool, 'word', 1)
+socket = PublisherSocket(publisher)
+print(gid_of(publisher).hex(), flush=True)
+threading.Event().wait()
+"""
+
+
 def test_the_death_of_who_is_followed_is_seen_and_the_next_is_followed_at_once():
+    command = [sys.executable, '-c', PUBLISHES]
     senders = Senders()
-    with processes.Process(['sleep', '1000']) as process:
-        own = re.sub(r'process \d+', f'process {process.pid}', machine_signature())
-        assert senders.counts(0.0, own, numbered(1))
+    with processes.Process(command, stdout=processes.PIPE, env=child_environment()) as process:
+        publisher = bytes.fromhex(process.stdout.readline())
+        assert process_of(publisher) == process.pid
+        assert senders.counts(0.0, said_by(publisher))
         assert not senders.died()
         process.kill()
         process.wait()
         assert senders.died()
         assert not senders.died()  # said once
-    assert senders.counts(0.01, '/next', numbered(1))
+    assert process_of(publisher) == 0
+    assert senders.counts(0.01, said_by(TWO))
     assert not senders.died()
 
 
-@pytest.mark.parametrize('name', ['', '/x (process 1)', '/x (process 1 @ elsewhere)', '/x (pro'])
-def test_who_does_not_say_where_it_runs_is_known_by_its_silence_only(name):
+@pytest.mark.parametrize('publisher', [UNTOLD, ONE])
+def test_who_is_of_another_computer_or_package_is_known_by_its_silence_only(publisher):
     senders = Senders()
-    assert senders.counts(0.0, name, numbered(1))
+    assert senders.counts(0.0, said_by(publisher))
     assert not senders.died()
 
 
-def machine_signature():
-    return signature(SimpleNamespace(get_fully_qualified_name=lambda: '/controller'))
+@pytest.mark.parametrize(
+    ('own', 'follows', 'other'),
+    [
+        ('01.02', '01.02', ''),
+        ('01.02', '01.03', 'it follows /controller (process 7)'),  # of the same name
+        ('01.02', '', ''),  # nobody yet, or a middleware whose graph does not know it
+        ('', '01.03', ''),  # its own is not told
+    ],
+)
+def test_a_controller_knows_by_the_gid_whether_the_driver_follows_it(own, follows, other):
+    said = []
+    link = DriverLink(None, '', own, lambda *said_: said.append(said_))
+    told = {'follows': '/controller (process 7)', 'follows_gid': follows}
+    pairs = [KeyValue(key=key, value=value) for key, value in told.items()]
+    link._status(DiagnosticStatus(values=pairs))
+    assert said == [('', '', 0, other)]
+
+
+def test_a_publisher_is_found_by_its_gid_among_those_of_its_topic_with_the_name_of_its_node():
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node('one', namespace='/named')
+    try:
+        publisher = node.create_publisher(JointState, 'tendon_command', 1)
+        names, gid = PublisherNames(node, 'tendon_command'), gid_of(publisher)
+        assert gid_text(gid).count('.') == len(gid) - 1
+        assert names.of([]) == ''
+        socket = PublisherSocket(publisher)
+        end = time.monotonic() + 30.0
+        while names.of([gid]) != f'/named/one (process {os.getpid()})':
+            assert time.monotonic() < end, names.of([gid])
+        socket.close()
+        assert names.known(gid)
+        assert 'not discovered' in names.of([TWO])
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
 
 
 @pytest.fixture
@@ -132,17 +213,21 @@ def named_at(heard, node, key, name):
     return math.inf
 
 
-def assert_named_soon(robot, said, heard, *named):
+def assert_named_soon(robot, inbox, heard, *named):
     """All name who speaks besides within `NAMED_S` of its first word, whom they know by then."""
+    infos = robot.node.get_publishers_info_by_topic(inbox.topic)
+    (gid,) = [bytes(one.endpoint_gid) for one in infos if one.node_name == 'second']
+    words = []
 
     def of_the_second():
-        return [stamp(m) for _, m in said if '/second' in m.header.frame_id]
+        words.extend(word.message.stamp for word in inbox.take() if word.publisher == gid)
+        return words
 
     robot.until(of_the_second, 'a word of the second')
     for node, key, name in named:
         wanted = f'{robot.namespace}/{node}', key, name
         robot.until(lambda wanted=wanted: named_at(heard, *wanted) < math.inf, wanted)
-        assert named_at(heard, *wanted) - of_the_second()[0] < NAMED_S
+        assert named_at(heard, *wanted) - words[0] < NAMED_S
 
 
 def begin(robot, *transitions):
@@ -160,6 +245,7 @@ def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
     robot.go_to_point(0.06, 0.17)
     second = robot.hear(DiagnosticStatus, 'second/status', LATCHED)
     heard = robot.hear(DiagnosticArray, '/diagnostics', EVERY)
+    commands = Inbox(robot.node, JointState, 'tendon_command', EVERY, JointReader())
     intruder = robot.run('controller', extra=('-r', '__node:=second'), autostart=False)
     robot.until_code(second, 'unconfigured', timeout=120.0)
     robot.until(
@@ -176,7 +262,7 @@ def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
     )
     assert_named_soon(
         robot,
-        robot.commands,
+        commands,
         heard,
         ('controller', 'other_controllers', '/second'),
         ('driver', 'ignored', '/second'),
@@ -192,6 +278,7 @@ def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
     robot.send('second/target_point', point(-0.06, 0.17))
     robot.until_code(second, 'reached')
     assert intruder.process.poll() is None
+    commands.close()
 
 
 def others(heard):
@@ -204,7 +291,7 @@ def test_a_second_driver_is_named_by_all(robot):
     robot.run('controller')
     robot.until_code(robot.controller, 'holding', timeout=120.0)
     second = robot.hear(DiagnosticStatus, 'second/status', LATCHED)
-    states = robot.hear(JointState, 'tendon_states', EVERY)
+    states = Inbox(robot.node, JointState, 'tendon_states', EVERY, JointReader())
     heard = robot.hear(DiagnosticArray, '/diagnostics', EVERY)
     robot.run('driver', extra=('-r', '__node:=second'), autostart=False)
     own = robot.namespace
@@ -223,6 +310,7 @@ def test_a_second_driver_is_named_by_all(robot):
         ('driver', 'other_drivers', '/second'),
         ('second', 'other_drivers', '/driver'),
     )
+    states.close()
 
 
 @pytest.mark.ros
@@ -235,5 +323,5 @@ def test_a_person_at_the_command_line_does_not_take_the_arm(robot):
     for _ in range(100):
         robot.send('tendon_command', command)
         robot.spin(0.005)
-    assert 'one that does not sign' in last(robot.driver).message
+    assert f'ignores tendon_command of {robot.namespace}/station' in last(robot.driver).message
     assert robot.tip() == pytest.approx([0.06, 0.0, 0.17], abs=1e-3)

@@ -53,13 +53,15 @@ def refuse_two_senders(recording: Recording, inputs: FloatArray) -> None:
         )
     if states is not None:
         names = sorted({state.header.frame_id for state in recording.states} - {''})
-        who = f' ({listing(names)})' if len(names) > 1 else ''
-        remedy = f', or keep one: --sender {names[0]!r}' if len(names) > 1 else ''
+        named = len(names) > 1  # programs that write a name of their own there
+        who = f' ({listing(names)})' if named else ''
+        which = '' if named else ' (ros2 topic info --verbose names them while they run)'
+        remedy = f', or keep one: --sender {names[0]!r}' if named else ''
         raise DataSetError(
             recording.name,
             f'two programs publish the tendon states{who}: from {states[0]:.1f} to '
             f'{states[1]:.1f} s they differ by up to {states[2]:.3g}',
-            f'end one of them and record again{remedy}',
+            f'end one of them{which} and record again{remedy}',
         )
     if shape is not None:
         raise DataSetError(

@@ -28,19 +28,19 @@ class DriverLink:
     node : Node
     topic : str
         Of the status; empty: nobody is heard or asked. The service is beside it.
-    signature : str
-        Of this controller; the driver says whom it follows.
+    own : str
+        Gid of this controller's commands; the driver says whose it follows.
     hear : callable
         Called with the arguments of `ControllerCore.driver_says`.
 
     """
 
     def __init__(
-        self, node: Node, topic: str, signature: str, hear: Callable[[str, str, int, str], None]
+        self, node: Node, topic: str, own: str, hear: Callable[[str, str, int, str], None]
     ) -> None:
         """Listen."""
         self.said = '', '', 0, ''
-        self._signature, self._hear = signature, hear
+        self._own, self._hear = own, hear
         self._client: Client | None = None
         self._future: Future | None = None
         self._asked = float('-inf')  # [s]
@@ -86,8 +86,9 @@ class DriverLink:
     def _status(self, message: DiagnosticStatus) -> None:
         values = {item.key: item.value for item in message.values}
         stopped = values.get('reasons', message.message) if values.get('stopped') == 'true' else ''
-        follows = values.get('follows') or self._signature  # another one was there first
-        other = f'it follows {follows}' if follows != self._signature else ''
+        follows = values.get('follows_gid', '')
+        another = '' not in (follows, self._own) and follows != self._own
+        other = f'it follows {values.get("follows", follows)}' if another else ''
         releases = values.get('releases', '0')
         count = int(releases) if releases.isdecimal() else 0
         self.said = stopped, values.get('released', ''), count, other

@@ -43,7 +43,15 @@ from ..shared.messages import (
 )
 from ..shared.parameters import Parameters
 from ..shared.runtime import goes_first, repeat, run
-from ..shared.senders import OtherPublishers, Received, Senders, signature
+from ..shared.senders import (
+    OtherPublishers,
+    PublisherNames,
+    PublisherSocket,
+    Received,
+    Senders,
+    gid_of,
+    gid_text,
+)
 from . import parameters
 from .actions import Actions
 from .driver_link import DriverLink
@@ -54,6 +62,7 @@ HELP = 'move the tip to targets: poses, points or twists in, tendon commands out
 
 STATUS_LOOK_PERIOD_S = 0.02  # [s]
 STOP_CALLED = 'stop was called'
+NOT_READY = 'the controller is not configured', 'the stop is over; there is no model'
 SAID_IN_S = 0.02  # [s] a word is lost when its publisher leaves before it is heard
 STARTING_WORDS = {
     'loading': 'reading the model',
@@ -85,16 +94,20 @@ class ControllerNode(ManagedNode):
         self._solver: Worker | None = None
         self._targets: list[Subscription] = []
         self._actions: Actions | None = None
-        self._signature, self._drivers = signature(self), Senders()
+        self._drivers, self._names = Senders(), PublisherNames(self, 'tendon_states')
         self._speaking = threading.Lock()
         self._command = JointState()
         self._commands = self.create_publisher(JointState, 'tendon_command', COMMAND)
+        self._socket = PublisherSocket(self._commands)
         self._controllers = OtherPublishers(self, self._commands)
         self._measured = Inbox(self, JointState, 'tendon_states', JOINTS, JointReader())
         self._tracker: Subscription | None = None
         self._hear_tip()
         self._driver = DriverLink(
-            self, self.parameters['driver_status'], self._signature, self._driver_said
+            self,
+            self.parameters['driver_status'],
+            gid_text(gid_of(self._commands)),
+            self._driver_said,
         )
         stop = Service(self, Trigger, '~/stop', self._stop)
         reset = LateService(self, Trigger, '~/reset', self._asked_to_reset)
@@ -176,6 +189,7 @@ class ControllerNode(ManagedNode):
         self._stop_topic.close()
         self._local_stop.close()
         self._measured.close()
+        self._socket.close()
         super().destroy_node()
 
     def problem(self, message: str) -> None:
@@ -203,7 +217,7 @@ class ControllerNode(ManagedNode):
     def _states(self, heard: Received[Joints]) -> None:
         def take(core: ControllerCore, incoming: Incoming) -> None:
             now, measured = time.monotonic(), incoming.states(heard.message)
-            if self._drivers.counts(now, heard.message.frame, heard):
+            if self._drivers.counts(now, heard):
                 core.measured(now, *measured)
 
         self._take('states', take)
@@ -284,19 +298,17 @@ class ControllerNode(ManagedNode):
             with self._speaking:
                 if not core.latch:  # a stop that came meanwhile has the last word
                     self._command.name = core.model.inputs
-                    self._publish(refilled(self._command, stamp_now(self), pulls, tensions))
+                    self._commands.publish(
+                        refilled(self._command, stamp_now(self), pulls, tensions)
+                    )
         if now - self._told >= STATUS_LOOK_PERIOD_S:
             self._told = now
             self._tell(core, now)
 
-    def _publish(self, command: JointState) -> None:
-        command.header.frame_id = self._signature
-        self._commands.publish(command)
-
     def _let_go(self) -> None:
         """Have the driver release at once: a command without tendons. Silence does it later."""
         with self._speaking:
-            self._publish(JointState(header=Header(stamp=stamp_now(self))))
+            self._commands.publish(JointState(header=Header(stamp=stamp_now(self))))
 
     def _idle(self, now: float) -> None:
         """Publish that it waits for a transition: the last status would go on being heard."""
@@ -317,7 +329,8 @@ class ControllerNode(ManagedNode):
             status.values['model'] = self._loading.note
         status.values['target_to_command (s)'] = f'{self._latency:.5f}'
         level, message = LEVELS[status.level], status.message
-        drivers, controllers = self._drivers.others(now), self._controllers.names(now)
+        drivers = self._names.of(self._drivers.others(now))
+        controllers = self._controllers.names(now)
         if drivers or controllers:
             level = max(level, LEVELS['warn'])
             message += f'; ignores tendon_states of {drivers}' if drivers else ''
@@ -380,8 +393,16 @@ class ControllerNode(ManagedNode):
 
     def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._stop_now()
-        response.success = True
-        response.message = 'stopped; the driver releases the arm; call reset to go on'
+        another = self._driver.said[-1]  # is followed by the driver
+        if self.core is None:
+            told = 'it has no model and commands nothing, so the driver is told nothing'
+        elif another:
+            told = f'the driver does not hear it, {another}'
+        elif not self._commands.get_subscription_count():
+            told = 'no driver hears it'
+        else:
+            told = 'the driver releases the arm'
+        response.success, response.message = True, f'stopped; {told}; call reset to go on'
         return response
 
     def _stop_now(self) -> None:
@@ -394,8 +415,8 @@ class ControllerNode(ManagedNode):
     def _asked_to_reset(self, request: Trigger.Request, send: Callable[[object], None]) -> None:
         """Have the executor reset; the thread that hears stops does not wait for the driver."""
         if self.core is None or self.executor is None:
-            self._stopped = False
-            send(Trigger.Response(success=False, message='the controller is not configured'))
+            stopped, self._stopped = self._stopped, False
+            send(Trigger.Response(success=stopped, message=NOT_READY[stopped]))
         else:
             self.executor.create_task(lambda: self._reset(send))
 

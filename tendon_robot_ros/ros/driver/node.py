@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from ...common.errors import TendonRobotError
@@ -31,7 +30,14 @@ from ..shared.lifecycle import ERROR, OK, WARN, ManagedNode, Status
 from ..shared.messages import JOINTS, STATE, nanoseconds_now, refilled, stamp_now
 from ..shared.parameters import Parameters
 from ..shared.runtime import asked_to_end, goes_first, repeat, run, when_asked_to_end
-from ..shared.senders import OtherPublishers, Received, Senders, signature
+from ..shared.senders import (
+    OtherPublishers,
+    PublisherNames,
+    PublisherSocket,
+    Received,
+    Senders,
+    gid_text,
+)
 from . import backend, parameters
 from .backend import MockTracker
 from .motor_loop import Cycle, MotorLoop
@@ -66,9 +72,10 @@ class DriverNode(ManagedNode):
         self._check_due = ''  # why the tendons are to be checked
         self._stopped = False  # by `~/stop`, before there was anything to stop
         self._cycle: Cycle | None = None
-        self._senders = Senders()
-        self._state = JointState(header=Header(frame_id=signature(self)))
+        self._senders, self._names = Senders(), PublisherNames(self, 'tendon_command')
+        self._state = JointState()
         self._states = self.create_publisher(JointState, 'tendon_states', STATE)
+        self._socket = PublisherSocket(self._states)
         self._drivers = OtherPublishers(self, self._states)
         self._commands = Inbox(self, JointState, 'tendon_command', JOINTS, JointReader())
         stop = Service(self, Trigger, '~/stop', self._stop)  # answers while torque comes on, too
@@ -158,6 +165,7 @@ class DriverNode(ManagedNode):
         self._stop_topic.close()
         self._local_stop.close()
         self._commands.close()
+        self._socket.close()
         super().destroy_node()
 
     def problem(self, message: str) -> None:
@@ -178,7 +186,7 @@ class DriverNode(ManagedNode):
             tolerance = self.parameters['stamp_tolerance']
             check_stamp(message.stamp, now, tolerance, 'tendon_command')
             if not message.names:
-                if self._senders.counts(time.monotonic(), message.frame, heard):
+                if self._senders.counts(time.monotonic(), heard):
                     self.loop.let_go(NO_MORE)
                 return
             tension = self.loop.driver.mode == 'tension'
@@ -189,7 +197,7 @@ class DriverNode(ManagedNode):
                 message.names, values, self.loop.driver.inputs, 'tendon_command', quantity
             )
             command = finite(ordered.tolist(), 'tendon_command')
-            if self._senders.counts(time.monotonic(), message.frame, heard):
+            if self._senders.counts(time.monotonic(), heard):
                 if self._senders.new:
                     self.loop.newcomer()
                 self.loop.put(command)
@@ -251,14 +259,18 @@ class DriverNode(ManagedNode):
     def _others(self) -> tuple[str, dict[str, str]]:
         """Say who else sends commands or states, as a sentence and as values."""
         now = time.monotonic()
-        first, ignored, drivers = (
-            self._senders.first(now),
-            self._senders.others(now),
-            self._drivers.names(now),
-        )
-        notes = [f'follows {first}, ignores tendon_command of {ignored}'] if ignored else []
+        first, others = self._senders.first(now), self._senders.others(now)
+        follows = '' if first is None else self._names.of([first])
+        ignored, drivers = self._names.of(others), self._drivers.names(now)
+        notes = [f'follows {follows}, ignores tendon_command of {ignored}'] if ignored else []
         notes += [f'another publishes tendon_states: {drivers}'] if drivers else []
-        return '; '.join(notes), {'follows': first, 'ignored': ignored, 'other_drivers': drivers}
+        return '; '.join(notes), {
+            'follows': follows,
+            # not of a middleware whose messages carry another gid than its graph
+            'follows_gid': gid_text(first) if first and self._names.known(first) else '',
+            'ignored': ignored,
+            'other_drivers': drivers,
+        }
 
     def _hear(self) -> None:
         """Hear what cannot wait; runs in the motor thread before every cycle."""
@@ -291,7 +303,8 @@ class DriverNode(ManagedNode):
 
     def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._stop_now()
-        response.success, response.message = True, 'releasing; call reset to go on'
+        does = 'releasing' if self.loop is not None else 'stopped; no motors are open'
+        response.success, response.message = True, f'{does}; call reset to go on'
         return response
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -301,7 +314,10 @@ class DriverNode(ManagedNode):
             loop.reset()
             self._stopped = False
 
-        self._stopped &= self.loop is not None
+        if self.loop is None and self._stopped:
+            self._stopped = False
+            response.success, response.message = True, 'the stop is over; no motors are open'
+            return response
         return self._try(response, reset, done)
 
     def _resume(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -23,7 +23,6 @@ class Joints(NamedTuple):
     """What counts of a sensor_msgs/JointState."""
 
     stamp: float  # [s]
-    frame: str
     names: Sequence[str]
     position: Sequence[float]
     effort: Sequence[float]
@@ -41,7 +40,7 @@ class JointReader:
     def __init__(self) -> None:
         """Know of no message."""
         self._length, self._mask, self._same = UNKNOWN, 0, 0
-        self._last = Joints(0.0, '', (), (), ())
+        self._last = Joints(0.0, (), (), ())
         self._values: list[tuple[struct.Struct, int]] = []  # of positions, velocities, efforts
 
     def __call__(self, data: bytes) -> Joints:
@@ -49,16 +48,14 @@ class JointReader:
         alike = len(data) == self._length
         if not alike or int.from_bytes(data, 'little') & self._mask != self._same:
             message = deserialize_message(data, JointState)
-            header = message.header
             values = message.position, message.effort
-            self._last = Joints(seconds(header.stamp), header.frame_id, message.name, *values)
+            self._last = Joints(seconds(message.header.stamp), message.name, *values)
             self._learn(data, message)
             return self._last
         sec, nanosec = STAMP.unpack_from(data, HEAD)
         (position, at), _, (effort, behind) = self._values
         return Joints(
             sec + 1e-9 * nanosec,
-            self._last.frame,
             self._last.names,
             position.unpack_from(data, at),
             effort.unpack_from(data, behind),

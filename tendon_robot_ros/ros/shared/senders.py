@@ -1,26 +1,27 @@
 """
 Who sent a message, and several publishers of a topic: one is followed until it is gone.
 
-rclpy does not say who sent a message, the C library below it does. The first publisher is
-followed; the others are named.
+Every message comes with the gid of its publisher (rmw: globally unique identifier), which a node
+also knows of all publishers of a topic, with the names of their nodes. rclpy hands on the latter,
+the C library below it the former. The first publisher is followed; the others are named.
 """
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
-import hashlib
 import os
-import re
-from collections.abc import Callable
+import socket
+import struct
+import time
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 UNTOLD = b''  # publisher of a message where the middleware does not say
 MESSAGE_BYTES_MAX = 250_000  # bytes of a message that is read: 10 MB take seconds
@@ -60,6 +61,36 @@ class _Info(ctypes.Structure):
         ('publisher', ctypes.c_uint8 * 16),
         ('spare', ctypes.c_uint8 * SPARE),
     )
+
+
+class _Gid(ctypes.Structure):
+    """rmw_gid_t."""
+
+    _fields_ = (
+        ('middleware', ctypes.c_char_p),
+        ('publisher', ctypes.c_uint8 * 16),
+        ('spare', ctypes.c_uint8 * SPARE),
+    )
+
+
+def gid_of(publisher: Publisher) -> bytes:
+    """Return the gid of a publisher of this process, `UNTOLD` where it is not told."""
+    gid = _Gid()
+    try:
+        library = ctypes.CDLL('librcl.so')  # symbols of the middleware below it are found, too
+        find, tell = library.rcl_publisher_get_rmw_handle, library.rmw_get_gid_for_publisher
+    except (OSError, AttributeError):
+        return UNTOLD
+    find.restype = ctypes.c_void_p
+    with publisher.handle:
+        found = ctypes.c_void_p(find(ctypes.c_void_p(publisher.handle.pointer)))
+        told = tell(found, ctypes.byref(gid)) == TAKEN
+    return bytes(gid.publisher) if told else UNTOLD
+
+
+def gid_text(gid: bytes) -> str:
+    """Write a gid as `ros2 topic info --verbose` does."""
+    return gid.hex('.')
 
 
 @dataclass(frozen=True)
@@ -146,45 +177,72 @@ def unreadable(kind: type, size: int) -> str:
 
 GONE_AFTER_S = 1.0  # [s] of silence; a shorter one may be a busy machine
 UNDISCOVERED = '_NODE_NAME_UNKNOWN_'  # of rmw, while discovery is under way
-UNSIGNED = 'one that does not sign'
-SIGNATURE_LENGTH_MAX, NAMED_MAX = 200, 8  # anybody may send anything
+UNKNOWN = 'a node that is not discovered'
+NAMED_MAX = 8  # anybody may send anything
 LOOK_PERIOD_S = 0.1  # [s]
 PF_EXITING = 0x4  # of the kernel, include/linux/sched.h
-PROCESS = re.compile(r'\(process (?P<process>\d{1,9}) @ (?P<machine>\w+)\)$')
+CREDENTIALS = struct.Struct('3i')  # struct ucred of unix(7): process, user, group
 
 
-def signature(node: Node) -> str:
-    """Return what a node signs its messages with, in their frame_id: name, process, machine."""
-    return f'{node.get_fully_qualified_name()} (process {os.getpid()} @ {_machine()})'
+class PublisherSocket:
+    """
+    A socket with the name of a publisher, which leads to its process: unix(7), abstract.
+
+    Its name is the kernel's: it needs no file, is gone with its process, and is found by processes
+    of the same computer (of the same network namespace) alone.
+    """
+
+    def __init__(self, publisher: Publisher) -> None:
+        """Offer it, on Linux, where the publisher has a gid."""
+        self._socket: socket.socket | None = None
+        gid = gid_of(publisher)
+        if gid != UNTOLD:
+            with contextlib.suppress(OSError):  # no Linux
+                made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+                made.bind(_socket_name(gid))
+                # who connects asks the kernel, not this process: nobody accepts. The queue holds
+                # as many as the kernel lets it, one for each who has looked since the start
+                made.listen(socket.SOMAXCONN)
+                self._socket = made
+
+    def close(self) -> None:
+        """Be found no more."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
 
 
-@cache
-def _machine() -> str:
-    """Return what two processes have in common that know each other by their numbers."""
+def _socket_name(gid: bytes) -> str:
+    return f'\0tendon_robot_ros.publisher.{gid.hex()}'
+
+
+def process_of(gid: bytes) -> int:
+    """Return the number of the process of a publisher; 0: not on this computer, or not told."""
     try:
-        boot = Path('/proc/sys/kernel/random/boot_id').read_text()
-        return hashlib.sha256((boot + os.readlink('/proc/self/ns/pid')).encode()).hexdigest()[:8]
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
+            asking.setblocking(False)
+            asking.connect(_socket_name(gid))
+            said = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
     except OSError:
-        return 'unknown'
+        return 0
+    return int(CREDENTIALS.unpack(said)[0])
 
 
 class SenderProcess:
     """
-    The process behind a signature, if it runs on this machine: its death is seen at once.
+    The process of a publisher, if it is known: its death is seen at once.
 
     Silence alone would tell only after its time-out, and a pidfd when all its threads have had
     processor time to die and its memory is given back, which takes long on a busy machine. That
     its main thread is exiting is seen before: proc(5), state and flags.
     """
 
-    def __init__(self, name: str) -> None:
-        """Look for it."""
+    def __init__(self, number: int) -> None:
+        """Look at a process; 0: at none."""
         self._file: int | None = None
-        found = PROCESS.search(name)
-        if found is not None and found['machine'] == _machine() != 'unknown':
+        if number:
             with contextlib.suppress(OSError):
                 # of its main thread: the kernel need not add up those of all
-                number = found['process']
                 self._file = os.open(f'/proc/{number}/task/{number}/stat', os.O_RDONLY)
 
     @property
@@ -209,38 +267,42 @@ class Senders:
     """
     Tells whose messages count.
 
-    A message tells its sender by its signature. Programs of others leave it empty: they are told
-    apart by the numbers that the middleware gives to the messages of a publisher, which grow.
+    A message tells its publisher. Where the middleware does not say it, publishers are told apart
+    by the numbers that it gives to the messages of each, which grow.
     """
 
     def __init__(self) -> None:
         """Nobody was heard."""
-        self._first: str | None = None
+        self._first: bytes | None = None
         self._number = 0
         self._heard_at = float('-inf')
-        self._others: dict[str, float] = {}  # signature -> when it was heard [s]
-        self._process = SenderProcess('')
-        self._publisher = UNTOLD
-        self.new = False  # whether the last message that counts was the first of its sender
+        self._others: dict[bytes, float] = {}  # publisher -> when it was heard [s]
+        self._process = SenderProcess(0)
+        self.new = False  # whether the last message that counts was the first of its publisher
 
-    def counts(self, now: float, name: str, heard: Received[Any]) -> bool:
+    def counts(self, now: float, heard: Received[Any]) -> bool:
         """Whether a message is of the one to follow; the first to come is followed."""
-        name = name[:SIGNATURE_LENGTH_MAX]
-        known = now - self._heard_at <= GONE_AFTER_S
+        publisher = heard.publisher
         number = heard.number or 0  # 0 where the middleware does not count
-        if known and (name != self._first or 0 < number <= self._number):
-            if name in self._others or len(self._others) < NAMED_MAX:
-                self._others[name] = now
+        known = now - self._heard_at <= GONE_AFTER_S
+        if known and (publisher != self._first or 0 < number <= self._number):
+            self._note(now, publisher)
             return False
-        same = (name, heard.publisher) == (self._first, self._publisher)
-        self.new = not same and name not in self._others
-        if name != self._first or not known:
+        self.new = publisher != self._first and publisher not in self._others
+        if publisher != self._first or not known:
             self._others = {}
             self._process.close()
-            self._process = SenderProcess(name)
-        self._first, self._number, self._heard_at = name, number, now
-        self._publisher = heard.publisher
+            self._process = SenderProcess(process_of(publisher))
+        self._first, self._number, self._heard_at = publisher, number, now
         return True
+
+    def _note(self, now: float, publisher: bytes) -> None:
+        """Note that another one was heard, in place of those who are silent."""
+        if publisher not in self._others:
+            heard = list(self._others.items())
+            self._others = {one: at for one, at in heard if now - at <= GONE_AFTER_S}
+        if publisher in self._others or len(self._others) < NAMED_MAX:
+            self._others[publisher] = now
 
     def died(self) -> bool:
         """Whether the process of the one who is followed has just ended; said once."""
@@ -250,15 +312,50 @@ class Senders:
             self._process.close()
         return died
 
-    def first(self, now: float) -> str:
-        """Return who is followed, '' while there is nobody."""
-        gone = self._first is None or now - self._heard_at > GONE_AFTER_S
-        return '' if gone else self._first or UNSIGNED
+    def first(self, now: float) -> bytes | None:
+        """Return who is followed, None while there is nobody."""
+        return None if now - self._heard_at > GONE_AFTER_S else self._first
 
-    def others(self, now: float) -> str:
-        """Name who is heard besides, '' for nobody."""
-        names = [name for name, at in list(self._others.items()) if now - at <= GONE_AFTER_S]
-        return ', '.join(sorted(name or UNSIGNED for name in names))
+    def others(self, now: float) -> list[bytes]:
+        """Return who is heard besides."""
+        return [one for one, at in list(self._others.items()) if now - at <= GONE_AFTER_S]
+
+
+class PublisherNames:
+    """Names the publishers of a topic: node, and process where that is of this computer."""
+
+    def __init__(self, node: Node, topic: str) -> None:
+        """Know of nobody."""
+        self._node, self._topic = node, topic
+        self._known: dict[bytes, str] = {}
+        self._looked = float('-inf')
+
+    def known(self, publisher: bytes) -> bool:
+        """Whether it has been named."""
+        return publisher in self._known
+
+    def of(self, publishers: Collection[bytes]) -> str:
+        """Return the names of publishers, '' for none; looked up ten times a second at most."""
+        now = time.monotonic()
+        if now - self._looked >= LOOK_PERIOD_S and not self._known.keys() >= set(publishers):
+            self._looked = now
+            asked = {one: name for one, name in self._known.items() if one in publishers}
+            self._known = self._look() | asked
+        return ', '.join(sorted(self._known.get(one, UNKNOWN) for one in publishers))
+
+    def _look(self) -> dict[bytes, str]:
+        found = {}
+        for one in self._node.get_publishers_info_by_topic(self._topic):
+            if one.node_name != UNDISCOVERED:
+                gid = bytes(one.endpoint_gid)
+                process = process_of(gid)
+                where = f' (process {process})' if process else ''
+                found[gid] = _full_name(one) + where
+        return found
+
+
+def _full_name(publisher: TopicEndpointInfo) -> str:
+    return f'{publisher.node_namespace.rstrip("/")}/{publisher.node_name}'
 
 
 class OtherPublishers:
@@ -280,7 +377,7 @@ class OtherPublishers:
             return ''
         publishers = self._node.get_publishers_info_by_topic(self._topic)
         names = sorted(
-            f'{one.node_namespace.rstrip("/")}/{one.node_name}'
+            _full_name(one)
             for one in publishers
             if one.node_name != UNDISCOVERED  # a moment later it is known
         )
