@@ -17,6 +17,7 @@ pytest.importorskip('rosbags')
 from builtin_interfaces.msg import Duration
 from control_rig import ROBOTS
 from forked import Forked
+from geometry_msgs.msg import TransformStamped
 from ros_station import INPUTS, PATIENT, Station, last, stamp, start
 from rosbags.highlevel import AnyReader
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -24,10 +25,13 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.data.recording.importing import import_bag
 from tendon_robot_ros.robot import dump_robot, load_robot
+from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
 
 pytestmark = pytest.mark.ros
 SPACE = '/recorded'
 STOOD, RATE = 2.0, PATIENT['driver']['rate']  # [s] in which it is seen at one place, [Hz]
+FRAMES = ('', 'kato_10_1_base', 'kato_10_1_tip')
+OF_ALL = ('/tf', '/tf_static', '/diagnostics')  # topics that no namespace has
 HIDDEN = ('tendon_stiffness', {'per_tendon': 4e-4})
 
 
@@ -45,6 +49,11 @@ def station(tmp_path_factory):
         station = Station(SPACE)
         station.until_code(station.controller, 'holding', timeout=120.0)
         station.go_to_point(0.0, 0.2)  # from now on its targets are a topic
+        # of a type that the wheels of rclpy have: they have no tf2_msgs
+        for topic, qos in (('/tf', COMMAND), ('/tf_static', LATCHED)):
+            key = topic, TransformStamped
+            station._publishers[key] = station.node.create_publisher(TransformStamped, topic, qos)
+            station._publishers[key].publish(TransformStamped())
         yield station
         station.close()
 
@@ -65,8 +74,8 @@ def finish(station, process, timeout=300.0):
 
 def listeners(station):
     names = ['tendon_states', 'tendon_command', 'measured_tip', 'measured_shape']
-    names += ['controller/status', 'controller/target_point']
-    return np.array([station.node.count_subscribers(f'{SPACE}/{name}') for name in names])
+    names += ['controller/status', 'controller/target_point', *OF_ALL]
+    return np.array([station.node.count_subscribers(name) for name in names])
 
 
 def recorded(station, folder, name, act):
@@ -122,6 +131,7 @@ def folder(station, tmp_path_factory):
 
     def go():
         for row in tour():
+            station.send('/tf', TransformStamped())
             go_to_tensions(station, row)
 
     done = recorded(station, folder, 'run', go)
@@ -135,10 +145,13 @@ def test_the_file_holds_definitions_and_every_topic(folder):
         topics = {c.topic: c for c in reader.connections}
         assert all(c.msgdef.data.strip() for c in topics.values())
         for connection, _, data in reader.messages():
-            reader.deserialize(data, connection.msgtype)
+            message = reader.deserialize(data, connection.msgtype)
+            header = getattr(message, 'header', None)
+            assert header is None or header.frame_id in FRAMES, connection.topic
     for name in ('tendon_states', 'tendon_command', 'measured_shape', 'controller/status'):
         assert topics[f'{SPACE}/{name}'].msgcount > 10
-    assert topics['/diagnostics'].msgcount > 10, 'a topic that no namespace has'
+    assert [topics[name].msgcount for name in OF_ALL[:2]] == [len(tour()), 1]
+    assert topics['/diagnostics'].msgcount > 10
     assert topics['/dataset/robot'].msgcount == 1
     content = (folder / 'run' / 'run.mcap').read_bytes()
     assert content.startswith(b'\x89MCAP0\r\n')

@@ -252,7 +252,7 @@ def test_who_starts_late_hears_the_true_among_latched_words(running, panels, tmp
 
 def test_the_stop_command_stops_all_while_others_listen_and_a_reset_each_goes_on(running):
     """No `false` is needed after it: the services have latched the stop."""
-    running.hear(Bool, 'stop')
+    foreign = running.hear(Bool, 'stop', COMMAND_ALL)
     bent(running)
     process = processes.Process(
         processes.package('stop', '--namespace', SPACE),
@@ -269,6 +269,8 @@ def test_the_stop_command_stops_all_while_others_listen_and_a_reset_each_goes_on
     assert running.trigger('driver/reset').success
     assert running.trigger('controller/reset').success  # at once: it has asked the driver
     running.until_code(running.controller, 'holding')
+    words = [message.data for _, message in foreign]
+    assert words == sorted(words, reverse=True), 'true, as often as somebody comes, and then false'
     running.go_to_point(0.05, 0.18)
 
 
