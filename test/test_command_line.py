@@ -1,16 +1,25 @@
 """Every command answers; a user's mistake is one line on stderr and exit code 1."""
 
 import contextlib
+import importlib
+import io
 import sys
+import time
 
 import processes
 import pytest
 
 from tendon_robot_ros.cli import main as command_line
-from tendon_robot_ros.cli import options
+from tendon_robot_ros.cli import progress
 from tendon_robot_ros.cli.main import COMMANDS, Parser, main
 from tendon_robot_ros.common.errors import InputError
+from tendon_robot_ros.data import load_dataset, save_dataset
+from tendon_robot_ros.data.recording.exporting import export_bag
+from tendon_robot_ros.robot import dump_robot
+from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
+from tendon_robot_ros.workspace.postures import default_postures
 
+NOISE = SimulatedNoise(position=1e-4)
 MOVE = """
 '''What it moves, and where to.'''
 HELP = 'move the tip'
@@ -115,11 +124,84 @@ def test_a_reader_that_has_seen_enough_is_no_error():
     assert (run.returncode, run.stderr) == (0, '')
 
 
-def test_long_work_in_a_pipe_says_now_and_then_how_far_it_is(capsys, monkeypatch):
-    clock = iter(range(0, 1000, 3))  # [s], a call each
-    monkeypatch.setattr(options.time, 'monotonic', lambda: float(next(clock)))
-    with options.progress() as show:
-        for done in range(1, 7):
-            show('effects', done, 6)
-    said = capsys.readouterr().err.split('\n')
-    assert said == ['effects 2/6', 'effects 4/6', 'effects 6/6', '']
+def _said(stream, words):
+    """Wait until a stream holds words."""
+    end = time.monotonic() + 30.0
+    while words not in stream.getvalue():
+        assert time.monotonic() < end, stream.getvalue()
+        time.sleep(0.001)
+
+
+@pytest.mark.parametrize('screen', [False, True])
+def test_long_work_says_how_far_it_is_in_a_pipe_and_on_a_screen(monkeypatch, screen):
+    """In the midst of a step, too, that tells nothing itself."""
+    stream = io.StringIO()
+    monkeypatch.setattr(stream, 'isatty', lambda: screen)
+    monkeypatch.setattr('sys.stderr', stream)
+    monkeypatch.setattr(progress, 'PIPED_EVERY_S', 0.01)
+    monkeypatch.setattr(progress, 'DRAWN_EVERY_S', 0.01)
+    with progress.progress() as show:
+        _said(stream, '' if screen else 'working, 0 s so far\n')
+        for done in range(3):
+            show('effects', done, 3)
+            _said(stream, f'effects {done}/3')
+    assert ('\r' in stream.getvalue()) == screen
+
+
+def test_short_work_in_a_pipe_says_nothing(capsys):
+    with progress.progress() as show:
+        show('effects', 1, 3)
+    assert capsys.readouterr().err == ''
+
+
+# what takes long -> what is told on the way
+LONG = {
+    'compare run --pcca': ['reading run', 'trials', 'models', 'models', 'noise'],
+    'diagnose run': ['reading run', 'effects', 'fitting what was found'],
+    'add tip_load --data run --output new.yaml': ['reading run', 'fitting tip_load'],
+    'improve run --output new.yaml': ['reading run', 'searching', 'searching without'],
+    'simulate arm.yaml --output new --count 2 --trials 2': ['trials', 'trials'],
+    'simulate arm.yaml --table new.csv --count 2 --trials 2': ['trials', 'trials'],
+    'export-bag run new.mcap': ['writing'],
+    'import-bag run.mcap --output new': ['reading run.mcap', 'looking at the frame'],
+    'plot run.mcap --output new.png': ['reading run.mcap'],
+    'sweep kato_10_1 --steps 3 --output new.csv': ['looking for 3 postures'],
+    'import-table table.csv --robot arm.yaml --up y --output new': [
+        'reading the tables', 'looking where the arm stood still',
+        'laying the frame of the tracker', 'comparing with the model',
+    ],
+    'workspace arm.yaml --postures 200 --workers 1': ['postures'],
+}  # fmt: skip
+
+
+@pytest.fixture(scope='module')
+def measured(tmp_path_factory):
+    """Return a folder with an arm, its measurements, a recording and a table of them."""
+    from laboratory_tables import ARM, calm_recording
+
+    folder = tmp_path_factory.mktemp('measured')
+    (folder / 'arm.yaml').write_text(dump_robot(ARM))
+    calm_recording().to_csv(folder / 'table.csv', index=False)
+    dataset = simulate(ARM, default_postures(ARM, 5), trials=2, noise=NOISE)
+    save_dataset(dataset, folder / 'run')
+    export_bag(load_dataset(folder / 'run'), folder / 'run.mcap')
+    return folder
+
+
+@pytest.mark.parametrize('command', LONG)
+def test_all_that_may_take_long_tells_what_it_does(command, measured, tmp_path, monkeypatch):
+    told = []
+
+    @contextlib.contextmanager
+    def heard(remaining=False):
+        yield lambda what, done, total: told.append((what, done, total))
+
+    for path in measured.iterdir():
+        (tmp_path / path.name).symlink_to(path)
+    monkeypatch.chdir(tmp_path)
+    module = importlib.import_module(COMMANDS[command.split()[0]])
+    monkeypatch.setattr(module, 'progress', heard)
+    main(command.split())
+    seen = iter(what for what, _, _ in told)
+    assert all(any(what.startswith(words) for what in seen) for words in LONG[command]), told
+    assert all(0 <= done <= total for _, done, total in told)

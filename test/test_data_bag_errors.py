@@ -231,8 +231,7 @@ def test_the_commands_go_there_and_back(tmp_path, capsys, monkeypatch):
         (['--output', 'o', '--duration', '1e-9'], 'a.mcap: 9 s are too long to look for 1e-09 s '
          'of stillness; ask for a longer duration or import a part of the recording'),
         (['--output', 'o', '--description', 'no.yaml'], 'no.yaml: cannot be read (No such file or '
-         'directory); name a folder with dataset.yaml, inputs.csv and shapes.csv; of a table '
-         'import-table makes one'),
+         'directory); name a dataset.yaml'),
     ],
 )  # fmt: skip
 def test_a_command_that_fails_writes_nothing(options, message, tmp_path, capsys, monkeypatch):

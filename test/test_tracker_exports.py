@@ -338,11 +338,18 @@ def test_few_frames_a_second_are_enough(calm, reference):
     assert_allclose(imported.dataset.mean, reference.mean, atol=1e-3)
 
 
-@pytest.mark.parametrize('scale', [0.1, 1.0 / 25.4, 0.01])
-def test_no_unit_is_guessed_that_the_data_do_not_show(calm, scale):
+@pytest.mark.parametrize(
+    ('scale', 'advice'),
+    [
+        (0.1, 'say --unit positions=cm'),
+        (1.0 / 25.4, 'say --unit positions=cm or say --unit positions=inch'),
+        (0.01, 'correct cell_length and cells of the robot'),
+    ],
+)
+def test_no_unit_is_guessed_that_the_data_do_not_show(calm, scale, advice):
     places, rest = markers_of(calm)
     columns = {f'm{j}_{a}': scale * places[:, j, i] for j in range(4) for i, a in enumerate('xyz')}
-    with pytest.raises(DataSetError, match=r'neither m nor mm fits: .* say --unit positions=mm'):
+    with pytest.raises(DataSetError, match=f'neither m nor mm fits: .*; {advice}'):
         choose_columns([from_frame(rest.assign(**columns))], ARM, Recipe())
 
 

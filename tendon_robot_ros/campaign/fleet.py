@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..common.errors import InputError, TendonRobotError
+from ..common.given import Progress, listener
 from ..common.words import digits, listed, mm, scale_of
 from ..common.workers import LostWork, Workers
 from ..common.yaml_reading import parse_yaml
@@ -30,7 +31,6 @@ from .versions import UserEffect, catalogue_of, compiled_once
 TABLE = 'table'
 DATED = re.compile(r'(?<!\d)(20\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)(?!\d)')
 WORSE_FACTOR = 1.5  # of the error of the description, from one recording to the next, that is said
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def run_fleet(
         By robot and time.
 
     """
-    inside = output.resolve()
+    show, inside = listener(progress), output.resolve()
     paths = [path for path in found_below(folder) if inside not in path.resolve().parents]
     todo = [
         ToDiagnose(
@@ -143,8 +143,7 @@ def run_fleet(
     for done, (index, result) in enumerate(workers.run(judge_measured, left), start=1):
         row = _lost(left[index], result) if isinstance(result, LostWork) else result
         table.append([row])
-        if progress is not None:
-            progress('recordings', done, len(left))
+        show('recordings', done, len(left))
     wanted = {one.key for one in todo}
     rows = [row for row in table.rows() if row.key in wanted]
     return sorted(rows, key=lambda row: (row.robot, row.when, row.place))

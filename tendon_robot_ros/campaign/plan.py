@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import InputError
+from ..common.files import read_text
 from ..common.yaml_reading import Reader, parse_yaml
 from ..data import load_dataset
 from ..effects import Catalogue
@@ -100,11 +101,9 @@ def read_plan(path: str | Path, effect_files: Sequence[str] = ()) -> CampaignPla
         One line: file, key, what was expected and what came.
 
     """
+    text = read_text(path, lambda why: InputError(f'{path}: expected a plan (YAML), got {why}'))
     try:
-        text = Path(path).read_text(encoding='utf-8')
         content = parse_yaml(text)
-    except OSError as error:
-        raise InputError(f'{path}: expected a plan (YAML), got {error.strerror}') from None
     except ValueError as error:
         raise InputError(f'{path}: {error}') from None
     return plan_of(content, str(path), Path(path).parent, effect_files)

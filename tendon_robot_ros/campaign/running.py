@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..common.errors import InputError
 from ..common.files import new_file
+from ..common.given import Progress, listener
 from ..common.workers import LostWork, Workers
 from .cases import Case
 from .judge import CaseRow, Chunk, judge_chunk, lost
@@ -23,7 +24,6 @@ CHUNK_S = 2.0  # [s] of work in a chunk: handing one out costs some milliseconds
 CHUNK_MAX = 256  # cases in one
 WRITTEN_EVERY_S = 5.0  # [s] the most that is computed again after a loss of power
 CONTENT, ROWS = 'campaign.json', 'table'
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass
@@ -96,6 +96,7 @@ def run_plan(
         The scheduler is gone; what was finished is in the table.
 
     """
+    show = listener(progress)
     claim(folder, plan, accept_change)
     table = GrowingTable(folder / ROWS, CaseRow)
     known = table.keys()
@@ -111,8 +112,7 @@ def run_plan(
             if time.monotonic() > written + WRITTEN_EVERY_S:
                 table.append(buffer)
                 buffer, written = [], time.monotonic()
-            if progress is not None:
-                progress(what, done, len(todo))
+            show(what, done, len(todo))
     finally:
         table.append(buffer)
     table.merge()

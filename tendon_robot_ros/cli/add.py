@@ -26,12 +26,14 @@ from .options import (
     add_overwrite,
     effects_of,
     emit,
+    file_to_write,
     load_check,
     load_measurements,
     next_step,
     refuse_existing,
     write_description,
 )
+from .progress import progress
 
 HELP = 'add a physical effect to a robot description, fitted on measurements'
 
@@ -42,7 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('effects', nargs='+', metavar='EFFECT', help='effects of the catalogue, fitted together')
     add_data(parser, '--data', to=' to fit on', required=True)
     add('--robot', metavar='ROBOT', help='description to add to (default: the one of DATA)')
-    add('--output', required=True, metavar='NEW', help='the new description')
+    to = file_to_write('--output')
+    add('--output', type=to, required=True, metavar='NEW', help='the new description')
     add('--check', metavar='DATA2', help='other postures, to judge the effect by')
     add_json(parser)
     add_overwrite(parser)
@@ -52,10 +55,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Fit, write, print."""
     refuse_existing('--output', args.output, args.overwrite)
-    dataset = load_measurements(args.data, args.robot)
-    check = load_check(args.check, dataset)
-    catalogue = effects_of(args)
-    made = add_effects(dataset, args.effects, None, catalogue, check)
+    with progress() as show:
+        dataset = load_measurements(args.data, args.robot, show)
+        check = load_check(args.check, dataset, show)
+        catalogue = effects_of(args)
+        show(f'fitting {" and ".join(args.effects)}', 0, 0)
+        made = add_effects(dataset, args.effects, None, catalogue, check)
     content = {**made.to_json(), 'written': args.output if made.helps else None}
     if made.helps:
         write_description(made.robot, args.output)

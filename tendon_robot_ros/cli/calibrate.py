@@ -30,10 +30,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from ..common.errors import InputError, MissingExtraError
+from ..common.errors import InputError, MissingExtraError, short
+from ..common.files import new_file, read_text
 from ..common.units import STANDARD_GRAVITY
 from ..common.yaml_reading import parse_yaml
 from ..robot import load_robot
+from .options import file_to_write
 
 if TYPE_CHECKING:
     from ..drivers.dynamixel.bus import Bus
@@ -61,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--reference',
+        type=file_to_write('--reference'),
         metavar='FILE',
         default='tendons.yaml',
         help='what the check compares with (default %(default)s)',
@@ -70,11 +73,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--speed', type=float, default=5.0, metavar='MM/S')
     parser.add_argument(
         '--out',
+        type=file_to_write('--out'),
         metavar='FILE',
         default='calibration.yaml',
         help='lines of other tendons in it are kept (default %(default)s)',
     )
-    parser.add_argument('--picture', metavar='FILE', help='default: beside OUT, as PNG')
+    to = file_to_write('--picture')
+    parser.add_argument('--picture', type=to, metavar='FILE', help='default: beside OUT, as PNG')
     parser.add_argument('--yes', action='store_true', help='do not wait for Enter')
 
 
@@ -91,6 +96,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError('calibrate: expected --tendon and --weights, or --check')
     if min(args.weights) <= 0.0 or max(args.weights) > 50.0:
         raise InputError(f'--weights: expected masses from 0 to 50 kg, got {args.weights}')
+    if Path(args.out).exists():
+        _content(args.out)  # lines of other tendons in it are kept
     try:
         return _calibrate_cell(args) if args.kind == 'serial' else _calibrate_motor(args)
     except ModuleNotFoundError as error:
@@ -104,11 +111,9 @@ def _find_files(args: argparse.Namespace) -> None:
     contents: dict[str, dict[str, Any]] = {}
     for path in sorted(Path().glob('*.yaml')):
         try:
-            content = parse_yaml(path.read_text(encoding='utf-8'))
-        except (OSError, ValueError):
+            contents[str(path)] = _content(str(path))
+        except InputError:
             continue
-        if isinstance(content, dict):
-            contents[str(path)] = content
     if args.robot is None:
         robots = [name for name, content in contents.items() if 'sections' in content]
         args.robot = _only(robots, 'a robot description', '--robot FILE')
@@ -138,9 +143,7 @@ def _check(args: argparse.Namespace) -> int:
     from ..drivers.tendon_check import changes, measure_reference, read_reference, save_reference
 
     robot, path = load_robot(args.robot), Path(args.reference)
-    content = parse_yaml(Path(args.config).read_text(encoding='utf-8'))
-    if not isinstance(content, dict):
-        raise InputError(f'{args.config}: expected keys with values, got {content!r}')
+    content = _content(args.config)
     before = read_reference(path) if path.exists() and not args.renew else None
     tension = args.tension if before is None else before.tension
     if before is not None and args.tension not in (None, before.tension):
@@ -164,6 +167,22 @@ def _check(args: argparse.Namespace) -> int:
     if said:
         print('mend what has slipped and calibrate it, or take it as it is: --check --renew')
     return 1 if said else 0
+
+
+def _content(path: str) -> dict[str, Any]:
+    """Read a YAML file of keys with values."""
+
+    def refuse(reason: object) -> InputError:
+        return InputError(f'{path}: expected keys with values (YAML), got {reason}')
+
+    text = read_text(path, refuse)
+    try:
+        content = parse_yaml(text)
+    except ValueError as error:
+        raise refuse(error) from None
+    if not isinstance(content, dict):
+        raise refuse(short(content))
+    return content
 
 
 def _calibrate_cell(args: argparse.Namespace) -> int:
@@ -199,9 +218,7 @@ def _prepare(args: argparse.Namespace, gravity: float) -> tuple[Bus, Motor, Any]
     from ..drivers.dynamixel.motor import Motor
 
     robot = load_robot(args.robot)
-    content = parse_yaml(Path(args.config).read_text(encoding='utf-8'))
-    if not isinstance(content, dict):
-        raise InputError(f'{args.config}: expected keys with values, got {content!r}')
+    content = _content(args.config)
     content = {**content, 'allow_coarse': True}
     config = read_config(robot, content, 'tension', args.config)
     wires = [wire for wire in config.wires if wire.name == args.tendon]
@@ -239,13 +256,10 @@ def _weigh(
 
 def _write(path: Path, tendon: str, lines: dict[str, Any], units: str) -> None:
     """Put the lines of a tendon into the file, keep those of the others."""
-    content: dict[str, Any] = {}
-    if path.exists():
-        description = parse_yaml(path.read_text(encoding='utf-8'))
-        content = description if isinstance(description, dict) else {}
-    content[tendon] = lines
+    content = {**(_content(str(path)) if path.exists() else {}), tendon: lines}
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
-    path.write_text(f'# {units}; written by calibrate\n{text}', encoding='utf-8')
+    with new_file(path) as draft:
+        draft.write_text(f'# {units}; written by calibrate\n{text}', encoding='utf-8')
 
 
 def _say(result: CurrentFit, args: argparse.Namespace, picture: Path) -> None:
@@ -287,7 +301,8 @@ def draw(result: CurrentFit, tendon: str, path: Path) -> None:
     axes.set(xlabel='tension [N]', ylabel='current [A]', title=f'{tendon}: calibration')
     axes.legend()
     axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=150)
+    with new_file(path) as draft:
+        figure.savefig(draft, dpi=150)
     pyplot.close(figure)
 
 
@@ -304,9 +319,7 @@ def measure_cell(args: argparse.Namespace) -> dict[str, Any]:
     from ..drivers.serial_board.config import read_config
 
     robot = load_robot(args.robot)
-    content = parse_yaml(Path(args.config).read_text(encoding='utf-8'))
-    if not isinstance(content, dict):
-        raise InputError(f'{args.config}: expected keys with values, got {content!r}')
+    content = _content(args.config)
     config = read_config(robot, content, 'tension', args.config, calibrated=False)
     tendon = next((tendon for tendon in config.tendons if tendon.name == args.tendon), None)
     if tendon is None:

@@ -19,7 +19,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from .options import add_cluster, add_effect_files, add_json, emit, progress
+from .options import add_cluster, add_effect_files, add_json, emit
+from .progress import progress
 
 HELP = 'simulate and diagnose many robots: what would be seen, how often is it right'
 PAGE = 'campaign.html'

@@ -26,7 +26,16 @@ from ..comparison.statistics import ERRORS
 from ..data import DataSet
 from ..report.comparison_text import sentences, table
 from ..robot import Robot, load_robot
-from .options import add_data, add_effect_files, add_json, effects_of, emit, load_measurements
+from .options import (
+    add_data,
+    add_effect_files,
+    add_json,
+    add_report,
+    effects_of,
+    emit,
+    load_measurements,
+)
+from .progress import progress
 
 HELP = 'compare models with measurements'
 
@@ -50,16 +59,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='what ± means: 95 %% t-interval of the mean (default), or its standard error',
     )
     add_json(parser)
-    parser.add_argument('--report', metavar='HTML', help='write a page that opens offline')
+    add_report(parser)
     add_effect_files(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Compare and print."""
-    dataset = load_measurements(args.data, args.model[0] if args.model else None)
-    catalogue = effects_of(args)
-    models = _models(args, dataset)
-    comparison = compare(dataset, models, catalogue, args.error)
+    with progress() as show:
+        dataset = load_measurements(args.data, args.model[0] if args.model else None, show)
+        catalogue = effects_of(args)
+        models = _models(args, dataset)
+        comparison = compare(dataset, models, catalogue, args.error, progress=show)
     lines = [table(comparison), *sentences(comparison)]
     if args.report:
         from ..report.comparison_page import write_comparison

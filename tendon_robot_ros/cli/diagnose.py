@@ -20,12 +20,12 @@ from dataclasses import replace
 from typing import Any
 
 from ..common.errors import InputError
+from ..common.given import Progress
 from ..data import DataSet
 from ..diagnosis.add import Addition, add_effects
 from ..diagnosis.decide import Verdict
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
-from ..diagnosis.session import Progress
 from ..effects import Catalogue
 from ..report import addition_text
 from ..report.diagnosis_text import lines
@@ -36,15 +36,17 @@ from .options import (
     add_effect_files,
     add_json,
     add_overwrite,
+    add_report,
     effects_of,
     emit,
+    file_to_write,
     load_check,
     load_measurements,
     next_step,
-    progress,
     refuse_existing,
     write_description,
 )
+from .progress import progress
 
 HELP = 'name the physical effect that a model lacks'
 
@@ -55,8 +57,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_data(parser, 'data')
     add('--robot', metavar='ROBOT', help='description to judge (default: the one of DATA)')
     add_json(parser)
-    add('--add', metavar='NEW', help='write a description with the effect')
-    add('--report', metavar='HTML', help='write a page that opens offline')
+    add(
+        '--add',
+        type=file_to_write('--add'),
+        metavar='NEW',
+        help='write a description with the effect',
+    )
+    add_report(parser)
     add('--partial', action='store_true', help='add it even if more is at work')
     add('--check', metavar='DATA2', help='other postures, to judge the effect by')
     add(
@@ -77,14 +84,15 @@ def run(args: argparse.Namespace) -> int:
     if args.workers < 1:
         raise InputError(f'--workers: expected at least 1, got {args.workers}')
     refuse_existing('--add', args.add, args.overwrite)
-    dataset = load_measurements(args.data, args.robot)
-    check = load_check(args.check, dataset)
-    catalogue = effects_of(args)
     with progress() as show:
+        dataset = load_measurements(args.data, args.robot, show)
+        check = load_check(args.check, dataset, show)
+        catalogue = effects_of(args)
         diagnosis = diagnose(dataset, None, catalogue, args.workers, show)
         if args.trust:
             diagnosis = _assessed(args, diagnosis, dataset, show)
-    made = _addition(args, diagnosis, dataset, check, catalogue)
+        show('fitting what was found', 0, 0)
+        made = _addition(args, diagnosis, dataset, check, catalogue)
     report_lines = [*lines(diagnosis), *trust_lines(diagnosis)]
     content: dict[str, Any] = diagnosis.to_json()
     if made is not None:

@@ -25,6 +25,7 @@ import yaml
 from numpy.typing import NDArray
 
 from ..common.errors import InputError
+from ..common.files import new_file
 from ..drivers.dynamixel.control_table import BAUD_RATES, MODELS, smallest_spool
 from ..emulator import board, bus
 from ..emulator.board import BoardRig, EmulatedBoard
@@ -33,6 +34,7 @@ from ..emulator.port import Plug, obey
 from ..emulator.rig import Arm, ElasticArm, HangingWeights, Rig, SpringArm, Wire
 from ..emulator.servo import Servo
 from ..robot import Robot, load_robot
+from .options import file_to_write
 
 NAME = 'emulate'
 HELP = 'emulate motors on a port of their own, with faults on request'
@@ -84,7 +86,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--ends-with-input', action='store_true', help='end when the standard input ends'
     )
     parser.add_argument(
-        '--write-config', metavar='FILE', help='write a configuration for the driver'
+        '--write-config',
+        type=file_to_write('--write-config'),
+        metavar='FILE',
+        help='write a configuration for the driver',
     )
 
 
@@ -92,26 +97,33 @@ def run(args: argparse.Namespace) -> int:
     """Serve until the input says quit or a signal comes."""
     robot = load_robot(args.robot)
     made = _servos(args, robot) if args.kind == 'dynamixel' else _board(args, robot)
-    line = made.line
-    if args.write_config:
-        text = yaml.safe_dump(made.config, sort_keys=False, default_flow_style=None)
-        Path(args.write_config).write_text(f'# emulated: {made.words}\n{text}', encoding='utf-8')
     ending = threading.Event()
 
     def end(number: int, frame: FrameType | None) -> None:
         ending.set()
 
     before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
-    with line:
+    try:
+        _serve(args, made, ending)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    return 0
+
+
+def _serve(args: argparse.Namespace, made: Emulated, ending: threading.Event) -> None:
+    """Write the configuration and say where the port is, then wait for the end."""
+    with made.line as line:
+        if args.write_config:
+            text = yaml.safe_dump(made.config, sort_keys=False, default_flow_style=None)
+            with new_file(Path(args.write_config)) as draft:
+                draft.write_text(f'# emulated: {made.words}\n{text}', encoding='utf-8')
         print(line.port, flush=True)
         print(f'{made.words}; type help for faults', file=sys.stderr)
         more = (made.obey, ending, args.ends_with_input)
         listener = threading.Thread(target=_listen, args=more, daemon=True)
         listener.start()
         ending.wait()
-    for number, handler in before.items():
-        signal.signal(number, handler)
-    return 0
 
 
 def _listen(obey: Callable[[str], str], ending: threading.Event, to_the_end: bool) -> None:

@@ -15,6 +15,7 @@ from ..common.errors import InputError
 from ..data import load_dataset
 from ..data.recording.exporting import Timing, export_bag
 from ..data.recording.writer import STORAGES
+from .progress import progress
 
 NAME = 'export-bag'
 HELP = 'write a data set as a ROS 2 recording'
@@ -45,7 +46,9 @@ def run(args: argparse.Namespace) -> int:
     if not (0 < timing.hold < 1e4 and 0 < timing.move < 1e4 and 1 <= timing.rate <= 1e4):
         raise InputError('--hold and --move are seconds above 0, --rate is from 1 to 10000')
     dataset = load_dataset(args.data, args.robot)
-    path = export_bag(dataset, args.output, args.storage, timing)
+    with progress() as show:
+        show(f'writing {dataset.trials.sum()} measurements', 0, 0)
+        path = export_bag(dataset, args.output, args.storage, timing)
     print(f'{dataset.trials.sum()} measurements, {len(dataset.postures)} postures')
     print(f'written: {path}')
     return 0

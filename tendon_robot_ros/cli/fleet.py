@@ -15,7 +15,8 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from .options import add_cluster, add_effect_files, add_json, emit, progress
+from .options import add_cluster, add_effect_files, add_json, emit
+from .progress import progress
 
 HELP = 'diagnose all recordings of many robots, and say what changed when'
 PAGE = 'fleet.html'

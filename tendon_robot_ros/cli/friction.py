@@ -20,7 +20,15 @@ from ..common.errors import InputError
 from ..common.words import listed
 from ..paper.slip import SlipFriction, read_slip_angles, slip_friction, with_friction
 from ..robot import load_robot
-from .options import add_json, add_overwrite, emit, next_step, refuse_existing, write_description
+from .options import (
+    add_json,
+    add_overwrite,
+    emit,
+    file_to_write,
+    next_step,
+    refuse_existing,
+    write_description,
+)
 
 HELP = 'friction coefficient from slip angles, into a robot description'
 
@@ -30,7 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add('angles', metavar='SLIP_ANGLES', help='CSV file: measurement,angle_deg')
     add('--robot', metavar='ROBOT', help='robot description to write the coefficient into')
-    add('--output', metavar='NEW', help='the new description')
+    to = file_to_write('--output')
+    add('--output', type=to, metavar='NEW', help='the new description')
     add_json(parser)
     add_overwrite(parser)
 

@@ -20,12 +20,14 @@ from ..common.errors import InputError
 from ..common.files import refuse_ending
 from ..data import DataSet, save_dataset
 from ..data.folder.description import read_text
+from ..data.folder.folder import refuse_dataset_in
 from ..data.recording.importing import Imported, draw_segments, import_bag, summary
 from ..data.recording.reader import Topics
 from ..data.recording.still_segments import Rule
 from ..data.recording.transforms import is_base
 from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe
-from .options import input_size
+from .options import file_to_write, input_size
+from .progress import progress
 
 NAME = 'import-bag'
 HELP = 'make a data set from a ROS 2 recording'
@@ -43,7 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='a dataset.yaml that says input, path, gravity, markers (default: the one in the '
         'recording, else tensions where they were observed and one marker per cell)',
     )
-    parser.add_argument('--picture', metavar='PNG', help='draw the segments (.png, .svg, .pdf)')
+    to = file_to_write('--picture')
+    picture = 'draw the segments (.png, .svg, .pdf)'
+    parser.add_argument('--picture', type=to, metavar='PNG', help=picture)
     _add_rule(parser, Rule())
     _add_topics(parser, Topics())
     parser.add_argument('--up', choices=UPS, help='axis of the tracker that points up')
@@ -118,24 +122,28 @@ def run(args: argparse.Namespace) -> int:
     limits = args.speed, args.duration, 1.0 if change is None else change
     if not all(0 < value < 1e4 for value in limits):
         raise InputError('--speed [mm/s], --duration [s] and --change are above 0')
+    refuse_dataset_in(args.output, args.overwrite)
     if args.picture:
         refuse_ending('--picture', args.picture)
     description = None
     if args.description:
-        description = read_text(Path(args.description))
-    imported = import_bag(
-        args.bag,
-        args.robot,
-        Rule(1e-3 * args.speed, args.duration, change),
-        Topics(args.states_topic, args.shape_topic, _markers(args.marker), args.sender),
-        description,
-        rest,
-        in_tracker_frame=True,
-    )
-    for line in imported.left_out:
-        print('left out:', line, file=sys.stderr)
-    print(summary(imported))
-    dataset, lines = _placed(imported, args.frame, args.up)
+        description = read_text(Path(args.description), 'name a dataset.yaml')
+    with progress() as show:
+        show(f'reading {args.bag}', 0, 2)
+        imported = import_bag(
+            args.bag,
+            args.robot,
+            Rule(1e-3 * args.speed, args.duration, change),
+            Topics(args.states_topic, args.shape_topic, _markers(args.marker), args.sender),
+            description,
+            rest,
+            in_tracker_frame=True,
+        )
+        for line in imported.left_out:
+            print('left out:', line, file=sys.stderr)
+        print(summary(imported))
+        show('looking at the frame', 1, 2)
+        dataset, lines = _placed(imported, args.frame, args.up)
     for line in lines:
         print(line)
     print(f'written: {save_dataset(dataset, args.output, args.overwrite)}')

@@ -32,6 +32,7 @@ from ..tables.columns import ColumnUse
 from ..tables.points import CHOICES
 from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe, load_recipe
 from .options import add_effect_files, input_size, length
+from .progress import progress
 
 HELP = 'make a data set of a table of tensions and markers over time'
 INPUT_KINDS = ('force', 'length', 'angle', 'counts', 'current')
@@ -119,7 +120,9 @@ def run(args: argparse.Namespace) -> int:
     robot = load_robot(robot_path)
     recipe = _with_arm(_with_columns(recipe, args, robot.inputs), args)
     recipe = _with_measurements(recipe, args)
-    imported = import_table(args.raw, robot, recipe, load_catalogue(args.effect_file))
+    catalogue = load_catalogue(args.effect_file)
+    with progress() as show:
+        imported = import_table(args.raw, robot, recipe, catalogue, show)
     print(imported.text())
     folder = imported.save(args.output, args.overwrite)
     print(f'written: {folder}    every choice: {folder}/import.yaml    look: {folder}/import.png')

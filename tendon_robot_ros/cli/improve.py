@@ -25,15 +25,17 @@ from .options import (
     add_effect_files,
     add_json,
     add_overwrite,
+    add_report,
     effects_of,
     emit,
+    file_to_write,
     load_check,
     load_measurements,
     next_step,
-    progress,
     refuse_existing,
     write_description,
 )
+from .progress import progress
 
 HELP = 'add effects one by one while the error on left-out postures falls'
 
@@ -43,9 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add_data(parser, 'data')
     add('--robot', metavar='ROBOT', help='description to improve (default: the one of DATA)')
-    add('--output', required=True, metavar='NEW', help='the improved description')
+    to = file_to_write('--output')
+    add('--output', type=to, required=True, metavar='NEW', help='the improved description')
     add('--check', metavar='DATA2', help='other postures, whose error is shown at every step')
-    add('--report', metavar='HTML', help='write a page that opens offline')
+    add_report(parser)
     add('--workers', type=int, default=2, metavar='N', help='at a time (default: 2)')
     add_json(parser)
     add_overwrite(parser)
@@ -57,10 +60,10 @@ def run(args: argparse.Namespace) -> int:
     if args.workers < 1:
         raise InputError(f'--workers: expected at least 1, got {args.workers}')
     refuse_existing('--output', args.output, args.overwrite)
-    dataset = load_measurements(args.data, args.robot)
-    check = load_check(args.check, dataset)
-    catalogue = effects_of(args)
     with progress(remaining=True) as show:
+        dataset = load_measurements(args.data, args.robot, show)
+        check = load_check(args.check, dataset, show)
+        catalogue = effects_of(args)
         found = improve(dataset, None, catalogue, check, args.workers, show)
     report_lines = improvement_lines(found)
     if found.taken:

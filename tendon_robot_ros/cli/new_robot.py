@@ -22,7 +22,6 @@ from typing import Any
 
 import yaml
 
-from ..common.errors import InputError
 from ..common.files import new_file
 from ..common.units import STANDARD_GRAVITY
 from ..robot import Robot, dump_robot, parse_robot
@@ -33,6 +32,7 @@ from ..robot.estimates import (
     stiffness_from_sag,
 )
 from .describe import description
+from .options import file_to_write, refuse_existing
 from .questions import FIRST_WORDS, Questions
 
 NAME = 'new-robot'
@@ -54,12 +54,18 @@ FILE_HEAD = '# Written by new-robot. In m and N; +z points along the straight ar
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('--output', metavar='FILE', help='the description (default: NAME.yaml)')
+    parser.add_argument(
+        '--output',
+        type=file_to_write('--output'),
+        metavar='FILE',
+        help='the description (default: NAME.yaml)',
+    )
     parser.add_argument('--overwrite', action='store_true', help='replace a file that is there')
 
 
 def run(args: argparse.Namespace) -> int:
     """Ask, write, draw."""
+    refuse_existing('--output', args.output, args.overwrite)
     questions = Questions(sys.stdin, sys.stderr)
     questions.tell(FIRST_WORDS)
     path, robot = questions.until_answered(lambda: _described(questions, args))
@@ -78,8 +84,7 @@ def _described(questions: Questions, args: argparse.Namespace) -> tuple[Path, Ro
     """Ask for everything; return where the description goes, and what it says."""
     name = questions.text('Name of the robot', 'my_robot')
     path = Path(args.output or f'{name.replace(" ", "_").replace("/", "_")}.yaml')
-    if path.exists() and not args.overwrite:
-        raise InputError(f'{path}: is there already; use --overwrite or another --output')
+    refuse_existing('--output', str(path), args.overwrite)
     return path, parse_robot(yaml.safe_dump(ask(questions, name)), str(path))
 
 

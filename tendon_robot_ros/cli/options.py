@@ -7,17 +7,15 @@ import json
 import math
 import os
 import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tqdm import tqdm
-
 from ..common.errors import InputError, TendonRobotError
 from ..common.files import new_file
+from ..common.given import Progress, listener
 from ..common.units import TYPED_LENGTHS, other_unit, read_quantity
 from ..common.words import digits
 from ..robot import load_robot
@@ -56,10 +54,37 @@ def add_effect_files(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def file_to_write(option: str) -> Callable[[str], str]:
+    """
+    Return the `type` of an argument that names a file to write.
+
+    Where no file can go there the command ends with InputError before it begins.
+    """
+
+    def checked(text: str) -> str:
+        path = Path(text).absolute()
+        if path.is_dir():
+            raise InputError(f'{option} {text}: is a folder; name a file')
+        if not path.parent.is_dir():
+            raise InputError(f'{text}: its folder does not exist; make it or correct {option}')
+        if not os.access(path if path.exists() else path.parent, os.W_OK):
+            raise InputError(f'{text}: may not be written; correct {option} or the permissions')
+        return text
+
+    return checked
+
+
+def add_report(parser: argparse.ArgumentParser) -> None:
+    """Declare --report."""
+    to, what = file_to_write('--report'), 'write a page that opens offline'
+    parser.add_argument('--report', type=to, metavar='HTML', help=what)
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Declare --json."""
     parser.add_argument(
         '--json',
+        type=file_to_write('--json'),
         nargs='?',
         const='-',
         metavar='OUT',
@@ -258,43 +283,6 @@ def numbers(what: str, text: str, separator: str) -> tuple[float, ...]:
     return values
 
 
-# -----------------------------------------------------------------------------
-# How far long work is, on stderr: a bar where a person watches, else a line now and then.
-
-PIPED_EVERY_S = 5.0  # [s] between lines at first; work that takes less stays silent
-PIPED_EVERY_SHARE = 0.1  # [1] of the time so far, between later lines: a log stays short
-
-
-@contextmanager
-def progress(remaining: bool = False) -> Iterator[Callable[[str, int, int], None]]:
-    """
-    Give a function that shows (what, done, total) on stderr: a bar, or lines in a pipe.
-
-    `remaining` shows the time left as well: where all of the work is counted as one.
-    """
-    form = '{desc} {n_fmt}/{total_fmt} |{bar}|' + (' {remaining} left' if remaining else '')
-    start = time.monotonic()
-    following = start + PIPED_EVERY_S
-    with tqdm(disable=None, leave=False, bar_format=form) as bar:
-
-        def log(what: str, done: int, total: int) -> None:
-            nonlocal following
-            now = time.monotonic()
-            if now < following:
-                return
-            following = now + max(PIPED_EVERY_S, PIPED_EVERY_SHARE * (now - start))
-            left = (now - start) / max(done, 1) * (total - done)
-            end = f', {left / 60.0:.1f} min left' if remaining and done else ''
-            print(f'{what} {done:,}/{total:,}{end}', file=sys.stderr, flush=True)
-
-        def show(what: str, done: int, total: int) -> None:
-            bar.set_description_str(what, refresh=False)
-            bar.total, bar.n = total, done
-            bar.refresh()
-
-        yield log if bar.disable else show
-
-
 DATA_HELP = 'data set (folder), or a recording (rosbag2 folder, .mcap or .db3 file)'
 
 
@@ -304,7 +292,9 @@ def add_data(parser: argparse.ArgumentParser, *names: str, to: str = '', **optio
     parser.add_argument(*names, nargs='+', metavar='DATA', help=words, **options)
 
 
-def load_measurements(paths: str | Sequence[str], robot: Robot | str | None) -> DataSet:
+def load_measurements(
+    paths: str | Sequence[str], robot: Robot | str | None, progress: Progress | None = None
+) -> DataSet:
     """
     Read data sets, and join several; of a recording, every segment in which the arm stood still.
 
@@ -315,7 +305,11 @@ def load_measurements(paths: str | Sequence[str], robot: Robot | str | None) -> 
 
     """
     given = [paths] if isinstance(paths, str) else paths
-    dataset = join([_measurements(path, robot) for path in given])
+    read, show = [], listener(progress)
+    for done, path in enumerate(given):
+        show(f'reading {path}', done, len(given))
+        read.append(_measurements(path, robot))
+    dataset = join(read)
     return dataset if robot is None else _with_frame(dataset, given)
 
 
@@ -362,13 +356,9 @@ def add_overwrite(parser: argparse.ArgumentParser) -> None:
 
 
 def refuse_existing(option: str, path: str | None, overwrite: bool) -> None:
-    """Raise InputError before any work where a file would be replaced, or has no folder."""
-    if path is None:
-        return
-    if Path(path).exists() and not overwrite:
+    """Raise InputError before any work where a file would be replaced."""
+    if path is not None and Path(path).exists() and not overwrite:
         raise InputError(f'{path}: is there already; use --overwrite or another {option}')
-    if not Path(path).absolute().parent.is_dir():
-        raise InputError(f'{path}: its folder does not exist; make it or correct {option}')
 
 
 def write_description(robot: Robot, path: str) -> None:
@@ -377,9 +367,9 @@ def write_description(robot: Robot, path: str) -> None:
         draft.write_text(dump_robot(robot), encoding='utf-8')
 
 
-def load_check(path: str | None, dataset: DataSet) -> DataSet | None:
+def load_check(path: str | None, dataset: DataSet, show: Progress) -> DataSet | None:
     """Read a check set with the robot of a data set."""
-    return None if path is None else load_measurements(path, dataset.robot)
+    return None if path is None else load_measurements(path, dataset.robot, show)
 
 
 def next_step(path: str) -> str:

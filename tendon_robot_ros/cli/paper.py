@@ -19,7 +19,7 @@ from ..common.errors import InputError
 from ..common.files import new_folder
 from ..common.words import columns, digits
 from ..robot import load_robot
-from .options import progress
+from .progress import progress
 
 HELP = "the paper's experiments, published numbers beside ours, on one page"
 PAPER_ROBOTS = ('kato_1_1', 'kato_10_1', 'kato_10_1_single', 'kato_2_1')

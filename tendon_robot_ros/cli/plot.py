@@ -16,6 +16,8 @@ from ..common.files import refuse_ending
 from ..data.recording.reader import Moves, Places, read_moves
 from ..paths.path import PathRun
 from ..report.path_run import draw_run
+from .options import file_to_write
+from .progress import progress
 
 HELP = 'draw a recording: tip, targets, commands'
 
@@ -23,7 +25,8 @@ HELP = 'draw a recording: tip, targets, commands'
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument('bag', metavar='BAG', help='rosbag2 folder, or .mcap or .db3 file')
-    parser.add_argument('--output', metavar='PNG', help='(default: BAG.png)')
+    to = file_to_write('--output')
+    parser.add_argument('--output', type=to, metavar='PNG', help='(default: BAG.png)')
 
 
 def run(args: argparse.Namespace) -> int:
@@ -31,7 +34,9 @@ def run(args: argparse.Namespace) -> int:
     bag = Path(args.bag)
     output = Path(args.output or f'{bag.parent / bag.stem}.png')
     refuse_ending('--output', output)
-    moves = read_moves(bag)
+    with progress() as show:
+        show(f'reading {bag}', 0, 0)
+        moves = read_moves(bag)
     if not len(moves.tips):
         raise InputError(f'{bag}: no measured_tip and no predicted_tip in it: nothing to draw')
     path_run = as_run(moves)

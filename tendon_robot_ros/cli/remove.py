@@ -13,7 +13,7 @@ import argparse
 
 from ..diagnosis.add import restore
 from ..robot import load_robot
-from .options import add_overwrite, refuse_existing, write_description
+from .options import add_overwrite, file_to_write, refuse_existing, write_description
 
 HELP = 'take an effect out of a robot description'
 
@@ -22,7 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument('effect', metavar='EFFECT', help='an effect that ROBOT lists')
     parser.add_argument('--robot', required=True, metavar='ROBOT', help='description (YAML)')
-    parser.add_argument('--output', required=True, metavar='NEW', help='the new description')
+    add, to = parser.add_argument, file_to_write('--output')
+    add('--output', type=to, required=True, metavar='NEW', help='the new description')
     add_overwrite(parser)
 
 

@@ -25,6 +25,7 @@ from ..common.errors import InputError
 from ..common.given import whole
 from ..data import DataSet, Marker, save_dataset
 from ..data.dataset import INPUTS, PATHS
+from ..data.folder.folder import refuse_dataset_in
 from ..data.folder.measurement_files import read_inputs
 from ..effects import load_catalogue
 from ..robot import Robot, load_robot
@@ -32,7 +33,15 @@ from ..simulation.hidden import Workmanship
 from ..simulation.measurements import SimulatedNoise, raw_table, simulate, write_table
 from ..simulation.plant import Plant, make_plant
 from ..workspace.postures import default_postures
-from .options import add_effect_files, named_numbers, numbers, refuse_existing, vector
+from .options import (
+    add_effect_files,
+    file_to_write,
+    named_numbers,
+    numbers,
+    refuse_existing,
+    vector,
+)
+from .progress import progress
 
 NOISE_SCALES = {'position': 1e3}  # typed in mm
 POSITION_NOISE_MIN_MM = 0.001
@@ -53,7 +62,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--gravity', metavar='X,Y,Z', help='[m/s²] in the base frame (default: as in ROBOT)')
     add('--output', metavar='DIR', help='folder of the data set')
     add('--check', metavar='DIR', help='a second data set: other postures of the same robot')
-    add('--table', metavar='CSV', help='instead: a table over time as laboratories have them')
+    to, what = file_to_write('--table'), 'instead: a table over time as laboratories have them'
+    add('--table', type=to, metavar='CSV', help=what)
     add('--overwrite', action='store_true', help='replace data sets')
     _add_measuring(parser)
     add_effect_files(parser)
@@ -98,10 +108,14 @@ def run(args: argparse.Namespace) -> int:
     if bool(args.output) == bool(args.table):
         raise InputError('--output DIR or --table CSV: expected one of them')
     refuse_existing('--table', args.table, args.overwrite)
+    if args.table:
+        refuse_existing('--check', args.check, args.overwrite)
+    else:
+        for folder in filter(None, (args.output, args.check)):
+            refuse_dataset_in(folder, args.overwrite)
     catalogue = load_catalogue(args.effect_file)
     plant = make_plant(robot, hidden, seed=args.seed, catalogue=catalogue, work=_work(args))
     if args.table:
-        refuse_existing('--check', args.check, args.overwrite)
         return _write_tables(args, plant)
     made = [(args.output, _measured(args, plant, 0))]
     if args.check:
@@ -128,15 +142,17 @@ def _write_tables(args: argparse.Namespace, plant: Plant) -> int:
         raise InputError('--table: of tensions and from straight only')
     count = 12 if args.count is None else whole('--count', args.count, 1)
     for which, path in enumerate(filter(None, (args.table, args.check))):
-        names, values = raw_table(
-            plant,
-            default_postures(plant.robot, max(count // (1 + which), 1), which),
-            noise=simulated_noise(args.noise),
-            trials=args.trials,
-            seed=args.seed,
-            which=which,
-            markers=_markers(args.markers, plant.robot),
-        )
+        with progress() as show:
+            names, values = raw_table(
+                plant,
+                default_postures(plant.robot, max(count // (1 + which), 1), which),
+                noise=simulated_noise(args.noise),
+                trials=args.trials,
+                seed=args.seed,
+                which=which,
+                markers=_markers(args.markers, plant.robot),
+                progress=show,
+            )
         write_table(path, names, values)
         rows, columns = values.shape
         print(f'written: {path}: {rows:,} rows of {columns} columns, {values[-1, 0]:.0f} s')
@@ -155,7 +171,9 @@ def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:
     """Measure the postures (0), or those of the check (1)."""
     robot, names = plant.robot, tuple[str, ...]()
     if args.postures and which == 0:
-        commands = read_inputs(Path(args.postures), robot, args.input)
+        commands = read_inputs(
+            Path(args.postures), robot, args.input, remedy='name a CSV file like inputs.csv'
+        )
         inputs, names = commands.by_posture(), commands.postures
     else:
         usual = 20 if args.path == 'sequence' else 12
@@ -163,18 +181,20 @@ def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:
         inputs = default_postures(
             robot, max(count // (1 + which), 1), which, args.input, args.path
         )
-    return simulate(
-        plant,
-        inputs,
-        noise=simulated_noise(args.noise),
-        trials=args.trials,
-        seed=2 * args.seed + which,
-        markers=_markers(args.markers, robot),
-        postures=names,
-        input=args.input,
-        path=args.path,
-        declare=not args.undeclared,
-    )
+    with progress() as show:
+        return simulate(
+            plant,
+            inputs,
+            noise=simulated_noise(args.noise),
+            trials=args.trials,
+            seed=2 * args.seed + which,
+            markers=_markers(args.markers, robot),
+            postures=names,
+            input=args.input,
+            path=args.path,
+            declare=not args.undeclared,
+            progress=show,
+        )
 
 
 def hidden_effect(text: str) -> tuple[str, dict[str, float | tuple[float, ...]]]:

@@ -19,7 +19,8 @@ import numpy as np
 from ..common.errors import InputError
 from ..common.files import new_file
 from ..data.folder.path_file import TendonRows, TipRows, write_path
-from .options import add_robot, load_model
+from .options import add_robot, file_to_write, load_model
+from .progress import progress
 
 HELP = 'write a path that keeps the view angle: looking around'
 TENSION_RATE_N_PER_S = 0.5  # [N/s] at which a path of tensions is timed
@@ -32,7 +33,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--steps', type=int, default=40, help='rows (default: 40)')
     parser.add_argument('--tensions', action='store_true', help='tensions instead of tip targets')
     parser.add_argument(
-        '--output', default='sweep.csv', metavar='CSV', help='(default: sweep.csv)'
+        '--output',
+        type=file_to_write('--output'),
+        default='sweep.csv',
+        metavar='CSV',
+        help='(default: sweep.csv)',
     )
 
 
@@ -46,7 +51,9 @@ def run(args: argparse.Namespace) -> int:
     if args.steps < 2:
         raise InputError(f'--steps: expected at least 2, got {args.steps}')
     model = load_model(args)
-    postures = look_around(model, math.radians(args.view), args.steps)
+    with progress() as show:
+        show(f'looking for {args.steps} postures', 0, 0)
+        postures = look_around(model, math.radians(args.view), args.steps)
     places = np.array([posture.position for posture in postures])
     rows: TipRows | TendonRows = TipRows(None, places, np.array([p.direction for p in postures]))
     if args.tensions:

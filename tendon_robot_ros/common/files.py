@@ -4,19 +4,46 @@ from __future__ import annotations
 
 import os
 import shutil
+import sqlite3
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from .errors import DataSetError, InputError
+from .errors import DataSetError, InputError, TendonRobotError
 
 TEXT_ENDINGS = ('.csv', '.txt', '.tsv', '.dat', '.trc')
 TABLE_ENDINGS = (*TEXT_ENDINGS, '.parquet', '.c3d')  # of laboratories
 YAML_ENDINGS = ('.yaml', '.yml')
 PICTURE_ENDINGS = ('.png', '.svg', '.pdf')
 PACKAGE = 'tendon_robot_ros'
+DRAFT = '.tmp-'  # how the names of folders begin in which something is made
+
+
+def read_text(
+    path: str | Path, refuse: Callable[[str], TendonRobotError], characters: int = -1
+) -> str:
+    """
+    Return the text of a file; what cannot be read is refused in one way.
+
+    Parameters
+    ----------
+    path : str or Path
+    refuse : callable
+        Makes the error of the reason: there is no such file, it is a folder, no text, ...
+    characters : int
+        Read so many at most: of a device there is no end. Default: all.
+
+    """
+    try:
+        with Path(path).open(encoding='utf-8-sig') as file:
+            text = file.read(characters)
+    except (OSError, ValueError) as error:  # a path may hold a null byte, a file any bytes
+        raise refuse(getattr(error, 'strerror', None) or 'not a text file (UTF-8)') from None
+    if '\0' in text:
+        raise refuse('not a text file (UTF-8)')
+    return text
 
 
 @contextmanager
@@ -38,10 +65,10 @@ def new_folder(folder: Path, replaceable: tuple[str, ...] = ()) -> Iterator[Path
 
     """
     shown, folder = folder, Path(os.path.abspath(folder))  # '.' and 'name/..' have no parent
-    _check(shown, replaceable)
+    refuse_taken(shown, replaceable)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f'.{folder.name}-', dir=folder.parent))
+        temporary = Path(tempfile.mkdtemp(prefix=DRAFT, dir=folder.parent))
     except OSError as error:
         raise DataSetError(
             str(shown),
@@ -51,17 +78,25 @@ def new_folder(folder: Path, replaceable: tuple[str, ...] = ()) -> Iterator[Path
     try:
         filled = temporary / folder.name
         filled.mkdir()
-        yield filled
-        _check(shown, replaceable)
-        _replace(folder, filled, temporary / f'{folder.name}.old')
-    except OSError as error:
-        raise DataSetError(
-            str(shown),
-            f'cannot be written ({error.strerror})',
-            'make room there or name another place',
-        ) from None
+        with _told(shown):
+            yield filled
+            refuse_taken(shown, replaceable)
+            _replace(folder, filled, temporary / f'{folder.name}.old')
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def refuse_taken(folder: Path, replaceable: tuple[str, ...]) -> None:
+    """Raise DataSetError where a folder holds anything but replaceable files, or is a file."""
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise DataSetError(str(folder), 'is a file', 'name a folder')
+    for name in sorted(entry.name for entry in folder.iterdir()):
+        if name not in replaceable:
+            raise DataSetError(
+                str(folder), f'is not empty, it holds {name}', 'name a new folder or empty it'
+            )
 
 
 @contextmanager
@@ -75,7 +110,7 @@ def new_file(path: Path) -> Iterator[Path]:
     path = Path(os.path.realpath(path))
     special = path.exists() and not path.is_file() and not path.is_dir()
     folder = None if special else _parent(path)
-    with _told(path), tempfile.TemporaryDirectory(prefix='.tmp-', dir=folder) as temporary:
+    with _told(path), tempfile.TemporaryDirectory(prefix=DRAFT, dir=folder) as temporary:
         draft = Path(temporary) / path.name
         yield draft
         if special:
@@ -87,15 +122,16 @@ def new_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _told(path: Path) -> Iterator[None]:
-    """Name the file in an error of the system that names none, or the draft: a full disk."""
+    """Name what is written where the system names nothing, or a file in the draft: a full disk."""
     try:
         yield
-    except OSError as error:
-        if error.filename is not None and '.tmp-' not in str(error.filename):
+    except (OSError, sqlite3.OperationalError) as error:
+        named = getattr(error, 'filename', None)
+        if named is not None and DRAFT not in str(named):
             raise
         raise DataSetError(
             str(path),
-            f'cannot be written ({error.strerror or error})',
+            f'cannot be written ({getattr(error, "strerror", None) or error})',
             'make room there or name another place',
         ) from None
 
@@ -115,18 +151,6 @@ def _parent(path: Path) -> Path:
     if not path.parent.is_dir():
         raise DataSetError(str(path.parent), 'is no folder', 'make it or correct the path')
     return path.parent
-
-
-def _check(folder: Path, replaceable: tuple[str, ...]) -> None:
-    if not folder.exists():
-        return
-    if not folder.is_dir():
-        raise DataSetError(str(folder), 'is a file', 'name a folder')
-    for name in sorted(entry.name for entry in folder.iterdir()):
-        if name not in replaceable:
-            raise DataSetError(
-                str(folder), f'is not empty, it holds {name}', 'name a new folder or empty it'
-            )
 
 
 def refuse_ending(option: str, path: str | Path) -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import operator
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from .errors import InputError, short
+
+Progress = Callable[[str, int, int], None]  # hears what is done, how much of it, of how much
 
 
 def refusal(name: str, expected: str, given: object) -> InputError:
@@ -68,10 +70,13 @@ def names(what: str, given: object, count: int) -> tuple[str, ...]:
     return listed
 
 
-def function(name: str, given: object) -> None:
-    """Refuse what cannot be called; None is no function."""
-    if given is not None and not callable(given):
-        raise refusal(name, 'a function or None', given)
+def listener(given: Progress | None) -> Progress:
+    """Return who hears the progress of long work; None: nobody."""
+    if given is None:
+        return lambda what, done, total: None
+    if not callable(given):
+        raise refusal('progress', 'a function or None', given)
+    return given
 
 
 def meant(name: object, known: Iterable[str]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError, NoEquilibriumError
-from ..common.given import choice
+from ..common.given import Progress, choice, listener
 from ..data import DataSet, DataSetLike, default_markers, load_dataset
 from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..model.model import Model
@@ -73,6 +73,7 @@ def compare(
     catalogue: CatalogueLike | None = None,
     error: str = 'ci',
     leave_out: bool = True,
+    progress: Progress | None = None,
 ) -> Comparison:
     """
     Compare models with the measurements of a data set.
@@ -93,6 +94,8 @@ def compare(
         'ci' for 95 % t-intervals of means, 'sem' for standard errors.
     leave_out : bool
         False: what other trials contradict counts as well.
+    progress : callable, optional
+        Called with (what, done, total).
 
     Raises
     ------
@@ -103,6 +106,7 @@ def compare(
 
     """
     choice('error', error, ERRORS)
+    show = listener(progress)
     dataset, catalogue = load_dataset(dataset), load_catalogue(catalogue)
     named = _named(models) or [(dataset.robot.name, dataset.robot)]
     names = [name for name, _ in named]
@@ -110,12 +114,16 @@ def compare(
         raise InputError(f'models: expected different names, got {", ".join(names)}')
     for name, robot in named:
         _check(dataset, name, robot)
+    show('trials', 0, len(named))
     left_out: tuple[Mapping[str, Any], ...] = ()
     if leave_out:
         outliers = find_outliers(Predictor(dataset, dataset.robot, catalogue), {})
         left_out, dataset = tuple(outliers.rows(dataset)), outliers.without(dataset)
     predictors = [Predictor(dataset, robot, catalogue) for _, robot in named]
-    markers = [_predict(predictor) for predictor in predictors]
+    markers = []
+    for done, predictor in enumerate(predictors):
+        show('models', done, len(named))
+        markers.append(_predict(predictor))
     axes = bending_axes(markers[0]) if on_the_centreline(dataset) else None
     errors = tuple(_errors(dataset, named[i], markers[i], axes) for i in range(len(named)))
     if axes is None:
@@ -123,6 +131,7 @@ def compare(
         errors = tuple(
             replace(model, centreline=line) for model, line in zip(errors, lines, strict=True)
         )
+    show('noise', len(named), len(named))
     best = int(np.argmin([model.rms for model in errors]))
     angles = None if axes is None else _angles(dataset.positions.swapaxes(0, 1), axes)
     measured = replace(_measured(dataset, predictors[best], angles), left_out=left_out)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import InputError
+from ..common.files import read_text
 from .result import Comparison, Floats, Measured, ModelErrors
 from .statistics import Estimate, PairedT
 
@@ -48,12 +49,15 @@ def load_comparison(path: str | Path) -> Comparison:
         It is no such file.
 
     """
+
+    def refuse(reason: object) -> InputError:
+        return InputError(f'{path}: expected the JSON of a comparison ({FORMAT}), got {reason}')
+
+    text = read_text(path, refuse)
     try:
-        return from_json(json.loads(Path(path).read_text(encoding='utf-8')))
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f'{path}: expected the JSON of a comparison ({FORMAT}), got something else ({error})'
-        ) from None
+        return from_json(json.loads(text))
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise refuse(f'something else ({error})') from None
 
 
 def from_json(content: dict[str, Any]) -> Comparison:

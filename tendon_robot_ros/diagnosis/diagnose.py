@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..common.errors import NoEquilibriumError
-from ..common.given import function, whole
+from ..common.given import Progress, whole
 from ..common.processes import one_thread
 from ..common.words import listed, mm
 from ..comparison.noise import rms
@@ -46,7 +46,7 @@ from .next_measurement import propose
 from .patterns import Pattern
 from .report_rows import details_of, finding, left_by, rows_of
 from .result import Diagnosis
-from .session import Progress, Session
+from .session import Session
 from .setup_mistakes import find_mistake
 from .setup_search import Explained, Rival, implausible, rivals_of
 
@@ -83,7 +83,6 @@ def diagnose(
     """
     dataset, workers = load_dataset(dataset), whole('workers', workers, 1)
     judged = dataset.robot if robot is None else load_robot(robot)
-    function('progress', progress)
     session = Session(dataset, judged, load_catalogue(catalogue), workers, progress)
     lacking = _what_is_lacking(session)
     if isinstance(lacking, Mistake):

@@ -12,7 +12,7 @@ inputs, the tracker's frame), where it lowers them as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
-from ..common.given import function, whole
+from ..common.given import Progress, listener, whole
 from ..common.processes import one_thread
 from ..comparison.predict import Predictor
 from ..data import DataSet, DataSetLike, load_dataset
@@ -42,7 +42,6 @@ from .slopes import imperfections
 from .stepwise import POSTURES_MIN, STEPS_MAX, State, Stepwise
 
 Floats = npt.NDArray[np.float64]
-Progress = Callable[[str, int, int], None]
 GROUPS_MAX = 16  # groups of postures that the search is made without
 
 
@@ -80,9 +79,8 @@ def improve(
     NoEquilibriumError
 
     """
-    show = progress or (lambda what, done, total: None)
+    show = listener(progress)
     dataset, workers = load_dataset(dataset), whole('workers', workers, 1)
-    function('progress', progress)
     before = dataset.robot if robot is None else load_robot(robot)
     other = None if check is None else load_dataset(check, before)
     search = Stepwise(dataset, before, load_catalogue(catalogue))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..common.colours import ERROR, GOOD, PREDICTED
 from ..common.dataframes import make_frame
+from ..common.files import new_file
 from ..common.told import Told
 from .decide import Verdict
 
@@ -216,7 +217,8 @@ class Diagnosis(Told):
 
     def save(self, path: str | Path) -> None:
         """Write the JSON file."""
-        Path(path).write_text(json.dumps(self.to_json(), indent=1), encoding='utf-8')
+        with new_file(Path(path)) as draft:
+            draft.write_text(json.dumps(self.to_json(), indent=1), encoding='utf-8')
 
 
 def _plain(value: Any) -> Any:

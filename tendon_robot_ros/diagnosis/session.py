@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
 import numpy as np
 import numpy.typing as npt
 
+from ..common.given import Progress, listener
 from ..comparison.noise import Noise, Whitener, input_slopes
 from ..comparison.outliers import Outliers, without_unsettled
 from ..comparison.predict import FreeParameter, Point, Predictor
@@ -40,7 +41,6 @@ from .race import Race
 from .slopes import imperfections
 
 Floats = npt.NDArray[np.float64]
-Progress = Callable[[str, int, int], None]
 
 
 class Session:
@@ -57,7 +57,7 @@ class Session:
         """Build a predictor per worker."""
         self.robot, self.catalogue = robot, catalogue.sized(natural_sizes(robot))
         self.workers = max(1, workers)
-        self.progress = progress or (lambda what, done, total: None)
+        self.progress = listener(progress)
         self._measured_by(dataset)
         self.outliers: Outliers | None = None
         self.unsettled: tuple[str, ...] = ()  # postures that were left out for it

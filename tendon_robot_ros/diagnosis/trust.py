@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..common.given import Progress, listener
 from ..common.workers import Workers
 from ..comparison.noise import Noise
 from ..comparison.predict import FreeParameter, Point, Predictor
@@ -22,7 +23,7 @@ from .candidates import Candidate
 from .decide import ALARM_LEVEL
 from .evidence import gather, is_alarming
 from .fit import Fit
-from .session import Progress, Session
+from .session import Session
 
 Floats = npt.NDArray[np.float64]
 SECONDS = 50.0  # [s] of simulations
@@ -177,7 +178,7 @@ def assess(
         None where nothing tells the noise.
 
     """
-    robot, show = dataset.robot, progress or (lambda what, done, total: None)
+    robot, show = dataset.robot, listener(progress)
     session = Session(dataset, robot, load_catalogue(files), workers=1)
     if session.predictor.markers({}) is None or not session.weigh({}):
         return None

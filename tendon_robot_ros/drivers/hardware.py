@@ -11,7 +11,8 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.errors import DriverError, MovedError
+from ..common.errors import DriverError, MovedError, TendonRobotError
+from ..common.files import read_text
 from ..common.yaml_reading import ConfigFields, parse_yaml
 from ..robot import Robot
 from .interface import Array, Driver
@@ -270,9 +271,14 @@ def read_calibrations(top: ConfigFields, required: bool) -> ConfigFields:
     if not isinstance(value, str):
         return ConfigFields(top.source, 'calibration', value)
     file = Path(top.source).parent / value
+    if not required and not file.exists():
+        return ConfigFields(str(file), '', {})
+
+    def refuse(reason: object) -> TendonRobotError:
+        return top.error('calibration', 'a readable YAML file', f'{file}: {reason}')
+
+    text = read_text(file, refuse)
     try:
-        return ConfigFields(str(file), '', parse_yaml(file.read_text(encoding='utf-8')))
-    except (OSError, ValueError) as error:
-        if isinstance(error, FileNotFoundError) and not required:
-            return ConfigFields(str(file), '', {})
-        raise top.error('calibration', 'a readable YAML file', f'{file}: {error}') from None
+        return ConfigFields(str(file), '', parse_yaml(text))
+    except ValueError as error:
+        raise refuse(error) from None

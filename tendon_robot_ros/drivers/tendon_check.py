@@ -19,6 +19,7 @@ import yaml
 from numpy.typing import NDArray
 
 from ..common.errors import DriverError, InputError
+from ..common.files import new_file, read_text
 from ..common.processes import ends_between
 from ..common.yaml_reading import ConfigFields, parse_yaml
 from .interface import Driver
@@ -138,10 +139,15 @@ def changes(reference: TendonReference, now: TendonReference) -> list[TendonChan
 
 def read_reference(path: Path) -> TendonReference:
     """Read a reference that `save_reference` has written; one line where it is not valid."""
+
+    def refuse(reason: object) -> InputError:
+        return InputError(f'{path}: cannot be read: {reason}')
+
+    text = read_text(path, refuse)
     try:
-        content = parse_yaml(path.read_text(encoding='utf-8'))
-    except (OSError, ValueError) as error:
-        raise InputError(f'{path}: cannot be read: {error}') from None
+        content = parse_yaml(text)
+    except ValueError as error:
+        raise refuse(error) from None
     fields = ConfigFields(str(path), '', content)
     fields.only('inputs', 'tension', 'pulls', 'tensions', 'date', 'boot')
     names = fields.content.get('inputs')
@@ -161,7 +167,8 @@ def save_reference(path: Path, reference: TendonReference) -> None:
     """Write a reference."""
     text = yaml.safe_dump(reference.to_mapping(), sort_keys=False, default_flow_style=None)
     head = '# tendons at a reference posture, SI; written by calibrate --check\n'
-    path.write_text(head + text, encoding='utf-8')
+    with new_file(path) as draft:
+        draft.write_text(head + text, encoding='utf-8')
 
 
 def due(path: Path) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
-from ..common.files import new_file
+from ..common.files import new_file, read_text
 from ..data import DataSet, load_dataset, save_dataset
 from ..robot import dump_robot
 from .arm import MeasurableArm, PostureMeasured
@@ -67,7 +67,8 @@ class Record:
         """
         if folder is not None:
             if folder.exists():
-                raise InputError(f'{folder}: is there already; use --resume or another folder')
+                begun = 'use --resume or another folder' if (folder / LOG).exists() else ''
+                raise InputError(f'{folder}: is there already; {begun or "name another folder"}')
             folder.mkdir(parents=True)
         return cls(empty_dataset(arm, DATA, trials), folder)
 
@@ -85,13 +86,18 @@ class Record:
         log = folder / LOG
         if not log.exists():
             raise InputError(f'{folder}: no {LOG} there: nothing to resume')
-        content = json.loads(log.read_text(encoding='utf-8'))
-        record = cls(
-            empty_dataset(arm, DATA, trials),
-            folder,
-            [Skipped(**one) for one in content['skipped']],
-            [Round(**one) for one in content['rounds']],
-        )
+
+        def refuse(reason: object) -> InputError:
+            return InputError(f'{log}: cannot be read ({reason}); begin a new folder')
+
+        text = read_text(log, refuse)
+        try:
+            content = json.loads(text)
+            skipped = [Skipped(**one) for one in content['skipped']]
+            rounds = [Round(**one) for one in content['rounds']]
+        except (ValueError, LookupError, TypeError) as error:
+            raise refuse(error) from None
+        record = cls(empty_dataset(arm, DATA, trials), folder, skipped, rounds)
         if (folder / DATA).exists():
             record.dataset = replace(load_dataset(folder / DATA), name=DATA)
         dataset = record.dataset

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import InputError, TendonRobotError
+from ..common.files import new_file
 from ..common.words import PROGRAM, listed, mm
 from ..diagnosis.decide import Verdict
 
@@ -131,7 +132,8 @@ def work(folder: Path, effects: Sequence[str]) -> None:
         made = add_effects(
             dataset, names, None, catalogue, None, diagnosis.effects, partial=partial
         )
-        (folder / BETTER).write_text(dump_robot(made.robot), encoding='utf-8')
+        with new_file(folder / BETTER) as draft:
+            draft.write_text(dump_robot(made.robot), encoding='utf-8')
         say('addition', file=str(folder / BETTER), effects=names, partial=partial,
             before=made.check.before, after=made.check.after, floor=made.check.floor)  # fmt: skip
         _illustrate(diagnosis, dataset, catalogue, made, folder / REPORT)

@@ -52,7 +52,8 @@ def read_slip_angles(path: str | Path) -> tuple[tuple[str, ...], npt.NDArray[np.
         With the row, what is wrong there and what to do.
 
     """
-    file = CsvFile(Path(path), COLUMNS, COLUMNS, 'leave the row out')
+    remedy = f'name a CSV file with the columns {", ".join(COLUMNS)}'
+    file = CsvFile(Path(path), COLUMNS, COLUMNS, 'leave the row out', remedy)
     table = file.read(COLUMNS[:1], COLUMNS[1:])
     degrees = table.numbers['angle_deg']
     for i in np.flatnonzero(~((degrees > 0.0) & (degrees < 90.0))):

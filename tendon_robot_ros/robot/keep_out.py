@@ -21,6 +21,7 @@ import numpy.typing as npt
 import yaml
 
 from ..common.errors import InputError
+from ..common.files import read_text
 from ..common.rotations import rotated
 from ..common.yaml_reading import Reader, parse_yaml
 
@@ -149,11 +150,10 @@ def text_of(named: str) -> str:
 
 
 def _read(path: str | Path) -> str:
-    try:
-        return Path(path).read_text(encoding='utf-8')
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, 'strerror', None) or 'not a text file'
-        raise InputError(f'{path}: cannot be read: {reason}') from None
+    text = read_text(path, lambda reason: InputError(f'{path}: cannot be read: {reason}'))
+    if not text.strip():  # who names a file wants regions
+        raise InputError(f'{path}: expected regions under keep_out, got an empty file')
+    return text
 
 
 def parse_keep_out(text: str, source: str = 'keep_out') -> KeepOut:

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..common.errors import InputError, RobotDescriptionError
-from ..common.files import shared_file
+from ..common.files import read_text, shared_file
 from ..common.given import meant, refusal
 from ..common.yaml_reading import Reader
 from .description import DESCRIPTION_MAX, Robot, check_robot, parse_robot
@@ -96,13 +96,11 @@ def _read(path: Path) -> Robot:
         own = path / 'robot.yaml'
         hint = f'its {own}' if own.is_file() else 'a robot description in it'
         raise InputError(f'{path}: is a folder; name {hint}')
-    try:
-        with path.open(encoding='utf-8') as file:
-            text = file.read(DESCRIPTION_MAX + 1)
-    except (OSError, ValueError) as error:  # a path may hold a null byte, a file any bytes
-        reason = getattr(error, 'strerror', None) or 'not a text file'
-        raise RobotDescriptionError(str(path), 'file', 'a readable YAML file', reason) from None
-    return parse_robot(text, str(path))
+
+    def refuse(reason: str) -> RobotDescriptionError:
+        return RobotDescriptionError(str(path), 'file', 'a readable YAML file', reason)
+
+    return parse_robot(read_text(path, refuse, DESCRIPTION_MAX + 1), str(path))
 
 
 def _plain(value: Any) -> Any:

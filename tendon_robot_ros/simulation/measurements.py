@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.files import new_file
-from ..common.given import choice, names, number, refusal, whole
+from ..common.given import Progress, choice, listener, names, number, refusal, whole
 from ..common.rotations import towards
 from ..data import DataSet, Marker, default_markers
 from ..data.dataset import INPUTS, PATHS
@@ -67,6 +67,7 @@ def simulate(
     input: str = 'tension',
     path: str = 'from_straight',
     declare: bool = True,
+    progress: Progress | None = None,
 ) -> DataSet:
     """
     Return a data set of a plant whose robot description is the owner's.
@@ -92,6 +93,8 @@ def simulate(
         As in a data set.
     declare : bool
         Whether the data set tells the size of the noise.
+    progress : callable, optional
+        Called with (what, done, total).
 
     Raises
     ------
@@ -101,7 +104,7 @@ def simulate(
     """
     if not isinstance(plant, Plant):
         plant = make_plant(plant)
-    noise = SimulatedNoise() if noise is None else noise
+    show, noise = listener(progress), SimulatedNoise() if noise is None else noise
     robot, trials = plant.robot, whole('trials', trials, 1)
     if not isinstance(noise, SimulatedNoise):
         raise refusal('noise', 'a SimulatedNoise', noise)
@@ -118,10 +121,11 @@ def simulate(
     visits = _order(random, labels, trials) if path == 'visits' else None
     if visits is not None:
         used = rows[visits.command[visits.posture]] * _visit_factors(random, noise, visits, rows)
-        positions = _placed(visits, _seen(plant, used[None], made, True, pulls))
+        positions = _placed(visits, _seen(plant, used[None], made, True, pulls, show))
     else:
         used = rows * _factors(random, noise, trials, rows.shape)  # (Q, P, m)
-        positions = _seen(plant, used, made, path == 'sequence', pulls).swapaxes(0, 1)
+        positions = _seen(plant, used, made, path == 'sequence', pulls, show)
+        positions = positions.swapaxes(0, 1)
     positions = positions + random.normal(0.0, noise.position, positions.shape)
     dataset = DataSet(
         name=f'simulated {robot.name}',
@@ -172,18 +176,21 @@ def _visit_factors(
 
 
 def _seen(
-    plant: Plant, inputs: Floats, markers: Sequence[Marker], sequence: bool, displacement: bool
+    plant: Plant,
+    inputs: Floats,
+    markers: Sequence[Marker],
+    sequence: bool,
+    displacement: bool,
+    show: Progress,
 ) -> Floats:
     """Return markers (Q, P, J, 3) [m] under inputs (Q, P, m), without the tracker's noise."""
     points = np.array([marker.arc_length for marker in markers])
     offsets = np.array([marker.offset for marker in markers])
-    if sequence:
-        return np.array(
-            [plant.markers(one, points, offsets, True, displacement) for one in inputs]
-        )
-    flat = inputs.reshape(-1, inputs.shape[2])
-    seen = plant.markers(flat, points, offsets, displacement=displacement)
-    return seen.reshape(*inputs.shape[:2], len(markers), 3)
+    seen = []
+    for done, rows in enumerate(inputs):
+        show('trials', done, len(inputs))
+        seen.append(plant.markers(rows, points, offsets, sequence, displacement))
+    return np.array(seen)
 
 
 def _factors(
@@ -237,6 +244,7 @@ def raw_table(
     seed: int = 0,
     which: int = 0,
     markers: Sequence[Marker] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[list[str], Floats]:
     """
     Return names and values (R, 1 + m + 3 J) of a table: s, N and mm.
@@ -262,6 +270,8 @@ def raw_table(
         Another recording of the same arm by the same tracker.
     markers : sequence of Marker, optional
         Default: one per cell.
+    progress : callable, optional
+        Called with (what, done, total).
 
     """
     lab, random = lab or Laboratory(), np.random.default_rng([seed, 7, which])
@@ -274,6 +284,7 @@ def raw_table(
         trials=trials,
         seed=2 * seed + which,
         markers=markers,
+        progress=progress,
     )
     places = _with_slips(plant, seen, rows, lab, random)
     stops = [(0, 0)]

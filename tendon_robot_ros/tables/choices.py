@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..common.errors import DataSetError, InputError
-from ..common.units import UNITS, find_unit
+from ..common.units import TYPED_LENGTHS, UNITS, find_unit
 from ..common.words import digits, listing
 from ..data.seen import FAR_M, without_unseen
 from ..robot import Robot
@@ -134,12 +134,13 @@ def _choose_times(
     tables: Sequence[RawTable], recipe: Recipe, reasons: dict[str, str], assumed: list[str]
 ) -> Recipe:
     times = dict(recipe.time or {})
+    for column in times:
+        if not any(column in t.columns or column in t.texts for t in tables):
+            need_column(tables[0], column, 'time')
     for table in tables:
         mine = [column for column in times if column in table.columns or column in table.texts]
         if mine:
             reasons[mine[0]] = 'as given'
-            continue
-        if recipe.time is not None:
             continue
         if (use := guess_time(names_of(table))) is None:
             continue
@@ -269,18 +270,19 @@ def _choose_position_unit(
         raise DataSetError(
             tables[0].name,
             f'markers are in several units: {listing(sorted(str(u) for u in told))}',
-            'say --unit positions=mm',
+            'export all in one; where only the header is wrong, say --unit positions=mm',
         )
     apart = _extent(tables, recipe)
     low, high = (share * robot.length for share in EXTENT)
     fitting = [u for u in LENGTH_UNITS if low <= apart * UNITS['length'][u] <= high]
     if not fitting:
+        others = [u for u in TYPED_LENGTHS if low <= apart * UNITS['length'][u] <= high]
         raise DataSetError(
             tables[0].name,
             f'nothing says the unit of the markers, and neither m nor mm fits: they are '
             f'{apart:.4g} apart, the arm is {1e3 * robot.length:.4g} mm long',
-            'say --unit positions=mm (m, cm, inch ...), and look at cell_length and cells of the '
-            'robot',
+            ' or '.join(f'say --unit positions={unit}' for unit in others)
+            or 'correct cell_length and cells of the robot, or say --unit positions=UNIT',
         )
     assumed.append(
         f'markers are in {fitting[0]}: they are up to {apart:.4g} apart on an arm of '

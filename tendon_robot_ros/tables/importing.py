@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import DataSetError
-from ..common.given import refusal
+from ..common.given import Progress, listener, refusal
 from ..common.words import listed, mm
 from ..comparison.noise import input_share, input_slopes
 from ..comparison.predict import Predictor
@@ -34,6 +34,7 @@ from .tidy import widened
 from .traces import follow_renumbered, make_traces
 from .visibility import flag_columns
 
+STEPS = 4  # of an import, in its progress
 OFFSET_STEP_M = 1e-3  # [m] of a derivative
 MOVED_AT_BASE_M = 2e-3  # [m] from which a marker does not sit at the base
 
@@ -43,6 +44,7 @@ def import_table(
     robot: RobotLike | None = None,
     recipe: Recipe | Mapping[str, Any] | str | Path | None = None,
     catalogue: CatalogueLike | None = None,
+    progress: Progress | None = None,
 ) -> ImportedTable:
     """
     Make a data set of a laboratory's tables.
@@ -58,6 +60,8 @@ def import_table(
         What is not to be guessed; the mapping has the keys of the file (docs/import_table.md).
     catalogue : Catalogue or paths, optional
         Of effects, where the description has one of your own.
+    progress : callable, optional
+        Called with (what, done, total).
 
     Raises
     ------
@@ -67,18 +71,21 @@ def import_table(
         pandas (or what a format needs) is not installed.
 
     """
-    recipe = _recipe(recipe)
+    show, recipe = listener(progress), _recipe(recipe)
     robot = _robot(robot, recipe)
+    show('reading the tables', 0, STEPS)
     tables = _tables(source, recipe)
     is_up_given = recipe.up is not None
     recipe = _with_up(recipe, tables)
     taken = choose_columns(tables, robot, recipe)
     used = _used(tables, taken)
+    show('looking where the arm stood still', 1, STEPS)
     taken = follow_renumbered(used, taken, robot.length)
     measured = measure(make_traces(used, taken, robot.length), taken, robot)
     name = tables[0].name
     order = _order(measured, taken, robot, name)
     raw, markers = _in_tracker_frame(measured, taken, order, robot, name)
+    show('laying the frame of the tracker', 2, STEPS)
     catalogue = load_catalogue(catalogue)
     up_assumed: list[str] = []
     if not is_up_given:
@@ -87,6 +94,7 @@ def import_table(
         taken = replace(taken, recipe=replace(taken.recipe, up=up))
     placed = place(raw, taken.recipe, catalogue)
     final, frame, left_out = placed.dataset, placed.frame, placed.left_out
+    show('comparing with the model', 3, STEPS)
     predicted = Predictor(final, final.robot, catalogue).markers({})
     assert predicted is not None  # it was, before
     return ImportedTable(

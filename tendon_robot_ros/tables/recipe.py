@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 from ..common.errors import DataSetError, short
+from ..common.files import read_text
 from ..common.units import UNITS, find_unit
 from ..common.yaml_reading import Reader, parse_yaml
 from ..data.dataset import PATHS
@@ -142,13 +143,15 @@ def load_recipe(path: str | Path) -> Recipe:
 
     """
     path = Path(path)
+
+    def refuse(reason: str) -> DataSetError:
+        return DataSetError(str(path), f'cannot be read ({reason})', 'name an import.yaml')
+
+    text = read_text(path, refuse)
+    if not text.strip():
+        raise refuse('it is empty')
     try:
-        content = parse_yaml(path.read_text(encoding='utf-8-sig'))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, 'strerror', None) or 'no UTF-8 text'
-        raise DataSetError(
-            str(path), f'cannot be read ({reason})', 'name an import.yaml'
-        ) from None
+        content = parse_yaml(text)
     except ValueError as error:
         raise DataSetError(str(path), f'is no valid YAML ({error})', 'correct that line') from None
     return read_recipe(content, str(path), path.parent)

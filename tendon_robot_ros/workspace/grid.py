@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
+from ..common.given import Progress, listener
 from ..model.forward import TOLERANCE
 from ..model.model import Model
 from ..model.shape import ShapeBatch
@@ -73,7 +74,6 @@ def _direction(robot: Robot, tendons: tuple[int, ...]) -> npt.NDArray[np.float64
 Floats = npt.NDArray[np.float64]
 POSTURES_AT_ONCE = 20_000  # postures that are solved at once
 POSTURES_MAX = 100_000_000  # postures that a grid may hold
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,6 +188,7 @@ def find_workspace(
         Step, pretension or views make no sense, or the postures are too many.
 
     """
+    show = listener(progress)
     chosen = tuple(pairs_of(model.robot) if pairs is None else pairs)
     low = model.robot.tension_limits[0] if pretension is None else pretension
     high = model.robot.tension_limits[1] if limit is None else limit
@@ -199,8 +200,7 @@ def find_workspace(
     for which, tensions in _chunks(model, chosen, levels, low):
         kept.add(which, *model.solve(tensions))
         done += len(tensions)
-        if progress:
-            progress('postures', done, total)
+        show('postures', done, total)
     return Workspace(
         robot=model.robot,
         step=step,

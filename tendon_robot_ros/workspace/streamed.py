@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from ..common.errors import InputError
 from ..common.files import new_file
+from ..common.given import Progress, listener
 from ..common.workers import LostWork, Workers
 from ..effects import load_catalogue
 from ..model import forward
@@ -28,7 +29,6 @@ from ..model.model import Model
 from ..robot import Robot, dump_robot
 from ..robot.routes import tendon_offsets
 from .cubes import LOOKS, Cubes, Floats, folds, sphere_part
-from .grid import Progress
 
 BATCH = 2_000  # postures that are solved at once
 CHUNK_S = 2.0  # [s] of work in a chunk
@@ -212,7 +212,7 @@ class Stream:
         self, workers: Workers, progress: Progress | None, begun: int, total: int
     ) -> SortedTips:
         """Sample what is left."""
-        sizes = self.sampling.rounds(self.postures)
+        show, sizes = listener(progress), self.sampling.rounds(self.postures)
         for number, size in enumerate(sizes):
             if number == len(sizes) - 2:
                 self.late = self.late or self.tally.all.used
@@ -232,8 +232,7 @@ class Stream:
                         'same postures; is there memory for --workers of them?'
                     )
                 self._take(handed[index], *result)
-                if progress is not None:
-                    progress('postures', begun + int(self.tally.counts[0]), total)
+                show('postures', begun + int(self.tally.counts[0]), total)
         return self.tally
 
     def _chunks(

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import InputError
+from ..common.given import Progress
 from ..common.workers import Workers
 from ..model.model import Model
 from ..robot import Robot
 from ..robot.routes import tendon_offsets
 from .cubes import Reached, beyond
-from .grid import POSTURES_MAX, Progress
+from .grid import POSTURES_MAX
 from .streamed import Sampling, Stream
 
 POSTURES_PER_CUBE = 10  # wanted: fewer, and cubes stay empty by chance

@@ -72,15 +72,57 @@ class Labels(dict[str, int]):
 # The file is read in blocks of lines, each parsed at once; only where that fails is a block looked
 # at cell by cell, to say what is wrong where.
 
+NEEDED = 'every data set needs this file'
 BLOCK_CHARACTERS = 1 << 19  # characters that are parsed at once: small enough for the cache
 Block = NDArray[np.void]  # rows of a CSV file: names as text, numbers as floats
+
+
+def first_line(path: Path, remedy: str) -> str:
+    """
+    Return the first line of a CSV file.
+
+    Raises
+    ------
+    DataSetError
+        There is no such file, or it is no text: with what to do.
+
+    """
+    try:
+        with path.open(encoding='utf-8-sig') as file:
+            line = file.readline()
+    except UnicodeDecodeError:
+        raise _no_text(path) from None
+    except OSError as error:
+        raise DataSetError(str(path), f'cannot be read ({error.strerror})', remedy) from None
+    if '\0' in line:
+        raise _no_text(path)
+    return line
+
+
+def _no_text(path: Path) -> DataSetError:
+    """Build the error for a file that is no text, with the row where that begins."""
+    content = path.read_bytes()
+    place = content.find(b'\0') % (len(content) + 1)  # the end when there is none
+    try:
+        content.decode('utf-8')
+    except UnicodeDecodeError as error:
+        place = min(place, error.start)
+    row = content[:place].count(b'\n') + 1
+    return DataSetError(
+        f'{path}, row {row}', 'this is no UTF-8 text', 'save the file as "CSV UTF-8"'
+    )
 
 
 class CsvFile:
     """A CSV file with a header; remembers its path for messages."""
 
     def __init__(
-        self, path: Path, required: Sequence[str], known: Sequence[str], missing: str
+        self,
+        path: Path,
+        required: Sequence[str],
+        known: Sequence[str],
+        missing: str,
+        remedy: str = NEEDED,
     ) -> None:
         """
         Read and check the header.
@@ -93,6 +135,8 @@ class CsvFile:
             Columns that there must be, and that there may be.
         missing : str
             What to do where somebody wrote nan, for the message.
+        remedy : str
+            What to do where there is no such file.
 
         Raises
         ------
@@ -101,21 +145,11 @@ class CsvFile:
 
         """
         self.path, self._missing = path, missing
-        try:
-            with path.open(encoding='utf-8-sig') as file:
-                line = file.readline()
-        except UnicodeDecodeError:
-            raise self._encoding() from None
-        except OSError as error:
-            raise DataSetError(
-                str(path), f'cannot be read ({error.strerror})', 'every data set needs this file'
-            ) from None
+        line = first_line(path, remedy)
         if not line.strip():
             raise DataSetError(
                 str(path), 'is empty', f'start it with the line {",".join(required)}'
             )
-        if '\0' in line:
-            raise self._encoding()
         self.header = self._header(line, required, known)
 
     def error(self, row: int, problem: str, remedy: str) -> DataSetError:
@@ -161,7 +195,7 @@ class CsvFile:
                         values[key].append(block[key].copy())  # contiguous, and frees the block
                     row += len(lines)
         except UnicodeDecodeError:
-            raise self._encoding() from None
+            raise _no_text(self.path) from None
         if row == 2:
             raise self.error(2, 'there is no row below the header', 'write one row per value')
         table = Table(
@@ -256,16 +290,6 @@ class CsvFile:
         if not math.isfinite(value):
             raise self.error(row, f'{key} is {short(cell)}', remedy)
         return value
-
-    def _encoding(self) -> DataSetError:
-        content = self.path.read_bytes()
-        place = content.find(b'\0') % (len(content) + 1)  # the end when there is none
-        try:
-            content.decode('utf-8')
-        except UnicodeDecodeError as error:
-            place = min(place, error.start)
-        row = content[:place].count(b'\n') + 1
-        return self.error(row, 'this is no UTF-8 text', 'save the file as "CSV UTF-8"')
 
 
 def _parse(lines: list[str], dtype: np.dtype[Any]) -> Block | None:

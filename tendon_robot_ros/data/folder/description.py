@@ -10,6 +10,7 @@ from typing import Any
 
 import yaml
 
+from ...common import files
 from ...common.errors import DataSetError, short
 from ...common.yaml_reading import Reader, parse_yaml
 from ...robot import Robot, load_robot
@@ -66,7 +67,12 @@ class Description:
     markers: tuple[Marker, ...] | None  # None = one per cell
 
 
-def read_text(path: Path) -> str:
+NO_FOLDER = (
+    'name a folder with dataset.yaml, inputs.csv and shapes.csv; of a table import-table makes one'
+)
+
+
+def read_text(path: Path, remedy: str = NO_FOLDER) -> str:
     """
     Read a dataset.yaml.
 
@@ -76,17 +82,9 @@ def read_text(path: Path) -> str:
         There is none, or it is no UTF-8 text.
 
     """
-    try:
-        return path.read_text(encoding='utf-8-sig')
-    except UnicodeDecodeError:
-        raise DataSetError(str(path), 'is no UTF-8 text', 'save it as UTF-8') from None
-    except OSError as error:
-        raise DataSetError(
-            str(path),
-            f'cannot be read ({error.strerror})',
-            'name a folder with dataset.yaml, inputs.csv and shapes.csv; of a table import-table '
-            'makes one',
-        ) from None
+    return files.read_text(
+        path, lambda reason: DataSetError(str(path), f'cannot be read ({reason})', remedy)
+    )
 
 
 def read_fields(text: str, source: str) -> DatasetFields:

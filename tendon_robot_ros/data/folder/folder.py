@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ...common.errors import DataSetError, TendonRobotError
-from ...common.files import TABLE_ENDINGS, YAML_ENDINGS, new_folder
+from ...common.files import TABLE_ENDINGS, new_folder, refuse_taken
 from ...common.given import place
 from ...common.words import PROGRAM
 from ...robot import Robot, dump_robot
@@ -117,17 +117,17 @@ def refuse_table(path: Path) -> None:
     """Raise DataSetError where there is no folder, or a file stands in its place."""
     if not os.path.exists(path):
         raise DataSetError(str(path), 'is not there', 'name the folder of a data set')
-    if path.suffix.lower() in YAML_ENDINGS and os.path.isfile(path):
-        raise DataSetError(
-            str(path),
-            'is a file, and no data set',
-            'name the folder that holds dataset.yaml; robots go behind --model or --robot',
-        )
     if path.suffix.lower() in TABLE_ENDINGS and os.path.isfile(path):
         raise DataSetError(
             str(path),
             'is a table, and no data set',
             f'make one of it: {PROGRAM} import-table {path} --robot ARM.yaml --output run',
+        )
+    if os.path.isfile(path):
+        raise DataSetError(
+            str(path),
+            'is a file, and no data set',
+            'name the folder that holds dataset.yaml; robots go behind --model or --robot',
         )
 
 
@@ -171,11 +171,12 @@ BESIDE = ('import.png', 'import.yaml')  # how it came out of tables
 
 
 def refuse_dataset_in(folder: str | Path, overwrite: bool) -> None:
-    """Raise DataSetError, before any work, where a folder holds a data set that is to stay."""
+    """Raise DataSetError, before any work, where a data set cannot go into a folder."""
     if not overwrite and (Path(folder) / 'dataset.yaml').is_file():
         raise DataSetError(
             str(folder), 'holds a data set already', 'name a new folder or allow --overwrite'
         )
+    refuse_taken(Path(folder), (*FILES, *BESIDE) if overwrite else ())
 
 
 def save_dataset(

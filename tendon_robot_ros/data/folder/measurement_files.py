@@ -13,7 +13,7 @@ from ...common.words import listing
 from ...robot import Robot
 from ..dataframes import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
 from ..dataset import FloatArray
-from .csv_file import CsvFile, IntArray, Table
+from .csv_file import NEEDED, CsvFile, IntArray, Table
 from .input_columns import (
     HISTORY,
     ORIGIN,
@@ -91,7 +91,9 @@ class Commands:
         return values
 
 
-def read_inputs(path: Path, robot: Robot, kind: str, visits: bool = False) -> Commands:
+def read_inputs(
+    path: Path, robot: Robot, kind: str, visits: bool = False, remedy: str = NEEDED
+) -> Commands:
     """
     Read and check inputs.csv.
 
@@ -105,6 +107,8 @@ def read_inputs(path: Path, robot: Robot, kind: str, visits: bool = False) -> Co
         'tension' [N] or 'displacement' [m].
     visits : bool
         A column says in which order, or from where, the arm came.
+    remedy : str
+        What to do where there is no such file.
 
     Raises
     ------
@@ -116,7 +120,7 @@ def read_inputs(path: Path, robot: Robot, kind: str, visits: bool = False) -> Co
     required = ('posture', *(name for name in robot.inputs if name not in wires))
     drums = tuple(robot.drums) if kind == 'displacement' else ()
     known = ('posture', 'trial', *robot.inputs, *drums, *HISTORY)
-    file = CsvFile(path, required, known, 'write the value that was set')
+    file = CsvFile(path, required, known, 'write the value that was set', remedy)
     check_history(file, visits)
     check_drums(file, robot)
     names = ('posture', 'trial') if 'trial' in file.header else ('posture',)

@@ -12,6 +12,7 @@ from ..dataset import FloatArray
 from .csv_file import CsvFile
 
 PLACE, VIEW = ('x', 'y', 'z'), ('dx', 'dy', 'dz')
+NO_PATH = 'name a CSV file of targets, or a recording'
 
 
 @dataclass(frozen=True)
@@ -56,12 +57,12 @@ def read_path(path: str | Path, inputs: tuple[str, ...]) -> TipRows | TendonRows
     missing = 'write a number, or leave dx, dy and dz empty for no direction'
     if _names(path) & set(inputs):
         columns = ('time', *inputs)
-        file = CsvFile(path, columns, columns, 'write a number')
+        file = CsvFile(path, columns, columns, 'write a number', NO_PATH)
         table = file.read((), file.header).numbers
         values = np.column_stack([table[name] for name in inputs])
         _no_gaps(file, np.column_stack([table['time'], values]))
         return TendonRows(_times(file, table['time']), values)
-    file = CsvFile(path, PLACE, ('time', *PLACE, *VIEW), missing)
+    file = CsvFile(path, PLACE, ('time', *PLACE, *VIEW), missing, NO_PATH)
     table = file.read((), file.header).numbers
     positions = np.column_stack([table[name] for name in PLACE])
     times = table.get('time')

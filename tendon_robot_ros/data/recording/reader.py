@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +27,7 @@ from .writer import (
     poses_of,
 )
 
+STORED = ('.mcap', '.db3')  # endings of recordings in one file
 TF = 'tf2_msgs/msg/TFMessage'
 Message = tuple[str, int, Any]  # topic, time [ns], message or (frame, poses)
 
@@ -124,6 +125,10 @@ def opened(path: str | Path) -> Iterator[Any]:
             if is_set
             else 'name a rosbag2 folder, or an .mcap or .db3 file',
         )
+    if path.is_file() and path.suffix not in STORED:
+        raise DataSetError(
+            str(path), 'is no recording', f'name a rosbag2 folder, or a file {" or ".join(STORED)}'
+        )
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
             yield reader
@@ -139,7 +144,7 @@ def opened(path: str | Path) -> Iterator[Any]:
 def is_bag(path: str | Path) -> bool:
     """Whether a path looks like a recording: a rosbag2 folder, or an .mcap or .db3 file."""
     path = Path(path)
-    return path.suffix in ('.mcap', '.db3') or (path / 'metadata.yaml').is_file()
+    return path.suffix in STORED or (path / 'metadata.yaml').is_file()
 
 
 def topic_of(types: Mapping[str, str], name: str, kind: str) -> str | None:
@@ -177,9 +182,16 @@ def other_sources(types: Mapping[str, str]) -> list[str]:
     return sorted(t for t, kind in types.items() if kind in (TF, POSE_STAMPED))
 
 
-def _messages(reader: Any, wanted: Mapping[str, str]) -> Iterator[Message]:
+def stored(reader: Any, topics: Iterable[str]) -> Iterator[tuple[Any, int, bytes]]:
+    """Yield connection, time [ns] and bytes of the messages of topics; of no topic, none."""
+    wanted = set(topics)
     connections = [c for c in reader.connections if c.topic in wanted]
-    for connection, time, data in reader.messages(connections=connections):
+    if connections:  # without any, all messages would come
+        yield from reader.messages(connections=connections)
+
+
+def _messages(reader: Any, wanted: Mapping[str, str]) -> Iterator[Message]:
+    for connection, time, data in stored(reader, wanted):
         if connection.msgtype == POSE_ARRAY:
             yield connection.topic, time, parse_pose_array(data)
             continue
@@ -304,8 +316,7 @@ def read_moves(path: str | Path) -> Moves:
     with opened(path) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
         wanted = _wanted_moves(types)
-        connections = [c for c in reader.connections if c.topic in wanted]
-        for connection, time, data in reader.messages(connections=connections):
+        for connection, time, data in stored(reader, wanted):
             message = reader.deserialize(data, connection.msgtype)
             heard.setdefault(wanted[connection.topic], []).append((1e-9 * time, message))
         start = 1e-9 * reader.start_time

@@ -14,7 +14,7 @@ from ...common.errors import DataSetError
 from ...common.rotations import from_quaternion
 from ...common.words import listing
 from ..dataset import FloatArray
-from .reader import TF, Recording, Topics, Track, opened, other_sources, read_bag
+from .reader import TF, Recording, Topics, Track, opened, other_sources, read_bag, stored
 from .writer import POSE_STAMPED
 
 BASES = ('', 'base', 'base_link', 'base_frame')  # and what ends with _base
@@ -103,8 +103,8 @@ def read_transforms(recording: Recording) -> Transforms:
     """Read all transforms of a recording, static ones as well."""
     samples: dict[tuple[str, str], list[list[float]]] = {}
     with opened(recording.name) as reader:
-        wanted = [c for c in reader.connections if c.msgtype == TF]
-        for connection, time, data in reader.messages(connections=wanted) if wanted else ():
+        wanted = [c.topic for c in reader.connections if c.msgtype == TF]
+        for connection, time, data in stored(reader, wanted):
             for one in reader.deserialize(data, connection.msgtype).transforms:
                 p, q = one.transform.translation, one.transform.rotation
                 pair = one.header.frame_id.lstrip('/'), one.child_frame_id.lstrip('/')

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 
 from ...common.colours import COLOURS, ERROR
+from ...common.files import new_file
 from ...control.checks import direction
 from ...control.loading import load
 from ...effects import load_catalogue
@@ -234,5 +235,6 @@ def draw(
     axes.legend(fontsize='small')
     axes.grid(alpha=0.3)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
+    with new_file(path) as draft:
+        figure.savefig(draft, dpi=120)
     plt.close(figure)

@@ -22,13 +22,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.errors import InputError
+from ...common.errors import DataSetError, InputError
 from ...common.files import refuse_ending
 from ...control.checks import Refusal
 from ...control.keeping_out import entered
 from ...control.trajectory import Playing
-from ...data.folder.path_file import TendonRows, TipRows, read_path
-from ...data.recording.reader import is_bag, read_moves
+from ...data.folder.csv_file import first_line
+from ...data.folder.path_file import NO_PATH, TendonRows, TipRows, read_path
+from ...data.recording.reader import is_bag, opened, read_moves
 from ...model.model import Model
 from ...model.shape import Shape
 from ...paths.path import PathRun, TipPath, set_points, tip_path
@@ -76,8 +77,7 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     """Follow and report; Ctrl-C leaves the arm at the target of the moment."""
     pace = _pace(args)
     refuse_ending('--picture', args.picture)
-    if not Path(args.path).exists():
-        raise InputError(f'{args.path}: is not there: name a CSV file or a recording')
+    _refuse_unreadable(args.path)
     if args.keep_out:
         load_keep_out(args.keep_out)  # what is wrong in it is said before the arm is asked for
     with ros(ros_arguments) as ending:
@@ -86,6 +86,15 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
             return _follow(pilot, args, pace)
         finally:
             pilot.destroy_node()
+
+
+def _refuse_unreadable(path: str) -> None:
+    """Raise DataSetError where there is nothing to follow, before the arm is asked for."""
+    if is_bag(path):
+        with opened(path):
+            pass
+    elif not first_line(Path(path), NO_PATH).strip():
+        raise DataSetError(path, 'is empty', NO_PATH)
 
 
 def _follow(pilot: Pilot, options: argparse.Namespace, pace: Pace) -> int:

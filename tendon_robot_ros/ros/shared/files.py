@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ...common.errors import InputError
-from ...common.files import shared_file
+from ...common.files import read_text, shared_file
 from ...common.yaml_reading import parse_yaml
 from ...robot.description import DESCRIPTION_MAX
 
@@ -15,12 +15,12 @@ def read_mapping(text: str, what: str) -> dict[str, Any]:
     """Read a configuration: a path, the name of a file in config, or YAML text; '' is empty."""
     if text.strip() and '\n' not in text and ':' not in text:
         own = None if Path(text).is_file() else shared_file(f'config/{text}.yaml')
-        try:
-            with (own or Path(text)).open(encoding='utf-8') as file:
-                text = file.read(DESCRIPTION_MAX + 1)  # of a device there is no end
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, 'strerror', None) or 'not a text file'
-            raise InputError(f'{what}: {text}: {reason}; expected a YAML file or text') from None
+        path = own or Path(text)
+
+        def refuse(reason: str) -> InputError:
+            return InputError(f'{what}: {path}: {reason}; expected a YAML file or text')
+
+        text = read_text(path, refuse, DESCRIPTION_MAX + 1)
     if len(text) > DESCRIPTION_MAX:
         raise InputError(
             f'{what}: expected at most {DESCRIPTION_MAX:,} characters, got more than that'
