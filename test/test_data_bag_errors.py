@@ -100,8 +100,7 @@ def test_a_recording_without_a_robot(tmp_path):
         (
             {'lost': ((0, 0, 9), (1, 0, 9), (2, 0, 9))},
             {},
-            'the arm is never slower than 2 mm/s for 1 s (at its slowest moment inf mm/s); allow '
-            'a higher speed or a shorter duration',
+            'no marker was ever seen; record the markers again',
         ),
     ],
     ids=['tendon', 'tension', 'poses', 'marker', 'unseen'],

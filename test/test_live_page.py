@@ -18,7 +18,7 @@ from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.viewer.framing import framed
 from tendon_robot_ros.ros.viewer.node import _is_local
-from tendon_robot_ros.ros.viewer.page import LivePage
+from tendon_robot_ros.ros.viewer.page import MEASURED_WIDTH, LivePage
 from tendon_robot_ros.ros.viewer.state import ViewState
 
 pytestmark = pytest.mark.browser
@@ -193,6 +193,32 @@ def test_arms_that_coincide_are_both_seen(trusted, tmp_path):
     browser.until(widths, 'the thin arm inside the wide one')
 
 
+def test_the_camera_follows_the_length_of_the_arm(trusted, tmp_path):
+    """Of an arm that is much longer than the one before all is seen, too, and not from afar."""
+    opened, browser = trusted
+    page, long = opened.page, load_robot('spatial_6').length
+    opened.shown.predicted = 3.0 * Model(load_robot('spatial_6')).shape([0.0] * 6).positions
+    opened.shown.measured = None
+    try:
+        page.resize(3.0 * long)
+        page.draw(opened.shown)
+        page.tell(opened.shown, 0.0)
+        straight = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 3.0 * long]])
+
+        def whole():
+            width, height = browser.run(SCENE)
+            view = framed((1.0 + 0.5 * MEASURED_WIDTH) * 3.0 * long, FOV, width, height)
+            expected = seen(view, straight, width, height)
+            blue = places(browser, tmp_path, rgb(PREDICTED))
+            blue = blue[blue[:, 0] < width]
+            ends = blue[:, 1].max(initial=0), blue[:, 1].min(initial=9999)
+            return np.allclose(ends, expected[:, 1], atol=6.0)  # [px], half the width of the line
+
+        browser.until(whole, 'the whole arm as large as its ball fits')
+    finally:
+        page.resize(0.208)
+
+
 def spans(browser, tmp_path, colour, height=85):
     """Whether an arm is seen over so much of the window's height [px], outside of the panel."""
     left = browser.run(PANEL)
@@ -201,6 +227,9 @@ def spans(browser, tmp_path, colour, height=85):
     return len(seen) > 50 and np.ptp(seen[:, 1]) > height
 
 
+# width and height [px] of the scene
+SCENE = """(() => { const r = document.querySelector('canvas').getBoundingClientRect();
+  return [r.width, r.height]; })()"""
 # left and top [px] of what lies over the scene
 PANEL = """(() => { const b = [...document.querySelectorAll('button')]
     .find((b) => b.innerText.includes('Record'));

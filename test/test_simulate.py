@@ -9,6 +9,7 @@ from source_tree import ROOT
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.data import Marker, load_dataset
+from tendon_robot_ros.data.dataset import INPUTS, PATHS
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
@@ -149,6 +150,14 @@ def test_the_command_writes_what_compare_and_diagnose_read(tmp_path, capsys):
     assert data.arc_lengths[-1] == pytest.approx(0.208)
     own = Model(data.robot).shapes(data.inputs).markers(data.arc_lengths, data.offsets)
     assert np.linalg.norm(own - data.mean, axis=2).max() > 5e-3
+
+
+@pytest.mark.parametrize('path', PATHS)
+@pytest.mark.parametrize('kind', INPUTS)
+def test_the_command_takes_every_way_to_the_postures(path, kind, tmp_path, capsys):
+    command = ['simulate', 'kato_10_1', '--output', str(tmp_path / 'new'), '--count', '3']
+    assert main([*command, '--trials', '2', '--path', path, '--input', kind]) == 0
+    assert load_dataset(tmp_path / 'new').input == kind
 
 
 def test_arms_are_built_with_imperfections_unless_told_otherwise(tmp_path, capsys):

@@ -159,6 +159,8 @@ def _choose_times(
     if times and not all(time_column(table, times) for table in tables):
         lacking = next(table for table in tables if not time_column(table, times))
         raise DataSetError(lacking.name, 'has no column of times', 'say --column time=COLUMN')
+    if not times and recipe.time_unit is not None:  # who says its unit knows of a column
+        raise DataSetError(tables[0].name, 'has no column of times', 'say --column time=COLUMN')
     if not times:
         assumed.append(
             'no column of times: every row is a measurement of the arm at rest '

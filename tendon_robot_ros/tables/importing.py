@@ -118,7 +118,7 @@ def import_table(
             *_way_look(final, measured, order, frame, taken.recipe, catalogue),
             *placed.look,
             *_places_look(final),
-            *_offset_look(final, predicted, catalogue),
+            *(() if placed.frame_look else _offset_look(final, predicted, catalogue)),
         ),
     )
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import DataSetError
 from ..common.words import digits
 from ..data.recording.importing import plausible_inputs
 from ..data.recording.reader import Recording, Track
@@ -20,6 +19,7 @@ from ..data.recording.still_segments import (
     find_segments,
     motion,
     name_segments,
+    never_still,
     still_stretches,
 )
 from ..data.seen import unseen_lines
@@ -106,7 +106,9 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
     pieces = [_plausible(piece, robot, kind, rule) for piece in pieces]
     found = [one for piece in pieces for one in piece.segments]
     if not found:
-        raise _never_still(traces, motions, rule)
+        known = [motion for motion in motions if motion is not None]
+        lasts = max(float(np.ptp(one.recording.tracks[0].times)) for one in traces)
+        raise never_still(traces[0].recording.name, known, lasts, rule)
     same = _guess_same(found) if recipe.same is None else recipe.same
     rest = recipe.rest
     if rest is None:
@@ -377,26 +379,3 @@ def _told(pieces: Sequence[Piece], markers: Sequence[MarkerColumns]) -> list[str
             f'{100.0 * lost[worst] / total:.2g} %)'
         )
     return said
-
-
-def _never_still(
-    traces: Sequence[Traces], motions: Sequence[ArmMotion | None], rule: Rule
-) -> DataSetError:
-    name = traces[0].recording.name
-    speeds = [m.speed.min(initial=np.inf) for m in motions if m is not None]
-    slowest = 1e3 * float(min(speeds, default=np.inf))
-    if slowest < 1e3 * rule.speed:
-        lasts = max(float(np.ptp(one.recording.tracks[0].times)) for one in traces)
-        return DataSetError(
-            name,
-            f'the arm never stands still for {rule.duration:g} s at once, in a recording of '
-            f'{lasts:.3g} s (still: slower than {1e3 * rule.speed:g} mm/s, inputs change by less '
-            f'than {rule.change or 0.0:.2g} in half of that time)',
-            f'allow a shorter --duration, say {min(0.5 * lasts, 0.5 * rule.duration):.2g}',
-        )
-    return DataSetError(
-        name,
-        f'the arm is never slower than {1e3 * rule.speed:g} mm/s for {rule.duration:g} s (at its '
-        f'slowest moment {slowest:.2g} mm/s)',
-        'allow a higher --speed or a shorter --duration',
-    )

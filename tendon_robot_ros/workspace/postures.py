@@ -6,12 +6,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.given import choice, whole
+from ..data.dataset import INPUTS, PATHS
 from ..model.model import Model
 from ..robot import Robot, RobotLike, load_robot
 from ..robot.estimates import bend_rates, end_sections
 
 Floats = npt.NDArray[np.float64]
-INPUTS = ('tension', 'displacement')
 SECTION_BEND_MAX_RAD = 2.0  # [rad] largest bend of a section, by the frictionless model
 
 
@@ -40,12 +40,12 @@ def default_postures(
     input : str
         'tension' [N], or 'displacement' [m] with nan where a wire is slack.
     path : str
-        'from_straight' or 'sequence'.
+        'from_straight', 'sequence', or 'visits': postures as from straight, in any order.
 
     """
     robot, count, seed = load_robot(robot), whole('count', count, 1), whole('seed', seed)
     choice('input', input, INPUTS)
-    choice('path', path, ('from_straight', 'sequence'))
+    choice('path', path, PATHS)
     design = _Design(robot, np.random.default_rng(seed), input == 'tension')
     if path == 'sequence':
         rows = design.cycles(count)

@@ -20,7 +20,15 @@ from ..markers import Marker, default_markers
 from ..seen import changes, joined, not_there, renumbered, unseen_lines, without_unseen
 from .reader import Recording, Topics, Track, read_bag
 from .senders import refuse_two_senders
-from .still_segments import ArmMotion, Rule, Segment, assemble, find_segments, motion
+from .still_segments import (
+    ArmMotion,
+    Rule,
+    Segment,
+    assemble,
+    find_segments,
+    motion,
+    never_still,
+)
 from .transforms import in_base, is_base, with_markers
 from .writer import DESCRIPTION, ROBOT
 
@@ -109,10 +117,14 @@ def import_bag(
     segments, left_out = find_segments(
         recording, inputs, moved, rule, sequence=described.path == 'sequence'
     )
+    if not any(np.isfinite(one.positions).any() for one in segments):
+        lasts = float(np.ptp(recording.tracks[0].times))
+        raise never_still(recording.name, [moved], lasts, rule)
     if rest is not None:
         segments = [one for one in segments if (np.nan_to_num(one.inputs) >= rest).any()]
-    if not any(np.isfinite(one.positions).any() for one in segments):
-        raise _never_still(recording.name, moved, rule)
+        if not segments:
+            problem = f'wherever the arm stands still all inputs are below {rest:g}: at rest'
+            raise DataSetError(recording.name, problem, 'lower what counts as rest')
     _check_places(recording.name, segments, robot, is_base(recording.frame))
     segments = plausible_inputs(recording.name, segments, robot, described.input, rule)
     dataset = segments_dataset(recording.name, segments, robot, described, markers)
@@ -305,16 +317,6 @@ def plausible_inputs(
     if kind == 'displacement':
         return segments
     return [replace(one, inputs=np.maximum(one.inputs, 0.0)) for one in segments]
-
-
-def _never_still(bag: str, moved: ArmMotion, rule: Rule) -> DataSetError:
-    slowest = 1e3 * float(moved.speed.min(initial=np.inf))
-    return DataSetError(
-        bag,
-        f'the arm is never slower than {1e3 * rule.speed:g} mm/s for {rule.duration:g} s (at its '
-        f'slowest moment {slowest:.2g} mm/s)',
-        'allow a higher speed or a shorter duration',
-    )
 
 
 # -----------------------------------------------------------------------------

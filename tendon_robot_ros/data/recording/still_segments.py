@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -86,6 +87,34 @@ def motion(recording: Recording, inputs: FloatArray, rule: Rule) -> ArmMotion:
         times,
         np.where(seen.any(axis=1), np.sqrt(mean), np.inf),
         _changes(recording.state_times, inputs, times, window),
+    )
+
+
+def never_still(name: str, motions: Sequence[ArmMotion], lasts: float, rule: Rule) -> DataSetError:
+    """Build the error of a recording of so many seconds in which the rule holds nowhere."""
+    slowest = 1e3 * min(float(moved.speed.min(initial=np.inf)) for moved in motions)
+    shorter = f'allow a shorter duration, say {min(0.5 * lasts, 0.5 * rule.duration):.2g}'
+    if lasts < rule.duration:
+        return DataSetError(
+            name,
+            f'lasts {lasts:.3g} s, and the arm counts as still after {rule.duration:g} s',
+            shorter,
+        )
+    if slowest == np.inf:
+        return DataSetError(name, 'no marker was ever seen', 'record the markers again')
+    if slowest < 1e3 * rule.speed:
+        return DataSetError(
+            name,
+            f'the arm never stands still for {rule.duration:g} s at once, in a recording of '
+            f'{lasts:.3g} s (still: slower than {1e3 * rule.speed:g} mm/s, inputs change by less '
+            f'than {rule.change or 0.0:.2g} in half of that time)',
+            shorter,
+        )
+    return DataSetError(
+        name,
+        f'the arm is never slower than {1e3 * rule.speed:g} mm/s for {rule.duration:g} s (at its '
+        f'slowest moment {slowest:.2g} mm/s)',
+        'allow a higher speed or a shorter duration',
     )
 
 

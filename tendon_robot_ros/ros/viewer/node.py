@@ -44,8 +44,6 @@ SPECS = (
     Spec('monitor', 'monitor', 'name of the monitor node', read_only=True),
     Spec('investigate', 'investigate', 'name of the node that investigates', read_only=True),
     Spec('rate', 25.0, 'frames per second', 'Hz', 1.0, 60.0, read_only=True),
-    Spec('robot_length', 0.208, 'length of the robot, for the camera', 'm', 1e-3, 100.0,
-         read_only=True),
 )  # fmt: skip
 PANEL_PERIOD_S = 0.25  # [s]
 SERVICES = {
@@ -73,7 +71,7 @@ class ViewerNode(Node):
             token = secrets.token_urlsafe(9)
             self.get_logger().warning(f'token for commands from the page: {token}')
         port = int(self.parameters['port'])
-        self.page = LivePage(host, port, token, self.parameters['robot_length'])
+        self.page = LivePage(host, port, token)
         self._base = ''
         self._told = 0.0
         self._status_out = Status(self, 'page')
@@ -222,6 +220,7 @@ class ViewerNode(Node):
     def _hear_model(self, text: str) -> None:
         robot = load_robot(text)
         self.state.limits = robot.tension_limits
+        self.page.resize(robot.length)
 
 
 def _is_local(host: str) -> bool:

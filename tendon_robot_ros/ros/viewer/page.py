@@ -32,6 +32,7 @@ BUTTONS: tuple[tuple[str, str, str, str], ...] = (  # name, label, hint, colour
 MEASURED_WIDTH, PREDICTED_WIDTH = 0.034, 0.011
 MEASURED_OPACITY = 0.4
 FIRST_VIEW = float(np.deg2rad(75.0)), 1200.0, 900.0  # viser's own [rad], and a desktop's [px]
+FIRST_LENGTH_M = 0.2  # [m] of the arm, until it is known: some arm of a laboratory
 VIEW_KEPT = 0.01  # [1] of the robot's length: a camera so near to where it was placed is not moved
 
 
@@ -46,11 +47,11 @@ class LivePage:
     token : str
         Empty: everybody who can open the page may command.
     size : float
-        Length of the robot [m].
+        Length of the robot [m], until another one is told by `resize`.
 
     """
 
-    def __init__(self, host: str, port: int, token: str, size: float) -> None:
+    def __init__(self, host: str, port: int, token: str, size: float = FIRST_LENGTH_M) -> None:
         """Open the port."""
         try:
             import viser
@@ -82,6 +83,20 @@ class LivePage:
     def close(self) -> None:
         """Close the port."""
         self._server.stop()
+
+    def resize(self, size: float) -> None:
+        """Show an arm of another length [m]: scene and cameras, but those that people moved."""
+        if size == self._size:
+            return
+        placed = [client for client in self._server.get_clients().values() if self._holds(client)]
+        for thing in (*self._lines.values(), self._measured):
+            if thing is not None:
+                thing.remove()
+        self._size = size
+        self._scene()
+        self._boxes['legend'].content = page_parts.legend(self._square)
+        for client in placed:
+            self._place(client)
 
     def draw(self, state: ViewState) -> None:
         """Move the arms."""
@@ -247,11 +262,15 @@ class LivePage:
         """Place cameras anew in windows of another shape, and those that took the first view."""
         for number, client in self._server.get_clients().items():
             picture, view = self._views.get(number, ((), self._first))
-            is_placed = self._is_at(client, view)
-            if not is_placed and not self._is_at(client, self._first):
-                continue  # somebody has moved it
-            if not is_placed or _picture(client.camera) != picture:
+            if self._holds(client) and (
+                not self._is_at(client, view) or _picture(client.camera) != picture
+            ):
                 self._place(client)
+
+    def _holds(self, client: Any) -> bool:
+        """Whether a camera is where it was placed, or as it is at first."""
+        _, view = self._views.get(client.client_id, ((), self._first))
+        return self._is_at(client, view) or self._is_at(client, self._first)
 
     def _is_at(self, client: Any, view: View) -> bool:
         """Whether nobody has moved a camera since it took a view."""
