@@ -21,6 +21,7 @@ from tendon_robot_ros.robot.estimates import handling, sag
 from tendon_robot_ros.robot.urdf import joint_angles, joint_names, transforms, urdf
 from tendon_robot_ros.tables.marker_order import _snapped
 
+SHIPPED = ('kato_10_1', 'spatial_3', 'spatial_6')
 ROBOTS = ROOT / 'config' / 'robots'
 KATO = str(ROBOTS / 'kato_10_1.yaml')
 GROUPS = str(ROBOTS / 'kato_1_1.yaml')
@@ -213,6 +214,25 @@ def test_what_no_arm_is_like_is_doubted(stiffness, doubt):
         else '5 N, the most that may pull, bend by 87.5° (90° take 5.1'
     )
     assert (f'NOT PLAUSIBLE: {doubt}' in lines) if doubt else (f'\nplausible: {says}' in lines)
+
+
+@pytest.mark.parametrize('name', SHIPPED)
+@pytest.mark.parametrize(
+    ('old', 'times', 'wrong'),
+    [  # an offset above 1 m is refused
+        ('cell_length', 1000.0, 'is cell_length in mm'), ('offset', 100.0, 'is the offset in mm'),
+        ('', 1.0, ''),
+    ],
+)  # fmt: skip
+def test_a_length_in_millimetres_is_told(name, old, times, wrong):
+    content = yaml.safe_load((ROBOTS / f'{name}.yaml').read_text())
+    for part in (*content['sections'], *content['tendons']):
+        for key in {old} & set(part):
+            value = part[key]
+            part[key] = [times * v for v in value] if isinstance(value, list) else times * value
+    told = [line for line in handling(load_robot(content)) if ' in mm' in line]
+    assert all(line.startswith('NOT PLAUSIBLE: a cell of ') and wrong in line for line in told)
+    assert len(told) == bool(old)
 
 
 def test_the_sag_of_a_beam_of_many_cells_is_that_of_the_textbook():

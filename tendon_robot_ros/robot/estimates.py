@@ -17,6 +17,9 @@ RIGHT_ANGLE_RAD = 0.5 * math.pi
 TENSION_SHARE_MIN = (
     0.01  # of the highest tension: a right angle takes more, and more than the lowest
 )
+# [1] a ratio of two lengths beyond which one in mm and one in m suit better: half of the thousand
+# between the units, as decades count
+MILLIMETRES = math.sqrt(1000.0)
 SAG_SHARE_MAX = 0.3  # of the length: beyond, the sag of a straight beam is none
 
 
@@ -103,7 +106,7 @@ def handling(robot: Robot) -> list[str]:
 def doubts(robot: Robot, rates: Floats) -> list[str]:
     """Return a line about what no arm is like, or one that says how its tensions suit it."""
     low, top = robot.tension_limits
-    lines = []
+    lines = _other_units(robot)
     for name, rate in zip(robot.inputs, rates.tolist(), strict=True):
         if 0.0 < rate * top < BEND_MIN_RAD:
             lines.append(
@@ -129,6 +132,28 @@ def doubts(robot: Robot, rates: Floats) -> list[str]:
             f'plausible: {top:g} N, the most that may pull, bend by {most} (90° take {span} N)'
         ]
     return [f'plausible: 90° take {span} N, at most {top:g} N may pull']
+
+
+def _other_units(robot: Robot) -> list[str]:
+    """
+    Say where a length or an offset seems to be in millimetres.
+
+    Cells of arms are about as long as their tendons are off the centre, within a factor of some
+    tens: where the one is more than `MILLIMETRES` times the other, millimetres suit better.
+    """
+    offsets = np.linalg.norm(tendon_offsets(robot), axis=2).max(axis=1)  # (n,) [m]
+    lines, first = [], 0
+    for section in robot.sections:
+        offset, first = float(offsets[first]), first + section.cells
+        ratio = section.cell_length / offset if offset > 0.0 else 1.0
+        if section.is_plate or 1.0 / MILLIMETRES < ratio < MILLIMETRES:
+            continue
+        wrong = 'cell_length' if ratio > 1.0 else 'the offset'
+        lines.append(
+            f'a cell of {section.name} is {1e3 * section.cell_length:.4g} mm long, the tendons '
+            f'are {1e3 * offset:.4g} mm off the centre; is {wrong} in mm? Write m'
+        )
+    return lines
 
 
 def _degrees(angle: float) -> str:
