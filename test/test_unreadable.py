@@ -1,6 +1,7 @@
 """Files that cannot be read or written: one line that names them, and nothing half-written."""
 
 import os
+import re
 import resource
 import shutil
 import sys
@@ -10,13 +11,17 @@ import pytest
 import small_dataset
 from source_tree import ROOT
 
+from tendon_robot_ros.campaign.fleet import FleetRow
+from tendon_robot_ros.campaign.table import GrowingTable
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common import files
-from tendon_robot_ros.common.errors import InputError
+from tendon_robot_ros.common.errors import DataSetError, InputError
 from tendon_robot_ros.comparison.saved import load_comparison
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.data.recording.exporting import export_bag
+from tendon_robot_ros.investigation.record import LOG
 from tendon_robot_ros.ros.shared.files import read_mapping
+from tendon_robot_ros.workspace.volume import KEPT
 
 ROBOT = ROOT / 'config' / 'robots' / 'spatial_3.yaml'
 CALIBRATE = '--tendon one --weights 0.1 --yes'
@@ -129,6 +134,24 @@ def test_a_parameter_that_names_a_file_says_which(tmp_path):
             read_mapping(path, 'config')
 
 
+@pytest.mark.parametrize('content', [b'', JUNK, b'PK\3\4' + JUNK, b'PAR1' + JUNK])
+def test_what_an_earlier_run_left_and_cannot_be_read_is_named(content, folder, capsys):
+    """A table or samples to go on from."""
+    (folder / 'table').mkdir()
+    (folder / 'table' / 'rows-000001.parquet').write_bytes(content)
+    with pytest.raises(DataSetError, match=r'rows-000001\.parquet: cannot be read .*; delete it'):
+        GrowingTable(folder / 'table', FleetRow).keys()
+    (folder / 'samples').mkdir()
+    (folder / 'samples' / KEPT[0]).write_bytes(content)
+    (folder / 'found').mkdir()
+    (folder / 'found' / LOG).write_bytes(content)
+    assert main(['rehearse', 'arm.yaml', '--output', 'found', '--resume']) == 1
+    assert re.search(f'{LOG}: cannot be read .*; begin a new folder', capsys.readouterr().err)
+    options = '--postures 200 --workers 1 --output samples --overwrite'
+    assert main(f'workspace arm.yaml {options}'.split()) == 1
+    assert re.search(f'{KEPT[0]}: cannot be read .*; delete it', capsys.readouterr().err)
+
+
 # -----------------------------------------------------------------------------
 # A disk that is full: a limit on the size of files fails every write behind it in the same way.
 
@@ -197,6 +220,7 @@ OUTPUTS = {
     'removed': 'remove tip_load --robot nothing.yaml --output {}',
     'path': 'sweep nothing.yaml --output {}',
     'picture': 'plot nothing.mcap --output {}',
+    'picture of a path': 'follow nothing.csv --picture {}',
     'picture of a recording': 'import-bag nothing.mcap --output new --picture {}',
     'motors': 'emulate dynamixel --robot nothing.yaml --write-config {}',
     'calibration': f'calibrate serial nothing.yaml --robot arm.yaml --out {{}} {CALIBRATE}',

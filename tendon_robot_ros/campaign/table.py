@@ -50,11 +50,9 @@ class GrowingTable[T]:
         return sorted(self.folder.glob('rows-*.parquet'))
 
     def keys(self) -> set[str]:
-        """Return the keys of all rows, without reading the rest."""
-        read = self.arrow.parquet.read_table
-        return {
-            key for path in self.files() for key in read(path, columns=['key'])['key'].to_pylist()
-        }
+        """Return the keys of all rows, without reading the rest; as `rows`."""
+        keys = self.arrow.schema([self.schema.field('key')])
+        return {key for path in self.files() for key in self._read(path, keys)['key'].to_pylist()}
 
     def rows(self) -> list[T]:
         """
@@ -92,11 +90,13 @@ class GrowingTable[T]:
             path.unlink()
         self.arrow.default_memory_pool().release_unused()  # else every merging would keep more
 
-    def _read(self, path: Path) -> Any:
+    def _read(self, path: Path, schema: Any = None) -> Any:
+        """Read the columns of a schema; all by default."""
+        schema = schema or self.schema
         try:
             with self.arrow.parquet.ParquetFile(path) as file:
-                return file.read(use_threads=False).cast(self.schema)
-        except (ValueError, OSError) as error:
+                return file.read(columns=schema.names, use_threads=False).cast(schema)
+        except (ValueError, OSError, LookupError) as error:
             reason = str(error).splitlines()[0]
             raise DataSetError(str(path), f'cannot be read ({reason})', 'delete it') from None
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 
+from ..common.files import file_to_write
 from ..diagnosis.add import add_effects
 from ..report.addition_text import NOT_WRITTEN, addition_lines
 from .options import (
@@ -26,7 +27,6 @@ from .options import (
     add_overwrite,
     effects_of,
     emit,
-    file_to_write,
     load_check,
     load_measurements,
     next_step,

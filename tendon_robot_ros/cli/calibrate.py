@@ -31,11 +31,10 @@ import numpy as np
 import yaml
 
 from ..common.errors import InputError, MissingExtraError, short
-from ..common.files import new_file, read_text
+from ..common.files import file_to_write, new_file, read_text
 from ..common.units import STANDARD_GRAVITY
 from ..common.yaml_reading import parse_yaml
 from ..robot import load_robot
-from .options import file_to_write
 
 if TYPE_CHECKING:
     from ..drivers.dynamixel.bus import Bus

@@ -20,6 +20,7 @@ from dataclasses import replace
 from typing import Any
 
 from ..common.errors import InputError
+from ..common.files import file_to_write
 from ..common.given import Progress
 from ..data import DataSet
 from ..diagnosis.add import Addition, add_effects
@@ -39,7 +40,6 @@ from .options import (
     add_report,
     effects_of,
     emit,
-    file_to_write,
     load_check,
     load_measurements,
     next_step,

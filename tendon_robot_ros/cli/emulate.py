@@ -25,7 +25,7 @@ import yaml
 from numpy.typing import NDArray
 
 from ..common.errors import InputError
-from ..common.files import new_file
+from ..common.files import file_to_write, new_file
 from ..drivers.dynamixel.control_table import BAUD_RATES, MODELS, smallest_spool
 from ..emulator import board, bus
 from ..emulator.board import BoardRig, EmulatedBoard
@@ -34,7 +34,6 @@ from ..emulator.port import Plug, obey
 from ..emulator.rig import Arm, ElasticArm, HangingWeights, Rig, SpringArm, Wire
 from ..emulator.servo import Servo
 from ..robot import Robot, load_robot
-from .options import file_to_write
 
 NAME = 'emulate'
 HELP = 'emulate motors on a port of their own, with faults on request'

@@ -17,18 +17,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from ..common.errors import InputError
+from ..common.files import file_to_write
 from ..common.words import listed
 from ..paper.slip import SlipFriction, read_slip_angles, slip_friction, with_friction
 from ..robot import load_robot
-from .options import (
-    add_json,
-    add_overwrite,
-    emit,
-    file_to_write,
-    next_step,
-    refuse_existing,
-    write_description,
-)
+from .options import add_json, add_overwrite, emit, next_step, refuse_existing, write_description
 
 HELP = 'friction coefficient from slip angles, into a robot description'
 

@@ -17,7 +17,7 @@ import sys
 from pathlib import Path
 
 from ..common.errors import InputError
-from ..common.files import refuse_ending
+from ..common.files import file_to_write, refuse_ending
 from ..data import DataSet, save_dataset
 from ..data.folder.description import read_text
 from ..data.folder.folder import refuse_dataset_in
@@ -26,7 +26,7 @@ from ..data.recording.reader import Topics
 from ..data.recording.still_segments import Rule
 from ..data.recording.transforms import is_base
 from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe
-from .options import file_to_write, input_size
+from .options import input_size
 from .progress import progress
 
 NAME = 'import-bag'

@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 
 from ..common.errors import InputError
+from ..common.files import file_to_write
 from ..diagnosis.improve import improve
 from ..report.improvement_page import NOT_WRITTEN, improvement_lines
 from .options import (
@@ -28,7 +29,6 @@ from .options import (
     add_report,
     effects_of,
     emit,
-    file_to_write,
     load_check,
     load_measurements,
     next_step,

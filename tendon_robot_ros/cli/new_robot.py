@@ -22,7 +22,7 @@ from typing import Any
 
 import yaml
 
-from ..common.files import new_file
+from ..common.files import file_to_write, new_file
 from ..common.units import STANDARD_GRAVITY
 from ..robot import Robot, dump_robot, parse_robot
 from ..robot.estimates import (
@@ -32,7 +32,7 @@ from ..robot.estimates import (
     stiffness_from_sag,
 )
 from .describe import description
-from .options import file_to_write, refuse_existing
+from .options import refuse_existing
 from .questions import FIRST_WORDS, Questions
 
 NAME = 'new-robot'

@@ -7,14 +7,13 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError, TendonRobotError
-from ..common.files import new_file
+from ..common.files import file_to_write, new_file
 from ..common.given import Progress, listener
 from ..common.units import TYPED_LENGTHS, other_unit, read_quantity
 from ..common.words import digits
@@ -52,26 +51,6 @@ def add_effect_files(parser: argparse.ArgumentParser) -> None:
         metavar='FILE',
         help='Python file with an effect of your own (is executed; may be given several times)',
     )
-
-
-def file_to_write(option: str) -> Callable[[str], str]:
-    """
-    Return the `type` of an argument that names a file to write.
-
-    Where no file can go there the command ends with InputError before it begins.
-    """
-
-    def checked(text: str) -> str:
-        path = Path(text).absolute()
-        if path.is_dir():
-            raise InputError(f'{option} {text}: is a folder; name a file')
-        if not path.parent.is_dir():
-            raise InputError(f'{text}: its folder does not exist; make it or correct {option}')
-        if not os.access(path if path.exists() else path.parent, os.W_OK):
-            raise InputError(f'{text}: may not be written; correct {option} or the permissions')
-        return text
-
-    return checked
 
 
 def add_report(parser: argparse.ArgumentParser) -> None:

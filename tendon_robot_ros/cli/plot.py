@@ -12,11 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.files import refuse_ending
+from ..common.files import file_to_write, refuse_ending
 from ..data.recording.reader import Moves, Places, read_moves
 from ..paths.path import PathRun
 from ..report.path_run import draw_run
-from .options import file_to_write
 from .progress import progress
 
 HELP = 'draw a recording: tip, targets, commands'

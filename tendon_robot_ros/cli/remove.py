@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import argparse
 
+from ..common.files import file_to_write
 from ..diagnosis.add import restore
 from ..robot import load_robot
-from .options import add_overwrite, file_to_write, refuse_existing, write_description
+from .options import add_overwrite, refuse_existing, write_description
 
 HELP = 'take an effect out of a robot description'
 

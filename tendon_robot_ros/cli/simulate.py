@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from ..common.errors import InputError
+from ..common.files import file_to_write
 from ..common.given import whole
 from ..data import DataSet, Marker, save_dataset
 from ..data.dataset import INPUTS, PATHS
@@ -33,14 +34,7 @@ from ..simulation.hidden import Workmanship
 from ..simulation.measurements import SimulatedNoise, raw_table, simulate, write_table
 from ..simulation.plant import Plant, make_plant
 from ..workspace.postures import default_postures
-from .options import (
-    add_effect_files,
-    file_to_write,
-    named_numbers,
-    numbers,
-    refuse_existing,
-    vector,
-)
+from .options import add_effect_files, named_numbers, numbers, refuse_existing, vector
 from .progress import progress
 
 NOISE_SCALES = {'position': 1e3}  # typed in mm

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.files import new_file
+from ..common.files import file_to_write, new_file
 from ..data.folder.path_file import TendonRows, TipRows, write_path
-from .options import add_robot, file_to_write, load_model
+from .options import add_robot, load_model
 from .progress import progress
 
 HELP = 'write a path that keeps the view angle: looking around'

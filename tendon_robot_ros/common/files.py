@@ -159,6 +159,26 @@ def refuse_ending(option: str, path: str | Path) -> None:
         raise InputError(f'{option} {path}: end the name with {", ".join(PICTURE_ENDINGS)}')
 
 
+def file_to_write(option: str) -> Callable[[str], str]:
+    """
+    Return the `type` of an argument that names a file to write.
+
+    Where no file can go there the command ends with InputError before it begins.
+    """
+
+    def checked(text: str) -> str:
+        path = Path(text).absolute()
+        if path.is_dir():
+            raise InputError(f'{option} {text}: is a folder; name a file')
+        if not path.parent.is_dir():
+            raise InputError(f'{text}: its folder does not exist; make it or correct {option}')
+        if not os.access(path if path.exists() else path.parent, os.W_OK):
+            raise InputError(f'{text}: may not be written; correct {option} or the permissions')
+        return text
+
+    return checked
+
+
 def shared_file(name: str) -> Path | None:
     """
     Find a file such as `config/driver.yaml`.

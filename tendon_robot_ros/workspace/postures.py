@@ -6,12 +6,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.given import choice, whole
-from ..data.dataset import INPUTS, PATHS
 from ..model.model import Model
 from ..robot import Robot, RobotLike, load_robot
 from ..robot.estimates import bend_rates, end_sections
 
 Floats = npt.NDArray[np.float64]
+INPUTS = ('tension', 'displacement')
+PATHS = ('from_straight', 'sequence', 'visits')  # of a data set
 SECTION_BEND_MAX_RAD = 2.0  # [rad] largest bend of a section, by the frictionless model
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -274,9 +275,10 @@ class Stream:
         try:
             with np.load(path) as arrays:
                 content = dict(arrays)
-        except (OSError, ValueError, EOFError) as error:
+            key = str(content['key'])
+        except (OSError, ValueError, EOFError, LookupError, TypeError, BadZipFile) as error:
             raise InputError(f'{path}: cannot be read ({error}); delete it') from None
-        if str(content['key']) != self.key:
+        if key != self.key:
             raise InputError(
                 f'{path}: is of another robot or other options; delete it, or give these again'
             )

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.errors import DataSetError, InputError
-from ...common.files import refuse_ending
+from ...common.files import file_to_write, refuse_ending
 from ...control.checks import Refusal
 from ...control.keeping_out import entered
 from ...control.trajectory import Playing
@@ -69,7 +69,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         text = f'at most so many {text} (default: {value:.3g})'
         add(f'--{name}', type=float, default=value, metavar='LIMIT', help=text)
     add('--keep-out', metavar='YAML', help='regions that no part of the arm may enter')
-    add('--picture', default='follow.png', metavar='PNG', help='(default: follow.png)')
+    to = file_to_write('--picture')
+    add('--picture', type=to, default='follow.png', metavar='PNG', help='(default: follow.png)')
     add_controller(parser)
 
 
