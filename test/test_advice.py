@@ -243,6 +243,13 @@ RECORDINGS = {
         ('import-bag bag --output new --robot small.yaml --duration 9',
          'counts as still after 9 s; allow a shorter duration, say 0.98'),
         ('import-bag bag --output new --robot small.yaml --duration 1', None)]),
+    'too short to be seen still': ({}, [
+        ('import-bag bag --output new --robot small.yaml --duration 0.1',
+         'holds a place every 0.05 s, .*; ask for a duration of 0.2 or more'),
+        ('import-bag bag --output new --robot small.yaml --duration 0.2', None)]),
+    'a folder that is called as a bag of ROS 1': ({}, [
+        ('import-bag missing.bag --output new', 'missing.bag: is not there'),
+        ('export-bag run new.bag', None), ('import-bag new.bag --output imported', None)]),
     'all at rest': ({}, [
         ('import-bag bag --output new --robot small.yaml --rest 5N', 'lower what counts as rest'),
         ('import-bag bag --output new --robot small.yaml --rest 0.5N', None)]),

@@ -132,7 +132,9 @@ def _find_files(args: argparse.Namespace) -> None:
 def _only(names: list[str], what: str, said: str) -> str:
     if len(names) != 1:
         found = f'{len(names)} of them ({", ".join(names)})' if names else 'none'
-        raise InputError(f'calibrate --check: expected {what} in this folder, got {found}: {said}')
+        raise InputError(
+            f'calibrate --check: expected {what} in this folder, got {found}; say {said}'
+        )
     return names[0]
 
 

@@ -196,7 +196,10 @@ def hidden_effect(text: str) -> tuple[str, dict[str, float | tuple[float, ...]]]
     name, _, rest = text.partition(':')
     values: dict[str, float | tuple[float, ...]] = {}
     for part in filter(None, rest.split(',')):
-        key, _, value = part.partition('=')
+        key, equals, value = part.partition('=')
+        if not equals:
+            comma = ' (a decimal comma? write a point)' if part[:1].isdigit() else ''
+            raise InputError(f'hidden {name}: expected NAME=VALUE, got {part!r}{comma}')
         found = numbers(f'{name}: {key}', value, '/')
         values[key] = found if len(found) > 1 else found[0]
     return name, values

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import EffectError, InputError
-from ..common.given import refusal
+from ..common.given import meant, refusal
 from ..effects import Catalogue, Effect, Parameter
 from ..robot import Robot
 from ..robot.description import EffectValues
@@ -143,8 +143,8 @@ def hide(
             effects[name] = chosen(catalogue[name], values, robot)
         else:
             raise EffectError(
-                f'unknown hidden effect {name!r}; in the catalogue: '
-                f'{", ".join(catalogue.names)}; outside it: {", ".join(CAUSES)}'
+                f'unknown hidden effect {name!r}; {meant(name, (*catalogue.names, *CAUSES))}in the '
+                f'catalogue: {", ".join(catalogue.names)}; outside it: {", ".join(CAUSES)}'
             )
     return effects
 

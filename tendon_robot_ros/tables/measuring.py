@@ -107,8 +107,8 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
     found = [one for piece in pieces for one in piece.segments]
     if not found:
         known = [motion for motion in motions if motion is not None]
-        lasts = max(float(np.ptp(one.recording.tracks[0].times)) for one in traces)
-        raise never_still(traces[0].recording.name, known, lasts, rule)
+        times = [one.recording.tracks[0].times for one in traces]
+        raise never_still(traces[0].recording.name, known, times, rule)
     same = _guess_same(found) if recipe.same is None else recipe.same
     rest = recipe.rest
     if rest is None:

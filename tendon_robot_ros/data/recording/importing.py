@@ -118,8 +118,8 @@ def import_bag(
         recording, inputs, moved, rule, sequence=described.path == 'sequence'
     )
     if not any(np.isfinite(one.positions).any() for one in segments):
-        lasts = float(np.ptp(recording.tracks[0].times))
-        raise never_still(recording.name, [moved], lasts, rule)
+        times = [track.times for track in recording.tracks]
+        raise never_still(recording.name, [moved], times, rule)
     if rest is not None:
         segments = [one for one in segments if (np.nan_to_num(one.inputs) >= rest).any()]
         if not segments:

@@ -90,15 +90,33 @@ def motion(recording: Recording, inputs: FloatArray, rule: Rule) -> ArmMotion:
     )
 
 
-def never_still(name: str, motions: Sequence[ArmMotion], lasts: float, rule: Rule) -> DataSetError:
-    """Build the error of a recording of so many seconds in which the rule holds nowhere."""
+def never_still(
+    name: str, motions: Sequence[ArmMotion], times: Sequence[FloatArray], rule: Rule
+) -> DataSetError:
+    """Build the error of recordings, with the times [s] of their markers, that are never still."""
     slowest = 1e3 * min(float(moved.speed.min(initial=np.inf)) for moved in motions)
-    shorter = f'allow a shorter duration, say {min(0.5 * lasts, 0.5 * rule.duration):.2g}'
+    lasts = max(float(np.ptp(own)) for own in times)
+    # a speed takes messages in both halves of its window, which is half of the duration
+    steps = [float(np.median(np.diff(own))) for own in times if len(own) > 1]
+    least = 4.0 * min(steps, default=0.0)
+    shorter = min(0.5 * lasts, 0.5 * rule.duration)
+    allow = (
+        f'allow a shorter duration, say {shorter:.2g}'
+        if shorter >= least
+        else 'let the arm rest longer in every posture'
+    )
     if lasts < rule.duration:
         return DataSetError(
             name,
             f'lasts {lasts:.3g} s, and the arm counts as still after {rule.duration:g} s',
-            shorter,
+            allow,
+        )
+    if rule.duration < 0.999 * least:  # times are rounded
+        return DataSetError(
+            name,
+            f'holds a place every {0.25 * least:.2g} s, too few to see in {rule.duration:g} s '
+            'whether the arm stands still',
+            f'ask for a duration of {2.0 * least:.2g} or more',
         )
     if slowest == np.inf:
         return DataSetError(name, 'no marker was ever seen', 'record the markers again')
@@ -108,7 +126,7 @@ def never_still(name: str, motions: Sequence[ArmMotion], lasts: float, rule: Rul
             f'the arm never stands still for {rule.duration:g} s at once, in a recording of '
             f'{lasts:.3g} s (still: slower than {1e3 * rule.speed:g} mm/s, inputs change by less '
             f'than {rule.change or 0.0:.2g} in half of that time)',
-            shorter,
+            allow,
         )
     return DataSetError(
         name,
