@@ -165,7 +165,7 @@ def test_a_folder_with_two_robots_is_asked_about(tmp_path, monkeypatch, capsys):
         (tmp_path / name).write_text(emulated.ROBOT)
     assert main(['calibrate', '--check']) != 0
     said = capsys.readouterr().err
-    assert 'got 2 of them (one.yaml, two.yaml): --robot FILE' in said
+    assert 'got 2 of them (one.yaml, two.yaml); say --robot FILE' in said
 
 
 def test_without_check_tendon_and_weights_are_asked_for(tmp_path, capsys):

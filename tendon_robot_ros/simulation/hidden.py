@@ -142,9 +142,10 @@ def hide(
         elif name in catalogue:
             effects[name] = chosen(catalogue[name], values, robot)
         else:
+            known = (*catalogue.names, *CAUSES)
             raise EffectError(
-                f'unknown hidden effect {name!r}; {meant(name, (*catalogue.names, *CAUSES))}in the '
-                f'catalogue: {", ".join(catalogue.names)}; outside it: {", ".join(CAUSES)}'
+                f'unknown hidden effect {name!r}; {meant(name, known)}in the catalogue: '
+                f'{", ".join(catalogue.names)}; outside it: {", ".join(CAUSES)}'
             )
     return effects
 

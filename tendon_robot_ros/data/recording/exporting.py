@@ -28,6 +28,7 @@ from .writer import (
 
 STATES, SHAPE = '/tendon_states', '/measured_shape'
 START = 1_000_000_000  # [ns], the time of the first message
+OTHER_FILES = ('.bag', '.db3')  # endings that no folder may have: readers go by them
 NO_TURN = np.array([0.0, 0.0, 0.0, 1.0])
 
 
@@ -76,6 +77,9 @@ def export_bag(
         problem = 'a recording does not hold in which order postures were visited'
         raise DataSetError(dataset.name, problem, 'keep it as a folder')
     path = Path(path)
+    if path.suffix in OTHER_FILES:
+        problem = f'ends with {path.suffix}, and a folder or an .mcap file is written'
+        raise DataSetError(str(path), problem, f'leave out {path.suffix}')
     if path.suffix != '.mcap':
         with new_folder(path) as new:
             new.rmdir()  # the writer makes it

@@ -112,7 +112,10 @@ def opened(path: str | Path) -> Iterator[Any]:
     path = Path(path)
     if not path.exists():
         raise DataSetError(str(path), 'is not there', 'name a rosbag2 folder or an .mcap file')
-    if path.suffix == '.bag' and path.is_file():
+    if path.suffix == '.bag' and path.is_dir():
+        problem = 'is a folder, and called as a file of ROS 1'
+        raise DataSetError(str(path), problem, 'rename it, without .bag')
+    if path.suffix == '.bag':
         raise DataSetError(
             str(path), 'is a ROS 1 bag', f'convert it: rosbags-convert --src {path} --dst NEW'
         )
