@@ -246,7 +246,9 @@ RECORDINGS = {
     'too short to be seen still': ({}, [
         ('import-bag bag --output new --robot small.yaml --duration 0.1',
          'holds a place every 0.05 s, .*; ask for a duration of 0.4 or more'),
-        ('import-bag bag --output new --robot small.yaml --duration 0.4', None)]),
+        ('import-bag bag --output new --robot small.yaml --duration 0.4',
+         'never stands still for 0.4 s .*, or a higher speed where noise looks like one'),
+        ('import-bag bag --output new --robot small.yaml --duration 0.4 --speed 5', None)]),
     'a folder that is called as a bag of ROS 1': ({}, [
         ('export-bag run new.bag', 'ends with .bag, and a folder .*; leave out .bag'),
         ('export-bag run new', None), ('import-bag new --output imported', None)]),

@@ -98,7 +98,7 @@ def never_still(
     lasts = max(float(np.ptp(own)) for own in times)
     # a speed takes messages in both halves of its window, which is half of the duration
     steps = [float(np.median(np.diff(own))) for own in times if len(own) > 1]
-    least = 4.0 * min(steps, default=0.0)
+    least = 3.999 * min(steps, default=0.0)  # times are rounded
     shorter = min(0.5 * lasts, 0.5 * rule.duration)
     allow = (
         f'allow a shorter duration, say {shorter:.2g}'
@@ -111,7 +111,7 @@ def never_still(
             f'lasts {lasts:.3g} s, and the arm counts as still after {rule.duration:g} s',
             allow,
         )
-    if rule.duration < 0.999 * least:  # times are rounded
+    if rule.duration < least:
         return DataSetError(
             name,
             f'holds a place every {0.25 * least:.2g} s, too few to see in {rule.duration:g} s '
@@ -126,7 +126,7 @@ def never_still(
             f'the arm never stands still for {rule.duration:g} s at once, in a recording of '
             f'{lasts:.3g} s (still: slower than {1e3 * rule.speed:g} mm/s, inputs change by less '
             f'than {rule.change or 0.0:.2g} in half of that time)',
-            allow,
+            f'{allow}, or a higher speed where noise looks like one',
         )
     return DataSetError(
         name,
