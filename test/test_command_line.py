@@ -88,7 +88,7 @@ def test_a_vector_may_begin_with_a_minus(capsys, move):
     ('arguments', 'message'),
     [
         (['mvoe'], "no command 'mvoe'; did you mean move? known: "),
-        (['move', '--tow', '1'], 'unrecognized arguments: --tow 1; see '),
+        (['move', '--tow', '1'], 'unrecognized arguments: --tow 1; did you mean --to? see '),
         (['move', '--to'], 'argument --to: expected one argument; see '),
         (['move', '--from-file', 'no.yaml'], 'no.yaml: No such file or directory'),
     ],

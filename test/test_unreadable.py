@@ -19,6 +19,7 @@ from tendon_robot_ros.common.errors import DataSetError, InputError
 from tendon_robot_ros.comparison.saved import load_comparison
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.data.recording.exporting import export_bag
+from tendon_robot_ros.data.recording.writer import STORAGES, STRING, BagWriter, Builder
 from tendon_robot_ros.investigation.record import LOG
 from tendon_robot_ros.ros.shared.files import read_mapping
 from tendon_robot_ros.workspace.volume import KEPT
@@ -183,7 +184,7 @@ def _full():
 
 @pytest.mark.parametrize('writer', WRITERS)
 def test_a_full_disk_is_told_in_one_line_and_leaves_nothing(writer, folder, capsys, monkeypatch):
-    told = files._told
+    told = files.told_of
     monkeypatch.setattr(sys, 'dont_write_bytecode', True)  # Python would leave a part of it
     monkeypatch.setattr('tendon_robot_ros.cli.main.keep_bytecode', lambda: None)
 
@@ -192,7 +193,7 @@ def test_a_full_disk_is_told_in_one_line_and_leaves_nothing(writer, folder, caps
         with told(path), _full():
             yield
 
-    monkeypatch.setattr(files, '_told', told_when_full)
+    monkeypatch.setattr(files, 'told_of', told_when_full)
     before = _there(folder)
     code = main(WRITERS[writer].split())
     err = capsys.readouterr().err
@@ -200,6 +201,23 @@ def test_a_full_disk_is_told_in_one_line_and_leaves_nothing(writer, folder, caps
     assert 'new' in err.splitlines()[-1]
     assert 'cannot be written' in err.splitlines()[-1]
     assert _there(folder) == before
+
+
+@pytest.mark.parametrize('storage', STORAGES)
+def test_a_recording_that_runs_into_a_full_disk_is_named(storage, folder):
+    """As `record` writes it: message by message."""
+
+    def record():
+        with files.told_of(folder / 'run1'), BagWriter(folder / 'run1', storage) as writer:
+            writer.add_topic('/said', STRING)
+            message = Builder(writer.types).string('x' * 10_000)
+            with _full():
+                for time in range(1000):
+                    writer.write('/said', time, message)
+                writer.close()
+
+    with pytest.raises(DataSetError, match=r'run1: cannot be written \(.*\); make room there'):
+        record()
 
 
 # -----------------------------------------------------------------------------

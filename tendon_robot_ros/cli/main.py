@@ -86,7 +86,9 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise the error instead of printing the usage and ending with 2."""
-        raise InputError(f'{message}; see {self.prog} --help')
+        unknown = re.match(r'unrecognized arguments: (--[\w-]+)', message)
+        hint = meant(unknown[1], self._option_string_actions) if unknown else ''
+        raise InputError(f'{message}; {hint}see {self.prog} --help')
 
 
 def main(argv: Sequence[str] | None = None) -> int:

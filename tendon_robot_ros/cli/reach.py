@@ -49,9 +49,10 @@ HELP = 'find tensions for a target of the tip'
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_robot(parser)
-    parser.add_argument('--position', metavar='X,Y,Z', help='of the tip, base frame')
+    parser.add_argument('--position', nargs='+', metavar='X,Y,Z', help='of the tip, base frame')
     add_unit(parser)
-    parser.add_argument('--direction', metavar='X,Y,Z', help='of the tip; its length is ignored')
+    what = 'of the tip; its length is ignored'
+    parser.add_argument('--direction', nargs='+', metavar='X,Y,Z', help=what)
     parser.add_argument(
         '--keep-out', metavar='YAML', help='regions that no part of the arm may enter'
     )
@@ -65,11 +66,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Search and print."""
-    direction = vector('--direction', args.direction)
-    if args.position is None and direction is None:
+    asked, along = (
+        None if parts is None else ','.join(part.strip(',') for part in parts)
+        for parts in (args.position, args.direction)
+    )
+    direction = vector('--direction', along)
+    if asked is None and direction is None:
         raise InputError('target: expected --position, --direction, or both, got neither')
     model = load_model(args)
-    target = position('--position', args.position, args.unit, model.robot.length)
+    target = position('--position', asked, args.unit, model.robot.length)
     wants = preferences(args.prefer)
     regions = load_keep_out(args.keep_out) if args.keep_out else None
     reach = model.reach(target, direction, preferences=wants, keep_out=regions)

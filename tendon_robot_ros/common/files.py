@@ -78,7 +78,7 @@ def new_folder(folder: Path, replaceable: tuple[str, ...] = ()) -> Iterator[Path
     try:
         filled = temporary / folder.name
         filled.mkdir()
-        with _told(shown):
+        with told_of(shown):
             yield filled
             refuse_taken(shown, replaceable)
             _replace(folder, filled, temporary / f'{folder.name}.old')
@@ -110,7 +110,7 @@ def new_file(path: Path) -> Iterator[Path]:
     path = Path(os.path.realpath(path))
     special = path.exists() and not path.is_file() and not path.is_dir()
     folder = None if special else _parent(path)
-    with _told(path), tempfile.TemporaryDirectory(prefix=DRAFT, dir=folder) as temporary:
+    with told_of(path), tempfile.TemporaryDirectory(prefix=DRAFT, dir=folder) as temporary:
         draft = Path(temporary) / path.name
         yield draft
         if special:
@@ -121,7 +121,7 @@ def new_file(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
+def told_of(path: Path) -> Iterator[None]:
     """Name what is written where the system names nothing, or a file in the draft: a full disk."""
     try:
         yield

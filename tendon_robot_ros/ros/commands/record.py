@@ -17,6 +17,7 @@ import importlib
 import sys
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -25,6 +26,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from ...common.errors import InputError, TendonRobotError
+from ...common.files import told_of
 from ...data.recording.writer import (
     DESCRIPTION,
     ROBOT,
@@ -70,7 +72,11 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     need_rosbags()
     if args.duration is not None and not args.duration > 0.0:
         raise InputError(f'--duration: expected more than 0, got {args.duration:g}')
-    with ros(ros_arguments) as ending, BagWriter(args.output, args.storage) as writer:
+    with (
+        ros(ros_arguments) as ending,
+        told_of(Path(args.output)),
+        BagWriter(args.output, args.storage) as writer,
+    ):
         recorder = Recorder(writer, args.controller, args.topics)
         executor = SingleThreadedExecutor()
         executor.add_node(recorder)

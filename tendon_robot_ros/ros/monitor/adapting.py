@@ -113,9 +113,12 @@ class Adapting:
         now = datetime.now().astimezone().isoformat(timespec='seconds')
         self._publish({'what': what, 'time': now, **change.to_json()})
         path = Path(self._parameters['folder']) / LOG
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open('a', encoding='utf-8') as log:
-            log.write(json.dumps({'what': what, 'time': now, **change.to_json()}) + '\n')
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open('a', encoding='utf-8') as log:
+                log.write(json.dumps({'what': what, 'time': now, **change.to_json()}) + '\n')
+        except OSError as error:  # the arm goes on: a full disk
+            self._node.get_logger().warning(f'{path}: cannot be written ({error.strerror})')
 
     def _publish(self, last: dict[str, object] | None = None) -> None:
         """Publish the estimate, and the last change."""
