@@ -204,7 +204,7 @@ def test_own_postures_and_gravity(tmp_path, capsys):
         (['--hidden', 'magic'], "unknown hidden effect 'magic'; in the catalogue: "),
         (
             ['--hidden', 'gravity:linear_density'],
-            'gravity: linear_density: expected numbers',
+            "hidden gravity: expected NAME=VALUE, got 'linear_density'",
         ),
         (['--hidden', 'tip_load:force_x=a'], "tip_load: force_x: expected numbers, got 'a'"),
         (['--noise', 'tracker=1'], "--noise: expected position, setting, trial, got 'tracker'"),

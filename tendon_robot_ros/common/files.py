@@ -40,9 +40,9 @@ def read_text(
         with Path(path).open(encoding='utf-8-sig') as file:
             text = file.read(characters)
     except (OSError, ValueError) as error:  # a path may hold a null byte, a file any bytes
-        raise refuse(getattr(error, 'strerror', None) or 'not a text file (UTF-8)') from None
+        raise refuse(getattr(error, 'strerror', None) or 'not a text file') from None
     if '\0' in text:
-        raise refuse('not a text file (UTF-8)')
+        raise refuse('not a text file')
     return text
 
 

@@ -247,7 +247,7 @@ class CsvFile:
     def _parse_exactly(self, lines: list[str], row: int, dtype: np.dtype[Any]) -> Block:
         """Cut lines into cells and look at each one, to take it or to say what is wrong."""
         if any('\0' in line for line in lines):
-            raise self._encoding()
+            raise _no_text(self.path)
         try:
             rows = list(csv.reader(lines, strict=True))
         except csv.Error:
