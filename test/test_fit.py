@@ -1,6 +1,6 @@
 """Fits find the parameters that made the data, and say how well they know them."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from tendon_robot_ros.diagnosis.fitter import Fitter
 from tendon_robot_ros.diagnosis.interval import intervals
 from tendon_robot_ros.diagnosis.report_rows import values_of
 from tendon_robot_ros.diagnosis.session import Session
+from tendon_robot_ros.model.model import Model
 
 ROBOT = simulated.robot()
 EXACT = replace(ROBOT, exact=True)
@@ -76,6 +77,27 @@ def test_tangents_are_what_small_changes_do(kind):
             off, settled_within = np.abs(moves - (up - down) / (2 * h)).max(), 1e-10 / h
             assert off < 1e-3 * np.abs(moves).max() + settled_within, (effect.name, free.key)
     assert len(checked) > 12
+
+
+@pytest.mark.parametrize('kind', ['tension', 'displacement'])
+@pytest.mark.parametrize('name', ['kato_10_1', 'spatial_3'])
+def test_tangents_of_all_effects_together_are_those_of_each_alone(name, kind):
+    """As described, where most effects are off: one of them may have unknowns of its own."""
+    described = simulated.robot(name)
+    inputs = np.random.default_rng(1).uniform(0.05, 0.4, (3, len(described.inputs)))
+    if kind == 'displacement':
+        inputs = Model(described).shapes(inputs).pulls
+    predictor = Predictor(simulated.postures(described, inputs, input=kind), described, CATALOGUE)
+    frees = [f for e in CATALOGUE if e.stage != 'memory' for f in free_parameters(e, described)]
+    predictor.markers({})
+    on = predictor.model.arrays.on.copy()
+    together = predictor.tangent({}, frees, predictor.settled)
+    assert (predictor.model.arrays.on == on).all()
+    for q, free in enumerate(frees):
+        alone = predictor.tangent({}, [free], predictor.settled)
+        for one, all_of_them in zip(astuple(alone), astuple(together), strict=True):
+            enough = 1e-4 * np.abs(one).max() + 1e-8  # held pulls take nearly all of it away
+            assert np.allclose(all_of_them[q], one[0], rtol=0, atol=enough), free
 
 
 def test_a_large_effect_is_found_from_far_away():

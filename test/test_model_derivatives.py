@@ -10,6 +10,7 @@ from test_effects_contract import EFFECTS, VALUES
 
 from tendon_robot_ros.common.errors import EffectError, InputError
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.model import derivatives
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 
@@ -29,24 +30,8 @@ def unknowns(model):
 
 
 def residuals(model, inputs, states):
-    """States (b, 3n) minus what their moments ask for, (b, unknowns) [rad]."""
-    out = np.empty((len(states), unknowns(model)))
-    past = model.arrays.fresh_memory()
-    model.arrays.link()
-    model.arrays.part('derivatives').residuals(
-        model.arrays.address, inputs, states, past, model.scratch, out
-    )
-    return out
-
-
-def solved(model, inputs, bends, rates):
-    """How states (b, 3n) balance rates of the residual, (b, q, unknowns)."""
-    ways, past = np.empty_like(rates), model.arrays.fresh_memory()
-    model.arrays.link()
-    model.arrays.part('derivatives').responses(
-        model.arrays.address, inputs, bends, past, model.scratch, rates, ways
-    )
-    return ways
+    """States (b, 3n) minus what their moments ask for, (b, 3n) [rad]."""
+    return derivatives.residuals(model, inputs, states, model.arrays.fresh_memory())
 
 
 @pytest.mark.parametrize('bends_as', ['arc', 'hinge'])
@@ -66,10 +51,34 @@ def test_the_elimination_solves_the_equations_of_the_differences(names, bends_as
     up, down = (
         residuals(model, inputs, state + side * step * np.eye(count, size)) for side in (1.0, -1.0)
     )
-    jacobian = (up - down).T / (2.0 * step)
-    rates = random.normal(size=(1, 4, count))
-    ways = solved(model, TENSIONS[:1], state[None], rates)
-    assert np.allclose(jacobian @ ways[0].T, -rates[0].T, rtol=0, atol=1e-5)
+    jacobian = (up - down)[:, :count].T / (2.0 * step)
+    rates = random.normal(size=(1, 4, size))
+    past = model.arrays.fresh_memory()
+    ways = derivatives.responses(model, TENSIONS[:1], state[None], past, rates)[0]
+    assert np.allclose(jacobian @ ways[:, :count].T, -rates[0, :, :count].T, rtol=0, atol=1e-5)
+    assert not ways[:, count:].any()
+
+
+@pytest.mark.parametrize('spatially', [False, True])
+def test_a_row_of_residuals_is_as_wide_as_a_state_whatever_acts(spatially):
+    """What is written lies where it belongs, and nothing behind the array is written."""
+    robot = arm({'tendon_friction': None}) if spatially else load_robot('kato_10_1')
+    model, random = Model(robot), np.random.default_rng(6)
+    b, n, m = 3, robot.cells, len(model.inputs)
+    inputs, states = random.uniform(0.1, 0.9, (b, m)), random.normal(0.0, 0.05, (b, 3 * n))
+    states[:, 2 * n :] = 0.0
+    rows = []
+    for twists in (False, True):
+        if twists:
+            model.arrays.act('torsion')
+        model.arrays.link()
+        held = np.full((b + 2, 3 * n), 7.0)  # a row before and behind
+        past, part = model.arrays.fresh_memory(), model.arrays.part('derivatives')
+        part.residuals(model.arrays.address, inputs, states, past, model.scratch, held[1:-1])
+        assert (held[[0, -1]] == 7.0).all()
+        rows.append(held[1:-1])
+    assert np.allclose(*rows, rtol=0, atol=1e-12)
+    assert rows[0][:, : 2 * n].all() and not rows[0][:, 2 * n :].any()
 
 
 def test_the_residual_is_what_the_plain_model_says():

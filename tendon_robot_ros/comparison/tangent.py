@@ -90,12 +90,13 @@ class Shifted:
     @contextmanager
     def made(self, model: ForwardModel, side: Floats) -> Iterator[None]:
         """Let the parameter be on one side, its effect on, while the block runs."""
+        on = self._arrays.on.copy()
         self._arrays.act(self._effect)
         self._values[:] = self._here + side[0]
         try:
             yield
         finally:
-            self._values[:] = self._here
+            self._values[:], self._arrays.on[:] = self._here, on
 
 
 class Pulled:

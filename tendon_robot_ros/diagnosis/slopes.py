@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from ..comparison.predict import CELLS, Point
 from ..comparison.tangent import TAUT_FROM_N
-from ..model.derivatives import shown
+from ..model.derivatives import residuals, responses, shown
 from ..model.shape import ShapeBatch
 from .as_built import (
     ACROSS,
@@ -126,20 +126,11 @@ class _Slopes:
         self.split, self.shapes, self.model = split, shapes, split.model
         self.state, self.commanded = np.ascontiguousarray(shapes.state), commanded
         self.cells = shapes.state.shape[1] // 3
-        b, size = len(shapes), (3 if self.model.arrays.twists else 2) * self.cells
-        rates = np.ascontiguousarray(np.broadcast_to(np.eye(size), (b, size, size)))
-        self.answers = np.empty((b, size, size))
-        arrays = self.model.arrays
-        arrays.link()
-        arrays.part('derivatives').responses(
-            arrays.address,
-            np.ascontiguousarray(shapes.inputs),
-            self.state,
-            arrays.fresh_memory(),
-            self.model.scratch,
-            rates,
-            self.answers,
-        )
+        size = (3 if self.model.arrays.twists else 2) * self.cells
+        rates = np.broadcast_to(np.eye(size, 3 * self.cells), (len(shapes), size, 3 * self.cells))
+        self.fresh = self.model.arrays.fresh_memory()
+        answers = responses(self.model, shapes.inputs, self.state, self.fresh, rates)
+        self.answers = answers[..., :size]
         self.by_state = self._by_state()
         self.by_tension = self._by_tension()
 
@@ -262,16 +253,8 @@ class _Slopes:
 
     def _residual(self, inputs: Floats) -> Floats:
         """Residual (P, u) [rad] at the settled states, the model as it is now."""
-        arrays, out = self.model.arrays, np.empty(self.answers.shape[:2])
-        arrays.part('derivatives').residuals(
-            arrays.address,
-            np.ascontiguousarray(inputs),
-            self.state,
-            arrays.fresh_memory(),
-            self.model.scratch,
-            out,
-        )
-        return out
+        found = residuals(self.model, inputs, self.state, self.fresh)
+        return found[:, : self.answers.shape[1]]
 
     def _along(self, rates: Floats) -> _Seen:
         """Return what is seen of residuals' rates (P, q, u): the state follows."""

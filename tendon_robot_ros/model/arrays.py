@@ -76,6 +76,8 @@ class KernelArrays:
         wide = max(len(robot.sections), len(robot.tendons))
         self.values = np.empty((len(self.layout.rows), wide))
         self.on = np.zeros(len(self.layout.index), dtype=np.uint8)
+        self.twisting = np.zeros_like(self.on)  # which effects let cells twist
+        self.twisting[[self.layout.index[e.name] for e in catalogue if e.stage == 'torsion']] = 1
         for effect in catalogue:
             for parameter in effect.parameters:
                 self.values[self.layout.rows[effect.name, parameter.name]] = parameter.neutral
@@ -124,9 +126,7 @@ class KernelArrays:
     @property
     def twists(self) -> bool:
         """Whether cells twist about their own axis."""
-        return any(
-            self.on[self.layout.index[e.name]] for e in self.catalogue if e.stage == 'torsion'
-        )
+        return bool((self.on & self.twisting).any())
 
     def _read(self, name: str, values: dict[str, Any]) -> None:
         robot = self.robot

@@ -49,8 +49,8 @@ def tip_slopes(model: ForwardModel, shape: Shape, past: Floats) -> Floats:
 
 def tip_ways(model: ForwardModel, shape: Shape, past: Floats) -> tuple[Floats, Floats]:
     """Return `tip_slopes` (6, m), and how the state follows the tensions (m, u) [rad/N]."""
-    m, entries = len(shape.inputs), len(shape.state)
-    slopes, ways = np.empty((6, m)), np.empty((m, _unknowns(model, entries)))
+    m = len(shape.inputs)
+    slopes, ways = np.empty((6, m)), np.empty((m, _unknowns(model)))
     states, part = np.array([shape.state, shape.state]), model.arrays.part('derivatives')
     inputs, where = shape.inputs.copy(), model.arrays.address
     part.jacobian(where, inputs, states, past, model.scratch, ways, slopes)
@@ -76,9 +76,9 @@ def take_sides(model: ForwardModel, shape: Shape, past: Floats, way: Floats) -> 
     return int(part.take_sides(where, inputs, states, way, past, model.scratch))
 
 
-def _unknowns(model: ForwardModel, entries: int) -> int:
-    """Return how many of the entries of a state count."""
-    return entries if model.arrays.twists else entries // 3 * 2
+def _unknowns(model: ForwardModel) -> int:
+    """Return how many of the entries of a state count as the model is now."""
+    return (3 if model.arrays.twists else 2) * int(model.arrays.chain.n)
 
 
 def derivatives(
@@ -241,38 +241,50 @@ def _ways(
 ) -> Floats:
     """Return how the states follow every quantity, (q, b, 3n) [rad per unit]."""
     arrays = model.arrays
-    arrays.link()
-    part, (b, entries) = arrays.part('derivatives'), states.shape
-    with _twisting(model, moves):
-        count = _unknowns(model, entries)
-        inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
-        changes, rows = np.empty((b, len(moves), count)), np.empty((b, len(moves), count))
-        sides = np.empty((2, b, count))
-        for q, move in enumerate(moves):
-            for out, side in zip(sides, (move.up, move.down), strict=True):
-                with move.made(model, side):
-                    moved = move.inputs(inputs, side)
-                    part.residuals(arrays.address, moved, states, past, model.scratch, out)
-            changes[:, q] = (sides[0] - sides[1]) / (move.up - move.down)[:, None]
-        part.responses(arrays.address, inputs, states, past, model.scratch, changes, rows)
-    ways = np.zeros((len(moves), b, entries))
-    ways[..., :count] = rows.swapaxes(0, 1)
+    rates, on = np.empty((len(states), len(moves), states.shape[1])), arrays.on.copy()
+    for q, move in enumerate(moves):
+        sides = []
+        for side in (move.up, move.down):
+            with move.made(model, side):
+                sides.append(residuals(model, move.inputs(inputs, side), states, past))
+                on |= arrays.on & arrays.twisting
+        rates[:, q] = _per_unit(sides, move)
+    with _acting(model, on):  # cells twist for all if they do for one: else by nothing
+        return responses(model, inputs, states, past, rates).swapaxes(0, 1)
+
+
+def residuals(model: ForwardModel, inputs: Floats, states: Floats, past: Floats) -> Floats:
+    """Return states (b, 3n) minus what their own moments ask for [rad]; 0 for what no cell has."""
+    model.arrays.link()
+    inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
+    part, out = model.arrays.part('derivatives'), np.empty_like(states)
+    part.residuals(model.arrays.address, inputs, states, past, model.scratch, out)
+    return out
+
+
+def responses(
+    model: ForwardModel, inputs: Floats, states: Floats, past: Floats, rates: Floats
+) -> Floats:
+    """Return how equilibria (b, 3n) balance rates (b, q, 3n) of their residuals, (b, q, 3n)."""
+    model.arrays.link()
+    inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
+    part, count = model.arrays.part('derivatives'), _unknowns(model)
+    changes, ways = np.ascontiguousarray(rates[..., :count]), np.zeros(rates.shape)
+    rows = np.empty_like(changes)
+    part.responses(model.arrays.address, inputs, states, past, model.scratch, changes, rows)
+    ways[..., :count] = rows
     return ways
 
 
 @contextmanager
-def _twisting(model: ForwardModel, moves: Sequence[Move]) -> Iterator[None]:
-    """Let cells twist, if only by nothing, while derivatives by their torsion are taken."""
-    on = model.arrays.on.copy()
+def _acting(model: ForwardModel, on: npt.NDArray[np.uint8]) -> Iterator[None]:
+    """Let the effects of a mask act while the block runs."""
+    before = model.arrays.on.copy()
+    model.arrays.on[:] = on
     try:
-        for move in moves:
-            if isinstance(move, _Move) and not isinstance(move.column, str):
-                effect = model.catalogue[move.column[0]]
-                if effect.stage == 'torsion':
-                    model.arrays.act(effect.name)
         yield
     finally:
-        model.arrays.on[:] = on
+        model.arrays.on[:] = before
 
 
 def shown(

@@ -215,18 +215,19 @@ def take_sides(robot, inputs, bends, way, past, scratch):
 
 @entry()
 def residuals(robot, inputs, bends, past, scratch, out):
-    """Fill the residuals `out` (b, unknowns) [rad] at inputs (b, m) [N] and states (b, 3n)."""
+    """
+    Fill the residuals `out` (b, 3n) [rad] at inputs (b, m) [N] and states (b, 3n).
+
+    Those of the twists are 0 where cells do not twist: a row is as wide as a state, whatever acts.
+    """
     chain = chain_at(robot)
     work, then = work_in(chain, scratch), memory_in(chain, address(past))
     for b in range(inputs.shape[0]):
-        residual_at(chain.residual)(
-            chain,
-            address(inputs) + 8 * chain.m * b,
-            address(bends) + 24 * chain.n * b,
-            work,
-            then,
-            address(out) + 8 * unknowns(chain) * b,
-        )
+        tension, row = address(inputs) + 8 * chain.m * b, address(out) + 24 * chain.n * b
+        bend = address(bends) + 24 * chain.n * b
+        for q in range(unknowns(chain), 3 * chain.n):
+            floats(row)[q] = 0.0
+        residual_at(chain.residual)(chain, tension, bend, work, then, row)
 
 
 @entry()
