@@ -100,18 +100,19 @@ def told(found: dict[str, np.ndarray], robot: Robot, kind: str) -> dict[str, flo
     return {key: round(value, 2) for key, value in figures.items()}
 
 
-def stream(robot: Robot) -> dict[str, float]:
+def stream(robot: Robot, by_pulls: bool) -> dict[str, float]:
     """Follow a line from a tip straight out of reach and back, as the controller does."""
     model = Model(robot)
     low, high = model.limits.T
     start = low + 0.1 * (high - low) * np.linspace(0.3, 1.0, len(low))
-    here = model.shape(start)
+    here = model.reach(model.shape(start).tip_position, by_pulls=by_pulls).shape
     out = here.tip_position / np.linalg.norm(here.tip_position) * STREAM_OUT * robot.length
     begin, shares, steps = here.tip_position, [], []
     half = np.linspace(0.0, 1.0, STREAM_STEPS)
     for share in (*half, *half[::-1]):
         before = here.inputs
-        here = model.reach(begin + share * out, guess=here, relax=True, gently=True).shape
+        place = begin + share * out
+        here = model.reach(place, guess=here, relax=True, gently=True, by_pulls=by_pulls).shape
         steps.append(np.abs((here.inputs - before) / (high - low)).max())
         shares.append(((here.inputs - low) / (high - low)).max())
     back = float(np.linalg.norm(here.tip_position - begin)) / robot.length
@@ -137,8 +138,7 @@ def main() -> int:
             kind: told(searched(robot, by_pulls, kind, options.targets), robot, kind)
             for kind in ('within', 'beside', 'beyond')
         }
-        if not by_pulls:
-            figures[name]['stream'] = stream(robot)
+        figures[name]['stream'] = stream(robot, by_pulls)
         print(name, figures[name], file=sys.stderr, flush=True)
     tell({'machine': machine(), 'figures': figures}, options.json)
     return 0

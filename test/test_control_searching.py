@@ -8,6 +8,7 @@ from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.control import Target, Twist
 from tendon_robot_ros.control.status import controller_status
 from tendon_robot_ros.model.shape import Reach
+from tendon_robot_ros.model.tip_task import TipTask, tip_target
 
 
 class Gate:
@@ -143,9 +144,9 @@ def test_what_is_found_first_is_on_its_way_while_the_search_goes_on(rig, monkeyp
     rig.core.solver.late = False
     rig.core.solver.answer('target')
     assert rig.core.search is None
-    found, (low, high) = rig.core.solution, model().limits.T
-    worth = [np.log(one.position_error) + 0.5 * ((one.tensions - low) / (high - low)).mean()
-             for one in (first, found)]  # fmt: skip
+    found, high = rig.core.solution, model().limits[:, 1]
+    task = TipTask(model(), tip_target(model(), far.position, None, 1.0, None), np.zeros(0))
+    worth = [task.worth(0.5 * one.position_error**2, one.tensions) for one in (first, found)]
     assert worth[1] <= worth[0]
     assert max(first.tensions.max(), found.tensions.max()) < high.max()  # it is beyond reach
     # what is no nearer than the arm is not gone to

@@ -19,6 +19,7 @@ from .redundancy import Balance, Preferences, balanced
 from .shape import Reach, Shape
 from .starts import (
     GAIN_MIN,
+    GENTLE_SHARE,
     LOW_TENSION_SHARE,
     SEEKING_WIDTHS,
     TRACKING_GAIN_MIN,
@@ -125,12 +126,14 @@ def reach(
     starts = min(starts, PULL_STARTS) if by_pulls else starts
     begin = beginnings(task, guess, starts, tell is not None, gently)
     going = guess if gently and model.sticks else None
-    best = _searched(task, begin, guess, by_pulls, give_up, tell, going)
+    priced = partial(_priced, task, gently, by_pulls)
+    best = _searched(task, begin, guess, by_pulls, give_up, tell, going, priced)
     late = give_up()
-    if not _is_there(task, best[0], best[1]):
+    if not _is_there(task, *best[:2]):
         # from a guess, without friction that sticks, it takes a millisecond: also when it is late
         if not late or (guess is not None and not model.sticks):
-            best = _beyond(task, best, guess, gently or late, by_pulls, going)
+            for start in _beyond(model, best, guess, gently or late):
+                best = priced(best, start)
     elif (relax or guess is None) and not (late or by_pulls or preferences or going):
         best = _relaxed(task, best)
     made = judged(task, *best[1:], in_time=not give_up())
@@ -155,6 +158,7 @@ def _searched(
     give_up: Callable[[], bool],
     tell: Callable[[Reach], None] | None,
     going: Shape | None,
+    priced: Callable[[Found, tuple[Floats, Floats]], Found],
 ) -> Found:
     """Return cost [m²], tensions and bends of the first start that meets it, or of the best."""
     model = task.model
@@ -174,8 +178,10 @@ def _searched(
             best, least = (cost, inputs, bends), worth
         good = task.worth(*best[:2])  # what is beyond reach is no reason to set out for the limits
         if tell is not None and good < told and (sticks or not met):
-            tell(judged(task, best[1].copy(), best[2], in_time=False))
-            told = TOLD_SHARE * good
+            tense = not met and _is_tense(model, guess, best[1])
+            early = priced(best, best[1:]) if tense else best
+            tell(judged(task, early[1].copy(), early[2], in_time=False))
+            told = TOLD_SHARE * task.worth(*early[:2])
         does = sticks and count >= KINK_STARTS and best[0] < KINK_REACHED_M2
         does = does or (remembers and count == 0 and cost < NEAR_REACHED_M2)
         # what comes after the first search takes no time: where the arm may set out
@@ -208,6 +214,13 @@ def _jumps(model: ForwardModel, before: Floats, inputs: Floats) -> bool:
     """Tell whether tensions (m,) [N] are far from those before."""
     low, high = model.limits.T
     return bool(np.any(np.abs(inputs - before) > JUMP_SHARE * (high - low)))
+
+
+def _is_tense(model: ForwardModel, guess: Shape | None, inputs: Floats) -> bool:
+    """Tell whether tensions (m,) [N] are on the whole far above those where the arm is."""
+    low, high = model.limits.T
+    here = low if guess is None else guess.inputs
+    return bool((inputs - here).sum() > JUMP_SHARE * (high - low).sum())
 
 
 def _balanced(
@@ -251,42 +264,47 @@ def _outside(balance: Balance, shape: Shape) -> Iterator[Shape]:
 
 
 def _beyond(
-    task: TipTask,
-    best: Found,
-    guess: Shape | None,
-    gently: bool,
-    by_pulls: bool,
-    going: Shape | None,
-) -> Found:
+    model: ForwardModel, best: Found, guess: Shape | None, gently: bool
+) -> Iterator[tuple[Floats, Floats]]:
     """
-    Return the posture for a target beyond reach whose error is worth its tension.
+    Yield tensions and states from which a target beyond reach is searched for.
 
     From the best that was found, from where the arm is and, unless targets follow each other, from
-    the straight arm at its lowest tensions. A target that is nearly met is within reach: there
-    only what is nearer is taken.
+    the straight arm at its lowest tensions.
     """
+    yield best[1:]
+    if guess is not None:
+        yield within(guess.inputs, *model.limits.T), guess.state
+    if not gently:
+        yield model.limits[:, 0], np.zeros(3 * model.robot.cells)
+
+
+def _priced(
+    task: TipTask, gently: bool, by_pulls: bool, best: Found, start: tuple[Floats, Floats]
+) -> Found:
+    """
+    Return the posture for a target beyond reach whose error is worth its tension, or the best.
+
+    As a search from tensions and a state finds it; gently, what that adds to the error counts. The
+    way there does not: else the arm stays behind a target that goes on, and jumps. A target that
+    is nearly met is within reach: there only what is nearer is taken.
+    """
+    share = GENTLE_SHARE if gently else LOW_TENSION_SHARE
 
     def worth(cost: float, inputs: Floats) -> float:
-        return cost if best[0] < NEAR_REACHED_M2 else _worth(task, cost, inputs, going)
+        if best[0] < NEAR_REACHED_M2:
+            return cost
+        spent = 0.5 * (share * task.per_newton) ** 2 * _above(task.model, inputs)
+        return task.worth(cost + spent, inputs)
 
-    model, least, found = task.model, worth(*best[:2]), best
-    starts = [best[1:]]
-    if guess is not None:
-        starts.append((within(guess.inputs, *model.limits.T), guess.state))
-    if not gently:
-        starts.append((model.limits[:, 0], np.zeros(3 * model.robot.cells)))
     search: Aim = partial(aim, task, GAIN_MIN, priced=True)
     if gently:
         search = partial(aim_gently, task, TRIALS_MAX, priced=True)
-    for start, state in starts:
-        inputs = start.copy()
-        if by_pulls:
-            cost, bend = aim_by_pulls(task, search, inputs, state)
-        else:
-            cost, bend = search(inputs, state, model.limits)
-        if (now := worth(cost, inputs)) < least:
-            least, found = now, (cost, inputs, bend)
-    return found
+    inputs, model = start[0].copy(), task.model
+    cost, bend = search(inputs, start[1], limits_by_pulls(model) if by_pulls else model.limits)
+    if by_pulls:  # of the wires that pull there
+        cost, bend = aim_by_pulls(task, search, inputs, bend)
+    return (cost, inputs, bend) if worth(cost, inputs) < worth(*best[:2]) else best
 
 
 def _relaxed(task: TipTask, best: Found) -> Found:

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from .shape import Shape
 
 Floats = npt.NDArray[np.float64]
-# [1] for ln of the error: all tendons from their lowest to their highest tension must bring it
-# down to exp(-1/2) = 61 %. Up to 1/2 tensions are a continuous function of a target that leaves
-# what is reached: beside an error s (1 - t) that tension t takes away and d that it cannot, the
-# least of ln(d² + s² (1 - t)²)/2 + t/2 goes from t = 1 to 0 without a jump; beyond 1/2 it jumps.
-TENSION_PRICE = 0.5
-NONE = 0.01  # [1] of a tension's range: a step of the search to no tension ends below that
+# [1] of ln of what is left of the tensions' range, beside ln of the error that is left. Beside an
+# error s (1 - t) that a share t of all tensions takes away, and d that none does, the least of
+# ln(d² + s² (1 - t)²) / 2 - p ln(1 - t) is at t = 1 - d / (D s) with p = 1 / (1 + D²), without a
+# jump: a tension goes evenly until d is D times what it takes away. D: a half.
+TENSION_PRICE = 0.8
+LEFT = 1e-3  # [1] what counts as left of the range where all tendons are at their limit
 FAR_LENGTHS = 100.0  # [1] so far off all places cost the same: exp would overflow
 
 
@@ -79,23 +79,23 @@ class TipTask:
 
         A share [1] of `per_newton`, and, priced, what `worth` says.
         """
-        width, tendons = self._range, len(self.model.inputs)
-        price = TENSION_PRICE / (width * tendons) if priced else 0.0
-        return np.array([share * self.per_newton, price, self.model.robot.length, NONE * width])
+        room, price = self._range * len(self.model.inputs), TENSION_PRICE if priced else 0.0
+        return np.array([share * self.per_newton, price, self.model.robot.length, room])
 
     def worth(self, cost: float, inputs: Floats) -> float:
         """
         Return a cost [m²] with what tensions (m,) [N] cost beside the error e that is left.
 
-        It grows with ln e + `TENSION_PRICE` x the mean share of the tensions in their range: how
-        far a target is beyond reach does not make tension cheap. Beyond a length of the robot e
-        itself counts, in lengths.
+        It grows with ln e - `TENSION_PRICE` x ln(1 - t), with the mean share t of the tensions in
+        their range: how far a target is beyond reach does not make tension cheap. Beyond a length
+        of the robot e itself counts, in lengths.
         """
-        above = float((inputs - self.model.limits[:, 0]).mean()) / self._range
+        share = float((inputs - self.model.limits[:, 0]).mean()) / self._range
         length = self.model.robot.length
         away = math.sqrt(2.0 * cost) / length
         size = away if away < 1.0 else math.exp(min(away - 1.0, FAR_LENGTHS))
-        return 0.5 * (length * size * math.exp(TENSION_PRICE * above)) ** 2
+        left = math.pow(max(1.0 - share, LEFT), TENSION_PRICE)
+        return 0.5 * (length * size / left) ** 2
 
     def held_at(self, shape: Shape) -> TipTask:
         """Return the task to stay where a tip is: what is beyond reach is not asked for again."""

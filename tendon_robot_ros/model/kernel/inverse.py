@@ -16,6 +16,9 @@ from .turning import unknowns
 # Target: x, y, z [m], direction x, y, z, weight of position [1], weight of direction [m/rad].
 COST_REACHED_M2 = 1e-14  # [m²] half the squared error of a tip that is where it should be: 0.14 µm
 DIFFERENCE_N = 1e-6  # [N] of forward differences
+# [1] of the tensions' range: a step of the search to no tension ends below that; what counts as
+# left of it where all tendons are at their limit
+NONE, LEFT = 0.01, 1e-3
 
 
 @compiled
@@ -42,35 +45,29 @@ def tip_residual(chain, inputs, there, bend, target, f):
 
 
 @compiled
-def cost_of(f, inputs, low, preference, pull):
-    """
-    Half the squared error plus what tension costs [m²].
-
-    `preference` [m/N] weighs its square, `pull` [m²/N] its sum.
-    """
-    total, tension = 0.0, 0.0
+def cost_of(f, inputs, low, price):
+    """Half the squared error plus what tension costs [m²], see `tension_price`."""
+    total, above, (weight, pull, room) = 0.0, 0.0, price
     for r in range(6):
         total += f[r] * f[r]
     for j in range(inputs.shape[0]):
-        above = inputs[j] - low[j]
-        total += (preference * above) ** 2
-        tension += above
-    return 0.5 * total + pull * tension
+        above += inputs[j] - low[j]
+        total += (weight * (inputs[j] - low[j])) ** 2
+    return 0.5 * total - pull * math.log(max(1.0 - above / room, LEFT))
 
 
 @compiled
-def tension_price(f, tension):
+def tension_price(f, inputs, low, tension):
     """
-    Return what a newton costs beside a weighted tip error (6,) that is left [m²/N].
+    Return what tension costs beside a weighted tip error (6,): weight [m/N], price [m²], room [N].
 
-    A search goes down half the squared error e²/2, whose slope is that of ln e times e²: a price
-    of `tension[1]` [1/N] for ln e is that times e². Beyond `tension[2]` [m] the price is one for
-    e itself: a place that is ten lengths away is no reason to do nothing.
+    A search goes down half the squared error e² / 2, to which the weight adds, whose slope is that
+    of ln e times e²: a price of `tension[1]` beside ln e is that times e². It is paid for minus
+    the logarithm of what is left of the room. Beyond `tension[2]` [m] the price is one beside e
+    itself: a place that is ten lengths away is no reason to do nothing.
     """
-    square = 0.0
-    for r in range(6):
-        square += f[r] * f[r]
-    return tension[1] * min(square, math.sqrt(square) * tension[2])
+    square = 2.0 * cost_of(f, inputs, low, (tension[0], 0.0, tension[3]))
+    return tension[0], tension[1] * min(square, math.sqrt(square) * tension[2]), tension[3]
 
 
 @compiled
@@ -101,18 +98,20 @@ def normal_equations(jacobian, f, inputs, low, price, damping, normal, gradient)
     inputs, low : ndarray, shape (m,)
         [N]
     price : tuple
-        Of tension above the lowest: weights of its squares [m/N] and of its sum [m²/N], and how
-        much of it is next to none [N].
+        Of tension above the lowest, see `tension_price`.
     damping : float
         Of Levenberg and Marquardt [1].
     normal, gradient : ndarray, shapes (m, m) and (m,)
         Take the result [m²/N²], [m²/N].
 
     """
-    m, (preference, pull, small) = inputs.shape[0], price
+    m, left, (weight, pull, room) = inputs.shape[0], 1.0, price
+    for j in range(m):
+        left -= (inputs[j] - low[j]) / room
+    pull /= room * max(left, LEFT)
     for j in range(m):
         above = inputs[j] - low[j]
-        gradient[j] = preference * preference * above + pull
+        gradient[j] = weight * weight * above + pull
         for r in range(6):
             gradient[j] += jacobian[r, j] * f[r]
         for q in range(m):
@@ -120,7 +119,7 @@ def normal_equations(jacobian, f, inputs, low, price, damping, normal, gradient)
             for r in range(6):
                 normal[j, q] += jacobian[r, j] * jacobian[r, q]
         # a sum has no curvature: that of the square that touches it from above
-        normal[j, j] += preference * preference + pull / max(above, small)
+        normal[j, j] += weight * weight + pull / max(above, NONE * room / m)
         normal[j, j] += damping * (normal[j, j] + 1e-12)
 
 
@@ -141,8 +140,7 @@ def gauss_newton_step(jacobian, f, inputs, low, high, price, damping, trial, fre
     inputs, low, high : ndarray, shape (m,)
         Where the step begins, and limits [N].
     price : tuple
-        Of tension above the lowest: weights of its squares [m/N] and of its sum [m²/N], and how
-        much of it is next to none [N].
+        Of tension above the lowest, see `tension_price`.
     damping : float
         Of Levenberg and Marquardt [1].
     trial : ndarray, shape (m,)
@@ -246,8 +244,8 @@ def aim(robot, inputs, bends, target, low, high, tension, most, enough, far, unt
     low, high : ndarray, shape (m,)
         [N]
     tension : ndarray, shape (4,)
-        What it costs: weight of its squares [m/N], `tension_price` [1/N] and [m], and how much
-        of it is next to none [N].
+        What it costs, see `tension_price`: weight of its squares [m/N], price [1], [m], and room,
+        the sum of all ranges [N].
     most : int
         Equilibria of trials.
     enough : float
@@ -265,8 +263,8 @@ def aim(robot, inputs, bends, target, low, high, tension, most, enough, far, unt
     f, moved, jacobian = np.empty(6), np.empty(6), np.zeros((6, m))
     trial, free, ways = np.empty(m), np.empty(m, np.int64), np.empty((m, unknowns(chain)))
     tip_residual(chain, inputs, there, there.bend, target, f)
-    preference, pull, damping = tension[0], tension_price(f, tension), 1e-9
-    cost = cost_of(f, inputs, low, preference, pull)
+    price, damping = tension_price(f, inputs, low, tension), 1e-9
+    cost = cost_of(f, inputs, low, price)
     is_explicit = not (is_implicit(chain) or memory_acts(chain))
     floats(there.work.slip)[3] = 0.0
     while most > 0 and cost < far and monotonic() < floats(until)[0]:
@@ -277,14 +275,13 @@ def aim(robot, inputs, bends, target, low, high, tension, most, enough, far, unt
         gain = 0.0
         for _ in range(min(most, 12)):
             most -= 1
-            price = (preference, pull, tension[3])
             problem = (jacobian, f, inputs, low, high, price, damping)
             if gauss_newton_step(*problem, trial, free) == 0:
                 break
             if not is_explicit:
                 predict(chain, there, ways, inputs, trial)
             tip_residual(chain, trial, there, there.near, target, moved)
-            new = cost_of(moved, trial, low, preference, pull)
+            new = cost_of(moved, trial, low, price)
             if new < cost:
                 gain = cost - new
                 break
@@ -293,9 +290,9 @@ def aim(robot, inputs, bends, target, low, high, tension, most, enough, far, unt
             break
         damping = max(0.05 * damping, 1e-13)
         accept(chain, there, trial, moved, inputs, f)
-        pull = tension_price(f, tension)
-        cost = cost_of(f, inputs, low, preference, pull)
-        is_there = cost_of(f, low, low, 0.0, 0.0) < COST_REACHED_M2
+        price = tension_price(f, inputs, low, tension)
+        cost = cost_of(f, inputs, low, price)
+        is_there = cost_of(f, low, low, price) < COST_REACHED_M2
         if gain < 1e-6 * cost or cost < 1e-16 or (is_there and gain < enough * cost):
             break
-    return cost_of(f, inputs, low, preference, 0.0)
+    return cost_of(f, inputs, low, (tension[0], 0.0, tension[3]))
