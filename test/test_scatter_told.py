@@ -7,7 +7,6 @@ import pytest
 from simulated import CATALOGUE
 from source_tree import ROOT
 
-from tendon_robot_ros.comparison.outliers import _moves, _without_inputs
 from tendon_robot_ros.comparison.statistics import chi2_isf
 from tendon_robot_ros.diagnosis.arm_report import arm_report
 from tendon_robot_ros.diagnosis.as_built import Kind
@@ -179,14 +178,3 @@ def test_a_scatter_that_does_not_show_may_be_none():
         size = np.array([1e-3])
         low, high = SizeIntervals(random, size).ends(size)
         assert low[0] == 0.0 and high[0] >= 0.03
-
-
-def test_a_reading_that_one_trial_lost_makes_none_of_the_others_stand_out():
-    random = np.random.default_rng(3)
-    arm, slope = random.normal(size=(8, 3)), random.normal(size=(8, 3))
-    trials = arm + np.array([0.0, -2.0, -1.0, 4.0, 6.0])[:, None, None] * slope
-    trials[1, 7] = np.nan
-    along = slope.reshape(-1, 1)
-    for move in _moves(trials, along):
-        left, _ = _without_inputs(move, along)
-        assert np.nanmax(np.abs(left)) < 1e-4  # their middles are of other trials: 0.5 and more

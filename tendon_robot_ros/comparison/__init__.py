@@ -4,7 +4,8 @@ A model against measurements: how far off, where, and how much of that is noise.
 compare.py      `compare`: models and a data set to a comparison
 result.py       what a comparison holds, and pictures of it
 saved.py        a comparison to JSON and back (the file is cli/options.py's)
-outliers.py     readings and trials that the others contradict
+outliers.py     readings and trials that the others contradict: named, and left out
+contradictions.py  which these are: deletion statistics of the trials of a posture
 conditions.py   what acted on the arm in some of the postures
 predict.py      what a model with freed parameters predicts for the postures of a data set
 tangent.py      how settled postures follow what moves a little

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from statistics import NormalDist
 
 import numpy as np
@@ -29,16 +29,23 @@ def chi2_sf(x: float, freedom: float) -> float:
 @cache
 def chi2_isf(p: float, freedom: float) -> float:
     """Chi² that is exceeded with probability p (between 1e-290 and 1)."""
-    high = max(freedom, 1.0)
-    while chi2_sf(high, freedom) > p:
-        high *= 2.0
-    low = 0.0
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        if middle in (low, high):
-            break
-        low, high = (middle, high) if chi2_sf(middle, freedom) > p else (low, middle)
-    return 0.5 * (low + high)
+    return _exceeded(partial(chi2_sf, freedom=freedom), p)
+
+
+@cache
+def f_isf(p: float, upper: float, lower: float) -> float:
+    """F with (upper, lower) degrees of freedom that is exceeded with probability p."""
+    return _exceeded(partial(f_sf, upper=upper, lower=lower), p)
+
+
+def _exceeded(tail: Callable[[float], float], p: float) -> float:
+    """Return the positive number that is exceeded with probability p, by halving."""
+    low, high = 0.0, 1.0
+    while tail(high) > p:
+        low, high = high, 2.0 * high
+    while low < (middle := 0.5 * (low + high)) < high:
+        low, high = (middle, high) if tail(middle) > p else (low, middle)
+    return middle
 
 
 def f_sf(x: float, upper: float, lower: float) -> float:
