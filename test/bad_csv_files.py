@@ -86,7 +86,8 @@ BAD = {
         'inputs',
         INPUTS.replace('0.5', '51'),
         'inputs.csv, row 2: left is 51 N, but tension_limits end at 5 N',
-        'write newtons (is it in g or mN?)',
+        'raise tension_limits of the robot description to what was applied, or give N '
+        '(0.5 N if in g or 0.051 N if in mN)',
     ),
     'negative tension': (
         'inputs',

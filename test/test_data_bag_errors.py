@@ -177,10 +177,13 @@ def test_a_damaged_recording_is_read_or_refused_in_one_line(exported, storage, e
     [
         (1e3, 1.0, 'a marker is 27 m away, but the robot is only 0.03 m long; record metres in '
          'the base frame (are these mm?)'),
-        (1.0, 1e3, 'a tendon has 1000 N, outside -0.05 to 15 N; record N (in the unit of the '
-         'robot description)'),
-        (1.0, -1.0, 'a tendon has -1 N, outside -0.05 to 15 N; record N (in the unit of the '
-         'robot description)'),
+        (1.0, 1e3, 'a tendon is 1000 N, but tension_limits end at 5 N; raise tension_limits of '
+         'the robot description to what was applied, or give N (1 N if in mN)'),
+        (1.0, 20.0, 'a tendon is 20 N, but tension_limits end at 5 N; raise tension_limits of '
+         'the robot description to what was applied, or give N (0.196 N if in g or '
+         '0.02 N if in mN)'),
+        (1.0, -1.0, 'a tendon is -1 N, but a tendon cannot push; zero its load cell at rest, to '
+         'within 0.05 N, or turn its sign around'),
     ],
 )  # fmt: skip
 def test_other_units_are_refused(factor, tension, message, tmp_path):

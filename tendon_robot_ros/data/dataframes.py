@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import DataSetError, short
+from ..common.words import listed
 from ..robot import Robot
 
 Floats = NDArray[np.float64]
@@ -192,7 +193,8 @@ def frame_columns(arrays: FrameArrays, names: Sequence[str]) -> dict[str, Any]:
     return columns | dict(zip(names, each.T, strict=True))
 
 
-TENSION_MAX_LIMITS = 3.0  # tension limits; a larger tension is in another unit
+TENSION_MAX_LIMITS = 3.0  # tension limits; beyond, they are too low or the unit is another one
+SMALLER_UNITS = {'g': 9.81e-3, 'mN': 1e-3}  # [N] each, of tensions
 DISTANCE_MAX_LENGTHS = 3.0  # robot lengths; a marker farther off is in another unit or frame
 
 
@@ -222,6 +224,7 @@ def check_units(
 
     """
     length, limit = robot.length, robot.tension_limits[1]
+    remedy = 'give metres and newtons, in the base frame'
     far = float(np.nan_to_num(np.abs(arrays.positions)).max(initial=0.0))
     inputs = np.nan_to_num(arrays.inputs)
     if not (arc_lengths >= 0.0).all() or not (arc_lengths <= length + 1e-9).all():
@@ -231,9 +234,20 @@ def check_units(
     elif command == 'displacement' and np.abs(inputs).max(initial=0.0) > length:
         problem = f'a wire is pulled by {np.abs(inputs).max():g} m on an arm of {length:g} m'
     elif command == 'tension' and inputs.max(initial=0.0) > TENSION_MAX_LIMITS * limit:
-        problem = f'a tension is {inputs.max():g} N, but tension_limits end at {limit:g} N'
+        problem, remedy = too_tense('a tendon', float(inputs.max()), limit)
     elif command == 'tension' and inputs.min(initial=0.0) < 0.0:
         problem = f'a tension is {inputs.min():g} N, but a tendon cannot push'
     else:
         return
-    raise DataSetError(name, problem, 'give metres and newtons, in the base frame')
+    raise DataSetError(name, problem, remedy)
+
+
+def too_tense(name: str, tension: float, limit: float) -> tuple[str, str]:
+    """Say of a tension far beyond the limit [N] what is wrong, and what it may be: both ends."""
+    read = [f'{tension * size:.3g} N if in {unit}' for unit, size in SMALLER_UNITS.items()
+            if tension * size <= limit]  # fmt: skip
+    unit = f' ({listed(read, "or")})' if read else ''
+    return (
+        f'{name} is {tension:g} N, but tension_limits end at {limit:g} N',
+        f'raise tension_limits of the robot description to what was applied, or give N{unit}',
+    )

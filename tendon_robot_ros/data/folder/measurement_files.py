@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...common.errors import DataSetError
 from ...common.words import listing
 from ...robot import Robot
-from ..dataframes import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
+from ..dataframes import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS, too_tense
 from ..dataset import FloatArray
 from .csv_file import NEEDED, CsvFile, IntArray, Table
 from .input_columns import (
@@ -152,11 +152,9 @@ def _check(file: CsvFile, values: FloatArray, robot: Robot, kind: str) -> None:
         'write 0 for a slack tendon (an empty cell means slack only with input: displacement)',
     )
     refuse(values < 0.0, '{name} is {value:g} N', 'a tendon cannot push: write 0 or more')
-    refuse(
-        values > TENSION_MAX_LIMITS * limit,
-        f'{{name}} is {{value:g}} N, but tension_limits end at {limit:g} N',
-        'write newtons (is it in g or mN?)',
-    )
+    beyond = values > TENSION_MAX_LIMITS * limit
+    if beyond.any():
+        refuse(beyond, *too_tense('{name}', float(values[beyond][0]), limit))
 
 
 # -----------------------------------------------------------------------------

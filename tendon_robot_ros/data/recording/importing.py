@@ -13,7 +13,7 @@ from ...common.errors import DataSetError
 from ...common.files import new_file
 from ...common.words import listing
 from ...robot import Robot, RobotLike, load_robot, parse_robot
-from ..dataframes import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS
+from ..dataframes import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS, too_tense
 from ..dataset import DataSet, FloatArray
 from ..folder.description import Description, describe, read_fields
 from ..markers import Marker, default_markers
@@ -300,23 +300,27 @@ def plausible_inputs(
     Raises
     ------
     DataSetError
-        An input is in another unit.
+        An input is beyond what the robot description has, or a tension pushes.
 
     """
     inputs = np.nan_to_num([one.inputs for one in segments])
-    unit, limit = ('m', robot.length) if kind == 'displacement' else ('N', robot.tension_limits[1])
-    highest = limit if kind == 'displacement' else TENSION_MAX_LIMITS * limit
-    lowest = -limit if kind == 'displacement' else -(rule.change or 0.0)
+    if kind == 'tension':
+        limit, least = robot.tension_limits[1], rule.change or 0.0
+        if inputs.max() > TENSION_MAX_LIMITS * limit:
+            raise DataSetError(bag, *too_tense('a tendon', float(inputs.max()), limit))
+        if inputs.min() < -least:
+            problem = f'a tendon is {inputs.min():g} N, but a tendon cannot push'
+            remedy = f'zero its load cell at rest, to within {least:g} N, or turn its sign around'
+            raise DataSetError(bag, problem, remedy)
+        return [replace(one, inputs=np.maximum(one.inputs, 0.0)) for one in segments]
     for value in (inputs.min(), inputs.max()):
-        if not lowest <= value <= highest:
+        if abs(value) > robot.length:
             raise DataSetError(
                 bag,
-                f'a tendon has {value:g} {unit}, outside {lowest:g} to {highest:g} {unit}',
-                f'record {unit} (in the unit of the robot description)',
+                f'a wire is pulled by {value:g} m, but the robot is only {robot.length:g} m long',
+                'give metres (are these mm?)',
             )
-    if kind == 'displacement':
-        return segments
-    return [replace(one, inputs=np.maximum(one.inputs, 0.0)) for one in segments]
+    return segments
 
 
 # -----------------------------------------------------------------------------
