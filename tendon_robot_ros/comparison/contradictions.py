@@ -8,13 +8,14 @@ from the others, has the squared norm d = r' M_ii^-1 r, which is s² chi² of as
 freedom as M_ii has rank (Cook and Weisberg 1982, 2.2): the fewer trials there are, and the more
 of the reading inputs explain, the less is left of it, and the less is expected. s² is the median
 of all d over that of chi², so that outliers do not count for it, and d is beyond chance by the F
-distribution. Inputs are judged alike: the covariance of u is that of the fit and a variance that
-all trials share.
+distribution. A trial is judged by the squared norm of G u, from the mean of the others: a sum of
+chi² with the weights s² + t² g², g the singular values of G, so no more than the largest weight
+times chi². The variance t² of inputs is the one that the median of all trials asks for.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -31,14 +32,15 @@ SLOPES_OFF_SHARE = 0.3  # of what slopes took off; the model that they are of ma
 MEDIAN_EFFICIENCY = 0.37  # of a median as a variance, at least: that of squared normal values
 NOTHING = 1e-3  # [1] of the strongest input or of a whole reading: no more than rounding
 RESOLUTION = 1e-9  # [m] of positions: smaller moves are rounding
+HALVINGS = 50  # of an interval: all digits
 
 
 def contradicted(moves: Floats, slopes: Floats, share: Floats) -> tuple[Bools, Bools]:
     """
     Tell which readings (P, Q, J) and which trials (P, Q) the other trials contradict.
 
-    The largest reading of a posture that is beyond chance is left out and the others are looked
-    at again without it, as it moved what was expected of them; then the trials are, alike.
+    What is farthest beyond chance in a posture, a reading or a trial, is left out, and the others
+    are looked at again without it, as it moved what was expected of them.
 
     Parameters
     ----------
@@ -55,22 +57,23 @@ def contradicted(moves: Floats, slopes: Floats, share: Floats) -> tuple[Bools, B
     still = np.nanmax(np.abs(moves), axis=(0, 1, 2), initial=0.0) < RESOLUTION  # never measured
     out, trials = np.zeros_like(seen), np.zeros(seen.shape[:2], dtype=bool)
     left = dict[int, _Left]()
-    stale = np.flatnonzero(runs >= TRIALS_MIN)
-    while len(stale):
-        for p in stale.tolist():
+    stale = np.flatnonzero(runs >= TRIALS_MIN).tolist()
+    while stale:
+        for p in stale:
             kept = np.where(out[p, ..., None] | still, np.nan, moves[p])
             left[p] = _left(kept, slopes[p], share[p])
-        odd, spread = _odd_readings(left)
-        if odd:
-            for p, q, j in odd:
+        stale = []
+        for p, of_readings, of_trials in zip(left, *_beyond(left), strict=True):
+            if max(of_readings.max(), of_trials.max()) <= 1.0:
+                continue
+            if of_trials.max() >= of_readings.max():
+                trials[p, int(of_trials.argmax())] = True
+            else:
+                q, j = divmod(int(of_readings.argmax()), seen.shape[2])
                 out[p, q, j] = True
                 trials[p, q] |= out[p, q].sum() > max(OFF_SHARE * counts[p, q], 1)
-        else:
-            odd = [(p, q, 0) for p, q in _odd_inputs(left, spread)]
-            for p, q, _ in odd:
-                trials[p, q] = True
-        out |= trials[..., None]
-        stale = np.array([p for p, *_ in odd], dtype=np.int64)
+            out[p] |= trials[p, :, None]
+            stale.append(p)
     trials &= (trials.sum(axis=1) < OFF_SHARE * runs)[:, None]
     out &= (out.sum(axis=1) < OFF_SHARE * seen.sum(axis=1))[:, None]
     return out & seen & ~trials[..., None], trials
@@ -108,8 +111,8 @@ class _Left:
     sizes: Floats  # (Q, J) [m] roots of d
     freedom: Counts  # (Q, J)
     surely: Floats  # (Q, J) [1] share of a size that is left if the slopes are wrong
-    inputs: Floats  # (Q, m) [1] squares of inputs from their mean, along their own axes
-    blurred: Floats  # (Q, m) [1/m²] what s² adds to the variance of each; NaN: not told
+    moved: Floats  # (Q,) [m²] square of what inputs do, from the mean of the others
+    strengths: Floats  # (Q, m) [m²] squares g²; 0: not told
 
 
 def _left(moves: Floats, slopes: Floats, share: Floats) -> _Left:
@@ -138,51 +141,52 @@ def _left(moves: Floats, slopes: Floats, share: Floats) -> _Left:
     u = u - u[trials].mean(axis=0) if n else u
     taken = (a @ u[..., None]).reshape(Q, J, 3) + share - share[trials].mean(axis=0)
     shares = np.linalg.norm(taken, axis=2) / np.maximum(np.linalg.norm(left, axis=2), RESOLUTION)
-    blurred, along = np.linalg.eigh(fit @ fit.swapaxes(1, 2))
-    inputs = np.einsum('qrs,qr->qs', along, u) ** 2 * n / max(n - 1, 1)
-    none = ((0, 0), (0, len(slopes) - g.shape[1]))
+    strengths = np.zeros((Q, len(slopes)))
+    if n >= TRIALS_MIN:
+        strengths[trials, : a.shape[2]] = np.linalg.svd(a[trials], compute_uv=False) ** 2
     return _Left(
         np.sqrt(squares.sum(axis=2)),
         np.where(enough, told.sum(axis=2), 0),
         np.maximum(1.0 - SLOPES_OFF_SHARE * shares, 0.0),
-        np.pad(inputs, none),
-        np.pad(
-            np.where(trials[:, None] & (n >= TRIALS_MIN), blurred, np.nan),
-            none,
-            constant_values=np.nan,
-        ),
+        ((a @ u[..., None]) ** 2).sum(axis=(1, 2)) * n / max(n - 1, 1),
+        strengths,
     )
 
 
-def _odd_readings(left: dict[int, _Left]) -> tuple[list[tuple[int, int, int]], float]:
-    """Return the worst outlier (p, q, j) of every posture that has some, and the spread [m]."""
-    sizes = np.stack([np.maximum(one.sizes, RESOLUTION) for one in left.values()])
-    freedom = np.stack([one.freedom for one in left.values()])
-    surely = np.stack([one.surely for one in left.values()])
-    beyond = surely * sizes / outlier_limits(sizes, freedom)
-    worst = [np.unravel_index(int(np.argmax(one)), one.shape) for one in beyond]
-    odd = [
-        (p, int(q), int(j))
-        for p, one, (q, j) in zip(left, beyond, worst, strict=True)
-        if one[q, j] > 1.0
-    ]
-    return odd, max(_spread(sizes, freedom), RESOLUTION)
+def _beyond(left: dict[int, _Left]) -> tuple[Floats, Floats]:
+    """Return how far readings (P, Q, J) and trials (P, Q) are, over the limits of chance."""
+    sizes, freedom, surely, moved, strengths = (
+        np.stack([getattr(one, field.name) for one in left.values()]) for field in fields(_Left)
+    )
+    sizes = np.maximum(sizes, RESOLUTION)
+    readings = surely * sizes / outlier_limits(sizes, freedom)
+    weights = _weights(moved, strengths, max(_spread(sizes, freedom), RESOLUTION) ** 2)
+    many = (strengths > 0.0).sum(axis=2)
+    limits = np.full(moved.shape, np.inf)
+    for k in np.unique(many[many > 0]).tolist():
+        p, known = FALSE_OUTLIER_PROBABILITY / int((many > 0).sum()), int(many.sum())
+        far = k * f_isf(p, k, MEDIAN_EFFICIENCY * known)
+        limits[many == k] = far * weights[many == k].max(axis=1)
+    return readings, np.sqrt(moved / limits)
 
 
-def _odd_inputs(left: dict[int, _Left], spread: float) -> list[tuple[int, int]]:
-    """Return the worst trial (p, q) by its inputs of every posture that has some."""
-    squares = np.stack([one.inputs for one in left.values()])  # (P, Q, m)
-    blurred = spread**2 * np.stack([one.blurred for one in left.values()])
-    freedom = np.isfinite(blurred).sum(axis=2)
+def _weights(moved: Floats, strengths: Floats, noise: float) -> Floats:
+    """Return the weights (P, Q, m) [m²] of chi² that squares (P, Q) [m²] have in the median."""
+    told = strengths > 0.0
+    judged = told.any(axis=2)
+    if not judged.any():
+        return strengths
 
-    def sizes(variance: float) -> Floats:
-        return np.asarray(np.sqrt(np.nansum(squares / (variance + blurred), axis=2)))
+    def usual(variance: float) -> float:
+        """Return the median square over what it is expected to be (Satterthwaite 1946)."""
+        weights = np.where(told, noise + variance * strengths, 0.0)[judged]
+        total = weights.sum(axis=1)
+        freedom = total**2 / (weights**2).sum(axis=1)
+        median = total * (1.0 - 2.0 / (9.0 * freedom)) ** 3  # Wilson and Hilferty 1931
+        return float(np.median(moved[judged] / median))
 
-    low, high = 0.0, float(squares.max(initial=0.0))
-    if _spread(sizes(0.0), freedom) > 1.0:
-        while low < (variance := 0.5 * (low + high)) < high:
-            more = _spread(sizes(variance), freedom) > 1.0
-            low, high = (variance, high) if more else (low, variance)
-    beyond = sizes(low) / outlier_limits(sizes(low), freedom)
-    worst = beyond.argmax(axis=1)
-    return [(p, int(q)) for p, one, q in zip(left, beyond, worst, strict=True) if one[q] > 1.0]
+    low, high = 0.0, 1.0  # an input that is off by itself
+    for _ in range(HALVINGS if usual(0.0) > 1.0 else 0):
+        variance = 0.5 * (low + high)
+        low, high = (variance, high) if usual(variance) > 1.0 else (low, variance)
+    return np.where(told, noise + low * strengths, 0.0)

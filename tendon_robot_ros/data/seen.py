@@ -3,12 +3,15 @@ Which readings of markers are none, whatever wrote them: one meaning of "not see
 
 Trackers and their exports write something where they did not see a marker: an empty cell or NaN,
 0 0 0, a number that no place has (-3.697e28 of NDI, 9999999, -9999), or once more the place where
-the marker was seen last. And a marker that was lost may come back under another number.
+the marker was seen last. And a marker that was lost may come back under another number, or two
+may be taken for each other from some frame on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +31,7 @@ HELD_BY_CHANCE = 1e-9
 HELD_STEPS_MIN = 10
 CHANGES_SHARE_MIN = 0.5  # of those steps; places that change more rarely are rounded coarsely
 TOGETHER_SHARE_MAX = 0.01  # of its frames, that a marker and the one it turns into may share
+CROSSED_SHARE = 0.3  # of the steps of two markers, that are left where they exchange their columns
 NEAREST_SHARE = 0.5  # of the distance to the next marker, within which a lost one is found again
 
 ZERO, SENTINEL, HELD = 'zero', 'sentinel', 'held'
@@ -199,6 +203,59 @@ def renumbered(positions: FloatArray) -> list[tuple[int, ...]]:
             chain += mine
             chains.remove(mine)
     return [tuple(chain) for chain in chains]
+
+
+def put_back(places: FloatArray) -> tuple[FloatArray, list[tuple[int, int, int]]]:
+    """
+    Put markers back into their columns from where on two of them exchange these.
+
+    From one frame to the next each of the two is where the other one was: no arm does that.
+
+    Parameters
+    ----------
+    places : (T, J, n)
+        x, y, z first, in the order of time; NaN = not seen.
+
+    Returns
+    -------
+    places : (T, J, n)
+        In the columns that the markers have in the beginning.
+    exchanges : list of (frame, column, column)
+        In the order of time.
+
+    """
+    seen, told, found = np.isfinite(places[..., 0]), places.copy(), list[tuple[int, int, int]]()
+    for i, j in combinations(range(seen.shape[1]), 2):
+        both = np.flatnonzero(seen[:, i] & seen[:, j])
+        before, after = places[both[:-1], :, :3], places[both[1:], :, :3]
+
+        def steps(a: int, b: int, before: FloatArray = before, after: FloatArray = after) -> Any:
+            return np.linalg.norm(after[:, a] - before[:, b], axis=1)
+
+        crossed = steps(i, j) + steps(j, i) < CROSSED_SHARE * (steps(i, i) + steps(j, j))
+        for k in np.flatnonzero(crossed).tolist():
+            told[both[k] + 1 : both[k + 1], [i, j]] = np.nan  # one of them: nobody knows which
+            found.append((int(both[k + 1]), i, j))
+    made, whose = told.copy(), np.arange(seen.shape[1])
+    for frame, i, j in sorted(found):
+        whose[[i, j]] = whose[[j, i]]
+        made[frame:, whose] = told[frame:]
+    return made, sorted(found)
+
+
+def exchange_lines(
+    exchanges: Sequence[tuple[int, int, int]], times: FloatArray, names: Sequence[str]
+) -> list[str]:
+    """Say which markers exchange their columns, when first [s], and how often."""
+    said = []
+    for pair in dict.fromkeys((i, j) for _, i, j in exchanges):
+        frames = [frame for frame, *two in exchanges if tuple(two) == pair]
+        more = f' and {len(frames) - 1} more times' if len(frames) > 1 else ''
+        said.append(
+            f'{names[pair[0]]} and {names[pair[1]]} exchange their names at '
+            f'{times[frames[0]]:.2f} s{more}: put back to what they are before'
+        )
+    return said
 
 
 def joined(places: FloatArray, chains: Sequence[Sequence[int]]) -> FloatArray:

@@ -68,7 +68,7 @@ class StillMeasurements:
     drifts: tuple[float, ...]  # [s/s] that its clock loses
     dropped: tuple[str, ...]
     assumed: tuple[str, ...]
-    look: tuple[str, ...] = ()  # what contradicts how the arm is said to have come
+    look: tuple[str, ...] = ()  # markers exchanged, what contradicts how the arm is said to come
 
     @property
     def begins(self) -> list[int]:
@@ -130,7 +130,10 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
         tuple(one.drift for one in traces if one.delay is not None),
         tuple(dropped),
         tuple(assumed),
-        tuple(way_contradicted(recipe.path, counts, unit)),
+        (
+            *(f'{one.recording.name}: {said}' for one in traces for said in one.exchanged),
+            *way_contradicted(recipe.path, counts, unit),
+        ),
     )
 
 

@@ -14,7 +14,7 @@ from ..common.errors import DataSetError, InputError
 from ..common.units import UNITS, find_unit
 from ..common.words import listing
 from ..data.recording.reader import Recording, Track
-from ..data.seen import FAR_M, joined, renumbered, without_unseen
+from ..data.seen import FAR_M, exchange_lines, joined, put_back, renumbered, without_unseen
 from .choices import Taken, time_column
 from .clocks import find_clock
 from .columns import FloatArray, RawTable, marker_label
@@ -93,6 +93,7 @@ class Traces:
     delay: float | None = None  # [s] that the tracker's file begins later; None: there is one file
     drift: float = 0.0  # [s/s] that the tracker's clock loses
     clocks: str = ''  # how these are known, where there are two clocks
+    exchanged: tuple[str, ...] = ()  # which markers were put back, and when
 
 
 def make_traces(tables: Sequence[RawTable], taken: Taken, length: float) -> list[Traces]:
@@ -175,11 +176,16 @@ def _trace(
             times = delay + (1.0 + drift) * times
         else:
             delay = None
-    cut = _cut_jumps(positions, times) if recipe.time else NOTHING_CUT
+    cut, exchanges = NOTHING_CUT, list[tuple[int, int, int]]()
+    if recipe.time:
+        cut = _cut_jumps(positions, times)
+        positions, exchanges = put_back(positions)
     turned = np.broadcast_to(np.nan, (*positions.shape[:2], 4))
     track = Track(times, positions, turned)
     recording = Recording(seen.name, state_times, [], (track,), (), [], None, None)
-    return Traces(recording, inputs, unseen, cut, delay, drift, clocks)
+    labels = [marker_label(marker.columns) for marker in recipe.markers or ()]
+    said = tuple(exchange_lines(exchanges, times, labels))
+    return Traces(recording, inputs, unseen, cut, delay, drift, clocks, said)
 
 
 def marker_places(

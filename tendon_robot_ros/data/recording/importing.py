@@ -17,7 +17,16 @@ from ..dataframes import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS, too_tense
 from ..dataset import DataSet, FloatArray
 from ..folder.description import Description, describe, read_fields
 from ..markers import Marker, default_markers
-from ..seen import changes, joined, not_there, renumbered, unseen_lines, without_unseen
+from ..seen import (
+    changes,
+    exchange_lines,
+    joined,
+    not_there,
+    put_back,
+    renumbered,
+    unseen_lines,
+    without_unseen,
+)
 from .reader import Recording, Topics, Track, read_bag
 from .senders import refuse_two_senders
 from .still_segments import (
@@ -112,6 +121,7 @@ def import_bag(
     inputs = _inputs(recording, robot, described.input)
     recording, unseen = _without_unseen(recording, robot, [marker.name for marker in markers])
     refuse_two_senders(recording, inputs)
+    recording, exchanged = _put_back(recording)
     rule = (rule or Rule()).fill(robot, described.input)
     moved = motion(recording, inputs, rule)
     segments, left_out = find_segments(
@@ -135,7 +145,7 @@ def import_bag(
         recording.state_times,
         inputs,
         rule,
-        (*told, *unseen, *left_out),
+        (*told, *exchanged, *unseen, *left_out),
         recording.frame,
     )
 
@@ -157,6 +167,18 @@ def _renumbered(recording: Recording, markers: Sequence[Marker]) -> tuple[Record
     turned = np.where(np.isnan(positions[..., :1]), np.nan, track.orientations)
     one = replace(track, positions=joined(positions, chains), orientations=joined(turned, chains))
     return replace(recording, tracks=(one,)), said
+
+
+def _put_back(recording: Recording) -> tuple[Recording, list[str]]:
+    """Put poses of a shape back that exchange their places in it, and say when."""
+    if recording.marker_names or len(recording.tracks) != 1:
+        return recording, []
+    (track,) = recording.tracks
+    places = np.concatenate([track.positions, track.orientations], axis=2)
+    places, exchanges = put_back(places)
+    names = [f'pose {j} of the shape' for j in range(places.shape[1])]
+    one = replace(track, positions=places[..., :3], orientations=places[..., 3:])
+    return replace(recording, tracks=(one,)), exchange_lines(exchanges, track.times, names)
 
 
 def _without_unseen(
