@@ -252,3 +252,15 @@ def test_a_marker_that_is_numbered_anew_in_the_shape_is_one(tmp_path):
     found = import_bag(Renumbered().write(tmp_path / 'bag', LOADED_TWICE), SMALL, rest=0.2)
     is_right(found)
     assert found.left_out[0] == 'poses 1, 3 of the shape are one marker, numbered anew'
+
+
+def test_poses_that_exchange_their_places_in_the_shape_are_put_back(tmp_path):
+    class Exchanged(Mixed):
+        def _write(self, writer, time, shape, inputs):
+            self.count = getattr(self, 'count', 0) + 1
+            order = [0, 2, 1] if self.count > 9.0 * RATE else [0, 1, 2]
+            super()._write(writer, time, shape[order], inputs)
+
+    found = import_bag(Exchanged().write(tmp_path / 'bag', LOADED_TWICE), SMALL, rest=0.2)
+    is_right(found)
+    assert found.left_out[0].startswith('pose 1 of the shape and pose 2 of the shape exchange')

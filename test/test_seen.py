@@ -7,7 +7,9 @@ from tendon_robot_ros.data.seen import (
     HELD,
     SENTINEL,
     ZERO,
+    exchange_lines,
     not_there,
+    put_back,
     renumbered,
     unseen_lines,
     without_unseen,
@@ -140,3 +142,53 @@ def never_seen(places):
 def test_markers_that_are_others_stay_others(change):
     places = change(frames())
     assert renumbered(places) == [(j,) for j in range(places.shape[1])]
+
+
+def twice(places):
+    """Let markers 0 and 1 exchange their columns from a frame on, and then 1 and 2."""
+    places[80:, [0, 1]] = places[80:, [1, 0]]
+    places[150:, [1, 2]] = places[150:, [2, 1]]
+    return [(80, 0, 1), (150, 1, 2)]
+
+
+def for_a_while(places):
+    places[80:120, [0, 2]] = places[80:120, [2, 0]]
+    return [(80, 0, 2), (120, 0, 2)]
+
+
+def after_a_gap(places):
+    """Nobody knows which of the two is seen in the gap: none is."""
+    places[70:90, 1] = np.nan
+    places[80:, [0, 1]] = places[80:, [1, 0]]
+    return [(90, 0, 1)]
+
+
+@pytest.mark.parametrize('change', [twice, for_a_while, after_a_gap])
+@pytest.mark.parametrize('noise', [0.0, 5e-5])
+def test_markers_that_exchange_their_columns_are_put_back(change, noise):
+    right = frames(noise)
+    wrong = right.copy()
+    exchanges = change(wrong)
+    places, found = put_back(wrong)
+    assert found == exchanges
+    same = (places == right).all(axis=2)
+    gone = np.isnan(places).all(axis=2)
+    assert (same | gone).all()
+    assert gone.sum() == (40 if change is after_a_gap else 0)
+
+
+@pytest.mark.parametrize('change', [np.copy, standing, rounded, gone_for_a_while, never_seen])
+def test_markers_that_stay_in_their_columns_are_left_there(change):
+    places = change(frames(5e-5))
+    seen, found = put_back(places)
+    assert not found
+    np.testing.assert_array_equal(seen, places)
+
+
+def test_an_exchange_is_said_once_with_when_and_how_often():
+    times, names = np.arange(200) / 25.0, ['Marker 2', 'Marker 3', 'Marker 4']
+    assert exchange_lines([(50, 0, 1), (100, 1, 2), (125, 0, 1)], times, names) == [
+        'Marker 2 and Marker 3 exchange their names at 2.00 s and 1 times more: put back to what '
+        'they are before',
+        'Marker 3 and Marker 4 exchange their names at 4.00 s: put back to what they are before',
+    ]

@@ -235,6 +235,19 @@ def test_trials_that_differ_by_their_inputs_do_not_ask_for_visits():
     assert not any('different ones' in line for line in imported.look)
 
 
+def test_markers_that_exchange_their_columns_are_put_back_and_said(noisy, tmp_path):
+    reference = import_table(noisy, ARM, {'up': 'y'})
+    mixed, half = noisy.copy(), len(noisy) // 2
+    for axis in 'xyz':
+        one, other = (f'marker_{n}_{axis} [mm]' for n in ('03', '04'))
+        mixed.loc[mixed.index[half:], [one, other]] = noisy.loc[
+            noisy.index[half:], [other, one]
+        ].to_numpy()
+    imported = import_table(mixed, ARM, {'up': 'y'})
+    assert any('marker 03 and marker 04 exchange their names at' in line for line in imported.look)
+    assert_allclose(imported.dataset.mean, reference.dataset.mean, atol=1e-9)
+
+
 def test_a_marker_that_is_numbered_anew_is_followed(noisy, tmp_path):
     reference = import_table(noisy, ARM, {'up': 'y'})
     mixed = noisy.copy()

@@ -250,7 +250,7 @@ def exchange_lines(
     said = []
     for pair in dict.fromkeys((i, j) for _, i, j in exchanges):
         frames = [frame for frame, *two in exchanges if tuple(two) == pair]
-        more = f' and {len(frames) - 1} more times' if len(frames) > 1 else ''
+        more = f' and {len(frames) - 1} times more' if len(frames) > 1 else ''
         said.append(
             f'{names[pair[0]]} and {names[pair[1]]} exchange their names at '
             f'{times[frames[0]]:.2f} s{more}: put back to what they are before'
