@@ -107,51 +107,58 @@ def _off(seen: Floats, should: Floats) -> Floats:
 
 
 def miscounted(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
-    """Try another number of cells in a section: of the same length each, or on the same length."""
-    robot, dataset = predictor.robot, predictor.dataset
-    reach = range(-CELLS_MISCOUNTED_MAX, CELLS_MISCOUNTED_MAX + 1)
-    for s, section in enumerate(robot.sections):
-        if section.is_plate:
-            continue
-        place = f'section {section.name}' if len(robot.own_sections) > 1 else 'the arm'
-        counts = [(section.cells + more, section.cell_length) for more in reach if more]
-        shorter = [(2 * section.cells, section.cell_length / 2.0)]
+    """Try another number of cells in a section, of the same length each."""
+    for s, section in enumerate(predictor.robot.sections):
+        for more in range(-CELLS_MISCOUNTED_MAX, CELLS_MISCOUNTED_MAX + 1):
+            if more and section.cells + more > 0:
+                yield from _counted(predictor, s, section.cells + more, section.cell_length)
+
+
+def otherwise_divided(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+    """Try twice or half as many cells on the length of a section."""
+    for s, section in enumerate(predictor.robot.sections):
+        yield from _counted(predictor, s, 2 * section.cells, section.cell_length / 2.0)
         if section.cells % 2 == 0:
-            shorter.append((section.cells // 2, section.cell_length * 2.0))
-        for count, length in (one for one in counts + shorter if one[0] > 0):
-            longer = _of_cells(robot, s, count, length)
-            same = longer.length == robot.length
-            spots = along(dataset, robot, longer)
-            for where, places in [('stay', dataset.arc_lengths.tolist())] if same else spots:
-                markers_there = tuple(
-                    replace(m, arc_length=s) for m, s in zip(dataset.markers, places, strict=True)
-                )
-                mended = replace(dataset, robot=longer, markers=markers_there)
-                each = f' of {1e3 * length:g} mm' if same else ''
-                yield from tried(
-                    predictor,
-                    Predictor(mended, longer, predictor.model.catalogue).markers({}),
-                    'cells',
-                    f'with {count} cells{each} instead of {section.cells} in {place} '
-                    f'(markers {where})',
-                    f'count the cells of {place}',
-                    True,
-                    robot=longer,
-                    markers=markers_there,
-                )
+            yield from _counted(predictor, s, section.cells // 2, section.cell_length * 2.0)
+
+
+def _counted(predictor: Predictor, s: int, count: int, length: float) -> Iterator[Mistake]:
+    """Try so many cells of a length [m] each in a section, and where markers are on them."""
+    robot, dataset, section = predictor.robot, predictor.dataset, predictor.robot.sections[s]
+    if section.is_plate:
+        return
+    place = f'section {section.name}' if len(robot.own_sections) > 1 else 'the arm'
+    longer = _of_cells(robot, s, count, length)
+    same = longer.length == robot.length
+    each = f' of {1e3 * length:g} mm' if same else ''
+    stay = [('stay', dataset.arc_lengths.tolist())]
+    for where, places in stay if same else along(dataset, robot, longer):
+        markers_there = tuple(
+            replace(m, arc_length=at) for m, at in zip(dataset.markers, places, strict=True)
+        )
+        mended = replace(dataset, robot=longer, markers=markers_there)
+        yield from tried(
+            predictor,
+            Predictor(mended, longer, predictor.model.catalogue).markers({}),
+            'cells',
+            f'with {count} cells{each} instead of {section.cells} in {place} (markers {where})',
+            f'count the cells of {place}',
+            True,
+            robot=longer,
+            markers=markers_there,
+        )
 
 
 def _of_cells(robot: Robot, s: int, count: int, length: float) -> Robot:
     """Return the description with another number of cells in a section, of a length [m] each."""
     section = robot.sections[s]
     again = count * (section.bending_stiffness[-1],)
-    masses = tuple(mass * length / section.cell_length for mass in section.mass_profile)
     other = replace(
         section,
         cells=count,
         cell_length=length,
         bending_stiffness=(section.bending_stiffness + again)[:count],
-        mass_profile=(masses + count * masses[-1:])[:count],
+        mass_profile=(section.mass_profile + count * section.mass_profile[-1:])[:count],
     )
     return replace(
         robot, sections=(*robot.sections[:s], other, *robot.sections[s + 1 :]), fitted={}

@@ -22,7 +22,7 @@ from .decide import (
     FRAME_OFF_SHARE_MIN,
     FRAME_TURNED_MIN_DEG,
 )
-from .marker_hypotheses import by_distances, miscounted, numbered, spots
+from .marker_hypotheses import by_distances, miscounted, numbered, otherwise_divided, spots
 from .mistake import UNIT_FACTORS, Mistake, in_frame, off, times, tried
 
 Floats = npt.NDArray[np.float64]
@@ -357,6 +357,7 @@ DISCRETE = (
     spots,
     by_distances,
     miscounted,
+    otherwise_divided,
     _axes,
 )
 HYPOTHESES = (*DISCRETE, _registered)
