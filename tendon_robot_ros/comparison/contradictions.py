@@ -56,7 +56,7 @@ def contradicted(moves: Floats, slopes: Floats, share: Floats) -> tuple[Bools, B
     counts, runs = seen.sum(axis=2), seen.any(axis=2).sum(axis=1)
     still = np.nanmax(np.abs(moves), axis=(0, 1, 2), initial=0.0) < RESOLUTION  # never measured
     out, trials = np.zeros_like(seen), np.zeros(seen.shape[:2], dtype=bool)
-    left = dict[int, _Left]()
+    left = dict[int, _Deviations]()
     stale = np.flatnonzero(runs >= TRIALS_MIN).tolist()
     while stale:
         for p in stale:
@@ -105,7 +105,7 @@ def _spread(sizes: Floats, freedom: Counts) -> float:
 
 
 @dataclass(frozen=True)
-class _Left:
+class _Deviations:
     """What the fit of a posture leaves; where nothing is told, of 0 degrees of freedom."""
 
     sizes: Floats  # (Q, J) [m] roots of d
@@ -115,7 +115,7 @@ class _Left:
     strengths: Floats  # (Q, m) [m²] squares g²; 0: not told
 
 
-def _left(moves: Floats, slopes: Floats, share: Floats) -> _Left:
+def _left(moves: Floats, slopes: Floats, share: Floats) -> _Deviations:
     """Fit places and inputs to the trials (Q, J, 3) [m] of a posture; NaN was not seen."""
     Q, J, _ = moves.shape
     g = slopes.reshape(len(slopes), -1).T  # (3 J, m)
@@ -138,13 +138,14 @@ def _left(moves: Floats, slopes: Floats, share: Floats) -> _Left:
 
     trials, u = here.any(axis=1), np.einsum('qrj,qj->qr', fit, y)
     n = int(trials.sum())
-    u = u - u[trials].mean(axis=0) if n else u
-    taken = (a @ u[..., None]).reshape(Q, J, 3) + share - share[trials].mean(axis=0)
+    mean = trials / max(n, 1)  # (Q,) weights
+    u = u - mean @ u
+    taken = (a @ u[..., None]).reshape(Q, J, 3) + share - np.einsum('q,qjc->jc', mean, share)
     shares = np.linalg.norm(taken, axis=2) / np.maximum(np.linalg.norm(left, axis=2), RESOLUTION)
     strengths = np.zeros((Q, len(slopes)))
     if n >= TRIALS_MIN:
         strengths[trials, : a.shape[2]] = np.linalg.svd(a[trials], compute_uv=False) ** 2
-    return _Left(
+    return _Deviations(
         np.sqrt(squares.sum(axis=2)),
         np.where(enough, told.sum(axis=2), 0),
         np.maximum(1.0 - SLOPES_OFF_SHARE * shares, 0.0),
@@ -153,10 +154,11 @@ def _left(moves: Floats, slopes: Floats, share: Floats) -> _Left:
     )
 
 
-def _beyond(left: dict[int, _Left]) -> tuple[Floats, Floats]:
+def _beyond(left: dict[int, _Deviations]) -> tuple[Floats, Floats]:
     """Return how far readings (P, Q, J) and trials (P, Q) are, over the limits of chance."""
     sizes, freedom, surely, moved, strengths = (
-        np.stack([getattr(one, field.name) for one in left.values()]) for field in fields(_Left)
+        np.stack([getattr(one, field.name) for one in left.values()])
+        for field in fields(_Deviations)
     )
     sizes = np.maximum(sizes, RESOLUTION)
     readings = surely * sizes / outlier_limits(sizes, freedom)
