@@ -40,7 +40,7 @@ def noisy():
         (lambda f: f[[c for c in f.columns if '_y' not in c]], 'no columns of a marker'),
         (lambda f: f.rename(columns=lambda c: c.replace('T1 [N]', 'T1')), 'unit of T1'),
         (lambda f: f.rename(columns=lambda c: c.replace('T1 [N]', 'T1 [mN]')), None),
-        (lambda f: f.assign(**{'T1 [N]': 1e3 * f['T1 [N]']}), 'a tendon has'),
+        (lambda f: f.assign(**{'T1 [N]': 1e3 * f['T1 [N]']}), 'a tendon is'),
         (lambda f: f.assign(**{c: 1e3 * f[c] for c in f if '[mm]' in c}), 'check the unit'),
         (lambda f: f.rename(columns=lambda c: c.replace('04_x [mm]', '04_x [m]')
                             .replace('04_y [mm]', '04_y [m]').replace('04_z [mm]', '04_z [m]')),
