@@ -30,6 +30,7 @@ Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 BATCHES = 1, 4, 8  # postures in a row whose innovations are added up
 MAD_SD = 1.4826  # 1 sd of a normal distribution over its median absolute deviation
+USUAL_MIN = 10  # references that tell how much a model that is wrong makes them vary
 UPPER_SD = 2.33  # of the mean of batches: 99 %
 
 
@@ -72,9 +73,9 @@ def contradicted(references: Sequence[Reference | None], counts: Bools) -> Bools
 def _beyond(sizes: Floats, freedom: npt.NDArray[np.int64]) -> Bools:
     """Tell which sizes are outliers, though of a model that lacks something they vary more."""
     seen, limits = np.isfinite(sizes), outlier_limits(sizes, freedom)
-    if not np.isfinite(limits).all():
+    if seen.sum() < USUAL_MIN:
         return np.zeros(len(sizes), dtype=np.bool_)
-    apart = np.log(np.where(seen, sizes, limits) / limits)
+    apart = np.log(np.where(seen, sizes / limits, 1.0))
     middle = float(np.median(apart[seen]))
     varies = MAD_SD * float(np.median(np.abs(apart[seen] - middle)))
     expected = float(np.median(np.sqrt(0.5 / freedom[seen])))  # of the logarithm of a norm
