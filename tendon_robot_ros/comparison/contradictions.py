@@ -35,7 +35,7 @@ RESOLUTION = 1e-9  # [m] of positions: smaller moves are rounding
 HALVINGS = 50  # of an interval: all digits
 
 
-def contradicted(moves: Floats, slopes: Floats, share: Floats) -> tuple[Bools, Bools]:
+def contradicted(moves: Floats, slopes: Floats) -> tuple[Bools, Bools]:
     """
     Tell which readings (P, Q, J) and which trials (P, Q) the other trials contradict.
 
@@ -48,8 +48,6 @@ def contradicted(moves: Floats, slopes: Floats, share: Floats) -> tuple[Bools, B
         How far readings are from some place of their marker; NaN where nothing was seen.
     slopes : (P, m, J, 3) [m]
         What inputs do, relative.
-    share : (P, Q, J, 3) [m]
-        What the measured inputs of each trial explain.
 
     """
     seen = np.isfinite(moves).all(axis=3)
@@ -61,7 +59,7 @@ def contradicted(moves: Floats, slopes: Floats, share: Floats) -> tuple[Bools, B
     while stale:
         for p in stale:
             kept = np.where(out[p, ..., None] | still, np.nan, moves[p])
-            left[p] = _left(kept, slopes[p], share[p])
+            left[p] = _left(kept, slopes[p])
         stale = []
         for p, of_readings, of_trials in zip(left, *_beyond(left), strict=True):
             if max(of_readings.max(), of_trials.max()) <= 1.0:
@@ -115,7 +113,7 @@ class _Deviations:
     strengths: Floats  # (Q, m) [m²] squares g²; 0: not told
 
 
-def _left(moves: Floats, slopes: Floats, share: Floats) -> _Deviations:
+def _left(moves: Floats, slopes: Floats) -> _Deviations:
     """Fit places and inputs to the trials (Q, J, 3) [m] of a posture; NaN was not seen."""
     Q, J, _ = moves.shape
     g = slopes.reshape(len(slopes), -1).T  # (3 J, m)
@@ -126,7 +124,7 @@ def _left(moves: Floats, slopes: Floats, share: Floats) -> _Deviations:
     fit = np.linalg.pinv(a, rcond=NOTHING)  # (Q, r, 3 J)
     across = seen[..., None] * np.eye(3 * J) - a @ fit  # (Q, 3 J, 3 J): what inputs cannot do
     inverse = np.linalg.pinv(across.sum(axis=0), rcond=NOTHING, hermitian=True)
-    y = np.where(seen, (moves - share).reshape(Q, -1), 0.0)
+    y = np.where(seen, moves.reshape(Q, -1), 0.0)
     y = np.where(seen, y - inverse @ np.einsum('qij,qj->i', across, y), 0.0)
     left = np.einsum('qij,qj->qi', across, y).reshape(Q, J, 3)
     own = np.einsum('qjajb->qjab', (across - across @ inverse @ across).reshape(Q, J, 3, J, 3))
@@ -138,9 +136,8 @@ def _left(moves: Floats, slopes: Floats, share: Floats) -> _Deviations:
 
     trials, u = here.any(axis=1), np.einsum('qrj,qj->qr', fit, y)
     n = int(trials.sum())
-    mean = trials / max(n, 1)  # (Q,) weights
-    u = u - mean @ u
-    taken = (a @ u[..., None]).reshape(Q, J, 3) + share - np.einsum('q,qjc->jc', mean, share)
+    u = u - trials / max(n, 1) @ u
+    taken = (a @ u[..., None]).reshape(Q, J, 3)
     shares = np.linalg.norm(taken, axis=2) / np.maximum(np.linalg.norm(left, axis=2), RESOLUTION)
     strengths = np.zeros((Q, len(slopes)))
     if n >= TRIALS_MIN:
@@ -149,7 +146,7 @@ def _left(moves: Floats, slopes: Floats, share: Floats) -> _Deviations:
         np.sqrt(squares.sum(axis=2)),
         np.where(enough, told.sum(axis=2), 0),
         np.maximum(1.0 - SLOPES_OFF_SHARE * shares, 0.0),
-        ((a @ u[..., None]) ** 2).sum(axis=(1, 2)) * n / max(n - 1, 1),
+        (taken**2).sum(axis=(1, 2)) * n / max(n - 1, 1),
         strengths,
     )
 

@@ -14,7 +14,7 @@ from ..common.errors import NoEquilibriumError
 from ..common.words import listed
 from ..data import DataSet
 from .contradictions import TRIALS_MIN, contradicted
-from .noise import input_share, input_slopes
+from .noise import input_slopes
 from .predict import Point, Predictor
 
 Floats = npt.NDArray[np.float64]
@@ -70,8 +70,7 @@ def find_outliers(predictor: Predictor, point: Point) -> Outliers:
     if not (dataset.trials >= TRIALS_MIN).any():
         nothing = np.zeros(dataset.mask.shape, dtype=bool)
         return Outliers(nothing, nothing.any(axis=2), distance)
-    slopes = input_slopes(predictor, point)
-    return Outliers(*contradicted(moves, slopes, input_share(dataset, slopes)), distance)
+    return Outliers(*contradicted(moves, input_slopes(predictor, point)), distance)
 
 
 def without_unsettled(predictor: Predictor) -> tuple[DataSet, tuple[str, ...]]:

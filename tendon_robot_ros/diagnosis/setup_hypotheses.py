@@ -250,7 +250,8 @@ def _gravity(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """
     Try gravity along every axis, and as large as on the Earth, where weight is described.
 
-    A tracker's frame that was laid level by the described gravity turns with it.
+    A tracker's frame that was laid level by the described gravity turns with it; it stays where
+    gravity was written wrongly afterwards.
     """
     described = np.asarray(predictor.parts[0].gravity)
     size = float(np.linalg.norm(described))
@@ -267,19 +268,20 @@ def _gravity(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         with predictor.under_gravity(vector):
             moved = predictor.markers({})
         level = predictor.robot.tolerances.get('rotation', 0.0) >= FRAME_HARDLY_KNOWN_RAD
-        turn = turn_onto(described, vector) if level and size > 0.0 else np.eye(3)
+        turns = [turn_onto(described, vector)] if level and size > 0.0 else []
         x, y, z = vector.tolist()
         text = f'{x:g}, {y:g}, {z:g}'
-        yield from tried(
-            predictor,
-            moved,
-            'gravity',
-            f'with gravity [{text}]',
-            f'write gravity: [{text}] into dataset.yaml',
-            positions=positions @ turn.T,
-            gravity=(x, y, z),
-            robot=replace(predictor.robot, gravity=(x, y, z)),
-        )
+        for turn in (*turns, np.eye(3)):
+            yield from tried(
+                predictor,
+                moved,
+                'gravity',
+                f'with gravity [{text}]',
+                f'write gravity: [{text}] into dataset.yaml',
+                positions=positions @ turn.T,
+                gravity=(x, y, z),
+                robot=replace(predictor.robot, gravity=(x, y, z)),
+            )
 
 
 def dead_inputs(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
