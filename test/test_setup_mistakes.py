@@ -10,12 +10,13 @@ from marks import slow
 from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.common.rotations import upright_fit
+from tendon_robot_ros.comparison.noise import rms
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.marker_places import in_one_place
 from tendon_robot_ros.diagnosis.result import EffectFinding, Value
 from tendon_robot_ros.diagnosis.session import Session
-from tendon_robot_ros.diagnosis.setup_hypotheses import dead_inputs
+from tendon_robot_ros.diagnosis.setup_hypotheses import dead_inputs, gravities
 from tendon_robot_ros.diagnosis.setup_mistakes import find_mistake
 from tendon_robot_ros.diagnosis.setup_search import Explaining, implausible, rivals_of
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
@@ -284,6 +285,28 @@ def test_a_marker_elsewhere_is_tried_though_all_nearer_to_the_base_leave_less():
     _, found = rivals_of(session, 2e-3)
     assert 'with marker 20 at 100 mm along the arm instead of 95.0 mm' in found[0].mistake.sentence
     assert found[0].explained.names == ('tip_load',)
+
+
+@pytest.mark.parametrize('when', ['before', 'after'])
+def test_gravity_may_be_wrong_before_the_frame_was_found_or_be_written_so_after(when, limp):
+    """The import lays the frame by the gravity that it is given; a later one turns nothing."""
+    right = measured(limp, {'tip_load': {'force_x': 0.1}}, count=6)
+    x, y, z = limp.gravity
+    upside_down = {'robot': replace(limp, gravity=(-x, -y, -z)), 'gravity': (-x, -y, -z)}
+    found = registered(right)
+    tolerant = replace(upside_down['robot'], tolerances=found.robot.tolerances)
+    if when == 'before':
+        wrong = registered(replace(right, **upside_down))
+    else:
+        wrong = replace(found, robot=tolerant, gravity=(-x, -y, -z))
+    predictor = Predictor(wrong, wrong.robot, CATALOGUE)
+    likely = [
+        one.after
+        for one in gravities(predictor, predictor.markers({}))
+        if one.mended.gravity == pytest.approx(limp.gravity)
+    ]
+    left = rms(found.mean - Predictor(found, found.robot, CATALOGUE).markers({}))
+    assert min(likely) == pytest.approx(left, rel=0.02)
 
 
 def test_half_as_many_cells_on_the_same_length_are_told_beside_a_load():

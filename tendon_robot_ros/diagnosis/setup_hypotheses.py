@@ -246,7 +246,7 @@ def _stiffer(robot: Robot, factor: float) -> Robot:
     return replace(robot, sections=sections)
 
 
-def _gravity(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+def gravities(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """
     Try gravity along every axis, and as large as on the Earth, where weight is described.
 
@@ -355,7 +355,7 @@ DISCRETE = (
     _units,
     _offsets,
     _stiffness,
-    _gravity,
+    gravities,
     spots,
     by_distances,
     miscounted,
@@ -364,4 +364,4 @@ DISCRETE = (
 )
 HYPOTHESES = (*DISCRETE, _registered)
 BESIDE_EFFECTS = (*DISCRETE, dead_inputs)  # the last needs values of its own
-NEARLY_EFFECTS = (_gravity,)  # a load can take up nearly all that the weight of a light arm does
+NEARLY_EFFECTS = (gravities,)  # a load can take up nearly all that the weight of a light arm does
