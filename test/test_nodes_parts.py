@@ -407,6 +407,6 @@ def test_a_path_or_a_region_that_is_not_there_is_said_before_a_controller_is_ask
     there = tmp_path / 'path.csv'
     there.write_text('x,y,z\n0,0,0.1\n')
     assert main(['follow', str(tmp_path / 'none.csv')]) == 1
-    assert 'none.csv: is not there: name a CSV file or a recording' in capsys.readouterr().err
+    assert 'none.csv: cannot be read (No such file or directory); name' in capsys.readouterr().err
     assert main(['follow', str(there), '--keep-out', str(tmp_path / 'none.yaml')]) == 1
     assert 'none.yaml: cannot be read' in capsys.readouterr().err
