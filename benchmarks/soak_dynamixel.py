@@ -120,7 +120,7 @@ KINDS = {
 
 
 class Watcher:
-    """Counts the cycles in which the arm follows; plays the operator after a latched stop."""
+    """Counts the cycles in which the arm follows."""
 
     def __init__(self, driver, at_limit=False):
         self.driver, self.at_limit = driver, at_limit
@@ -159,7 +159,7 @@ class Watcher:
 
 
 def operate(bus):
-    """Do what a person does: reboot what reports an error, then reset."""
+    """Do what a person does with a released arm: reboot what reports an error, then reset."""
     faults = bus._last.faults
     broken = [n for f in faults if f.hardware and f.code != 'restarted' for n in f.inputs]
     try:
@@ -192,7 +192,8 @@ def run(args):
                 strike = threading.Thread(target=breaker.strike)
                 strike.start()
                 due = now + breaker.random.expovariate(1.0 / BETWEEN)
-            if bus.supervisor.latch and watcher.cycles % 10 == 0:
+            let_go = bus.supervisor.latch or bus.supervisor.held
+            if let_go and watcher.cycles % 10 == 0:
                 operate(bus)
             passings.look(now)
             if now - begin > SETTLED and watcher.cycles % 100 == 0:
