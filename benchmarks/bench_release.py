@@ -7,7 +7,8 @@ Real controller and driver, each a process, on emulated servos in another one. H
 have a motor fall silent under load and answer again, after a time drawn at random; the other half
 give the controller the model of another robot with the same tendon names. A trial is good when
 
-- no wire gets tighter afterwards than it was then, or than pretension;
+- no wire gets tighter afterwards than it was then, or than pretension; in pull mode: none is wound
+  up; what a standing wire may do is the same as in `bench_stop.py`;
 - the controller never says `reached` until a new target is sent;
 - the arm goes to that target.
 
@@ -30,7 +31,6 @@ from machine import machine, tell
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
-MOVED_N = 0.05  # [N], what STILL of bench_stop allows a standing wire
 WATCHED_S = 1.5  # [s]; what moved by itself did so within 0.16 s
 EVENT_S = 20.0  # [s], a generous end of every wait
 LONGER = 1.1  # times the length of a cell: another robot
@@ -100,10 +100,13 @@ class Release:
             self.user.executor_.spin_once(timeout_sec=0.01)
             reached |= self.user.code('controller') == 'reached'
         trace = self.chain.servos.ask(f'trace {time.monotonic() - begin}')
-        wires = np.array([moment[2] for moment in trace])
-        tighter = float((wires.max(axis=0) - np.maximum(wires[0], rest)).max())
+        pull = self.chain.mode == 'pull'
+        held = np.array([moment[3 if pull else 2] for moment in trace])
+        more = float((held.max(axis=0) - np.maximum(held[0], -np.inf if pull else rest)).max())
         wrong = ['the controller says reached'] if reached else []
-        return wrong + ([f'a wire gets {tighter:.2f} N tighter'] if tighter > MOVED_N else [])
+        if more > STILL[self.chain.mode]:
+            wrong.append(f'{1e3 * more:.2f} mm are wound' if pull else f'{more:.2f} N more')
+        return wrong
 
 
 KINDS = {
