@@ -11,8 +11,7 @@ from source_tree import ROOT
 
 from tendon_robot_ros.effects import catalogue
 from tendon_robot_ros.model.kernel.layout import compiled, jit, lawful
-from tendon_robot_ros.model.kernel.linking import EntryCompiler
-from tendon_robot_ros.model.kernel.records import record_type
+from tendon_robot_ros.model.kernel.linking import EntryCompiler, record_type
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 
@@ -51,7 +50,7 @@ from tendon_robot_ros.robot import load_robot
 model = Model(load_robot('config/robots/spatial_3.yaml'))
 model.shape(model.limits[:, 0])
 only = {'loads': 'load_moments', 'load_tangent': 'load_slopes', 'newton': 'descend',
-        'geometry': 'leaning_travel', 'tangent': 'leaning_slopes', 'march': 'march',
+        'geometry': 'leaning_travel', 'tangent': 'leaning_slopes', 'equilibrium': 'march',
         'flat': 'flat_moments', 'history': 'ramped'}
 def compiled():
     parts = {part: getattr(model.arrays.part(part), name) for part, name in only.items()}
@@ -60,7 +59,7 @@ assert not compiled(), compiled()
 model.arrays.act('gravity')
 assert compiled() == {'loads', 'load_tangent', 'newton', 'flat'}, compiled()
 model.arrays.act('torsion')
-assert compiled() == {*only} - {'march', 'history'}, compiled()
+assert compiled() == {*only} - {'equilibrium', 'history'}, compiled()
 """
 
 

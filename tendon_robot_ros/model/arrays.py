@@ -22,13 +22,13 @@ Floats = npt.NDArray[np.float64]
 # Functions that only implicit models and derivatives by parameters call: by field of the kernel's
 # chain, the module and its name. A first shape of an explicit model need not wait for them.
 LINKED = {
-    'prepare': ('prepare', 'prepare'),
+    'prepare': ('residual', 'prepare'),
     'place_travel': ('residual', 'place_travel'),
     'balance': ('residual', 'balance'),
     'residual': ('residual', 'residual'),
     'respond': ('response', 'respond'),
     'newton': ('newton', 'newton'),
-    'settle': ('solve', 'solve_equilibrium'),
+    'settle': ('equilibrium', 'solve_equilibrium'),
 }
 # Half of the work: these are compiled by a process of its own.
 BESIDE = ('respond', 'balance', 'residual', 'newton')
@@ -46,7 +46,7 @@ OF_LEANING = {
     'leaning_slopes': ('tangent', 'leaning_slopes'),
 }
 OF_MEMORY = {'remembered': ('history', 'remembered'), 'ramped': ('history', 'ramped')}
-OF_CAUSAL = {'march': ('march', 'march')}
+OF_CAUSAL = {'march': ('equilibrium', 'march')}
 ALL_LINKED = {**LINKED, **OF_LOADS, **OF_LEANING, **OF_MEMORY, **OF_CAUSAL}
 LINKING_STAGES = {'length', 'stretch', 'winding'}  # see the kernel's `place_as`
 LINKING_STAGES |= {name for name, stage in STAGES.items() if stage.implicit}

@@ -138,7 +138,7 @@ def _inside(
     length = step / np.maximum(unit, 1e-12)
     across, along = _point(turn, angle, share, hinge, length)
     local = np.concatenate([toward * across[..., None], along[..., None]], axis=2)
-    # what a loaded cell bows (kernel/bow.py): curvature that is linear along it
+    # what a loaded cell bows (kernel/loads.py): curvature that is linear along it
     local += (share**2 * (3.0 - 2.0 * share))[..., None] * (chord - step[..., None] * middle)
     points += (frames @ local[..., None])[..., 0]
     if turned:

@@ -118,7 +118,7 @@ def seek(
     """
     bends = np.array([bend, bend])
     begin, end = _shared(task, inputs, bends, limits)
-    part = task.model.arrays.part('simultaneous')
+    part = task.model.arrays.part('inverse')
     weight = preference * task.per_newton
     step = part.seek(*begin, weight, wide, SEEKING_SHRINK, steps, *end)
     if kept is not None and not step < SETTLED_RAD:

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from .begin import work_in, workspace
+from .cells import half_turns, unknowns
 from .history import remember
 from .layout import (
     address,
@@ -28,10 +28,9 @@ from .layout import (
     words,
 )
 from .linear import fill, largest
-from .shape import mean_pulls, place, wire_pulls
+from .shape import mean_pulls, place, wire_pulls, work_in, workspace
 from .stages import actuation, eyelet_acts, length_acts, stretch_acts, winding_acts
 from .sweep import is_implicit
-from .turning import half_turns, unknowns
 
 TENSION_STEP = 1e-6  # [N]
 AHEAD_RAD = 1e-6  # [rad] step of a state that says which way eyelets slide

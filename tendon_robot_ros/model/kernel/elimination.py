@@ -10,6 +10,7 @@ before; back-substitution runs from the base to the tip. The work grows linearly
 import math
 from collections import namedtuple
 
+from .cells import coordinates
 from .layout import (
     BEFORE,
     BY_TENSION,
@@ -36,7 +37,6 @@ from .layout import (
 from .linear import solve_rows
 from .loads import loaded
 from .stages import eyelet_acts
-from .turning import coordinates
 
 # System: sizes and addresses of the equations. Columns: the tensions that come in (kt of them, if
 # there is friction), from `own` on bend and twist before, from `turn` on the turn of the frame (if

@@ -1,9 +1,8 @@
 """Moments of the loads on an arm that bends in one plane, x and z: angles instead of frames."""
 
-from .bow import bow_compliance, bows
+from .cells import ARC_SERIES_BELOW, arc_factor, end_of, gentle_arc, halved
 from .layout import HINGE, PLACE, cell, compiled, contracted, entry, floats
-from .loads import force_at_tip, weight
-from .turning import ARC_SERIES_BELOW, arc_factor, end_of, gentle_arc, halved
+from .loads import bow_compliance, bows, force_at_tip, weight
 
 
 @compiled
@@ -36,7 +35,7 @@ def flat_moment(x, s, c, factors, force, own, reach, hinge, bow):
     x : float
         Bend a [rad].
     s, c : float
-        sin(a / 2) / a [1/rad] and cos(a / 2), see `turning`.
+        sin(a / 2) / a [1/rad] and cos(a / 2), see `cells`.
     factors : tuple of float
         What `fill_factors` says of an arc.
     force, own : tuple of float
@@ -44,7 +43,7 @@ def flat_moment(x, s, c, factors, force, own, reach, hinge, bow):
     reach, hinge : float
         Length of the cell [m]; whether it is a hinge.
     bow : float
-        `bow.bow_compliance` [m/N].
+        `loads.bow_compliance` [m/N].
 
     """
     half, sinc, versine = 0.5 * reach, 2.0 * s * c, 2.0 * s * s

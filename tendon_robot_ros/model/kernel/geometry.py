@@ -2,6 +2,7 @@
 
 import math
 
+from .cells import follows_shape, half_turn, leans, twist_in
 from .layout import (
     HINGE,
     LEANING_TRAVEL,
@@ -17,7 +18,6 @@ from .layout import (
     words,
 )
 from .stages import length, length_acts, rest, tendon_path
-from .turning import follows_shape, half_turn, leans, twist_in
 
 
 @fused
@@ -64,7 +64,7 @@ def bent_path(chain, i, radial, bend, sin_half, cos_half):
 @compiled
 def leaning_path(chain, at, i, bend, ux, uy, sin_half, cos_half, scale, twist):
     """
-    Path lost by a tendon that leans (see `turning`), its moment arms [m].
+    Path lost by a tendon that leans (see `cells`), its moment arms [m].
 
     The chord between its eyelets: what the bend leaves of the cell's length along the chord of
     the backbone, and across it the way from one offset to the other, seen from half the bend.
@@ -196,7 +196,7 @@ def fill_travel(chain, i, x, y, s, c, twist, scale, work, path_lost):
     x, y, twist : float
         Bend and twist [rad].
     s, c : float
-        sin(a / 2) / a [1/rad] and cos(a / 2) of its size a, see `turning`.
+        sin(a / 2) / a [1/rad] and cos(a / 2) of its size a, see `cells`.
     scale : float
         Factor on the tendon offsets [1].
     path_lost : function

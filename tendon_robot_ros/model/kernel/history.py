@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 
+from .cells import unknowns
+from .equilibrium import is_planar
 from .geometry import tendon_travel, travel_beyond
 from .layout import (
     BEND_TOLERANCE,
@@ -25,10 +27,8 @@ from .layout import (
 from .loads import loaded
 from .newton import SAFE_LOAD_SHARE, load_ratio
 from .shape import settle
-from .solve import is_planar
 from .stages import friction_travel_acts, memory, offset_scale
 from .sweep import is_implicit, slip_direction
-from .turning import unknowns
 
 PARTS, SAME_RAD = 256, 1e-6  # of a way at most; a part is halved until it moves less
 SAME_SIGN = 1e-2  # [1] by which the direction of friction may be off where an eyelet turns unseen

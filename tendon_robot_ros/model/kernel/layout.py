@@ -20,8 +20,7 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic, register_jitable
 
-from .linking import EntryCompiler, LawCompiler, PartCompiler
-from .records import record_type
+from .linking import EntryCompiler, LawCompiler, PartCompiler, record_type
 
 jit: Any = partial(njit, error_model='numpy', nogil=True, no_cfunc_wrapper=True)
 part: Any = partial(jit, no_cpython_wrapper=True, pipeline_class=PartCompiler)
@@ -84,14 +83,14 @@ COLUMNS = 8
 # travel (n, k) [m], inputs (m,) [N]; one array, in this order.
 Memory = namedtuple('Memory', 'bend sign travel inputs')
 
-# Work: scratch of one posture. half (n, 2): half angles, see `turning`; wrench (n, 6): force [N]
-# and torque [N·m] at the cells' ends of the loads beyond; lag (2, n, k): travel [m] that `stick`
-# has not taken over, here and beyond, else zeros; slip (5,): smoothing
-# length [m], load scale [1], whether a sweep looks at the guess (1) or goes without (0),
+# Work: scratch of one posture. half (n, 2): half angles, see `cells`; wrench (n, 6): force [N]
+# and torque [N·m] at the cells' ends of the loads beyond; lag (2, n, k): travel [m] that
+# `solve_sliding` has not taken over, here and beyond, else zeros; slip (5,): smoothing length
+# [m], load scale [1], whether a sweep looks at the guess (1) or goes without (0),
 # whether an equilibrium is looked for in every way (1) or only in the quick ones (0), and
 # whether all loads lie in the plane x, z (1).
 # axial (n, k): moment arms of the tendons about the axis [m]; torque (n,): of the loads [N·m];
-# compliance (n,): of a cell in bending [rad/(N·m)], from `begin` on; passed (n,): tension behind
+# compliance (n,): of a cell in bending [rad/(N·m)], from `work_in` on; passed (n,): tension behind
 # an eyelet over that before it.
 Work = namedtuple(
     'Work',

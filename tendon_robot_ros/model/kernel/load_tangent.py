@@ -4,7 +4,7 @@ Derivatives of what the loads say about a cell: of their moment, and of what it 
 Taken by central differences of the cell's own functions, in `loads`; see `tangent`.
 """
 
-from .bow import along_middle, bow_compliance, half_arc
+from .cells import arc_factor, axial_moment, bending_frame, end_of, half_turn, is_general
 from .layout import (
     BY_TENSION,
     BY_TORQUE,
@@ -27,9 +27,21 @@ from .layout import (
     section_of,
     words,
 )
-from .loads import NO_LOAD, cell_moment, cross, local, plus, scaled, turn_moment, turned, weight
+from .loads import (
+    NO_LOAD,
+    along_middle,
+    bow_compliance,
+    cell_moment,
+    cross,
+    half_arc,
+    local,
+    plus,
+    scaled,
+    turn_moment,
+    turned,
+    weight,
+)
 from .stages import length, length_acts
-from .turning import arc_factor, axial_moment, bending_frame, end_of, half_turn, is_general
 
 BEND_STEP = 1e-5  # [rad] of central differences
 TENSION_STEP = 1e-4  # [1], and of 10 mN
@@ -48,7 +60,7 @@ def bend_cell_of(chain, work, i, x, y, force, torque, own, bow, general):
         Of all beyond at the cell's end, and its weight, in the frame that bends: (3,) [N], [N·m],
         [N].
     bow : float
-        `bow.bow_compliance` [m/N]; without it all is linear in the loads.
+        `loads.bow_compliance` [m/N]; without it all is linear in the loads.
     general : bool
         Whether cells twist or weight lies beside the axis; a constant.
 
@@ -185,9 +197,9 @@ def bow_slopes(f, x, y, half, bow, force, row):
     x, y : float
         Bend [rad].
     half : tuple of float
-        Its half angle, see `turning`.
+        Its half angle, see `cells`.
     bow : float
-        `bow.bow_compliance` [m/N].
+        `loads.bow_compliance` [m/N].
     force : tuple of float
         Of all beyond the middle, base frame (3,) [N].
     row : pointer

@@ -10,12 +10,11 @@ import math
 
 import numpy as np
 
-from .begin import workspace
+from .cells import unknowns
 from .derivatives import output_slopes
 from .layout import ONE, ZERO, address, chain_at, compiled, entry, floats, keep
 from .linear import solve_rows, solve_small
-from .shape import accept, balance, mean_pulls, predict, wire_pulls
-from .turning import unknowns
+from .shape import accept, balance, mean_pulls, predict, wire_pulls, workspace
 
 GAP_SETTLED = 1e-10  # [m] largest difference between a wire's pull and what was asked
 

@@ -1,11 +1,13 @@
 """
-The residual of the equilibrium: bends minus the bends that their own moments ask for.
+What a state asks for: the residual of the equilibrium, and what a sweep takes from its guess.
 
-Tensions, moment arms, travel and loads are all those of the bends given. (A `sweep` goes on with
-what it has just found, which settles faster, but ties every cell to all before it.)
+The residual is the bends minus those that their own moments ask for. Tensions, moment arms, travel
+and loads are all those of the bends given. (A `sweep` goes on with what it has just found, which
+settles faster, but ties every cell to all before it.)
 """
 
-from .bending import bend_cell, twist_of
+from .cells import bend_cell, chain_frames, follows_shape, half_turns, twist_of
+from .flat import lies_flat
 from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import (
     PLACE,
@@ -14,15 +16,16 @@ from .layout import (
     balance_at,
     compiled,
     entry,
+    flat_moments_at,
     floats,
     load_moments_at,
     place_travel_at,
+    residual_at,
     words,
 )
 from .loads import loaded
-from .stages import eyelet_acts, friction_travel_acts, offset_scale, torsion_acts
+from .stages import eyelet_acts, friction_travel_acts, length_acts, offset_scale, torsion_acts
 from .sweep import active_stages, carry_tensions, tendons_about
-from .turning import chain_frames, follows_shape, half_turns
 
 
 @compiled
@@ -105,3 +108,25 @@ def residual(chain, inputs, bend, work, past, out):
     """Fill `out` [rad], the residual at a state, and work with all that the state gives."""
     place_travel_at(chain.place_travel)(chain, bend, work)
     balance_at(chain.balance)(chain, inputs, bend, work, past, out)
+
+
+@entry(STEP)
+def prepare(chain, inputs, guess, work, past, out):
+    """Fill moment arms, travel, travel beyond and load moments at a guess; `out` is scratch."""
+    if loaded(chain) and length_acts(chain):  # lengths follow the tensions there
+        residual_at(chain.residual)(chain, inputs, guess, work, past, out)
+        return
+    friction, straight, wraps, slides, _ = active_stages(chain, YES)
+    slides = friction and slides
+    if straight or wraps or loaded(chain):
+        half_turns(chain, guess, work)
+    if straight or slides:
+        tendon_travel(chain, guess, offset_scale(1.0, chain, 0), work)
+    if slides:
+        travel_beyond(chain, work)
+    if loaded(chain):
+        if lies_flat(chain, guess, work):
+            flat_moments_at(chain.flat_moments)(chain, guess, work)
+        else:
+            chain_frames(chain, guess, work)
+            load_moments_at(chain.load_moments)(chain, guess, work)

@@ -1,15 +1,17 @@
-"""Everything a posture tells: bends, frames, wire pulls; friction memory; batches."""
+"""Everything a posture tells: bends, frames, wire pulls; friction memory; batches; scratch."""
 
 import math
 
 import numpy as np
 
-from .begin import work_in
+from .cells import cell_stiffness, is_general, unknowns
 from .geometry import scale_lengths, tendon_travel
 from .layout import (
     BEND_TOLERANCE,
     LENGTH,
     POSTURES,
+    SLIP_LENGTH,
+    Workspace,
     address,
     cell,
     chain_at,
@@ -26,10 +28,11 @@ from .layout import (
     step_at,
     with_results,
     words,
+    work_from,
     work_size,
 )
 from .linear import assign
-from .loads import place_cells
+from .loads import force_at_tip, place_cells, weight
 from .stages import (
     measurement,
     memory_acts,
@@ -40,7 +43,43 @@ from .stages import (
     winding_acts,
 )
 from .sweep import is_implicit
-from .turning import unknowns
+
+
+@compiled
+def work_in(chain, start):
+    """Scratch of a posture at an address, laid out by `lay_out_work`; ready for a new search."""
+    at = words(start)
+    work = work_from(start, at[5], at[6], at[7])
+    slip = floats(work.slip)
+    slip[0], slip[1], slip[2], slip[3] = SLIP_LENGTH, 1.0, 1.0, 1.0
+    for r in range(3):
+        floats(work.frames)[4 * r] = 1.0
+    note_cells(chain, work)
+    return work
+
+
+@compiled
+def note_cells(chain, work):
+    """Fill work with what it holds of cells and loads that no search changes."""
+    slip, flat = floats(work.slip), not is_general(chain) and force_at_tip(chain)[1] == 0.0
+    for i in range(chain.n):
+        floats(work.lengths)[i] = cell(chain, i, LENGTH)
+        floats(work.compliance)[i] = 1.0 / cell_stiffness(chain, i, section_of(chain, i))
+        flat = flat and weight(chain, i)[1] == 0.0
+    slip[4] = 1.0 if flat else 0.0
+
+
+@compiled
+def workspace(chain, bends, past, scratch):
+    """Lay out what a search needs; `bends` (2, 3n) and `past` are kept alive outside."""
+    n, k = chain.n, chain.k
+    now = memory_in(chain, scratch + 8 * work_size(n, k))
+    before = now.bend + 8 * memory_size(n, k, chain.m)
+    pulls, bend = before + 24 * n, address(bends)
+    then = memory_in(chain, address(past))
+    work = work_in(chain, scratch)
+    return Workspace(work, then, now, bend, bend + 24 * n, before, pulls, pulls + 8 * k)
+
 
 GUESS_STEP_MAX = 0.3  # [rad] step of a bend over which a derivative is no guess
 

@@ -2,7 +2,7 @@
 
 import math
 
-from .bending import bend_cell, bend_linear, is_linear, twist_of
+from .cells import bend_cell, bend_linear, follows_shape, half_turn, is_linear, twist_of
 from .layout import (
     STEP,
     compiled,
@@ -29,7 +29,6 @@ from .stages import (
     wrap,
     wrap_acts,
 )
-from .turning import follows_shape, half_turn
 
 
 @compiled
@@ -165,7 +164,7 @@ def active_stages(chain, shaped):
 
 @inlined
 def sine_between(bx, by, ahead_x, ahead_y):
-    """S, see `turning`, of the mean of a bend and of one that bends more by (ahead_x, ahead_y)."""
+    """S, see `cells`, of the mean of a bend and of one that bends more by (ahead_x, ahead_y)."""
     x, y = bx + 0.5 * ahead_x, by + 0.5 * ahead_y
     return half_turn(x * x + y * y)[0]
 
@@ -180,7 +179,7 @@ def share_passed(chain, i, bx, by, ahead_x, ahead_y, sine, sine_mean, flags):
     bx, by, ahead_x, ahead_y : float
         Bend of that cell, and by how much the next one bends more [rad].
     sine, sine_mean : float
-        S, see `turning`, of that bend, and `sine_between`, where it wraps [1/rad].
+        S, see `cells`, of that bend, and `sine_between`, where it wraps [1/rad].
     flags : tuple of bool
         `active_stages`.
 

@@ -9,7 +9,16 @@ laws are differentiated as they stand, by central differences of scalars.
 
 import math
 
-from .bending import bend_cell, cell_stiffness, is_linear, twist_of
+from .cells import (
+    bend_cell,
+    cell_stiffness,
+    follows_shape,
+    half_turn,
+    is_linear,
+    leans,
+    twist_in,
+    twist_of,
+)
 from .geometry import moment_of_leaning, moment_of_tendons
 from .layout import (
     BEFORE,
@@ -48,7 +57,6 @@ from .stages import (
     wrap,
 )
 from .sweep import active_stages, smooth_sign, tendons_about
-from .turning import follows_shape, half_turn, leans, twist_in
 
 MOMENT_STEP = 1e-6  # [rad] over a cell's compliance
 # of a step that meets a kink; how much of a difference its halves may differ by elsewhere [1]
