@@ -25,7 +25,6 @@ STRETCH_OFF_N = 0.1  # [N] that the stretched wires may be off
 # [m] gap that is no reason to refuse: friction near standstill turns within 2e-6
 GAP_ACCEPTED_M = 5e-6
 SPRING_COMPLIANCES = (1e-1, 1e-2, 1e-3, 1e-4)  # stretch of the wires, over the arm's compliance
-FINER_COMPLIANCES = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0003)  # where those end early
 PRETENSION = 0.25  # share of the limits, of taut wires that a last search begins with
 HELD_WITHIN_N = 1e-3  # [N] difference of tensions that counts as held
 SLACK_BELOW_N = 1e-6  # [N]
@@ -162,12 +161,10 @@ def _beginnings(
     straight = np.zeros(3 * model.arrays.chain.n)
     pulled, taut = (np.where(on, 0.1, 0.0) for on in (target > 0.0, ~np.isnan(target)))
     yield _Beginning(pulled, straight)
-    yield _Beginning(taut, straight)
     yield _Beginning(pulled, straight, ())
     yield _Beginning(3.0 * taut, straight, ())
     at_last = partial(_Beginning, bend=straight, enough=GAP_ACCEPTED_M, held=False)
     yield at_last(pulled)
-    yield at_last(pulled, springs=FINER_COMPLIANCES)
     yield at_last(PRETENSION * model.limits[:, 1] * (taut > 0.0), springs=())
 
 
