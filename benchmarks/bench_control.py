@@ -41,14 +41,11 @@ KINDS = {  # of control, for the orders
     'from_below': {'knows': '', 'approach': 'from_below'},
     'memory': {},
     'memory_from_below': {'approach': 'from_below'},
-    'memory_model': {'approach': 'model'},
     'law': {'knows': 'law'},
     'recorded': {'knows': 'recorded'},
     'law_from_below': {'knows': 'law', 'approach': 'from_below'},
-    'law_model': {'knows': 'law', 'approach': 'model'},
     'closed': {'tip_gain': 5.0},
     'closed_from_below': {'tip_gain': 5.0, 'approach': 'from_below'},
-    'closed_model': {'tip_gain': 5.0, 'approach': 'model'},
     'closed_law': {'knows': 'law', 'tip_gain': 5.0},
 }
 PATHS = (  # ahead: with look_ahead; told: the model has the load

@@ -19,11 +19,9 @@ from ..common.errors import NoEquilibriumError
 if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Reach, Shape
-    from .solver import GiveUp
 
 Array = NDArray[np.float64]
-Solve = Callable[['Shape', Array], 'Reach']
-APPROACHES = 'any', 'from_below', 'model'
+APPROACHES = 'any', 'from_below'
 NOISES = 4.0  # [1] standard deviations of a measured tension that say nothing
 HELD_NOISES = 6.0  # [1] the same while the correction is held: beyond 4 is one of 16,000
 NOISE_SHARES = 2e-4, 1e-2  # [1] of the highest tension: least and largest noise
@@ -33,11 +31,6 @@ OVER_BANDS = 80.0  # [1] of the friction band, by which the bend of `from_below`
 BAND_SHARE = 0.036  # [1] of the largest radius: the friction band where nobody knows it
 OVER_MAX_RAD = 4.0  # [rad] of bend, for that
 OVER_LEAST, OVER_RUNGS = 0.005, 24  # [1] of a tension's range; sizes that are tried
-RELEASES = 0.1, 0.3, -0.1  # [1] tried by `model`; negative: the last leg lets go
-OVERSHOOT_MAX = 0.1  # [1] of the step of the tip, on a way that `model` chooses
-FORGOTTEN = 0.0, -1.0  # [1] what friction might be instead, of the state that is
-AS_GOOD_M = 2e-4  # [m] by which a way must be surer than the direct one
-LOOKS = 4  # at the tip on every leg
 CARRIED_ROUNDS, CARRIED_OFF = 40, 1e-3  # until directions stay, and by how much of full friction
 NEAR_SHARE = 0.004  # [1] of the range: tensions that have followed, but for the end of a lag
 NEAR_S, NEAR_TIMEOUT_S = 0.1, 0.5  # [s] of being near, or of waiting for it, before a way turns
@@ -187,11 +180,11 @@ def straight(direct: Reach) -> Approach:
     return Approach(direct, np.empty((0, len(direct.tensions))))
 
 
-def planned(
-    model: Model, here: Shape, direct: Reach, kind: str, solve: Solve, give_up: GiveUp
+def forgotten(
+    model: Model, here: Shape, direct: Reach, solve: Callable[[Shape], Reach]
 ) -> Approach:
     """
-    Return the way to a target on which friction ends where it is wanted.
+    Return the way to a target on which friction forgets first, from where the arm is.
 
     Parameters
     ----------
@@ -199,34 +192,19 @@ def planned(
     here : Shape
         Where the arm is, with what friction remembers.
     direct : Reach
-        Tensions for the target, in a straight line from there.
-    kind : str
-        One of `APPROACHES`: straight; from straight, after friction has forgotten; or that of
-        some ways on which what friction was before matters least.
+        Tensions for the target, in a straight line from there: what is left where there is no
+        equilibrium on the way.
     solve : callable
-        From a shape and tensions (m,) [N] to begin with to tensions for the target.
-    give_up : callable
-        Whether there is no more time.
+        From a shape to tensions for the target that are right from there.
 
     """
-    best = straight(direct)
-    if kind == 'from_below':
-        return _by(model, here, forgetting(model), direct, solve) or best
-    if kind == 'any' or not model.remembers:
-        return best
-    least = _doubt(model, here, best) - AS_GOOD_M
-    for share in RELEASES:
-        if give_up() or least < 0.0:
-            break
-        made = _released(model, here, direct, share, solve)
-        if made is None or made.reach.status != direct.status:
-            continue
-        if _overshoot(model, here, made) > OVERSHOOT_MAX:
-            continue
-        doubt = _doubt(model, here, made)
-        if doubt < least:
-            best, least = made, doubt
-    return best
+    via = forgetting(model)
+    try:
+        for tensions in via:
+            here = model.follow(here, tensions)
+        return Approach(solve(here), via)
+    except NoEquilibriumError:
+        return straight(direct)
 
 
 def from_below(model: Model, direct: Reach) -> Approach:
@@ -267,61 +245,3 @@ def _side(model: Model) -> tuple[Array, float]:
     along = max(arms, key=lambda arm: float(np.abs(arm).min()))
     pulls = np.array([along[list(members)].mean() for members in model.robot.input_tendons])
     return np.maximum(pulls, 0.0) / np.abs(along).max(), float(np.abs(along).min())
-
-
-def _released(
-    model: Model, here: Shape, direct: Reach, share: float, solve: Solve
-) -> Approach | None:
-    """Return the way that comes from tensions lower by a share, and tensions right from there."""
-    low, high = model.limits.T
-    via = np.clip(low + (1.0 - share) * (direct.tensions - low), low, high)
-    return _by(model, here, via[None], direct, solve)
-
-
-def _by(model: Model, here: Shape, via: Array, direct: Reach, solve: Solve) -> Approach | None:
-    """Return the way by tensions (v, m) [N], and tensions that are right from there."""
-    try:
-        for tensions in via:
-            here = model.follow(here, tensions)
-        return Approach(solve(here, direct.tensions), via)
-    except NoEquilibriumError:
-        return None
-
-
-def _doubt(model: Model, here: Shape, way: Approach) -> float:
-    """Return how far [m] the tip would be off, were friction not where it is believed to be."""
-    signs = slice(len(here.state), len(here.state) + here.tendon_tensions.size)
-    worst = 0.0
-    for share in FORGOTTEN:
-        memory = here.memory.copy()
-        memory[signs] *= share
-        try:
-            shape = None
-            for tensions in (*way.via, way.reach.tensions):
-                state, past = (
-                    (here.state, memory) if shape is None else (shape.state, shape.memory)
-                )
-                shape = model.shape(tensions, state, past)
-        except NoEquilibriumError:
-            return np.inf
-        assert shape is not None
-        off = np.linalg.norm(shape.tip_position - way.reach.shape.tip_position)
-        worst = max(worst, float(off))
-    return worst
-
-
-def _overshoot(model: Model, here: Shape, way: Approach) -> float:
-    """Return by which share of its step the tip goes beyond the target, or back, on the way."""
-    end = way.reach.shape.tip_position
-    step = end - here.tip_position
-    size = float(np.linalg.norm(step))
-    if size < AS_GOOD_M:
-        return np.inf
-    shape, beyond = here, 0.0
-    for tensions in (*way.via, way.reach.tensions):
-        begin = shape.inputs
-        for look in range(LOOKS):
-            shape = model.follow(shape, begin + (look + 1.0) / LOOKS * (tensions - begin))
-            along = float((shape.tip_position - here.tip_position) @ step) / size**2
-            beyond = max(beyond, along - 1.0, -along)
-    return beyond

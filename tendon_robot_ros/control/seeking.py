@@ -13,7 +13,7 @@ from ..common.errors import InputError, NoEquilibriumError, TendonRobotError
 from ..model.shape import Reach
 from ..model.tip_task import Patience, TipTask, tip_target
 from .checks import Refusal
-from .friction_state import Approach, from_below, planned, straight
+from .friction_state import Approach, forgotten, from_below, straight
 from .keeping_out import cut_short
 from .solver import GiveUp
 from .state import STREAM_PERIOD_S, Controller, Settings, Target
@@ -268,11 +268,10 @@ class ReachQuestion:
             return straight(self._loose(here, give_up, tell))
         direct = self.reach(past, self._guess() or past, give_up, tell)
 
-        def again(there: Shape, tensions: Array) -> Reach:
-            guess = there if self._below else direct.shape
-            return self.reach(there if model.remembers else None, guess, give_up)
+        def again(there: Shape) -> Reach:
+            return self.reach(there if model.remembers else None, there, give_up)
 
-        found = planned(model, here, direct, self.kind, again, give_up)
+        found = forgotten(model, here, direct, again) if self._below else straight(direct)
         if settings.keep_out:
             weight = settings.direction_weight or None
             asked = tip_target(model, self.target.position, self.target.direction, 1.0, weight)

@@ -83,7 +83,7 @@ SPECS = (
         'approach',
         'any',
         'the last leg of the way to a target: any; from_below: from straight, friction has '
-        'forgotten; model: the way on which what friction was before matters least',
+        'forgotten',
         choices=APPROACHES,
     ),
     Spec(
