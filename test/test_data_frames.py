@@ -92,7 +92,7 @@ def test_arrays_of_any_rank_make_a_data_set():
         ({'markers': [0.1]}, f'there are {CELLS}, 1 with a place'),
         ({'markers': [1e3 * k for k in range(CELLS)]}, 'a marker is at .* m of an arm of'),
         ({'positions': np.full((2, CELLS, 3), 50.0)}, 'a marker is 50 m away, but the robot is'),
-        ({'inputs': [[1000.0, 0.0], [0.0, 1.0]]}, 'a tension is 1000 N, but tension_limits end'),
+        ({'inputs': [[1000.0, 0.0], [0.0, 1.0]]}, 'a tendon is 1000 N, but tension_limits end'),
         ({'inputs': [[-1.0, 0.0], [0.0, 1.0]]}, 'expected a finite tension not below'),
         ({'inputs': [[1.0], [0.0]]}, r'inputs: expected \(postures, 2\) numbers for '),
         ({'inputs': [[np.nan, 1.0], [0.0, 0.0]]}, 'got nan; say 0 where a tendon is slack'),

@@ -202,10 +202,10 @@ def test_the_camera_follows_the_length_of_the_arm(trusted, tmp_path):
     try:
         page.resize(3.0 * long)
         page.draw(opened.shown)
-        page.tell(opened.shown, 0.0)
         tip = np.array([[0.0, 0.0, 3.0 * long]])
 
         def whole():
+            page.tell(opened.shown, 0.0)  # again and again, as the node does
             width, height = browser.run(SCENE)
             view = framed((1.0 + 0.5 * MEASURED_WIDTH) * 3.0 * long, FOV, width, height)
             blue = places(browser, tmp_path, rgb(PREDICTED))

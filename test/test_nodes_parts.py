@@ -259,7 +259,7 @@ def test_a_robot_comes_from_a_name_a_path_or_text(tmp_path):
         ('a: 2000-99-99', 'config: not valid YAML: month must be in 1..12'),
         ('- a: 1', 'config: expected keys with values'),
         ('nowhere', 'config: nowhere: No such file'),
-        ('/dev/zero', 'config: expected at most 1,000,000 characters, got more'),
+        ('/dev/zero', 'config: /dev/zero: not a text file'),
     ],
 )
 def test_a_configuration_that_cannot_be_read_says_why(text, words):
