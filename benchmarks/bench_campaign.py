@@ -28,11 +28,10 @@ from typing import Any
 
 from machine import machine, tell
 
-from tendon_robot_ros.campaign.judge import CaseRow, compile_for
-from tendon_robot_ros.campaign.plan import CampaignPlan, plan_of
-from tendon_robot_ros.campaign.running import run_plan
-from tendon_robot_ros.campaign.versions import Preparation
 from tendon_robot_ros.common.workers import Workers
+from tendon_robot_ros.model.versions import Preparation
+from tendon_robot_ros.studies.judge import CaseRow
+from tendon_robot_ros.studies.plan import CampaignPlan, plan_of, run_plan
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config'
 ROBOT = CONFIG / 'robots' / 'kato_10_1_single.yaml'
@@ -237,7 +236,7 @@ def main() -> int:
     parser.add_argument('--only', choices=('spreading', 'killed', 'memory'))
     parser.add_argument('--json', type=Path)
     options = parser.parse_args()
-    compile_for(plan(2).setup)
+    plan(2).setup.compile()
     measured(4, 1)
     asked: dict[str, Callable[[], Any]] = {
         'spreading': lambda: spreading(options.cases),

@@ -11,10 +11,10 @@ from pathlib import Path
 from machine import machine, tell
 
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.paper.robots import with_cells
 from tendon_robot_ros.robot import Robot, load_robot
 from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
 from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.studies.paper_motion import with_cells
 from tendon_robot_ros.workspace.postures import default_postures
 
 SPATIAL = Path(__file__).parent.parent / 'config' / 'robots' / 'spatial_3.yaml'

@@ -33,7 +33,6 @@ from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.investigation.goal import Goal, names_of, widest
 from tendon_robot_ros.investigation.loop import Investigation
-from tendon_robot_ros.investigation.simulated_arm import SimulatedArm
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
@@ -42,6 +41,7 @@ from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.simulation.rehearsal import draw
+from tendon_robot_ros.studies.rehearse import SimulatedArm
 from tendon_robot_ros.workspace.postures import default_postures
 
 FIXED, RANDOM, TRIALS = 12, (4, 5, 6, 7, 9, 12, 16, 20, 24), 3

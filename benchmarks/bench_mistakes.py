@@ -4,7 +4,7 @@ Mistakes that everybody makes, on two arms as they are built: what `diagnose` sa
 With `--hidden` the arms lack effects as well, with `--frames found` the tracker's frame was laid
 onto the model as it is described. Right is the sentence that names the mistake; a wrong story is
 an effect that is named, or another mistake. `no mistake` is right where what is hidden is said.
-Plants are of another discretisation than the model (campaign/cases.py).
+Plants are of another discretisation than the model (studies/cases.py).
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ import numpy as np
 from machine import machine
 from planned import PLANS
 
-from tendon_robot_ros.campaign.cases import Case, simulated
-from tendon_robot_ros.campaign.judge import NAMING
-from tendon_robot_ros.campaign.plan import read_plan
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import DataSet
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.mistake import in_frame
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.robot.estimates import natural_sizes
+from tendon_robot_ros.studies.cases import Case, simulated
+from tendon_robot_ros.studies.judge import NAMING
+from tendon_robot_ros.studies.plan import read_plan
 
 Make = Callable[[DataSet], DataSet]
 

@@ -17,9 +17,6 @@ from pathlib import Path
 import numpy as np
 from planned import PLANS
 
-from tendon_robot_ros.campaign.cases import NOTHING, Case, simulated
-from tendon_robot_ros.campaign.judge import built_sizes, scatter_held
-from tendon_robot_ros.campaign.plan import read_plan
 from tendon_robot_ros.comparison.outliers import find_outliers
 from tendon_robot_ros.diagnosis.arm_report import arm_report
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
@@ -30,6 +27,9 @@ from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.studies.cases import NOTHING, Case, simulated
+from tendon_robot_ros.studies.judge import built_sizes, scatter_held
+from tendon_robot_ros.studies.plan import read_plan
 from tendon_robot_ros.workspace.postures import default_postures
 
 LEVELS = (1.0 / 3.0, 1.0, 2.0)

@@ -15,10 +15,10 @@ from pathlib import Path
 
 from machine import machine, tell
 
-from tendon_robot_ros.campaign.versions import Preparation
 from tendon_robot_ros.cli.options import progress
 from tendon_robot_ros.common.workers import Workers
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.model.versions import Preparation
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.workspace.volume import find_volume
 

@@ -10,14 +10,12 @@ from pathlib import Path
 import yaml
 from machine import machine, tell
 
-from tendon_robot_ros.campaign.figures import to_json
-from tendon_robot_ros.campaign.judge import compile_for
-from tendon_robot_ros.campaign.plan import plan_of
-from tendon_robot_ros.campaign.running import run_plan
-from tendon_robot_ros.campaign.versions import Preparation
 from tendon_robot_ros.cli.options import progress
 from tendon_robot_ros.common.workers import Workers
-from tendon_robot_ros.report.campaign_page import summary
+from tendon_robot_ros.model.versions import Preparation
+from tendon_robot_ros.studies.campaign import summary
+from tendon_robot_ros.studies.figures import to_json
+from tendon_robot_ros.studies.plan import plan_of, run_plan
 
 PLANS = Path(__file__).parent / 'plans'
 
@@ -41,7 +39,7 @@ def run(name: str, options: argparse.Namespace, **changes: object) -> int:
     if options.effects:
         content['hidden'] = options.effects
     plan = plan_of(content, f'{name}.yaml', PLANS)
-    compile_for(plan.setup)
+    plan.setup.compile()
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.output or Path(scratch) / name
         with (

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from source_tree import ROOT
 
-from tendon_robot_ros.campaign.plan import plan_of
+from tendon_robot_ros.studies.plan import plan_of
 
 ROBOT = str(ROOT / 'config' / 'robots' / 'kato_10_1_single.yaml')
 CHEAP = {

@@ -9,8 +9,6 @@ import yaml
 from marks import slow
 from simulated import CATALOGUE
 
-from tendon_robot_ros.campaign.cases import Case, simulated
-from tendon_robot_ros.campaign.plan import read_plan
 from tendon_robot_ros.comparison.outliers import find_outliers
 from tendon_robot_ros.comparison.predict import Predictor, free_parameters
 from tendon_robot_ros.data import Marker, load_dataset
@@ -28,6 +26,8 @@ from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.studies.cases import Case, simulated
+from tendon_robot_ros.studies.plan import read_plan
 from tendon_robot_ros.workspace.postures import default_postures
 
 CASES = Path(__file__).parent / 'data' / 'as_built'

@@ -14,10 +14,10 @@ import yaml
 from small_campaign import plan, without_time
 from source_tree import ROOT
 
-from tendon_robot_ros.campaign.running import run_plan
-from tendon_robot_ros.campaign.versions import Preparation
 from tendon_robot_ros.common.errors import ClusterLostError, InputError
 from tendon_robot_ros.common.workers import Workers
+from tendon_robot_ros.model.versions import Preparation
+from tendon_robot_ros.studies.plan import run_plan
 
 pytest.importorskip('pyarrow')
 

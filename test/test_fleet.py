@@ -8,12 +8,19 @@ import numpy as np
 import pytest
 import simulated
 
-from tendon_robot_ros.campaign import fleet
-from tendon_robot_ros.campaign.fleet import FleetRow, changes, found_below, when_of
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.data import save_dataset
 from tendon_robot_ros.diagnosis.decide import Verdict
-from tendon_robot_ros.report.fleet_page import fleet_page, fleet_rows, map_parameters
+from tendon_robot_ros.studies import fleet
+from tendon_robot_ros.studies.fleet import (
+    FleetRow,
+    changes,
+    fleet_page,
+    fleet_rows,
+    found_below,
+    map_parameters,
+    when_of,
+)
 
 pytest.importorskip('pyarrow')
 ROBOT = replace(simulated.robot(), exact=True)

@@ -31,13 +31,13 @@ from tendon_robot_ros.investigation.goal import (
 )
 from tendon_robot_ros.investigation.loop import Investigation
 from tendon_robot_ros.investigation.record import Round, empty_dataset
-from tendon_robot_ros.investigation.simulated_arm import SimulatedArm
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.studies.rehearse import SimulatedArm
 
 KATO = ROOT / 'config' / 'robots' / 'kato_10_1.yaml'
 

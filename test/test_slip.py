@@ -6,8 +6,8 @@ from source_tree import ROOT
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DataSetError, InputError
-from tendon_robot_ros.paper.slip import read_slip_angles, slip_friction, with_friction
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.studies.friction import read_slip_angles, slip_friction, with_friction
 
 ROBOT = ROOT / 'config/robots/kato_10_1.yaml'
 

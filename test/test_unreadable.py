@@ -11,8 +11,6 @@ import pytest
 import small_dataset
 from source_tree import ROOT
 
-from tendon_robot_ros.campaign.fleet import FleetRow
-from tendon_robot_ros.campaign.table import GrowingTable
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common import files
 from tendon_robot_ros.common.errors import DataSetError, InputError
@@ -22,6 +20,8 @@ from tendon_robot_ros.data.recording.exporting import export_bag
 from tendon_robot_ros.data.recording.writer import STORAGES, STRING, BagWriter, Builder
 from tendon_robot_ros.investigation.record import LOG
 from tendon_robot_ros.ros.shared.files import read_mapping
+from tendon_robot_ros.studies.fleet import FleetRow
+from tendon_robot_ros.studies.running import GrowingTable
 from tendon_robot_ros.workspace.volume import KEPT
 
 ROBOT = ROOT / 'config' / 'robots' / 'spatial_3.yaml'

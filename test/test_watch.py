@@ -13,7 +13,6 @@ from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.investigation.goal import Goal, InvestigationEnd
 from tendon_robot_ros.investigation.loop import Investigation
-from tendon_robot_ros.investigation.simulated_arm import SimulatedArm
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring.built_arm import BuiltArm
 from tendon_robot_ros.monitoring.change import ChangeFinder, ChangeFit
@@ -26,6 +25,7 @@ from tendon_robot_ros.monitoring.watch import ArmWatch, WatchSettings, dump_chan
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.studies.rehearse import SimulatedArm
 from tendon_robot_ros.workspace.postures import default_postures
 
 

@@ -10,10 +10,10 @@ import pytest
 import yaml
 from source_tree import ROOT
 
-from tendon_robot_ros.campaign.versions import Preparation, UserEffect, catalogue_of
 from tendon_robot_ros.common.errors import ClusterLostError, InputError, MissingExtraError
 from tendon_robot_ros.common.workers import LostWork, Workers
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.model.versions import Preparation, UserEffect, catalogue_of
 
 
 def die_once(folder):

@@ -1,9 +1,10 @@
 """
 Choose a command by its name and run it.
 
-A command in ``cli/`` is a module with ``HELP`` (one line), ``add_arguments(parser)`` and
-``run(args) -> int`` (the exit code); a module in ``ros/`` has ``HELP`` and ``main(argv) -> int``,
-or ``add_arguments`` and ``run(args, ros_arguments) -> int`` where it takes more than parameters.
+A command in ``cli/`` or ``studies/`` is a module with ``HELP`` (one line),
+``add_arguments(parser)`` and ``run(args) -> int`` (the exit code); a module in ``ros/`` has
+``HELP`` and ``main(argv) -> int``, or ``add_arguments`` and ``run(args, ros_arguments) -> int``
+where it takes more than parameters.
 Only the chosen module is imported, so that no command pays for another one's dependencies;
 for the list of commands, ``HELP`` is read from the source.
 """
@@ -34,8 +35,8 @@ COMMANDS: dict[str, str] = {
     'shape': 'tendon_robot_ros.cli.shape',
     'reach': 'tendon_robot_ros.cli.reach',
     'workspace': 'tendon_robot_ros.cli.workspace',
-    'friction': 'tendon_robot_ros.cli.friction',
-    'paper': 'tendon_robot_ros.cli.paper',
+    'friction': 'tendon_robot_ros.studies.friction',
+    'paper': 'tendon_robot_ros.studies.paper',
     'controller': 'tendon_robot_ros.ros.controller.node',
     'driver': 'tendon_robot_ros.ros.driver.node',
     'stop': 'tendon_robot_ros.ros.commands.stop',
@@ -55,10 +56,10 @@ COMMANDS: dict[str, str] = {
     'add': 'tendon_robot_ros.cli.add',
     'remove': 'tendon_robot_ros.cli.remove',
     'improve': 'tendon_robot_ros.cli.improve',
-    'fleet': 'tendon_robot_ros.cli.fleet',
-    'campaign': 'tendon_robot_ros.cli.campaign',
+    'fleet': 'tendon_robot_ros.studies.fleet',
+    'campaign': 'tendon_robot_ros.studies.campaign',
     'simulate': 'tendon_robot_ros.cli.simulate',
-    'rehearse': 'tendon_robot_ros.cli.rehearse',
+    'rehearse': 'tendon_robot_ros.studies.rehearse',
     'export-bag': 'tendon_robot_ros.cli.export_bag',
     'import-bag': 'tendon_robot_ros.cli.import_bag',
     'import-table': 'tendon_robot_ros.cli.import_table',

@@ -145,8 +145,8 @@ def text(workspace: Workspace) -> list[str]:
 
 def _all_tendons(args: argparse.Namespace, model: Model) -> Found:
     """Sample all tendons."""
-    from ..campaign.versions import Preparation, UserEffect
     from ..common.workers import Workers
+    from ..model.versions import Preparation, UserEffect
     from ..report.volume_page import summary, volume_page
     from ..workspace.volume import KEPT, find_volume, save_volume
 

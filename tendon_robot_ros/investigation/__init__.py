@@ -8,7 +8,6 @@ choice.py         the posture that tells most (expected information), and which 
                   tension, bend, regions kept out
 goal.py           what is asked, and what it may spend; when it is enough, what is in question
 arm.py            what it needs of an arm
-simulated_arm.py  an arm that is simulated, to rehearse with
 record.py         what was measured, on disk after every posture; resume
 results.py        the files at the end: data, recording, description, report
 """

@@ -13,10 +13,7 @@ improvement_page.py   how an error fell step by step, as text and page
 error_plots.py        errors per cell, posture and angle; heat maps and moments
 shape_plots.py        shapes, measured and predicted
 path_run.py           what was reached against what was asked
-paper_page.py         the page of the paper's experiments
 workspace_page.py     the page of a workspace
 volume_page.py        the tips of all tendons as text and page: cloud, hull, sections, friction
-fleet_page.py         many robots over time as text and page
-campaign_page.py      what a campaign found, as text and page
 robot_picture.py      a picture of a robot
 """

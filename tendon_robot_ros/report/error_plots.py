@@ -14,7 +14,7 @@ from ..common.words import capital, mm
 from ..comparison.result import Comparison, Floats
 from ..diagnosis.missing_moment import MissingMoment
 from .comparison_text import posture_name
-from .numbers import LOG_TICKS, degrees_list, mm_list, plain
+from .numbers import LOG_TICKS, degrees_list, error_bars, mm_list, plain
 from .page import Figure
 
 POSTURES_WITH_OWN_BOXES = 6  # postures up to which each has its own boxes
@@ -129,12 +129,7 @@ def angles(comparison: Comparison, p: int) -> Figure:
         {
             'x': along,
             'y': degrees_list(mean[p]),
-            'error_y': {
-                'type': 'data',
-                'array': degrees_list(half[p]),
-                'thickness': 1,
-                'width': 2,
-            },
+            'error_y': error_bars(degrees_list(half[p])),
             'name': f'measured, mean ± {what}',
             'mode': 'markers',
             'marker': {'color': MEASURED, 'size': 5},
@@ -307,12 +302,7 @@ def _moments(lacks: MissingMoment, cause: Floats, title: str, caption: str) -> F
             {
                 'x': plain(cause[:, b]),
                 'y': plain(lacks.moment[:, b], 1e3),
-                'error_y': {
-                    'type': 'data',
-                    'array': plain(1.96 * lacks.moment_sd[:, b], 1e3),
-                    'thickness': 1,
-                    'width': 0,
-                },
+                'error_y': error_bars(plain(1.96 * lacks.moment_sd[:, b], 1e3), width=0),
                 'name': escape(name),
                 'mode': 'markers',
                 'marker': {'color': style.colour, 'symbol': style.symbol, 'size': 8},

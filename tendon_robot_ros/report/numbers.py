@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -33,8 +34,13 @@ def degrees_list(radians: npt.ArrayLike) -> list[float | None]:
     return plain(radians, 180.0 / np.pi)
 
 
-# -----------------------------------------------------------------------------
-# Fitted parameters as people read them: value ± half, in the unit that suits the size.
+def error_bars(
+    up: Sequence[float | None], down: Sequence[float | None] | None = None, width: int = 2
+) -> dict[str, Any]:
+    """Return bars of so much above and below, else of the same size, as plotly draws them."""
+    bars: dict[str, Any] = {'type': 'data', 'array': up, 'thickness': 1, 'width': width}
+    return bars if down is None else bars | {'symmetric': False, 'arrayminus': down}
+
 
 ZEROS_MAX = 3  # zeros behind the point that are shown of nothing
 SIDE_WITHIN_RAD = 0.05  # [rad] from an axis within which a direction is that of the axis

@@ -1,28 +1,94 @@
-"""The page that `paper` writes: section IV of Kato et al. 2015, published beside ours."""
+"""
+Reproduce the experiments of Kato et al. 2015 (section IV) and put the published numbers beside.
+
+OUTPUT gets paper.html (figures and table; opens without a network) and paper.json (the table).
+With --robots, kato_1_1.yaml, kato_10_1.yaml, kato_10_1_single.yaml and kato_2_1.yaml are read from
+a folder of your own.
+
+example: python -m tendon_robot_ros paper --output results/paper
+"""
 
 from __future__ import annotations
 
+import argparse
+import json
+import sys
 from collections import Counter
 from html import escape
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..cli.progress import progress
 from ..common.colours import INK, MEASURED, look
-from ..common.words import capital, commands, digits, listed, mm
+from ..common.errors import InputError
+from ..common.files import new_folder
+from ..common.words import capital, columns, commands, digits, listed, mm
 from ..comparison.result import Comparison
 from ..comparison.statistics import half_width
 from ..data import DataSet
 from ..diagnosis.result import Diagnosis
-from ..paper.displacement import DisplacementExperiment, Heights
-from ..paper.experiments import Paper, Row
-from ..paper.motion import VIEW_ANGLES_RAD, MotionExperiment, Stiffening
-from ..paper.tension import TensionExperiment
-from . import comparison_text as say
-from .error_plots import angles, tip_boxes
-from .numbers import mm_list, plain, quantities
-from .page import Figure, Page
-from .workspace_page import FAMILY_COLUMNS, rows, view_figures
+from ..report import comparison_text as say
+from ..report.error_plots import angles, tip_boxes
+from ..report.numbers import error_bars, mm_list, plain, quantities
+from ..report.page import Figure, Page
+from ..report.workspace_page import FAMILY_COLUMNS, rows, view_figures
+from ..robot import load_robot
+from .paper_motion import VIEW_ANGLES_RAD, MotionExperiment, Robots
+from .paper_numbers import Number, Paper, reproduce
+from .paper_pulls import DisplacementExperiment
+from .paper_tensions import TensionExperiment
+
+HELP = "the paper's experiments, published numbers beside ours, on one page"
+PAPER_ROBOTS = ('kato_1_1', 'kato_10_1', 'kato_10_1_single', 'kato_2_1')
+PAPER_FILES = ('paper.html', 'paper.json')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add('--output', required=True, metavar='DIR', help='folder for the page and the table')
+    add('--overwrite', action='store_true', help='replace them in that folder')
+    add('--robots', metavar='DIR', help="folder with robots of your own instead of the paper's")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run everything, print the table, write the page."""
+    folder = Path(args.output)
+    if folder.exists() and any(folder.iterdir()) and not args.overwrite:
+        raise InputError(f'{folder}: is not empty; use --overwrite or another --output')
+    own = robots_folder(args.robots)
+    robots = Robots(*(load_robot(own / f'{name}.yaml') for name in PAPER_ROBOTS))
+    with progress() as show:
+        paper = reproduce(robots, show)
+    page = paper_page(paper)
+    with new_folder(folder, PAPER_FILES) as draft:
+        page.write(draft / PAPER_FILES[0])
+        text = json.dumps(paper.to_json(), indent=1)
+        (draft / PAPER_FILES[1]).write_text(text, encoding='utf-8')
+    lines = [('', 'what', 'published', 'ours', 'range left open', 'met')]
+    for row in paper.rows:
+        ours, low, high = (digits(number, 3) for number in (row.ours, row.low, row.high))
+        published = f'{row.published:g} {row.unit}'
+        lines.append((row.section, row.what, published, ours, f'{low} to {high}', row.met))
+    print(columns(lines))
+    print(f'written: {folder / PAPER_FILES[0]}, {folder / PAPER_FILES[1]}')
+    return 0
+
+
+def robots_folder(named: str | None) -> Path:
+    """Return the folder of the robots: the one given, the source tree's, the installed one."""
+    if named:
+        return Path(named)
+    source = Path(__file__).resolve().parents[2]
+    installed = Path(sys.prefix) / 'share' / 'tendon_robot_ros'
+    roots = [root / 'config' / 'robots' for root in (source, installed)]
+    folder = next((root for root in roots if root.is_dir()), None)
+    if folder is None:
+        raise InputError('paper: config/robots is not installed; name its folder with --robots')
+    return folder
+
 
 PAPER_SOURCE = (
     'T. Kato, I. Okumura, S.-E. Song, A. J. Golby, N. Hata: Tendon-Driven Continuum Robot for '
@@ -30,33 +96,27 @@ PAPER_SOURCE = (
     'IEEE/ASME Transactions on Mechatronics 20 (2015), doi 10.1109/TMECH.2014.2372635. "Trials" '
     'on this page are simulated.'
 )
-ASSUMED_ROWS = (
-    ['slip angles (IV.A, Table II)', 'drawn: SD 0.03, read to 0.1°',
-     'only mean and n are printed'],
-    ['wires of a group (Table I)', 'three at one place, arm 0.65 mm, 5 N each',
-     'gives the published 50 mm; others are shown'],
-    ['"180°" on a grid of 0.1 N', 'within ±2.5°', 'an exact 180° is hardly ever on the grid'],
-    ['inputs that are not pulled (IV.B)', '0.1 N', 'pretension, as published'],
-    ['arm of the 10:1 prototype (Table III)', '5.5 mm',
-     'FKM and PCCA then differ as IV.D requires'],
-    ['cells of the 10:1 prototype', '208 mm / 30, arcs', 'the FKM of the paper chains arcs'],
-    ['hinge friction', 'lever 0.40 mm, hidden in the simulated prototype',
-     'one number for all four errors of IV.D; the suspect of section V'],
-    ['wires and pulls of IV.C (Table IV)', 'opposite sides, no other wires; from the FKM',
-     'FKM and PCCA then differ as the published errors require'],
-    ['three tip heights', 'highest, median, lowest with taut wires and no S-shape',
-     'the tensions are not printed'],
-    ['scatter of the cells', '2° of every prototype, 1° from trial to trial',
-     '2° is published; what varies between trials is not'],
-    ['hand and camera', '0.1 mm of wire pull, 0.09 mm of position', 'caliper; a pixel'],
-    ['IV.D', 'tensions known to 5 %, 2 % and 1 mm from trial to trial, friction to 10 %, '
-     'stiffness to 5 %', 'weights behind pulleys; nothing is printed'],
-    ['2:1 prototype', 'one section of 60 mm, 30 cells, arm 1.3 mm', 'twice the target scale'],
-)  # fmt: skip
-
-
-# -----------------------------------------------------------------------------
-# Figures 12 to 14, 16 and 17 of Kato et al. 2015: postures with error bars, error per cell.
+ASSUMED = (  # what | assumed | why
+    'slip angles (IV.A, Table II) | drawn: SD 0.03, read to 0.1° | only mean and n are printed',
+    'wires of a group (Table I) | three at one place, arm 0.65 mm, 5 N each | '
+    'gives the published 50 mm; others are shown',
+    '"180°" on a grid of 0.1 N | within ±2.5° | an exact 180° is hardly ever on the grid',
+    'inputs that are not pulled (IV.B) | 0.1 N | pretension, as published',
+    'arm of the 10:1 prototype (Table III) | 5.5 mm | FKM and PCCA then differ as IV.D requires',
+    'cells of the 10:1 prototype | 208 mm / 30, arcs | the FKM of the paper chains arcs',
+    'hinge friction | lever 0.40 mm, hidden in the simulated prototype | '
+    'one number for all four errors of IV.D; the suspect of section V',
+    'wires and pulls of IV.C (Table IV) | opposite sides, no other wires; from the FKM | '
+    'FKM and PCCA then differ as the published errors require',
+    'three tip heights | highest, median, lowest with taut wires and no S-shape | '
+    'the tensions are not printed',
+    'scatter of the cells | 2° of every prototype, 1° from trial to trial | '
+    '2° is published; what varies between trials is not',
+    'hand and camera | 0.1 mm of wire pull, 0.09 mm of position | caliper; a pixel',
+    'IV.D | tensions known to 5 %, 2 % and 1 mm from trial to trial, friction to 10 %, stiffness '
+    'to 5 % | weights behind pulleys; nothing is printed',
+    '2:1 prototype | one section of 60 mm, 30 cells, arm 1.3 mm | twice the target scale',
+)
 
 
 def posture(comparison: Comparison, data: DataSet, p: int) -> Figure:
@@ -79,8 +139,8 @@ def posture(comparison: Comparison, data: DataSet, p: int) -> Figure:
         {
             'x': mm_list(mean[:, 0]),
             'y': mm_list(mean[:, 2]),
-            'error_x': _bars(half[:, 0]),
-            'error_y': _bars(half[:, 2]),
+            'error_x': error_bars(mm_list(half[:, 0])),
+            'error_y': error_bars(mm_list(half[:, 2])),
             'name': f'trials, mean ± {_what(comparison)}',
             'mode': 'markers',
             'marker': {'color': MEASURED, 'size': 5},
@@ -103,7 +163,7 @@ def error_per_cell(comparison: Comparison, data: DataSet, p: int) -> Figure:
             {
                 'x': cells,
                 'y': mm_list(np.nanmean(errors, axis=0)),
-                'error_y': _bars(half_width(errors, comparison.error)),
+                'error_y': error_bars(mm_list(half_width(errors, comparison.error))),
                 'name': escape(model.name),
                 'mode': 'lines+markers',
                 'line': {'color': look(i).colour, 'dash': look(i).dash, 'width': 1.5},
@@ -112,9 +172,11 @@ def error_per_cell(comparison: Comparison, data: DataSet, p: int) -> Figure:
         )
     layout = {
         'xaxis': {'title': {'text': 'cell'}},
-        'yaxis': {'title': {'text': f'position error ± {_what(comparison)} [mm]'},
-                  'rangemode': 'tozero'},
-    }  # fmt: skip
+        'yaxis': {
+            'title': {'text': f'position error ± {_what(comparison)} [mm]'},
+            'rangemode': 'tozero',
+        },
+    }
     return Figure(traces, layout, f'{capital(comparison.measured.postures[p])}: error', '')
 
 
@@ -129,7 +191,7 @@ def arrangements(motion: MotionExperiment, published: float) -> Figure:
         'orientation': 'h',
         'y': names,
         'x': mm_list(across),
-        'error_x': {**_bars(high), 'symmetric': False, 'arrayminus': mm_list(low)},
+        'error_x': error_bars(mm_list(high), mm_list(low)),
         'marker': {'color': look(0).colour},
         'name': 'ours; whisker: "180°" is ±1° to ±5°',
     }
@@ -142,39 +204,36 @@ def arrangements(motion: MotionExperiment, published: float) -> Figure:
     }
     layout = {
         # names stand above their bars: beside them they would take half of a phone
-        'yaxis': {'type': 'category', 'autorange': 'reversed', 'showticklabels': False,
-                  'showgrid': False},
+        'yaxis': {
+            'type': 'category',
+            'autorange': 'reversed',
+            'showticklabels': False,
+            'showgrid': False,
+        },
         'annotations': [
-            {'text': escape(name), 'x': 0.0, 'y': i, 'xanchor': 'left', 'yanchor': 'bottom',
-             'yshift': 11, 'showarrow': False}
+            {
+                'text': escape(name),
+                'x': 0.0,
+                'y': i,
+                'xanchor': 'left',
+                'yanchor': 'bottom',
+                'yshift': 11,
+                'showarrow': False,
+            }
             for i, name in enumerate(names)
         ],
         'xaxis': {'title': {'text': 'tip positions, across [mm]'}, 'rangemode': 'tozero'},
         'bargap': 0.62,
-    }  # fmt: skip
+    }
     return Figure([bar, line], layout, 'Three wires in a group', '', 120 + 60 * len(names))
-
-
-def _bars(half: Any) -> dict[str, Any]:
-    return {'type': 'data', 'array': mm_list(half), 'thickness': 1, 'width': 2}
 
 
 def _what(comparison: Comparison) -> str:
     return '95 %' if comparison.error == 'ci' else 'standard error'
 
 
-# -----------------------------------------------------------------------------
-# The page that `paper` writes: every number and figure of section IV beside ours.
-
 ROW_COLUMNS = (
-    'section',
-    'what',
-    'published',
-    'ours',
-    'difference',
-    'range left open',
-    'met',
-    'why',
+    *('section', 'what', 'published', 'ours', 'difference', 'range left open', 'met', 'why'),
 )
 
 
@@ -192,10 +251,11 @@ def paper_page(paper: Paper) -> Page:
         ],
         'verdict' if missed else 'verdict good',
     )
-    page.table(ROW_COLUMNS, [_row(row) for row in table], left=(1, 6, 7))
+    page.table(ROW_COLUMNS, list(map(number_cells, table)), left=(1, 6, 7))
     page.heading('What is assumed')
     page.text('Tables I to IV of the paper are lost in the text that was used. Assumed instead:')
-    page.table(('what', 'assumed', 'why'), ASSUMED_ROWS, left=(1, 2))
+    assumed = [line.split(' | ') for line in ASSUMED]
+    page.table(('what', 'assumed', 'why'), assumed, left=(1, 2))
     _motion(page, paper.motion)
     _displacement(page, paper.displacement)
     _tension(page, paper.tension)
@@ -203,21 +263,16 @@ def paper_page(paper: Paper) -> Page:
     return page
 
 
-def _row(row: Row) -> list[str]:
-    unit = '' if row.unit == '1' else f' {row.unit}'
-    number = digits(row.ours, 3)
-    return [
-        row.section, row.what, f'{row.published:g}{unit}', f'{number}{unit}',
-        _difference(row),
-        f'{digits(row.low, 3)} to {digits(row.high, 3)}', row.met.replace(' ', '\u00a0'), row.why,
-    ]  # fmt: skip
-
-
-def _difference(row: Row) -> str:
-    """Show a difference in percent; where it is above all of the published, in its unit."""
-    if abs(row.difference) <= 1.0:
-        return f'{round(100.0 * row.difference):+d} %'
-    return f'{row.ours - row.published:+.2g} {row.unit}'
+def number_cells(one: Number) -> list[str]:
+    """Return a row of the table; a difference above all of the published is shown in its unit."""
+    unit = '' if one.unit == '1' else f' {one.unit}'
+    difference = f'{round(100.0 * one.difference):+d} %'
+    if abs(one.difference) > 1.0:
+        difference = f'{one.ours - one.published:+.2g} {one.unit}'
+    ours, low, high = (digits(number, 3) for number in (one.ours, one.low, one.high))
+    met = one.met.replace(' ', '\u00a0')
+    numbers = [f'{one.published:g}{unit}', f'{ours}{unit}', difference, f'{low} to {high}', met]
+    return [one.section, one.what, *numbers, one.why]
 
 
 def _motion(page: Page, experiment: MotionExperiment) -> None:
@@ -240,27 +295,32 @@ def _motion(page: Page, experiment: MotionExperiment) -> None:
         for kind in ('opposite sides', 'same side'):
             if kind in kinds:
                 page.figures(view_figures(kinds[kind]), 'two')
-    page.text(_stiffening(experiment.stiffening), _stiffening(experiment.every_tendon))
-
-
-def _stiffening(one: Stiffening) -> str:
-    near, far = one.bending[0], one.bending[-1]
-    return (
-        f'Assumption A7 with {one.tendons[0]} tendons in the proximal and {one.tendons[-1]} in '
-        f'the distal section, {digits(1e3 * one.per_tendon, 2)} mN·m/rad each: bends change by '
-        f'{100 * near:.1f} % in the proximal and {100 * far:.1f} % in the distal section, the tip '
-        f'by {mm(one.shift)} or {100 * one.relative:.1f} % of its way (published: of the order of '
-        f'10 %, most in the proximal section). A proximal backbone that is '
-        f'{-100 * one.softer:.0f} % softer makes the sections alike; with equally higher tensions '
-        f'the tip is then off by {1e3 * one.evened:.2f} mm.'
-    )
+    for one in (experiment.stiffening, experiment.every_tendon):
+        near, far = one.bending[0], one.bending[-1]
+        page.text(
+            f'Assumption A7 with {one.tendons[0]} tendons in the proximal and {one.tendons[-1]} '
+            f'in the distal section, {digits(1e3 * one.per_tendon, 2)} mN·m/rad each: bends '
+            f'change by {100 * near:.1f} % in the proximal and {100 * far:.1f} % in the distal '
+            f'section, the tip by {mm(one.shift)} or {100 * one.relative:.1f} % of its way '
+            '(published: of the order of 10 %, most in the proximal section). A proximal '
+            f'backbone that is {-100 * one.softer:.0f} % softer makes the sections alike; with '
+            f'equally higher tensions the tip is then off by {1e3 * one.evened:.2f} mm.'
+        )
 
 
 def _displacement(page: Page, experiment: DisplacementExperiment) -> None:
     page.heading('IV.C Posture by wire pull (figures 12 to 15)')
-    page.table(('arrangement', 'arm', 'proximal / distal pull', 'tip z', 'FKM to PCCA',
-                'at all heights'),
-               [_heights(one) for one in experiment.others], left=(2, 3, 4))  # fmt: skip
+    header = ('arrangement', 'arm', 'proximal / distal pull', 'tip z', 'FKM to PCCA')
+    cells = []
+    for one in experiment.others:
+        two = list(one.pair.indices)
+        pulls = ', '.join(f'{1e3 * a:.1f} / {1e3 * b:.1f}' for a, b in one.pulls[:, two])
+        tips = ', '.join(f'{1e3 * z:.0f}' for z in one.tips[:, 2])
+        apart = ', '.join(f'{1e3 * d:.1f}' for d in one.apart)
+        low, high = (1e3 * value for value in one.everywhere)
+        told = [f'{text} mm' for text in (pulls, tips, apart, f'{low:.1f} to {high:.1f}')]
+        cells.append([one.pair.kind, mm(one.arm, 2), *told])
+    page.table((*header, 'at all heights'), cells, left=(2, 3, 4))
     low, high = experiment.heights.everywhere
     page.text(
         'The published errors (5.9 and 23.7 mm) require 17.8 to 29.6 mm between the tips of FKM '
@@ -281,53 +341,29 @@ def _displacement(page: Page, experiment: DisplacementExperiment) -> None:
     page.figures([tip_boxes(experiment.comparison)])
 
 
-def _heights(one: Heights) -> list[str]:
-    two = list(one.pair.indices)
-    pulls = ', '.join(f'{1e3 * a:.1f} / {1e3 * b:.1f}' for a, b in one.pulls[:, two])
-    tips = ', '.join(f'{1e3 * z:.0f}' for z in one.tips[:, 2])
-    apart = ', '.join(f'{1e3 * d:.1f}' for d in one.apart)
-    low, high = (1e3 * value for value in one.everywhere)
-    return [
-        one.pair.kind, mm(one.arm, 2), f'{pulls} mm', f'{tips} mm', f'{apart} mm',
-        f'{low:.1f} to {high:.1f} mm',
-    ]  # fmt: skip
-
-
 def _tension(page: Page, experiment: TensionExperiment) -> None:
     page.heading('IV.D Posture by tension (figures 16 and 17)')
-    names = experiment.comparison.measured.postures
-    page.figures(
-        [posture(experiment.comparison, experiment.data, p) for p in range(len(names))], 'two'
-    )
-    page.figures(
-        [error_per_cell(experiment.comparison, experiment.data, p) for p in range(len(names))],
-        'two',
-    )
+    found, data = experiment.comparison, experiment.data
+    postures = range(len(found.measured.postures))
+    page.figures([posture(found, data, p) for p in postures], 'two')
+    page.figures([error_per_cell(found, data, p) for p in postures], 'two')
     page.text(
         f'PCCA predicts the same shape for 0.51 N alone and for 0.99 against 0.48 N (apart by '
         f'{1e3 * experiment.same:.2f} mm), as published.'
     )
-    page.box(
-        _diagnosis(experiment.alone),
-        'warn',
-        'What diagnose says about these two postures',
-    )
+    page.box(_diagnosis(experiment.alone), 'warn', 'What diagnose says about these two postures')
     for i, one in enumerate(experiment.more):
         title = 'With the posture that it asks for' if i == 0 else 'And with the next one'
         page.box(_diagnosis(one), '', title)
-    page.text(_redrawn(experiment.redrawn))
-
-
-def _redrawn(diagnoses: tuple[Diagnosis, ...]) -> str:
-    """Say how far the outcome depends on the noise."""
     ends = Counter(
-        (one.verdict, listed(effect.name for effect in one.effects)) for one in diagnoses
+        f'{one.verdict} ({listed(effect.name for effect in one.effects)})'
+        for one in experiment.redrawn
     )
-    counts = (f'{count} times {verdict} ({effects})' for (verdict, effects), count in ends.items())
-    return (
-        f'The same with {len(diagnoses)} other draws of the noise ends {listed(counts)}. '
-        '"adequate": the declared uncertainties of tension, friction and stiffness cover '
-        'the error, and nothing is asked for.'
+    page.text(
+        f'The same with {len(experiment.redrawn)} other draws of the noise ends '
+        f'{listed(f"{count} times {end}" for end, count in ends.items())}. "adequate": the '
+        'declared uncertainties of tension, friction and stiffness cover the error, and nothing '
+        'is asked for.'
     )
 
 

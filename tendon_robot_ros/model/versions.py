@@ -15,14 +15,16 @@ from ..common.cache import cache_folder
 from ..common.errors import InputError
 from ..common.files import new_file
 from ..effects import Catalogue, load_catalogue
-from ..model import forward
-from ..model.compile import kernel_key
+from . import forward
+from .compile import kernel_key
 
 PACKAGE = Path(__file__).parents[1]
 LIBRARIES = ('numpy', 'scipy', 'numba')
 # folders on whose code a row depends; what prints and what moves motors is not among them
-PARTS = ('common', 'robot', 'effects', 'model', 'data', 'comparison', 'diagnosis', 'simulation',
-         'workspace', 'campaign')  # fmt: skip
+PARTS = (
+    *('common', 'robot', 'effects', 'model', 'data', 'comparison', 'diagnosis'),
+    *('simulation', 'workspace', 'studies'),
+)
 
 
 @dataclass(frozen=True)
@@ -55,25 +57,21 @@ def catalogue_of(effects: tuple[UserEffect, ...]) -> Catalogue:
 
 
 @cache
-def _sources() -> dict[str, str]:
-    """Digest of the code of every part: the package's version stands still between releases."""
+def versions(effects: tuple[UserEffect, ...] = ()) -> Mapping[str, str]:
+    """
+    Return what results depend on, by name.
+
+    Code counts by its digest, folder by folder: the package's version stands still between
+    releases.
+    """
     found = {}
     for part in PARTS:
         digest = hashlib.sha256()
         for path in sorted((PACKAGE / part).rglob('*.py')):
             digest.update(path.relative_to(PACKAGE).as_posix().encode() + path.read_bytes())
         found[f'{PACKAGE.name}/{part}'] = digest.hexdigest()[:8]
-    return found
-
-
-def versions(effects: tuple[UserEffect, ...] = ()) -> dict[str, str]:
-    """Return what results depend on, by name."""
-    libraries = {name: str(importlib.import_module(name).__version__) for name in LIBRARIES}
-    return {
-        **_sources(),
-        'catalogue of effects': catalogue_of(effects).digest,
-        **libraries,
-    }
+    found['catalogue of effects'] = catalogue_of(effects).digest
+    return found | {name: str(importlib.import_module(name).__version__) for name in LIBRARIES}
 
 
 def refuse_difference(

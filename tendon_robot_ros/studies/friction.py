@@ -1,24 +1,97 @@
-"""The friction coefficient from slip angles (Kato et al. 2015, section IV.A)."""
+"""
+Measure the friction coefficient between wire and eyelet from slip angles.
+
+SLIP_ANGLES is a CSV file with the columns measurement (a name) and angle_deg: the angle of a
+slanted test piece at which the wire slips (Kato et al. 2015, section IV.A). The coefficient is the
+tangent. Outliers are named and stay in the mean. With --robot and --output the coefficient is
+written into a robot description as tendon_friction.
+
+example: python -m tendon_robot_ros friction data/slip_angles/scale_10_1.csv \
+    --robot robot.yaml --output with_friction.yaml
+"""
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ..cli.options import (
+    add_json,
+    add_overwrite,
+    emit,
+    next_step,
+    refuse_existing,
+    write_description,
+)
 from ..common.errors import DataSetError, InputError
+from ..common.files import file_to_write
+from ..common.words import listed
 from ..comparison.statistics import estimate
 from ..data.folder.csv_file import CsvFile
-from ..robot import Robot
+from ..robot import Robot, load_robot
 from ..robot.description import EffectValues
+
+HELP = 'friction coefficient from slip angles, into a robot description'
 
 COLUMNS = ('measurement', 'angle_deg')
 # robust standard deviations from the median: an outlier (Iglewicz and Hoaglin 1993)
 OUTLIER_FROM_SD = 3.5
-ANGLES_MIN = 3
+ROBUST_SD = 1.4826  # [1] standard deviation over median deviation of a normal distribution
+ANGLES_MIN = 3  # fewer say nothing of their spread
+RADIANS_BELOW_DEG = 2.25  # [°] no wire is that smooth: if all angles are below, they are radians
+PUBLISHED_FRICTION = {'2:1': (0.31, 18), '10:1': (0.33, 30)}  # scale: coefficient, measurements
+ANGLE_SD = 0.03  # [1] of the tangent of one measurement: assumed, Table II is lost
+ANGLE_READING_DEG = 0.1  # [°] of the rotational stage: assumed
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add('angles', metavar='SLIP_ANGLES', help='CSV file: measurement,angle_deg')
+    add('--robot', metavar='ROBOT', help='robot description to write the coefficient into')
+    to = file_to_write('--output')
+    add('--output', type=to, metavar='NEW', help='the new description')
+    add_json(parser)
+    add_overwrite(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, compute, write."""
+    if (args.robot is None) != (args.output is None):
+        raise InputError('friction: --robot and --output go together; give both or neither')
+    refuse_existing('--output', args.output, args.overwrite)
+    friction = slip_friction(*read_slip_angles(args.angles))
+    text = lines(friction)
+    if args.output:
+        date = datetime.now(UTC).date().isoformat()
+        robot = with_friction(load_robot(args.robot), friction, Path(args.angles).name, date)
+        write_description(robot, args.output)
+        text.append(next_step(args.output))
+    emit(args, friction.to_json(), '\n'.join(text))
+    return 0
+
+
+def lines(friction: SlipFriction) -> list[str]:
+    """Say what was found."""
+    text = [
+        f'friction coefficient: {friction.mean:.3f} ± {friction.sd:.3f} '
+        f'(mean ± SD of the tangent, n = {friction.n})',
+        f'95 % interval of the mean: {friction.low:.3f} to {friction.high:.3f}',
+    ]
+    if friction.outliers:
+        text.append(
+            f'outliers: {listed(friction.outliers)}; without them {friction.mean_without:.3f}. '
+            'Look at how they were measured; nothing was removed.'
+        )
+    else:
+        text.append('outliers: none')
+    return text
 
 
 @dataclass(frozen=True)
@@ -62,8 +135,9 @@ def read_slip_angles(path: str | Path) -> tuple[tuple[str, ...], npt.NDArray[np.
             f'angle_deg is {degrees[i]:g}',
             'write the slip angle in degrees, between 0 and 90',
         )
-    if np.degrees(np.arctan(1.0)) > 20.0 * degrees.max():
-        raise DataSetError(str(path), 'no angle exceeds 2.25°', 'write degrees, not radians')
+    if degrees.max() < RADIANS_BELOW_DEG:
+        told = f'no angle exceeds {RADIANS_BELOW_DEG}°'
+        raise DataSetError(str(path), told, 'write degrees, not radians')
     labels = table.labels['measurement']
     return tuple(labels[code] for code in table.codes['measurement']), np.radians(degrees)
 
@@ -88,7 +162,7 @@ def slip_friction(names: tuple[str, ...], angles: npt.ArrayLike) -> SlipFriction
         )
     mean = estimate(tangents)
     away = np.abs(tangents - np.median(tangents))
-    spread = 1.4826 * float(np.median(away))
+    spread = ROBUST_SD * float(np.median(away))
     far = away > OUTLIER_FROM_SD * spread if spread > 0.0 else np.zeros(len(away), dtype=bool)
     return SlipFriction(
         mean=mean.mean,
@@ -119,20 +193,16 @@ def with_friction(robot: Robot, friction: SlipFriction, data: str, date: str) ->
     }
     values: EffectValues = {'friction_coefficient': round(friction.mean, 4)}
     made = robot.with_effect('tendon_friction', values, origin)
-    relative = round((friction.high - friction.low) / 3.92 / friction.mean, 4)
+    relative = round((friction.high - friction.low) / (2.0 * 1.96) / friction.mean, 4)
     return replace(made, tolerances={**robot.tolerances, 'friction_coefficient': relative})
 
 
-# -----------------------------------------------------------------------------
-# Friction coefficients (section IV.A), rehearsed: the measured slip angles are not printed.
-
-PUBLISHED_FRICTION = {'2:1': (0.31, 18), '10:1': (0.33, 30)}  # scale: coefficient, measurements
-ANGLE_SD = 0.03  # [1] of one measurement: assumed, Table II is lost
-ANGLE_READING_DEG = 0.1  # [°] of the rotational stage: assumed
-
-
 def rehearsals(seed: int = 0) -> dict[str, SlipFriction]:
-    """Draw slip angles of the published coefficients and evaluate them, scale by scale."""
+    """
+    Draw slip angles of the published coefficients and evaluate them, scale by scale (IV.A).
+
+    The measured ones are not printed.
+    """
     frictions = {}
     for scale, (coefficient, n) in PUBLISHED_FRICTION.items():
         random = np.random.default_rng([seed, n])

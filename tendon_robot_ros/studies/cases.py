@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -27,9 +28,17 @@ from ..workspace.postures import default_postures
 Floats = npt.NDArray[np.float64]
 HiddenSizes = dict[str, float | list[float]]
 NOTHING = 'none'
-VISIBLE_FROM_CHI2 = 30.0  # whitened squared change of the markers that stands out of the noise
-SEQUENCE_FACTOR = 5.0 / 3.0  # postures of a sequence, which goes up and down, for each of others
-LOST_SHARE, WILD_SHARE, WILD_SD_M = 0.03, 0.005, 5e-3  # of the readings of markers; [m]
+# [1] whitened squared change of the markers that stands out of the noise: as chi² of three
+# parameters it comes about once in a million by chance
+VISIBLE_FROM_CHI2 = 30.0
+SEQUENCE_FACTOR = 5.0 / 3.0  # postures of a sequence for each of others: it goes up and down
+# as a laboratory's tracker does: shares of the readings that are lost or wild; [m] 1 sd of these
+LOST_SHARE, WILD_SHARE, WILD_SD_M = 0.03, 0.005, 5e-3
+SOFT_CELL_LOSS = 0.45  # [1] of the stiffness of a soft cell of size 1
+# [1] of the members of a vector, whose signs are drawn: so that it points anywhere
+VECTOR_SHARES = (0.4, 1.0)
+# [1] of the typical size, section by section: they differ, or it would be another effect
+SECTION_SHARES = (1.5, -1.0)
 
 
 @dataclass(frozen=True)
@@ -170,7 +179,7 @@ def hidden_values(
     random = np.random.default_rng([seed, 5])
     if hidden == 'soft_cell':
         cell = 1 + robot.cells // 4 + int(random.integers(max(robot.cells // 2, 1)))
-        return {'cell': float(cell), 'factor': 1.0 - 0.45 * size}
+        return {'cell': float(cell), 'factor': 1.0 - SOFT_CELL_LOSS * size}
     if hidden in CAUSES or hidden == NOTHING:
         return {}
     effect = catalogue[hidden].sized(natural_sizes(robot))
@@ -180,12 +189,10 @@ def hidden_values(
         value = parameter.neutral if parameter.has_default else parameter.typical * size
         if parameter.low <= -parameter.typical:  # may have either sign
             value *= float(random.choice([-1.0, 1.0]))
-            value *= float(random.uniform(0.4, 1.0)) if vector else 1.0
+            value *= float(random.uniform(*VECTOR_SHARES)) if vector else 1.0
         if parameter.per_section and len(robot.sections) > 1 and parameter.low < 0.0:
-            shares = [1.5, -1.0] * len(robot.sections)  # sections differ, or it is another effect
-            values[parameter.name] = [
-                abs(value) * share for share in shares[: len(robot.sections)]
-            ]
+            shares = itertools.islice(itertools.cycle(SECTION_SHARES), len(robot.sections))
+            values[parameter.name] = [abs(value) * share for share in shares]
         else:
             values[parameter.name] = float(np.clip(value, parameter.low, parameter.high))
     return values

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import collections
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from statistics import NormalDist
 from typing import Any
 
@@ -15,11 +15,13 @@ from ..diagnosis.trust import DETECTED_SHARE, wilson
 from ..effects import load_catalogue
 from ..simulation.hidden import CAUSES
 from .cases import NOTHING
-from .judge import ERROR, NAMING, CaseRow
+from .judge import NAMING, CaseRow
+from .running import ERROR
 
-NOMINAL = (0.5, 0.8, 0.9, 0.95, 0.99)  # of the intervals whose coverage is counted
-BINS = 6  # of sizes that were drawn at random, on the scale of logarithms
-LISTED_SIZES_MAX = 12  # different sizes, above which they were drawn
+NOMINAL = (0.5, 0.8, 0.9, 0.95, 0.99)  # [1] shares of the intervals whose coverage is counted
+BINS = 6  # of sizes that were drawn, on the scale of logarithms, so that each holds many cases
+LISTED_SIZES_MAX = 12  # different sizes above which they were drawn: nobody lists so many
+GONE_SHARE = 0.9  # [1] of the error on other postures that an effect must take off to count
 
 
 @dataclass(frozen=True)
@@ -92,24 +94,14 @@ def ways(rows: Sequence[CaseRow]) -> Callable[[CaseRow], str]:
 def powers(rows: Sequence[CaseRow]) -> list[Power]:
     """Count how often every effect was seen, size by size."""
     way_of = ways(rows)
-    groups = grouped(
-        (row for row in rows if row.hidden != NOTHING),
-        lambda row: (row.robot, row.hidden, way_of(row)),
-    )
+    hidden = [row for row in rows if row.hidden != NOTHING]
     found = []
-    for (robot, hidden, way), members in groups.items():
+    for key, members in grouped(hidden, lambda r: (r.robot, r.hidden, way_of(r))).items():
         binned = grouped(_binned(members), lambda row: row.size)
         sizes = sorted(binned)
-        found.append(
-            Power(
-                robot,
-                hidden,
-                way,
-                tuple(sizes),
-                tuple(Rate.of(row.alarm for row in binned[size]) for size in sizes),
-                tuple(Rate.of(row.right for row in binned[size]) for size in sizes),
-            )
-        )
+        alarms = tuple(Rate.of(row.alarm for row in binned[size]) for size in sizes)
+        right = tuple(Rate.of(row.right for row in binned[size]) for size in sizes)
+        found.append(Power(*key, tuple(sizes), alarms, right))
     return found
 
 
@@ -183,17 +175,10 @@ def costs(rows: Sequence[CaseRow]) -> list[Cost]:
 def clean_rows(rows: Sequence[CaseRow]) -> list[tuple[str, str, Rate, Rate]]:
     """Return (robot, way, alarms, named) of the sets with nothing hidden."""
     way_of = ways(rows)
-    groups = grouped(
-        (row for row in rows if row.hidden == NOTHING), lambda row: (row.robot, way_of(row))
-    )
+    clean = [row for row in rows if row.hidden == NOTHING]
     return [
-        (
-            robot,
-            way,
-            Rate.of(row.alarm for row in members),
-            Rate.of(row.verdict in NAMING for row in members),
-        )
-        for (robot, way), members in groups.items()
+        (*key, Rate.of(r.alarm for r in members), Rate.of(r.verdict in NAMING for r in members))
+        for key, members in grouped(clean, lambda row: (row.robot, way_of(row))).items()
     ]
 
 
@@ -216,7 +201,7 @@ def rates(rows: Sequence[CaseRow]) -> dict[str, Rate]:
             held for row in effects for held in row.held
         ),
         'named effects that take 90 % of the error off other postures': Rate.of(
-            row.gone >= 0.9 for row in named if row.gone is not None
+            row.gone >= GONE_SHARE for row in named if row.gone is not None
         ),
         'scatter inside its interval, where it is told': Rate.of(
             held for row in rows for held in row.scatter_held
@@ -272,42 +257,25 @@ def grouped[K](rows: Iterable[CaseRow], by: Callable[[CaseRow], K]) -> dict[K, l
 
 def to_json(rows: Sequence[CaseRow]) -> dict[str, Any]:
     """Return all figures as plain data."""
-
-    def plain(rate: Rate) -> dict[str, Any]:
-        low, high = rate.interval
-        return {'share': rate.share, 'low': low, 'high': high, 'hits': rate.hits,
-                'runs': rate.runs}  # fmt: skip
-
-    def all_plain(found: dict[str, Rate]) -> dict[str, Any]:
-        return {name: plain(rate) for name, rate in found.items()}
-
     return {
         'cases': len(rows),
-        'rates': all_plain(rates(rows)),
-        'rates_by_robot': {name: all_plain(each) for name, each in rates_by_robot(rows).items()},
-        'rates_by_hidden': [
-            {
-                'robot': one.robot,
-                'hidden': one.hidden,
-                'right': plain(one.right),
-                'right_if_seen': plain(one.right_if_seen),
-                'wrong_names': plain(one.wrong_names),
-                'inside': plain(one.inside),
-            }
-            for one in rates_by_hidden(rows)
-        ],
-        'power': [
-            {
-                'robot': one.robot,
-                'hidden': one.hidden,
-                'way': one.way,
-                'sizes': list(one.sizes),
-                'alarms': [plain(rate) for rate in one.alarms],
-                'right': [plain(rate) for rate in one.right],
-                'smallest': one.smallest,
-            }
-            for one in powers(rows)
-        ],
-        'coverage': [{'nominal': share, **plain(rate)} for share, rate in coverage(rows)],
+        'rates': _plain(rates(rows)),
+        'rates_by_robot': _plain(rates_by_robot(rows)),
+        'rates_by_hidden': _plain(rates_by_hidden(rows)),
+        'power': [{**_plain(one), 'smallest': one.smallest} for one in powers(rows)],
+        'coverage': [{'nominal': share, **_plain(rate)} for share, rate in coverage(rows)],
         'seconds': float(np.median([row.seconds for row in rows])) if rows else None,
     }
+
+
+def _plain(value: Any) -> Any:
+    """Return figures as JSON holds them; a rate as its share, 95 % interval and counts."""
+    if isinstance(value, Rate):
+        low, high = value.interval
+        found = {'share': value.share, 'low': low, 'high': high}
+        return {**found, 'hits': value.hits, 'runs': value.runs}
+    if is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    return [_plain(one) for one in value] if isinstance(value, (list, tuple)) else value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +14,7 @@ from ..model.model import Model
 from ..robot import Robot
 from ..simulation.plant import Plant, make_plant
 from ..workspace.grid import Pair, pairs_of
-from .robots import HINGE_LEVER_M, Floats, at_view, held, pcca, turned, with_arm
+from .paper_motion import HINGE_LEVER_M, Floats, at_view, pcca, with_arm
 
 VIEW_ANGLE_RAD = float(np.pi)
 HEIGHT_NAMES = ('maximum tip height', 'median tip height', 'minimum tip height')
@@ -52,8 +51,9 @@ class Spread:
     low: float
     high: float
     sd: float  # over the trials of a prototype, root mean square
-    low_sd: float  # the 5th percentile of it where cells do not change from trial to trial
-    high_sd: float  # the 95th where they change as much as they scatter
+    # its 5th percentile where cells do not change from trial to trial, and its 95th where they
+    # change as much as they scatter
+    sd_range: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +124,9 @@ def find_heights(robot: Robot, pair: Pair) -> Heights | None:
     Among proximal tensions in steps of 0.1 N, all other wires taken out; both wires are taut in
     both models, and every cell bends towards the view: no S-shape. None where there is none.
     """
-    fkm, side = Model(robot), _side(robot, pair)
+    fkm = Model(robot)
+    distal = robot.tendons[robot.input_tendons[pair.indices[1]][0]]
+    side = 1 if distal.base[0] > 0.0 else -1  # sign of the tip angle towards which it bends
     near = np.arange(TENSION_STEP_N, robot.tension_limits[1], TENSION_STEP_N)
     tensions = at_view(fkm, pair.indices, near, VIEW_ANGLE_RAD, side)
     if not len(tensions):
@@ -205,25 +207,41 @@ def many_prototypes(
         for model in comparison.models:
             tip = model.markers[p, -1]
             errors = [np.linalg.norm(one - tip, axis=2) for one in tips]
-            spreads[HEIGHT_NAMES[p], model.name] = _spread(errors)
+            means, sds = errors[1].mean(axis=1), [one.std(axis=1, ddof=1) for one in errors]
+            low, high = np.percentile(means, [5.0, 95.0]).tolist()
+            spreads[HEIGHT_NAMES[p], model.name] = Spread(
+                mean=float(means.mean()),
+                low=low,
+                high=high,
+                sd=float(np.sqrt((sds[1] ** 2).mean())),
+                sd_range=(float(np.percentile(sds[0], 5)), float(np.percentile(sds[-1], 95))),
+            )
     return spreads
 
 
-def _spread(errors: Sequence[Floats]) -> Spread:
-    """Summarise tip errors (prototypes, trials) [m], one array per `TRIAL_SCATTERS_RAD`."""
-    means, sds = errors[1].mean(axis=1), [one.std(axis=1, ddof=1) for one in errors]
-    low, high = np.percentile(means, [5.0, 95.0]).tolist()
-    return Spread(
-        mean=float(means.mean()),
-        low=low,
-        high=high,
-        sd=float(np.sqrt((sds[1] ** 2).mean())),
-        low_sd=float(np.percentile(sds[0], 5.0)),
-        high_sd=float(np.percentile(sds[-1], 95.0)),
-    )
+def held(play: Floats, robot: Robot) -> Floats:
+    """Take the mean of every section off the play (..., n) [rad]: taut wires hold the sum."""
+    parts = np.split(play, np.cumsum([s.cells for s in robot.sections])[:-1], axis=-1)
+    return np.concatenate([part - part.mean(axis=-1, keepdims=True) for part in parts], axis=-1)
 
 
-def _side(robot: Robot, pair: Pair) -> int:
-    """Sign of the tip angle towards which the distal wire bends."""
-    tendons: Sequence[int] = robot.input_tendons[pair.indices[1]]
-    return 1 if robot.tendons[tendons[0]].base[0] > 0.0 else -1
+def turned(positions: Floats, play: Floats) -> Floats:
+    """
+    Turn every cell about its proximal end, with all that lies beyond it.
+
+    Parameters
+    ----------
+    positions : (..., n, 3) [m]
+        Ends of the cells.
+    play : (..., n) [rad]
+        Turns in the x-z plane, towards +x.
+
+    """
+    moved = np.array(positions, dtype=float)
+    joints = np.concatenate([np.zeros_like(moved[..., :1, :]), moved[..., :-1, :]], axis=-2)
+    for i in reversed(range(moved.shape[-2])):  # what lies nearer to the base is still in place
+        away = moved[..., i:, :] - joints[..., i : i + 1, :]
+        c, s = np.cos(play[..., i, None]), np.sin(play[..., i, None])
+        moved[..., i:, 0] = joints[..., i, None, 0] + c * away[..., 0] + s * away[..., 2]
+        moved[..., i:, 2] = joints[..., i, None, 2] - s * away[..., 0] + c * away[..., 2]
+    return moved

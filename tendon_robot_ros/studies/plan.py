@@ -1,36 +1,47 @@
-"""What to simulate and diagnose, read from YAML: robots x effects x sizes x designs x chance."""
+"""
+What to simulate and diagnose: robots x effects x sizes x designs x chance.
+
+A plan is read from YAML, and run in a folder that belongs to it and to the versions of it.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import itertools
+import json
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.files import read_text
+from ..common.files import new_file, read_text
+from ..common.given import Progress
+from ..common.workers import Workers
 from ..common.yaml_reading import Reader, parse_yaml
 from ..data import load_dataset
 from ..effects import Catalogue
+from ..model.versions import UserEffect, catalogue_of, differences, refuse_difference, versions
 from ..robot import dump_robot, load_robot
 from ..simulation.hidden import CAUSES
 from ..simulation.measurements import SimulatedNoise
 from .cases import NOTHING, Case, Design, PlannedRobot, needs
-from .judge import DIAGNOSIS, INTERVALS, QUESTIONS, Setup
-from .versions import UserEffect, catalogue_of
+from .judge import DIAGNOSIS, INTERVALS, QUESTIONS, CaseRow, Setup
+from .running import TABLE, GrowingTable, judge_all
 
 SIZE_MIN, SIZE_MAX = 1e-3, 10.0  # times the typical size of an effect
 CAUSE_SIZE_MIN = 0.5  # a cause outside the catalogue below it is nothing
-SEEDS_MAX = 1_000_000
+COUNT_MAX = 1000  # postures, trials or markers of a design: more is a mistake in the plan
+SEEDS_MAX = 1_000_000  # of every combination: more is a mistake in the plan
 ALL, ALL_CAUSES = 'all', 'causes'
 KEYS = (
-    'question', 'seed', 'seeds', 'clean', 'robots', 'hidden', 'sizes', 'drawn', 'full_size',
-    'designs', 'noise', 'imperfections', 'exact', 'scatter', 'declared',
-)  # fmt: skip
+    *('question', 'seed', 'seeds', 'clean', 'robots', 'hidden', 'sizes', 'drawn', 'full_size'),
+    *('designs', 'noise', 'imperfections', 'exact', 'scatter', 'declared'),
+)
+CONTENT = 'campaign.json'  # in the folder: what its table was made with
 
 
 class PlanReader(Reader):
@@ -78,8 +89,8 @@ class CampaignPlan:
         """Digests of what cases are made of, by name: a table is one of the same things."""
         setup = self.setup
         found = {'question': setup.question, 'seed': str(setup.seed)}
-        found |= {f'robot {arm.name}': _digest(dump_robot(arm.robot), arm.down)
-                  for arm in setup.arms}  # fmt: skip
+        for arm in setup.arms:
+            found[f'robot {arm.name}'] = _digest(dump_robot(arm.robot), arm.down)
         for i, design in enumerate(setup.designs):
             data = design.data
             measured = () if data is None else (data.inputs.tobytes(), data.trials.tobytes())
@@ -126,7 +137,14 @@ def plan_of(
         question=top.choice('question', QUESTIONS, DIAGNOSIS),
         effects=effects,
     )
-    _check_designs(top, setup)
+    for i, design in enumerate(setup.designs):
+        for arm in setup.arms:
+            if design.data is not None and design.data.robot.inputs != arm.robot.inputs:
+                raise top.error(
+                    f'designs[{i}].data',
+                    f'measurements of the inputs of {arm.name}, {", ".join(arm.robot.inputs)}',
+                    ', '.join(design.data.robot.inputs),
+                )
     cases = tuple(_cases(top, setup, catalogue, skipped))
     if not cases:
         raise top.error('seeds', 'at least one case: seeds of effects, or clean sets', 0)
@@ -147,7 +165,7 @@ def _arms(
         path = entry.content.get('file')
         if not isinstance(path, str):
             raise entry.error('file', 'a robot description (YAML)', path)
-        robot = load_robot(_found(path, folder))
+        robot = load_robot(folder / path)
         down = entry.vector('down', 3) if entry.has('down') else None
         names.append(robot.name)
         skipped[robot.name] = entry.words('but', [*catalogue.names, *CAUSES], ())
@@ -162,23 +180,18 @@ def _designs(top: PlanReader, folder: Path) -> Iterator[Design]:
         data = entry.content.get('data')
         if data is not None and not isinstance(data, str):
             raise entry.error('data', 'the folder of a data set', data)
-        design = Design(
-            '',
-            entry.count('postures', 12, 3, 1000),
-            entry.count('trials', 5, 1, 1000),
-            entry.count('markers', 0, 0, 1000),
-            load_dataset(_found(data, folder)) if data else None,
-        )
-        names.append(entry.name('name') if entry.has('name') else _title(design, data))
-        yield replace(design, name=names[-1])
+        postures = entry.count('postures', 12, 3, COUNT_MAX)
+        trials = entry.count('trials', 5, 1, COUNT_MAX)
+        markers = entry.count('markers', 0, 0, COUNT_MAX)
+        if data:
+            title = f'as {Path(data).name}'
+        else:
+            placed = f'{markers} markers' if markers else 'a marker per cell'
+            title = f'{postures} postures x {trials} x {placed}'
+        names.append(entry.name('name') if entry.has('name') else title)
+        measured = load_dataset(folder / data) if data else None
+        yield Design(names[-1], postures, trials, markers, measured)
     top.unique('designs', names)
-
-
-def _title(design: Design, data: str | None) -> str:
-    if data:
-        return f'as {Path(data).name}'
-    markers = 'a marker per cell' if not design.markers else f'{design.markers} markers'
-    return f'{design.postures} postures x {design.trials} x {markers}'
 
 
 def _noises(top: PlanReader) -> Iterator[tuple[str, SimulatedNoise]]:
@@ -196,23 +209,16 @@ def _noises(top: PlanReader) -> Iterator[tuple[str, SimulatedNoise]]:
     top.unique('noise', names)
 
 
-def _check_designs(top: PlanReader, setup: Setup) -> None:
-    for i, design in enumerate(setup.designs):
-        for arm in setup.arms:
-            if design.data is not None and design.data.robot.inputs != arm.robot.inputs:
-                raise top.error(
-                    f'designs[{i}].data',
-                    f'measurements of the inputs of {arm.name}, {", ".join(arm.robot.inputs)}',
-                    ', '.join(design.data.robot.inputs),
-                )
-
-
 def _cases(
     top: PlanReader, setup: Setup, catalogue: Catalogue, skipped: Mapping[str, list[str]]
 ) -> Iterator[Case]:
     """List the cases: seeds outermost, so that what is done first says something of all."""
     known = (ALL, ALL_CAUSES, *catalogue.names, *CAUSES)
-    hidden = _expanded(top.words('hidden', known, (ALL,)), setup, catalogue)
+    groups = {ALL: catalogue.names, ALL_CAUSES: tuple(CAUSES)}
+    words = top.words('hidden', known, (ALL,))
+    hidden = list(dict.fromkeys(name for word in words for name in groups.get(word, (word,))))
+    if setup.question == INTERVALS:  # of effects only
+        hidden = [name for name in hidden if name in catalogue]
     full = set(top.words('full_size', [*catalogue.names, *CAUSES], ()))
     usual = 0.0 if setup.question == INTERVALS else 1.0  # that arm is the model's own
     levels = top.numbers_in('imperfections', 0.0, 5.0, (usual,))
@@ -222,8 +228,7 @@ def _cases(
     seeds, clean = top.count('seeds', 20), top.count('clean', 0)
     sizes = _sizes(top)
     shared: dict[str, Any] = {'exact': exact, 'scatter': scatter, 'declared': top.flag('declared')}
-    ways = [(d, n, level) for d in range(len(setup.designs))
-            for n in range(len(setup.noises)) for level in levels]  # fmt: skip
+    ways = list(itertools.product(range(len(setup.designs)), range(len(setup.noises)), levels))
     for number in range(max(seeds, clean)):
         for arm in setup.arms:
             if number < clean:
@@ -235,16 +240,6 @@ def _cases(
                     continue
                 for size in [1.0] if name in full else sizes(setup.seed, number, name):
                     yield from (Case(arm.name, name, size, number, *way, **shared) for way in ways)
-
-
-def _expanded(words: Sequence[str], setup: Setup, catalogue: Catalogue) -> list[str]:
-    names: dict[str, None] = {}
-    for word in words:
-        group = {ALL: catalogue.names, ALL_CAUSES: tuple(CAUSES)}.get(word, (word,))
-        names |= dict.fromkeys(group)
-    if setup.question == INTERVALS:
-        return [name for name in names if name in catalogue]
-    return list(names)
 
 
 def _sizes(top: PlanReader) -> Callable[[int, int, str], list[float]]:
@@ -284,10 +279,102 @@ def _can_show(name: str, arm: PlannedRobot, setup: Setup, catalogue: Catalogue) 
     return all(kinds.get(need or '', d.input) in (d.input, d.path) for d in measured)
 
 
-def _found(path: str, folder: Path) -> Path:
-    """Seek a file beside the plan."""
-    return Path(path) if Path(path).is_absolute() else folder / path
-
-
 def _digest(*parts: object) -> str:
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:12]
+
+
+def run_plan(
+    plan: CampaignPlan,
+    folder: Path,
+    workers: Workers,
+    progress: Progress | None = None,
+    accept_change: bool = False,
+) -> list[CaseRow]:
+    """
+    Judge the cases of a plan that are not in the table yet.
+
+    Parameters
+    ----------
+    plan : CampaignPlan
+    folder : Path
+        Of the table; what is there already counts.
+    workers : Workers
+    progress : callable, optional
+        Called with (what, done, total) of the cases that were left.
+    accept_change : bool
+        Go on where other versions began; `earlier_rows` then says so.
+
+    Returns
+    -------
+    list of CaseRow
+        Of all cases of the plan, in its order.
+
+    Raises
+    ------
+    InputError
+        The folder belongs to something else, or to other versions.
+    ClusterLostError
+        The scheduler is gone; what was finished is in the table.
+
+    """
+    claim(folder, plan, accept_change)
+    return judge_all(plan.setup, plan.cases, table_of(folder), workers, progress)
+
+
+def table_of(folder: Path) -> GrowingTable[CaseRow]:
+    """Open the table of a campaign."""
+    return GrowingTable(folder / TABLE, CaseRow)
+
+
+def claim(folder: Path, plan: CampaignPlan, accept_change: bool = False) -> None:
+    """Make the folder that of a plan, or refuse it."""
+    path, contents = folder / CONTENT, plan.contents
+    ours = versions(plan.setup.effects)
+    earlier: list[dict[str, Any]] = []
+    if path.is_file():
+        theirs = _content(folder)
+        earlier, before = theirs['earlier'], theirs['contents']
+        changed = [key for key in contents if before.get(key, contents[key]) != contents[key]]
+        if changed:
+            raise InputError(
+                f'{folder}: was run with another {", ".join(changed)}; use another --output'
+            )
+        if not accept_change:
+            refuse_difference(
+                f'{folder}: was run with other versions',
+                theirs['versions'],
+                ours,
+                'use another --output, or --accept-change, which keeps the rows that are there',
+            )
+        elif differences(theirs['versions'], ours):
+            rows = len(table_of(folder).keys())
+            earlier = [*earlier, {'rows': rows, 'versions': theirs['versions']}]
+        contents = before | contents
+    elif folder.exists() and any(folder.iterdir()):
+        raise InputError(f'{folder}: is not empty and no campaign; use another --output')
+    folder.mkdir(parents=True, exist_ok=True)
+    with new_file(path) as draft:
+        content = {'versions': ours, 'contents': contents, 'earlier': earlier}
+        draft.write_text(json.dumps(content, indent=1) + '\n', encoding='utf-8')
+
+
+def _content(folder: Path) -> dict[str, Any]:
+    """Return what a folder was run with: versions, contents, and earlier versions."""
+    try:
+        content = json.loads((folder / CONTENT).read_text())
+        plain = {key: dict(content[key]) for key in ('versions', 'contents')}
+        return {**plain, 'earlier': list(content.get('earlier', ()))}
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f'{folder / CONTENT}: cannot be read ({error}); use another --output'
+        ) from None
+
+
+def earlier_rows(folder: Path) -> list[str]:
+    """Say which rows of a table come from other versions than the last, a line per change."""
+    content = _content(folder)
+    return [
+        f'the first {one["rows"]:,} rows were judged by other versions: '
+        + '; '.join(differences(one['versions'], content['versions']))
+        for one in content['earlier']
+    ]

@@ -1,0 +1,379 @@
+"""
+Ask what a set-up could see before it is built, and how often the diagnosis is right.
+
+PLAN (YAML) lists robots, hidden effects, sizes, designs (postures, trials, markers), noise,
+imperfections and how often each is repeated; every combination is simulated and diagnosed.
+OUTPUT holds the table (Parquet files that grow while it runs), campaign.html and campaign.json.
+Ctrl-C, a lost scheduler or a power cut lose the last seconds: the same command goes on. A plan may
+grow between two runs: more seeds, effects or sizes are added to what is there.
+
+Work is spread over --workers processes of this machine, or over the workers of a dask scheduler
+(--cluster). Results do not depend on where they are computed. docs/campaigns.md has more.
+
+example: python -m tendon_robot_ros campaign examples/campaign.yaml --output power
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import sys
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..cli.options import add_cluster, add_effect_files, add_json, emit
+from ..cli.progress import progress
+from ..common.colours import BAND, COLOURS, DASHES, ERROR, PREDICTED
+from ..common.words import columns, digits
+from ..common.workers import Workers
+from ..diagnosis.decide import Verdict
+from ..model.versions import Preparation
+from ..report.numbers import error_bars
+from ..report.page import Figure, Page
+from ..simulation.hidden import CAUSES
+from .cases import NOTHING
+from .figures import (
+    Power,
+    Rate,
+    clean_rows,
+    confusion,
+    costs,
+    coverage,
+    grouped,
+    powers,
+    rates,
+    rates_by_robot,
+    to_json,
+)
+from .judge import NAMING, CaseRow
+from .plan import earlier_rows, read_plan, run_plan, table_of
+
+HELP = 'simulate and diagnose many robots: what would be seen, how often is it right'
+PAGE = 'campaign.html'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add('plan', metavar='PLAN', help='what to simulate (YAML)')
+    add('--output', metavar='DIR', required=True, help='folder of the table and the page')
+    add('--dry-run', action='store_true', help='count the cases, and say what is there already')
+    words = 'go on in a folder that other versions have begun; what is there stays'
+    add('--accept-change', action='store_true', help=words)
+    add_cluster(parser)
+    add_json(parser)
+    add_effect_files(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run what is left of a plan, print, write."""
+    plan, folder = read_plan(args.plan, args.effect_file), Path(args.output)
+    if args.dry_run:
+        there = len(table_of(folder).rows_of(plan.cases)) if folder.exists() else 0
+        print(f'{len(plan.cases):,} cases, {there:,} of them are there')
+        return 0
+    plan.setup.compile()
+    prepare = Preparation.here(plan.setup.effects)
+    page, stopped = folder / PAGE, False
+    try:
+        with Workers(args.workers, args.cluster, prepare) as workers, progress(True) as show:
+            rows = run_plan(plan, folder, workers, show, args.accept_change)
+    except KeyboardInterrupt:
+        rows, stopped = table_of(folder).rows_of(plan.cases), True
+    mixed = earlier_rows(folder) if rows else []
+    if rows:
+        title = f'Campaign: {Path(args.plan).stem}'
+        campaign_page(rows, title, len(plan.cases), mixed).write(page)
+    if stopped:
+        print(
+            f'stopped: {len(rows):,} of {len(plan.cases):,} cases are in {folder}; '
+            'the same command goes on from there',
+            file=sys.stderr,
+        )
+        return 130
+    lines = [*summary(rows), *power_lines(rows), *mixed, f'written: {folder}/table, {page}']
+    emit(args, to_json(rows), '\n'.join(lines))
+    return 0
+
+
+HIDDEN_COLUMNS = (
+    *('hidden', 'n', 'right', 'seen', 'right of these', 'wrong name', 'quiet', 'outside'),
+    *('some at once', 'class', 'inside', 'gone', 'time'),
+)
+HIDDEN_MEANING = (
+    'seen: stands out of noise and imperfections; of effects, how many of these were right, with '
+    'the 95 % interval; quiet: nothing was said to be missing; class: '
+    'effects named together, on average; inside: 95 % intervals that hold the truth; gone: error '
+    'taken off postures not used (median); time: of the processor for a diagnosis (median).'
+)
+FITTED_COLUMNS = ('intervals of', 'hold', 'of', 'not determined')
+
+
+def hidden_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
+    """Return a row per robot and hidden effect: how often it was seen, named, and how well."""
+    made = []
+    for (robot, hidden), members in grouped(rows, lambda r: (r.robot, r.hidden)).items():
+        verdicts = collections.Counter(row.verdict for row in members)
+        seen = [row for row in members if row.visible]
+        is_effect = hidden not in (NOTHING, *CAUSES)
+        named = [row for row in members if row.verdict in NAMING]
+        inside = [held for row in members for held in row.held]
+        gone = [row.gone for row in members if row.gone is not None and hidden != NOTHING]
+        cells = [
+            f'{robot}: {hidden}',
+            f'{len(members)}',
+            f'{np.mean([row.right for row in members]):.0%}',
+            f'{len(seen)}',
+            str(Rate.of(row.right for row in seen)) if is_effect else '–',
+            f'{sum(row.wrong_name for row in members)}',
+            f'{verdicts[Verdict.ADEQUATE]}',
+            f'{verdicts[Verdict.OUTSIDE_CATALOGUE]}',
+            f'{verdicts[Verdict.SEVERAL]}',
+            f'{np.mean([max(len(row.group), 1) for row in named]):.1f}' if named else '–',
+            f'{np.mean(inside):.0%}' if inside else '–',
+            f'{np.median(gone):.0%}' if gone else '–',
+            f'{np.median([row.seconds for row in members]):.1f} s',
+        ]
+        made.append(cells)
+    return made
+
+
+def rate_lines(rows: Sequence[CaseRow]) -> list[str]:
+    """Say the rates of which there are cases."""
+    return [f'{name}: {rate}' for name, rate in rates(rows).items() if rate.runs]
+
+
+def summary(rows: Sequence[CaseRow]) -> list[str]:
+    """Return the table by hidden effect and the rates."""
+    told = rate_lines(rows)
+    named = [max(len(row.group), 1) for row in rows if row.right and row.effects]
+    if named:
+        told.append(f'members of a class that is right, mean: {np.mean(named):.1f}')
+    if rows:
+        seconds = np.median([row.seconds for row in rows])
+        told.append(f'a diagnosis, median: {seconds:.2g} s of processor time')
+    problems = collections.Counter(row.problem for row in rows if row.problem)
+    worst = [f'{count} x {problem}' for problem, count in problems.most_common(3)]
+    tables: list[list[Sequence[str]]] = [[HIDDEN_COLUMNS, *hidden_rows(rows)]]
+    if any(row.truth for row in rows):
+        tables.append([FITTED_COLUMNS, *interval_rows(rows)])
+    if by_robot := robot_rows(rows):
+        tables.append([*by_robot])
+    return [*map(columns, tables), *told, *worst]
+
+
+def robot_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
+    """Return the rates robot by robot, with a header; nothing where there is one robot."""
+    found = rates_by_robot(rows)
+    if len(found) < 2:
+        return []
+    names = [name for name, rate in rates(rows).items() if rate.runs]
+    lines = [[name, *(str(each[name]) for each in found.values())] for name in names]
+    return [['by robot', *found], *lines]
+
+
+def interval_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
+    """Return a row per robot, effect and parameter: how many 95 % intervals hold the truth."""
+    hits: dict[tuple[str, str, str], list[bool]] = {}
+    for row in rows:
+        for name, held in zip(row.parameter, row.held, strict=True):
+            hits.setdefault((row.robot, row.hidden, name), []).append(held)
+    refused = collections.Counter((row.robot, row.hidden) for row in rows if row.problem)
+    made = []
+    for (robot, hidden, name), held in sorted(hits.items()):
+        counts = [f'{np.mean(held):.1%}', f'{len(held)}', f'{refused[robot, hidden]}']
+        made.append([f'{robot}: {hidden} {name}', *counts])
+    return made
+
+
+def smallest_text(power: Power) -> str:
+    """Say from which size on an effect is named in four of five cases."""
+    if power.smallest is None:
+        rate = power.right[-1]
+        size = digits(power.sizes[-1])
+        return f'in {rate.hits} of {rate.runs} cases at {size} times the typical size'
+    if power.smallest == power.sizes[0]:
+        return f'from {digits(power.sizes[0])} times the typical size on, or less'
+    return f'from {digits(power.smallest)} times the typical size on'
+
+
+def power_lines(rows: Sequence[CaseRow]) -> list[str]:
+    """Say for every effect which size is seen."""
+    return [
+        f'{power.robot}: {power.hidden}{f" ({power.way})" if power.way else ""}: '
+        f'named {smallest_text(power)}'
+        for power in powers(rows)
+    ]
+
+
+NAMED = (
+    'Named: the verdict names it, or a class of effects with it that cannot be told apart. The '
+    'table says from which size on that happens in four of five cases.'
+)
+
+
+def campaign_page(
+    rows: Sequence[CaseRow], title: str, total: int, mixed: Sequence[str] = ()
+) -> Page:
+    """Return the page of the rows that are there, of so many cases; `mixed` warns of others."""
+    page = Page(title, f'{len(rows):,} of {total:,} cases')
+    page.box(rate_lines(rows), 'verdict', 'In short, with 95 % intervals')
+    if by_robot := robot_rows(rows):
+        page.table(by_robot[0], by_robot[1:], left=[0])
+    if mixed:
+        page.box(mixed, 'warn', 'Rows of several versions')
+
+    page.heading('Which size of an effect is seen')
+    page.text(NAMED)
+    curves: dict[str, list[Power]] = {}
+    for power in powers(rows):
+        curves.setdefault(power.hidden, []).append(power)
+    page.figures([power_figure(name, members) for name, members in curves.items()], 'many')
+    header: Sequence[str] = ('robot', 'effect', 'measured so', 'named in four of five cases')
+    cells = [
+        [power.robot, power.hidden, power.way or 'all', smallest_text(power)]
+        for members in curves.values()
+        for power in members
+    ]
+    page.table(header, cells, left=[0, 1, 2, 3])
+
+    page.heading('What is said of what is hidden')
+    page.figures([confusion_figure(rows)])
+    page.table(HIDDEN_COLUMNS, hidden_rows(rows), left=[0])
+    page.text(HIDDEN_MEANING)
+
+    page.heading('Intervals and false alarms')
+    page.figures([coverage_figure(rows)])
+    if clean := clean_rows(rows):
+        page.text('With nothing hidden:')
+        header = ('robot', 'measured so', 'any alarm', 'an effect named')
+        cells = [[robot, way or 'all', str(any_), str(named)] for robot, way, any_, named in clean]
+        page.table(header, cells, left=[0, 1])
+
+    page.heading('What postures, trials and markers cost')
+    header = ('measured so', 'effects seen', 'named', 'nothing hidden: said so', 'a diagnosis')
+    cells = [
+        [one.way or 'all', str(one.alarms), str(one.right), str(one.quiet)]
+        + [f'{digits(one.seconds)} s']
+        for one in costs(rows)
+    ]
+    page.table(header, cells, left=[0])
+    return page
+
+
+MARKERS = ('circle', 'square-open', 'diamond-open', 'circle-open')  # none hides another
+
+
+def power_figure(name: str, curves: Sequence[Power]) -> Figure:
+    """Draw how often one effect is named, over its size; a curve per robot and way."""
+    several = len({curve.robot for curve in curves}) > 1
+    data: list[dict[str, Any]] = []
+    for i, curve in enumerate(curves):
+        label = '; '.join(filter(None, (curve.robot if several else '', curve.way)))
+        data.append(
+            {
+                'x': list(curve.sizes),
+                'y': [100.0 * (rate.share or 0.0) for rate in curve.right],
+                'name': escape(label),
+                'mode': 'lines+markers',
+                'line': {'color': COLOURS[i % len(COLOURS)], 'dash': DASHES[i % len(DASHES)]},
+                'marker': {'symbol': MARKERS[i % len(MARKERS)], 'size': 7 + 3 * min(i, 3)},
+                'error_y': rate_bars(curve.right),
+                'showlegend': len(curves) > 1,
+            }
+        )
+    layout = {
+        'xaxis': {'type': 'log', 'title': {'text': 'size, times the typical one'}},
+        'yaxis': {'title': {'text': 'named [%]'}, 'range': [-4, 104]},
+        'legend': {'orientation': 'h', 'y': -0.35, 'x': 0.0, 'font': {'size': 11}},
+    }
+    caption = 'bars: 95 % intervals of the rates; a size of 1 is the typical one of the catalogue'
+    return Figure(data, layout, name, caption, 300 + 24 * len(data))
+
+
+def rate_bars(found: Sequence[Rate]) -> dict[str, Any]:
+    """Return the 95 % intervals of rates [%]."""
+    both = [(rate.share or 0.0, *rate.interval) for rate in found]
+    up = [100.0 * (high - share) for share, _, high in both]
+    return error_bars(up, [100.0 * (share - low) for share, low, _ in both], width=3)
+
+
+def confusion_figure(rows: Sequence[CaseRow]) -> Figure:
+    """Draw what was said of what was hidden."""
+    hidden, words, counts = confusion(rows)
+    heat = {
+        'type': 'heatmap',
+        'x': words,
+        'y': hidden,
+        'z': [[100.0 * n / max(sum(row), 1) for n in row] for row in counts],
+        'text': [[str(n or '') for n in row] for row in counts],
+        'texttemplate': '%{text}',
+        'hovertemplate': '%{y}: said %{x}: %{text}<extra></extra>',
+        'colorscale': [[0.0, '#ffffff'], [1.0, PREDICTED]],
+        'zmin': 0.0,
+        'zmax': 100.0,
+        'showscale': False,
+    }
+    layout = {
+        'xaxis': {'tickangle': -60, 'type': 'category'},
+        'yaxis': {
+            'title': {'text': 'hidden', 'standoff': 8},
+            'autorange': 'reversed',
+            'type': 'category',
+        },
+    }
+    caption = 'cases; a class of effects that cannot be told apart counts as the hidden member'
+    title = 'What was said (columns) of what was hidden (rows)'
+    return Figure([heat], layout, title, caption, 260 + 24 * len(hidden))
+
+
+def coverage_figure(rows: Sequence[CaseRow]) -> Figure:
+    """Draw how many intervals hold the true value against how many should."""
+    found = coverage(rows)
+    held = [rate for _, rate in found]
+    shares = [100.0 * (rate.share or 0.0) for rate in held]
+    low = max(0.0, min([40.0, *(share - 15.0 for share in shares)]))
+    too_narrow = {
+        'x': [low, 104.0, 104.0],
+        'y': [low, 104.0, low],
+        'mode': 'lines',
+        'fill': 'toself',
+        'fillcolor': BAND,
+        'name': 'too narrow',
+        'hoverinfo': 'skip',
+        'line': {'width': 0},
+    }
+    as_promised = {
+        'x': [low, 104.0],
+        'y': [low, 104.0],
+        'mode': 'lines',
+        'name': 'as promised',
+        'line': {'color': ERROR, 'width': 2, 'dash': 'dot'},
+    }
+    as_found = {
+        'x': [100.0 * share for share, _ in found],
+        'y': shares,
+        'text': [f'{share:.0f} %' for share in shares],
+        'textposition': 'top left',
+        'name': 'found',
+        'mode': 'lines+markers+text',
+        'line': {'color': PREDICTED},
+        'marker': {'size': 8},
+        'error_y': rate_bars(held),
+    }
+    layout = {
+        'xaxis': {'title': {'text': 'intervals promise [%]'}, 'range': [low, 104.0]},
+        'yaxis': {'title': {'text': 'hold the true value [%]'}, 'range': [low, 104.0]},
+    }
+    caption = (
+        'Of all intervals of 95 %, 95 in 100 should hold the true value. A point on the dotted '
+        'line is as promised; below it (grey) intervals are too narrow, above it wider than '
+        f'needed. {held[0].runs} intervals of named effects, narrower ones scaled from those of '
+        '95 %; bars: how well the shares are known (95 %).'
+    )
+    traces = [too_narrow, as_promised, as_found]
+    return Figure(traces, layout, 'Do intervals hold the true value?', caption, 400)

@@ -1,0 +1,445 @@
+"""
+Diagnose all recordings and data sets below a folder, and say what changed when, robot by robot.
+
+Robots are told apart by the name in their descriptions. When something was measured is told by a
+date in its name (2026-03-14, 20260314), else by the recording itself, else by its files.
+OUTPUT holds the table (Parquet) and fleet.html; what stands in the table is not diagnosed again,
+so that the same command adds what has come since.
+
+example: python -m tendon_robot_ros fleet recordings --output history
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import itertools
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, date, datetime
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from ..cli.options import add_cluster, add_effect_files, add_json, emit
+from ..cli.progress import progress
+from ..common.colours import BEFORE, FLOOR, PREDICTED
+from ..common.errors import InputError, TendonRobotError
+from ..common.given import Progress
+from ..common.words import columns, digits, listed, mm, scale_of
+from ..common.workers import Workers
+from ..common.yaml_reading import parse_yaml
+from ..data import DataSet, load_dataset
+from ..data.recording.importing import import_bag
+from ..data.recording.reader import is_bag
+from ..diagnosis.decide import Verdict
+from ..diagnosis.diagnose import diagnose
+from ..diagnosis.result import CandidateRow, EffectFinding, Value
+from ..model.versions import Preparation, UserEffect, catalogue_of
+from ..report.numbers import error_bars
+from ..report.page import Figure, Page
+from ..robot import dump_robot
+from .judge import fitted_values, told_by
+from .running import ERROR, TABLE, GrowingTable, Row, judge_all
+
+HELP = 'diagnose all recordings of many robots, and say what changed when'
+PAGE = 'fleet.html'
+DATED = re.compile(r'(?<!\d)(20\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)(?!\d)')
+# [1] error of the description over that of the recording before, from which it is said
+WORSE_FACTOR = 1.5
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add('folder', metavar='DIR', help='with data sets and recordings below it')
+    add('--output', metavar='DIR', required=True, help='folder of the table and the page')
+    add_cluster(parser)
+    add_json(parser)
+    add_effect_files(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Diagnose what is new, print, write."""
+    folder, output = Path(args.folder), Path(args.output)
+    found_below(folder)
+    effects = UserEffect.read(args.effect_file)
+    prepare = Preparation.here(effects)
+    with Workers(args.workers, args.cluster, prepare) as workers, progress(True) as show:
+        rows = run_fleet(folder, output, workers, effects, show)
+    page = fleet_page(rows, f'Fleet: {folder.resolve().name}').write(output / PAGE)
+    content = {
+        'recordings': [asdict(row) for row in rows],
+        'changes': [asdict(change) for change in changes(rows)],
+    }
+    emit(args, content, '\n'.join([*fleet_text(rows), f'written: {output}/table, {page}']))
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FleetRow(Row):
+    """What a recording or data set says; `parameter`: of every effect fitted alone."""
+
+    place: str  # below the folder of all
+    when: str  # ISO 8601
+    dated_by: str  # 'name', 'recording' or 'file'
+    description: str = ''  # digest of what its owner wrote down
+    postures: int = 0
+    trials: int = 0
+    markers: int = 0
+    remainder: str = ''
+    unit: tuple[str, ...] = ()  # of the parameters
+
+    def fitted(self, name: str) -> tuple[float, float, float] | None:
+        """Return the value of a parameter with its 95 % interval, where it was fitted."""
+        if name not in self.parameter:
+            return None
+        i = self.parameter.index(name)
+        return self.value[i], self.low[i], self.high[i]
+
+
+@dataclass(frozen=True)
+class FleetCase:
+    """A recording or data set to diagnose."""
+
+    path: Path  # absolute
+    place: str  # below the folder of all
+    key: str  # its place, and a digest of size and time of its files
+
+    @classmethod
+    def of(cls, path: Path, folder: Path) -> FleetCase:
+        """Name what lies below a folder."""
+        files = sorted(path.rglob('*')) if path.is_dir() else [path]
+        told = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files]
+        digest = hashlib.sha256(repr(told).encode()).hexdigest()[:12]
+        place = str(path.relative_to(folder))
+        return cls(path.resolve(), place, f'{place}:{digest}')
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """What is needed to diagnose recordings: a study."""
+
+    effects: tuple[UserEffect, ...] = field(default=(), repr=False)
+    question: str = 'fleet'
+
+    def judge(self, case: FleetCase) -> FleetRow:
+        """Read and diagnose a recording or data set."""
+        try:
+            bag = is_bag(case.path)
+            dataset = import_bag(case.path).dataset if bag else load_dataset(case.path)
+            return self._diagnosed(case, dataset)
+        except TendonRobotError as error:
+            return self._refused(case, str(error))
+        except Exception as error:  # the other measurements are diagnosed all the same
+            return self._refused(case, f'{type(error).__name__}: {error}')
+
+    def lost(self, case: FleetCase, workers: int) -> FleetRow:
+        """Return the row of what every worker died over."""
+        return self._refused(case, f'{workers} processes died over it')
+
+    def _refused(self, case: FleetCase, problem: str) -> FleetRow:
+        when, dated_by = when_of(case.path)
+        return FleetRow(
+            key=case.key,
+            place=case.place,
+            robot='not read',
+            when=when,
+            dated_by=dated_by,
+            verdict=ERROR,
+            problem=' '.join(problem.split()),
+        )
+
+    def _diagnosed(self, case: FleetCase, dataset: DataSet) -> FleetRow:
+        found = diagnose(dataset, catalogue=catalogue_of(self.effects), workers=1)
+        fitted: dict[str, Value] = {}
+        candidates: list[CandidateRow | EffectFinding] = [*found.candidates, *found.effects]
+        for candidate in candidates:  # what was named beside others counts last
+            if ' + ' not in candidate.name:
+                for key, value in candidate.parameters.items():
+                    fitted[f'{candidate.name} {key}'] = value
+        when, dated_by = when_of(case.path)
+        postures, trials, markers = dataset.positions.shape[:3]
+        return FleetRow(
+            key=case.key,
+            place=case.place,
+            robot=dataset.robot.name,
+            description=hashlib.sha256(dump_robot(dataset.robot).encode()).hexdigest()[:8],
+            when=when,
+            dated_by=dated_by,
+            postures=postures,
+            trials=trials,
+            markers=markers,
+            remainder=found.remainder,
+            unit=tuple(value.unit for value in fitted.values()),
+            **told_by(found),
+            **fitted_values(fitted),
+        )
+
+
+def found_below(folder: Path) -> list[Path]:
+    """
+    List the data sets and recordings below a folder.
+
+    Raises
+    ------
+    InputError
+        There are none.
+
+    """
+    if not folder.is_dir():
+        raise InputError(f'{folder}: is no folder; name one with recordings or data sets below it')
+    found = {path.parent for path in folder.rglob('dataset.yaml')}
+    bags = {path.parent for path in folder.rglob('metadata.yaml')}
+    loose = {path for ending in ('*.mcap', '*.db3') for path in folder.rglob(ending)}
+    found |= bags | {path for path in loose if path.parent not in bags}
+    if not found:
+        raise InputError(
+            f'{folder}: no data set (dataset.yaml) and no recording (.mcap, .db3) below it'
+        )
+    return sorted(found)
+
+
+def run_fleet(
+    folder: Path,
+    output: Path,
+    workers: Workers,
+    effects: tuple[UserEffect, ...] = (),
+    progress: Progress | None = None,
+) -> list[FleetRow]:
+    """
+    Diagnose what is below a folder and not in the table yet.
+
+    Parameters
+    ----------
+    folder : Path
+    output : Path
+        Folder of the table.
+    workers : Workers
+        Have to see the same files.
+    effects : tuple of UserEffect
+        The user's own.
+    progress : callable, optional
+        Called with (what, done, total).
+
+    Returns
+    -------
+    list of FleetRow
+        By robot and time.
+
+    """
+    inside = output.resolve()
+    cases = [
+        FleetCase.of(path, folder)
+        for path in found_below(folder)
+        if inside not in path.resolve().parents
+    ]
+    table = GrowingTable(output / TABLE, FleetRow)
+    rows = judge_all(Fleet(effects), cases, table, workers, progress, 'recordings')
+    return sorted(rows, key=lambda row: (row.robot, row.when, row.place))
+
+
+def when_of(path: Path) -> tuple[str, str]:
+    """Return when something was measured, and what says so: its name, the recording, the file."""
+    for part in reversed(path.parts):
+        for year, month, day in DATED.findall(part):
+            try:
+                return date(int(year), int(month), int(day)).isoformat(), 'name'
+            except ValueError:  # a number that is no date
+                continue
+    try:
+        content = parse_yaml((path / 'metadata.yaml').read_text(encoding='utf-8'))
+        start = content['rosbag2_bagfile_information']['starting_time']['nanoseconds_since_epoch']
+        seconds, dated_by = 1e-9 * float(start), 'recording'
+    except (OSError, ValueError, KeyError, TypeError):
+        files = [path] if path.is_file() else [p for p in path.iterdir() if p.is_file()]
+        seconds, dated_by = max(file.stat().st_mtime for file in files), 'file'
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec='minutes'), dated_by
+
+
+@dataclass(frozen=True)
+class Change:
+    """What is different in a recording from the one before of the same robot."""
+
+    robot: str
+    since: str  # the last one without it
+    when: str
+    text: str
+
+
+def histories(rows: Iterable[FleetRow]) -> dict[str, list[FleetRow]]:
+    """Collect what could be read by robot, in the order of time."""
+    found: dict[str, list[FleetRow]] = {}
+    for row in rows:
+        if row.verdict != ERROR:
+            found.setdefault(row.robot, []).append(row)
+    for own in found.values():
+        own.sort(key=lambda row: (row.when, row.place))
+    return found
+
+
+def tracked(rows: Sequence[FleetRow]) -> list[str]:
+    """Name the parameters of all effects that were ever named of a robot."""
+    named = {effect for row in rows for effect in row.effects}
+    names = [name for row in rows for name in row.parameter if name.split()[0] in named]
+    return list(dict.fromkeys(names))
+
+
+def changes(rows: Sequence[FleetRow]) -> list[Change]:
+    """Say what changed when, robot by robot."""
+    return [
+        Change(robot, old.when, new.when, text)
+        for robot, own in histories(rows).items()
+        for old, new in itertools.pairwise(own)
+        for text in _differences(old, new)
+    ]
+
+
+def _differences(old: FleetRow, new: FleetRow) -> list[str]:
+    """Say what is different between two recordings of a robot."""
+    told = []
+    if old.description != new.description:
+        told.append('another description')
+    if (old.verdict, old.effects) != (new.verdict, new.effects):
+        told.append(f'{words_of(old)} before, now {words_of(new)}')
+    if old.before and new.before:
+        ratio = new.before / old.before
+        if not 1.0 / WORSE_FACTOR < ratio < WORSE_FACTOR:
+            errors = f'{mm(old.before)} to {mm(new.before)}'
+            told.append(f'the error of the description went from {errors}')
+    for name in new.parameter:
+        first, then = old.fitted(name), new.fitted(name)
+        if first is None or then is None or name.split()[0] not in new.effects:
+            continue
+        if then[1] > first[2] or then[2] < first[1]:  # it has left its interval
+            unit = new.unit[new.parameter.index(name)]
+            scale, shown = scale_of(unit, max(map(abs, (*first, *then))), name.split()[-1])
+            ends = [
+                f'{digits(scale * v)} ({digits(scale * low)} to {digits(scale * high)})'
+                for v, low, high in (first, then)
+            ]
+            told.append(f'{name}: {ends[0]} before, now {ends[1]} {shown}'.rstrip())
+    return told
+
+
+def words_of(row: FleetRow) -> str:
+    """Say in a few words what was said of one."""
+    if row.verdict in (Verdict.ADEQUATE, Verdict.CANNOT_JUDGE, ERROR):
+        return row.verdict.replace('_', ' ')
+    names = listed(row.effects, 'and') if row.effects else ''
+    return f'{row.verdict.replace("_", " ")}{": " + names if names else ""}'
+
+
+COLUMNS = ('robot', 'when', 'measurements', 'verdict', 'error', 'with it', 'noise floor')
+NO_CHANGE = 'Nothing changed from one recording to the next.'
+
+
+def fleet_rows(rows: Sequence[FleetRow]) -> list[list[str]]:
+    """Return a row per recording that could be read."""
+    return [
+        [row.robot, when_text(row), row.place, words_of(row)]
+        + [mm(error) for error in (row.before, row.after, row.floor)]
+        for row in rows
+        if row.verdict != ERROR
+    ]
+
+
+def when_text(row: FleetRow) -> str:
+    """Say when something was measured, and how that is known where nobody wrote it down."""
+    when = _readable(row.when)
+    return f'{when} (its files)' if row.dated_by == 'file' else when
+
+
+def _readable(when: str) -> str:
+    """Show a time (ISO 8601, UTC) without its marks."""
+    return when.removesuffix('+00:00').replace('T', ' ')
+
+
+def change_lines(rows: Sequence[FleetRow]) -> list[str]:
+    """Say what changed when."""
+    return [
+        f'{c.robot}, {_readable(c.when)} (since {_readable(c.since)}): {c.text}'
+        for c in changes(rows)
+    ]
+
+
+def problems(rows: Sequence[FleetRow]) -> list[str]:
+    """Say what could not be read or judged."""
+    return [f'{row.place}: {row.problem}' for row in rows if row.verdict == ERROR]
+
+
+def fleet_text(rows: Sequence[FleetRow]) -> list[str]:
+    """Return table, changes and problems."""
+    lines = [columns([COLUMNS, *fleet_rows(rows)])]
+    lines += change_lines(rows) or [NO_CHANGE]
+    return lines + [f'left out: {line}' for line in problems(rows)]
+
+
+def fleet_page(rows: Sequence[FleetRow], title: str) -> Page:
+    """Return the page: what changed, and a history per robot."""
+    own = histories(rows)
+    counts = {'recording': sum(map(len, own.values())), 'robot': len(own)}
+    told = [f'{count} {what}{"" if count == 1 else "s"}' for what, count in counts.items()]
+    page = Page(title, ' of '.join(told))
+    page.box(change_lines(rows) or [NO_CHANGE], 'verdict', 'What changed when')
+    if problems(rows):
+        page.box(problems(rows), 'warn', 'Left out')
+    for robot, history in own.items():
+        page.heading(robot)
+        page.figures([error_figure(history), *map_parameters(history)], 'two')
+        page.table(COLUMNS[1:], [row[1:] for row in fleet_rows(history)], left=[0, 1, 2])
+    return page
+
+
+def error_figure(history: Sequence[FleetRow]) -> Figure:
+    """Draw the errors of a robot's description over time."""
+    when = [row.when for row in history]
+    kinds = (
+        ('as described', BEFORE, [row.before for row in history]),
+        ('with what was named', PREDICTED, [row.after for row in history]),
+        ('noise floor', FLOOR, [row.floor for row in history]),
+    )
+    data: list[dict[str, Any]] = [
+        {
+            'x': when,
+            'y': [None if error is None else 1e3 * error for error in errors],
+            'text': [escape(words_of(row)) for row in history],
+            'name': name,
+            'mode': 'lines+markers',
+            'line': {'color': colour},
+        }
+        for name, colour, errors in kinds
+    ]
+    layout = {
+        'xaxis': {'type': 'date'},
+        'yaxis': {'title': {'text': 'error, rms [mm]'}, 'rangemode': 'tozero'},
+    }
+    return Figure(data, layout, 'Errors over time', '', 320)
+
+
+def map_parameters(history: Sequence[FleetRow]) -> list[Figure]:
+    """Draw every parameter of what was ever named of a robot, over time."""
+    figures = []
+    for name in tracked(history):
+        found = [(row, row.fitted(name)) for row in history]
+        told = [(row, values) for row, values in found if values is not None]
+        unit = next(row.unit[row.parameter.index(name)] for row, _ in told)
+        largest = max(max(map(abs, values)) for _, values in told)
+        factor, unit = scale_of(unit, largest, name.rpartition(' ')[2])
+        data = [
+            {
+                'x': [row.when for row, _ in told],
+                'y': [factor * value for _, (value, _, _) in told],
+                'mode': 'lines+markers',
+                'line': {'color': PREDICTED},
+                'error_y': error_bars(
+                    [factor * max(high - value, 0.0) for _, (value, _, high) in told],
+                    [factor * max(value - low, 0.0) for _, (value, low, _) in told],
+                ),
+            }
+        ]
+        layout = {'xaxis': {'type': 'date'}, 'yaxis': {'title': {'text': f'[{unit or 1}]'}}}
+        caption = '95 % intervals, fitted alone or with what was named beside it'
+        figures.append(Figure(data, layout, name, caption, 320))
+    return figures

@@ -1,0 +1,164 @@
+"""
+A simulated robot hides something and is investigated, posture by posture, as `investigate` does.
+
+It says what an investigation of a robot like ROBOT will take, before the real one moves: how many
+postures, what can be told apart, how narrow the intervals get. The robot that is measured has the
+hidden effects and the ordinary imperfections of a robot as it is built (as with `simulate`).
+DIR gets the data set, a recording, the diagnosis, the report and, when one effect is found, the
+better description. Interrupted, it goes on with --resume.
+
+Exit code: 0 a result; 1 an error.
+
+example: python -m tendon_robot_ros rehearse config/robots/kato_10_1.yaml --output found
+    --hidden hinge_friction
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from ..cli.options import add_effect_files
+from ..cli.simulate import hidden_effect, simulated_noise
+from ..common.errors import InputError, NoEquilibriumError
+from ..data import Marker, default_markers
+from ..data.dataset import INPUTS, LOADINGS
+from ..effects import load_catalogue
+from ..investigation.arm import BrokenMeasurementError, PostureMeasured
+from ..investigation.goal import add_goal, goal_of
+from ..investigation.loop import Investigation
+from ..investigation.results import add_folder, write_results
+from ..robot import Robot, load_robot
+from ..robot.keep_out import KeepOut, load_keep_out
+from ..simulation.hidden import Workmanship
+from ..simulation.measurements import SimulatedNoise
+from ..simulation.plant import Plant, make_plant
+
+HELP = 'investigate a simulated robot that hides something, as the real one will be'
+TRIALS = 3  # of a posture: the fewest whose spread says what noise is
+READINGS = 5  # of a posture of a sequence, which is measured once
+Floats = npt.NDArray[np.float64]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add('robot', metavar='ROBOT', help='robot description, as its owner believes it')
+    add('--hidden', nargs='+', action='extend', default=[], metavar='EFFECT[:NAME=VALUE,...]')
+    add('--level', type=float, default=1.0, metavar='X', help='how badly it is built (default: 1)')
+    add('--seed', type=int, default=0, help='another seed: another robot, other noise')
+    add('--noise', default='', metavar='NAME=VALUE,...', help='as of simulate')
+    add('--input', choices=INPUTS, default='tension', help='what the motors set')
+    add('--path', choices=LOADINGS, default='from_straight', help='how postures are reached')
+    add('--lost', type=float, default=0.0, metavar='SHARE', help='of measurements that break')
+    add_goal(parser, TRIALS)
+    add_folder(parser)
+    add_effect_files(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Investigate, write, print."""
+    robot, catalogue = load_robot(args.robot), load_catalogue(args.effect_file)
+    goal = goal_of(args, tuple(args.effect_file))
+    regions = load_keep_out(args.keep_out) if args.keep_out else KeepOut()
+    hidden = dict(map(hidden_effect, args.hidden))
+    work = Workmanship().times(args.level)
+    plant = make_plant(robot, hidden, seed=args.seed, catalogue=catalogue, work=work)
+    arm = SimulatedArm(
+        plant, simulated_noise(args.noise), args.seed, args.input, args.path, args.lost
+    )
+    folder = Path(args.output)
+    print(f'hidden:  {", ".join(args.hidden) or "nothing"}')
+    investigation = Investigation(
+        arm, goal, folder, regions, lambda news: print(news.text, flush=True), args.resume
+    )
+    findings = investigation.run()
+    print(*write_results(findings, folder, investigation.catalogue, goal.add), sep='\n')
+    return 0
+
+
+class SimulatedArm:
+    """
+    A `MeasurableArm` that is simulated, with the noise of a tracker and of load cells.
+
+    Parameters
+    ----------
+    plant : Plant
+    noise : SimulatedNoise, optional
+    seed : int
+        Of the noise.
+    input, path : str
+        As of a data set.
+    lost : float
+        Share of the measurements that break.
+
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        noise: SimulatedNoise | None = None,
+        seed: int = 0,
+        input: str = 'tension',
+        path: str = 'from_straight',
+        lost: float = 0.0,
+    ) -> None:
+        """Stand straight."""
+        self.plant, self.noise, self.lost = plant, noise or SimulatedNoise(), lost
+        self.input, self.path = input, path
+        self.markers: Sequence[Marker] = default_markers(plant.robot)
+        self.visited: list[Floats] = []  # inputs (m,) of all measurements, broken ones included
+        self.released = 0
+        self._random = np.random.default_rng(seed)
+
+    @property
+    def robot(self) -> Robot:
+        """The owner's description."""
+        return self.plant.robot
+
+    @property
+    def position_noise(self) -> float | None:
+        """Standard deviation [m] of a coordinate of a trial."""
+        once = self.path == 'sequence'
+        return float(self.noise.position / np.sqrt(READINGS if once else 1))
+
+    @property
+    def input_noise(self) -> tuple[float, float]:
+        """Relative 1 sd of an input."""
+        return self.noise.setting, self.noise.trial
+
+    def measure(self, inputs: Floats, trials: int) -> PostureMeasured:
+        """Measure a posture."""
+        self.visited.append(np.array(inputs))
+        if self._random.random() < self.lost:
+            raise BrokenMeasurementError('the tracker lost the arm')
+        setting = 1.0 + self.noise.setting * self._random.normal(size=inputs.shape)
+        factors = setting * (
+            1.0 + self.noise.trial * self._random.normal(size=(trials, *inputs.shape))
+        )
+        try:
+            seen = self._markers(inputs * np.maximum(factors, 0.0))
+        except (NoEquilibriumError, InputError) as error:
+            raise BrokenMeasurementError(f'the arm does not stand: {error}') from None
+        size = float(self.position_noise or 0.0)
+        frames = trials * (READINGS if self.path == 'sequence' else 1)
+        return PostureMeasured(seen + self._random.normal(0.0, size, seen.shape), None, frames)
+
+    def release(self) -> None:
+        """Let go; the arm is straight and remembers nothing."""
+        self.released += 1
+        self.plant.forget()
+
+    def _markers(self, rows: Floats) -> Floats:
+        """Where the markers are (r, j, 3) [m] after inputs (r, m)."""
+        arcs = np.array([marker.arc_length for marker in self.markers])
+        offsets = np.array([marker.offset for marker in self.markers])
+        pulls = self.input == 'displacement'
+        if self.path == 'from_straight':
+            return self.plant.markers(rows, arcs, offsets, displacement=pulls)
+        respond = self.plant.respond_to_pulls if pulls else self.plant.respond
+        return np.array([respond(row).markers(arcs, offsets) for row in rows])

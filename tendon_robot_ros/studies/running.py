@@ -1,0 +1,277 @@
+"""Cases on workers, one after the other or side by side, into a table that grows."""
+
+from __future__ import annotations
+
+import os
+import time
+import typing
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from types import UnionType
+from typing import Any, Protocol
+
+from ..common.dataframes import arrow
+from ..common.errors import DataSetError
+from ..common.files import new_file
+from ..common.given import Progress, listener
+from ..common.workers import LostWork, Workers
+from ..model.versions import UserEffect, compiled_once
+
+PARTS_MAX = 64  # files of a table before they become one: reading the keys opens every file
+CHUNK_S = 2.0  # [s] of work in a chunk, because handing one out costs some milliseconds
+CHUNK_MAX = 256  # cases in a chunk: all of them are lost if every worker dies over one
+WRITTEN_EVERY_S = 5.0  # [s] the most that is computed again after a loss of power
+TABLE = 'table'  # in the folder of a study
+ERROR = 'error'  # in place of a verdict
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """What came of a case: of a simulated robot, or of a recording."""
+
+    key: str  # of the case, in all studies that share a table
+    robot: str
+    verdict: str
+    effects: tuple[str, ...] = ()
+    group: tuple[str, ...] = ()  # that cannot be told apart
+    before: float | None = None  # [m] error of the description
+    after: float | None = None  # [m] with the effects
+    floor: float | None = None  # [m]
+    problem: str = ''
+    parameter: tuple[str, ...] = ()  # that was fitted: its value and 95 % interval
+    value: tuple[float, ...] = ()
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
+
+
+class Keyed(Protocol):
+    """One thing to judge; goes to a worker."""
+
+    @property
+    def key(self) -> str:
+        """Its name in the table."""
+        ...
+
+
+class Study[C: Keyed, R: Row](Protocol):
+    """What is asked of every case, and all that is needed for it; goes to the workers."""
+
+    @property
+    def question(self) -> str:
+        """Name of the kind of work, which one process of a machine compiles for the others."""
+        ...
+
+    @property
+    def effects(self) -> tuple[UserEffect, ...]:
+        """The user's own."""
+        ...
+
+    def judge(self, case: C) -> R:
+        """Return what came of a case; an error is a row as well."""
+        ...
+
+    def lost(self, case: C, workers: int) -> R:
+        """Return the row of a case at which so many workers died."""
+        ...
+
+
+@dataclass(frozen=True)
+class Chunk[C: Keyed, R: Row]:
+    """Cases that a worker judges one after the other."""
+
+    study: Study[C, R]
+    cases: tuple[C, ...]
+
+
+@dataclass(frozen=True)
+class Judged[R: Row]:
+    """The rows of a chunk, and the time [s] that it took in the worker, of its processor too."""
+
+    rows: list[R]
+    seconds: float
+    processor: float
+
+
+def judge_chunk[C: Keyed, R: Row](chunk: Chunk[C, R]) -> Judged[R]:
+    """Judge cases, in a worker."""
+    start, began = time.monotonic(), time.thread_time()
+    with compiled_once(chunk.study.question, chunk.study.effects):
+        rows = [chunk.study.judge(case) for case in chunk.cases]
+    return Judged(rows, time.monotonic() - start, time.thread_time() - began)
+
+
+def judge_all[C: Keyed, R: Row](
+    study: Study[C, R],
+    cases: Sequence[C],
+    table: GrowingTable[R],
+    workers: Workers,
+    progress: Progress | None = None,
+    what: str = 'cases',
+) -> list[R]:
+    """
+    Judge the cases that are not in a table yet.
+
+    Parameters
+    ----------
+    study : Study
+    cases : sequence
+    table : GrowingTable
+        What is there already counts; what is finished stays there, whatever happens.
+    workers : Workers
+    progress : callable, optional
+        Called with (what, done, total) of the cases that were left.
+    what : str
+        How cases are called there.
+
+    Returns
+    -------
+    list of Row
+        Of all cases that are in the table then, in their order.
+
+    """
+    show, known = listener(progress), table.keys()
+    left = [case for case in cases if case.key not in known]
+    if there := len(cases) - len(left):
+        what = f'{what} ({there:,} were there)'
+    buffer: list[R] = []
+    done, written = 0, time.monotonic()
+    try:
+        for rows in _chunk_by_chunk(study, left, workers):
+            buffer += rows
+            done += len(rows)
+            if time.monotonic() > written + WRITTEN_EVERY_S:
+                table.append(buffer)
+                buffer, written = [], time.monotonic()
+            show(what, done, len(left))
+    finally:
+        table.append(buffer)
+    table.merge()
+    return table.rows_of(cases)
+
+
+def _chunk_by_chunk[C: Keyed, R: Row](
+    study: Study[C, R], left: Sequence[C], workers: Workers
+) -> Iterator[list[R]]:
+    """Yield the rows of chunks as they come; how many cases make one is seen from the last."""
+    seconds = 0.0  # for a case; 0: not yet known
+    handed: dict[int, Chunk[C, R]] = {}
+
+    def chunks() -> Iterator[Chunk[C, R]]:
+        begin = 0
+        while begin < len(left):
+            # a quarter of a worker's share, so that no worker waits for long at the end
+            fair = max((len(left) - begin) // (4 * workers.slots), 1)
+            wanted = max(int(CHUNK_S / seconds), 1) if seconds else 1
+            chunk = Chunk(study, tuple(left[begin : begin + min(wanted, fair, CHUNK_MAX)]))
+            handed[len(handed)] = chunk
+            begin += len(chunk.cases)
+            yield chunk
+
+    for index, result in workers.run(judge_chunk, chunks()):
+        chunk = handed[index]
+        if isinstance(result, LostWork):
+            yield [study.lost(case, result.workers) for case in chunk.cases]
+            continue
+        own = result.seconds / len(result.rows)
+        # of the last five chunks or so, because cases of one kind follow one another
+        seconds = 0.8 * seconds + 0.2 * own if seconds else own
+        yield result.rows
+
+
+class GrowingTable[R: Row]:
+    """
+    Rows in a folder of Parquet files, each whole or not there.
+
+    A file is written for every few seconds of results; when they get many, they become one. A row
+    that stands twice, because the computer was switched off in between, counts once.
+    """
+
+    def __init__(self, folder: Path, kind: type[R]) -> None:
+        self.folder, self.kind, self.arrow = folder, kind, arrow()
+        self.schema = self.arrow.schema(list(self._columns()))
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def _columns(self) -> Iterator[Any]:
+        types = typing.get_type_hints(self.kind)
+        a = self.arrow
+        plain = {str: a.string(), float: a.float64(), int: a.int64(), bool: a.bool_()}
+        for field in fields(self.kind):
+            hint = types[field.name]
+            members = [m for m in typing.get_args(hint) if m not in (type(None), Ellipsis)]
+            if isinstance(hint, UnionType):
+                yield a.field(field.name, plain[members[0]])
+            elif members:
+                yield a.field(field.name, a.list_(plain[members[0]]))
+            else:
+                yield a.field(field.name, plain[hint])
+
+    def files(self) -> list[Path]:
+        """List the files, oldest first."""
+        return sorted(self.folder.glob('rows-*.parquet'))
+
+    def keys(self) -> set[str]:
+        """Return the keys of all rows, without reading the rest; as `rows`."""
+        keys = self.arrow.schema([self.schema.field('key')])
+        return {key for path in self.files() for key in self._read(path, keys)['key'].to_pylist()}
+
+    def rows(self) -> list[R]:
+        """
+        Read all rows.
+
+        Raises
+        ------
+        DataSetError
+            A file is none that this program has written.
+
+        """
+        found: dict[str, R] = {}
+        for path in self.files():
+            for plain in self._read(path).to_pylist():
+                made = {k: tuple(v) if isinstance(v, list) else v for k, v in plain.items()}
+                found[plain['key']] = self.kind(**made)
+        return list(found.values())
+
+    def rows_of(self, cases: Sequence[Keyed]) -> list[R]:
+        """Return the rows that are there of some cases, in their order."""
+        rows = {row.key: row for row in self.rows()}
+        return [rows[case.key] for case in cases if case.key in rows]
+
+    def append(self, rows: Sequence[R]) -> None:
+        """Write rows, and wait until they are on the disk."""
+        if not rows:
+            return
+        content = [asdict(row) for row in rows]
+        self._write(self.arrow.Table.from_pylist(content, schema=self.schema))
+        if len(self.files()) >= PARTS_MAX:
+            self.merge()
+
+    def merge(self) -> None:
+        """Make one file of all."""
+        old = self.files()
+        if len(old) < 2:
+            return
+        self._write(self.arrow.concat_tables(map(self._read, old)))
+        for path in old:
+            path.unlink()
+        self.arrow.default_memory_pool().release_unused()  # else every merging would keep more
+
+    def _read(self, path: Path, schema: Any = None) -> Any:
+        """Read the columns of a schema, whatever their order; all by default."""
+        schema = schema or self.schema
+        try:
+            with self.arrow.parquet.ParquetFile(path) as file:
+                columns = file.read(columns=schema.names, use_threads=False)
+                return columns.select(schema.names).cast(schema)
+        except (ValueError, OSError, LookupError) as error:
+            reason = str(error).splitlines()[0]
+            raise DataSetError(str(path), f'cannot be read ({reason})', 'delete it') from None
+
+    def _write(self, content: Any) -> None:
+        """Write a file that sorts behind all others."""
+        numbers = [path.stem.removeprefix('rows-') for path in self.files()]
+        number = 1 + max((int(text) for text in numbers if text.isdigit()), default=0)
+        with new_file(self.folder / f'rows-{number:06d}.parquet') as draft:
+            self.arrow.parquet.write_table(content, draft)
+            with draft.open('rb') as written:
+                os.fsync(written.fileno())
