@@ -26,6 +26,7 @@ from .errors import ClusterLostError, InputError, MissingExtraError
 from .processes import end_with_parent, one_thread
 
 LOSSES_MAX = 8  # workers that may die over a chunk before it counts as the chunk's fault
+CHUNK_S = 2.0  # [s] of work in a chunk, because handing one out takes some milliseconds
 AHEAD = 2  # chunks that wait at a scheduler for each of its threads
 CONNECT_S = 10.0  # [s] in which a scheduler answers
 IDLE_S = 5.0  # [s] between two looks at how many workers a scheduler has
@@ -41,6 +42,36 @@ class LostWork:
     """Comes in place of a result: every worker that tried the chunk died."""
 
     workers: int
+
+
+class ChunkSize:
+    """
+    How many pieces of work to hand out at a time: those of some seconds, fewer at the end.
+
+    Parameters
+    ----------
+    slots : int
+        Chunks at work at a time.
+    most : int
+        Pieces in a chunk.
+
+    """
+
+    def __init__(self, slots: int, most: int) -> None:
+        self.slots, self.most = slots, most
+        self.seconds = 0.0  # for a piece; 0: not yet known
+
+    def of(self, left: int) -> int:
+        """Return how many of those that are left make the next chunk."""
+        # a quarter of a slot's share, so that no worker waits for long at the end
+        fair = max(left // (4 * self.slots), 1)
+        wanted = max(int(CHUNK_S / self.seconds), 1) if self.seconds else 1
+        return min(wanted, fair, self.most)
+
+    def took(self, seconds: float, pieces: int) -> None:
+        """Learn from a chunk; the last five or so count, because like pieces come together."""
+        own = seconds / pieces
+        self.seconds = 0.8 * self.seconds + 0.2 * own if self.seconds else own
 
 
 class Engine(Protocol):

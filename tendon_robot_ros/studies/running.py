@@ -15,11 +15,10 @@ from ..common.dataframes import arrow
 from ..common.errors import DataSetError
 from ..common.files import new_file
 from ..common.given import Progress, listener
-from ..common.workers import LostWork, Workers
+from ..common.workers import ChunkSize, LostWork, Workers
 from ..model.versions import UserEffect, compiled_once
 
 PARTS_MAX = 64  # files of a table before they become one: reading the keys opens every file
-CHUNK_S = 2.0  # [s] of work in a chunk, because handing one out costs some milliseconds
 CHUNK_MAX = 256  # cases in a chunk: all of them are lost if every worker dies over one
 WRITTEN_EVERY_S = 5.0  # [s] the most that is computed again after a loss of power
 TABLE = 'table'  # in the folder of a study
@@ -153,29 +152,23 @@ def judge_all[C: Keyed, R: Row](
 def _chunk_by_chunk[C: Keyed, R: Row](
     study: Study[C, R], left: Sequence[C], workers: Workers
 ) -> Iterator[list[R]]:
-    """Yield the rows of chunks as they come; how many cases make one is seen from the last."""
-    seconds = 0.0  # for a case; 0: not yet known
-    handed: dict[int, Chunk[C, R]] = {}
+    """Yield the rows of chunks as they come."""
+    pace = ChunkSize(workers.slots, CHUNK_MAX)
+    handed: list[Chunk[C, R]] = []
 
     def chunks() -> Iterator[Chunk[C, R]]:
         begin = 0
         while begin < len(left):
-            # a quarter of a worker's share, so that no worker waits for long at the end
-            fair = max((len(left) - begin) // (4 * workers.slots), 1)
-            wanted = max(int(CHUNK_S / seconds), 1) if seconds else 1
-            chunk = Chunk(study, tuple(left[begin : begin + min(wanted, fair, CHUNK_MAX)]))
-            handed[len(handed)] = chunk
-            begin += len(chunk.cases)
-            yield chunk
+            end = begin + pace.of(len(left) - begin)
+            handed.append(Chunk(study, tuple(left[begin:end])))
+            yield handed[-1]
+            begin = end
 
     for index, result in workers.run(judge_chunk, chunks()):
-        chunk = handed[index]
         if isinstance(result, LostWork):
-            yield [study.lost(case, result.workers) for case in chunk.cases]
+            yield [study.lost(case, result.workers) for case in handed[index].cases]
             continue
-        own = result.seconds / len(result.rows)
-        # of the last five chunks or so, because cases of one kind follow one another
-        seconds = 0.8 * seconds + 0.2 * own if seconds else own
+        pace.took(result.seconds, len(result.rows))
         yield result.rows
 
 

@@ -1,8 +1,4 @@
-"""
-The cubes of space that hold a tip, the posture of least tension in each, where it looks.
-
-What every posture goes through is compiled: whether the arm runs into itself, and its cube.
-"""
+"""The cubes of space that hold a tip, the posture of least tension in each, where it looks."""
 
 from __future__ import annotations
 
@@ -10,20 +6,19 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from ..robot import Robot
 
 Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
-compiled: Any = njit(cache=True, nogil=True)
 # A line that turns by less than an angle in all has ends farther apart than cos(angle / 2) of its
 # length (Schur): up to here more than 2/pi of it, also where bent cells are a tenth shorter.
 TURNED_MIN_RAD = 0.5 * math.pi
+STRETCH_MAX = 1.05  # [1] of its length that an arm may have: loads may stretch it a little
 HEIGHTS, TURNS = 6, 8  # equal areas of the sphere of directions: by height, and around the base
 LOOKS = HEIGHTS * TURNS
 
@@ -60,9 +55,11 @@ class Reached:
         Counted are the corners of cubes with tips in all cubes around: of a convex body the mean
         number of grid points inside, however the grid lies. A surface or a curve has none.
         """
-        return float(
-            _inner_corners(self.cells, self.is_flat) * self.edge ** (2 + (not self.is_flat))
-        )
+        full, shifted = _grid(self.cells)
+        inner = np.ones(len(self), dtype=bool)
+        for step in np.ndindex(2, 1 if self.is_flat else 2, 2):
+            inner &= full[tuple((shifted + step).T)]
+        return float(inner.sum() * self.edge ** (2 if self.is_flat else 3))
 
     @cached_property
     def hull(self) -> tuple[Floats, Numbers, float]:
@@ -82,6 +79,12 @@ class Reached:
         names = np.full(len(points), -1)
         names[found.vertices] = np.arange(len(found.vertices))
         return self.tips[found.vertices], names[found.simplices], float(found.volume)
+
+    @property
+    def edge_tensions(self) -> Floats:
+        """Tensions (e, m) [N] of the half of the cubes with the fewest neighbours."""
+        around = neighbours(self.cells, self.is_flat)
+        return np.asarray(self.tensions[around <= np.median(around)])
 
     @cached_property
     def outside(self) -> npt.NDArray[np.bool_]:
@@ -108,97 +111,97 @@ class Cubes:
 
     def __init__(self, robot: Robot, edge: float) -> None:
         self.robot, self.edge = robot, edge
-        self.lengths = np.concatenate([[s.cell_length] * s.cells for s in robot.sections])
-        self.half = int(np.ceil(1.05 * robot.length / edge))  # an arm may stretch a little
+        self.half = int(np.ceil(STRETCH_MAX * robot.length / edge))
         self.side = 2 * self.half
-        self.rows = np.full(self.side**3, -1, dtype=np.int32)  # which row holds a cube
-        self.used = self.postures = 0
-        self.where = np.zeros(0, dtype=np.int64)  # (rows,) which cube a row is
-        self.best = np.zeros((0, len(robot.inputs) + 6))  # (rows, m + 6) tensions, tip, direction
-        self.seen = np.zeros(0, dtype=np.int64)  # (rows,) a bit per part of all directions
+        self.postures = 0
         self.lows, self.highs = np.full(3, np.inf), np.full(3, -np.inf)
+        self._known = Rows(
+            where=np.zeros(0, dtype=np.int64),
+            seen=np.zeros(0, dtype=np.int64),
+            best=np.zeros((0, len(robot.inputs) + 6)),
+        )
+        self._coming: list[Rows] = []
 
     def add(self, tensions: Floats, tips: Floats, directions: Floats) -> None:
         """Keep the posture of least tension in every cube, and where all of them look."""
         cells = np.floor(tips / self.edge + 1e-9).astype(np.int64) + self.half
         inside = ((cells >= 0) & (cells < self.side)).all(axis=1)
-        if not inside.all():
-            cells, tips = cells[inside], tips[inside]
-            tensions, directions = tensions[inside], directions[inside]
-        if not len(cells):
-            return
-        self.postures += len(cells)
-        self.lows = np.minimum(self.lows, tips.min(axis=0))
-        self.highs = np.maximum(self.highs, tips.max(axis=0))
-        flat = (cells[:, 0] * self.side + cells[:, 1]) * self.side + cells[:, 2]
-        looks = np.int64(1) << sphere_part(directions, 1)
-        self._keep(flat, looks, np.concatenate([tensions, tips, directions], axis=1))
+        content = np.concatenate([tensions, tips, directions], axis=1)[inside]
+        where = np.ravel_multi_index(tuple(cells[inside].T), (self.side,) * 3)
+        looks = np.int64(1) << sphere_part(directions[inside], 1)
+        self.postures += len(where)
+        self.lows = np.minimum(self.lows, tips[inside].min(axis=0, initial=np.inf))
+        self.highs = np.maximum(self.highs, tips[inside].max(axis=0, initial=-np.inf))
+        self._put(Rows(where, looks, content))
 
-    def _keep(self, flat: Numbers, looks: Numbers, content: Floats) -> None:
-        """Put postures, or the best ones of other cubes, into the cubes that they are in."""
-        end = self.used + len(flat)
-        if end > len(self.where):
-            more = max(end, 2 * len(self.where), 1024) - len(self.where)
-            self.where = np.concatenate([self.where, np.zeros(more, np.int64)])
-            self.seen = np.concatenate([self.seen, np.zeros(more, np.int64)])
-            self.best = np.concatenate([self.best, np.full((more, self.best.shape[1]), np.nan)])
-        m = len(self.robot.inputs)
-        self.used = keep_least(
-            flat, looks, content, m, self.rows, self.where, self.best, self.seen, self.used
-        )
+    def _put(self, rows: Rows) -> None:
+        """Take rows along; sort them in when they are as many as what is known."""
+        self._coming.append(rows)
+        if sum(len(one.where) for one in self._coming) > len(self._known.where):
+            self._sort_in()
+
+    def _sort_in(self) -> Rows:
+        """Return the row of every cube, in the order of the cubes."""
+        if self._coming:
+            parts = zip(self._known, *self._coming, strict=True)
+            rows = Rows(*map(np.concatenate, parts))
+            self._known, self._coming = rows.least(len(self.robot.inputs)), []
+        return self._known
 
     def packed(self) -> dict[str, npt.NDArray[Any]]:
-        """Return what is known as arrays, without the empty cubes."""
-        return {
-            'where': self.where[: self.used],
-            'seen': self.seen[: self.used],
-            'best': self.best[: self.used],
-            'span': np.array([self.lows, self.highs]),
-            'postures': np.array(self.postures),
-        }
+        """Return what is known as arrays."""
+        span = np.array([self.lows, self.highs])
+        return {**self._sort_in()._asdict(), 'span': span, 'postures': np.array(self.postures)}
 
     def merge(self, other: Mapping[str, npt.NDArray[Any]]) -> None:
         """Add what other cubes have packed; the order of several does not matter."""
-        self._keep(other['where'], other['seen'], other['best'])
+        self._put(Rows(other['where'], other['seen'], other['best']))
         self.lows = np.minimum(self.lows, other['span'][0])
         self.highs = np.maximum(self.highs, other['span'][1])
         self.postures += int(other['postures'])
 
-    def clear(self) -> None:
-        """Empty all cubes."""
-        self.rows[self.where[: self.used]] = -1
-        self.used = self.postures = 0
-        self.lows, self.highs = np.full(3, np.inf), np.full(3, -np.inf)
-
-    def cells(self) -> Numbers:
-        """Return the cubes (c, 3), counted from the base."""
-        found = np.unravel_index(self.where[: self.used], (self.side,) * 3)
-        return np.stack(found, axis=1) - self.half
-
-    def edge_tensions(self) -> Floats:
-        """Return the tensions (c, m) [N] of cubes with few neighbours."""
-        around = neighbours(self.cells(), bool(np.abs([self.lows[1], self.highs[1]]).max() < 1e-9))
-        chosen = around <= np.median(around)
-        tensions = self.best[: self.used][chosen, : len(self.robot.inputs)]
-        return np.asarray(tensions[np.argsort(self.where[: self.used][chosen])])
+    def __len__(self) -> int:
+        """Count the cubes that hold a tip."""
+        return len(self._sort_in().where)
 
     def reached(self) -> Reached:
         """Return what is known."""
-        order = np.argsort(self.where[: self.used])
-        m, best = len(self.robot.inputs), self.best[: self.used][order]
-        empty = not self.used
+        rows, m = self._sort_in(), len(self.robot.inputs)
+        empty = not len(rows.where)
+        cells = np.stack(np.unravel_index(rows.where, (self.side,) * 3), axis=1) - self.half
         return Reached(
             robot=self.robot,
             edge=self.edge,
-            cells=self.cells()[order],
-            tensions=best[:, :m],
-            tips=best[:, m : m + 3],
-            directions=best[:, m + 3 :],
-            looks=np.bitwise_count(self.seen[: self.used][order]).astype(np.int64),
+            cells=cells,
+            tensions=rows.best[:, :m],
+            tips=rows.best[:, m : m + 3],
+            directions=rows.best[:, m + 3 :],
+            looks=np.bitwise_count(rows.seen).astype(np.int64),
             lows=np.zeros(3) if empty else self.lows,
             highs=np.zeros(3) if empty else self.highs,
             postures=self.postures,
         )
+
+
+class Rows(NamedTuple):
+    """Cubes, and of each a posture."""
+
+    where: Numbers  # (r,) which cube: its place in the box of all
+    seen: Numbers  # (r,) a bit for each of the `LOOKS` parts of the sphere that tips look into
+    best: Floats  # (r, m + 6) tensions, tip, direction
+
+    def least(self, inputs: int) -> Rows:
+        """
+        Return a row for every cube: the posture of the lowest highest tension of so many inputs.
+
+        Of equal ones that of the least sum, then of the least numbers, so that the order in which
+        they came does not matter.
+        """
+        tensions = self.best[:, :inputs]
+        by = (*self.best.T[::-1], tensions.sum(axis=1), tensions.max(axis=1), self.where)
+        where, seen, best = (one[np.lexsort(by)] for one in self)
+        first = np.flatnonzero(np.diff(where, prepend=-1))
+        return Rows(where[first], np.bitwise_or.reduceat(seen, first), best[first])
 
 
 def sphere_part(directions: Floats, finer: int) -> Numbers:
@@ -230,15 +233,6 @@ def neighbours(cells: Numbers, is_flat: bool) -> Numbers:
     return count
 
 
-def _inner_corners(cells: Numbers, is_flat: bool) -> int:
-    """Count the corners with a cube on all sides; in the x-z plane those with four squares."""
-    full, shifted = _grid(cells)
-    inner = np.ones(len(cells), dtype=bool)
-    for step in np.ndindex(2, 1 if is_flat else 2, 2):
-        inner &= full[tuple((shifted + step).T)]
-    return int(inner.sum())
-
-
 def _grid(cells: Numbers) -> tuple[npt.NDArray[np.bool_], Numbers]:
     """Return which cubes of a box are taken, with a free layer around, and their places in it."""
     shifted = cells - cells.min(axis=0, initial=np.iinfo(np.int64).max >> 1) + 1
@@ -264,114 +258,18 @@ def folds(positions: Floats, thickness: Floats, lengths: Floats) -> npt.NDArray[
         Of the cells.
 
     """
+    ends = np.concatenate([np.zeros_like(positions[:, :1]), positions], axis=1)
+    pieces = np.diff(ends, axis=1)
+    pieces /= np.linalg.norm(pieces, axis=2, keepdims=True)
+    turns = np.arccos(np.clip((pieces[:, :-1] * pieces[:, 1:]).sum(axis=2), -1.0, 1.0))
+    along = np.cumsum(lengths) - 0.5 * lengths
+    i, j = np.triu_indices(len(lengths), 1)
+    apart = thickness[i] + thickness[j]
+    turns_round = along[j] - along[i] > 0.5 * math.pi * apart
+    i, j, apart = i[turns_round], j[turns_round], apart[turns_round]
     hit = np.zeros(len(positions), dtype=np.bool_)
-    _folds(positions, thickness, np.cumsum(lengths) - 0.5 * lengths, hit)
+    for p in np.flatnonzero(turns.sum(axis=1) >= TURNED_MIN_RAD):
+        middles = 0.5 * (ends[p, :-1] + ends[p, 1:])
+        away = middles[j] - middles[i]
+        hit[p] = (np.einsum('ij,ij->i', away, away) < apart**2).any()
     return hit
-
-
-@compiled
-def _folds(positions, thickness, along, hit):  # type: ignore[no-untyped-def]
-    b, n = positions.shape[0], positions.shape[1]
-    middles = np.empty((n, 3))
-    for p in range(b):
-        if _turn(positions[p]) < TURNED_MIN_RAD:
-            continue
-        for i in range(n):
-            for axis in range(3):
-                before = positions[p, i - 1, axis] if i else 0.0
-                middles[i, axis] = 0.5 * (positions[p, i, axis] + before)
-        hit[p] = _touches(middles, thickness, along)
-
-
-@compiled
-def _turn(ends):  # type: ignore[no-untyped-def]
-    """Angle [rad] by which the straight pieces between the ends of cells turn, in all."""
-    turned = 0.0
-    for i in range(1, ends.shape[0]):
-        dot = first = second = 0.0
-        for axis in range(3):
-            before = ends[i - 1, axis] - (ends[i - 2, axis] if i > 1 else 0.0)
-            after = ends[i, axis] - ends[i - 1, axis]
-            dot += before * after
-            first += before * before
-            second += after * after
-        turned += math.acos(min(max(dot / math.sqrt(first * second), -1.0), 1.0))
-    return turned
-
-
-@compiled
-def _touches(middles, thickness, along):  # type: ignore[no-untyped-def]
-    n = middles.shape[0]
-    for i in range(n):
-        j = i + 1
-        while j < n:
-            apart = thickness[i] + thickness[j]
-            if along[j] - along[i] <= 0.5 * math.pi * apart:
-                j += 1
-                continue
-            x = middles[j, 0] - middles[i, 0]
-            y = middles[j, 1] - middles[i, 1]
-            z = middles[j, 2] - middles[i, 2]
-            if x * x + y * y + z * z < apart * apart:
-                return True
-            j += 1
-    return False
-
-
-@compiled
-def keep_least(flat, looks, content, m, rows, where, best, seen, used):  # type: ignore[no-untyped-def]
-    """
-    Put postures into cubes; return how many cubes are in use.
-
-    Of every cube the posture of the lowest highest tension stays, of equal ones that of the least
-    sum, so that the order in which they come does not matter.
-
-    Parameters
-    ----------
-    flat : (b,)
-        Cubes of the postures.
-    looks : (b,)
-        Bits of the parts of all directions.
-    content : (b, m + 6)
-        Tensions, tips, directions.
-    m : int
-    rows : (cubes,)
-        Which row holds a cube; -1: none.
-    where : (r,)
-        Which cube a row is.
-    best : (r, m + 6)
-    seen : (r,)
-    used : int
-        Rows in use; there is room for b more.
-
-    """
-    for p in range(len(flat)):
-        row = rows[flat[p]]
-        if row < 0:
-            row = used
-            rows[flat[p]] = row
-            where[row] = flat[p]
-            seen[row] = looks[p]
-            best[row] = content[p]
-            used += 1
-            continue
-        seen[row] |= looks[p]
-        if _is_less(content[p], best[row], m):
-            best[row] = content[p]
-    return used
-
-
-@compiled
-def _is_less(one, other, m):  # type: ignore[no-untyped-def]
-    high = old_high = total = old_total = 0.0
-    for j in range(m):
-        high, old_high = max(high, one[j]), max(old_high, other[j])
-        total, old_total = total + one[j], old_total + other[j]
-    if high != old_high:
-        return high < old_high
-    if total != old_total:
-        return total < old_total
-    for j in range(len(one)):
-        if one[j] != other[j]:
-            return one[j] < other[j]
-    return False

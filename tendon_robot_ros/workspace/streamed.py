@@ -12,7 +12,6 @@ import hashlib
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -23,21 +22,24 @@ import numpy.typing as npt
 from ..common.errors import InputError
 from ..common.files import new_file
 from ..common.given import Progress, listener
-from ..common.workers import LostWork, Workers
+from ..common.workers import ChunkSize, LostWork, Workers
 from ..effects import load_catalogue
 from ..model import forward
 from ..model.model import Model
+from ..model.shape import ShapeBatch
 from ..robot import Robot, dump_robot
 from ..robot.routes import tendon_offsets
 from .cubes import LOOKS, Cubes, Floats, folds, sphere_part
 
-BATCH = 2_000  # postures that are solved at once
-CHUNK_S = 2.0  # [s] of work in a chunk
-CHUNK_MAX = 200  # batches in a chunk
+BATCH = 2_000  # postures that are solved at once: some MB for an arm of many cells
+CHUNK_MAX = 200  # batches in a chunk: what is computed again if its worker dies
 WALKS = 10  # rounds from the edge of what is known, half of all postures together
-EDGE_MAX = 20_000  # postures at the edge that a round starts from
-LOW_SHARE, HIGH_SHARE = 0.5, 0.1  # of the tensions are the lowest and the highest there are
-WALK_SHARE = 0.15  # of the range of tensions: a step from a posture at the edge (1 sd, at most)
+EDGE_MAX = 20_000  # postures at the edge that a round starts from: they go to every worker
+# [1] of the tensions are the lowest and the highest there are, because the edge is found there
+LOW_SHARE, HIGH_SHARE = 0.5, 0.1
+WALK_SHARE = (
+    0.15  # [1] of the range of tensions: a step from a posture at the edge (1 sd, at most)
+)
 FINER = 6  # than the looks of a cube are the parts of all directions, along either side
 SAVED_EVERY_S = 10.0  # [s] the most that is computed again after an end
 Packed = dict[str, npt.NDArray[Any]]
@@ -81,6 +83,10 @@ class SortedTips:
         self.sphere = np.zeros(FINER**2 * LOOKS, dtype=bool)  # directions that were looked into
         self.counts = np.zeros(3, dtype=np.int64)  # postures, without equilibrium, folded
         self.largest = np.zeros(1)  # [rad]
+        self.thickness = np.linalg.norm(tendon_offsets(sampling.robot), axis=2).max(axis=1)
+        self.lengths = np.concatenate(
+            [np.full(section.cells, section.cell_length) for section in sampling.robot.sections]
+        )  # (n,) [m]; thickness (n,) [m]: the farthest tendon
 
     @property
     def cubes(self) -> list[Cubes]:
@@ -103,37 +109,33 @@ class SortedTips:
             names = cubes.packed()
             cubes.merge({name: other[f'{i}_{name}'] for name in names})
 
-    def clear(self) -> None:
-        """Forget all."""
-        for cubes in self.cubes:
-            cubes.clear()
-        self.sphere[:] = False
-        self.counts[:] = 0
-        self.largest[:] = 0.0
-
-
-@lru_cache(maxsize=2)
-def _worker(sampling_key: str) -> dict[str, Any]:
-    """Keep model and empty cubes of a sampling in the process that works on it."""
-    return {}
+    def add(self, batch: ShapeBatch, changes: Floats) -> None:
+        """Put solved postures where they belong, those that the arm cannot have left out."""
+        tips, along = batch.tip_position, batch.tip_direction
+        solved = changes < forward.TOLERANCE
+        free = ~folds(batch.positions, self.thickness, self.lengths)
+        self.counts += [len(tips), (~solved).sum(), (solved & ~free).sum()]
+        good = solved & free
+        inputs, tips, along = batch.inputs[good], tips[good], along[good]
+        angle = np.arccos(np.clip(along[:, 2], -1.0, 1.0))
+        self.largest = np.maximum(self.largest, angle.max(initial=0.0))
+        self.sphere[sphere_part(along, FINER)] = True
+        self.all.add(inputs, tips, along)
+        for view, cubes in zip(self.sampling.views, self.views, strict=True):
+            rows = np.abs(angle - view) <= self.sampling.tolerance
+            cubes.add(inputs[rows], tips[rows], along[rows])
 
 
 def sort_batches(chunk: Batches) -> tuple[Packed, float]:
     """Solve and sort the batches of a chunk, in a worker; return what is known, and the time."""
     start, sampling = time.monotonic(), chunk.sampling
-    own = _worker(repr(sampling))
-    if not own:
-        own |= {'model': Model(sampling.robot, load_catalogue(sampling.files)),
-                'tally': SortedTips(sampling)}  # fmt: skip
-    model, tally = own['model'], own['tally']
-    tally.clear()
+    model, tally = Model(sampling.robot, load_catalogue(sampling.files)), SortedTips(sampling)
     for number, count in chunk.sizes:
         entropy = np.random.SeedSequence(sampling.seed, spawn_key=(chunk.round, number))
         random = np.random.default_rng(entropy)
-        known = len(chunk.start) > 0
-        _sort(model, tally, (onward if known else spread)(random, count, chunk))
-    packed = {name: value.copy() for name, value in tally.packed().items()}
-    return packed, time.monotonic() - start
+        tensions = (onward if len(chunk.start) else spread)(random, count, chunk)
+        tally.add(*model.solve(tensions))
+    return tally.packed(), time.monotonic() - start
 
 
 def spread(random: np.random.Generator, count: int, chunk: Batches) -> Floats:
@@ -156,30 +158,6 @@ def onward(random: np.random.Generator, count: int, chunk: Batches) -> Floats:
     return np.asarray(np.clip(rows + step, low, high))
 
 
-def _sort(model: Model, tally: SortedTips, tensions: Floats) -> None:
-    """Solve postures and put those that the arm can have where they belong."""
-    sampling = tally.sampling
-    thickness = np.linalg.norm(tendon_offsets(model.robot), axis=2).max(axis=1)  # (n,)
-    batch, changes = model.solve(tensions)
-    solved = changes < forward.TOLERANCE
-    free = ~folds(batch.positions, thickness, tally.all.lengths)
-    refused = int((~solved).sum()), int((solved & ~free).sum())
-    tally.counts += np.array([len(tensions), *refused])
-    good = solved & free
-    inputs, tips, along = batch.inputs[good], batch.tip_position[good], batch.tip_direction[good]
-    tally.all.add(inputs, tips, along)
-    angle = np.arccos(np.clip(along[:, 2], -1.0, 1.0))
-    tally.largest[0] = max(tally.largest[0], float(angle.max(initial=0.0)))
-    tally.sphere[sphere_part(along, FINER)] = True
-    for view, cubes in zip(sampling.views, tally.views, strict=True):
-        rows = np.abs(angle - view) <= sampling.tolerance
-        cubes.add(inputs[rows], tips[rows], along[rows])
-
-
-# -----------------------------------------------------------------------------
-# All rounds, on workers; what is known is written now and then, to go on from.
-
-
 @dataclass
 class Stream:
     """A sampling on its way."""
@@ -191,7 +169,6 @@ class Stream:
     done: set[tuple[int, int]] = field(default_factory=set)  # (round, batch)
     start: Floats = field(init=False)  # (e, m) [N] that the round starts from
     late: int = 0  # cubes when the last tenth of the postures began
-    seconds: float = 0.0  # for a batch, as far as it is known
     saved: float = field(default_factory=time.monotonic)
 
     def __post_init__(self) -> None:
@@ -214,62 +191,53 @@ class Stream:
     ) -> SortedTips:
         """Sample what is left."""
         show, sizes = listener(progress), self.sampling.rounds(self.postures)
+        pace = ChunkSize(workers.slots, CHUNK_MAX)
         for number, size in enumerate(sizes):
             if number == len(sizes) - 2:
-                self.late = self.late or self.tally.all.used
+                self.late = self.late or len(self.tally.all)
             batches = [
                 (i, min(BATCH, size - i * BATCH))
                 for i in range(-(-size // BATCH))
                 if (number, i) not in self.done
             ]
-            if number and batches and not any(r == number for r, _ in self.done):
-                self.start = self._edge()
+            begins = not any(done == number for done, _ in self.done)
+            if number and batches and begins and len(self.tally.all):
+                edge = self.tally.all.reached().edge_tensions
+                self.start = edge[:: max(len(edge) // EDGE_MAX, 1)]
             handed: list[Batches] = []
-            chunks = self._chunks(number, batches, workers.slots, handed)
+            chunks = self._chunks(number, batches, pace, handed)
             for index, result in workers.run(sort_batches, chunks):
                 if isinstance(result, LostWork):
                     raise InputError(
                         f'{self.sampling.robot.name}: {result.workers} processes died over the '
                         'same postures; is there memory for --workers of them?'
                     )
-                self._take(handed[index], *result)
+                packed, seconds = result
+                pace.took(seconds, len(handed[index].sizes))
+                self.tally.merge(packed)
+                self.done |= {(number, i) for i, _ in handed[index].sizes}
+                if self.kept is not None and time.monotonic() > self.saved + SAVED_EVERY_S:
+                    self._save(self.kept)
                 show('postures', begun + int(self.tally.counts[0]), total)
         return self.tally
 
     def _chunks(
-        self, number: int, batches: list[tuple[int, int]], slots: int, handed: list[Batches]
+        self, number: int, batches: list[tuple[int, int]], pace: ChunkSize, handed: list[Batches]
     ) -> Iterator[Batches]:
-        """Cut a round into chunks of some seconds, smaller ones at its end."""
+        """Cut a round into chunks."""
         begin = 0
         while begin < len(batches):
-            wanted = int(CHUNK_S / self.seconds) if self.seconds else 1
-            count = max(min(wanted, (len(batches) - begin) // (2 * slots), CHUNK_MAX), 1)
-            part = tuple(batches[begin : begin + count])
-            handed.append(Batches(self.sampling, number, part, self.start))
-            begin += count
+            end = begin + pace.of(len(batches) - begin)
+            handed.append(Batches(self.sampling, number, tuple(batches[begin:end]), self.start))
+            begin = end
             yield handed[-1]
-
-    def _take(self, chunk: Batches, packed: Packed, seconds: float) -> None:
-        own = seconds / len(chunk.sizes)
-        self.seconds = own if not self.seconds else 0.7 * self.seconds + 0.3 * own
-        self.tally.merge(packed)
-        self.done |= {(chunk.round, number) for number, _ in chunk.sizes}
-        if self.kept is not None and time.monotonic() > self.saved + SAVED_EVERY_S:
-            self._save(self.kept)
-
-    def _edge(self) -> Floats:
-        """Return tensions (e, m) [N] of cubes with few neighbours, not more than go to workers."""
-        if not self.tally.all.used:
-            return self.start
-        edge = self.tally.all.edge_tensions()
-        return edge[:: max(len(edge) // EDGE_MAX, 1)]
 
     def _save(self, path: Path) -> None:
         self.saved = time.monotonic()
         done = np.array(sorted(self.done), dtype=np.int64)
+        known: dict[str, Any] = self.tally.packed()
         with new_file(path) as draft, draft.open('wb') as file:
-            np.savez(file, key=self.key, done=done, start=self.start, late=self.late,
-                     **self.tally.packed())  # type: ignore[arg-type]  # fmt: skip
+            np.savez(file, key=self.key, done=done, start=self.start, late=self.late, **known)
 
     def _load(self, path: Path) -> None:
         try:
