@@ -18,6 +18,7 @@ from tendon_robot_ros.report.diagnosis_text import (
     alike,
     lines,
     next_measurement,
+    trust_lines,
     untested,
     verdict,
 )
@@ -28,7 +29,6 @@ from tendon_robot_ros.report.numbers import (
     short_quantities,
     told_quantity,
 )
-from tendon_robot_ros.report.trust_text import trust_lines
 
 LEVER = Value(1.584e-4, 1.517e-4, 1.652e-4, 'm')
 HINGE = EffectFinding('hinge_friction', {'lever': LEVER}, 0.984)

@@ -20,7 +20,7 @@ from tendon_robot_ros.diagnosis.trust import (
     smallest_sizes,
     wilson,
 )
-from tendon_robot_ros.report.trust_text import trust_lines
+from tendon_robot_ros.report.diagnosis_text import trust_lines
 
 ROBOT = replace(simulated.robot(), exact=True)
 

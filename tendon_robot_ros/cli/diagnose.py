@@ -29,8 +29,7 @@ from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
 from ..effects import Catalogue
 from ..report import addition_text
-from ..report.diagnosis_text import lines
-from ..report.trust_text import trust_lines
+from ..report.diagnosis_text import lines, trust_lines
 from .options import (
     REFUSED_EXIT_CODE,
     add_data,

@@ -147,7 +147,7 @@ def _all_tendons(args: argparse.Namespace, model: Model) -> Found:
     """Sample all tendons."""
     from ..common.workers import Workers
     from ..model.versions import Preparation, UserEffect
-    from ..report.volume_page import summary, volume_page
+    from ..report.workspace_page import summary, volume_page
     from ..workspace.volume import KEPT, find_volume, save_volume
 
     low, high = model.robot.tension_limits

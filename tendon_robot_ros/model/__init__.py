@@ -15,6 +15,7 @@ derivatives.py   slopes of an equilibrium with respect to tensions and parameter
                  tip is
 arrays.py        a robot and its effects as the flat arrays that the kernel reads
 compile.py       the kernel composed from a catalogue, compiled and cached
+versions.py      the same package, effects and compiled kernel in every process of a study
 kernel/          the compiled laws; nothing else of the model is compiled
 
 Whoever changes what a cell does works in effects/ or in kernel/, not here.

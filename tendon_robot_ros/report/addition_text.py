@@ -9,7 +9,6 @@ import numpy as np
 
 from ..common.words import columns, digits, listed, mm, percent
 from ..diagnosis.add import Addition
-from ..diagnosis.prediction_errors import Errors
 from .numbers import quantities
 
 AS_FOUND = 'with the effects and the arm as it was found beside them'
@@ -30,23 +29,16 @@ def addition_lines(made: Addition) -> list[str]:
 def error_table(made: Addition) -> str:
     """Return the table of errors before, after, and of a perfect model."""
     alone = ['effects alone'] if made.beside else []
-    rows = [['error (rms)', 'before', *alone, 'after', 'noise floor', 'gone']]
-    return columns(rows + [_row(errors, made.beside) for errors in (made.fitted, made.check)])
-
-
-def _row(errors: Errors, beside: bool) -> list[str]:
-    count = f'{errors.postures} posture{"" if errors.postures == 1 else "s"}'
-    share = errors.gone
-    gone = '' if share is None else percent(share)
-    where = f'{errors.kind}: {count} of {errors.data}'
-    alone = [_alone(errors)] if beside else []
-    return [where, mm(errors.before), *alone, mm(errors.after), mm(errors.floor), gone]
-
-
-def _alone(errors: Errors) -> str:
-    """Show the error of the effects alone; without the arm as found there may be no shape."""
-    known = errors.alone is not None and math.isfinite(errors.alone)
-    return mm(errors.alone) if known else 'no equilibrium'
+    table = [['error (rms)', 'before', *alone, 'after', 'noise floor', 'gone']]
+    for errors in (made.fitted, made.check):
+        count = f'{errors.postures} posture{"" if errors.postures == 1 else "s"}'
+        numbers = [mm(errors.before), mm(errors.after), mm(errors.floor)]
+        if made.beside:  # the effects alone; without the arm as found there may be no shape
+            known = errors.alone is not None and math.isfinite(errors.alone)
+            numbers.insert(1, mm(errors.alone) if known else 'no equilibrium')
+        gone = '' if errors.gone is None else percent(errors.gone)
+        table.append([f'{errors.kind}: {count} of {errors.data}', *numbers, gone])
+    return columns(table)
 
 
 def never_used(made: Addition) -> str:

@@ -39,8 +39,19 @@ def as_built(report: Mapping[str, Any] | None) -> list[str]:
     """Say how much the arm scatters, with 95 % intervals, and what is out of line."""
     if not report:
         return []
-    scatter = ', '.join(_scatter(kind) for kind in report['kinds'] if kind['told'])
-    lines = [f'the arm as built scatters by (1 sd, 95 %): {scatter}'] if scatter else []
+    told = []
+    for kind in report['kinds']:
+        name, size, low, high = (kind[key] for key in ('kind', 'size', 'low', 'high'))
+        if not kind['told']:
+            continue
+        said = [None if end is None else amount(end, kind['unit']) for end in (size, low, high)]
+        if low <= 0.0:  # where one end is open, the other one alone
+            told.append(f'{KIND_NAMES[name]} below {said[2]}')
+        elif high is None:
+            told.append(f'{KIND_NAMES[name]} above {said[1]}')
+        else:
+            told.append(f'{KIND_NAMES[name]} {said[0]} ({said[1]} to {said[2]})')
+    lines = [f'the arm as built scatters by (1 sd, 95 %): {", ".join(told)}'] if told else []
     strange = [
         f'{name} ({amount(kind["members"][name]["value"], kind["unit"], True)})'
         for kind in report['kinds']
@@ -53,17 +64,6 @@ def as_built(report: Mapping[str, Any] | None) -> list[str]:
     if hidden:
         lines.append(f'these measurements do not tell: {", ".join(hidden)}')
     return lines
-
-
-def _scatter(kind: Mapping[str, Any]) -> str:
-    """Say a size with its interval; where one end is open, the other one alone."""
-    name, unit = KIND_NAMES[kind['kind']], kind['unit']
-    if kind['low'] <= 0.0:
-        return f'{name} below {amount(kind["high"], unit)}'
-    if kind['high'] is None:
-        return f'{name} above {amount(kind["low"], unit)}'
-    low, high = (amount(kind[key], unit) for key in ('low', 'high'))
-    return f'{name} {amount(kind["size"], unit)} ({low} to {high})'
 
 
 def left_out(details: Mapping[str, Any], how: str = 'left out') -> list[str]:
@@ -101,10 +101,15 @@ def where_wrong(faults: Sequence[Fault]) -> list[str]:
     """Say where the model is still wrong; nothing where it is nowhere."""
     if not faults:
         return []
+    rate = f'{100.0 * FALSE_DISCOVERY_RATE:.0f} %'
+    told = []
+    for fault in faults:
+        posture = fault['posture']
+        where = 'in all postures' if posture is None else f'in posture {posture}'
+        told.append(f'{where} {sentence(fault)}')
     return [
-        'where it is still wrong (of such places at most '
-        f'{100.0 * FALSE_DISCOVERY_RATE:.0f} % are false alarms): '
-        + '; '.join(f'{_where(fault)}{sentence(fault)}' for fault in faults)
+        f'where it is still wrong (of such places at most {rate} are false alarms): '
+        + '; '.join(told)
     ]
 
 
@@ -138,10 +143,6 @@ def of_inputs(faults: Sequence[Fault], posture: str) -> list[str]:
     """Say what is wrong with the inputs in one posture: no place of the arm shows it."""
     own = [f for f in faults if f['along'] is None and f['posture'] == posture]
     return [sentence(fault) for fault in own]
-
-
-def _where(fault: Fault) -> str:
-    return 'in all postures ' if fault['posture'] is None else f'in posture {fault["posture"]} '
 
 
 def _range(fault: Fault, sign: float) -> str:

@@ -13,7 +13,7 @@ from .error_plots import Step, angles, per_marker, per_posture, staircase, tip_b
 from .page import Page
 from .shape_plots import chosen_postures, shape_figures, shape_key
 
-POSTURES_WITH_ANGLES = 4  # postures whose angular displacements are drawn
+POSTURES_WITH_ANGLES = 4  # postures whose angular displacements are drawn: two rows
 
 
 def write_comparison(comparison: Comparison, path: str | Path) -> Path:
@@ -48,8 +48,8 @@ def add_verdict(page: Page, comparison: Comparison) -> None:
         rows.append(['noise floor: a perfect model', mm(floor), '', ''])
         kinds.append('faint')
     page.table(header, rows, kinds)
-    page.text(*(f'{capital(say.paired(test))}.' for test in comparison.paired_t
-                if test.posture is None))  # fmt: skip
+    tests = [test for test in comparison.paired_t if test.posture is None]
+    page.text(*(f'{capital(say.paired(test))}.' for test in tests))
     page.text(
         'Errors are distances between the model and the mean over the trials of a posture; rms is '
         'over postures and markers. The tip error is the distance at the last marker, trial by '

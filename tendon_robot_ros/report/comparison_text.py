@@ -4,16 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..common.words import (
-    PROGRAM,
-    columns,
-    commands,
-    digits,
-    mm,
-    postures,
-    probability,
-    times,
-)
+from ..common.words import PROGRAM, columns, commands, digits, mm, postures, probability, times
 from ..comparison.result import Comparison, ModelErrors
 from ..comparison.statistics import Estimate, PairedT
 from ..data.dataset import at_rest
@@ -132,7 +123,11 @@ def worst(comparison: Comparison, model: ModelErrors) -> str:
 def verdict(comparison: Comparison) -> str:
     """Compare the best model with the repeatability."""
     best, floor = comparison.best, comparison.noise_floor
-    who = 'The model' if len(comparison.models) == 1 else f'{_best(comparison)}, {best.name},'
+    who = 'The model'
+    if len(comparison.models) > 1:  # said by what it is the best, if tip errors do not tell them
+        tests = [one for one in comparison.paired_t if one.posture is None]
+        alike = any(one.low <= 0.0 <= one.high and best.name in one.models for one in tests)
+        who = f'The best model{" by rms" if alike else ""}, {best.name},'
     if floor is None:
         return (
             'Nothing tells how well you can measure: record every posture at least three times, '
@@ -160,13 +155,6 @@ def _drowned(comparison: Comparison) -> bool:
     measured, floor = comparison.measured, comparison.noise_floor
     several = int((measured.trials > 0).sum()) > 1
     return several and floor is not None and floor > FLOOR_SHARE_MAX * measured.motion
-
-
-def _best(comparison: Comparison) -> str:
-    """Say by what the best model is the best, where its tip error is not told from another's."""
-    tests = [one for one in comparison.paired_t if one.posture is None]
-    alike = any(one.low <= 0.0 <= one.high and comparison.best.name in one.models for one in tests)
-    return f'The best model{" by rms" if alike else ""}'
 
 
 def next_step(comparison: Comparison) -> str:

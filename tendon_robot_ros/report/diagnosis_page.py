@@ -15,7 +15,6 @@ from ..data import DataSet
 from ..diagnosis.add import Addition
 from ..diagnosis.decide import P_SINGLE_MIN, Verdict
 from ..diagnosis.missing_moment import MissingMoment, missing_moment
-from ..diagnosis.prediction_errors import Errors
 from ..diagnosis.result import NOT_NEEDED, CandidateRow, Diagnosis
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
@@ -23,13 +22,20 @@ from ..robot.description import EffectValues
 from . import addition_text, diagnosis_text
 from .arm_text import Fault, where_wrong
 from .comparison_page import add_shapes
-from .diagnosis_text import next_measurement
+from .diagnosis_text import next_measurement, trust_lines
 from .error_plots import Step, heat_maps, moments, per_marker, per_posture, staircase
 from .numbers import quantities
 from .page import Page
-from .trust_text import trust_lines
 
 BEFORE = 'as described'
+GROUPS = {
+    'fitted': 'postures that were fitted',
+    'left out': 'postures left out in turn',
+    'check': 'postures never used',
+}
+CANDIDATE_HEAD = [
+    *('effect', 'explains', 'error left', 'left-out postures', 'chance', 'status', 'value'),
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +75,10 @@ def pictures_of(
     models = [(BEFORE, robot)]
     if diagnosis.effects:
         after = changed or with_effects(diagnosis, robot)
-        models.append((_with_what(diagnosis, changed is not None), after))
+        name = f'with {" and ".join(effect.name for effect in diagnosis.effects)}'
+        if diagnosis_text.with_arm(diagnosis):
+            name += ' alone' if changed is None else ' and the arm as found'
+        models.append((name, after))
     left_out = set(diagnosis.details.get('unsettled') or ())
     if left_out:
         dataset = dataset.select(set(dataset.postures) - left_out)
@@ -79,14 +88,6 @@ def pictures_of(
         return None
     lacks = [missing_moment(dataset, one, comparison.measured, catalogue) for _, one in models]
     return Pictures(comparison, lacks[0], lacks[1] if len(lacks) > 1 else None)
-
-
-def _with_what(diagnosis: Diagnosis, written: bool) -> str:
-    """Name the description with the effects: as it is written, or with them alone."""
-    names = f'with {" and ".join(effect.name for effect in diagnosis.effects)}'
-    if not diagnosis_text.with_arm(diagnosis):
-        return names
-    return f'{names} and the arm as found' if written else f'{names} alone'
 
 
 def with_effects(diagnosis: Diagnosis, robot: Robot) -> Robot:
@@ -105,10 +106,6 @@ def with_effects(diagnosis: Diagnosis, robot: Robot) -> Robot:
             values[name] = tuple(each)
         robot = robot.with_effect(effect.name, values)
     return robot
-
-
-# -----------------------------------------------------------------------------
-# The page of a diagnosis: verdict first, then what to do, then the evidence.
 
 
 def write_diagnosis(
@@ -194,29 +191,17 @@ def add_staircase(page: Page, diagnosis: Diagnosis, made: Addition | None) -> No
     else:
         never_used = addition_text.never_used(made).replace('->', '→').replace('  ', ' ')
         page.text(f'{capital(never_used)}.')
-        steps = [step for errors in (made.fitted, made.check) for step in _steps(errors)]
+        steps = []
+        for errors in (made.fitted, made.check):
+            group = GROUPS[errors.kind]
+            steps.append(Step('before', errors.before, 'before', group))
+            if errors.alone is not None and math.isfinite(errors.alone):
+                steps.append(Step('effects alone', errors.alone, 'after', group, 2))
+            steps.append(Step('after', errors.after, 'after', group))
+            if errors.floor is not None:
+                steps.append(Step('noise floor', errors.floor, 'floor', group))
         page.text(*map(capital, addition_text.warnings(made)))
     page.figures([staircase(steps, height=300)])
-
-
-GROUPS = {
-    'fitted': 'postures that were fitted',
-    'left out': 'postures left out in turn',
-    'check': 'postures never used',
-}
-
-
-def _steps(errors: Errors) -> list[Step]:
-    group = GROUPS[errors.kind]
-    steps = [
-        Step('before', errors.before, 'before', group),
-        Step('after', errors.after, 'after', group),
-    ]
-    if errors.alone is not None and math.isfinite(errors.alone):
-        steps.insert(1, Step('effects alone', errors.alone, 'after', group, 2))
-    if errors.floor is not None:
-        steps.append(Step('noise floor', errors.floor, 'floor', group))
-    return steps
 
 
 def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
@@ -250,11 +235,6 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
     page.text(
         *(f'{capital(text)}.' for text in (untested, diagnosis_text.detectable(diagnosis)) if text)
     )
-
-
-CANDIDATE_HEAD = [
-    'effect', 'explains', 'error left', 'left-out postures', 'chance', 'status', 'value',
-]  # fmt: skip
 
 
 def candidate_row(row: CandidateRow) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from string import Formatter
 
 import numpy as np
@@ -15,9 +15,19 @@ from ..diagnosis.decide import (
     Verdict,
 )
 from ..diagnosis.prediction_errors import share_gone
-from ..diagnosis.result import Diagnosis, EffectFinding, NextMeasurement
+from ..diagnosis.result import Diagnosis, NextMeasurement
 from .arm_text import as_built, left_out, where_wrong
 from .numbers import described_quantity, load_words, quantities, short_quantities
+
+# a fit without physics that beat the effects, by its name
+PATTERNS = {
+    'contact': 'a force somewhere along the arm',
+    'soft_cell': 'a single soft cell',
+    'taper': 'a stiffness that changes along the arm',
+    'gain_per_posture': 'a factor of its own on the inputs of every posture',
+    'rotation_per_posture': 'a rotation of its own of every posture',
+}
+TRIALS_ADVISED = 5  # of a posture: so many halve the noise, and show their spread
 
 
 def lines(diagnosis: Diagnosis) -> list[str]:
@@ -133,26 +143,6 @@ def errors(diagnosis: Diagnosis) -> list[str]:
     ]
 
 
-def _values(diagnosis: Diagnosis) -> str:
-    return '; '.join(f'{e.name}: {quantities(e.parameters, e.load)}' for e in diagnosis.effects)
-
-
-def _for_accuracy(diagnosis: Diagnosis) -> str:
-    accuracy = diagnosis.details.get('accuracy')
-    return f' FOR {mm(accuracy, 2)}' if accuracy else ''
-
-
-def _judged_by(diagnosis: Diagnosis) -> str:
-    if diagnosis.details.get('accuracy'):
-        return 'matters at that accuracy'
-    return 'these measurements could show'
-
-
-def _these_postures(diagnosis: Diagnosis) -> str:
-    count = diagnosis.details.get('postures')
-    return f'these {count} postures' if count else 'these postures'
-
-
 def _what_is_off(diagnosis: Diagnosis) -> str:
     """Say which quantity moved beyond its tolerance, or which values are off."""
     if diagnosis.out_of_tolerance:
@@ -173,14 +163,12 @@ def _instead(diagnosis: Diagnosis) -> str:
         return ''
     best = diagnosis.effects[0]
     before = diagnosis.details.get('described', {}).get(best.name, {})
-    was = '; '.join(_described(best, key, value) for key, value in before.items())
+    units = {key.partition('[')[0]: value.unit for key, value in best.parameters.items()}
+    was = '; '.join(
+        described_quantity(key, units.get(key, '1'), np.atleast_1d(value).tolist())
+        for key, value in before.items()
+    )
     return f' (the description says {was or "nothing"}).\nIt explains {_share(diagnosis)}'
-
-
-def _described(effect: EffectFinding, key: str, value: float | Sequence[float]) -> str:
-    """Show a described value in the unit of the fitted one."""
-    unit = next((v.unit for k, v in effect.parameters.items() if k.split('[')[0] == key), '1')
-    return described_quantity(key, unit, [value] if isinstance(value, float) else list(value))
 
 
 def _what_remains(diagnosis: Diagnosis) -> str:
@@ -192,36 +180,23 @@ def _what_remains(diagnosis: Diagnosis) -> str:
             size = f'not random, though it is only {size}'
         return f'no effect of the catalogue helps; the error is {size}'
     best = next((row for row in diagnosis.candidates if row.status == 'best'), None)
-    values = ' with '.join(f'{e.name} ({_short_values(e)})' for e in diagnosis.effects)
+    values = ' with '.join(
+        f'{e.name} ({short_quantities(e.parameters) if e.load is None else load_words(e.load)})'
+        for e in diagnosis.effects
+    )
     after = diagnosis.error_after
     text = f'{values} lowers the error from {mm(diagnosis.error_before)} to {mm(after)}, but '
     if 'rival' in diagnosis.details and best is not None and best.probability > P_SINGLE_MIN:
-        pattern = _pattern(diagnosis.details['rival']['name'])
-        return f'{text}{pattern} fits better without any physics'
-    sure = '' if best is None else f' (p {_p(best.probability)})'
+        name = diagnosis.details['rival']['name']
+        return f'{text}{PATTERNS.get(name, name)} fits better without any physics'
+    sure = ''
+    if best is not None:
+        p = best.probability
+        sure = ' (p < 1e-6)' if p < 1e-6 else f' (p = {digits(p, 1)})'
     size = f'{digits(after / floor)} times the noise'
     if after < NOISE_WITHIN_FLOORS * floor:
         return f'{text}what remains is not random{sure}, though it is only {size}'
     return f'{text}what remains is {size}{sure}'
-
-
-def _short_values(effect: EffectFinding) -> str:
-    """Say the values without their intervals; of a force its size and direction."""
-    return short_quantities(effect.parameters) if effect.load is None else load_words(effect.load)
-
-
-def _pattern(name: str) -> str:
-    return {
-        'contact': 'a force somewhere along the arm',
-        'soft_cell': 'a single soft cell',
-        'taper': 'a stiffness that changes along the arm',
-        'gain_per_posture': 'a factor of its own on the inputs of every posture',
-        'rotation_per_posture': 'a rotation of its own of every posture',
-    }.get(name, name)
-
-
-def _p(p: float) -> str:
-    return '< 1e-6' if p < 1e-6 else f'= {digits(p, 1)}'
 
 
 # what the sentences of `diagnosis.decide.Verdict` name
@@ -231,14 +206,26 @@ _FIELDS: dict[str, Callable[[Diagnosis], str]] = {
     'best_values': lambda diagnosis: quantities(
         diagnosis.effects[0].parameters, diagnosis.effects[0].load
     ),
-    'for_accuracy': _for_accuracy,
+    'for_accuracy': lambda diagnosis: (
+        f' FOR {mm(accuracy, 2)}' if (accuracy := diagnosis.details.get('accuracy')) else ''
+    ),
     'instead': _instead,
-    'judged_by': _judged_by,
+    'judged_by': lambda diagnosis: (
+        'matters at that accuracy'
+        if diagnosis.details.get('accuracy')
+        else 'these measurements could show'
+    ),
     'names': lambda diagnosis: ' AND '.join(e.name for e in diagnosis.effects),
     'remainder': lambda diagnosis: diagnosis.remainder,
     'share': _share,
-    'these_postures': _these_postures,
-    'values': _values,
+    'these_postures': lambda diagnosis: (
+        f'these {count} postures'
+        if (count := diagnosis.details.get('postures'))
+        else 'these postures'
+    ),
+    'values': lambda diagnosis: '; '.join(
+        f'{e.name}: {quantities(e.parameters, e.load)}' for e in diagnosis.effects
+    ),
     'what_is_off': _what_is_off,
     'what_remains': _what_remains,
 }
@@ -253,7 +240,10 @@ def alike(diagnosis: Diagnosis) -> str:
     parts = []
     best = diagnosis.details.get('next_best')
     if best is not None and diagnosis.verdict is not Verdict.SEVERAL:
-        parts.append(f'next best, {best["name"]}, is {_times(best["log10_likelihood_ratio"])}')
+        log10 = best['log10_likelihood_ratio']
+        ratio = 'more than 10^100' if log10 > 100.0 else f'10^{round(log10)}'
+        ratio = ratio if log10 >= 3.0 else digits(10.0**log10, 2)
+        parts.append(f'next best, {best["name"]}, is {ratio} times less likely')
     wider = diagnosis.details.get('wider') or []
     if wider:
         does = 'does' if len(wider) == 1 else 'do'
@@ -262,14 +252,6 @@ def alike(diagnosis: Diagnosis) -> str:
         return '; '.join(parts)
     tail = f' ({"; ".join(parts)})' if parts else ''
     return f'cannot be told apart from: {", ".join(rest) or "nothing"}{tail}'
-
-
-def _times(log10: float) -> str:
-    if log10 < 3.0:
-        return f'{digits(10.0**log10, 2)} times less likely'
-    if log10 > 100.0:
-        return 'more than 10^100 times less likely'
-    return f'10^{round(log10)} times less likely'
 
 
 def untested(diagnosis: Diagnosis) -> str:
@@ -299,12 +281,6 @@ def detectable(diagnosis: Diagnosis) -> str:
     return 'smallest size that would have been seen (four times in five): ' + ', '.join(parts)
 
 
-# -----------------------------------------------------------------------------
-# The next measurement in words.
-
-TRIALS_ADVISED = 5
-
-
 def next_measurement(diagnosis: Diagnosis) -> str:
     """Say what to measure next, and what that will show."""
     step = diagnosis.next_measurement
@@ -312,9 +288,10 @@ def next_measurement(diagnosis: Diagnosis) -> str:
         return ''
     names = diagnosis.cannot_tell_apart
     if step.difference < SEPARABLE_FROM_SD * step.noise / np.sqrt(TRIALS_ADVISED):
+        small = mm(step.difference, 2) if step.difference >= 1e-5 else 'less than 0.01 mm'
         return (
             f'No posture within the limits separates {listed(names)}: they differ by '
-            f'{_small(step.difference)} at most, your noise is {mm(step.noise, 2)}. '
+            f'{small} at most, your noise is {mm(step.noise, 2)}. '
             'Either describes this robot; measure the quantity itself to know which it is.'
         )
     kind = diagnosis.details.get('input', 'tension')
@@ -325,10 +302,6 @@ def next_measurement(diagnosis: Diagnosis) -> str:
     if step.after is not None:
         where += f', coming from {commands(dict(step.after), kind)}'
     return f'Measure this next: {where}, {TRIALS_ADVISED} trials. {_predicted(step)}'
-
-
-def _small(metres: float) -> str:
-    return mm(metres, 2) if metres >= 1e-5 else 'less than 0.01 mm'
 
 
 def _predicted(step: NextMeasurement) -> str:
@@ -348,3 +321,47 @@ def _predicted(step: NextMeasurement) -> str:
         f'{names[odd]} predicts the tip at least {mm(float(nearest[odd]), 2)} from the '
         f'others; {end}'
     )
+
+
+def trust_lines(diagnosis: Diagnosis) -> list[str]:
+    """Return what the bootstrap says; nothing where it was not asked for."""
+    if 'trust' not in diagnosis.details:
+        return []
+    trust = diagnosis.details['trust']
+    if trust is None:
+        return [
+            'How often this procedure raises a false alarm could not be simulated: the '
+            'description has no equilibrium in some posture, or nothing tells the noise.'
+        ]
+    if not trust['runs']:
+        return [
+            'How often this procedure raises a false alarm is not known: no simulation of your '
+            'postures ended in the time that it has. Try it on a machine that does nothing else.'
+        ]
+    low, high = 100.0 * trust['alarm_rate_low'], 100.0 * trust['alarm_rate_high']
+    sentences = [
+        f'With nothing missing, this procedure raises an alarm in '
+        f'{digits(100.0 * trust["alarm_rate"])} % of cases ({trust["runs"]} simulated on your '
+        f'postures; 95 %: {digits(low)} to {digits(high)} %).'
+    ]
+    sizes = []
+    for name, own in trust['detectable'].items():
+        shown = [
+            f'{key} too small to see'
+            if one['size'] is None
+            else described_quantity(key, one['unit'], [one['size']], 2)
+            for key, one in own.items()
+        ]
+        sizes.append(f'{name} {", ".join(shown)}')
+    sentences.append('Smallest sizes that raise it four times in five: ' + '; '.join(sizes) + '.')
+    if trust['checked']:
+        share = 100.0 * trust['detected'] / trust['checked']
+        sentences.append(
+            f'Of {trust["checked"]} simulated robots with an effect of such a size, '
+            f'{share:.0f} % raised it.'
+        )
+    if diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE:
+        sentences.append(
+            'All of this is about effects of the catalogue; of a cause outside it it says nothing.'
+        )
+    return sentences

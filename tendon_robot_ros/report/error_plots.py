@@ -11,14 +11,25 @@ import numpy as np
 
 from ..common.colours import BAND, DIVERGING, FLOOR, MEASURED, look
 from ..common.words import capital, mm
-from ..comparison.result import Comparison, Floats
+from ..comparison.result import Comparison
 from ..diagnosis.missing_moment import MissingMoment
 from .comparison_text import posture_name
-from .numbers import LOG_TICKS, degrees_list, error_bars, mm_list, plain
+from .numbers import LOG_AXIS, degrees_list, error_bars, mm_list, plain
 from .page import Figure
 
-POSTURES_WITH_OWN_BOXES = 6  # postures up to which each has its own boxes
-LOG_AXIS_FROM_FLOORS = 25.0  # times the noise floor from which errors need a logarithmic axis
+POSTURES_WITH_OWN_BOXES = 6  # postures up to which each has its own boxes, else they are too thin
+BOX_POINTS_MAX = 200  # trials up to which each is drawn beside its box, else they cover it
+LOG_AXIS_FROM_FLOORS = 25.0  # times the noise floor from which it would lie on the zero line
+# [noise sd] between which the largest deviation must lie for colours to end there, so that noise
+# stays pale and one wild posture does not take the colour off all others
+COLOURS_END_SD = (4.0, 30.0)
+# what the missing moment may follow, and what that means
+CAUSES = {
+    'total tension [N]': 'A straight line through zero is friction in the hinges.',
+    'tension difference [N]': 'A line through zero: tension or moment arm are not as described.',
+    'bend of a cell, model [°]': 'A line through zero: the stiffness is not as described.',
+    'distance to the tip [mm]': 'Larger towards the base in every posture: a load at the tip.',
+}
 
 
 @dataclass(frozen=True)
@@ -82,10 +93,14 @@ def per_posture(comparison: Comparison) -> Figure:
                 'text': [escape(posture_name(comparison, p)) for p in seen],
                 'name': escape(model.name),
                 'mode': 'markers',
-                'marker': {'color': look(i).colour, 'symbol': look(i).symbol, 'size': 9,
-                           'line': {'width': 2}},
+                'marker': {
+                    'color': look(i).colour,
+                    'symbol': look(i).symbol,
+                    'size': 9,
+                    'line': {'width': 2},
+                },
             }
-        )  # fmt: skip
+        )
     if measured.floor is not None:
         floor = np.sqrt(np.nanmean(measured.floor[seen], axis=1))
         data.append(
@@ -152,19 +167,19 @@ def tip_boxes(comparison: Comparison) -> Figure:
         values = model.tip_errors[seen]
         names = np.broadcast_to(np.array(measured.postures)[seen][:, None], values.shape)
         good = np.isfinite(values)
+        where = names[good] if apart else [model.name] * int(good.sum())
         data.append(
             {
                 'type': 'box',
-                'x': [escape(name) for name in names[good]] if apart else [escape(model.name)] * (
-                    int(good.sum())),
+                'x': [escape(name) for name in where],
                 'y': mm_list(values[good]),
                 'name': escape(model.name),
                 'marker': {'color': look(i).colour, 'symbol': look(i).symbol},
-                'boxpoints': 'all' if good.sum() <= 200 else 'outliers',
+                'boxpoints': 'all' if good.sum() <= BOX_POINTS_MAX else 'outliers',
                 'jitter': 0.4,
                 'pointpos': 0.0,
             }
-        )  # fmt: skip
+        )
     layout: dict[str, Any] = {
         'xaxis': {'title': {'text': 'posture' if apart else 'model'}, 'type': 'category'},
         'yaxis': {'title': {'text': 'tip error [mm]'}, 'rangemode': 'tozero'},
@@ -182,6 +197,8 @@ def staircase(steps: Sequence[Step], title: str = '', height: int = 360) -> Figu
     data: list[dict[str, Any]] = []
     for label in dict.fromkeys(step.label for step in steps):
         part = [step for step in steps if step.label == label]
+        first = part[0]
+        model = int(first.kind == 'after') if first.model is None else first.model
         data.append(
             {
                 'type': 'bar',
@@ -191,7 +208,7 @@ def staircase(steps: Sequence[Step], title: str = '', height: int = 360) -> Figu
                 'textposition': 'outside',
                 'cliponaxis': False,
                 'name': escape(label),
-                'marker': {'color': _colour(part[0])},
+                'marker': {'color': FLOOR if first.kind == 'floor' else look(model).colour},
             }
         )
     layout = {
@@ -204,24 +221,12 @@ def staircase(steps: Sequence[Step], title: str = '', height: int = 360) -> Figu
     return Figure(data, layout, title, '', height)
 
 
-def _colour(step: Step) -> str:
-    if step.kind == 'floor':
-        return FLOOR
-    return look(int(step.kind == 'after') if step.model is None else step.model).colour
-
-
 def _error_axis(comparison: Comparison, title: str) -> dict[str, Any]:
     """Return the axis of errors: logarithmic where the noise would else lie on the zero line."""
     floor = comparison.noise_floor
-    wide = (
-        floor
-        and max(float(model.per_marker_rms[-1]) for model in comparison.models)
-        > LOG_AXIS_FROM_FLOORS * floor
-    )
-    return {
-        'title': {'text': title},
-        **({'type': 'log', **LOG_TICKS} if wide else {'rangemode': 'tozero'}),
-    }
+    largest = max(float(model.per_marker_rms[-1]) for model in comparison.models)
+    wide = floor and largest > LOG_AXIS_FROM_FLOORS * floor
+    return {'title': {'text': title}, **(LOG_AXIS if wide else {'rangemode': 'tozero'})}
 
 
 def places(comparison: Comparison) -> list[float | None]:
@@ -237,79 +242,57 @@ def place_title(comparison: Comparison) -> str:
     return 'cell' if comparison.measured.per_cell else 'distance from the base along the arm [mm]'
 
 
-# -----------------------------------------------------------------------------
-# Figures of a diagnosis: where the model is off, signed; and the moment that it lacks.
-
-COLOURS_END_AT_SD = 30.0  # [noise sd] at which colours end
-CAPTIONS = {
-    'total tension [N]': 'A straight line through zero is friction in the hinges.',
-    'tension difference [N]': 'A line through zero: tension or moment arm are not as described.',
-    'bend of a cell, model [°]': 'A line through zero: the stiffness is not as described.',
-    'distance to the tip [mm]': 'Larger towards the base in every posture: a load at the tip.',
-}
-
-
-def heat_maps(comparison: Comparison, before: MissingMoment, after: MissingMoment | None) -> (
-        list[Figure]):  # fmt: skip
+def heat_maps(
+    comparison: Comparison, before: MissingMoment, after: MissingMoment | None
+) -> list[Figure]:
     """Return signed deviations, marker by posture, before and after, in the same colours."""
-    largest = float(np.clip(np.nanmax(np.abs(before.deviation)), 4.0, COLOURS_END_AT_SD))
-    names = [model.name for model in comparison.models]
-    lacks = [one for one in (before, after) if one is not None]
-    return [_heat(comparison, one.deviation, largest, name)
-            for one, name in zip(lacks, names, strict=False)]  # fmt: skip
-
-
-def _heat(comparison: Comparison, values: Floats, largest: float, name: str) -> Figure:
-    measured = comparison.measured
+    largest = float(np.clip(np.nanmax(np.abs(before.deviation)), *COLOURS_END_SD))
+    measured, figures = comparison.measured, []
     rows = [p for p in range(len(measured.postures)) if measured.trials[p]]
-    data: list[dict[str, Any]] = [
-        {
+    for model, lacks in zip(comparison.models, (before, after), strict=False):
+        if lacks is None:
+            continue
+        heat = {
             'type': 'heatmap',
             'x': places(comparison),
             'y': [escape(measured.postures[p]) for p in rows],
-            'z': [plain(values[p], places=2) for p in rows],
+            'z': [plain(lacks.deviation[p], places=2) for p in rows],
             'zmin': -largest,
             'zmax': largest,
             'colorscale': DIVERGING,
             'colorbar': {'title': {'text': 'noise sd', 'side': 'right'}, 'thickness': 12},
             'hovertemplate': '%{x}, posture %{y}: %{z:.1f} sd<extra></extra>',
         }
-    ]
-    layout = {
-        'xaxis': {'title': {'text': place_title(comparison)}},
-        'yaxis': {'title': {'text': 'posture'}, 'type': 'category', 'autorange': 'reversed'},
-        'margin': {'l': 56, 'r': 8, 't': 8, 'b': 44},
-    }
-    height = int(np.clip(150 + 18 * len(rows), 260, 560))
-    return Figure(data, layout, f'Deviation, {name}', '', height)
+        layout = {
+            'xaxis': {'title': {'text': place_title(comparison)}},
+            'yaxis': {'title': {'text': 'posture'}, 'type': 'category', 'autorange': 'reversed'},
+            'margin': {'l': 56, 'r': 8, 't': 8, 'b': 44},
+        }
+        height = int(np.clip(150 + 18 * len(rows), 260, 560))
+        figures.append(Figure([heat], layout, f'Deviation, {model.name}', '', height))
+    return figures
 
 
 def moments(lacks: MissingMoment) -> list[Figure]:
     """Return the missing moment against four causes that it may follow."""
     bend = np.degrees(lacks.model_bend)
     causes = (lacks.total_tension, lacks.tension_difference, bend, 1e3 * lacks.lever)
-    return [
-        _moments(lacks, cause, title, caption)
-        for cause, (title, caption) in zip(causes, CAPTIONS.items(), strict=True)
-    ]
-
-
-def _moments(lacks: MissingMoment, cause: Floats, title: str, caption: str) -> Figure:
-    data: list[dict[str, Any]] = []
-    for b, name in enumerate(lacks.blocks):
-        style = look(b)
-        data.append(
+    figures = []
+    for cause, (title, caption) in zip(causes, CAUSES.items(), strict=True):
+        data: list[dict[str, Any]] = [
             {
                 'x': plain(cause[:, b]),
                 'y': plain(lacks.moment[:, b], 1e3),
                 'error_y': error_bars(plain(1.96 * lacks.moment_sd[:, b], 1e3), width=0),
                 'name': escape(name),
                 'mode': 'markers',
-                'marker': {'color': style.colour, 'symbol': style.symbol, 'size': 8},
+                'marker': {'color': look(b).colour, 'symbol': look(b).symbol, 'size': 8},
             }
-        )
-    layout = {
-        'xaxis': {'title': {'text': title}, 'rangemode': 'tozero'},
-        'yaxis': {'title': {'text': 'missing moment [mN·m]'}, 'zeroline': True},
-    }
-    return Figure(data, layout, '', caption)
+            for b, name in enumerate(lacks.blocks)
+        ]
+        layout = {
+            'xaxis': {'title': {'text': title}, 'rangemode': 'tozero'},
+            'yaxis': {'title': {'text': 'missing moment [mN·m]'}, 'zeroline': True},
+        }
+        figures.append(Figure(data, layout, '', caption))
+    return figures

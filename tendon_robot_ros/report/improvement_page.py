@@ -14,17 +14,17 @@ from ..common.colours import FLOOR
 from ..common.words import capital, columns, digits, mm, probability
 from ..comparison.compare import compare
 from ..data import DataSet
-from ..diagnosis.improvement import COLOURS, Floats, Improvement, ImprovementStep, total
+from ..diagnosis.improvement import COLOURS, Floats, Improvement, total
 from ..effects import Catalogue
 from .arm_text import as_built, left_out, where_wrong
 from .comparison_page import add_shapes
 from .error_plots import per_marker, per_posture
-from .numbers import LOG_TICKS, mm_list, quantities
+from .numbers import LOG_AXIS, mm_list, quantities
 from .page import Figure, Page
 
-MARKERS_SHOWN_MAX = 4  # markers up to which each has its own number
-LABEL_WIDTH = 22  # letters of a step's name in a line below the curve
-WORST_POSTURES = 3  # that are named
+MARKERS_SHOWN_MAX = 4  # markers up to which each has its own number, else a row does not fit
+LABEL_WIDTH = 22  # letters of a step's name in a line below the curve: a quarter of its height
+WORST_POSTURES = 3  # that are named, so that the line is read
 NOT_WRITTEN = 'Nothing was written: there is no step that lowers the error on left-out postures.'
 
 
@@ -49,8 +49,14 @@ def step_table(found: Improvement) -> list[list[str]]:
     where = where if len(found.markers) > 1 else ''
     rows = [['', *(f'{kind}{where} [mm]' for kind in kinds), 'took off, left out']]
     for k, step in enumerate(found.steps):
-        errors = [numbers(step.errors[kind]) for kind in kinds]
-        rows.append([_named(found, k), *errors, _fall(step) if k else ''])
+        label, fall = step.label, ''
+        if k > found.taken:
+            label = f'not taken: {label.removeprefix("+ ")}'
+        if k:
+            scatter = digits(1e3 * step.scatter)
+            places = len(scatter.partition('.')[2])
+            fall = f'{1e3 * step.fall:.{places}f} ± {scatter} mm'
+        rows.append([label, *(numbers(step.errors[kind]) for kind in kinds), fall])
     return rows
 
 
@@ -59,17 +65,6 @@ def numbers(errors: Floats) -> str:
     own = errors if len(errors) <= MARKERS_SHOWN_MAX else errors[-1:]
     shown = np.append(total(errors), own) if len(errors) > 1 else errors
     return ' '.join(digits(1e3 * error, 3) for error in shown.tolist())
-
-
-def _named(found: Improvement, k: int) -> str:
-    label = found.steps[k].label
-    return label if k <= found.taken else f'not taken: {label.removeprefix("+ ")}'
-
-
-def _fall(step: ImprovementStep) -> str:
-    scatter = digits(1e3 * step.scatter)
-    places = len(scatter.partition('.')[2])
-    return f'{1e3 * step.fall:.{places}f} ± {scatter} mm'
 
 
 def sentences(found: Improvement) -> list[str]:
@@ -185,8 +180,7 @@ def curve(found: Improvement) -> Figure:
         'xaxis': {'type': 'category', 'tickangle': -90},
         'yaxis': {
             'title': {'text': 'rms error, logarithmic [mm]'},
-            'type': 'log',
-            **LOG_TICKS,
+            **LOG_AXIS,
         },
     }
     title = 'The error falls step by step; hollow: not taken'

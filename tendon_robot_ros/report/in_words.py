@@ -18,8 +18,8 @@ from ..model.shape import Reach, Shape
 from ..robot import Robot
 from . import addition_text, comparison_text, diagnosis_text
 from .diagnosis_page import CANDIDATE_HEAD, candidate_row
+from .diagnosis_text import trust_lines
 from .improvement_page import improvement_lines
-from .trust_text import trust_lines
 
 POSTURES_SHOWN = 20  # rows of a data set in a notebook; `frame()` has all
 Rows = list[list[str]]

@@ -20,8 +20,7 @@ def plain(values: npt.ArrayLike, scale: float = 1.0, places: int = 4) -> list[fl
 
 
 TICKS = [a * 10.0**b for b in range(-3, 4) for a in (1, 2, 5)]
-# of a logarithmic axis
-LOG_TICKS = {'tickvals': TICKS, 'ticktext': [f'{tick:g}' for tick in TICKS]}
+LOG_AXIS = {'type': 'log', 'tickvals': TICKS, 'ticktext': [f'{tick:g}' for tick in TICKS]}
 
 
 def mm_list(metres: npt.ArrayLike) -> list[float | None]:
@@ -42,9 +41,10 @@ def error_bars(
     return bars if down is None else bars | {'symmetric': False, 'arrayminus': down}
 
 
-ZEROS_MAX = 3  # zeros behind the point that are shown of nothing
-SIDE_WITHIN_RAD = 0.05  # [rad] from an axis within which a direction is that of the axis
-DECIMALS_MAX = 7  # places behind the point; what is smaller is shown with an exponent
+ZEROS_MAX = 3  # zeros behind the point that are shown of nothing: more would claim to be known
+SIDE_WITHIN_RAD = 0.05  # [rad] 3°: nearer to an axis a direction is called by its name
+DECIMALS_MAX = 7  # places behind the point because a row of zeros is not read; then an exponent
+SYMMETRIC_WITHIN = 0.2  # [1] of half the interval by which its ends may differ to be written as ±
 
 
 def quantity(name: str, value: Value, size: float = 0.0) -> str:
@@ -65,7 +65,7 @@ def _with_interval(name: str, value: Value, size: float = 0.0) -> str:
         return f'{with_unit(digits(factor * number, 3), unit)}{note}'
     places = decimals(factor * half)
     shown = rounded(factor * number, places)
-    if abs(up - down) <= 0.2 * half:
+    if abs(up - down) <= SYMMETRIC_WITHIN * half:
         return f'{with_unit(f"{shown} ± {rounded(factor * half, places)}", unit)}{note}'
     ends = f'{rounded(factor * value.low, places)} to {rounded(factor * value.high, places)}'
     extra = f', {value.note}' if value.note else ''
@@ -81,38 +81,28 @@ def quantities(values: Mapping[str, Value], load: LoadVector | None = None) -> s
 def load_words(load: LoadVector) -> str:
     """Say '0.151 ± 0.004 N, along gravity, 86 ± 9° from the arm's axis'."""
     size = _with_interval('', load.size)
-    told = [one for one in (_to_gravity(load), _to_axis(load)) if one]
+    told = []
+    if (angle := load.from_gravity) is not None:
+        if angle.low <= 0.0:
+            told.append('along gravity')
+        elif angle.high >= math.pi:
+            told.append('against gravity')
+        else:
+            told.append(f'{_with_interval("angle", angle)} from gravity')
+    if (angle := load.from_axis) is not None:
+        if angle.low <= 0.0 or angle.high >= math.pi:
+            end = 'tip' if angle.low <= 0.0 else 'base'
+            told.append(f"along the arm's axis, towards its {end}")
+        else:
+            said = f"{_with_interval('', angle)} from the arm's axis"
+            if load.from_gravity is None:  # which does not tell the side
+                quarter = round(load.around_axis / (0.5 * math.pi))
+                side = f'{round(math.degrees(load.around_axis)) % 360}° (x: 0°, y: 90°)'
+                if abs(load.around_axis - quarter * 0.5 * math.pi) < SIDE_WITHIN_RAD:
+                    side = ('x', 'y', '-x', '-y')[quarter % 4]
+                said = f'{said} towards {side}'
+            told.append(said)
     return ', '.join([size, *(told or ['its direction is not told'])])
-
-
-def _to_gravity(load: LoadVector) -> str:
-    angle = load.from_gravity
-    if angle is None:
-        return ''
-    if angle.low <= 0.0:
-        return 'along gravity'
-    if angle.high >= math.pi:
-        return 'against gravity'
-    return f'{_with_interval("angle", angle)} from gravity'
-
-
-def _to_axis(load: LoadVector) -> str:
-    """Say the angle to the straight arm, and to which side of it where gravity does not tell."""
-    angle = load.from_axis
-    if angle is None:
-        return ''
-    if angle.low <= 0.0 or angle.high >= math.pi:
-        return f"along the arm's axis, towards its {'tip' if angle.low <= 0.0 else 'base'}"
-    said = f"{_with_interval('', angle)} from the arm's axis"
-    return said if load.from_gravity is not None else f'{said} towards {_side(load.around_axis)}'
-
-
-def _side(angle: float) -> str:
-    """Name a direction across the arm: one of its axes, or between them."""
-    quarter = round(angle / (0.5 * math.pi))
-    if abs(angle - quarter * 0.5 * math.pi) < SIDE_WITHIN_RAD:
-        return ('x', 'y', '-x', '-y')[quarter % 4]
-    return f'{round(math.degrees(angle)) % 360}° (x: 0°, y: 90°)'
 
 
 def short_quantities(values: Mapping[str, Value]) -> str:

@@ -30,6 +30,43 @@ class Figure:
     caption: str = ''
     height: int = 360  # [px]
 
+    def html(self) -> str:
+        """Return the figure as a part of a page; page.js draws what it holds."""
+        axis = {
+            'gridcolor': '#e6e9ed',
+            'linecolor': ERROR,
+            'zerolinecolor': '#c3cad2',
+            'automargin': True,
+        }
+        layout = {
+            'font': {'family': FONT, 'size': 13, 'color': INK},
+            'margin': {'l': 56, 'r': 16, 't': 12, 'b': 44},
+            'paper_bgcolor': 'white',
+            'plot_bgcolor': 'white',
+            'hovermode': 'closest',
+            'height': self.height,
+            'legend': {'orientation': 'h', 'y': 1.02, 'yanchor': 'bottom', 'x': 0.0},
+            **self.layout,
+        }
+        for name in ('xaxis', 'yaxis'):
+            layout[name] = {**axis, **layout.get(name, {})}
+        content = json.dumps(
+            {'data': self.data, 'layout': layout}, allow_nan=False, separators=(',', ':')
+        ).replace('<', '\\u003c')
+        title = f'<p class="title">{escape(self.title)}</p>' if self.title else ''
+        chosen = {'sliders', 'updatemenus'} & set(self.layout)  # page.js hears the keys
+        words = ' '.join(filter(None, [self.caption, KEYS if chosen else '']))
+        axes = [layout[axis].get('title', {}).get('text', '') for axis in ('yaxis', 'xaxis')]
+        named = self.title or ' over '.join(filter(None, axes)) or 'figure'
+        alt = ' '.join([named, words]).strip()
+        caption = f'<figcaption>{escape(words)}</figcaption>' if words else ''
+        role = 'role="application" tabindex="0"' if chosen else 'role="img"'
+        return (
+            f'<figure>{title}<div class="plot" {role} aria-label="{escape(alt)}" '
+            f'style="height:{self.height}px"></div>'
+            f'<script type="application/json">{content}</script>{caption}</figure>'
+        )
+
 
 @dataclass
 class Page:
@@ -76,7 +113,7 @@ class Page:
 
     def figures(self, figures: Sequence[Figure], across: str = '') -> None:
         """Add figures; `across`: 'two' or 'many' beside each other where there is room."""
-        drawn = ''.join(map(_figure, figures))
+        drawn = ''.join(figure.html() for figure in figures)
         self.parts.append(f'<div class="figures {escape(across)}">{drawn}</div>')
 
     def key(self, entries: Sequence[tuple[str, str]]) -> None:
@@ -94,7 +131,9 @@ class Page:
             plotly is not installed.
 
         """
-        style, script = f'{_palette()}{_beside("page.css")}', _beside('page.js')
+        colours = ' '.join(f'--{key}: {value};' for key, value in {'ink': INK, **KINDS}.items())
+        style = f':root {{ {colours} }}\n{(FOLDER / "page.css").read_text(encoding="utf-8")}'
+        script = (FOLDER / 'page.js').read_text(encoding='utf-8')
         subtitle = f'<p class="subtitle">{escape(self.subtitle)}</p>' if self.subtitle else ''
         body = '\n'.join(self.parts)
         return (
@@ -113,12 +152,6 @@ class Page:
         with new_file(Path(path)) as draft:
             draft.write_text(html, encoding='utf-8')
         return Path(path)
-
-
-def _palette() -> str:
-    """Give page.css the colours of the palette."""
-    colours = {'ink': INK, **KINDS}
-    return f':root {{ {" ".join(f"--{key}: {value};" for key, value in colours.items())} }}\n'
 
 
 @cache
@@ -146,53 +179,6 @@ def _marked(text: str) -> str:
     return re.sub('`([^`]*)`', r'<code>\1</code>', escape(text))
 
 
-def _figure(figure: Figure) -> str:
-    content = json.dumps(
-        {'data': figure.data, 'layout': _with_defaults(figure.layout, figure.height)},
-        allow_nan=False,
-        separators=(',', ':'),
-    ).replace('<', '\\u003c')
-    title = f'<p class="title">{escape(figure.title)}</p>' if figure.title else ''
-    chosen = {'sliders', 'updatemenus'} & set(figure.layout)  # page.js hears the keys
-    words = ' '.join(filter(None, [figure.caption, KEYS if chosen else '']))
-    alt = ' '.join([figure.title or _axes(figure.layout), words]).strip()
-    caption = f'<figcaption>{escape(words)}</figcaption>' if words else ''
-    role = 'role="application" tabindex="0"' if chosen else 'role="img"'
-    return (
-        f'<figure>{title}<div class="plot" {role} aria-label="{escape(alt)}" '
-        f'style="height:{figure.height}px"></div>'
-        f'<script type="application/json">{content}</script>{caption}</figure>'
-    )
-
-
-def _axes(layout: dict[str, Any]) -> str:
-    """Name the axes of a figure that has no title."""
-    titles = [layout.get(f'{axis}axis', {}).get('title', {}).get('text', '') for axis in 'yx']
-    return ' over '.join(title for title in titles if title) or 'figure'
-
-
-def _with_defaults(layout: dict[str, Any], height: int) -> dict[str, Any]:
-    axis = {
-        'gridcolor': '#e6e9ed',
-        'linecolor': ERROR,
-        'zerolinecolor': '#c3cad2',
-        'automargin': True,
-    }
-    made = {
-        'font': {'family': FONT, 'size': 13, 'color': INK},
-        'margin': {'l': 56, 'r': 16, 't': 12, 'b': 44},
-        'paper_bgcolor': 'white',
-        'plot_bgcolor': 'white',
-        'hovermode': 'closest',
-        'height': height,
-        'legend': {'orientation': 'h', 'y': 1.02, 'yanchor': 'bottom', 'x': 0.0},
-        **layout,
-    }
-    for name in ('xaxis', 'yaxis'):
-        made[name] = {**axis, **made.get(name, {})}
-    return made
-
-
 def _row(
     tag: str, cells: Sequence[str], sides: Sequence[str], kind: str, names: Sequence[str] = ()
 ) -> str:
@@ -204,7 +190,3 @@ def _row(
         for cell, side, label in zip(cells, sides, labels, strict=True)
     )
     return f'<tr role="row" class="{escape(kind)}">{made}</tr>'
-
-
-def _beside(name: str) -> str:
-    return (FOLDER / name).read_text(encoding='utf-8')

@@ -12,16 +12,17 @@ from ..common.files import new_file
 from ..common.words import columns
 from ..paths.path import PathRun
 
-ROWS_PRINTED_MAX = 30  # rows of a table for a person
+ROWS_PRINTED_MAX = 30  # rows of a table for a person: a screen
+FLAT_WITHIN_SHARE = 0.03  # [1] of the largest extent within which all of it is in one plane
+ROWS_DRAWN_MAX = 60  # rows up to which each is marked: more marks would hide the path
+ARROWS_MAX = 15  # directions that are drawn, so that they do not cross
 
 
 def lines(run: PathRun) -> list[str]:
     """Return the table, and what was between the rows."""
     rows = _tendon_rows(run) if run.wanted is not None else _tip_rows(run)
     head, *body = rows
-    shown = np.arange(len(body))
-    if len(body) > ROWS_PRINTED_MAX:
-        shown = np.unique(np.linspace(0, len(body) - 1, ROWS_PRINTED_MAX).round().astype(int))
+    shown = _chosen(len(body), ROWS_PRINTED_MAX)
     text = [columns([head, *(body[i] for i in shown)])]
     if len(shown) < len(body):
         text.append(f'{len(shown)} of {len(body)} rows')
@@ -36,6 +37,11 @@ def lines(run: PathRun) -> list[str]:
     if not run.measured:
         text.append('no tracker: the tip is where the model sees it')
     return text
+
+
+def _chosen(count: int, most: int) -> np.ndarray:
+    """Return which of so many to show, evenly spread, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
 
 
 def _tip_rows(run: PathRun) -> list[list[str]]:
@@ -73,13 +79,6 @@ def place(position: np.ndarray) -> str:
 
 def _mm(metres: float) -> str:
     return f'{1e3 * metres:.2f} mm'
-
-
-# -----------------------------------------------------------------------------
-# What was reached against what was asked, as a picture.
-
-FLAT_WITHIN_SHARE = 0.03  # of the largest extent
-ROWS_DRAWN_MAX = 60  # more marks would hide the path
 
 
 def draw_run(run: PathRun, path: str | Path, title: str) -> Path:
@@ -128,7 +127,7 @@ def _draw_side(axes: Any, run: PathRun, axis: int) -> None:
         axes.plot(*_seen(run.asked, axis), '--', color=FLOOR, linewidth=1.2, label='asked')
         if len(asked) <= ROWS_DRAWN_MAX:
             axes.plot(*_seen(asked, axis), 'o', color=FLOOR, markersize=5, fillstyle='none')
-        shown = np.unique(np.linspace(0, len(asked) - 1, min(len(asked), 15)).round().astype(int))
+        shown = _chosen(len(asked), ARROWS_MAX)
         for place, view in zip(asked[shown], views[shown], strict=True):
             if np.isfinite(view).all() and np.hypot(view[axis], view[2]) > 0.1:
                 (x, z), tip = _seen(place, axis), 8.0 * view[[axis, 2]]
@@ -180,7 +179,7 @@ def _draw_commands(axes: Any, run: PathRun) -> None:
         colour = COLOURS[i % len(COLOURS)]
         axes.plot(run.command_times, scale * run.commands[:, i], color=colour, label=name)
         if run.wanted is not None:
-            axes.plot(run.row_times, scale * run.wanted[:, i], 'o', color=colour, ms=4,
-                      fillstyle='none')  # fmt: skip
+            wanted = scale * run.wanted[:, i]
+            axes.plot(run.row_times, wanted, 'o', color=colour, ms=4, fillstyle='none')
     axes.set(xlabel='time [s]', ylabel='wire pull [mm]' if run.pull else 'tension [N]')
     axes.legend(fontsize='small', ncols=2, loc='upper right')

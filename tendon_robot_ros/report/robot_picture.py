@@ -41,26 +41,18 @@ def draw_robot(model: Model, path: Path) -> Figure:
 def postures(model: Model) -> list[tuple[str, Floats]]:
     """Return positions (n + 1, 3) [m] under each input alone, base included."""
     low, high = model.limits.T
-    rows = []
+    bends, rows = bend_rates(model.robot), []
     for j, name in enumerate(model.inputs):
         tensions = low.copy()
-        tensions[j] = np.clip(_tension_for(model, j), low[j], high[j])
+        rate = float(np.linalg.norm(bends[j]))  # [rad/N] of the section that it ends in (PCCA)
+        tensions[j] = np.clip(BEND_RAD / rate if rate > 0.0 else 0.0, low[j], high[j])
         try:
             shape = model.shape(tensions)
         except NoEquilibriumError:  # the description may still lack a sensible load
             continue
-        rows.append((f'{name} {tensions[j]:.2g} N', _with_base(shape.positions)))
+        points = np.concatenate([np.zeros((1, 3)), shape.positions])
+        rows.append((f'{name} {tensions[j]:.2g} N', points))
     return rows
-
-
-def _tension_for(model: Model, j: int) -> float:
-    """Tension [N] at which input j alone bends the section it ends in by `BEND_RAD` (PCCA)."""
-    rate = float(np.linalg.norm(bend_rates(model.robot)[j]))
-    return BEND_RAD / rate if rate > 0.0 else 0.0
-
-
-def _with_base(positions: Floats) -> Floats:
-    return np.concatenate([np.zeros((1, 3)), positions])
 
 
 def _postures(axes: Any, model: Model, spatial: bool) -> None:
@@ -101,11 +93,16 @@ def _cross_section(axes: Any, model: Model) -> None:
         axes.plot(*route.T, '-', color=colours[tendon.section], linewidth=1.5)
         own = holes.setdefault((1e3 * tendon.base[0], 1e3 * tendon.base[1]), [])
         ring = 9.0 + 6.0 * len(own)  # [pt] around what begins at the same place
-        axes.plot(*route[0], 'o', color=colours[tendon.section], markersize=ring,
-                  fillstyle='none' if own else 'full', markeredgewidth=2.0)  # fmt: skip
+        style: dict[str, Any] = {'markersize': ring, 'markeredgewidth': 2.0}
+        style['fillstyle'] = 'none' if own else 'full'
+        axes.plot(*route[0], 'o', color=colours[tendon.section], **style)
         own.append(tendon.name)
     for hole, names in holes.items():
-        _name_beside(axes, hole, '\n'.join(names), largest)
+        size = max(float(np.hypot(*hole)), 1e-9)
+        beyond = 1.42 * largest * np.array(hole) / size  # outside of the arm
+        side = ('right', 'center', 'left')[round(hole[0] / size) + 1]
+        line = {'arrowstyle': '-', 'color': FLOOR}
+        axes.annotate('\n'.join(names), hole, beyond, va='center', ha=side, arrowprops=line)
     beside = 1e3 * model.arrays.cells[:, 6:]
     if beside.any():
         axes.plot(*beside.T, 'x', color=ERROR, label='weight of the cells')
@@ -124,14 +121,3 @@ def _cross_section(axes: Any, model: Model) -> None:
     axes.grid(alpha=0.3)
     axes.set_title('tendons from the base (dot) on, seen from the tip', fontsize=FONT)
     axes.legend(**BELOW)
-
-
-def _name_beside(axes: Any, hole: tuple[float, float], name: str, largest: float) -> None:
-    """Name a hole [mm] outside of the arm, joined to it by a line."""
-    size = max(float(np.hypot(*hole)), 1e-9)
-    beyond = 1.42 * largest * np.array(hole) / size
-    side = round(hole[0] / size)
-    axes.annotate(
-        name, hole, beyond, va='center', ha=('right', 'center', 'left')[side + 1],
-        arrowprops={'arrowstyle': '-', 'color': FLOOR},
-    )  # fmt: skip

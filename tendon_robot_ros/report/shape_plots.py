@@ -18,8 +18,9 @@ from .comparison_text import posture_name
 from .numbers import mm_list, plain
 from .page import Figure, symbol
 
-POSTURES_DRAWN_MAX = 12  # postures that are drawn
-FLAT_WITHIN_SHARE = 0.03  # of the arm's length: farther from the x-z plane is spatial
+POSTURES_DRAWN_MAX = 12  # postures that are drawn, so that the page opens at once
+FLAT_WITHIN_SHARE = 0.03  # [1] of the arm's length: farther from the x-z plane is spatial
+NAME_MAX = 40  # letters of a posture in the menu: what a phone shows
 Trace = dict[str, Any]
 
 
@@ -96,13 +97,15 @@ def _marks(line: Floats, places: Sequence[tuple[float, str]]) -> list[Trace]:
     at = [distance for distance, _ in places]
     points = np.column_stack([np.interp(at, along, nodes[:, axis]) for axis in range(3)])
     ring = {'color': WARN, 'symbol': 'circle-open', 'size': 16, 'line': {'width': 3}}
-    words = [escape(text) for _, text in places]
-    return [{**_xyz(points), 'name': 'wrong here', 'mode': 'markers', 'marker': ring,
-             'text': words, 'hoverinfo': 'text'}]  # fmt: skip
+    trace = {**_xyz(points), 'name': 'wrong here', 'mode': 'markers', 'marker': ring}
+    return [{**trace, 'text': [escape(text) for _, text in places], 'hoverinfo': 'text'}]
 
 
 def _planar(drawn: _Drawn) -> Figure:
-    data = [_flat(trace) for trace in drawn.traces]
+    data = []
+    for trace in drawn.traces:  # as seen along y
+        rest = {key: value for key, value in trace.items() if key != 'z'}
+        data.append({**rest, 'y': trace['z']})
     layout = {
         'showlegend': False,
         'margin': {'l': 46, 'r': 8, 't': 6, 'b': 40},
@@ -143,23 +146,23 @@ def _spatial(comparison: Comparison, drawn: Sequence[_Drawn]) -> Figure:
     """One scene; a menu chooses the posture, the worst first, and looks across its plane."""
     worst = comparison.worst_posture(comparison.best)
     active = next(i for i, one in enumerate(drawn) if one.p == worst)
-    data = [
-        {**_solid(trace), 'type': 'scatter3d', 'visible': i == active}
-        for i, one in enumerate(drawn)
-        for trace in one.traces
-    ]
+    data = []
+    for i, one in enumerate(drawn):
+        for trace in one.traces:
+            made = {**trace, 'type': 'scatter3d', 'visible': i == active}
+            if 'line' in trace:  # in the sizes of a scene in space
+                made['line'] = {**trace['line'], 'width': 2.0 * trace['line']['width']}
+            if 'marker' in trace:
+                made['marker'] = {**trace['marker'], 'size': 0.6 * trace['marker']['size']}
+            data.append(made)
     owner = np.repeat(np.arange(len(drawn)), [len(one.traces) for one in drawn])
-    buttons = [
-        {
-            'label': escape(_short(posture_name(comparison, one.p))),
-            'method': 'update',
-            'args': [
-                {'visible': (owner == i).tolist()},
-                {'scene.camera': _camera(one.azimuth)},
-            ],
-        }
-        for i, one in enumerate(drawn)
-    ]
+    buttons = []
+    for i, one in enumerate(drawn):
+        name = posture_name(comparison, one.p)
+        short = name if len(name) <= NAME_MAX else name[: NAME_MAX - 1] + '…'
+        camera = {'scene.camera': _camera(one.azimuth)}
+        shown = {'visible': (owner == i).tolist()}
+        buttons.append({'label': escape(short), 'method': 'update', 'args': [shown, camera]})
     menu = {
         'buttons': buttons,
         'active': active,
@@ -223,8 +226,15 @@ def _traces(comparison: Comparison, p: int) -> list[Trace]:
                 'line': {'color': style.colour, 'dash': style.dash, 'width': 3},
             }
         )
-        if model.centreline is not None:
-            traces += _offset_markers(measured.mean[p], model.markers[p], i)
+        if model.centreline is not None:  # markers beside the arm, joined with the measured ones
+            gap = np.full_like(measured.mean[p], np.nan)
+            joined = np.stack([measured.mean[p], model.markers[p], gap], axis=1).reshape(-1, 3)
+            line = {'color': FLOOR, 'width': 1.5}
+            error = {**_xyz(joined), 'mode': 'lines', 'line': line, 'name': 'error'}
+            traces.append({**error, 'hoverinfo': 'skip'})
+            marker = {'color': style.colour, 'symbol': 'circle-open', 'size': 7}
+            ring = {**_xyz(model.markers[p]), 'mode': 'markers', 'marker': marker}
+            traces.append({**ring, 'name': 'predicted marker'})
     traces.append(
         {
             **_xyz(measured.mean[p]),
@@ -237,36 +247,5 @@ def _traces(comparison: Comparison, p: int) -> list[Trace]:
     return traces
 
 
-def _offset_markers(measured: Floats, predicted: Floats, i: int) -> list[Trace]:
-    """Return predicted markers beside the arm, each joined with the measured one."""
-    gap = np.full_like(measured, np.nan)
-    joined = np.stack([measured, predicted, gap], axis=1).reshape(-1, 3)
-    marker = {'color': look(i).colour, 'symbol': 'circle-open', 'size': 7}
-    error = {'color': FLOOR, 'width': 1.5}
-    return [
-        {**_xyz(joined), 'mode': 'lines', 'line': error, 'name': 'error', 'hoverinfo': 'skip'},
-        {**_xyz(predicted), 'mode': 'markers', 'marker': marker, 'name': 'predicted marker'},
-    ]
-
-
 def _xyz(points: Floats) -> Trace:
     return {axis: mm_list(points[:, i]) for i, axis in enumerate('xyz')}
-
-
-def _solid(trace: Trace) -> Trace:
-    """Return a trace in the sizes of a scene in space."""
-    made = dict(trace)
-    if 'line' in made:
-        made['line'] = {**made['line'], 'width': 2.0 * made['line']['width']}
-    if 'marker' in made:
-        made['marker'] = {**made['marker'], 'size': 0.6 * made['marker']['size']}
-    return made
-
-
-def _flat(trace: Trace) -> Trace:
-    """Return a trace as seen along y."""
-    return {**{key: value for key, value in trace.items() if key != 'z'}, 'y': trace['z']}
-
-
-def _short(text: str, most: int = 40) -> str:
-    return text if len(text) <= most else text[: most - 1] + '…'

@@ -1,22 +1,41 @@
-"""A workspace as a page: postures at a view angle (figures 7 and 8 of Kato et al. 2015)."""
+"""
+What the command `workspace` says, as text and pages.
+
+Postures of an arm in a plane at a view angle (figures 7 and 8 of Kato et al. 2015); and the tips
+of all tendons: cloud, hull, sections, what friction takes.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from ..common.colours import FLOOR, look
-from ..common.words import commands, digits
-from ..workspace.grid import Family, Floats, Workspace
+from ..common.colours import ERROR, FLOOR, INK, PREDICTED, look
+from ..common.words import commands, digits, listed
+from ..workspace.cubes import LOOKS, Floats, Numbers, Reached
+from ..workspace.grid import Family, Workspace
+from ..workspace.volume import Volume, bends_as_one
 from .numbers import degrees_list, mm_list
 from .page import Figure, Page
 
 HEIGHT_NAMES = ('highest tip', 'median tip', 'lowest tip')
-AT_LIMIT_WITHIN_N = 1e-6  # [N]
+AT_LIMIT_WITHIN_N = 1e-6  # [N] of rounding, in which a tension is that of the limit
+FAMILIES_DRAWN_MAX = 4  # of a view that are drawn: all others are in the table
+TIPS_DRAWN_MAX = 2000  # of a family: a phone still turns them
 FAMILY_COLUMNS = (
-    'view', 'pair', 'towards', 'postures', 'tips across', 'tips along z', 'largest tension',
-)  # fmt: skip
+    *('view', 'pair', 'towards', 'postures', 'tips across', 'tips along z', 'largest tension'),
+)
+
+CLOUD_MAX = 12_000  # points that are drawn: a phone still turns them
+SLICES_MAX = 31  # places of the slider: each is a picture in the page
+LATE_MAX = 0.02  # [1] of the cubes found late, from which more postures are asked for
+THIN_SHARE = 0.1  # [1] of the cubes are full, at most: what they hold is thinner than they are
+DIRECTION_SHARE = 0.08  # [1] of the arm's length, of the lines that show where tips look
+GREY = '#d3d7dc'  # of what only an arm without friction reaches
+Trace = dict[str, Any]
+SCALE = 'Cividis'  # read alike by all eyes, and in grey
 
 
 def rows(workspace: Workspace) -> list[list[str]]:
@@ -75,8 +94,18 @@ def postures(family: Family) -> Figure:
     """Positions of all cells in the postures with highest, median and lowest tip; all tips."""
     planar = np.abs(family.positions[..., 1]).max(initial=0.0) < 1e-9
     title = f'{degree(family.view)} view, {family.pair.name}'
-    data = [_line(family, i, planar) for i in range(3)]
-    data.append(_tips(family, planar))
+    data = []
+    for i, row in enumerate(family.salient):
+        style = look(i)
+        points = np.concatenate([np.zeros((1, 3)), family.positions[row]])
+        marker = {'color': style.colour, 'symbol': style.symbol, 'size': 5 if planar else 3}
+        line = {'color': style.colour, 'dash': style.dash, 'width': 2 if planar else 5}
+        trace = {**_places(points, planar), 'name': HEIGHT_NAMES[i], 'mode': 'lines+markers'}
+        data.append({**trace, 'line': line, 'marker': marker})
+    kept = thinned(family.tips, TIPS_DRAWN_MAX)
+    marker = {'color': FLOOR, 'size': 5 if planar else 2, 'opacity': 0.6}
+    tips = {**_places(kept, planar), 'name': 'all tips', 'mode': 'markers', 'marker': marker}
+    data.append(tips)
     caption = (
         f'{len(family)} postures; tips within {digits(1e3 * across(family), 3)} mm across and '
         f'{digits(1e3 * float(family.span[2]), 3)} mm along z.'
@@ -117,52 +146,30 @@ def displacement(family: Family) -> Figure:
         'xaxis': {'title': {'text': 'cell'}},
         'yaxis': {'title': {'text': 'angular displacement per cell [°]'}},
     }
-    caption = '; '.join(
-        f'{HEIGHT_NAMES[i]}: {_pulled(family, b)}' for i, b in enumerate(family.salient)
-    )
+    pulled = []
+    for name, b in zip(HEIGHT_NAMES, family.salient, strict=True):
+        values = family.tensions[b, list(family.pair.indices)].tolist()
+        pulled.append(f'{name}: {commands(dict(zip(family.pair.inputs, values, strict=True)))}')
+    caption = '; '.join(pulled)
     return Figure(data, layout, 'Angular displacement per cell', caption, height=460)
 
 
-def _pulled(family: Family, b: int) -> str:
-    values = family.tensions[b, list(family.pair.indices)].tolist()
-    return commands(dict(zip(family.pair.inputs, values, strict=True)))
-
-
-def _line(family: Family, i: int, planar: bool) -> dict[str, Any]:
-    points = np.concatenate([np.zeros((1, 3)), family.positions[family.salient[i]]])
-    made = {
-        **_places(points, planar),
-        'name': HEIGHT_NAMES[i],
-        'mode': 'lines+markers',
-        'line': {'color': look(i).colour, 'dash': look(i).dash, 'width': 2 if planar else 5},
-        'marker': {'color': look(i).colour, 'symbol': look(i).symbol, 'size': 5 if planar else 3},
-    }
-    return made
-
-
-def _tips(family: Family, planar: bool) -> dict[str, Any]:
-    keep = np.linspace(0, len(family) - 1, min(len(family), 2000)).astype(int)
-    return {
-        **_places(family.tips[keep], planar),
-        'name': 'all tips',
-        'mode': 'markers',
-        'marker': {'color': FLOOR, 'size': 5 if planar else 2, 'opacity': 0.6},
-    }
-
-
-def _places(points: Floats, planar: bool) -> dict[str, Any]:
+def _places(points: Floats, planar: bool) -> Trace:
+    """Return points (n, 3) [m] as they are drawn: in the x-z plane, or in space."""
     if planar:
         return {'x': mm_list(points[:, 0]), 'y': mm_list(points[:, 2])}
-    return {
-        'type': 'scatter3d',
-        **{axis: mm_list(points[:, i]) for i, axis in enumerate('xyz')},
-    }
+    return {'type': 'scatter3d', **coordinates(points)}
 
 
-# -----------------------------------------------------------------------------
-# The page that `workspace --output` writes.
+def coordinates(points: Floats) -> Trace:
+    """Return points (n, 3) [m] in space."""
+    return {axis: mm_list(points[:, i]) for i, axis in enumerate('xyz')}
 
-FAMILIES_DRAWN_MAX = 4  # of a view that are drawn
+
+def thinned[T: np.generic](rows: npt.NDArray[T], most: int) -> npt.NDArray[T]:
+    """Return so many of the rows at most, evenly spread."""
+    kept = np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)
+    return rows.take(kept, axis=0)
 
 
 def workspace_page(workspace: Workspace) -> Page:
@@ -187,3 +194,251 @@ def workspace_page(workspace: Workspace) -> Page:
         for family in families[:FAMILIES_DRAWN_MAX]:
             page.figures(view_figures(family), 'two')
     return page
+
+
+def summary(volume: Volume) -> list[str]:
+    """Return what came out, a line each."""
+    reached, other = volume.reached, volume.frictionless
+    left_out = []
+    if volume.folded:
+        left_out.append(f'{_share(volume.folded, volume.postures)} run into themselves')
+    if volume.unsolved:
+        left_out.append(f'{_share(volume.unsolved, volume.postures)} have no equilibrium')
+    low, high = volume.limits
+    lines = [
+        f'{volume.postures:,} postures over {len(volume.robot.inputs)} tendons from {low:g} to '
+        f'{high:g} N{f"; left out: {listed(left_out)}" if left_out else ""}',
+        f'tips within {_box(reached)}',
+        f'they fill {_fill(reached)}, in cubes of {digits(1e3 * reached.edge)} mm; '
+        f'their convex hull has {_size(reached, reached.hull[2])}',
+    ]
+    looks = f'the tip turns up to {degree(volume.largest)} away from the base'
+    if not reached.is_flat:
+        looks += f' and looks into {_share(volume.sphere, 1.0)} of all directions'
+        looks += (
+            '. With one section the place of the tip nearly fixes where it looks: the places of '
+            'one view angle are a ring around the base'
+            if bends_as_one(volume.robot)
+            else f'; from one cube into {digits(float(reached.looks.mean()))} of {LOOKS} equal '
+            'parts of them (mean)'
+        )
+    lines.append(looks)
+    if other is not None:
+        taken, given = (_share(part or 0.0, 1.0) for part in (volume.taken, volume.given))
+        why = ': it bends more near the base, less farther out' if volume.given else ''
+        lines.append(
+            f'friction takes {taken} of the places that the same arm without friction reaches '
+            f'({_fill(other)}); {given} of the places with friction lie beyond those{why}'
+        )
+    for view, part in volume.views.items():
+        nothing = f'no posture at {degree(view)}: the largest tip angle is'
+        lines.append(
+            f'{degree(view)} view: {_box(part)}'
+            if len(part)
+            else f'{nothing} {degree(volume.largest)}'
+        )
+    return [*lines, *_late(volume)]
+
+
+def _share(part: float, whole: float) -> str:
+    return f'{digits(100.0 * part / whole)} %'
+
+
+def _box(reached: Reached) -> str:
+    ranges = [
+        f'{axis} {1e3 * low:.0f} to {1e3 * high:.0f}'
+        for axis, low, high in zip('xyz', reached.lows, reached.highs, strict=True)
+        if high - low > 1e-9
+    ]
+    return f'{", ".join(ranges)} mm'
+
+
+def _size(reached: Reached, size: float) -> str:
+    return f'{digits(1e4 * size, 3)} cm²' if reached.is_flat else f'{digits(1e6 * size, 3)} cm³'
+
+
+def _fill(reached: Reached) -> str:
+    """Say how much space tips fill; of a surface in space none that cubes can tell."""
+    if reached.size < THIN_SHARE * len(reached) * reached.edge ** (2 if reached.is_flat else 3):
+        return 'a curve' if reached.is_flat else 'a thin shell'
+    return _size(reached, reached.size)
+
+
+def _late(volume: Volume) -> list[str]:
+    if volume.late < LATE_MAX:
+        return []
+    return [
+        f'NOT YET FULL: the last tenth of the postures found {_share(volume.late, 1.0)} of the '
+        'cubes; ask for more --postures or larger --cubes'
+    ]
+
+
+def volume_page(volume: Volume) -> Page:
+    """Return the page: what came out, the cloud, sections through it."""
+    page = Page(f'Reachable tips: {volume.robot.name}', 'all tendons at once')
+    lines = summary(volume)
+    late = _late(volume)
+    page.box(lines[: len(lines) - len(late)], 'found')
+    if late:
+        page.box(late, 'warn')
+    if not volume.reached.is_flat:
+        page.figures([_cloud(volume)])
+    page.heading('Sections')
+    values, title = _values(volume)
+    if volume.reached.is_flat:
+        page.figures([_sections(volume, values, title, 1)])
+    else:
+        page.figures([_sections(volume, values, title, axis) for axis in (1, 2)], 'two')
+    for view, part in volume.views.items():
+        if len(part):
+            page.heading(f'{degree(view)} view')
+            page.figures([_view(part, view)])
+    page.text(
+        'Collisions with anything but the arm itself are not known here. Every place is that of '
+        'the posture with the lowest highest tension found; `workspace.npz` has all of them.'
+    )
+    return page
+
+
+def _values(volume: Volume) -> tuple[Floats, str]:
+    """Return what colours a cube (c,), and what it is."""
+    if volume.reached.is_flat or bends_as_one(volume.robot):
+        return volume.reached.tensions.max(axis=1), 'highest<br>tension [N]'
+    return volume.reached.looks.astype(float), f'directions<br>of {LOOKS}'
+
+
+def _scene() -> dict[str, Any]:
+    axes = {f'{axis}axis': {'title': {'text': f'{axis} [mm]'}} for axis in 'xyz'}
+    scene = {'aspectmode': 'data', 'camera': {'eye': {'x': 1.8, 'y': 1.8, 'z': 0.9}}, **axes}
+    legend = {'orientation': 'h', 'itemsizing': 'constant', 'y': 1.0, 'x': 0.0}
+    return {'scene': scene, 'legend': legend, 'margin': {'l': 0, 'r': 0, 't': 0, 'b': 0}}
+
+
+def _cloud(volume: Volume) -> Figure:
+    """Tips at the outside of what is reached, the hull, and the straight arm."""
+    reached, inputs = volume.reached, volume.robot.inputs
+    values, title = _values(volume)
+    rows = thinned(np.flatnonzero(reached.outside), CLOUD_MAX)
+    pulled = [
+        ', '.join(f'{name} {digits(value)} N' for name, value in zip(inputs, row, strict=True))
+        for row in reached.tensions[rows].tolist()
+    ]
+    tips = {
+        'type': 'scatter3d',
+        'mode': 'markers',
+        'name': 'tips at the outside',
+        **coordinates(reached.tips[rows]),
+        'text': pulled,
+        'hoverinfo': 'x+y+z+text',
+        'marker': {
+            'size': 2.5,
+            'color': [float(f'{value:.3g}') for value in values[rows]],
+            'colorscale': SCALE,
+            'colorbar': {'title': {'text': title}, 'thickness': 12, 'len': 0.6},
+        },
+    }
+    corners, faces, _ = reached.hull
+    hull = {
+        'type': 'mesh3d',
+        'name': 'convex hull',
+        **coordinates(corners),
+        **{axis: faces[:, i].tolist() for i, axis in enumerate('ijk')},
+        'color': PREDICTED,
+        'opacity': 0.12,
+        'hoverinfo': 'skip',
+        'showlegend': True,
+    }
+    arm = {
+        'type': 'scatter3d',
+        'mode': 'lines',
+        'name': 'the straight arm',
+        **coordinates(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, volume.robot.length]])),
+        'line': {'color': INK, 'width': 8},
+    }
+    caption = (
+        f'{len(rows):,} of {len(reached):,} cubes, each with the posture of least tension. '
+        'Drag to turn; a point tells the tensions.'
+    )
+    return Figure([tips, hull, arm], _scene(), 'Where the tip can be', caption, height=560)
+
+
+def _sections(volume: Volume, values: Floats, title: str, axis: int) -> Figure:
+    """Cut through the cubes across y (axis 1) or z (2); a slider moves the cut."""
+    reached, other = volume.reached, volume.frictionless
+    across, up = (0, 2) if axis == 1 else (0, 1)
+    cells = [reached.cells] + ([other.cells] if other is not None else [])
+    corners = np.array([(c.min(axis=0), c.max(axis=0)) for c in cells], dtype=np.int64)
+    low: Numbers = corners[:, 0].min(axis=0)
+    high: Numbers = corners[:, 1].max(axis=0)
+    places = np.unique(np.linspace(low[axis], high[axis], SLICES_MAX).round().astype(int))
+    middle = int(np.argmin(np.abs(places - (0 if axis == 1 else (low[2] + high[2]) // 2))))
+    frame = (low[[across, up]], high[[across, up]], reached.edge)
+    grey = {'colorscale': [[0.0, GREY], [1.0, GREY]], 'showscale': False, 'hoverinfo': 'skip'}
+    bar = {'title': {'text': title}, 'thickness': 12}
+    shown = {'colorscale': SCALE, 'zmin': 0.0, 'zmax': float(values.max()), 'colorbar': bar}
+    parts = [(reached, values, shown)]
+    if other is not None:  # below it
+        parts.insert(0, (other, np.ones(len(other)), grey))
+    data: list[dict[str, Any]] = []
+    for i, place in enumerate(places):
+        for part, heights, colours in parts:
+            here = part.cells[:, axis] == place
+            cut = _heat(frame, part.cells[here][:, [across, up]], heights[here])
+            data.append({**cut, 'visible': i == middle, **colours})
+    name, other_name = 'xyz'[up], 'xyz'[axis]
+    layout: dict[str, Any] = {
+        'xaxis': {'title': {'text': 'x [mm]'}, 'constrain': 'domain'},
+        'yaxis': {'title': {'text': f'{name} [mm]'}, 'scaleanchor': 'x'},
+    }
+    if len(places) > 1:
+        steps = [
+            {
+                'label': f'{1e3 * (place + 0.5) * reached.edge:.0f}',
+                'method': 'restyle',
+                'args': ['visible', [k // len(parts) == i for k in range(len(data))]],
+            }
+            for i, place in enumerate(places.tolist())
+        ]
+        current = {'prefix': f'{other_name} = ', 'suffix': ' mm', 'font': {'size': 13}}
+        slider = {'active': middle, 'steps': steps, 'currentvalue': current, 'pad': {'t': 36}}
+        layout['sliders'] = [slider]
+        layout['margin'] = {'l': 56, 'r': 16, 't': 12, 'b': 90}
+    caption = 'Grey: reached without friction only.' if other is not None else ''
+    plane = 'x-z' if axis == 1 else 'x-y'
+    return Figure(data, layout, f'Section along the {plane} plane', caption, height=520)
+
+
+def _heat(frame: tuple[Numbers, Numbers, float], cells: Numbers, values: Floats) -> Trace:
+    """Return a picture of cubes (c, 2) in a plane; what none fills stays empty."""
+    low, high, edge = frame
+    shape = high - low + 1
+    grid = np.full((shape[1], shape[0]), np.nan)
+    grid[cells[:, 1] - low[1], cells[:, 0] - low[0]] = values
+    middles = [mm_list((np.arange(low[i], high[i] + 1) + 0.5) * edge) for i in range(2)]
+    return {
+        'type': 'heatmap',
+        'x': middles[0],
+        'y': middles[1],
+        'z': [
+            [None if np.isnan(value) else float(f'{value:.3g}') for value in row]
+            for row in grid.tolist()
+        ],
+        'hovertemplate': 'x %{x} mm, %{y} mm: %{z}<extra></extra>',
+    }
+
+
+def _view(part: Reached, view: float) -> Figure:
+    """Tips that look at an angle, and which way."""
+    rows = thinned(np.arange(len(part)), CLOUD_MAX)
+    length = DIRECTION_SHARE * part.robot.length
+    tips, ends = part.tips[rows], part.tips[rows] + length * part.directions[rows]
+    lines = np.stack([tips, ends, np.full_like(tips, np.nan)], axis=1).reshape(-1, 3)
+    points: Trace = {'type': 'scatter3d', 'mode': 'markers', 'name': 'tips', **coordinates(tips)}
+    looks: Trace = {'type': 'scatter3d', 'mode': 'lines', **coordinates(lines)}
+    data = [
+        {**points, 'marker': {'size': 2.5, 'color': PREDICTED}},
+        {**looks, 'name': 'where they look', 'line': {'color': ERROR, 'width': 2}}
+        | {'hoverinfo': 'skip'},
+    ]
+    caption = f'{len(part):,} cubes whose tips look {degree(view)} away from the base.'
+    return Figure(data, _scene(), '', caption, height=460)

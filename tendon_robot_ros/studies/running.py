@@ -221,7 +221,10 @@ class GrowingTable[R: Row]:
         found: dict[str, R] = {}
         for path in self.files():
             for plain in self._read(path).to_pylist():
-                made = {k: tuple(v) if isinstance(v, list) else v for k, v in plain.items()}
+                made: dict[str, Any] = {
+                    name: tuple(value) if isinstance(value, list) else value
+                    for name, value in plain.items()
+                }
                 found[plain['key']] = self.kind(**made)
         return list(found.values())
 

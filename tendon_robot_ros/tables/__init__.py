@@ -10,11 +10,11 @@ formats.py        .c3d, and files that only their maker's program reads
 columns.py        named columns of numbers, as they were found (a DataFrame as well), and what a
                   column is, by its name
 tidy.py           long tables, a row for each marker and time, to wide ones
-points.py         which x, y and z are the arm's points: markers, centres of rims, bodies
+points.py         which x, y and z are the arm's points: markers, centres of rims, bodies; columns
+                  that say whether a marker was seen
 recipe.py         import.yaml: every choice written out
 choices.py        the columns and units that a recipe leaves open
 traces.py         columns to inputs and markers over time, in SI units
-visibility.py     columns that say whether a marker was seen
 clocks.py         how the clock of the tracker's file runs against that of the inputs
 measuring.py      where the arm stood still: cleaned, named by posture and trial
 history.py        how the arm came to its postures: what is assumed, what contradicts it, visits

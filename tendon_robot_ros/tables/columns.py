@@ -20,14 +20,20 @@ FloatArray = NDArray[np.float64]
 MARKER, BODY_MARKER, BODY, DERIVED = 'markers', 'markers of bodies', 'bodies', 'derived points'
 # units of what is no place, input or time
 OTHER_UNITS = {
-    'm/s': 'velocities', 'mm/s': 'velocities', 'm/s^2': 'accelerations', 'm/s²': 'accelerations',
-    'm/s2': 'accelerations', 'mm/s^2': 'accelerations', 'mm/s²': 'accelerations',
-    'deg/s': 'angular velocities', 'rad/s': 'angular velocities', 'deg/s^2': 'accelerations',
-    'rad/s^2': 'accelerations', 'N.mm': 'torques', 'N.m': 'torques', 'Nm': 'torques',
-    'Nmm': 'torques', 'mNm': 'torques', 'T': 'magnetic fields', 'uT': 'magnetic fields',
-    'µT': 'magnetic fields', 'V': 'voltages', 'mV': 'voltages', 'uV': 'voltages', 'px': 'pixels',
-    'pixel': 'pixels', 'pixels': 'pixels', 'Hz': 'rates', '%': 'shares',
-}  # fmt: skip
+    unit: what
+    for what, units in {
+        'velocities': 'm/s mm/s',
+        'accelerations': 'm/s^2 m/s² m/s2 mm/s^2 mm/s² deg/s^2 rad/s^2',
+        'angular velocities': 'deg/s rad/s',
+        'torques': 'N.mm N.m Nm Nmm mNm',
+        'magnetic fields': 'T uT µT',
+        'voltages': 'V mV uV',
+        'pixels': 'px pixel pixels',
+        'rates': 'Hz',
+        'shares': '%',
+    }.items()
+    for unit in units.split()
+}
 FRAMES = 'frames'  # unit of a time that only counts them
 MISSING = ('', 'nan', 'NaN', 'NAN', 'NA', 'N/A', 'null', 'None', '-', '--')
 
@@ -115,40 +121,48 @@ def table_of(
     return RawTable(name, columns, texts, units, first, notes=notes)
 
 
+def word_set(text: str) -> set[str]:
+    """Return the words of a text."""
+    return set(text.split())
+
+
 WORDS = re.compile(r'[^\W\d_]+|\d+')
 HUMP = re.compile(r'(?<=[a-zß-öø-ÿ])(?=[A-Z])')  # in tagRvecX
 AXIS = re.compile(r'([tprqvawgfm]?)([xyz])')
 AXES = ('x', 'y', 'z')
 TIMES = {'time', 'timestamp', 'seconds', 'sec', 'zeit', 'stamp'}
-FILLERS = {'pos', 'position', 'coord', 'coordinate', 'marker', 'markers', 'm', 'point', 'p',
-           'tvec', 'translation', 'trans', 'tag', 't'}  # fmt: skip
+FILLERS = word_set(
+    'pos position coord coordinate marker markers m point p tvec translation trans tag t'
+)
 # x, y and z of what is no measured place: its name in words, and the words that tell it
-QUANTITIES: dict[str, set[str]] = {
-    'rotations': {'rvec', 'rot', 'rotation', 'rotvec', 'orientation', 'orient', 'ori', 'euler',
-                  'rpy', 'roll', 'pitch', 'yaw', 'quat', 'quaternion', 'q', 'angle', 'angles',
-                  'attitude', 'rodrigues'},
-    'accelerations': {'acc', 'accel', 'acceleration', 'accelerometer', 'gravity'},
-    'angular velocities': {'gyro', 'gyroscope', 'omega', 'angular'},
-    'velocities': {'vel', 'velocity', 'speed', 'twist'},
-    'magnetic fields': {'mag', 'magnetic', 'magnetometer', 'compass'},
-    'forces': {'force', 'forces', 'kraft'},
-    'torques': {'moment', 'torque', 'wrench', 'torques', 'moments'},
-    'directions': {'normal', 'direction', 'dir'},
-    'errors': {'error', 'err', 'std', 'stddev', 'sigma', 'cov', 'covariance', 'variance',
-               'residual', 'uncertainty', 'quality'},
-    'commanded places': {'cmd', 'command', 'commanded', 'setpoint', 'desired', 'des', 'goal',
-                         'soll'},
-    'predicted places': {'predicted', 'pred', 'sim', 'simulated'},
-}  # fmt: skip
+QUANTITIES = {
+    what: word_set(words)
+    for what, words in {
+        'rotations': 'rvec rot rotation rotvec orientation orient ori euler rpy roll pitch yaw '
+        'quat quaternion q angle angles attitude rodrigues',
+        'accelerations': 'acc accel acceleration accelerometer gravity',
+        'angular velocities': 'gyro gyroscope omega angular',
+        'velocities': 'vel velocity speed twist',
+        'magnetic fields': 'mag magnetic magnetometer compass',
+        'forces': 'force forces kraft',
+        'torques': 'moment torque wrench torques moments',
+        'directions': 'normal direction dir',
+        'errors': 'error err std stddev sigma cov covariance variance residual uncertainty '
+        'quality',
+        'commanded places': 'cmd command commanded setpoint desired des goal soll',
+        'predicted places': 'predicted pred sim simulated',
+    }.items()
+}
 # quantity of tx, rx, vx ...; that of a place has no name
-PREFIXES = {'': '', 't': '', 'p': '', 'r': 'rotations', 'q': 'rotations', 'v': 'velocities',
-            'a': 'accelerations', 'w': 'angular velocities', 'g': 'angular velocities',
-            'f': 'forces', 'm': 'torques'}  # fmt: skip
-OF_UNITS = {'angle': 'rotations', 'force': 'forces', 'current': 'currents', 'counts': 'counts',
-            'time': 'times'}  # fmt: skip
+PREFIXES = dict.fromkeys(('', 't', 'p'), '') | dict.fromkeys('rq', 'rotations')
+PREFIXES |= dict.fromkeys('wg', 'angular velocities')
+PREFIXES |= {'v': 'velocities', 'a': 'accelerations', 'f': 'forces', 'm': 'torques'}
+OF_UNITS = {
+    **{'angle': 'rotations', 'force': 'forces', 'current': 'currents'},
+    **{'counts': 'counts', 'time': 'times'},
+}
 BRACKETED = re.compile(r'^(?P<name>.+?)\s*[\[(]\s*(?P<unit>[^\])]+?)\s*[\])]$')
-COMMANDED = {'cmd', 'command', 'commanded', 'set', 'setpoint', 'ref', 'target', 'des', 'desired',
-             'goal', 'soll'}  # fmt: skip
+COMMANDED = word_set('cmd command commanded set setpoint ref target des desired goal soll')
 # kinds of inputs, the first that is there is taken: tension acts on the arm, the others only
 # tell it; then the words by which a column without a unit is one
 KINDS: dict[str, set[str]] = {
@@ -175,7 +189,6 @@ class ColumnName:
     column: str
     words: tuple[str, ...]  # in lower case, letters and digits apart
     unit: Unit | None
-
     other: str = ''  # quantity that its unit tells, where it is no place
 
     @property
@@ -198,6 +211,15 @@ class ColumnName:
     def axis(self) -> str:
         """Which coordinate it is by its last or first word, '' for none."""
         return self.component[0]
+
+    @property
+    def kind(self) -> str:
+        """Kind of an input or a time, by its unit or else its words; '' for none."""
+        if self.unit is not None:
+            return self.unit.kind
+        if TIMES & set(self.words):
+            return 'time'
+        return next((kind for kind, known in KINDS.items() if known & set(self.words)), '')
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -261,11 +283,12 @@ def triples_of(table: RawTable) -> list[Triple]:
         axis, quantity, words = name.component
         if axis:
             groups.setdefault((words, quantity), {}).setdefault(axis, name.column)
-    return [
-        Triple(words, (axes['x'], axes['y'], axes['z']), quantity,
-               table.kinds.get(axes['x'], MARKER))
-        for (words, quantity), axes in groups.items() if set(axes) == set(AXES)
-    ]  # fmt: skip
+    found = []
+    for (words, quantity), axes in groups.items():
+        if set(axes) == set(AXES):
+            kind = table.kinds.get(axes['x'], MARKER)
+            found.append(Triple(words, (axes['x'], axes['y'], axes['z']), quantity, kind))
+    return found
 
 
 def marker_label(columns: Sequence[str]) -> str:
@@ -299,7 +322,7 @@ def guess_inputs(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGue
     for kind in KINDS:
         groups: dict[tuple[str, ...], list[ColumnName]] = {}
         for name in names:
-            if name.axis == '' and _kind(name) == kind:
+            if name.axis == '' and name.kind == kind:
                 groups.setdefault(tuple(sorted(COMMANDED & set(name.words))), []).append(name)
         for group in sorted(groups):  # without such a word first: measured
             for find in (_by_name, _by_number, _by_order):
@@ -307,15 +330,6 @@ def guess_inputs(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGue
                     return found
     named = [name for name in names if name.unit is None and not name.axis]
     return _by_name(named, inputs, '')
-
-
-def _kind(name: ColumnName) -> str:
-    if name.unit is not None:
-        return name.unit.kind
-    words = set(name.words)
-    if TIMES & words:
-        return 'time'
-    return next((kind for kind, known in KINDS.items() if known & words), '')
 
 
 def _guess(found: Sequence[ColumnName], inputs: Sequence[str], kind: str, why: str) -> InputGuess:

@@ -29,8 +29,9 @@ MAKERS_OWN = {
     '.mat': ('MATLAB', 'write it with writetable as CSV'),
 }
 # of a .c3d file: the axis that points up on the screen, as it is written
-UP_OF_SCREEN = {f'{sign}{axis}': f'{sign}{axis}'.replace('+', '').lower()
-                for sign in ('', '+', '-') for axis in 'XYZ'}  # fmt: skip
+UP_OF_SCREEN = {axis.upper(): axis for axis in ('x', 'y', 'z', '-x', '-y', '-z')}
+UP_OF_SCREEN |= {f'+{axis}': axis.lower() for axis in 'XYZ'}
+REASON_MAX = 160  # letters of what a parser says: a message stays one line
 
 
 def read_c3d(shown: str, path: Path) -> RawTable:
@@ -52,7 +53,7 @@ def read_c3d(shown: str, path: Path) -> RawTable:
     try:
         content = ezc3d.c3d(str(path))
     except Exception as error:  # a damaged file can fail anywhere in the parser
-        reason = ' '.join(str(error).split())[:160]
+        reason = ' '.join(str(error).split())[:REASON_MAX]
         raise DataSetError(shown, f'is no .c3d file ({reason})', 'export it again') from None
     points = content['data']['points']  # (4, J, F)
     rate, count = _value(content, 'POINT', 'RATE', 0.0), points.shape[2]

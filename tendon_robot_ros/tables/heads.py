@@ -26,10 +26,11 @@ AXIS = re.compile(r'[RTQ]?([XYZW])\d*|Q0', re.IGNORECASE)
 COORDINATE = re.compile(r'T?[XYZ]\d*', re.IGNORECASE)
 LABELS = ('type', 'name', 'id', 'parent')  # of rows of OptiTrack's, since Motive 1.5
 IDENTIFIER = re.compile(r'[0-9A-Fa-f]{16,}(?::[0-9A-Fa-f]+)?|\d+|[0-9A-Fa-f]+:[0-9A-Fa-f]{8,}')
-TYPES = {'marker', 'rigid body', 'rigid body marker', 'bone', 'bone marker', 'marker constraint',
-         'rigid body constraint', 'skeleton', 'skeleton marker', 'skeleton bone', 'asset marker',
-         'markerset', 'trained markerset', 'trained markerset bone',
-         'trained markerset marker'}  # fmt: skip
+TYPES = {
+    *('marker', 'rigid body', 'rigid body marker', 'bone', 'bone marker', 'marker constraint'),
+    *('rigid body constraint', 'skeleton', 'skeleton marker', 'skeleton bone', 'asset marker'),
+    *('markerset', 'trained markerset', 'trained markerset bone', 'trained markerset marker'),
+}
 # title of a part of Vicon's exports -> what its points are
 VICON = {
     'trajectories': MARKER,
@@ -41,10 +42,14 @@ VICON = {
 }
 NO_NAMES = ('format version', 'pathfiletype', *VICON)  # begin rows that name no column
 PLACE = 'position'
-QUANTITIES = {PLACE, 'rotation', 'mean marker error', 'marker quality', 'marker size',
-              'error per marker', 'mean error', 'velocity', 'acceleration'}  # fmt: skip
-RATES = ('export frame rate', 'capture frame rate', 'frequency', 'datarate', 'frame rate',
-         'framerate', 'sampling rate', 'sample rate', 'rate')  # fmt: skip
+QUANTITIES = {
+    *(PLACE, 'rotation', 'mean marker error', 'marker quality', 'marker size', 'error per marker'),
+    *('mean error', 'velocity', 'acceleration'),
+}
+RATES = (
+    *('export frame rate', 'capture frame rate', 'frequency', 'datarate', 'frame rate'),
+    *('framerate', 'sampling rate', 'sample rate', 'rate'),
+)
 LENGTHS = ('length units', 'units', 'unit')
 
 
@@ -151,13 +156,17 @@ def read_head(shown: str, first: int, rows: Sequence[Row], width: int) -> Head:
         bare = [[row[0].lstrip('#% '), *row[1:]] for row in marked]
         labels = [row for row in bare[-1:] if len(row) == width]
     told = _told(rows)
-    title = _title(rows) if maker is not None and maker.name == 'Vicon' else ''
+    title = ''
+    if maker is not None and maker.name == 'Vicon':
+        title = next(row[0] for row in rows if row[0].lower() in VICON)
     if maker is not None and maker.name == 'Qualisys':
         keys = {row[0]: row[1:] for row in labels if re.fullmatch(r'[A-Z][A-Z_]+', row[0])}
         labels = [row for row in labels if row[0] not in keys]
         labels = labels or [_qualisys_names(shown, keys, width)]
         title = 'objects' if 'BODY_NAMES' in keys and 'MARKER_NAMES' not in keys else ''
-    said = labels and _unit_row(labels)
+    # the last row of labels says units where all cells do
+    cells = [cell for cell in labels[-1] if cell] if len(labels) > 1 else ['']
+    said = all(find_unit(cell) or cell in OTHER_UNITS for cell in cells)
     units_row: Row = labels.pop() if said else []
     if not labels:
         raise unnamed(shown, max(first, 1), maker)
@@ -187,10 +196,6 @@ def maker_of(rows: Sequence[Row]) -> Maker | None:
     return next((maker for maker in MAKERS if begins & set(maker.told_by)), None)
 
 
-def _title(rows: Sequence[Row]) -> str:
-    return next(row[0] for row in rows if row[0].lower() in VICON)
-
-
 def _told(rows: Sequence[Row]) -> dict[str, list[str]]:
     """Return every word with what stands beside it and below it."""
     told: dict[str, list[str]] = {}
@@ -209,12 +214,6 @@ def _first(told: Mapping[str, list[str]], words: Sequence[str], fits: Callable[[
 
 def _padded(row: Row, width: int) -> Row:
     return [*row, *([''] * width)][:width]
-
-
-def _unit_row(labels: Sequence[Row]) -> bool:
-    """Tell whether the last row of labels says units: all cells, or those of known kinds do."""
-    cells = [cell for cell in labels[-1] if cell]
-    return len(labels) > 1 and all(find_unit(c) or c in OTHER_UNITS for c in cells)
 
 
 def unnamed(shown: str, row: int, maker: Maker | None) -> DataSetError:
@@ -275,7 +274,8 @@ def _names(
             owners = one
     if not any(owners) and any(types):
         owners = numbered
-    if _is_whole(axes) and not any(types) and not title:
+    bare = axes[: 1 + max((i for i, name in enumerate(axes) if name), default=-1)]
+    if all(bare) and len(set(bare)) == len(bare) and not any(types) and not title:
         owners = [''] * width
     elif any(owners):
         owners = _spread(owners, axes, quantities)
@@ -307,7 +307,15 @@ def _names(
     twice = {name for name, count in Counter(names).items() if count > 1 and name}
     names = [f'{n} {types[i]}'.strip() if n in twice else n for i, n in enumerate(names)]
     names = [_axis_last(n) if n not in axes else n for n in names]
-    _check(shown, row, names)
+    last = max((i for i, name in enumerate(names) if name), default=-1)
+    for i, name in enumerate(names):
+        where = f'{shown}, row {row}'
+        if not name and i > last:  # a delimiter at the end of every row
+            names[i] = f'column {i + 1}'
+        elif not name:
+            raise DataSetError(where, f'column {i + 1} has no name', 'give it one')
+        elif names.index(name) != i:
+            raise DataSetError(where, f'column {short(name)} stands twice', 'rename one of them')
     return names, {n: k for n, k, is_one in zip(names, kinds, is_place, strict=True) if is_one}
 
 
@@ -316,12 +324,6 @@ def _axis_last(name: str) -> str:
     words = name.split(' ')
     at = next((i for i, word in enumerate(words) if word in ('X', 'Y', 'Z', 'W')), None)
     return name if at is None else ' '.join([*words[:at], *words[at + 1 :], words[at]])
-
-
-def _is_whole(names: Row) -> bool:
-    while names and not names[-1]:
-        names = names[:-1]
-    return all(names) and len(set(names)) == len(names)
 
 
 def _spread(owners: Row, axes: Row, quantities: Row) -> Row:
@@ -360,15 +362,3 @@ def _kind(text: str, title: str) -> str:
     if words & {'marker', 'constraint'}:
         return BODY_MARKER if len(words) > 1 else MARKER
     return BODY if words else MARKER
-
-
-def _check(shown: str, row: int, names: Row) -> None:
-    where = f'{shown}, row {row}'
-    last = max((i for i, name in enumerate(names) if name), default=-1)
-    for i, name in enumerate(names):
-        if not name and i > last:  # a delimiter at the end of every row
-            names[i] = f'column {i + 1}'
-        elif not name:
-            raise DataSetError(where, f'column {i + 1} has no name', 'give it one')
-        elif names.index(name) != i:
-            raise DataSetError(where, f'column {short(name)} stands twice', 'rename one of them')

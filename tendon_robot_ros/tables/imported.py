@@ -143,11 +143,7 @@ def columns_table(recipe: Recipe, taken: Taken) -> str:
         placed.append([label, f'marker {marker.name}', recipe.positions or '', why])
     if len(placed) > MARKERS_MAX:
         placed = [*placed[: MARKERS_MAX // 2], ['...', '', '', ''], *placed[-MARKERS_MAX // 2 :]]
-    return _left_columns([*rows, *placed])
-
-
-def _left_columns(rows: Sequence[Sequence[str]]) -> str:
-    """Align columns of text to the left."""
+    rows += placed
     widths = [max(len(row[c]) for row in rows) for c in range(len(rows[0]))]
     return '\n'.join(
         '  '.join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
@@ -158,9 +154,7 @@ def _left_columns(rows: Sequence[Sequence[str]]) -> str:
 def taken_line(dataset: DataSet, measured: StillMeasurements) -> str:
     """Say how many measurements there are, and from how many still segments."""
     trials = dataset.trials
-    each = (
-        f'{trials.min()}' if trials.min() == trials.max() else f'{trials.min()} to {trials.max()}'
-    )
+    each = ' to '.join(str(count) for count in sorted({trials.min(), trials.max()}))
     rule = measured.rule
     found = len(measured.segments) + sum(len(piece.resting) for piece in measured.pieces)
     still = f'{len(measured.segments)} of {found} times that the arm stood still'
@@ -189,9 +183,6 @@ def frame_lines(frame: TrackerFrame, robot: Robot) -> list[str]:
         )
     return lines
 
-
-# -----------------------------------------------------------------------------
-# One picture: raw traces, what was cut out, and the markers on the arm.
 
 INPUTS_ABREAST = 4  # of the legend
 SIZE_IN, DPI, FONT = (8.0, 12.5), 150, 14.0  # 1200 px wide; at 400 px a letter has 9 px
@@ -280,8 +271,15 @@ def _inputs(axes: Axes, dataset: DataSet, measured: StillMeasurements) -> None:
         axes.plot([], [], color=COLOURS[j % len(COLOURS)], label=name)
     _shade(axes, measured)
     axes.set_ylabel('tension [N]' if tension else 'wire pull [mm]')
-    axes.legend(loc='lower left', bbox_to_anchor=(0.0, 1.0), ncols=INPUTS_ABREAST, frameon=False,
-                handlelength=1.0, columnspacing=1.0, borderpad=0.0)  # fmt: skip
+    axes.legend(
+        loc='lower left',
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=INPUTS_ABREAST,
+        frameon=False,
+        handlelength=1.0,
+        columnspacing=1.0,
+        borderpad=0.0,
+    )
     axes.margins(x=0.0)
 
 
@@ -308,7 +306,12 @@ def _markers(
             mine = piece.cut.markers == j
             far = 1e3 * np.linalg.norm(piece.cut.places[mine] - here[seen[0]], axis=1)
             cut.append(np.column_stack([begin + piece.cut.times[mine], far]))
-    _cut(axes, np.concatenate(cut) if cut else np.zeros((0, 2)))
+    if sum(map(len, cut)):
+        when, far = np.concatenate(cut).T
+        top = axes.get_ylim()[1]  # where what is far off lies
+        look: dict[str, Any] = {'color': LEFT_OUT, 'markersize': 6.0, 'clip_on': False}
+        axes.plot(when, np.minimum(far, top), 'x', zorder=3.0, **look)
+        axes.set_ylim(top=top)
     _shade(axes, measured)
     segments = iter(measured.segments)
     for begin, piece in _pieces(measured):
@@ -318,15 +321,6 @@ def _markers(
     axes.set_ylabel('markers moved [mm]')
     axes.set_xlabel('time [s]' if recipe.time else 'row')
     axes.margins(x=0.0)
-
-
-def _cut(axes: Axes, readings: FloatArray) -> None:
-    """Draw readings (K, 2) [s, mm] that were cut out; what is far off lies at the upper edge."""
-    if len(readings):
-        top = axes.get_ylim()[1]
-        axes.plot(readings[:, 0], np.minimum(readings[:, 1], top), 'x', color=LEFT_OUT,
-                  markersize=6.0, clip_on=False, zorder=3.0)  # fmt: skip
-        axes.set_ylim(top=top)
 
 
 def _arm(axes: Axes, dataset: DataSet, predicted: FloatArray, axis: int) -> None:

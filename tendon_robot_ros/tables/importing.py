@@ -27,12 +27,12 @@ from .imported import ImportedTable
 from .marker_order import AS_GIVEN, MarkerOrder, order_markers, places_contradicted
 from .measuring import StillMeasurements, measure
 from .placing import place
+from .points import flag_columns
 from .reading import read_tables
 from .recipe import FrameChoice, MarkerColumns, Recipe, load_recipe, read_recipe
 from .registration import TrackerFrame, rotation_vector, side_offset, up_that_fits
 from .tidy import widened
 from .traces import follow_renumbered, make_traces
-from .visibility import flag_columns
 
 STEPS = 4  # of an import, in its progress
 OFFSET_STEP_M = 1e-3  # [m] of a derivative

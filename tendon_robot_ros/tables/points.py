@@ -1,23 +1,33 @@
-"""Which triples of columns are taken as points of the arm: markers, centres of rims, bodies."""
+"""
+Which triples of columns are taken as points of the arm: markers, centres of rims, bodies.
+
+And which columns say whether a marker was seen: State of NDI, visible, occluded and the like.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..common.errors import DataSetError
 from ..common.words import listed, listing
+from ..data.seen import BoolArray
 from .columns import (
     BODY,
     BODY_MARKER,
     DERIVED,
+    FILLERS,
     MARKER,
+    MISSING,
+    ColumnName,
     FloatArray,
     RawTable,
     Triple,
+    is_number,
     marker_label,
+    names_of,
     triples_of,
 )
 
@@ -25,10 +35,16 @@ CHOICES = ('markers', 'rims', 'bodies')
 RIM_MIN = 3  # markers that tell a circle
 RIGID_SHARE = 0.05  # of a distance: a tracker's noise of 0.3 mm across a rim of 10 mm changes less
 ARC_MIN = 0.5  # of the circle's radius over the widest pair: markers within 60° tell no centre
-OFF_CIRCLE = 0.1  # of the radius, by which the markers of a rim may be off the circle
-FRAMES_MAX = 500  # that tell whether markers are fixed to each other
+OFF_CIRCLE = 0.1  # of the radius, by which noise may take the markers of a rim off the circle
+FRAMES_MAX = 500  # that tell whether markers are fixed to each other: more would say no more
 SEEN_SHARE = 0.5  # of the rows: a point without a name that is seen less is a reflection
 NAMELESS = ('unlabeled', 'unlabelled', 'unidentified', 'ghost')
+# words of the name of a column that says whether a marker was seen, then of what stands in it
+SEEN = {'visible', 'visibility', 'seen', 'valid', 'tracked', 'detected'}  # 0: it was not
+HIDDEN = {'occluded', 'occlusion', 'hidden', 'missing', 'lost', 'invalid'}  # 0: it was seen
+STATE = {'state', 'status'}  # in words
+YES, NO = {'1', 'true', 'yes', 'y', 't'}, {'0', 'false', 'no', 'n', 'f'}
+LOST = HIDDEN | {'disabled', 'unseen', 'untracked', 'out', 'not', 'bad', 'none', 'unknown'}
 
 
 @dataclass(frozen=True)
@@ -85,12 +101,13 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
     named = [(t, table) for t, table in places if not _is_nameless(t)]
     loose = [(t, table) for t, table in places if _is_nameless(t)]
     if not named:
-        named = [one for one in loose if _seen(*one) >= SEEN_SHARE]
+        shares = [np.isfinite(_places(*one)).all(axis=1).mean() for one in loose]
+        named = [one for one, seen in zip(loose, shares, strict=True) if seen >= SEEN_SHARE]
         named = named or loose
     kept = {t.columns for t, _ in named}
     loose = [one for one in loose if one[0].columns not in kept]
-    groups = {kind: [one for one in named if one[0].kind == kind]
-              for kind in (MARKER, BODY_MARKER, BODY)}  # fmt: skip
+    kinds = (MARKER, BODY_MARKER, BODY)
+    groups = {kind: [one for one in named if one[0].kind == kind] for kind in kinds}
     markers = groups[MARKER] or groups[BODY_MARKER]
     rims = _rims(markers)
     around = {t.columns for rim in rims for t in rim}
@@ -115,26 +132,20 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
     dropped = len(loose) + len(unknown)
     nameless = tuple(t.columns for t, _ in loose)
     columns = tuple(tuple(c for three in point for c in three) for point in options[taken])
-    return Points(columns, _chosen(taken, options, columns), tuple(aside),
-                  dropped / (dropped + len(used)), nameless)  # fmt: skip
-
-
-def _chosen(
-    taken: str,
-    options: dict[str, list[tuple[tuple[str, ...], ...]]],
-    columns: tuple[tuple[str, ...], ...],
-) -> str:
-    others = [name for name in CHOICES if options[name] and name != taken]
-    if not others:
-        return ''
-    names = [marker_label(c) for c in columns if len(c) > 3]
-    what = {
+    others_told = [name for name in CHOICES if options[name] and name != taken]
+    told = {
         'markers': 'the markers are taken, each by itself',
         'bodies': 'the origins of bodies are taken',
-        'rims': f'markers that are fixed to each other around a circle are the rim of a disk and '
-        f'give its centre: {listing(names)}',
-    }[taken]
-    return f'{what} (otherwise say --points {" or ".join(others)})'
+        'rims': 'markers that are fixed to each other around a circle are the rim of a disk and '
+        f'give its centre: {listing(marker_label(c) for c in columns if len(c) > 3)}',
+    }[taken] + f' (otherwise say --points {" or ".join(others_told)})'
+    return Points(
+        columns=columns,
+        told=told if others_told else '',
+        aside=tuple(aside),
+        share_aside=dropped / (dropped + len(used)),
+        nameless=nameless,
+    )
 
 
 def _told(triples: Iterable[Triple]) -> list[str]:
@@ -158,10 +169,6 @@ def _places(triple: Triple, table: RawTable) -> FloatArray:
     places = np.column_stack([table.numbers(column)[::step] for column in triple.columns])
     places[(places == 0.0).all(axis=1)] = np.nan
     return places
-
-
-def _seen(triple: Triple, table: RawTable) -> float:
-    return float(np.isfinite(_places(triple, table)).all(axis=1).mean())
 
 
 def _rims(markers: Sequence[tuple[Triple, RawTable]]) -> list[list[Triple]]:
@@ -216,3 +223,76 @@ def circle_centres(points: FloatArray) -> FloatArray:
     found = np.linalg.pinv(system) @ (flat**2).sum(axis=2)[..., None]
     centres[seen] = middle[:, 0] + (found[:, :2].transpose(0, 2, 1) @ plane)[:, 0]
     return centres
+
+
+def kind_of_flag(name: ColumnName) -> set[str] | None:
+    """Return the words of which a column's name has one: `SEEN`, `HIDDEN` or `STATE`."""
+    return next((kind for kind in (SEEN, HIDDEN, STATE) if kind & set(name.words)), None)
+
+
+def flag_columns(
+    table: RawTable, markers: Sequence[Sequence[str]]
+) -> Iterator[tuple[ColumnName, set[str], list[int]]]:
+    """
+    Find columns that say whether markers were seen.
+
+    Parameters
+    ----------
+    table : RawTable
+    markers : sequence of columns
+        Of x, y and z of each marker.
+
+    Yields
+    ------
+    name : ColumnName
+    kind : set of str
+        `SEEN`, `HIDDEN` or `STATE`.
+    of : list of int
+        The markers that it is about: the one with the same words, all where it names none.
+
+    """
+    names = names_of(table)
+    used = {column for columns in markers for column in columns}
+    own = {name.column: name for name in names if name.column in used}
+    owners = [_words(own[c[0]].component[2]) if c[0] in own else () for c in markers]
+    for name in names:
+        kind = kind_of_flag(name)
+        if kind is None or name.column in used:
+            continue
+        if kind is STATE and name.column in table.columns:
+            continue  # numbers: what they mean only their maker knows
+        owner = _words(word for word in name.words if word not in kind)
+        of = [j for j, words in enumerate(owners) if words == owner]
+        if of or not owner:
+            yield name, kind, of or list(range(len(markers)))
+
+
+def not_visible(table: RawTable, markers: Sequence[Sequence[str]]) -> dict[str, BoolArray]:
+    """Return, by why, the readings (R, J) that a column says were not seen."""
+    found = {}
+    for name, kind, of in flag_columns(table, markers):
+        if name.column in table.columns:
+            values = table.columns[name.column]
+            hidden = values == 0.0 if kind is SEEN else np.nan_to_num(values) != 0.0
+        else:
+            hidden = np.array([_says_hidden(text, kind) for text in table.texts[name.column]])
+        if hidden.any() and not hidden.all():
+            mask = np.zeros((len(table), len(markers)), dtype=bool)
+            mask[:, of] = hidden[:, None]
+            found[f'the column {name.column} says so'] = mask
+    return found
+
+
+def _words(words: Iterable[str]) -> tuple[str, ...]:
+    return tuple(word for word in words if word not in FILLERS)
+
+
+def _says_hidden(text: str, kind: set[str]) -> bool:
+    words = set(text.lower().replace('_', ' ').split())
+    if text in MISSING:
+        return False
+    if is_number(text):
+        return kind is not STATE and (float(text) == 0.0) == (kind is SEEN)
+    if words & LOST:
+        return True
+    return bool(words & NO) if kind is SEEN else kind is HIDDEN and bool(words & YES)

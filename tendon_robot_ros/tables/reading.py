@@ -17,12 +17,12 @@ from ..common.errors import DataSetError, MissingExtraError, short
 from ..common.files import TABLE_ENDINGS, TEXT_ENDINGS
 from ..common.units import find_unit
 from .columns import DERIVED, FRAMES, MISSING, FloatArray, RawTable, is_number, table_of
-from .formats import MAKERS_OWN, read_c3d
+from .formats import MAKERS_OWN, REASON_MAX, read_c3d
 from .heads import Head, first_row_of_data, maker_of, read_head, unnamed
 
 BYTES_MAX = 1_000_000_000  # of a file: its numbers and their parse must fit into the memory
-HEAD = 1 << 16  # bytes that tell what kind of file it is
-SAMPLE = 200  # rows of a part that tell what is head and what is data
+HEAD = 1 << 16  # bytes that tell what kind of file it is: more than any head has
+SAMPLE = 200  # rows of a part that tell what is head and what is data: more than any head has
 DELIMITERS = {';': 'semicolons', '\t': 'tabs', ',': 'commas'}  # commas may be decimal ones
 EMPTY_LINES = re.compile(rb'(?:\A|\n)(?:[ \t\r,;]*\n)+')  # between the parts of a file
 
@@ -58,7 +58,14 @@ def read_tables(path: str | Path) -> list[RawTable]:
         raise DataSetError(shown, 'is empty', 'export it again')
     ending = path.suffix.lower()
     if ending == '.parquet':
-        return [_read_parquet(shown, path)]
+        try:
+            frame = pandas().read_parquet(path)
+        except ImportError:
+            raise MissingExtraError('pyarrow', 'tables') from None
+        except Exception as error:  # a damaged file can fail anywhere in the parser
+            why = ' '.join(str(error).split())[:REASON_MAX]
+            raise DataSetError(shown, f'is no Parquet file ({why})', 'export it again') from None
+        return [table_of(shown, frame, {}, None, ())]
     if ending == '.c3d':
         return [read_c3d(shown, path)]
     if ending in MAKERS_OWN:
@@ -73,24 +80,9 @@ def read_tables(path: str | Path) -> list[RawTable]:
     return _read_text(shown, path)
 
 
-def _read_parquet(shown: str, path: Path) -> RawTable:
-    try:
-        frame = pandas().read_parquet(path)
-    except ImportError:
-        raise MissingExtraError('pyarrow', 'tables') from None
-    except Exception as error:  # a damaged file can fail anywhere in the parser
-        reason = ' '.join(str(error).split())[:160]
-        raise DataSetError(shown, f'is no Parquet file ({reason})', 'export it again') from None
-    return table_of(shown, frame, {}, None, ())
-
-
-# -----------------------------------------------------------------------------
-# Text: its parts, the head of each, and whether all rows are whole.
-
-
 @dataclass
 class TextPart:
-    """TextPart of a text file that has a head of its own."""
+    """A part of a text file that has a head of its own."""
 
     head: list[tuple[int, list[str]]]  # line number from 0, cells
     begin: int  # first byte of its data
@@ -101,33 +93,24 @@ class TextPart:
 
 
 def _read_text(shown: str, path: Path) -> list[RawTable]:
-    head = _head(shown, path)
-    encoding, notes = _encoding(head)
-    with path.open('rb') as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        delimiter = _delimiter(shown, head, encoding)
-        if delimiter != ',':
-            notes = (*notes, f'columns are separated by {DELIMITERS[delimiter]}')
-        parts = _parts(shown, data, encoding, delimiter)
-        return [_read_part(shown, data, part, encoding, delimiter, notes) for part in parts]
-
-
-def _head(shown: str, path: Path) -> bytes:
     with path.open('rb') as file:
         head = file.read(HEAD)
     if b'\0' in head:
         raise DataSetError(shown, 'is no text file', 'export it as CSV (UTF-8)')
     if not head.strip():
         raise DataSetError(shown, 'is empty', 'export it again')
-    return head
-
-
-def _encoding(head: bytes) -> tuple[str, tuple[str, ...]]:
+    encoding, notes = 'utf-8-sig', tuple[str, ...]()
     try:
-        head[: HEAD - 4].decode('utf-8-sig')
+        head[: HEAD - 4].decode(encoding)  # the last character may be cut in two
     except UnicodeDecodeError as error:
         if error.start < len(head) - 8:
-            return 'cp1252', ('text is taken as Windows-1252: it is no UTF-8',)
-    return 'utf-8-sig', ()
+            encoding, notes = 'cp1252', ('text is taken as Windows-1252: it is no UTF-8',)
+    with path.open('rb') as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        delimiter = _delimiter(shown, head, encoding)
+        if delimiter != ',':
+            notes = (*notes, f'columns are separated by {DELIMITERS[delimiter]}')
+        parts = _parts(shown, data, encoding, delimiter)
+        return [_read_part(shown, data, part, encoding, delimiter, notes) for part in parts]
 
 
 def _delimiter(shown: str, head: bytes, encoding: str) -> str:
@@ -218,7 +201,7 @@ def _read_part(
             nrows=rows,
         )
     except (ValueError, OSError) as error:  # ParserError is a ValueError
-        reason = ' '.join(str(error).split())[:160]
+        reason = ' '.join(str(error).split())[:REASON_MAX]
         raise DataSetError(shown, f'cannot be read ({reason})', 'export it again') from None
     if rows is not None:
         notes = (*notes, f'the last row, {part.line + rows + 1}, is cut short: left out')
@@ -301,8 +284,8 @@ def _count_rows(
         return None
     whole = 0
     bad: tuple[int, int] | None = None
-    reader = csv.reader(io.TextIOWrapper(io.BytesIO(raw), encoding, 'replace', newline=''),
-                        delimiter=delimiter)  # fmt: skip
+    text = io.TextIOWrapper(io.BytesIO(raw), encoding, 'replace', newline='')
+    reader = csv.reader(text, delimiter=delimiter)
     for cells in reader:
         if not any(cells):
             continue

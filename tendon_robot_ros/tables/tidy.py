@@ -9,14 +9,15 @@ from itertools import pairwise
 import numpy as np
 
 from ..common.dataframes import pandas
-from .columns import FloatArray, RawTable, guess_time, names_of, table_of, triples_of
-from .visibility import kind_of_flag
+from .columns import FloatArray, RawTable, guess_time, names_of, table_of, triples_of, word_set
+from .points import kind_of_flag
 
-WHOSE = {'id', 'ids', 'name', 'tag', 'marker', 'label', 'body', 'object', 'tool', 'sensor',
-         'point', 'target', 'landmark', 'tracker', 'child', 'rigidbody', 'idx',
-         'index'}  # fmt: skip
+WHOSE = word_set(
+    'id ids name tag marker label body object tool sensor point target landmark tracker child '
+    'rigidbody idx index'
+)
 ROUND = 'round of markers'
-MARKERS_MAX = 1000  # that one table tells apart
+MARKERS_MAX = 1000  # values of a column that are names: more are counts
 
 
 def widened(table: RawTable) -> RawTable:
@@ -41,24 +42,22 @@ def widened(table: RawTable) -> RawTable:
         number = _rounds(frame[whose])
     keys = frame.assign(**{ROUND: number}).drop_duplicates([ROUND, whose])
     rounds = keys.groupby(ROUND, sort=True)
-    own = [c for c in frame.columns if c not in (whose, time.column)
-           and (rounds[c].nunique(dropna=False) > 1).any()]  # fmt: skip
+    others = [c for c in frame.columns if c not in (whose, time.column)]
+    own = [c for c in others if (rounds[c].nunique(dropna=False) > 1).any()]
     shared = rounds[[c for c in frame.columns if c not in (*own, whose)]].first()
     wide = keys.pivot(index=ROUND, columns=whose, values=own)
-    names = {(c, w): f'{_label(w)} {c}' for c, w in wide.columns}
+    names = {}
+    for c, w in wide.columns:
+        text = str(int(w)) if isinstance(w, float) and w.is_integer() else str(w)
+        names[c, w] = f'{f"marker {text}" if text.isdigit() else text} {c}'
     wide.columns = [names[key] for key in wide.columns]
     units = dict(table.units)
     units |= {named: table.units[c] for (c, _), named in names.items() if c in table.units}
-    told = (f'a row for each {whose} and time: {len(frame[whose].unique())} markers, '
-            f'{len(wide):,} times')  # fmt: skip
+    count = len(frame[whose].unique())
+    told = f'a row for each {whose} and time: {count} markers, {len(wide):,} times'
     joined = shared.join(wide).reset_index(drop=True)
     made = table_of(table.name, joined.infer_objects(), units, None, (*table.notes, told))
     return replace(made, up=table.up, part=table.part)
-
-
-def _label(value: object) -> str:
-    text = str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
-    return f'marker {text}' if text.isdigit() else text
 
 
 def _whose(table: RawTable, time: str) -> str | None:

@@ -18,9 +18,8 @@ from ..data.seen import FAR_M, exchange_lines, joined, put_back, renumbered, wit
 from .choices import Taken, time_column
 from .clocks import find_clock
 from .columns import FloatArray, RawTable, marker_label
-from .points import circle_centres
+from .points import circle_centres, not_visible
 from .recipe import MarkerColumns, Recipe, WireSpool, points_of
-from .visibility import not_visible
 
 IntArray = npt.NDArray[np.int64]
 JUMP_MAX_S = 0.3  # [s] a marker is taken for another one for a few frames

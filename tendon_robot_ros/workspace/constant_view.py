@@ -14,7 +14,12 @@ from ..paths.plan import REACHED_WITHIN_M, REACHED_WITHIN_RAD
 
 Array = NDArray[np.float64]
 CELL_BEND_MAX_RAD = np.radians(20.0)  # [rad] beyond it stacked guides would touch (assumed)
+S_BEND_MIN_RAD = np.radians(20.0)  # [rad] of the first section away from the view: seen as an S
 SEARCH_STARTS = 200  # of a search, where the way from the last posture does not lead on
+HALVINGS = 40  # of a range of tensions: to 1e-12 of it
+POSTURE_STEP_N = (
+    0.02  # [N] between the postures from which those of a sweep are chosen: 1 mm or so
+)
 
 
 @dataclass(frozen=True)
@@ -25,6 +30,11 @@ class Posture:
     tensions: Array  # (m,) [N]
     position: Array  # (3,) [m] of the tip
     direction: Array  # (3,)
+
+    @classmethod
+    def of(cls, name: str, shape: Shape) -> Posture:
+        """Name a shape."""
+        return cls(name, shape.inputs, shape.tip_position, shape.tip_direction)
 
 
 def salient(model: Model) -> list[Posture]:
@@ -41,15 +51,15 @@ def salient(model: Model) -> list[Posture]:
         ('middle, 180° view', order[len(order) // 2]),
         ('lowest, 180° view', order[0]),
     ]
-    postures = [_posture(name, back, row) for name, row in chosen]
+    postures = [Posture.of(name, model.shape(back.inputs[row])) for name, row in chosen]
     s_shaped = view(model, np.pi / 4)
     first = model.robot.sections[0].cells
-    opposite = np.flatnonzero(s_shaped.bend[:, :first, 0].sum(axis=1) < np.radians(-20.0))
+    opposite = np.flatnonzero(s_shaped.bend[:, :first, 0].sum(axis=1) < -S_BEND_MIN_RAD)
     if len(opposite) == 0:
         raise InputError(f'{model.robot.name}: no S-shape at the 45° view within its limits')
     height = s_shaped.tip_position[opposite, 2]
     middle = opposite[np.argsort(height)[len(height) // 2]]
-    return [*postures, _posture('S-shape, 45° view', s_shaped, middle)]
+    return [*postures, Posture.of('S-shape, 45° view', model.shape(s_shaped.inputs[middle]))]
 
 
 def view(model: Model, angle: float, step: float = 0.1) -> ShapeBatch:
@@ -71,7 +81,7 @@ def view(model: Model, angle: float, step: float = 0.1) -> ShapeBatch:
         return tensions
 
     below, above = np.full(len(steps), low[dist_right]), np.full(len(steps), high[dist_right])
-    for _ in range(40):
+    for _ in range(HALVINGS):
         middle = 0.5 * (below + above)
         under = model.shapes(inputs(middle)).bend[:, :, 0].sum(axis=1) < angle
         below, above = np.where(under, middle, below), np.where(under, above, middle)
@@ -100,16 +110,6 @@ def _planar_inputs(model: Model) -> tuple[int, int, int]:
         raise InputError(f'{robot.name}: expected two sections with a tendon left and right each')
     first, second = (section.name for section in robot.sections)
     return sides[first, False], sides[first, True], sides[second, True]
-
-
-def _posture(name: str, shapes: ShapeBatch, row: int) -> Posture:
-    return Posture(name, shapes.inputs[row], shapes.tip_position[row], shapes.tip_direction[row])
-
-
-# -----------------------------------------------------------------------------
-# Sweeps that hold the view angle while the tip moves: looking around, as in Kato et al. 2015.
-
-POSTURE_STEP_N = 0.02  # [N] between the postures from which those of a sweep are chosen
 
 
 def look_around(model: Model, angle: float, steps: int) -> list[Posture]:
@@ -151,8 +151,7 @@ def _in_plane(model: Model, angle: float, steps: int) -> list[Posture]:
             f'{model.robot.name}: only one posture at the {np.degrees(angle):.0f}° view'
         )
     chosen = np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], steps) - 1e-12))
-    shapes = [model.shape(inputs[i]) for i in chosen]
-    return [_posture_near(i, shape) for i, shape in enumerate(shapes)]
+    return [Posture.of(str(i), model.shape(inputs[row])) for i, row in enumerate(chosen)]
 
 
 def _around(model: Model, angle: float, steps: int) -> list[Posture]:
@@ -180,9 +179,5 @@ def _around(model: Model, angle: float, steps: int) -> list[Posture]:
                 f'mm, {np.degrees(solution.direction_error):.1f}°; ask for a smaller angle'
             )
         shape = solution.shape
-        postures.append(_posture_near(i, shape))
+        postures.append(Posture.of(str(i), shape))
     return postures
-
-
-def _posture_near(index: int, shape: Shape) -> Posture:
-    return Posture(str(index), shape.inputs, shape.tip_position, shape.tip_direction)

@@ -199,9 +199,11 @@ class Rows(NamedTuple):
         """
         tensions = self.best[:, :inputs]
         by = (*self.best.T[::-1], tensions.sum(axis=1), tensions.max(axis=1), self.where)
-        where, seen, best = (one[np.lexsort(by)] for one in self)
+        order = np.lexsort(by)
+        where, best = self.where[order], self.best[order]
         first = np.flatnonzero(np.diff(where, prepend=-1))
-        return Rows(where[first], np.bitwise_or.reduceat(seen, first), best[first])
+        seen = np.bitwise_or.reduceat(self.seen[order], first)
+        return Rows(where[first], seen, best[first])
 
 
 def sphere_part(directions: Floats, finer: int) -> Numbers:

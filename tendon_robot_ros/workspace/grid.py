@@ -20,7 +20,11 @@ from ..model.shape import ShapeBatch
 from ..robot import Robot
 from ..robot.routes import tendon_offsets
 
-ALIGNED_COSINE = 0.5  # cosine from which two inputs pull to the same side
+Floats = npt.NDArray[np.float64]
+ALIGNED_COSINE = 0.5  # cosine of 60°, from which on two inputs pull to the same side
+POSTURES_AT_ONCE = 20_000  # postures that are solved at once: some ten MB for an arm of many cells
+POSTURES_MAX = 100_000_000  # postures of a grid: more would take days
+WORKSPACE_FILES = ('postures.csv', 'workspace.npz')
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,10 @@ def pairs_of(robot: Robot) -> tuple[Pair, ...]:
     Opposite sides: their offsets point away from each other; same side: the same way.
     """
     last = [max(robot.tendon_cells[k] for k in tendons) for tendons in robot.input_tendons]
-    toward = [_direction(robot, tendons) for tendons in robot.input_tendons]
+    toward = []
+    for tendons in robot.input_tendons:
+        offset = tendon_offsets(robot)[0, list(tendons)].sum(axis=0)
+        toward.append(offset / max(float(np.linalg.norm(offset)), 1e-300))
     ends = len(set(last))
     pairs = []
     for i, j in combinations(range(len(robot.inputs)), 2):
@@ -52,28 +59,11 @@ def pairs_of(robot: Robot) -> tuple[Pair, ...]:
             continue
         a, b = (i, j) if last[i] <= last[j] else (j, i)
         cosine = float(toward[i] @ toward[j])
-        kind = (
-            'opposite sides'
-            if cosine < -ALIGNED_COSINE
-            else 'same side'
-            if cosine > ALIGNED_COSINE
-            else 'across'
-        )
+        kind = 'across'
+        if abs(cosine) > ALIGNED_COSINE:
+            kind = 'same side' if cosine > 0.0 else 'opposite sides'
         pairs.append(Pair((robot.inputs[a], robot.inputs[b]), (a, b), kind))
     return tuple(pairs)
-
-
-def _direction(robot: Robot, tendons: tuple[int, ...]) -> npt.NDArray[np.float64]:
-    offset = tendon_offsets(robot)[0, list(tendons)].sum(axis=0)
-    return np.asarray(offset / max(float(np.linalg.norm(offset)), 1e-300))
-
-
-# -----------------------------------------------------------------------------
-# Where the tip can be while it looks in a given direction (Kato et al. 2015, section IV.B).
-
-Floats = npt.NDArray[np.float64]
-POSTURES_AT_ONCE = 20_000  # postures that are solved at once
-POSTURES_MAX = 100_000_000  # postures that a grid may hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,9 +182,21 @@ def find_workspace(
     chosen = tuple(pairs_of(model.robot) if pairs is None else pairs)
     low = model.robot.tension_limits[0] if pretension is None else pretension
     high = model.robot.tension_limits[1] if limit is None else limit
-    levels = _levels(step, low, high)
+    if not (step > 0.0 and 0.0 <= low < high):
+        raise InputError(
+            'workspace: expected a step above 0 and a pretension from 0 to below the limit, '
+            f'got step {step:g} N, pretension {low:g} N, limit {high:g} N'
+        )
+    if not chosen:
+        raise InputError('workspace: the robot has one input only; there is no pair to sweep')
+    if not len(views) or min(views) < 0.0 or not tolerance > 0.0:
+        raise InputError('workspace: expected view angles of 0° or more and a tolerance above 0')
+    levels = np.round(low + step * np.arange(int((high - low) / step + 1e-6) + 1), 9)
     total = len(levels) ** 2 * len(chosen)
-    _check(chosen, views, tolerance, total)
+    if total > POSTURES_MAX:
+        raise InputError(
+            f'workspace: {total:,} postures are more than {POSTURES_MAX:,}; make the step larger'
+        )
     kept = _Kept(tuple(float(view) for view in views), tolerance)
     done = 0
     for which, tensions in _chunks(model, chosen, levels, low):
@@ -262,26 +264,6 @@ def tip_angles(bend: Floats, direction: Floats) -> Floats:
     return np.asarray(np.where(flat, total, np.arccos(np.clip(direction[:, 2], -1.0, 1.0))))
 
 
-def _levels(step: float, low: float, high: float) -> Floats:
-    if not (step > 0.0 and 0.0 <= low < high):
-        raise InputError(
-            'workspace: expected a step above 0 and a pretension from 0 to below the limit, '
-            f'got step {step:g} N, pretension {low:g} N, limit {high:g} N'
-        )
-    return np.asarray(np.round(low + step * np.arange(int((high - low) / step + 1e-6) + 1), 9))
-
-
-def _check(pairs: Sequence[Pair], views: Sequence[float], tolerance: float, total: int) -> None:
-    if not pairs:
-        raise InputError('workspace: the robot has one input only; there is no pair to sweep')
-    if not len(views) or min(views) < 0.0 or not tolerance > 0.0:
-        raise InputError('workspace: expected view angles of 0° or more and a tolerance above 0')
-    if total > POSTURES_MAX:
-        raise InputError(
-            f'workspace: {total:,} postures are more than {POSTURES_MAX:,}; make the step larger'
-        )
-
-
 def _chunks(
     model: Model, pairs: Sequence[Pair], levels: Floats, low: float
 ) -> Iterator[tuple[int, Floats]]:
@@ -296,12 +278,6 @@ def _chunks(
             tensions[:, pair.indices[0]] = levels[near]
             tensions[:, pair.indices[1]] = levels[far]
             yield which, tensions
-
-
-# -----------------------------------------------------------------------------
-# A workspace as files: a CSV table of the kept postures, and all their cells as npz.
-
-WORKSPACE_FILES = ('postures.csv', 'workspace.npz')
 
 
 def save_workspace(workspace: Workspace, folder: Path) -> None:

@@ -13,7 +13,13 @@ from ..robot.estimates import bend_rates, end_sections
 Floats = npt.NDArray[np.float64]
 INPUTS = ('tension', 'displacement')
 PATHS = ('from_straight', 'sequence', 'visits')  # of a data set
-SECTION_BEND_MAX_RAD = 2.0  # [rad] largest bend of a section, by the frictionless model
+SECTION_BEND_MAX_RAD = 2.0  # [rad] largest bend of a section, by the frictionless model: U-shaped
+SINGLE_SHARE = 0.75  # [1] of it, of an input alone
+SQUEEZE_SHARES = (0.3, 1.0)  # [1] of the tension that bends by a radian, of a squeeze
+SIDE_COSINE = 0.2  # below it a tendon lies at the side of a bend and hardly helps
+CYCLE = (0.25, 0.6, 1.0, 0.7, 0.3)  # [1] of a peak: up and down, no step twice
+# [1] of a random bend, of a peak; smaller where the bends of several sections add up
+PEAK_OF_ONE, PEAK_OF_SEVERAL = 1.7, 1.2
 
 
 def default_postures(
@@ -54,12 +60,10 @@ def default_postures(
         singles = design.singles()[: max(count // 3, 1)] if seed == 0 else []
         rows = [*singles, *design.bends(count - len(singles))]
     tensions = np.round(np.clip(rows, *robot.tension_limits), 4)
-    return tensions if input == 'tension' else _pulls(robot, tensions, np.array(rows) > 0.0)
-
-
-def _pulls(robot: Robot, tensions: Floats, taut: npt.NDArray[np.bool_]) -> Floats:
-    """Wire pulls (p, m) [m] that the owner's model has under tensions; NaN where not taut."""
-    pulls = Model(robot).shapes(np.where(taut, tensions, 0.0)).pulls
+    if input == 'tension':
+        return tensions
+    taut = np.array(rows) > 0.0
+    pulls = Model(robot).shapes(np.where(taut, tensions, 0.0)).pulls  # of the owner's model
     return np.where(taut, np.round(pulls, 6), np.nan)
 
 
@@ -75,7 +79,7 @@ class _Design:
 
     def singles(self) -> list[Floats]:
         """Each input alone at three quarters of the largest bend."""
-        full = 0.75 * SECTION_BEND_MAX_RAD / np.linalg.norm(self.rate, axis=1)
+        full = SINGLE_SHARE * SECTION_BEND_MAX_RAD / np.linalg.norm(self.rate, axis=1)
         return list(np.diag(full))
 
     def bends(self, count: int) -> list[Floats]:
@@ -101,7 +105,7 @@ class _Design:
         weights = self.random.normal(size=len(members)) @ rate  # a direction that they span
         towards = weights / max(float(np.linalg.norm(weights)), 1e-300)
         share = np.maximum(rate @ towards / np.linalg.norm(rate, axis=1), 0.0)
-        share[share < 0.2] = 0.0  # a tendon at the side hardly helps
+        share[share < SIDE_COSINE] = 0.0
         row = np.zeros(self.count)
         row[members] = share * bend / max(float(np.linalg.norm(share @ rate)), 1e-300)
         return row
@@ -110,13 +114,13 @@ class _Design:
         """Tensions (m,) [N] of all tendons of a section that leave it straight."""
         members = self.last == s
         size = 1.0 / np.linalg.norm(self.rate[members], axis=1).max()  # [N] for one radian
-        return np.where(members, self.random.uniform(0.3, 1.0) * size, 0.0)
+        return np.where(members, self.random.uniform(*SQUEEZE_SHARES) * size, 0.0)
 
     def cycles(self, count: int) -> list[Floats]:
         """Load and let go in even steps, from one random bend to the next."""
-        steps = (0.25, 0.6, 1.0, 0.7, 0.3)
+        factor = PEAK_OF_ONE if len(self.sections) == 1 else PEAK_OF_SEVERAL
         rows: list[Floats] = []
         while len(rows) < count:
-            peak = self.bends(1)[0] * (1.7 if len(self.sections) == 1 else 1.2)
-            rows += [step * peak for step in steps]
+            peak = self.bends(1)[0] * factor
+            rows += [step * peak for step in CYCLE]
         return rows[:count]

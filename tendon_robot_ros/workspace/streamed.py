@@ -114,7 +114,7 @@ class SortedTips:
         tips, along = batch.tip_position, batch.tip_direction
         solved = changes < forward.TOLERANCE
         free = ~folds(batch.positions, self.thickness, self.lengths)
-        self.counts += [len(tips), (~solved).sum(), (solved & ~free).sum()]
+        self.counts += np.array([len(tips), (~solved).sum(), (solved & ~free).sum()])
         good = solved & free
         inputs, tips, along = batch.inputs[good], tips[good], along[good]
         angle = np.arccos(np.clip(along[:, 2], -1.0, 1.0))

@@ -20,7 +20,7 @@ from .grid import POSTURES_MAX
 from .streamed import Sampling, Stream
 
 POSTURES_PER_CUBE = 10  # wanted: fewer, and cubes stay empty by chance
-CUBES_MAX = 100.0  # along the arm
+CUBES_MIN, CUBES_MAX = 8.0, 100.0  # along the arm: to show a form, and to stay within memory
 KEPT = ('unfinished-0.npz', 'unfinished-1.npz')  # with friction, without: not yet ended
 
 
@@ -112,63 +112,19 @@ def find_volume(
     """
     robot = model.robot
     low, high = limits or (float(model.limits[:, 0].min()), float(model.limits[:, 1].max()))
-    edge = edge or _edge(robot, postures)
-    _check(robot, postures, views, tolerance, (low, high), edge)
-    plain = _without_friction(model)
-    total = postures * (2 if plain else 1)
-
-    def sampling_of(of: Model) -> Sampling:
-        files = model.catalogue.files
-        return Sampling(of.robot, files, edge, (low, high), tuple(views), tolerance, seed)
-
-    own = workers or Workers()
-    streams = [
-        Stream(sampling_of(each), postures, None if kept is None else kept / KEPT[i])
-        for i, each in enumerate([model, plain] if plain else [model])
-    ]
-    for i, stream in enumerate(streams):
-        stream.run(own, progress, i * postures, total)
-    return _volume(streams)
-
-
-def _volume(streams: Sequence[Stream]) -> Volume:
-    """Return what was found, with friction and, where there is any, without."""
-    found, sampling = streams[0].tally, streams[0].sampling
-    reached, postures = found.all.reached(), streams[0].postures
-    if not len(reached):
-        raise InputError(
-            f'{sampling.robot.name}: no posture of {postures:,} is one that the arm can have'
-        )
-    views = zip(sampling.views, found.views, strict=True)
-    return Volume(
-        robot=sampling.robot,
-        limits=sampling.limits,
-        postures=postures,
-        unsolved=int(found.counts[1]),
-        folded=int(found.counts[2]),
-        reached=reached,
-        late=(len(reached) - streams[0].late) / len(reached),
-        largest=float(found.largest[0]),
-        sphere=float(found.sphere.mean()),
-        views={view: cubes.reached() for view, cubes in views},
-        frictionless=streams[1].tally.all.reached() if len(streams) > 1 else None,
-    )
-
-
-def _check(
-    robot: Robot,
-    postures: int,
-    views: Sequence[float],
-    tolerance: float,
-    limits: tuple[float, float],
-    edge: float,
-) -> None:
+    if edge is None:
+        # tips fill about three squares, or four cubes, of the length of the arm; those of one
+        # section in space are a shell of about four squares
+        cubes, flat = postures / POSTURES_PER_CUBE, not tendon_offsets(robot)[..., 1].any()
+        sheet = flat or bends_as_one(robot)
+        count = (max(cubes, 0.0) / (3.0 if flat else 4.0)) ** (1 / 2 if sheet else 1 / 3)
+        edge = robot.length / float(np.clip(count, CUBES_MIN, CUBES_MAX))
     if not 0 < postures <= POSTURES_MAX:
         raise InputError(f'workspace: expected 1 to {POSTURES_MAX:,} postures, got {postures:,}')
-    if not 0.0 <= limits[0] < limits[1]:
+    if not 0.0 <= low < high:
         raise InputError(
             'workspace: expected a pretension from 0 to below the limit, '
-            f'got {limits[0]:g} N and {limits[1]:g} N'
+            f'got {low:g} N and {high:g} N'
         )
     if (len(views) and min(views) < 0.0) or not tolerance > 0.0:
         raise InputError('workspace: expected view angles of 0° or more and a tolerance above 0')
@@ -177,6 +133,40 @@ def _check(
             f'workspace: expected cubes of {1e3 * robot.length / CUBES_MAX:.2g} mm to the length '
             f'of the arm, got {1e3 * edge:.3g} mm'
         )
+    robots, catalogue = [robot], model.catalogue
+    friction = {name for name in robot.effects if catalogue[name].takes_force}
+    if friction:
+        lost = {name for name in robot.effects if catalogue[name].acts_on in friction} | friction
+        left = {name: own for name, own in robot.effects.items() if name not in lost}
+        robots.append(replace(robot, effects=left))
+    streams = []
+    for i, each in enumerate(robots):
+        sampling = Sampling(
+            each, catalogue.files, edge, (low, high), tuple(views), tolerance, seed
+        )
+        streams.append(Stream(sampling, postures, None if kept is None else kept / KEPT[i]))
+    own_workers = workers or Workers()
+    for i, stream in enumerate(streams):
+        stream.run(own_workers, progress, i * postures, len(streams) * postures)
+    found = streams[0].tally
+    reached = found.all.reached()
+    if not len(reached):
+        raise InputError(f'{robot.name}: no posture of {postures:,} is one that the arm can have')
+    return Volume(
+        robot=robot,
+        limits=(low, high),
+        postures=postures,
+        unsolved=int(found.counts[1]),
+        folded=int(found.counts[2]),
+        reached=reached,
+        late=(len(reached) - streams[0].late) / len(reached),
+        largest=float(found.largest[0]),
+        sphere=float(found.sphere.mean()),
+        views={
+            view: cubes.reached() for view, cubes in zip(sampling.views, found.views, strict=True)
+        },
+        frictionless=streams[1].tally.all.reached() if len(streams) > 1 else None,
+    )
 
 
 def bends_as_one(robot: Robot) -> bool:
@@ -184,45 +174,13 @@ def bends_as_one(robot: Robot) -> bool:
     return len({tendon.section for tendon in robot.tendons}) == 1
 
 
-def _edge(robot: Robot, postures: int) -> float:
-    """Return the edge of the cubes [m] that so many postures fill."""
-    cubes = max(postures, 1) / POSTURES_PER_CUBE
-    # tips fill about three squares, or four cubes, of the length of the arm; those of one section
-    # in space are a shell of about four squares
-    if not tendon_offsets(robot)[..., 1].any():
-        count = (cubes / 3.0) ** 0.5
-    else:
-        count = (cubes / 4.0) ** (0.5 if bends_as_one(robot) else 1.0 / 3.0)
-    return robot.length / float(np.clip(count, 8.0, CUBES_MAX))
-
-
-def _without_friction(model: Model) -> Model | None:
-    """Return the model without friction, None if it has none."""
-    catalogue = model.catalogue
-    friction = {name for name in model.robot.effects if catalogue[name].takes_force}
-    if not friction:
-        return None
-    kept = {
-        name: values
-        for name, values in model.robot.effects.items()
-        if name not in friction and catalogue[name].acts_on not in friction
-    }
-    return Model(replace(model.robot, effects=kept), catalogue)
-
-
-# -----------------------------------------------------------------------------
-# As a file: a row per cube.
-
-
 def save_volume(volume: Volume, folder: Path, names: tuple[str, str]) -> None:
     """Write a table of the cubes (CSV) and all arrays (npz), in m, N and rad."""
     reached = volume.reached
     head = [*volume.robot.inputs, 'x', 'y', 'z', 'direction_x', 'direction_y', 'direction_z']
     table = np.column_stack([reached.tensions, reached.tips, reached.directions, reached.looks])
-    np.savetxt(
-        folder / names[0], table, fmt='%.6g', delimiter=',', header=','.join([*head, 'looks']),
-        comments='',
-    )  # fmt: skip
+    header = ','.join([*head, 'looks'])
+    np.savetxt(folder / names[0], table, '%.6g', ',', header=header, comments='')
     arrays: dict[str, Any] = {'inputs': np.array(volume.robot.inputs), 'edge': reached.edge}
     parts = {'': reached, 'frictionless_': volume.frictionless}
     parts |= {f'view_{i}_': part for i, part in enumerate(volume.views.values())}
