@@ -9,13 +9,13 @@ from scipy.optimize import minimize_scalar
 
 from .columns import FloatArray
 
-STEP_S = 0.02  # [s] of the grid on which motions are compared
+STEP_S = 0.02  # [s] of the grid on which motions are compared: two frames of a usual tracker
 SEARCH_STEP_S = 0.1  # [s] of that on which the speed of the clock is searched
-POINTS_MAX = 1 << 17  # of the grid; a longer recording is compared on a coarser one
-PATTERNS_MAX = 6  # motions of the markers that are compared, the largest first
-CLEAR_SHARE = 0.85  # of the best match; another delay that comes nearer leaves it open
-MATCH_MIN = 0.3  # of the motion that the inputs explain
-DRIFT_MAX = 0.01  # no clock is worse; a wrong number of frames a second may be
+POINTS_MAX = 1 << 17  # of the grid, for the memory; a longer recording is on a coarser one
+PATTERNS_MAX = 6  # motions of the markers that are compared, the largest: all of two sections
+CLEAR_SHARE = 0.85  # [1] of the best match; another delay that comes nearer leaves it open
+MATCH_MIN = 0.3  # [1] of the motion that the inputs explain: less is chance
+DRIFT_MAX = 0.01  # [s/s] no clock is worse; a wrong number of frames a second may be
 DRIFTED_BETWEEN_S = 1.0  # [s] from one trial of the search to the next, at the end of the record
 EVEN_WITHIN_S = 0.05  # [s] at the end of the record: then the clocks run alike
 
@@ -77,7 +77,11 @@ def find_clock(
         drift = 0.0
     match = fine.matches(drift)
     best = int(match.argmax())
-    place = best + _vertex(match[max(best - 1, 0) : best + 2])
+    place = float(best)
+    if 0 < best < len(match) - 1:  # the vertex of the parabola through the peak and beside it
+        left, middle, right = match[best - 1 : best + 2].tolist()
+        curved = left - 2.0 * middle + right
+        place += float(np.clip(0.5 * (left - right) / curved, -0.5, 0.5)) if curved < 0.0 else 0.0
     other = max(_next_best(match, best), _next_best(matches, rough))
     return ClockFit((place - fine.before(drift)) * fine.step, drift, float(match[best]), other)
 
@@ -94,8 +98,13 @@ class _Comparison:
         step: float,
     ) -> None:
         self.step = step
-        self._moved = _patterns(_on_grid(times, coordinates, step))
-        given = _whitened(_on_grid(state_times, inputs, step))
+        # the largest principal motions, of variance one together
+        u, s, _ = np.linalg.svd(_on_grid(times, coordinates, step), full_matrices=False)
+        s = s[:PATTERNS_MAX] / max(float(np.linalg.norm(s)), 1e-30)
+        self._moved = u[:, : len(s)] * s
+        # orthonormal columns that span the inputs
+        u, s, _ = np.linalg.svd(_on_grid(state_times, inputs, step), full_matrices=False)
+        given = u[:, s > 1e-6 * max(float(s.max(initial=0.0)), 1e-30)]
         longest = len(given) + int(len(self._moved) * (1.0 + DRIFT_MAX)) + 1
         self._given, self._count = len(given), 1 << longest.bit_length()
         self._spectrum = np.fft.rfft(given, self._count, axis=0)
@@ -128,29 +137,6 @@ def _on_grid(times: FloatArray, values: FloatArray, step: float) -> FloatArray:
             placed = np.interp(grid, times[seen], column[seen])
             columns.append(placed - placed.mean())
     return np.array(columns).T.reshape(len(grid), -1)
-
-
-def _whitened(columns: FloatArray) -> FloatArray:
-    """Return orthonormal columns that span the same."""
-    u, s, _ = np.linalg.svd(columns, full_matrices=False)
-    kept: FloatArray = u[:, s > 1e-6 * max(float(s.max(initial=0.0)), 1e-30)]
-    return kept
-
-
-def _patterns(columns: FloatArray) -> FloatArray:
-    """Return the largest principal motions, of variance one together."""
-    u, s, _ = np.linalg.svd(columns, full_matrices=False)
-    s = s[:PATTERNS_MAX] / max(float(np.linalg.norm(s)), 1e-30)
-    return np.asarray(u[:, : len(s)] * s)
-
-
-def _vertex(three: FloatArray) -> float:
-    """Return where the parabola through a peak and its neighbours is highest, in steps."""
-    if len(three) < 3:
-        return 0.0
-    left, middle, right = three.tolist()
-    curved = left - 2.0 * middle + right
-    return 0.0 if curved >= 0.0 else float(np.clip(0.5 * (left - right) / curved, -0.5, 0.5))
 
 
 def _next_best(match: FloatArray, best: int) -> float:

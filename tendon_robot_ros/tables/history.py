@@ -16,10 +16,10 @@ from ..data.visits import split_by_order
 from .columns import FloatArray
 
 FROM_STRAIGHT, SEQUENCE, VISITS = 'from_straight', 'sequence', 'visits'
-LET_GO_SHARE = 0.2  # of the way from the lowest input to the smallest load, that is let go
+LET_GO_SHARE = 0.2  # [1] of the way from the lowest input to the smallest load, that is let go
 LOADED_MIN = 3  # postures from which that is told
-MOSTLY = 0.8  # of the postures, before which the arm was let go
-APART_MIN_M = 3e-4  # [m] between trials, from which the way is said to count
+MOSTLY = 0.8  # [1] of the postures, before which the arm was let go: a few rests may be missed
+APART_MIN_M = 3e-4  # [m] between trials, from which the way is said to count: a tracker's noise
 APART_FROM_SAME = 2.0  # times what trials with the same way differ by
 
 RESTED = (

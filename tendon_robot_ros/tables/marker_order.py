@@ -20,7 +20,9 @@ BELOW_BASE_CELLS = 0.5  # cells that a marker may seem to be below the base and 
 END_WITHIN_SHARE = 0.3  # of a cell's length: that near to the ends of cells, markers are at them
 EVEN_WITHIN_SHARE = 0.06  # of the spacing: that near to even spacing, markers are evenly spaced
 LONGER_SHARE = 0.05  # of the arm, by which a chord is longer than its arc: not these markers
-ROUND_M = 1e-4  # [m] arc lengths that were measured
+SPAN_WITHIN_SHARE = 0.1  # of the given span, by which chords of a bent arm may miss it
+STRAIGHT_SHARE = 0.995  # of the longest chord: a posture with such a chord is as straight as any
+ROUND_M = 1e-4  # [m] of arc lengths that were measured: what a ruler tells
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ def order_markers(
     positions: FloatArray, robot: Robot, given: Sequence[float | None] = (), name: str = 'markers'
 ) -> MarkerOrder:
     """
-    MarkerOrder markers by their place along the arm where it is straightest.
+    Order markers by their place along the arm where it is straightest.
 
     Parameters
     ----------
@@ -60,51 +62,60 @@ def order_markers(
 
     """
     unseen = tuple(np.flatnonzero(~np.isfinite(positions).any(axis=(0, 2))).tolist())
-    there = [j for j in range(positions.shape[1]) if j not in unseen]
-    found = _order_seen(positions[:, there], robot, given, name)
-    one, two, three = (
-        tuple(there[j] for j in members) for members in (found.members, found.off_arm, found.twice)
-    )
-    return MarkerOrder(one, found.arc_lengths, found.reason, two, three, unseen)
-
-
-def _order_seen(
-    positions: FloatArray, robot: Robot, given: Sequence[float | None], name: str
-) -> MarkerOrder:
-    """MarkerOrder markers that were seen."""
-    apart = _distances(positions)
-    twice = tuple(
-        j for j in range(len(apart)) if any(0.0 <= apart[i, j] < SAME_PLACE_M for i in range(j))
-    )
-    members = [j for j in range(len(apart)) if j not in twice]
+    seen = [j for j in range(positions.shape[1]) if j not in unseen]
+    apart = np.full((positions.shape[1],) * 2, -1.0)
+    apart[np.ix_(seen, seen)] = _distances(positions[:, seen])
+    twice = tuple(j for j in seen if any(0.0 <= apart[i, j] < SAME_PLACE_M for i in seen if i < j))
+    members = [j for j in seen if j not in twice]
+    known = tuple(value for value in given if value is not None)
     if len(members) == 1:
-        if len(apart) > 2:  # two may be one, exported twice
+        if len(seen) > 2:  # two may be one, exported twice
             raise _no_arm(name, float(apart.max()), robot)
-        return MarkerOrder((members[0],), _alone(robot, given, name), 'the only marker', (), twice)
-    _refuse_apart(apart[np.ix_(members, members)], name)
-    base, _ = _ends(positions, apart, members)
+        if len(known) > 1:
+            raise DataSetError(
+                name, f'has one marker, but {len(known)} places are given', 'give one of them'
+            )
+        only = known or (robot.length,)
+        return MarkerOrder((members[0],), only, 'the only marker', (), twice, unseen)
+    inner = apart[np.ix_(members, members)]
+    if (inner < 0.0).any():
+        raise DataSetError(
+            name,
+            'some markers are never seen together while the arm stands still: nothing tells their '
+            'order',
+            'say each place in an import.yaml (arc_length of markers)',
+        )
+    # the ends are farthest apart, and of these the tip moves
+    ends = [members[i] for i in np.unravel_index(int(inner.argmax()), inner.shape)]
+    base = min(ends, key=lambda j: float(np.nanstd(positions[:, j], axis=0).sum()))
     members.sort(key=lambda j: float(apart[base, j]))
     below_tip = robot.length - _lengths_to_tip(positions[:, members], apart, members)
     cell = min(section.cell_length for section in robot.sections)
     if given:
-        known = [value for value in given if value is not None]
         off = members[: max(len(members) - len(known), 0)]
-        if len(known) > len(members) or any(below_tip[i] > cell for i in range(len(off))):
+        if len(known) > len(members) or any(below_tip[: len(off)] > cell):
             raise DataSetError(
                 name,
                 f'has {len(members)} markers, but {len(known)} places on the arm are given',
                 'give one arc length for each, from base to tip',
             )
-        kept = tuple(j for j in members if j not in off)
-        _check_spacing(name, apart[kept[0], kept[-1]], known, cell)
-        return MarkerOrder(kept, tuple(known), AS_GIVEN, tuple(off), twice)
+        kept = tuple(members[len(off) :])
+        far, span = apart[kept[0], kept[-1]], known[-1] - known[0]
+        if abs(far - span) > max(cell, SPAN_WITHIN_SHARE * span):
+            raise DataSetError(
+                name,
+                f'the first and the last marker are {1e3 * far:.4g} mm apart where the arm is '
+                f'straightest, but {1e3 * span:.4g} mm by the places that are given',
+                'give the distance of every marker from the base along the arm, in mm',
+            )
+        return MarkerOrder(kept, known, AS_GIVEN, tuple(off), twice, unseen)
     on_arm = below_tip > -BELOW_BASE_CELLS * cell
     kept = tuple(j for j, one in zip(members, on_arm, strict=True) if one)
     if len(kept) < 2:
         raise _no_arm(name, float(apart[base, members[-1]]), robot)
     places, reason = _snapped(below_tip[on_arm], robot)
     off = [j for j in members if j not in kept]
-    return MarkerOrder(kept, places, reason, tuple(off), twice)
+    return MarkerOrder(kept, places, reason, tuple(off), twice, unseen)
 
 
 def _no_arm(name: str, far: float, robot: Robot) -> DataSetError:
@@ -114,17 +125,6 @@ def _no_arm(name: str, far: float, robot: Robot) -> DataSetError:
         f'markers are up to {1e3 * far:.4g} mm apart, the arm is {1e3 * robot.length:.4g} mm long',
         'check the unit (--unit positions=...), and cells and cell_length of the robot',
     )
-
-
-def _refuse_apart(apart: FloatArray, name: str) -> None:
-    """Refuse markers (J, J) of which two were never seen together."""
-    if (apart < 0.0).any():
-        raise DataSetError(
-            name,
-            'some markers are never seen together while the arm stands still: nothing tells their '
-            'order',
-            'say each place in an import.yaml (arc_length of markers)',
-        )
 
 
 def places_contradicted(dataset: DataSet) -> list[str]:
@@ -165,7 +165,7 @@ def _distances(positions: FloatArray) -> FloatArray:
     longest: FloatArray = np.where(seen, chords, -1.0).max(axis=0)
     whole = np.where(seen.all(axis=(1, 2)), np.nan_to_num(chords).max(axis=(1, 2)), -1.0)
     best = int(whole.argmax())
-    if whole[best] >= 0.995 * longest.max():  # one posture, instead of the luckiest of many
+    if whole[best] >= STRAIGHT_SHARE * longest.max():  # instead of the luckiest of many
         straightest: FloatArray = chords[best]
         return straightest
     return longest
@@ -195,36 +195,6 @@ def _lengths_to_tip(
     longest = [apart[a, b] for a, b in pairwise(members)]
     lengths = np.where(seen.any(axis=0), total / np.maximum(seen.sum(axis=0), 1), longest)
     return np.append(np.cumsum(lengths[::-1])[::-1], 0.0)
-
-
-def _ends(positions: FloatArray, apart: FloatArray, members: Sequence[int]) -> tuple[int, int]:
-    """Return the markers next to the base and to the tip: the ends, and of them the tip moves."""
-    inner = apart[np.ix_(members, members)]
-    first, last = np.unravel_index(int(inner.argmax()), inner.shape)
-    ends = members[int(first)], members[int(last)]
-    moves = [np.nanstd(positions[:, j], axis=0).sum() for j in ends]
-    return ends if moves[0] <= moves[1] else ends[::-1]
-
-
-def _alone(robot: Robot, given: Sequence[float | None], name: str) -> tuple[float]:
-    known = [value for value in given if value is not None]
-    if len(known) > 1:
-        raise DataSetError(
-            name, f'has one marker, but {len(known)} places are given', 'give one of them'
-        )
-    return (known[0] if known else robot.length,)
-
-
-def _check_spacing(name: str, apart: float, known: Sequence[float], cell: float) -> None:
-    """Refuse places that are not as far apart as the markers."""
-    span = known[-1] - known[0]
-    if abs(apart - span) > max(cell, 0.1 * span):
-        raise DataSetError(
-            name,
-            f'the first and the last marker are {1e3 * apart:.4g} mm apart where the arm is '
-            f'straightest, but {1e3 * span:.4g} mm by the places that are given',
-            'give the distance of every marker from the base along the arm, in mm',
-        )
 
 
 def _snapped(measured: FloatArray, robot: Robot) -> tuple[tuple[float, ...], str]:

@@ -17,9 +17,9 @@ from ..effects import Catalogue
 from .recipe import Recipe
 from .registration import TrackerFrame, find_frame, gravity_of
 
-TRIALS_SHOWN = 6  # of those that were left out
-UNKNOWN_SHARE = 0.1  # of the arm, by which its tip may be off for the frame alone
-APART_RAD = 0.3  # [rad] between gravity as the robot says it and as the tracker does
+TRIALS_SHOWN = 6  # of those that were left out, so that the line is read
+UNKNOWN_SHARE = 0.1  # [1] of the arm, by which its tip is off for the frame alone: of no use then
+APART_RAD = 0.3  # [rad] 17° between gravity as the robot says it and as the tracker does
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,27 @@ class Placed:
     @property
     def frame_look(self) -> list[str]:
         """Say what contradicts the frame."""
-        return _frame_look(self.frame, self.dataset.robot.length)
+        frame, length, said = self.frame, self.dataset.robot.length, []
+        known = frame.tolerances(length)
+        if known and max(known['position'], known['rotation'] * length) > UNKNOWN_SHARE * length:
+            said.append(
+                f'the frame is known to {mm(known["position"], 2)} and '
+                f'{np.degrees(known["rotation"]):.2g}° only, more than a tenth of the arm at its '
+                'tip: are markers, inputs and units right? (--frame base, where the table is in '
+                'the base frame)'
+            )
+        if frame.is_mirrored:
+            said.append(
+                f'a left-handed frame would fit better ({mm(frame.mirrored)} instead of '
+                f'{mm(frame.free)}): an axis has the wrong sign, or two inputs are swapped'
+            )
+        elif frame.is_contradicted:
+            said.append(
+                f'free to turn, the frame would fit to {mm(frame.free)} instead of '
+                f'{mm(frame.residual)}: a load that the description lacks, or is what is said of '
+                'it (up, gravity, frame) not right? (--frame model turns it freely)'
+            )
+        return said
 
     @property
     def look(self) -> list[str]:
@@ -44,7 +64,12 @@ class Placed:
     @property
     def dropped(self) -> list[str]:
         """Say which trials were left out."""
-        return _trials_dropped(self.left_out)
+        if not self.left_out:
+            return []
+        names = [f'posture {posture} trial {trial}' for posture, trial in self.left_out]
+        more = len(names) - TRIALS_SHOWN
+        told = listed(names if more < 2 else [*names[:TRIALS_SHOWN], f'{more} more'])
+        return [f'{told}: the other trials contradict (a slipped tendon?)']
 
 
 def place(raw: DataSet, recipe: Recipe, catalogue: Catalogue) -> Placed:
@@ -65,45 +90,30 @@ def place(raw: DataSet, recipe: Recipe, catalogue: Catalogue) -> Placed:
         The model has no equilibrium, or the method needs what is not there.
 
     """
-    dataset, frame, left_out = _registered(raw, recipe, catalogue)
-    final, look = _known_frame(dataset, frame, recipe)
-    return Placed(final, frame, left_out, look)
-
-
-def _known_frame(
-    dataset: DataSet, frame: TrackerFrame, recipe: Recipe
-) -> tuple[DataSet, tuple[str, ...]]:
-    """Say gravity, and how well the frame is known, so that a diagnosis may move it."""
-    gravity, look = _gravity(dataset, frame, recipe)
-    robot = dataset.robot
-    known = frame.tolerances(robot.length)
-    if recipe.frame.rotation is not None:  # a frame that is given comes with its tolerances
-        known |= {key: robot.tolerances[key] for key in known if key in robot.tolerances}
-    robot = replace(robot, tolerances={**robot.tolerances, **known})
-    return replace(dataset, gravity=gravity, robot=robot), look
-
-
-def _registered(
-    raw: DataSet, recipe: Recipe, catalogue: Catalogue
-) -> tuple[DataSet, TrackerFrame, tuple[tuple[str, str], ...]]:
-    """Find the frame, the trials that the others contradict, and the frame without them."""
     robot, choice = raw.robot, recipe.frame
-    kept = raw
+
+    def placed(dataset: DataSet) -> tuple[DataSet, TrackerFrame]:
+        frame = find_frame(dataset, Predictor(dataset, robot, catalogue), choice, recipe.up)
+        positions = dataset.positions @ frame.rotation.T + frame.shift
+        return replace(dataset, positions=positions.round(9)), frame
+
     if recipe.leave_out is not None:
-        kept = _without(raw, recipe.leave_out)
-    predictor = Predictor(kept, robot, catalogue)
-    frame = find_frame(kept, predictor, choice, recipe.up)
-    if recipe.leave_out is not None:
-        return _placed(kept, frame), frame, recipe.leave_out
-    placed = _placed(kept, frame)
-    outliers = find_outliers(Predictor(placed, robot, catalogue), {})
-    pairs = tuple(
-        (raw.postures[p], raw.trial_names[q]) for p, q in np.argwhere(outliers.trials).tolist()
-    )
-    if pairs:
-        kept = _without(raw, pairs)
-        frame = find_frame(kept, Predictor(kept, robot, catalogue), choice, recipe.up)
-    return _placed(kept, frame), frame, pairs
+        pairs = recipe.leave_out
+        dataset, frame = placed(_without(raw, pairs))
+    else:
+        dataset, frame = placed(raw)
+        outliers = find_outliers(Predictor(dataset, robot, catalogue), {})
+        pairs = tuple(
+            (raw.postures[p], raw.trial_names[q]) for p, q in np.argwhere(outliers.trials).tolist()
+        )
+        if pairs:
+            dataset, frame = placed(_without(raw, pairs))
+    gravity, look = _gravity(dataset, frame, recipe)
+    known = frame.tolerances(robot.length)  # so that a diagnosis may move it
+    if choice.rotation is not None:  # a frame that is given comes with its tolerances
+        known |= {key: robot.tolerances[key] for key in known if key in robot.tolerances}
+    robot = replace(dataset.robot, tolerances={**dataset.robot.tolerances, **known})
+    return Placed(replace(dataset, gravity=gravity, robot=robot), frame, pairs, look)
 
 
 def _without(dataset: DataSet, pairs: Sequence[tuple[str, str]]) -> DataSet:
@@ -118,11 +128,6 @@ def _without(dataset: DataSet, pairs: Sequence[tuple[str, str]]) -> DataSet:
         out[dataset.postures.index(posture), dataset.trial_names.index(trial)] = True
     nothing = np.zeros((*out.shape, len(dataset.markers)), dtype=bool)
     return Outliers(nothing, out, np.zeros(nothing.shape)).without(dataset)
-
-
-def _placed(dataset: DataSet, frame: TrackerFrame) -> DataSet:
-    positions = dataset.positions @ frame.rotation.T + frame.shift
-    return replace(dataset, positions=positions.round(9))
 
 
 def _gravity(
@@ -154,36 +159,3 @@ def _gravity(
         f'gravity of the robot and up of the tracker are {np.degrees(apart):.0f}° apart; '
         "the robot's counts",
     )
-
-
-def _trials_dropped(pairs: Sequence[tuple[str, str]]) -> list[str]:
-    if not pairs:
-        return []
-    names = [f'posture {posture} trial {trial}' for posture, trial in pairs]
-    more = len(names) - TRIALS_SHOWN
-    told = listed(names if more < 2 else [*names[:TRIALS_SHOWN], f'{more} more'])
-    return [f'{told}: the other trials contradict (a slipped tendon?)']
-
-
-def _frame_look(frame: TrackerFrame, length: float) -> list[str]:
-    said = []
-    known = frame.tolerances(length)
-    if known and max(known['position'], known['rotation'] * length) > UNKNOWN_SHARE * length:
-        said.append(
-            f'the frame is known to {mm(known["position"], 2)} and '
-            f'{np.degrees(known["rotation"]):.2g}° only, more than a tenth of the arm at its tip: '
-            'are markers, inputs and units right? (--frame base, where the table is in the base '
-            'frame)'
-        )
-    if frame.is_mirrored:
-        said.append(
-            f'a left-handed frame would fit better ({mm(frame.mirrored)} instead of '
-            f'{mm(frame.free)}): an axis has the wrong sign, or two inputs are swapped'
-        )
-    elif frame.is_contradicted:
-        said.append(
-            f'free to turn, the frame would fit to {mm(frame.free)} instead of '
-            f'{mm(frame.residual)}: a load that the description lacks, or is what is said of it '
-            '(up, gravity, frame) not right? (--frame model turns it freely)'
-        )
-    return said

@@ -20,16 +20,20 @@ from ..data.markers import Vector
 from .columns import FloatArray
 from .recipe import UPS, FrameChoice
 
-DIGITS = 9  # nanometres
-ROUNDS = 6  # of weights and fit
-NOISE_M = 5e-4  # [m] of a tracker, about
-NEXT_TO_BASE = 2  # markers
-STRAIGHT_WITHIN = 0.02  # lengths of the arm that a straight posture's tip is off the axis
-LEVEL_WITHIN_RAD = 0.035  # [rad] that a mount and a tracker are level, 1 sd
-OFFSET_MIN_M = 1.5e-3  # [m] of markers beside the backbone that is said
-OFFSET_GAIN = 0.93  # of the weighted error that is left where markers sit there
-MIRRORED_SHARE_MAX = 0.3  # of the residual that is left where the frame is taken as left-handed
-MIRRORED_MIN_M = 1e-3  # [m] residual from which that is asked
+DIGITS = 9  # of metres: nanometres
+ROUNDS = 6  # of weights and fit: the weights stand by then
+NOISE_M = 5e-4  # [m] of a tracker, about, so that no marker counts without end
+NEXT_TO_BASE = 2  # markers, of which the model knows most
+STRAIGHT_WITHIN = 0.02  # [1] lengths of the arm that a straight posture's tip may be off the axis
+LEVEL_WITHIN_RAD = 0.035  # [rad] 2°, 1 sd, that a mount and a tracker are level
+TURN_MIN_RAD, TURN_MAX_RAD = 5.2e-3, 1.0  # [rad] 0.3° to 57°: so well is a frame known at all
+SHIFT_MIN_M = 1e-3  # [m] so well is the place of a base known at most
+OFFSET_MIN_M = 1.5e-3  # [m] of markers beside the backbone that is said: the size of a marker
+OFFSET_GAIN = 0.93  # [1] of the weighted error that is left where markers sit there
+MIRRORED_SHARE_MAX = 0.3  # [1] of the residual that is left where the frame is left-handed
+MIRRORED_MIN_M = 1e-3  # [m] residual from which that is asked: twice a tracker's noise
+# what was said of the frame is wrong where it leaves so many times what a free one would, and more
+CONTRADICTED_FACTOR, CONTRADICTED_MIN_M = 3.0, 1e-3
 UP = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
 Z = np.array([0.0, 0.0, 1.0])
 
@@ -76,7 +80,7 @@ class TrackerFrame:
     @property
     def is_contradicted(self) -> bool:
         """Whether what was said of the frame leaves much more than a free one would."""
-        return self.residual > 3.0 * self.free + 1e-3
+        return self.residual > CONTRADICTED_FACTOR * self.free + CONTRADICTED_MIN_M
 
     def tolerances(self, length: float) -> dict[str, float]:
         """
@@ -89,8 +93,8 @@ class TrackerFrame:
             return {}
         rotation = LEVEL_WITHIN_RAD if self.method == 'level' else 2.0 * self.residual / length
         return {
-            'position': float(f'{max(self.at_base, 1e-3):.2g}'),
-            'rotation': float(f'{min(max(rotation, 5.2e-3), 1.0):.2g}'),
+            'position': float(f'{max(self.at_base, SHIFT_MIN_M):.2g}'),
+            'rotation': float(f'{min(max(rotation, TURN_MIN_RAD), TURN_MAX_RAD):.2g}'),
         }
 
 
@@ -132,7 +136,8 @@ def find_frame(
     measured = dataset.mean
     seen = np.isfinite(measured).all(axis=2)
     gravity = np.array(predictor.robot.gravity or (0.0, 0.0, 0.0))
-    method = choice.method or _suited(up, gravity)
+    has_verticals = up is not None and np.linalg.norm(gravity) > 0.0
+    method = choice.method or ('level' if has_verticals else 'model')
     if choice.rotation is not None and choice.shift is not None:
         method = 'given' if choice.method is None else choice.method
         turn, shift = matrix_of(choice.rotation), np.array(choice.shift)
@@ -141,7 +146,14 @@ def find_frame(
     elif method == 'straight':
         turn, shift = _straight(measured, markers, dataset, seen)
     else:
-        above = _above(up, gravity) if method == 'level' else None
+        above = None  # where up is in the base frame, (3,)
+        if method == 'level':
+            if not has_verticals:
+                raise InputError(
+                    "--frame level needs the tracker's --up and the robot's gravity (where the "
+                    'arm points)'
+                )
+            above = -gravity / np.linalg.norm(gravity)
         turn, shift = _weighted(measured, markers, dataset.arc_lengths, up, above)
     turn = matrix_of(rotation_vector(turn))  # as a file gives it back, to the last digit
     shift = shift.round(DIGITS)
@@ -259,25 +271,11 @@ def _left(measured: FloatArray, markers: FloatArray) -> float:
     return rms(measured @ turn.T + shift - markers)
 
 
-def _suited(up: str | None, gravity: FloatArray) -> str:
-    """Return the method that uses what is known."""
-    return 'level' if up is not None and np.linalg.norm(gravity) > 0.0 else 'model'
-
-
 def _turned_about(axis: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the rotation about an axis that lays vectors a (n, 3) best onto b."""
     cross = float(np.sum(np.cross(a, b) @ axis))
     along = float(np.sum(a * b) - np.sum((a @ axis) * (b @ axis)))
     return matrix_of(axis * np.arctan2(cross, along))
-
-
-def _above(up: str | None, gravity: FloatArray) -> FloatArray:
-    """Return where up is in the base frame, (3,)."""
-    if up is None or not np.linalg.norm(gravity):
-        raise InputError(
-            "--frame level needs the tracker's --up and the robot's gravity (where the arm points)"
-        )
-    return -gravity / np.linalg.norm(gravity)
 
 
 def _level(
