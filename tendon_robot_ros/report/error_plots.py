@@ -15,7 +15,7 @@ from ..comparison.result import Comparison
 from ..diagnosis.missing_moment import MissingMoment
 from .comparison_text import posture_name
 from .numbers import LOG_AXIS, degrees_list, error_bars, mm_list, plain
-from .page import Figure
+from .page import Figure, curve, titled
 
 POSTURES_WITH_OWN_BOXES = 6  # postures up to which each has its own boxes, else they are too thin
 BOX_POINTS_MAX = 200  # trials up to which each is drawn beside its box, else they cover it
@@ -62,18 +62,9 @@ def per_marker(comparison: Comparison) -> Figure:
             }
         )
     for i, model in enumerate(comparison.models):
-        data.append(
-            {
-                'x': along,
-                'y': mm_list(model.per_marker_rms),
-                'name': escape(model.name),
-                'mode': 'lines+markers',
-                'line': {'color': look(i).colour, 'dash': look(i).dash},
-                'marker': {'symbol': look(i).symbol, 'size': 7},
-            }
-        )
+        data.append(curve(along, mm_list(model.per_marker_rms), model.name, look(i), size=7))
     layout = {
-        'xaxis': {'title': {'text': place_title(comparison)}},
+        'xaxis': titled(place_title(comparison)),
         'yaxis': _error_axis(comparison, 'error, rms over postures [mm]'),
     }
     return Figure(data, layout, 'Error along the arm', '')
@@ -130,15 +121,7 @@ def angles(comparison: Comparison, p: int) -> Figure:
     data: list[dict[str, Any]] = []
     for i, model in enumerate(comparison.models):
         assert model.angles is not None
-        data.append(
-            {
-                'x': along,
-                'y': degrees_list(model.angles[p]),
-                'name': escape(model.name),
-                'mode': 'lines',
-                'line': {'color': look(i).colour, 'dash': look(i).dash, 'width': 2.5},
-            }
-        )
+        data.append(curve(along, degrees_list(model.angles[p]), model.name, look(i), 2.5))
     what = '95 %' if comparison.error == 'ci' else 'standard error'
     data.append(
         {
@@ -151,8 +134,8 @@ def angles(comparison: Comparison, p: int) -> Figure:
         }
     )
     layout = {
-        'xaxis': {'title': {'text': place_title(comparison)}},
-        'yaxis': {'title': {'text': 'angular displacement [°]'}},
+        'xaxis': titled(place_title(comparison)),
+        'yaxis': titled('angular displacement [°]'),
     }
     return Figure(data, layout, capital(posture_name(comparison, p)), '')
 
@@ -226,7 +209,7 @@ def _error_axis(comparison: Comparison, title: str) -> dict[str, Any]:
     floor = comparison.noise_floor
     largest = max(float(model.per_marker_rms[-1]) for model in comparison.models)
     wide = floor and largest > LOG_AXIS_FROM_FLOORS * floor
-    return {'title': {'text': title}, **(LOG_AXIS if wide else {'rangemode': 'tozero'})}
+    return titled(title, **(LOG_AXIS if wide else {'rangemode': 'tozero'}))
 
 
 def places(comparison: Comparison) -> list[float | None]:
@@ -264,7 +247,7 @@ def heat_maps(
             'hovertemplate': '%{x}, posture %{y}: %{z:.1f} sd<extra></extra>',
         }
         layout = {
-            'xaxis': {'title': {'text': place_title(comparison)}},
+            'xaxis': titled(place_title(comparison)),
             'yaxis': {'title': {'text': 'posture'}, 'type': 'category', 'autorange': 'reversed'},
             'margin': {'l': 56, 'r': 8, 't': 8, 'b': 44},
         }

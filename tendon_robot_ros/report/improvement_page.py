@@ -20,7 +20,7 @@ from .arm_text import as_built, left_out, where_wrong
 from .comparison_page import add_shapes
 from .error_plots import per_marker, per_posture
 from .numbers import LOG_AXIS, mm_list, quantities
-from .page import Figure, Page
+from .page import Figure, Page, titled
 
 MARKERS_SHOWN_MAX = 4  # markers up to which each has its own number, else a row does not fit
 LABEL_WIDTH = 22  # letters of a step's name in a line below the curve: a quarter of its height
@@ -178,10 +178,7 @@ def curve(found: Improvement) -> Figure:
         )
     layout = {
         'xaxis': {'type': 'category', 'tickangle': -90},
-        'yaxis': {
-            'title': {'text': 'rms error, logarithmic [mm]'},
-            **LOG_AXIS,
-        },
+        'yaxis': titled('rms error, logarithmic [mm]', **LOG_AXIS),
     }
     title = 'The error falls step by step; hollow: not taken'
     return Figure(data, layout, title, '', 460)

@@ -11,13 +11,36 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from ..common.colours import ERROR, INK, KINDS
+from ..common.colours import ERROR, INK, KINDS, Look
 from ..common.errors import MissingExtraError
 from ..common.files import new_file
 
+Trace = dict[str, Any]  # what plotly draws, or a part of its layout
 FOLDER = Path(__file__).parent
 KEYS = 'Tab comes here, arrow keys show the next.'
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif'
+
+
+def titled(title: str, **more: Any) -> Trace:
+    """Return an axis with a title."""
+    return {'title': {'text': title}, **more}
+
+
+def curve(
+    x: Sequence[Any],
+    y: Sequence[Any],
+    name: str,
+    style: Look,
+    width: float = 2.0,
+    size: int = 0,
+    **more: Any,
+) -> Trace:
+    """Draw a curve in the look of a model; with symbols of a size [px], if any."""
+    line = {'color': style.colour, 'dash': style.dash, 'width': width}
+    made = {'x': x, 'y': y, 'name': escape(name), 'mode': 'lines', 'line': line}
+    if size:
+        made |= {'mode': 'lines+markers', 'marker': {'symbol': style.symbol, 'size': size}}
+    return {**made, **more}
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,11 @@ from ..model.plot import bending_azimuth, views_of
 from .arm_text import Fault, marks, of_inputs
 from .comparison_text import posture_name
 from .numbers import mm_list, plain
-from .page import Figure, symbol
+from .page import Figure, Trace, symbol, titled
 
 POSTURES_DRAWN_MAX = 12  # postures that are drawn, so that the page opens at once
 FLAT_WITHIN_SHARE = 0.03  # [1] of the arm's length: farther from the x-z plane is spatial
 NAME_MAX = 40  # letters of a posture in the menu: what a phone shows
-Trace = dict[str, Any]
 
 
 def shape_figures(
@@ -109,7 +108,7 @@ def _planar(drawn: _Drawn) -> Figure:
     layout = {
         'showlegend': False,
         'margin': {'l': 46, 'r': 8, 't': 6, 'b': 40},
-        'xaxis': {'title': {'text': 'x [mm]'}},
+        'xaxis': titled('x [mm]'),
         'yaxis': {'title': {'text': 'z [mm]'}, 'scaleanchor': 'x'},
     }
     return Figure(data, layout, drawn.title, drawn.caption, height=270)

@@ -18,7 +18,7 @@ from ..workspace.cubes import LOOKS, Floats, Numbers, Reached
 from ..workspace.grid import Family, Workspace
 from ..workspace.volume import Volume, bends_as_one
 from .numbers import degrees_list, mm_list
-from .page import Figure, Page
+from .page import Figure, Page, Trace, curve, titled
 
 HEIGHT_NAMES = ('highest tip', 'median tip', 'lowest tip')
 AT_LIMIT_WITHIN_N = 1e-6  # [N] of rounding, in which a tension is that of the limit
@@ -34,7 +34,6 @@ LATE_MAX = 0.02  # [1] of the cubes found late, from which more postures are ask
 THIN_SHARE = 0.1  # [1] of the cubes are full, at most: what they hold is thinner than they are
 DIRECTION_SHARE = 0.08  # [1] of the arm's length, of the lines that show where tips look
 GREY = '#d3d7dc'  # of what only an arm without friction reaches
-Trace = dict[str, Any]
 SCALE = 'Cividis'  # read alike by all eyes, and in grey
 
 
@@ -94,11 +93,11 @@ def postures(family: Family) -> Figure:
     """Positions of all cells in the postures with highest, median and lowest tip; all tips."""
     planar = np.abs(family.positions[..., 1]).max(initial=0.0) < 1e-9
     title = f'{degree(family.view)} view, {family.pair.name}'
-    data = []
+    data: list[Trace] = []
     for i, row in enumerate(family.salient):
         style = look(i)
         points = np.concatenate([np.zeros((1, 3)), family.positions[row]])
-        marker = {'color': style.colour, 'symbol': style.symbol, 'size': 5 if planar else 3}
+        marker: Trace = {'color': style.colour, 'symbol': style.symbol, 'size': 5 if planar else 3}
         line = {'color': style.colour, 'dash': style.dash, 'width': 2 if planar else 5}
         trace = {**_places(points, planar), 'name': HEIGHT_NAMES[i], 'mode': 'lines+markers'}
         data.append({**trace, 'line': line, 'marker': marker})
@@ -110,7 +109,7 @@ def postures(family: Family) -> Figure:
         f'{len(family)} postures; tips within {digits(1e3 * across(family), 3)} mm across and '
         f'{digits(1e3 * float(family.span[2]), 3)} mm along z.'
     )
-    axes = {f'{axis}axis': {'title': {'text': f'{axis} [mm]'}} for axis in 'xyz'}
+    axes = {f'{axis}axis': titled(f'{axis} [mm]') for axis in 'xyz'}
     if not planar:
         scene = {
             'scene': {'aspectmode': 'data', **axes},
@@ -118,7 +117,7 @@ def postures(family: Family) -> Figure:
         }
         return Figure(data, scene, title, caption + ' Drag to turn.', height=460)
     layout = {
-        'xaxis': {'title': {'text': 'x [mm]'}},
+        'xaxis': titled('x [mm]'),
         'yaxis': {'title': {'text': 'z [mm]'}, 'scaleanchor': 'x'},
     }
     return Figure(data, layout, title, caption, height=460)
@@ -132,19 +131,10 @@ def displacement(family: Family) -> Figure:
     for i, b in enumerate(family.salient):
         bend = family.bend[b]
         angle = bend[:, 0] if planar else np.linalg.norm(bend, axis=1)
-        data.append(
-            {
-                'x': cells,
-                'y': degrees_list(angle),
-                'name': HEIGHT_NAMES[i],
-                'mode': 'lines+markers',
-                'line': {'color': look(i).colour, 'dash': look(i).dash, 'width': 2},
-                'marker': {'symbol': look(i).symbol, 'size': 6},
-            }
-        )
+        data.append(curve(cells, degrees_list(angle), HEIGHT_NAMES[i], look(i), size=6))
     layout = {
-        'xaxis': {'title': {'text': 'cell'}},
-        'yaxis': {'title': {'text': 'angular displacement per cell [°]'}},
+        'xaxis': titled('cell'),
+        'yaxis': titled('angular displacement per cell [°]'),
     }
     pulled = []
     for name, b in zip(HEIGHT_NAMES, family.salient, strict=True):
@@ -308,7 +298,7 @@ def _values(volume: Volume) -> tuple[Floats, str]:
 
 
 def _scene() -> dict[str, Any]:
-    axes = {f'{axis}axis': {'title': {'text': f'{axis} [mm]'}} for axis in 'xyz'}
+    axes = {f'{axis}axis': titled(f'{axis} [mm]') for axis in 'xyz'}
     scene = {'aspectmode': 'data', 'camera': {'eye': {'x': 1.8, 'y': 1.8, 'z': 0.9}}, **axes}
     legend = {'orientation': 'h', 'itemsizing': 'constant', 'y': 1.0, 'x': 0.0}
     return {'scene': scene, 'legend': legend, 'margin': {'l': 0, 'r': 0, 't': 0, 'b': 0}}

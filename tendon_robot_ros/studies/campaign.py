@@ -19,7 +19,6 @@ import argparse
 import collections
 import sys
 from collections.abc import Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +26,13 @@ import numpy as np
 
 from ..cli.options import add_cluster, add_effect_files, add_json, emit
 from ..cli.progress import progress
-from ..common.colours import BAND, COLOURS, DASHES, ERROR, PREDICTED
+from ..common.colours import BAND, ERROR, PREDICTED, look
 from ..common.words import columns, digits
 from ..common.workers import Workers
 from ..diagnosis.decide import Verdict
 from ..model.versions import Preparation
 from ..report.numbers import error_bars
-from ..report.page import Figure, Page
+from ..report.page import Figure, Page, Trace, curve
 from ..simulation.hidden import CAUSES
 from .cases import NOTHING
 from .figures import (
@@ -184,8 +183,8 @@ def interval_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
             hits.setdefault((row.robot, row.hidden, name), []).append(held)
     refused = collections.Counter((row.robot, row.hidden) for row in rows if row.problem)
     made = []
-    for (robot, hidden, name), held in sorted(hits.items()):
-        counts = [f'{np.mean(held):.1%}', f'{len(held)}', f'{refused[robot, hidden]}']
+    for (robot, hidden, name), every in sorted(hits.items()):
+        counts = [f'{np.mean(every):.1%}', f'{len(every)}', f'{refused[robot, hidden]}']
         made.append([f'{robot}: {hidden} {name}', *counts])
     return made
 
@@ -265,27 +264,16 @@ def campaign_page(
     return page
 
 
-MARKERS = ('circle', 'square-open', 'diamond-open', 'circle-open')  # none hides another
-
-
-def power_figure(name: str, curves: Sequence[Power]) -> Figure:
+def power_figure(name: str, found: Sequence[Power]) -> Figure:
     """Draw how often one effect is named, over its size; a curve per robot and way."""
-    several = len({curve.robot for curve in curves}) > 1
+    several = len({power.robot for power in found}) > 1
     data: list[dict[str, Any]] = []
-    for i, curve in enumerate(curves):
-        label = '; '.join(filter(None, (curve.robot if several else '', curve.way)))
-        data.append(
-            {
-                'x': list(curve.sizes),
-                'y': [100.0 * (rate.share or 0.0) for rate in curve.right],
-                'name': escape(label),
-                'mode': 'lines+markers',
-                'line': {'color': COLOURS[i % len(COLOURS)], 'dash': DASHES[i % len(DASHES)]},
-                'marker': {'symbol': MARKERS[i % len(MARKERS)], 'size': 7 + 3 * min(i, 3)},
-                'error_y': rate_bars(curve.right),
-                'showlegend': len(curves) > 1,
-            }
-        )
+    for i, power in enumerate(found):
+        label = '; '.join(filter(None, (power.robot if several else '', power.way)))
+        shares = [100.0 * (rate.share or 0.0) for rate in power.right]
+        bars, size = rate_bars(power.right), 7 + 3 * min(i, 3)  # none hides another
+        made = curve(list(power.sizes), shares, label, look(i), size=size, error_y=bars)
+        data.append({**made, 'showlegend': len(found) > 1})
     layout = {
         'xaxis': {'type': 'log', 'title': {'text': 'size, times the typical one'}},
         'yaxis': {'title': {'text': 'named [%]'}, 'range': [-4, 104]},
@@ -375,5 +363,5 @@ def coverage_figure(rows: Sequence[CaseRow]) -> Figure:
         f'needed. {held[0].runs} intervals of named effects, narrower ones scaled from those of '
         '95 %; bars: how well the shares are known (95 %).'
     )
-    traces = [too_narrow, as_promised, as_found]
+    traces: list[Trace] = [too_narrow, as_promised, as_found]
     return Figure(traces, layout, 'Do intervals hold the true value?', caption, 400)

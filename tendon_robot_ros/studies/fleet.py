@@ -38,7 +38,7 @@ from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import CandidateRow, EffectFinding, Value
 from ..model.versions import Preparation, UserEffect, catalogue_of
 from ..report.numbers import error_bars
-from ..report.page import Figure, Page
+from ..report.page import Figure, Page, titled
 from ..robot import dump_robot
 from .judge import fitted_values, told_by
 from .running import ERROR, TABLE, GrowingTable, Row, judge_all
@@ -439,7 +439,7 @@ def map_parameters(history: Sequence[FleetRow]) -> list[Figure]:
                 ),
             }
         ]
-        layout = {'xaxis': {'type': 'date'}, 'yaxis': {'title': {'text': f'[{unit or 1}]'}}}
+        layout = {'xaxis': {'type': 'date'}, 'yaxis': titled(f'[{unit or 1}]')}
         caption = '95 % intervals, fitted alone or with what was named beside it'
         figures.append(Figure(data, layout, name, caption, 320))
     return figures

@@ -133,7 +133,7 @@ def told_by(found: Diagnosis) -> dict[str, Any]:
     }
 
 
-def fitted_values(values: Mapping[str, Value]) -> dict[str, tuple[Any, ...]]:
+def fitted_values(values: Mapping[str, Value]) -> dict[str, Any]:
     """Return what a row holds of fitted parameters."""
     return {
         'parameter': tuple(values),

@@ -32,7 +32,7 @@ from ..diagnosis.result import Diagnosis
 from ..report import comparison_text as say
 from ..report.error_plots import angles, tip_boxes
 from ..report.numbers import error_bars, mm_list, plain, quantities
-from ..report.page import Figure, Page
+from ..report.page import Figure, Page, curve, titled
 from ..report.workspace_page import FAMILY_COLUMNS, rows, view_figures
 from ..robot import load_robot
 from .paper_motion import VIEW_ANGLES_RAD, MotionExperiment, Robots
@@ -124,15 +124,8 @@ def posture(comparison: Comparison, data: DataSet, p: int) -> Figure:
     traces: list[dict[str, Any]] = []
     for i, model in enumerate(comparison.models):
         points = np.concatenate([np.zeros((1, 3)), model.markers[p]])
-        traces.append(
-            {
-                'x': mm_list(points[:, 0]),
-                'y': mm_list(points[:, 2]),
-                'name': escape(model.name),
-                'mode': 'lines',
-                'line': {'color': look(i).colour, 'dash': look(i).dash, 'width': 2.5},
-            }
-        )
+        x, z = mm_list(points[:, 0]), mm_list(points[:, 2])
+        traces.append(curve(x, z, model.name, look(i), 2.5))
     half = half_width(data.positions[p], comparison.error)
     mean = comparison.measured.mean[p]
     traces.append(
@@ -147,7 +140,7 @@ def posture(comparison: Comparison, data: DataSet, p: int) -> Figure:
         }
     )
     layout = {
-        'xaxis': {'title': {'text': 'x [mm]'}},
+        'xaxis': titled('x [mm]'),
         'yaxis': {'title': {'text': 'z [mm]'}, 'scaleanchor': 'x'},
     }
     return Figure(traces, layout, capital(comparison.measured.postures[p]), '', height=430)
@@ -159,23 +152,13 @@ def error_per_cell(comparison: Comparison, data: DataSet, p: int) -> Figure:
     cells = plain(np.arange(1, data.positions.shape[2] + 1))
     for i, model in enumerate(comparison.models):
         errors = np.linalg.norm(data.positions[p] - model.markers[p], axis=2)
-        traces.append(
-            {
-                'x': cells,
-                'y': mm_list(np.nanmean(errors, axis=0)),
-                'error_y': error_bars(mm_list(half_width(errors, comparison.error))),
-                'name': escape(model.name),
-                'mode': 'lines+markers',
-                'line': {'color': look(i).colour, 'dash': look(i).dash, 'width': 1.5},
-                'marker': {'symbol': look(i).symbol, 'size': 8},
-            }
-        )
+        mean, half = np.nanmean(errors, axis=0), half_width(errors, comparison.error)
+        bars = error_bars(mm_list(half))
+        made = curve(cells, mm_list(mean), model.name, look(i), 1.5, size=8, error_y=bars)
+        traces.append(made)
     layout = {
-        'xaxis': {'title': {'text': 'cell'}},
-        'yaxis': {
-            'title': {'text': f'position error ± {_what(comparison)} [mm]'},
-            'rangemode': 'tozero',
-        },
+        'xaxis': titled('cell'),
+        'yaxis': titled(f'position error ± {_what(comparison)} [mm]', rangemode='tozero'),
     }
     return Figure(traces, layout, f'{capital(comparison.measured.postures[p])}: error', '')
 
@@ -317,8 +300,8 @@ def _displacement(page: Page, experiment: DisplacementExperiment) -> None:
         pulls = ', '.join(f'{1e3 * a:.1f} / {1e3 * b:.1f}' for a, b in one.pulls[:, two])
         tips = ', '.join(f'{1e3 * z:.0f}' for z in one.tips[:, 2])
         apart = ', '.join(f'{1e3 * d:.1f}' for d in one.apart)
-        low, high = (1e3 * value for value in one.everywhere)
-        told = [f'{text} mm' for text in (pulls, tips, apart, f'{low:.1f} to {high:.1f}')]
+        everywhere = ' to '.join(f'{1e3 * d:.1f}' for d in one.everywhere)
+        told = [f'{text} mm' for text in (pulls, tips, apart, everywhere)]
         cells.append([one.pair.kind, mm(one.arm, 2), *told])
     page.table((*header, 'at all heights'), cells, left=(2, 3, 4))
     low, high = experiment.heights.everywhere

@@ -44,7 +44,8 @@ class Number:
         cls, section: str, what: str, unit: str, published: float, ours: Range, why: str
     ) -> Number:
         """Put a published number [unit] beside ours: (ours, low, high) in SI."""
-        return cls(section, what, unit, published, *(SCALES[unit] * one for one in ours), why)
+        own, low, high = (SCALES[unit] * one for one in ours)
+        return cls(section, what, unit, published, own, low, high, why)
 
     @property
     def difference(self) -> float:

@@ -17,9 +17,7 @@ CELL_BEND_MAX_RAD = np.radians(20.0)  # [rad] beyond it stacked guides would tou
 S_BEND_MIN_RAD = np.radians(20.0)  # [rad] of the first section away from the view: seen as an S
 SEARCH_STARTS = 200  # of a search, where the way from the last posture does not lead on
 HALVINGS = 40  # of a range of tensions: to 1e-12 of it
-POSTURE_STEP_N = (
-    0.02  # [N] between the postures from which those of a sweep are chosen: 1 mm or so
-)
+POSTURE_STEP_N = 0.02  # [N] between the postures that a sweep chooses from: a millimetre or so
 
 
 @dataclass(frozen=True)

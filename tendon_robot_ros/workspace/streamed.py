@@ -37,9 +37,7 @@ WALKS = 10  # rounds from the edge of what is known, half of all postures togeth
 EDGE_MAX = 20_000  # postures at the edge that a round starts from: they go to every worker
 # [1] of the tensions are the lowest and the highest there are, because the edge is found there
 LOW_SHARE, HIGH_SHARE = 0.5, 0.1
-WALK_SHARE = (
-    0.15  # [1] of the range of tensions: a step from a posture at the edge (1 sd, at most)
-)
+WALK_SHARE = 0.15  # [1] of the range of tensions: 1 sd of a step from a posture at the edge
 FINER = 6  # than the looks of a cube are the parts of all directions, along either side
 SAVED_EVERY_S = 10.0  # [s] the most that is computed again after an end
 Packed = dict[str, npt.NDArray[Any]]
