@@ -252,14 +252,43 @@ def _names(
     shown: str, row: int, labels: Sequence[Row], width: int, maker: Maker | None, title: str
 ) -> tuple[list[str], dict[str, str]]:
     """Return one name for each column, and the kind of point that columns of points belong to."""
-    labels = [_padded(one, width) for one in labels]
     tracked = maker is not None
+    types, quantities, owners, axes, above = _sorted_labels(labels, width, tracked, title)
+    names: list[str] = []
+    for i in range(width):
+        quantity = quantities[i] if quantities[i].lower() != PLACE else ''
+        parts = [owners[i], quantity, axes[i]]
+        if owners[i] and (axis := AXIS.fullmatch(axes[i])) and axis[1]:
+            parts[2] = axes[i].rstrip('0123456789')
+        name = ' '.join(part for part in parts if part)
+        if not name and tracked:
+            name = next((one[i] for one in reversed(above) if one[i]), '')
+            name = name or ('Frame', 'Time')[i] if i < 2 else name
+        if tracked and not owners[i]:
+            first = name.partition(' ')[0].lower().rstrip('#')
+            name = first if first in ('frame', 'time') else name
+        names.append(name)
+    is_place = [
+        tracked and q.lower() in ('', PLACE) and bool(COORDINATE.fullmatch(a.split(' ')[-1]))
+        for q, a in zip(quantities, axes, strict=True)
+    ]
+    kinds = [_kind(types[i], title) for i in range(width)]
+    twice = {name for name, count in Counter(names).items() if count > 1 and name}
+    names = [f'{n} {types[i]}'.strip() if n in twice else n for i, n in enumerate(names)]
+    names = [_axis_last(n) if n not in axes else n for n in names]
+    _check(f'{shown}, row {row}', names)
+    return names, {n: k for n, k, is_one in zip(names, kinds, is_place, strict=True) if is_one}
+
+
+def _sorted_labels(
+    labels: Sequence[Row], width: int, tracked: bool, title: str
+) -> tuple[Row, Row, Row, Row, list[Row]]:
+    """Return types, quantities, owners and axes of the columns, and all rows above the axes."""
     labelled = [next((cell.lower() for cell in one[:2] if cell), '') for one in labels]
-    if tracked:  # what a row says stands before it
-        labels = [['' if cell.lower() in LABELS else cell for cell in one] for one in labels]
-    axes, above = labels[-1], labels[:-1]
-    types: Row = [''] * width
-    quantities, owners, numbered = list(types), list(types), list(types)
+    said = LABELS if tracked else ()  # before a row, what it says
+    rows = [['' if c.lower() in said else c for c in _padded(one, width)] for one in labels]
+    axes, above = rows[-1], rows[:-1]
+    types, quantities, owners, numbered = ([''] * width for _ in range(4))
     for one, label in zip(above, labelled, strict=False):  # the lowest of each kind counts
         words = {cell.lower() for cell in one if cell}
         if words and words <= TYPES:
@@ -284,39 +313,19 @@ def _names(
     subjects = {owner.rpartition(':')[0] for owner in owners if owner}
     if title and len(subjects) == 1:  # one subject: it tells nothing apart
         owners = [owner.rpartition(':')[2] for owner in owners]
-    names: list[str] = []
-    for i in range(width):
-        quantity = quantities[i] if quantities[i].lower() != PLACE else ''
-        parts = [owners[i], quantity, axes[i]]
-        if owners[i] and (axis := AXIS.fullmatch(axes[i])) and axis[1]:
-            parts[2] = axes[i].rstrip('0123456789')
-        name = ' '.join(part for part in parts if part)
-        if not name and tracked:
-            name = next((one[i] for one in reversed(above) if one[i]), '')
-            name = name or ('Frame', 'Time')[i] if i < 2 else name
-        if tracked and not owners[i]:
-            name = {'frame': 'frame', 'frame#': 'frame', 'time': 'time'}.get(
-                name.partition(' ')[0].lower(), name
-            )
-        names.append(name)
-    is_place = [
-        tracked and q.lower() in ('', PLACE) and bool(COORDINATE.fullmatch(a.split(' ')[-1]))
-        for q, a in zip(quantities, axes, strict=True)
-    ]
-    kinds = [_kind(types[i], title) for i in range(width)]
-    twice = {name for name, count in Counter(names).items() if count > 1 and name}
-    names = [f'{n} {types[i]}'.strip() if n in twice else n for i, n in enumerate(names)]
-    names = [_axis_last(n) if n not in axes else n for n in names]
+    return types, quantities, owners, axes, above
+
+
+def _check(where: str, names: list[str]) -> None:
+    """Refuse columns without a name, or with one that stands twice; name empty ones at the end."""
     last = max((i for i, name in enumerate(names) if name), default=-1)
     for i, name in enumerate(names):
-        where = f'{shown}, row {row}'
         if not name and i > last:  # a delimiter at the end of every row
             names[i] = f'column {i + 1}'
         elif not name:
             raise DataSetError(where, f'column {i + 1} has no name', 'give it one')
         elif names.index(name) != i:
             raise DataSetError(where, f'column {short(name)} stands twice', 'rename one of them')
-    return names, {n: k for n, k, is_one in zip(names, kinds, is_place, strict=True) if is_one}
 
 
 def _axis_last(name: str) -> str:

@@ -27,7 +27,7 @@ from ..robot import Robot
 from .choices import Taken
 from .columns import FloatArray, marker_label
 from .history import FROM_STRAIGHT, SEQUENCE, let_go_between, way_assumed, way_contradicted
-from .recipe import MarkerColumns, Recipe
+from .recipe import Recipe
 from .traces import NOTHING_CUT, CutReadings, Traces, cut_out
 
 SPEED_LIMITS_M_S = (0.002, 0.02)  # [m/s] slower is still, whatever the tracker's noise makes of it
@@ -92,18 +92,27 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
     rule = Rule(recipe.speed or SPEED_LIMITS_M_S[0], recipe.duration, recipe.change)
     rule = rule.fill(robot, kind)
     motions: list[ArmMotion | None] = [None] * len(traces)
-    dropped, assumed = (
-        _unseen(traces, recipe.markers or ()),
-        [one.clocks for one in traces if one.clocks],
-    )
+    unseen: dict[str, npt.NDArray[np.int64]] = {}  # readings (J,) that are none, by why
+    for one in traces:
+        for why, count in one.unseen.items():
+            unseen[why] = unseen.get(why, np.zeros_like(count)) + count
+    labels = [marker_label(marker.columns) for marker in recipe.markers or ()]
+    dropped = unseen_lines(unseen, labels)
+    assumed = [one.clocks for one in traces if one.clocks]
     if recipe.time is not None:
         traces = [replace(one, recording=_denser(one.recording, rule)) for one in traces]
         motions = [_without_peaks(motion(one.recording, one.inputs, rule)) for one in traces]
         rule = _still_rule([m for m in motions if m is not None], traces, rule, recipe)
     pieces = [_piece(one, moved, rule) for one, moved in zip(traces, motions, strict=True)]
-    if recipe.zero:
-        pieces = _from_zero(pieces)
-    pieces = [_plausible(piece, robot, kind, rule) for piece in pieces]
+    for i, piece in enumerate(pieces):
+        if recipe.zero and piece.segments:  # inputs count from those of the first segment
+            zero = piece.segments[0].inputs
+            moved = tuple(replace(s, inputs=(s.inputs - zero).round(9)) for s in piece.segments)
+            pieces[i] = piece = replace(piece, inputs=piece.inputs - zero, segments=moved)
+        if piece.segments:
+            own = list(piece.segments)
+            checked = plausible_inputs(piece.recording.name, own, robot, kind, rule)
+            pieces[i] = replace(piece, segments=tuple(checked))
     found = [one for piece in pieces for one in piece.segments]
     if not found:
         known = [motion for motion in motions if motion is not None]
@@ -116,9 +125,13 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
         if rest:
             assumed.append(f'where all inputs are below {digits(rest, 3)} {unit} the arm rests')
     pieces = [_without_rest(piece, rest, first=index == 0) for index, piece in enumerate(pieces)]
-    dropped += _told(pieces, recipe.markers or ())
+    dropped += _told(pieces, labels)
     kept = [one for piece in pieces for one in piece.segments]
-    counts = _let_go(pieces, same)
+    counts = [  # before how many postures inputs were let go
+        let_go_between(piece.recording.state_times, piece.inputs, piece.segments, same)
+        for piece in pieces
+        if piece.motion is not None
+    ]
     assumed.append(way_assumed(recipe.path, rest, recipe.time is not None, counts))
     return StillMeasurements(
         tuple(pieces),
@@ -172,15 +185,6 @@ def _without_peaks(moved: ArmMotion) -> ArmMotion:
     return replace(moved, change=grey_opening(change, STEPS_PER_WINDOW // 2))
 
 
-def _let_go(pieces: Sequence[Piece], same: float) -> list[tuple[int, int, float]]:
-    """Count, recording by recording, the postures before which inputs were let go."""
-    return [
-        let_go_between(piece.recording.state_times, piece.inputs, piece.segments, same)
-        for piece in pieces
-        if piece.motion is not None
-    ]
-
-
 def _named(segments: list[Segment], rule: Rule, sequence: bool) -> list[Segment]:
     """
     Name segments by posture and trial.
@@ -223,22 +227,18 @@ def _still_rule(
 def _piece(traces: Traces, moved: ArmMotion | None, rule: Rule) -> Piece:
     recording, inputs = traces.recording, traces.inputs
     if moved is None:
-        return Piece(recording, inputs, None, _rows(recording, inputs), (), NOTHING_CUT)
+        positions = recording.tracks[0].positions
+        turned = np.full((positions.shape[1], 4), np.nan)
+        rows = tuple(
+            Segment(float(i), float(i), inputs[i].round(9), positions[i].round(9), turned, np.nan)
+            for i in range(len(positions))
+            if np.isfinite(positions[i]).any()
+        )
+        return Piece(recording, inputs, None, rows, (), NOTHING_CUT)
     cleaned, cut = _without_jumps(recording, still_stretches(moved, rule))
     segments, _ = find_segments(cleaned, inputs, moved, rule, sequence=True)
     seen = [one for one in segments if np.isfinite(one.positions).any()]
     return Piece(recording, inputs, moved, tuple(seen), (), cut + traces.cut)
-
-
-def _rows(recording: Recording, inputs: FloatArray) -> tuple[Segment, ...]:
-    """Return every row as a measurement."""
-    positions = recording.tracks[0].positions
-    turned = np.full((positions.shape[1], 4), np.nan)
-    return tuple(
-        Segment(float(i), float(i), inputs[i].round(9), positions[i].round(9), turned, np.nan)
-        for i in range(len(positions))
-        if np.isfinite(positions[i]).any()
-    )
 
 
 def _without_jumps(
@@ -262,24 +262,6 @@ def _without_jumps(
             if far.any():
                 cut += cut_out(frames, times, j, seen[far])
     return replace(recording, tracks=(replace(track, positions=positions),)), cut
-
-
-def _from_zero(pieces: Sequence[Piece]) -> list[Piece]:
-    """Count inputs from their value in the first segment of each recording."""
-    moved = []
-    for piece in pieces:
-        zero = piece.segments[0].inputs if piece.segments else 0.0
-        segments = tuple(replace(s, inputs=(s.inputs - zero).round(9)) for s in piece.segments)
-        moved.append(replace(piece, inputs=piece.inputs - zero, segments=segments))
-    return moved
-
-
-def _plausible(piece: Piece, robot: Robot, kind: str, rule: Rule) -> Piece:
-    if not piece.segments:
-        return piece
-    name = piece.recording.name
-    checked = plausible_inputs(name, list(piece.segments), robot, kind, rule)
-    return replace(piece, segments=tuple(checked))
 
 
 def _sizes(segments: Sequence[Segment]) -> FloatArray:
@@ -348,28 +330,16 @@ def _without_rest(piece: Piece, rest: float, first: bool) -> Piece:
     )
 
 
-def _unseen(traces: Sequence[Traces], markers: Sequence[MarkerColumns]) -> list[str]:
-    """Say which readings are none, of all recordings together."""
-    counts: dict[str, npt.NDArray[np.int64]] = {}
-    for one in traces:
-        for why, count in one.unseen.items():
-            counts[why] = counts.get(why, np.zeros(len(count), dtype=np.int64)) + count
-    return unseen_lines(counts, [marker_label(marker.columns) for marker in markers])
-
-
-def _told(pieces: Sequence[Piece], markers: Sequence[MarkerColumns]) -> list[str]:
+def _told(pieces: Sequence[Piece], labels: Sequence[str]) -> list[str]:
     """Say what was not used."""
     said = []
     resting = sum(len(piece.resting) for piece in pieces)
     if resting:
         said.append(f'{resting} still segments at rest between the others')
     cut = np.concatenate([piece.cut.markers for piece in pieces])
-    jumps = np.bincount(cut, minlength=len(markers))
+    jumps = np.bincount(cut, minlength=len(labels))
     if jumps.any():
-        places = ', '.join(
-            f'{marker_label(markers[j].columns)} {jumps[j]}'
-            for j in np.flatnonzero(jumps).tolist()
-        )
+        places = ', '.join(f'{labels[j]} {jumps[j]}' for j in np.flatnonzero(jumps).tolist())
         said.append(f'{len(cut)} frames in which a marker jumps ({places})')
     positions = [piece.recording.tracks[0].positions[..., 0] for piece in pieces]
     lost = np.sum([np.isnan(one).sum(axis=0) for one in positions], axis=0)
@@ -378,7 +348,7 @@ def _told(pieces: Sequence[Piece], markers: Sequence[MarkerColumns]) -> list[str
         worst = int(lost.argmax())
         said.append(
             f'{100.0 * lost.sum() / (total * len(lost)):.2g} % of the marker readings are missing '
-            f'(most of {marker_label(markers[worst].columns)}: '
+            f'(most of {labels[worst]}: '
             f'{100.0 * lost[worst] / total:.2g} %)'
         )
     return said
