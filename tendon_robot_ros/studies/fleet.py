@@ -35,7 +35,7 @@ from ..data.recording.importing import import_bag
 from ..data.recording.reader import is_bag
 from ..diagnosis.decide import Verdict
 from ..diagnosis.diagnose import diagnose
-from ..diagnosis.result import CandidateRow, EffectFinding, Value
+from ..diagnosis.result import CandidateRow, Diagnosis, EffectFinding, Value
 from ..model.versions import Preparation, UserEffect, catalogue_of
 from ..report.numbers import error_bars
 from ..report.page import Figure, Page, titled
@@ -116,6 +116,15 @@ class FleetCase:
         place = str(path.relative_to(folder))
         return cls(path.resolve(), place, f'{place}:{digest}')
 
+    def row(self, **told: Any) -> FleetRow:
+        """Return the row of what was told of it."""
+        when, dated_by = when_of(self.path)
+        return FleetRow(key=self.key, place=self.place, when=when, dated_by=dated_by, **told)
+
+    def refused(self, problem: str) -> FleetRow:
+        """Return the row of what could not be read or judged."""
+        return self.row(robot='not read', verdict=ERROR, problem=' '.join(problem.split()))
+
 
 @dataclass(frozen=True)
 class Fleet:
@@ -129,53 +138,36 @@ class Fleet:
         try:
             bag = is_bag(case.path)
             dataset = import_bag(case.path).dataset if bag else load_dataset(case.path)
-            return self._diagnosed(case, dataset)
+            found = diagnose(dataset, catalogue=catalogue_of(self.effects), workers=1)
+            return case.row(**_told(dataset, found))
         except TendonRobotError as error:
-            return self._refused(case, str(error))
+            return case.refused(str(error))
         except Exception as error:  # the other measurements are diagnosed all the same
-            return self._refused(case, f'{type(error).__name__}: {error}')
+            return case.refused(f'{type(error).__name__}: {error}')
 
     def lost(self, case: FleetCase, workers: int) -> FleetRow:
         """Return the row of what every worker died over."""
-        return self._refused(case, f'{workers} processes died over it')
+        return case.refused(f'{workers} processes died over it')
 
-    def _refused(self, case: FleetCase, problem: str) -> FleetRow:
-        when, dated_by = when_of(case.path)
-        return FleetRow(
-            key=case.key,
-            place=case.place,
-            robot='not read',
-            when=when,
-            dated_by=dated_by,
-            verdict=ERROR,
-            problem=' '.join(problem.split()),
-        )
 
-    def _diagnosed(self, case: FleetCase, dataset: DataSet) -> FleetRow:
-        found = diagnose(dataset, catalogue=catalogue_of(self.effects), workers=1)
-        fitted: dict[str, Value] = {}
-        candidates: list[CandidateRow | EffectFinding] = [*found.candidates, *found.effects]
-        for candidate in candidates:  # what was named beside others counts last
-            if ' + ' not in candidate.name:
-                for key, value in candidate.parameters.items():
-                    fitted[f'{candidate.name} {key}'] = value
-        when, dated_by = when_of(case.path)
-        postures, trials, markers = dataset.positions.shape[:3]
-        return FleetRow(
-            key=case.key,
-            place=case.place,
-            robot=dataset.robot.name,
-            description=hashlib.sha256(dump_robot(dataset.robot).encode()).hexdigest()[:8],
-            when=when,
-            dated_by=dated_by,
-            postures=postures,
-            trials=trials,
-            markers=markers,
-            remainder=found.remainder,
-            unit=tuple(value.unit for value in fitted.values()),
-            **told_by(found),
-            **fitted_values(fitted),
-        )
+def _told(dataset: DataSet, found: Diagnosis) -> dict[str, Any]:
+    """Return what a row holds of a data set and its diagnosis."""
+    fitted: dict[str, Value] = {}
+    candidates: list[CandidateRow | EffectFinding] = [*found.candidates, *found.effects]
+    for candidate in candidates:  # what was named beside others counts last
+        if ' + ' not in candidate.name:
+            for key, value in candidate.parameters.items():
+                fitted[f'{candidate.name} {key}'] = value
+    sizes = zip(('postures', 'trials', 'markers'), dataset.positions.shape, strict=False)
+    return {
+        **dict(sizes),
+        **told_by(found),
+        **fitted_values(fitted),
+        'unit': tuple(value.unit for value in fitted.values()),
+        'robot': dataset.robot.name,
+        'description': hashlib.sha256(dump_robot(dataset.robot).encode()).hexdigest()[:8],
+        'remainder': found.remainder,
+    }
 
 
 def found_below(folder: Path) -> list[Path]:
