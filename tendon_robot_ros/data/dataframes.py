@@ -18,6 +18,7 @@ Codes = NDArray[np.int64]
 POSITION = ('x', 'y', 'z')
 QUATERNION = ('qx', 'qy', 'qz', 'qw')
 HINT = 'a table over time goes through import_table'
+SAME_INPUT = 1e-12  # [N] or [m] of rounding, within which two inputs are the same
 
 
 @dataclass(frozen=True)
@@ -84,12 +85,37 @@ def read_frame(frame: Any, inputs: Sequence[str], name: str) -> FrameArrays:
     if all(column in frame.columns for column in QUATERNION):
         orientations = np.full((*sizes, 4), np.nan)
         orientations[posture, trial, marker] = _numbers(frame, QUATERNION, name)
-    each = _inputs(frame, inputs, (posture, trial), sizes[:2], name)
-    mean, by_trial = _by_posture(each)
+    arc_lengths = None
+    if 'arc_length' in frame.columns:
+        arc_lengths = np.full(len(markers), np.nan)
+        arc_lengths[marker] = _numbers(frame, ('arc_length',), name)[:, 0]
+    pulled = _numbers(frame, inputs, name)
+    each = np.full((*sizes[:2], len(inputs)), np.inf)  # of every trial, inf where there is none
+    each[posture, trial] = pulled
+    kept = each[posture, trial]
+    other = ~np.isclose(kept, pulled, rtol=0.0, atol=SAME_INPUT, equal_nan=True)
+    if other.any():
+        row, column = np.argwhere(other)[0].tolist()
+        raise DataSetError(
+            f'{name}, row {row}',
+            f'{inputs[column]} is {pulled[row, column]:g}, in another row of this trial '
+            f'{kept[row, column]:g}',
+            'a trial has one value for each input',
+        )
+    there = ~np.isinf(each)
+    mean = np.where(there, each, 0.0).sum(axis=1) / there.sum(axis=1)
+    spread = np.where(there, np.abs(each - mean[:, None]), 0.0)
+    differ = np.nan_to_num(spread).max() >= SAME_INPUT
     return FrameArrays(
-        postures, trials, markers, _arc_lengths(frame, marker, len(markers), name),
-        mean, by_trial, positions, orientations,
-    )  # fmt: skip
+        postures=postures,
+        trials=trials,
+        markers=markers,
+        arc_lengths=arc_lengths,
+        inputs=mean,
+        trial_inputs=np.where(there, each, np.nan) if differ else None,
+        positions=positions,
+        orientations=orientations,
+    )
 
 
 def _codes(column: Any) -> tuple[tuple[str, ...], Codes]:
@@ -118,48 +144,6 @@ def _numbers(frame: Any, columns: Sequence[str], name: str) -> Floats:
                     f'{name}, row {row}', f'{column} is {short(value)}', 'expected a number or nan'
                 ) from None
     return values
-
-
-def _inputs(
-    frame: Any,
-    inputs: Sequence[str],
-    places: tuple[Codes, Codes],
-    sizes: tuple[int, int],
-    name: str,
-) -> Floats:
-    """Return the inputs of every trial (P, Q, m), inf where there is no such trial."""
-    values = _numbers(frame, inputs, name)
-    each = np.full((*sizes, len(inputs)), np.inf)
-    each[places] = values
-    other = ~np.isclose(each[places], values, rtol=0.0, atol=1e-12, equal_nan=True)
-    if other.any():
-        row, column = np.argwhere(other)[0].tolist()
-        raise DataSetError(
-            f'{name}, row {row}',
-            f'{inputs[column]} is {values[row, column]:g}, in another row of this trial '
-            f'{each[places][row, column]:g}',
-            'a trial has one value for each input',
-        )
-    return each
-
-
-def _by_posture(each: Floats) -> tuple[Floats, Floats | None]:
-    """Return the mean of the trials (P, m), and the trials (P, Q, m) where they differ."""
-    there = np.isfinite(each) | np.isnan(each)
-    counts = there.sum(axis=1)
-    mean = np.where(there, each, 0.0).sum(axis=1) / counts
-    spread = np.where(there, np.abs(each - mean[:, None]), 0.0)
-    if np.nan_to_num(spread).max() < 1e-12:
-        return mean, None
-    return mean, np.where(there, each, np.nan)
-
-
-def _arc_lengths(frame: Any, marker: Codes, count: int, name: str) -> Floats | None:
-    if 'arc_length' not in frame.columns:
-        return None
-    places = np.full(count, np.nan)
-    places[marker] = _numbers(frame, ('arc_length',), name)[:, 0]
-    return places
 
 
 def frame_columns(arrays: FrameArrays, names: Sequence[str]) -> dict[str, Any]:

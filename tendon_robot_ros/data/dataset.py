@@ -184,9 +184,8 @@ class DataSet(Told):
         if not hasattr(frame, 'columns'):
             raise refusal(name, 'a DataFrame (of arrays: DataSet.from_arrays)', frame)
         arrays = read_frame(frame, robot.inputs, name)
-        said = _Said(name, input, path, gravity, position_noise, setting_noise, trial_noise,
-                     accuracy)  # fmt: skip
-        return _checked(cls, arrays, robot, markers, said)
+        noises = position_noise, setting_noise, trial_noise, accuracy
+        return _checked(cls, arrays, robot, markers, _Said(name, input, path, gravity, *noises))
 
     @classmethod
     def from_arrays(
@@ -267,9 +266,8 @@ class DataSet(Told):
             places,
             None,
         )
-        said = _Said(name, input, path, gravity, position_noise, setting_noise, trial_noise,
-                     accuracy)  # fmt: skip
-        return _checked(cls, arrays, robot, markers, said)
+        noises = position_noise, setting_noise, trial_noise, accuracy
+        return _checked(cls, arrays, robot, markers, _Said(name, input, path, gravity, *noises))
 
     def frame(self) -> Any:
         """

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -34,11 +34,37 @@ def join(datasets: Sequence[DataSet]) -> DataSet:
         return first
     for other in datasets[1:]:
         _refuse_unlike(first, other)
-    names = _short_names(datasets)
+    names = [dataset.name.rstrip('/').rpartition('/')[2] for dataset in datasets]
+    if len(set(names)) < len(names):  # the last parts of two folders are the same
+        names = [dataset.name for dataset in datasets]
+    parts: list[Part] = []
+    part: list[IntArray] = []  # index of the part of every posture
+    for name, dataset in zip(names, datasets, strict=True):
+        part.append(np.zeros(len(dataset.postures), dtype=np.int64))
+        for one, rows in dataset.divided:
+            part[-1][rows] = len(parts)
+            parts.append(one if dataset.parts else replace(one, name=name))
     trials = max((d.trial_names for d in datasets), key=len)
-    parts, part = _divided(names, datasets)
     visits = [dataset.visits for dataset in datasets if dataset.visits is not None]
-    noises: dict[str, Any] = {key: _largest([getattr(d, key) for d in datasets]) for key in NOISES}
+    noises: dict[str, Any] = {}
+    for key in NOISES:
+        given = [getattr(dataset, key) for dataset in datasets]
+        noises[key] = max((value for value in given if value is not None), default=None)
+
+    def together(arrays: Iterable[FloatArray | None]) -> FloatArray | None:
+        """Join what all data sets have, each trial in its column; None where one lacks it."""
+        joined_up = []
+        for array in arrays:
+            if array is None:
+                return None
+            lacking = np.zeros((array.ndim, 2), dtype=int)
+            lacking[1, 1] = len(trials) - array.shape[1]
+            joined_up.append(np.pad(array, lacking, constant_values=np.nan))
+        return np.concatenate(joined_up)
+
+    positions = together(d.positions for d in datasets)
+    assert positions is not None
+    by_trial = any(dataset.trial_inputs is not None for dataset in datasets)
     return replace(
         first,
         name=' '.join(dataset.name for dataset in datasets),
@@ -48,32 +74,17 @@ def join(datasets: Sequence[DataSet]) -> DataSet:
             for posture in dataset.postures
         ),
         inputs=np.concatenate([d.inputs for d in datasets]),
-        positions=np.concatenate([_padded(d.positions, len(trials)) for d in datasets]),
-        orientations=_together([d.orientations for d in datasets], len(trials)),
-        trial_inputs=_trial_inputs(datasets, len(trials)),
+        positions=positions,
+        orientations=together(d.orientations for d in datasets),
+        trial_inputs=together(d.inputs_by_trial for d in datasets) if by_trial else None,
         trial_names=trials,
         gravity=next((d.gravity for d in datasets if d.gravity is not None), None),
         known={},
-        parts=parts,
-        part=part,
+        parts=tuple(parts),
+        part=np.concatenate(part),
         visits=joined(visits) if visits else None,
         **noises,
     )
-
-
-def _divided(
-    names: Sequence[str], datasets: Sequence[DataSet]
-) -> tuple[tuple[Part, ...], IntArray]:
-    """Return all parts, and the index of the part of every posture."""
-    parts: list[Part] = []
-    owners = []
-    for name, dataset in zip(names, datasets, strict=True):
-        owner = np.zeros(len(dataset.postures), dtype=np.int64)
-        for one, rows in dataset.divided:
-            owner[rows] = len(parts)
-            parts.append(one if dataset.parts else replace(one, name=name))
-        owners.append(owner)
-    return tuple(parts), np.concatenate(owners)
 
 
 def _refuse_unlike(first: DataSet, other: DataSet) -> None:
@@ -84,41 +95,13 @@ def _refuse_unlike(first: DataSet, other: DataSet) -> None:
                 f'has other {key} than {first.name}',
                 f'data sets that are used together have the same {", ".join(ALIKE)}',
             )
-    if replace(first.robot, source='', fitted={}) != replace(other.robot, source='', fitted={}):
+    ours, theirs = (replace(d.robot, source='', fitted={}) for d in (first, other))
+    if ours != theirs:
         raise DataSetError(
             other.name,
             f'has another robot description than {first.name}',
             'name the one that holds for all with --robot',
         )
-
-
-def _short_names(datasets: Sequence[DataSet]) -> list[str]:
-    """Return the last part of each folder, numbered where two are the same."""
-    names = [dataset.name.rstrip('/').rpartition('/')[2] for dataset in datasets]
-    return names if len(set(names)) == len(names) else [d.name for d in datasets]
-
-
-def _padded(array: FloatArray, trials: int) -> FloatArray:
-    lacking = [(0, trials - array.shape[1] if axis == 1 else 0) for axis in range(array.ndim)]
-    return np.pad(array, lacking, constant_values=np.nan)
-
-
-def _together(arrays: Sequence[FloatArray | None], trials: int) -> FloatArray | None:
-    """Join what all data sets have; None where one lacks it."""
-    present = [array for array in arrays if array is not None]
-    if len(present) < len(arrays):
-        return None
-    return np.concatenate([_padded(array, trials) for array in present])
-
-
-def _trial_inputs(datasets: Sequence[DataSet], trials: int) -> FloatArray | None:
-    if all(dataset.trial_inputs is None for dataset in datasets):
-        return None
-    return np.concatenate([_padded(dataset.inputs_by_trial, trials) for dataset in datasets])
-
-
-def _largest(values: Sequence[float | None]) -> float | None:
-    return max((value for value in values if value is not None), default=None)
 
 
 def divide(dataset: DataSet, split: Split, own: BoolArray) -> DataSet:
