@@ -129,40 +129,22 @@ class _State:
 def _stages(dataset: DataSet, timing: Timing) -> Iterator[tuple[str, list[_State]]]:
     """Yield the label and the instants of every hold and of every move between two."""
     count = max(round(timing.hold * timing.rate), 2)
-    straight = _straight(dataset)
-    last = straight
-    for p, q in _order(dataset):
-        state = _measured(dataset, p, q)
+    P, Q, J = dataset.positions.shape[:3]
+    lying = dataset.offsets + np.outer(dataset.arc_lengths, [0.0, 0.0, 1.0])
+    straight = _State(np.zeros(dataset.inputs.shape[1]), lying, np.tile(NO_TURN, (J, 1)))
+    order = [(p, q) for p in range(P) for q in range(Q) if dataset.trial_mask[p, q]]
+    if dataset.path == 'sequence':
+        order = [(p, q) for q in range(Q) for p in range(P)]
+    turned, last = dataset.orientations, straight
+    for p, q in order:
+        looks = np.full((J, 4), np.nan) if turned is None else turned[p, q]
+        state = _State(dataset.inputs_by_trial[p, q], dataset.positions[p, q], looks)
         way = [last, straight, state] if dataset.path == 'from_straight' else [last, state]
         yield '', _move(way, max(round(timing.move * timing.rate), 2))
         label = {'posture': dataset.postures[p], 'trial': dataset.trial_names[q]}
         yield json.dumps(label, ensure_ascii=False), [state] * count
         last = state
     yield '', [last]
-
-
-def _order(dataset: DataSet) -> list[tuple[int, int]]:
-    """Return posture and trial of every measurement, in the order of measuring."""
-    P, Q = dataset.trial_mask.shape
-    if dataset.path == 'sequence':
-        return [(p, q) for q in range(Q) for p in range(P)]
-    return [(p, q) for p in range(P) for q in range(Q) if dataset.trial_mask[p, q]]
-
-
-def _straight(dataset: DataSet) -> _State:
-    positions = dataset.offsets + np.outer(dataset.arc_lengths, [0.0, 0.0, 1.0])
-    turned = np.tile(NO_TURN, (len(positions), 1))
-    return _State(np.zeros(dataset.inputs.shape[1]), positions, turned)
-
-
-def _measured(dataset: DataSet, p: int, q: int) -> _State:
-    positions = dataset.positions[p, q]
-    turned = dataset.orientations
-    return _State(
-        dataset.inputs_by_trial[p, q],
-        positions,
-        np.full((len(positions), 4), np.nan) if turned is None else turned[p, q],
-    )
 
 
 def _move(way: list[_State], count: int) -> list[_State]:

@@ -137,9 +137,6 @@ def _quality(latched: bool) -> Any:
     )
 
 
-# -----------------------------------------------------------------------------
-# The messages of a measurement, built for and taken from recordings without ROS.
-
 STRING = 'std_msgs/msg/String'
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 POSE_ARRAY = 'geometry_msgs/msg/PoseArray'
@@ -171,15 +168,13 @@ class Builder:
 
     def pose_array(self, time: int, positions: FloatArray, turned: FloatArray) -> object:
         """Build a PoseArray from positions (J, 3) [m] and quaternions (J, 4); time [ns]."""
-        poses = [self._pose(*pair) for pair in zip(positions, turned, strict=True)]
+        pose, point = (self._types[f'geometry_msgs/msg/{name}'] for name in ('Pose', 'Point'))
+        quaternion = self._types['geometry_msgs/msg/Quaternion']
+        poses = [
+            pose(position=point(*map(float, place)), orientation=quaternion(*map(float, turn)))
+            for place, turn in zip(positions, turned, strict=True)
+        ]
         return self._types[POSE_ARRAY](header=self._header(time), poses=poses)
-
-    def _pose(self, position: FloatArray, turned: FloatArray) -> object:
-        types = self._types
-        return types['geometry_msgs/msg/Pose'](
-            position=types['geometry_msgs/msg/Point'](*map(float, position)),
-            orientation=types['geometry_msgs/msg/Quaternion'](*map(float, turned)),
-        )
 
     def _header(self, time: int) -> object:
         stamp = self._types['builtin_interfaces/msg/Time'](sec=time // 10**9, nanosec=time % 10**9)
