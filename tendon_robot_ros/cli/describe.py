@@ -14,7 +14,7 @@ import argparse
 import math
 
 from ..common.words import columns
-from ..robot import Robot, Section, load_robot
+from ..robot import Robot, load_robot
 from ..robot.description import XY
 from ..robot.estimates import handling
 
@@ -57,8 +57,18 @@ def description(robot: Robot) -> str:
     ]
     if robot.gravity is not None:
         lines.append(f'gravity: {", ".join(f"{g:g}" for g in robot.gravity)} m/s²')
-    lines += ['', _sections(robot), '', _tendons(robot), '', *handling(robot)]
-    return '\n'.join([*lines, '', *_effects(robot), *_tolerances(robot)])
+    lines += ['', _sections(robot), '', _tendons(robot), '', *handling(robot), '']
+    lines.append('effects:' if robot.effects else 'effects: none')
+    for name, values in robot.effects.items():
+        told = ', '.join(
+            f'{key} {", ".join(map(str, v)) if isinstance(v, tuple) else v}'
+            for key, v in values.items()
+        )
+        lines.append(f'  {name}: {told}{" (fitted)" if name in robot.fitted else ""}')
+    if robot.tolerances:
+        shown = ', '.join(f'{name} {value:g}' for name, value in robot.tolerances.items())
+        lines.append(f'not sure (1 sd): {shown}')
+    return '\n'.join(lines)
 
 
 def model_name(robot: Robot) -> str:
@@ -77,27 +87,17 @@ def _count(number: int, what: str) -> str:
     return f'{number} {what}{"" if number == 1 else "s"}'
 
 
-def _range(values: tuple[float, ...], scale: float = 1.0) -> str:
-    low, high = scale * min(values), scale * max(values)
-    return f'{low:g}' if low == high else f'{low:g} to {high:g}'
-
-
 def _sections(robot: Robot) -> str:
     beside = any(section.mass_offset for section in robot.sections)
-
-    def row(section: Section) -> list[str]:
-        cells = [
-            section.name,
-            str(section.cells),
-            f'{1e3 * section.cell_length:g}',
-            _range(section.bending_stiffness),
-            section.bends_as,
-        ]
-        return cells + [_route(section.mass_offset or ((0.0, 0.0),))] * beside
-
-    head = ['section', 'cells', 'cell [mm]', 'stiffness [N·m/rad]', 'bends as']
-    head += ['weight at x, y [mm]'] * beside
-    return columns([head, *map(row, robot.sections)])
+    rows = [['section', 'cells', 'cell [mm]', 'stiffness [N·m/rad]', 'bends as']]
+    rows[0] += ['weight at x, y [mm]'] * beside
+    for section in robot.sections:
+        low, high = min(section.bending_stiffness), max(section.bending_stiffness)
+        stiffness = f'{low:g}' if low == high else f'{low:g} to {high:g}'
+        sizes = [str(section.cells), f'{1e3 * section.cell_length:g}', stiffness]
+        weight = [_route(section.mass_offset or ((0.0, 0.0),))] * beside
+        rows.append([section.name, *sizes, section.bends_as, *weight])
+    return columns(rows)
 
 
 def _route(offsets: tuple[XY, ...]) -> str:
@@ -116,23 +116,3 @@ def _tendons(robot: Robot) -> str:
             offset += f' in {len(tendon.offsets)} steps'
         rows.append([tendon.name, offset, tendon.section, tendon.group or tendon.name])
     return columns(rows)
-
-
-def _tolerances(robot: Robot) -> list[str]:
-    """Say what is not sure, 1 sd."""
-    shown = ', '.join(f'{name} {value:g}' for name, value in robot.tolerances.items())
-    return [f'not sure (1 sd): {shown}'] if shown else []
-
-
-def _effects(robot: Robot) -> list[str]:
-    if not robot.effects:
-        return ['effects: none']
-    lines = ['effects:']
-    for name, values in robot.effects.items():
-        values_text = ', '.join(
-            f'{key} {", ".join(map(str, v)) if isinstance(v, tuple) else v}'
-            for key, v in values.items()
-        )
-        origin = ' (fitted)' if name in robot.fitted else ''
-        lines.append(f'  {name}: {values_text}{origin}')
-    return lines

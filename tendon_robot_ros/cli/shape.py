@@ -15,6 +15,7 @@ example: python -m tendon_robot_ros shape config/robots/kato_10_1.yaml \
 from __future__ import annotations
 
 import argparse
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -50,39 +51,28 @@ def run(args: argparse.Namespace) -> int:
     if args.tensions is not None:
         tensions = named_numbers('--tensions', args.tensions, 'N')
         model = load_model(args)
-        if not args.beyond_limits:
-            _refuse_beyond(model, tensions)
+        high = dict(zip(model.inputs, model.limits[:, 1].tolist(), strict=True))
+        for name, tension in ({} if args.beyond_limits else tensions).items():
+            if tension > high.get(name, math.inf):  # no motor of this robot may pull so much
+                raise InputError(
+                    f'--tensions: {name} is {tension:g} N, above the limit of {high[name]:g} N in '
+                    'the description; say --beyond-limits to see it all the same'
+                )
         shape = model.shape(tensions)
     else:
         pulls = named_lengths('--pulls', args.pulls, args.unit)
         model = load_model(args)
-        _refuse_other_unit(model, pulls, args.pulls, args.unit)
+        largest, reach = max(map(abs, pulls.values())), model.robot.length
+        if largest > reach or 0.0 < largest < PULL_MIN_M:
+            numbers = ','.join(part.rpartition('=')[2] for part in args.pulls.split(','))
+            mend = other_unit(numbers, largest, args.unit, PULL_MIN_M, reach)
+            raise InputError(
+                f'--pulls: wires are pulled by up to {1e3 * largest:.4g} mm on an arm of '
+                f'{1e3 * reach:.4g} mm{mend}'
+            )
         shape = model.pull_shape(pulls)
     emit(args, shape_content(model, shape), _table(model, shape))
     return 0
-
-
-def _refuse_beyond(model: Model, tensions: dict[str, float]) -> None:
-    """Raise InputError where no motor of this robot may pull so much."""
-    high = dict(zip(model.inputs, model.limits[:, 1].tolist(), strict=True))
-    for name, tension in tensions.items():
-        if name in high and tension > high[name]:
-            raise InputError(
-                f'--tensions: {name} is {tension:g} N, above the limit of {high[name]:g} N in the '
-                'description; say --beyond-limits to see it all the same'
-            )
-
-
-def _refuse_other_unit(model: Model, pulls: dict[str, float], text: str, unit: str) -> None:
-    """Raise InputError where pulls are longer than the arm, or no pulls at all."""
-    largest = max(map(abs, pulls.values()))
-    if largest > model.robot.length or 0.0 < largest < PULL_MIN_M:
-        numbers = ','.join(part.rpartition('=')[2] for part in text.split(','))
-        mend = other_unit(numbers, largest, unit, PULL_MIN_M, model.robot.length)
-        raise InputError(
-            f'--pulls: wires are pulled by up to {1e3 * largest:.4g} mm on an arm of '
-            f'{1e3 * model.robot.length:.4g} mm{mend}'
-        )
 
 
 def shape_content(model: Model, shape: Shape) -> dict[str, Any]:
