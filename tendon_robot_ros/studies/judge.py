@@ -75,6 +75,10 @@ class Setup:
     question: str = DIAGNOSIS
     effects: tuple[UserEffect, ...] = field(default=(), repr=False)
 
+    def arm(self, name: str) -> PlannedRobot:
+        """Return a robot by its name."""
+        return next(arm for arm in self.arms if arm.name == name)
+
     def compile(self) -> None:
         """Have the kernel compiled before workers would do it side by side."""
         for arm in self.arms:
@@ -86,7 +90,7 @@ class Setup:
         try:
             made = simulated(
                 case,
-                next(arm for arm in self.arms if arm.name == case.robot),
+                self.arm(case.robot),
                 self.designs[case.design],
                 self.noises[case.noise][1],
                 catalogue_of(self.effects),
