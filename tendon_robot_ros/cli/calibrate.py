@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 NAME = 'calibrate'
 HELP = 'calibrate tension with known weights; --check: which tendon has crept'
 KINDS = {'dynamixel': 'motors', 'serial': 'tendons'}  # and what such a configuration has
-CHECK_SHARE = 0.2  # [1] of the highest tension
+CHECK_SHARE = 0.2  # [1] of the highest tension: taut, and far from what may break
 MOTOR_UNITS = 'tendon: [intercept A, slope A/N] of current over tension'
 
 
@@ -307,10 +307,8 @@ def draw(result: CurrentFit, tendon: str, path: Path) -> None:
     pyplot.close(figure)
 
 
-# -----------------------------------------------------------------------------
-# Calibrate the load cell of a board with known weights: the part of `calibrate serial`.
-
-SECONDS_PER_WEIGHT = 2.0  # per weight
+# [s] of reading, so that the mean of a cell is known better than its noise
+SECONDS_PER_WEIGHT = 2.0
 CELL_UNITS = 'tendon: tension = (counts - zero) * newtons_per_count [N]; errors are 1 sd'
 
 

@@ -38,7 +38,8 @@ from ..robot import Robot, load_robot
 NAME = 'emulate'
 HELP = 'emulate motors on a port of their own, with faults on request'
 ARMS = ('plant', 'springs', 'weights')
-SPRING_STIFFNESS = 200.0  # [N/m]
+# [N/m] of the spring that each motor winds against: a thin wire with an arm behind it
+SPRING_STIFFNESS = 200.0
 
 
 @dataclass(frozen=True)

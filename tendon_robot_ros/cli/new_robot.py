@@ -103,7 +103,7 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
     count = questions.whole('How many sections', 2, 1, 20)
     cells = questions.whole('Cells (guide to guide) per section', 15, 1, 1000)
     length = 1e-3 * questions.number('Length of a cell [mm]', 7.0, 1e-3, 1e4)
-    known = _ask_stiffness(questions, count * cells * length)
+    stiff = _ask_stiffness(questions, count * cells * length)
     bends = questions.choice('Cells bend as', ('arc', 'hinge'))
     many = questions.whole('Tendons per section (2: planar)', 2, 1, 12)
     radius = 1e-3 * questions.number('Tendons are off the centre by [mm]', 5.5, 1e-3, 1e3)
@@ -111,7 +111,9 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
     high = questions.number('Highest tension [N]', max(5.0, 10.0 * low), low, 1e5, above=True)
     friction = questions.number('Friction of tendon on eyelet, coefficient', 0.3, 0.0, 1.0)
     size = _Size(count, cells, length, radius, high)
-    names, stiffness = _section_names(count), float(f'{known.of_cell(size):.4g}')
+    names = {1: ['arm'], 2: ['proximal', 'distal']}.get(count)
+    names = names or [f'section_{i + 1}' for i in range(count)]
+    stiffness = float(f'{stiff.of_cell(size):.4g}')
     section = {'cells': cells, 'cell_length': length, 'bending_stiffness': stiffness}
     content: dict[str, Any] = {
         'name': name,
@@ -121,14 +123,19 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
         'effects': {'tendon_friction': {'friction_coefficient': friction}} if friction else {},
     }
     content |= _ask_weight(questions, count * cells * length, content['effects'])
-    content |= _ask_tolerances(questions, known, friction)
+    content |= _ask_tolerances(questions, stiff, friction)
     _ask_guides(questions, content['effects'])
     content |= _ask_down(questions, content.get('gravity', (0.0, 0.0, 0.0)), content['tendons'])
-    if 'eyelet_wrap' in content['effects'] and _ask_plate(questions):
-        content['sections'].insert(0, dict(PLATE))
+    if 'eyelet_wrap' in content['effects']:  # friction may begin below the first cell
+        question = 'The base plate has holes in which tendons rub'
+        if questions.choice(question, ('no', 'yes')) == 'yes':
+            content['sections'].insert(0, dict(PLATE))
     if many > 2 and not any(content.get('gravity', ())[:2]):  # else gravity tells it
         _ask_turn(questions, content['tendons'])
-    _ask_names(questions, content['tendons'])
+    known = [tendon['name'] for tendon in content['tendons']]
+    called = questions.names('Names of the tendons', known)
+    for tendon, name in zip(content['tendons'], called, strict=True):
+        tendon['name'] = name
     return content
 
 
@@ -168,13 +175,6 @@ def _ask_guides(questions: Questions, effects: dict[str, Any]) -> None:
             effects |= {'eyelet_wrap': {'fraction': 1.0}, 'tendon_travel': {'fraction': 1.0}}
 
 
-def _ask_plate(questions: Questions) -> bool:
-    """Ask whether friction begins below the first cell."""
-    return (
-        questions.choice('The base plate has holes in which tendons rub', ('no', 'yes')) == 'yes'
-    )
-
-
 def _ask_down(
     questions: Questions, gravity: Sequence[float], tendons: Sequence[dict[str, Any]]
 ) -> dict[str, list[float]]:
@@ -188,10 +188,9 @@ def _ask_down(
         apart = f'{360.0 / len(ring):.4g}°'
         others = f'{ring[1]} and so on follow counter-clockwise, {apart} apart.'
     questions.tell(SEEN_FROM_TIP.format(first=first['name'], others=others))
-    degrees = questions.number(
-        f'There {first["name"]} lies at [°, or down, right, up, left]',
-        0.0, -360.0, 360.0, {'down': 0.0, 'right': 90.0, 'up': 180.0, 'left': 270.0},
-    )  # fmt: skip
+    question = f'There {first["name"]} lies at [°, or down, right, up, left]'
+    sides = {'down': 0.0, 'right': 90.0, 'up': 180.0, 'left': 270.0}
+    degrees = questions.number(question, 0.0, -360.0, 360.0, sides)
     angle = math.radians(degrees)
     down = (gravity[0] * math.cos(angle), -gravity[0] * math.sin(angle))
     return {'gravity': [round(down[0], 4) + 0.0, round(down[1], 4) + 0.0, 0.0]}
@@ -206,17 +205,6 @@ def _ask_turn(questions: Questions, tendons: list[dict[str, Any]]) -> None:
     for tendon in tendons if angle else ():
         x, y = tendon['offset']
         tendon['offset'] = [round(c * x - s * y, 9) + 0.0, round(s * x + c * y, 9) + 0.0]
-
-
-def _ask_names(questions: Questions, tendons: list[dict[str, Any]]) -> None:
-    """Ask what the tendons are called: tables and commands name them so."""
-    known = [tendon['name'] for tendon in tendons]
-    for tendon, name in zip(tendons, questions.names('Names of the tendons', known), strict=True):
-        tendon['name'] = name
-
-
-# -----------------------------------------------------------------------------
-# The stiffness of a cell from what people know of their arm.
 
 
 @dataclass(frozen=True)
@@ -252,10 +240,8 @@ def _ask_stiffness(questions: Questions, length: float) -> _Stiffness:
         if source == 'tube':
             wall = questions.number('Wall [mm]', 0.1 * 1e3 * outer, 1e-4, 0.5e3 * outer)
             inner = outer - 2e-3 * wall
-        modulus = 1e9 * questions.number(
-            'Modulus E [GPa] (nitinol 60, steel 200, glass fibre 40, PEEK 3.6, nylon 2)',
-            60.0, 1e-6, 1e4,
-        )  # fmt: skip
+        known = 'nitinol 60, steel 200, glass fibre 40, PEEK 3.6, nylon 2'
+        modulus = 1e9 * questions.number(f'Modulus E [GPa] ({known})', 60.0, 1e-6, 1e4)
         return _Stiffness(lambda size: rod_stiffness(modulus, outer, inner, size.length), 10.0)
     if source == 'sag':
         grams = questions.number('Hold the arm level, weight at its tip [g]', 10.0, 1e-3, 1e6)
@@ -278,14 +264,6 @@ def _ask_stiffness(questions: Questions, length: float) -> _Stiffness:
     return _Stiffness(
         lambda size: stiffness_from_bend(size.highest, math.pi, size.cells, size.radius), 50.0
     )
-
-
-def _section_names(count: int) -> list[str]:
-    if count == 1:
-        return ['arm']
-    if count == 2:
-        return ['proximal', 'distal']
-    return [f'section_{i + 1}' for i in range(count)]
 
 
 def _tendons(

@@ -325,10 +325,6 @@ def _measurements(path: str, robot: Robot | str | None) -> DataSet:
     return imported.dataset
 
 
-# -----------------------------------------------------------------------------
-# Where commands write a changed robot description, and the arguments they share for it.
-
-
 def add_overwrite(parser: argparse.ArgumentParser) -> None:
     """Declare --overwrite."""
     parser.add_argument('--overwrite', action='store_true', help='replace a file that is there')

@@ -38,7 +38,7 @@ from .options import add_effect_files, named_numbers, numbers, refuse_existing, 
 from .progress import progress
 
 NOISE_SCALES = {'position': 1e3}  # typed in mm
-POSITION_NOISE_MIN_MM = 0.001
+POSITION_NOISE_MIN_MM = 0.001  # no tracker is better: less is in another unit
 HELP = 'write measurements of a robot with hidden effects, to rehearse with'
 
 

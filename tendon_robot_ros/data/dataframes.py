@@ -228,8 +228,11 @@ def check_units(
 
 def too_tense(name: str, tension: float, limit: float) -> tuple[str, str]:
     """Say of a tension far beyond the limit [N] what is wrong, and what it may be: both ends."""
-    read = [f'{tension * size:.3g} N if in {unit}' for unit, size in SMALLER_UNITS.items()
-            if tension * size <= limit]  # fmt: skip
+    read = [
+        f'{tension * size:.3g} N if in {unit}'
+        for unit, size in SMALLER_UNITS.items()
+        if tension * size <= limit
+    ]
     unit = f' ({listed(read, "or")})' if read else ''
     return (
         f'{name} is {tension:g} N, but tension_limits end at {limit:g} N',

@@ -30,7 +30,8 @@ Known = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 EXPECTED = 'a DataSet, its folder, a recording, or a list of these'
 FRAME = ' (DataSet.from_frame makes one of a tidy table, import_table of one over time)'
 INPUTS = ('tension', 'displacement')
-REST_SHARE = 0.05  # of the largest input, below which all inputs are where an arm rests
+# [1] of the largest input: where all are below, an arm rests, whatever holds its wires taut
+REST_SHARE = 0.05
 LOADINGS = ('from_straight', 'sequence')  # every trial of a posture has the same history
 PATHS = (*LOADINGS, 'visits')
 

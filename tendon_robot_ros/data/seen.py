@@ -23,12 +23,13 @@ BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
 FAR_M = 1e3  # [m] no tracker sees a marker farther away
-ABSURD_LENGTHS = 5.0  # arm lengths from the middle of all readings: no place on this arm
+# arm lengths from the middle of all readings: no place on this arm, nor on its mount
+ABSURD_LENGTHS = 5.0
 MANY_SHARE = 0.5  # of the readings: so many places are in another unit, and no sentinels
 # A reading that repeats the last one exactly is the last one, where that cannot be chance: so
 # many steps at which others change are without a change with this probability at most.
 HELD_BY_CHANCE = 1e-9
-HELD_STEPS_MIN = 10
+HELD_STEPS_MIN = 10  # steps, because fewer tell no rate
 CHANGES_SHARE_MIN = 0.5  # of those steps; places that change more rarely are rounded coarsely
 TOGETHER_SHARE_MAX = 0.01  # of its frames, that a marker and the one it turns into may share
 CROSSED_SHARE = 0.3  # of the steps of two markers, that are left where they exchange their columns

@@ -18,7 +18,7 @@ from .paper_motion import HINGE_LEVER_M, Floats, at_view, pcca, with_arm
 
 VIEW_ANGLE_RAD = float(np.pi)
 HEIGHT_NAMES = ('maximum tip height', 'median tip height', 'minimum tip height')
-TRIALS_PER_HEIGHT = (15, 15, 20)
+TRIALS_PER_HEIGHT = (15, 15, 20)  # as published
 TENSION_STEP_N = 0.1  # [N] between the proximal tensions that are tried
 MOMENT_ARMS_M = (5.0e-3, 5.5e-3, 6.0e-3)  # [m] the paper's is lost
 CELL_SCATTER_RAD = float(np.radians(2.0))  # [rad] of a cell's mean angle: published

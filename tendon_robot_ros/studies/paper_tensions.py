@@ -42,7 +42,7 @@ HINGE_MODEL = 'FKM + hinge friction'
 BEND_ANGLE_RAD = float(np.pi / 2.0)  # of section IV.E
 # What the paper leaves open of the 2:1 prototype, whose outer radius is 1.7 mm
 MOMENT_ARMS_M = (1.0e-3, 1.15e-3, 1.3e-3, 1.45e-3, 1.6e-3)
-CELL_COUNTS = (15, 30, 60)
+CELL_COUNTS = (15, 30, 60)  # around the 30 that are published of another prototype
 FRICTION_COEFFICIENTS = (0.28, 0.31, 0.34)  # 0.31 is published
 PUBLISHED_MOMENT_ARM_M = 5.5e-3  # of the 10:1 prototype, to which the hinge lever belongs
 

@@ -25,11 +25,13 @@ from .columns import (
 from .points import FRAMES_MAX, Points, choose_points
 from .recipe import MarkerColumns, Recipe
 
-STEP_MAX_S = 2.0  # a median step above is no second: nobody records an arm so slowly
+# [s] a median step above is in another unit, because nobody records an arm so slowly
+STEP_MAX_S = 2.0
 LENGTH_UNITS = ('m', 'mm')  # a thousand apart, so that lengths on an arm tell one from the other
 FAR = FAR_M / UNITS['length']['mm']  # in the smallest unit that is tried
-EXTENT = (0.25, 1.3)  # lengths of the arm that markers on it may be apart
-MOST = 0.5  # of the triples: where more are left out, it asks for a look
+# [1] lengths of the arm that markers on it may be apart: bent up, or on a long tool
+EXTENT = (0.25, 1.3)
+MOST = 0.5  # [1] of the triples: where more are left out, it asks for a look
 
 
 @dataclass(frozen=True)

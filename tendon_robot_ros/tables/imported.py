@@ -112,7 +112,7 @@ class ImportedTable(Told):
         return '\n'.join([*lines, *told('LOOK', self.look)])
 
 
-MARKERS_MAX = 12  # rows of the table; of more the first and the last are shown
+MARKERS_MAX = 12  # rows of the table, so that it is read; of more the first and the last are shown
 METHODS = {
     'model': "turned and shifted onto the model's postures",
     'level': "the tracker's up laid onto the robot's, turned about it onto the model's postures",
@@ -184,9 +184,9 @@ def frame_lines(frame: TrackerFrame, robot: Robot) -> list[str]:
     return lines
 
 
-INPUTS_ABREAST = 4  # of the legend
+INPUTS_ABREAST = 4  # of the legend, so that names have room
 SIZE_IN, DPI, FONT = (8.0, 12.5), 150, 14.0  # 1200 px wide; at 400 px a letter has 9 px
-POINTS_MAX = 4000  # of a line
+POINTS_MAX = 4000  # of a line: more than a picture has columns
 TIP_SHADE = 0.62  # of the colours of markers, dark at the base, that of the tip
 LEFT_OUT_LOOK: dict[str, Any] = {'facecolor': 'none', 'edgecolor': LEFT_OUT, 'hatch': '////'}
 

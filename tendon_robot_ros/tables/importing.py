@@ -35,8 +35,10 @@ from .tidy import widened
 from .traces import follow_renumbered, make_traces
 
 STEPS = 4  # of an import, in its progress
-OFFSET_STEP_M = 1e-3  # [m] of a derivative
-MOVED_AT_BASE_M = 2e-3  # [m] from which a marker does not sit at the base
+# [m] of a derivative: the model is straight over it, and rounding does not count
+OFFSET_STEP_M = 1e-3
+# [m] more than noise and slack of a mount: such a marker does not sit at the base
+MOVED_AT_BASE_M = 2e-3
 
 
 def import_table(

@@ -31,16 +31,20 @@ from .recipe import Recipe
 from .traces import NOTHING_CUT, CutReadings, Traces, cut_out
 
 SPEED_LIMITS_M_S = (0.002, 0.02)  # [m/s] slower is still, whatever the tracker's noise makes of it
-CHANGE_SHARES = (0.01, 0.1)  # of the largest input: a smaller change within a window is none
-NOISE_MARGIN = 3.0  # times what noise makes of an arm that stands
-QUIET_SHARE = 0.15  # of the time that an arm stands at least
-JUMP_FROM_SD = 8.0  # robust standard deviations from the median of a still segment: a frame jumps
-SEEN_SHARE = 0.5  # of the frames of a still segment in which a marker has to be seen
+# [1] of the largest input, between which noise may set what counts as a change
+CHANGE_SHARES = (0.01, 0.1)
+NOISE_MARGIN = 3.0  # times what noise makes of an arm that stands: it would else move by chance
+# [1] of the time that an arm stands at least, so that this quantile is noise alone
+QUIET_SHARE = 0.15
+JUMP_FROM_SD = 8.0  # robust sd from the median of a still segment: no frame is there by chance
+# [1] of the frames of a still segment in which a marker is seen, else the mean is of a part
+SEEN_SHARE = 0.5
 JUMP_MIN_M = 5e-4  # [m] a tracker's ordinary noise is no jump
 # shares of the largest input: differences below are nothing; a usual one; from which it is another
 SAME = (0.002, 0.01, 0.08)
-GAP_RATIO = 2.5  # times, between the scatter of trials and the steps of postures
-REST_SHARE = 0.3  # of the segments that are at rest where an arm rests between trials
+GAP_RATIO = 2.5  # between the scatter of trials and the steps of postures; less is no gap
+# [1] of the segments that are at rest where an arm rests between trials: half, but for some
+REST_SHARE = 0.3
 
 
 @dataclass(frozen=True)

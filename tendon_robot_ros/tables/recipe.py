@@ -19,9 +19,12 @@ from ..data.markers import Vector
 from .columns import ColumnUse
 from .points import CHOICES
 
-KEYS = ('sources', 'robot', 'time', 'inputs', 'zero', 'spool', 'positions', 'points', 'markers',
-        'offset', 'places', 'up', 'delay', 'drift', 'still', 'same', 'rest', 'path',
-        'frame', 'leave_out')  # fmt: skip
+KEYS = (
+    *('sources', 'robot', 'time', 'inputs', 'zero', 'spool', 'positions', 'points', 'markers'),
+    *('offset', 'places', 'up', 'delay', 'drift', 'still', 'same', 'rest', 'path', 'frame'),
+    'leave_out',
+)
+STILL = ('speed', 'duration', 'change')
 UPS = ('x', 'y', 'z', '-x', '-y', '-z')
 METHODS = ('model', 'level', 'straight', 'base')
 HEAD = """\
@@ -162,7 +165,7 @@ def read_recipe(content: Any, source: str = 'recipe', folder: Path | None = None
     top = RecipeFields(source, '', content)
     top.only(*KEYS)
     still = top.child('still', optional=True)
-    still.only('speed', 'duration', 'change')
+    still.only(*STILL)
     files = top.content.get('sources') or []
     if not isinstance(files, list):
         raise top.error('sources', 'a list of files', files)
@@ -308,9 +311,7 @@ def dump_recipe(recipe: Recipe, folder: Path) -> str:
         'up': recipe.up,
         'delay': list(recipe.delay) if recipe.delay else None,
         'drift': list(recipe.drift) if recipe.drift else None,
-        'still': {
-            'speed': recipe.speed, 'duration': recipe.duration, 'change': recipe.change
-        } if recipe.time else None,
+        'still': {key: getattr(recipe, key) for key in STILL} if recipe.time else None,
         'same': recipe.same,
         'rest': recipe.rest,
         'path': recipe.path,
@@ -320,7 +321,7 @@ def dump_recipe(recipe: Recipe, folder: Path) -> str:
             'shift': list(recipe.frame.shift or ()),
         },
         'leave_out': [list(pair) for pair in recipe.leave_out or ()],
-    }  # fmt: skip
+    }
     kept = {key: value for key, value in plain.items() if value is not None}
     return HEAD + str(
         yaml.safe_dump(kept, sort_keys=False, default_flow_style=None, allow_unicode=True)

@@ -22,11 +22,12 @@ from .points import circle_centres, not_visible
 from .recipe import MarkerColumns, Recipe, WireSpool, points_of
 
 IntArray = npt.NDArray[np.int64]
-JUMP_MAX_S = 0.3  # [s] a marker is taken for another one for a few frames
-JUMP_FROM = 10.0  # times the usual step from frame to frame
-JUMP_MIN_M = 2e-3  # [m]
-ROWS_MAX = 500  # without times; in more than that, rows that follow each other closely are frames
-FRAME_STEP_SHARE = 0.02  # of how far the arm moves: less from row to row is a recording
+JUMP_MAX_S = 0.3  # [s] for so long a marker is taken for another one at most, so that moves stay
+JUMP_FROM = 10.0  # times the usual step from frame to frame: a leap, because arms move smoothly
+JUMP_MIN_M = 2e-3  # [m] a leap at least: more than a tracker's noise
+# without times: by hand nobody measures more, so that these may be frames of a recording
+ROWS_MAX = 500
+FRAME_STEP_SHARE = 0.02  # [1] of how far the arm moves: less from row to row is a recording
 
 
 def input_factor(unit_text: str, spool: WireSpool) -> float:

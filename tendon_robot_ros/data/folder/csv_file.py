@@ -1,4 +1,9 @@
-"""Strict reading of CSV files: columns at a million rows a second; refusals name rows."""
+"""
+Strict reading of CSV files: columns at a million rows a second; refusals name rows.
+
+A file is read in blocks of lines, each parsed at once; only where that fails is a block looked at
+cell by cell, to say what is wrong where.
+"""
 
 from __future__ import annotations
 
@@ -65,12 +70,6 @@ class Labels(dict[str, int]):
         code = self[cell] = self.index.setdefault(cell.strip(), len(self.index))
         return code
 
-
-# -----------------------------------------------------------------------------
-# Strict reading of CSV files: a million rows in a second, and every refusal names its row.
-#
-# The file is read in blocks of lines, each parsed at once; only where that fails is a block looked
-# at cell by cell, to say what is wrong where.
 
 NEEDED = 'every data set needs this file'
 BLOCK_CHARACTERS = 1 << 19  # characters that are parsed at once: small enough for the cache

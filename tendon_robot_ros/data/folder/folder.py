@@ -163,9 +163,6 @@ def _by_history(dataset: DataSet, commands: Commands) -> DataSet:
     return divide(dataset, split, own)
 
 
-# -----------------------------------------------------------------------------
-# A data set to a folder of plain files: whole, or not at all.
-
 FILES = ('dataset.yaml', 'inputs.csv', 'robot.yaml', 'shapes.csv')
 BESIDE = ('import.png', 'import.yaml')  # how it came out of tables
 

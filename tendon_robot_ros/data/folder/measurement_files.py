@@ -157,9 +157,6 @@ def _check(file: CsvFile, values: FloatArray, robot: Robot, kind: str) -> None:
         refuse(beyond, *too_tense('{name}', float(values[beyond][0]), limit))
 
 
-# -----------------------------------------------------------------------------
-# shapes.csv: where the markers were in every trial of every posture.
-
 KEYS = ('posture', 'trial', 'marker')
 POSITION = ('x', 'y', 'z')  # [m]
 ORIENTATION = ('qx', 'qy', 'qz', 'qw')

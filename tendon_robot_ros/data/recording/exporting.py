@@ -27,7 +27,7 @@ from .writer import (
 )
 
 STATES, SHAPE = '/tendon_states', '/measured_shape'
-START = 1_000_000_000  # [ns], the time of the first message
+START = 1_000_000_000  # [ns] of the first message: 0 would mean that there is no time
 OTHER_FILES = ('.bag', '.db3')  # endings that no folder may have: readers go by them
 NO_TURN = np.array([0.0, 0.0, 0.0, 1.0])
 

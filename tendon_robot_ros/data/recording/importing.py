@@ -41,7 +41,8 @@ from .still_segments import (
 from .transforms import in_base, is_base, with_markers
 from .writer import DESCRIPTION, ROBOT
 
-NOISE_MIN_M = 1e-7  # [m] of noise that is assumed where frames do not differ
+# [m] of noise that is assumed where frames do not differ, so that none is exact
+NOISE_MIN_M = 1e-7
 
 
 @dataclass(frozen=True)
@@ -345,11 +346,8 @@ def plausible_inputs(
     return segments
 
 
-# -----------------------------------------------------------------------------
-# A picture of what an import took from a recording.
-
 NAMES_DRAWN_MAX = 80  # more do not fit beside each other
-PICTURE_WIDTH_MAX_IN = 40.0  # [inches]
+PICTURE_WIDTH_MAX_IN = 40.0  # [inch] so that viewers open it
 
 
 def draw_segments(imported: Imported, path: str | Path) -> Path:

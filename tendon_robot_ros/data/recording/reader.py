@@ -269,9 +269,6 @@ def _sane(values: FloatArray) -> FloatArray:
     return np.where(np.abs(values) < 1e9, values, np.nan)
 
 
-# -----------------------------------------------------------------------------
-# What a recording holds about moving: targets of the tip, commands, and where the tip went.
-
 POINT = 'geometry_msgs/msg/PointStamped'
 TARGETS = (('target_pose', POSE_STAMPED), ('target_point', POINT))
 TIPS = ('measured_tip', 'predicted_tip')

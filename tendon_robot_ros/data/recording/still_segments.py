@@ -14,7 +14,7 @@ from ..dataset import FloatArray
 from ..folder.measurement_files import sort_trials
 from .reader import Recording, Track
 
-STEPS_PER_WINDOW = 10  # of the time grid, per window
+STEPS_PER_WINDOW = 10  # of the time grid: a stretch is found to a tenth of the window
 GRID_VALUES_MAX = 2e7  # instants x markers
 NO_CUTS = np.zeros(0)
 
@@ -226,9 +226,6 @@ def _speeds(track: Track, times: FloatArray, window: float) -> FloatArray:
         speeds[:, j] = np.linalg.norm(after - before, axis=1) / (window / 2)
     return speeds
 
-
-# -----------------------------------------------------------------------------
-# Still segments of a recording: averaged, named, and put together to a data set.
 
 DIGITS = 9  # a mean is rounded to nanometres and nanonewtons
 
