@@ -27,8 +27,8 @@ from ..diagnosis.add import Addition, add_effects
 from ..diagnosis.decide import Verdict
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
-from ..effects import Catalogue
 from ..report import addition_text
+from ..report.diagnosis_page import pictures_of, write_diagnosis
 from ..report.diagnosis_text import lines, trust_lines
 from .options import (
     REFUSED_EXIT_CODE,
@@ -91,23 +91,32 @@ def run(args: argparse.Namespace) -> int:
         if args.trust:
             diagnosis = _assessed(args, diagnosis, dataset, show)
         show('fitting what was found', 0, 0)
-        made = _addition(args, diagnosis, dataset, check, catalogue)
+        outside = diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE
+        may_add = bool(diagnosis.effects) and (diagnosis.adds or (outside and args.partial))
+        made = None
+        if diagnosis.effects and (args.check or (args.add and may_add)):
+            found = diagnosis.effects
+            names = [effect.name for effect in found]
+            made = add_effects(dataset, names, None, catalogue, check, found, partial=outside)
     report_lines = [*lines(diagnosis), *trust_lines(diagnosis)]
     content: dict[str, Any] = diagnosis.to_json()
     if made is not None:
         report_lines += [addition_text.never_used(made), *addition_text.warnings(made)]
         content['added'] = made.to_json()
-    written = made is not None and made.helps and args.add and _may_add(args, diagnosis)
-    outcome = _outcome(args, diagnosis, made) if args.add else ''
-    page = ''
+    outcome = _outcome(args.add, diagnosis, made, may_add) if args.add else ''
+    report_lines += [outcome] if outcome else []
     if args.report:
-        page = _reported(args, diagnosis, dataset, catalogue, made, outcome)
+        better = None if made is None else made.robot
+        pictures = pictures_of(diagnosis, dataset, catalogue, better)
+        told = outcome.replace('    ', '; ')
+        page = write_diagnosis(diagnosis, pictures, args.report, made, told)
+        report_lines.append(f'report: {page}')
+    written = made is not None and made.helps and args.add and may_add
     if made is not None and written:
         write_description(made.robot, args.add)
     content['written'] = args.add if written else None
-    report_lines += filter(None, (outcome, page))
     emit(args, content, '\n'.join(report_lines))
-    return REFUSED_EXIT_CODE if args.add and not written and _outside(diagnosis) else 0
+    return REFUSED_EXIT_CODE if args.add and not written and outside else 0
 
 
 def _assessed(
@@ -122,55 +131,12 @@ def _assessed(
     return replace(diagnosis, details=details)
 
 
-def _outside(diagnosis: Diagnosis) -> bool:
-    return diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE
-
-
-def _may_add(args: argparse.Namespace, diagnosis: Diagnosis) -> bool:
-    return bool(diagnosis.effects) and (diagnosis.adds or (_outside(diagnosis) and args.partial))
-
-
-def _addition(
-    args: argparse.Namespace,
-    diagnosis: Diagnosis,
-    dataset: DataSet,
-    check: DataSet | None,
-    catalogue: Catalogue,
-) -> Addition | None:
-    """Fit what the diagnosis names, where that is wanted."""
-    if not diagnosis.effects or not (args.check or (args.add and _may_add(args, diagnosis))):
-        return None
-    names = [effect.name for effect in diagnosis.effects]
-    return add_effects(
-        dataset, names, None, catalogue, check, diagnosis.effects, partial=_outside(diagnosis)
-    )
-
-
-def _reported(
-    args: argparse.Namespace,
-    diagnosis: Diagnosis,
-    dataset: DataSet,
-    catalogue: Catalogue,
-    made: Addition | None,
-    outcome: str,
-) -> str:
-    """Write the page."""
-    from ..report.diagnosis_page import pictures_of, write_diagnosis
-
-    pictures = pictures_of(diagnosis, dataset, catalogue, None if made is None else made.robot)
-    page = write_diagnosis(diagnosis, pictures, args.report, made, outcome.replace('    ', '; '))
-    return f'report: {page}'
-
-
-def _outcome(args: argparse.Namespace, diagnosis: Diagnosis, made: Addition | None) -> str:
+def _outcome(new: str, diagnosis: Diagnosis, made: Addition | None, may_add: bool) -> str:
     """Say what becomes of the file that --add names."""
     if made is not None and not made.helps:
         return addition_text.NOT_WRITTEN
-    return next_step(args.add) if _may_add(args, diagnosis) else _refusal(diagnosis)
-
-
-def _refusal(diagnosis: Diagnosis) -> str:
-    """Say why nothing was written."""
+    if may_add:
+        return next_step(new)
     if diagnosis.effects:
         names = ' and '.join(effect.name for effect in diagnosis.effects)
         return f'Nothing was added (--partial would add {names}).'

@@ -26,7 +26,7 @@ from ..data.recording.reader import Topics
 from ..data.recording.still_segments import Rule
 from ..data.recording.transforms import is_base
 from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe
-from .options import input_size
+from .options import input_size, pairs
 from .progress import progress
 
 NAME = 'import-bag'
@@ -35,85 +35,48 @@ HELP = 'make a data set from a ROS 2 recording'
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder, or .mcap or .db3 file')
-    parser.add_argument('--output', required=True, metavar='DIR', help='folder of the data set')
-    parser.add_argument('--overwrite', action='store_true', help='replace a data set in DIR')
-    parser.add_argument('--robot', help='robot description (default: the one in the recording)')
-    parser.add_argument(
-        '--description',
-        metavar='YAML',
-        help='a dataset.yaml that says input, path, gravity, markers (default: the one in the '
-        'recording, else tensions where they were observed and one marker per cell)',
+    add, rule, topics = parser.add_argument, Rule(), Topics()
+    add('bag', metavar='BAG', help='rosbag2 folder, or .mcap or .db3 file')
+    add('--output', required=True, metavar='DIR', help='folder of the data set')
+    add('--overwrite', action='store_true', help='replace a data set in DIR')
+    add('--robot', help='robot description (default: the one in the recording)')
+    what = (
+        'a dataset.yaml that says input, path, gravity, markers (default: the one in the '
+        'recording, else tensions where they were observed and one marker per cell)'
     )
+    add('--description', metavar='YAML', help=what)
     to = file_to_write('--picture')
-    picture = 'draw the segments (.png, .svg, .pdf)'
-    parser.add_argument('--picture', type=to, metavar='PNG', help=picture)
-    _add_rule(parser, Rule())
-    _add_topics(parser, Topics())
-    parser.add_argument('--up', choices=UPS, help='axis of the tracker that points up')
-    parser.add_argument(
-        '--frame',
-        choices=METHODS,
-        help="how a tracker's frame is found, as of import-table; base: it is the base frame "
+    add('--picture', type=to, metavar='PNG', help='draw the segments (.png, .svg, .pdf)')
+    speed, duration = 1e3 * rule.speed, rule.duration
+    what = f'slower is still (default: {speed:g})'
+    add('--speed', type=float, default=speed, metavar='MM/S', help=what)
+    what = f'at least so long [s] (default: {duration:g})'
+    add('--duration', type=float, default=duration, help=what)
+    what = (
+        'inputs that differ by more belong to different postures, as 0.05N or 0.2mm '
+        '(default: 1 %% of the tension limit, 0.2 %% of the length)'
+    )
+    add('--change', metavar='X', help=what)
+    what = 'leave segments out whose inputs are all below this, as 0.15N or 0.5mm'
+    add('--rest', metavar='X', help=what)
+    what = f'sensor_msgs/JointState (default: {topics.states})'
+    add('--states-topic', default=topics.states, metavar='TOPIC', help=what)
+    what = f'geometry_msgs/PoseArray (default: {topics.shape})'
+    add('--shape-topic', default=topics.shape, metavar='TOPIC', help=what)
+    what = (
+        'geometry_msgs/PoseStamped, or frame of /tf, of one marker, instead of the shape; '
+        'may be repeated'
+    )
+    add('--marker', action='append', default=[], metavar='NAME=TOPIC', help=what)
+    what = 'of several programs that published the states, the one with this in its frame_id'
+    add('--sender', default=topics.sender, metavar='TEXT', help=what)
+    add('--up', choices=UPS, help='axis of the tracker that points up')
+    what = (
+        "how a tracker's frame is found, as of import-table; base: it is the base frame "
         '(default: base where the frame is called so or transforms lead there, else level or '
-        'model)',
+        'model)'
     )
-
-
-def _add_rule(parser: argparse.ArgumentParser, rule: Rule) -> None:
-    parser.add_argument(
-        '--speed',
-        type=float,
-        default=1e3 * rule.speed,
-        metavar='MM/S',
-        help=f'slower is still (default: {1e3 * rule.speed:g})',
-    )
-    parser.add_argument(
-        '--duration',
-        type=float,
-        default=rule.duration,
-        help=f'at least so long [s] (default: {rule.duration:g})',
-    )
-    parser.add_argument(
-        '--change',
-        metavar='X',
-        help='inputs that differ by more belong to different postures, as 0.05N or 0.2mm '
-        '(default: 1 %% of the tension limit, 0.2 %% of the length)',
-    )
-    parser.add_argument(
-        '--rest',
-        metavar='X',
-        help='leave segments out whose inputs are all below this, as 0.15N or 0.5mm',
-    )
-
-
-def _add_topics(parser: argparse.ArgumentParser, topics: Topics) -> None:
-    parser.add_argument(
-        '--states-topic',
-        default=topics.states,
-        metavar='TOPIC',
-        help=f'sensor_msgs/JointState (default: {topics.states})',
-    )
-    parser.add_argument(
-        '--shape-topic',
-        default=topics.shape,
-        metavar='TOPIC',
-        help=f'geometry_msgs/PoseArray (default: {topics.shape})',
-    )
-    parser.add_argument(
-        '--marker',
-        action='append',
-        default=[],
-        metavar='NAME=TOPIC',
-        help='geometry_msgs/PoseStamped, or frame of /tf, of one marker, instead of the shape; '
-        'may be repeated',
-    )
-    parser.add_argument(
-        '--sender',
-        default=topics.sender,
-        metavar='TEXT',
-        help='of several programs that published the states, the one with this in its frame_id',
-    )
+    add('--frame', choices=METHODS, help=what)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -125,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     refuse_dataset_in(args.output, args.overwrite)
     if args.picture:
         refuse_ending('--picture', args.picture)
-    description = None
+    markers, description = pairs('--marker', args.marker, 'TOPIC'), None
     if args.description:
         description = read_text(Path(args.description), 'name a dataset.yaml')
     with progress() as show:
@@ -134,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
             args.bag,
             args.robot,
             Rule(1e-3 * args.speed, args.duration, change),
-            Topics(args.states_topic, args.shape_topic, _markers(args.marker), args.sender),
+            Topics(args.states_topic, args.shape_topic, markers, args.sender),
             description,
             rest,
             in_tracker_frame=True,
@@ -171,13 +134,3 @@ def _placed(imported: Imported, method: str | None, up: str | None) -> tuple[Dat
     lines = told('frame', [f'{imported.frame!r}, which no transform joins with the base'])
     lines += told('', frame_lines(placed.frame, placed.dataset.robot))
     return placed.dataset, lines + told('dropped', placed.dropped) + told('LOOK', placed.look)
-
-
-def _markers(pairs: list[str]) -> dict[str, str]:
-    markers = {}
-    for pair in pairs:
-        name, _, topic = pair.partition('=')
-        if not name or not topic or name in markers:
-            raise InputError(f'--marker {pair}: write NAME=TOPIC, each name once')
-        markers[name] = topic
-    return markers

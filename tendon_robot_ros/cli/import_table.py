@@ -31,7 +31,7 @@ from ..tables import import_table
 from ..tables.columns import ColumnUse
 from ..tables.points import CHOICES
 from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe, load_recipe
-from .options import add_effect_files, input_size, length
+from .options import add_effect_files, input_size, length, pairs
 from .progress import progress
 
 HELP = 'make a data set of a table of tensions and markers over time'
@@ -165,18 +165,8 @@ def _refuse_swapped(args: argparse.Namespace) -> None:
         )
 
 
-def _pairs(option: str, texts: list[str]) -> dict[str, str]:
-    pairs = {}
-    for text in texts:
-        name, _, value = text.partition('=')
-        if not name.strip() or not value.strip() or name in pairs:
-            raise InputError(f'{option} {text}: write NAME=VALUE, each name once')
-        pairs[name.strip()] = value.strip()
-    return pairs
-
-
 def _with_columns(recipe: Recipe, args: argparse.Namespace, inputs: tuple[str, ...]) -> Recipe:
-    columns, units = _pairs('--column', args.column), _pairs('--unit', args.unit)
+    columns, units = pairs('--column', args.column), pairs('--unit', args.unit)
     for name in columns:
         if name != 'time' and name not in inputs:
             raise InputError(f'--column {name}=...: expected time or one of {", ".join(inputs)}')

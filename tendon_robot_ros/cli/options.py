@@ -262,6 +262,25 @@ def numbers(what: str, text: str, separator: str) -> tuple[float, ...]:
     return values
 
 
+def pairs(option: str, texts: Sequence[str], what: str = 'VALUE') -> dict[str, str]:
+    """
+    Read NAME=VALUE of an option that may be repeated.
+
+    Raises
+    ------
+    InputError
+        It reads otherwise, or names something twice.
+
+    """
+    found: dict[str, str] = {}
+    for text in texts:
+        name, _, value = (part.strip() for part in text.partition('='))
+        if not name or not value or name in found:
+            raise InputError(f'{option} {text}: write NAME={what}, each name once')
+        found[name] = value
+    return found
+
+
 DATA_HELP = 'data set (folder), or a recording (rosbag2 folder, .mcap or .db3 file)'
 
 
