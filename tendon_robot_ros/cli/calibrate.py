@@ -98,7 +98,11 @@ def run(args: argparse.Namespace) -> int:
     if Path(args.out).exists():
         _content(args.out)  # lines of other tendons in it are kept
     try:
-        return _calibrate_cell(args) if args.kind == 'serial' else _calibrate_motor(args)
+        if args.kind == 'serial':
+            _write(Path(args.out), args.tendon, measure_cell(args), CELL_UNITS)
+            print(f'written: {args.out}')
+            return 0
+        return _calibrate_motor(args)
     except ModuleNotFoundError as error:
         raise MissingExtraError(error.name or args.kind, args.kind) from None
 
@@ -186,13 +190,6 @@ def _content(path: str) -> dict[str, Any]:
     return content
 
 
-def _calibrate_cell(args: argparse.Namespace) -> int:
-
-    _write(Path(args.out), args.tendon, measure_cell(args), CELL_UNITS)
-    print(f'written: {args.out}')
-    return 0
-
-
 def _calibrate_motor(args: argparse.Namespace) -> int:
     from ..drivers.dynamixel import calibration
 
@@ -207,7 +204,13 @@ def _calibrate_motor(args: argparse.Namespace) -> int:
     _write(Path(args.out), args.tendon, calibration.to_mapping(result, cap), MOTOR_UNITS)
     picture = Path(args.picture or f'{Path(args.out).with_suffix("")}_{args.tendon}.png')
     draw(result, args.tendon, picture)
-    _say(result, args, picture)
+    for what, line in (
+        ('winding', result.calibration.wind),
+        ('paying out', result.calibration.pay_out),
+    ):
+        print(f'{args.tendon}: {what} I = {line.intercept:.4f} A + {line.slope:.4f} A/N T')
+    print(f'half the gap: {result.half_gap:.3f} N: that is how well the current tells the tension')
+    print(f'written: {args.out}, {picture}')
     return 0
 
 
@@ -261,19 +264,6 @@ def _write(path: Path, tendon: str, lines: dict[str, Any], units: str) -> None:
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
     with new_file(path) as draft:
         draft.write_text(f'# {units}; written by calibrate\n{text}', encoding='utf-8')
-
-
-def _say(result: CurrentFit, args: argparse.Namespace, picture: Path) -> None:
-    lines = result.calibration
-    print(
-        f'{args.tendon}: winding I = {lines.wind.intercept:.4f} A + {lines.wind.slope:.4f} A/N T'
-    )
-    print(
-        f'{args.tendon}: paying out I = {lines.pay_out.intercept:.4f} A + '
-        f'{lines.pay_out.slope:.4f} A/N T'
-    )
-    print(f'half the gap: {result.half_gap:.3f} N: that is how well the current tells the tension')
-    print(f'written: {args.out}, {picture}')
 
 
 def draw(result: CurrentFit, tendon: str, path: Path) -> None:
