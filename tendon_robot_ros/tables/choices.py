@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,6 @@ from ..data.seen import FAR_M, without_unseen
 from ..robot import Robot
 from .columns import (
     FRAMES,
-    ColumnUse,
     RawTable,
     guess_inputs,
     guess_time,
@@ -72,10 +71,15 @@ def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> 
     recipe = _choose_position_unit(tables, robot, recipe, assumed)
     used = set(reasons)
     unused = [c for t in tables for c in (*t.columns, *t.texts) if c not in used]
-    kind = _kind_of_inputs(recipe)
+    units = {find_unit(use.unit) for use in (recipe.inputs or {}).values()}
+    kinds = {unit.kind for unit in units if unit is not None}
+    kind = 'tension' if kinds <= {'force', 'current'} else 'displacement'
+    if kind == 'displacement' and not kinds <= {'length', 'angle', 'counts'}:
+        raise InputError(
+            'inputs: all are tensions or all are wire pulls; give columns of one kind'
+        )
     if recipe.zero is None:
-        units = {find_unit(use.unit) for use in (recipe.inputs or {}).values()}
-        turned = any(u is not None and u.kind in ('angle', 'counts') for u in units)
+        turned = bool(kinds & {'angle', 'counts'})
         recipe = replace(recipe, zero=turned)
         if turned:
             assumed.append('motors count from where they are when the arm first stands still')
@@ -209,13 +213,18 @@ def _choose_inputs(
             raise DataSetError(
                 tables[0].name,
                 f'no columns for the inputs {listing(missing)} are recognised among '
-                f'{listing(_columns_without_axis(tables))}',
+                f'{listing(n.column for t in tables for n in names_of(t) if not n.axis)}',
                 'name each by --column INPUT=COLUMN',
             )
         inputs |= guess.columns
         reasons |= {use.column: guess.reason for use in guess.columns.values()}
-    told = {use.column: _unit_told(tables, use, recipe) for use in inputs.values()}
-    inputs = {name: replace(use, unit=told[use.column]) for name, use in inputs.items()}
+    units = ((n.column, n.unit) for t in tables for n in names_of(t) if n.unit is not None)
+    told: dict[str, str] = {}
+    for column, unit in units:
+        told.setdefault(column, unit.text)
+    for name, use in inputs.items():  # as an option says, as a recipe, or as the file does
+        text = recipe.input_unit or use.unit or told.get(use.column, '')
+        inputs[name] = replace(use, unit=text)
     lacking = [use.column for use in inputs.values() if not use.unit]
     if lacking:
         raise DataSetError(
@@ -225,17 +234,6 @@ def _choose_inputs(
             'mm, deg, ticks, mA ...)',
         )
     return replace(recipe, inputs={name: inputs[name] for name in robot.inputs})
-
-
-def _unit_told(tables: Sequence[RawTable], use: ColumnUse, recipe: Recipe) -> str:
-    """Return the unit of an input: as an option says, as a recipe, or as the file does."""
-    named = (n.unit for t in tables for n in names_of(t) if n.column == use.column)
-    unit = next((unit.text for unit in named if unit is not None), '')
-    return recipe.input_unit or use.unit or unit
-
-
-def _columns_without_axis(tables: Iterable[RawTable]) -> list[str]:
-    return [name.column for t in tables for name in names_of(t) if not name.axis]
 
 
 def _choose_markers(
@@ -316,12 +314,3 @@ def _extent(tables: Sequence[RawTable], recipe: Recipe) -> float:
             low, high = np.nanpercentile(places[0], [2, 98], axis=0)
             largest = float((high - low).max())
     return largest
-
-
-def _kind_of_inputs(recipe: Recipe) -> str:
-    kinds = {find_unit(use.unit).kind for use in (recipe.inputs or {}).values()}  # type: ignore[union-attr]
-    if kinds <= {'force', 'current'}:
-        return 'tension'
-    if kinds <= {'length', 'angle', 'counts'}:
-        return 'displacement'
-    raise InputError('inputs: all are tensions or all are wire pulls; give columns of one kind')

@@ -17,7 +17,6 @@ from ..comparison.predict import Predictor
 from ..data import DataSet, Marker
 from ..data.folder.description import Description
 from ..data.recording.importing import segments_dataset
-from ..data.recording.still_segments import Segment
 from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..robot import Robot, RobotLike, load_robot
 from .choices import Taken, choose_columns
@@ -74,13 +73,23 @@ def import_table(
 
     """
     show, recipe = listener(progress), _recipe(recipe)
-    robot = _robot(robot, recipe)
+    named = recipe.robot if robot is None else robot
+    if named is None:
+        raise DataSetError(
+            'robot', 'none is named', 'describe the arm with new-robot, then say --robot arm.yaml'
+        )
+    robot = load_robot(named)
     show('reading the tables', 0, STEPS)
     tables = _tables(source, recipe)
     is_up_given = recipe.up is not None
-    recipe = _with_up(recipe, tables)
+    ups = {table.up for table in tables} - {None}  # of the files, where their format has one
+    if not is_up_given and len(ups) == 1:
+        recipe = replace(recipe, up=ups.pop())
     taken = choose_columns(tables, robot, recipe)
-    used = _used(tables, taken)
+    columns = {use.column for use in (taken.recipe.inputs or {}).values()}
+    columns |= {c for marker in taken.recipe.markers or () for c in marker.columns}
+    # parts of a file of which nothing is taken are left out
+    used = [t for t in tables if not t.part or columns & {*t.columns, *t.texts}]
     show('looking where the arm stood still', 1, STEPS)
     taken = follow_renumbered(used, taken, robot.length)
     measured = measure(make_traces(used, taken, robot.length), taken, robot)
@@ -160,15 +169,6 @@ def _recipe(recipe: Recipe | Mapping[str, Any] | str | Path | None) -> Recipe:
     return recipe if isinstance(recipe, Recipe) else read_recipe(dict(recipe))
 
 
-def _robot(robot: RobotLike | None, recipe: Recipe) -> Robot:
-    named = recipe.robot if robot is None else robot
-    if named is None:
-        raise DataSetError(
-            'robot', 'none is named', 'describe the arm with new-robot, then say --robot arm.yaml'
-        )
-    return load_robot(named)
-
-
 def _tables(source: Any, recipe: Recipe) -> list[RawTable]:
     if _is_table(source):
         source = [source]
@@ -181,25 +181,12 @@ def _tables(source: Any, recipe: Recipe) -> list[RawTable]:
     return [widened(table) for tables in read for table in tables]
 
 
-def _used(tables: Sequence[RawTable], taken: Taken) -> list[RawTable]:
-    """Leave out parts of a file of which nothing is taken."""
-    columns = {use.column for use in (taken.recipe.inputs or {}).values()}
-    columns |= {c for marker in taken.recipe.markers or () for c in marker.columns}
-    return [t for t in tables if not t.part or columns & {*t.columns, *t.texts}]
-
-
 def _is_table(source: object) -> bool:
     return isinstance(source, str | Path) or hasattr(source, 'columns')
 
 
-def _with_up(recipe: Recipe, tables: Sequence[RawTable]) -> Recipe:
-    """Take the axis that points up from the files where their format has one."""
-    told = {table.up for table in tables} - {None}
-    return recipe if recipe.up or len(told) != 1 else replace(recipe, up=told.pop())
-
-
 def _order(measured: StillMeasurements, taken: Taken, robot: Robot, name: str) -> MarkerOrder:
-    """MarkerOrder the markers, unless a recipe says where each of them is."""
+    """Order the markers, unless a recipe says where each of them is."""
     markers = taken.recipe.markers or ()
     given = [marker.arc_length for marker in markers]
     if all(value is not None for value in given):
@@ -226,21 +213,16 @@ def _in_tracker_frame(
     )
     placed = tuple(Marker(m.name or '', m.arc_length or 0.0, m.offset) for m in markers)
     members = list(order.members)
-    segments = [_picked(one, members) for one in measured.segments]
+    segments = [
+        replace(one, positions=one.positions[members], orientations=one.orientations[members])
+        for one in measured.segments
+    ]
     path = SEQUENCE if taken.recipe.path == VISITS else taken.recipe.path
     described = Description(taken.kind, path, None, None, 0.0, 0.0, None, {}, placed)
     dataset = segments_dataset(name, segments, robot, described, placed)
     if taken.recipe.path == VISITS:
         dataset = as_visits(dataset, segments, measured.begins)
     return dataset, markers
-
-
-def _picked(segment: Segment, members: Sequence[int]) -> Segment:
-    return replace(
-        segment,
-        positions=segment.positions[list(members)],
-        orientations=segment.orientations[list(members)],
-    )
 
 
 def _columns_dropped(taken: Taken, tables: Sequence[RawTable]) -> list[str]:
