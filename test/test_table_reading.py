@@ -22,9 +22,8 @@ from tendon_robot_ros.tables.columns import (
     names_of,
     triples_of,
 )
-from tendon_robot_ros.tables.formats import read_c3d
 from tendon_robot_ros.tables.points import choose_points
-from tendon_robot_ros.tables.reading import read_tables
+from tendon_robot_ros.tables.reading import read_c3d, read_tables
 from tendon_robot_ros.tables.recipe import Recipe
 
 PLAIN = 'time,T1 [N],m_x\n0,1,2\n0.5,1.5,\n'

@@ -4,9 +4,8 @@ A laboratory's tables to a data set: units, still segments, marker order, the tr
 importing.py      `import_table`: the whole way
 imported.py       what it gives: a data set, `save`, and in words and one picture what
                   was taken and why
-reading.py        a file to tables of named columns; refuses what is no table
+reading.py        a file to tables of named columns: text, Parquet, .c3d; refuses what is none
 heads.py          the head of a text table, read by its structure, whoever wrote it
-formats.py        .c3d, and files that only their maker's program reads
 columns.py        named columns of numbers, as they were found (a DataFrame as well), and what a
                   column is, by its name
 tidy.py           long tables, a row for each marker and time, to wide ones

@@ -28,11 +28,12 @@ from .description import (
     read_fields,
     read_text,
 )
-from .input_columns import ORIGIN, VISIT
 from .measurement_files import (
     KEYS,
     ORIENTATION,
+    ORIGIN,
     POSITION,
+    VISIT,
     Commands,
     read_inputs,
     read_shapes,
