@@ -19,12 +19,10 @@ import argparse
 from dataclasses import fields, replace
 from pathlib import Path
 
-import numpy as np
-
 from ..common.errors import InputError
 from ..common.files import file_to_write
 from ..common.given import whole
-from ..data import DataSet, Marker, save_dataset
+from ..data import DataSet, Marker, even_markers, save_dataset
 from ..data.dataset import INPUTS, PATHS
 from ..data.folder.folder import refuse_dataset_in
 from ..data.folder.measurement_files import read_inputs
@@ -223,7 +221,6 @@ def _markers(text: str | None, robot: Robot) -> tuple[Marker, ...] | None:
     if not text:
         return None
     if text.isdigit() and int(text) > 0:
-        places = tuple(robot.length * (np.arange(int(text)) + 1.0) / int(text))
-    else:
-        places = tuple(1e-3 * place for place in numbers('--markers', text, ','))
-    return tuple(Marker(str(i + 1), float(place)) for i, place in enumerate(places))
+        return even_markers(robot, int(text))
+    places = numbers('--markers', text, ',')
+    return tuple(Marker(str(i + 1), 1e-3 * place) for i, place in enumerate(places))

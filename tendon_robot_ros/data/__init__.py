@@ -15,7 +15,7 @@ recording/      recordings of ROS 2, read and written without ROS
 from .dataset import DataSet, Part
 from .folder.folder import save_dataset
 from .loading import DataSetLike, join, load_dataset
-from .markers import Marker, default_markers
+from .markers import Marker, default_markers, even_markers
 
 __all__ = [
     'DataSet',
@@ -23,6 +23,7 @@ __all__ = [
     'Marker',
     'Part',
     'default_markers',
+    'even_markers',
     'join',
     'load_dataset',
     'save_dataset',

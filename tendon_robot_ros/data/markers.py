@@ -32,6 +32,12 @@ def default_markers(robot: Robot) -> tuple[Marker, ...]:
     return tuple(Marker(str(i + 1), end) for i, end in enumerate(ends))
 
 
+def even_markers(robot: Robot, count: int) -> tuple[Marker, ...]:
+    """Return so many markers, named '1' to 'n', evenly spaced up to the tip."""
+    places = robot.length * (np.arange(count) + 1.0) / count
+    return tuple(Marker(str(i + 1), float(place)) for i, place in enumerate(places))
+
+
 def place_markers(
     arrays: FrameArrays, robot: Robot, given: Sequence[Marker | float] | None, name: str
 ) -> tuple[Marker, ...]:

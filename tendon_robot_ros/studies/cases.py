@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ..comparison.noise import Whitener, input_slopes
 from ..comparison.predict import Predictor
 from ..comparison.repeatability import estimate_noise
-from ..data import DataSet, Marker
+from ..data import DataSet, Marker, even_markers
 from ..diagnosis.as_built import SplitPredictor
 from ..diagnosis.marginal import RandomEffects
 from ..diagnosis.slopes import imperfections
@@ -67,10 +67,7 @@ class Design:
         """Return the markers; None: one at every cell."""
         if self.data is not None:
             return self.data.markers
-        if not self.markers:
-            return None
-        places = robot.length * (np.arange(self.markers) + 1.0) / self.markers
-        return tuple(Marker(str(i + 1), float(place)) for i, place in enumerate(places))
+        return even_markers(robot, self.markers) if self.markers else None
 
 
 @dataclass(frozen=True)
