@@ -279,11 +279,11 @@ def _motion(page: Page, experiment: MotionExperiment) -> None:
             if kind in kinds:
                 page.figures(view_figures(kinds[kind]), 'two')
     for one in (experiment.stiffening, experiment.every_tendon):
-        near, far = one.bending[0], one.bending[-1]
+        proximal, distal = 100 * one.bending[0], 100 * one.bending[-1]
         page.text(
             f'Assumption A7 with {one.tendons[0]} tendons in the proximal and {one.tendons[-1]} '
             f'in the distal section, {digits(1e3 * one.per_tendon, 2)} mN·m/rad each: bends '
-            f'change by {100 * near:.1f} % in the proximal and {100 * far:.1f} % in the distal '
+            f'change by {proximal:.1f} % in the proximal and {distal:.1f} % in the distal '
             f'section, the tip by {mm(one.shift)} or {100 * one.relative:.1f} % of its way '
             '(published: of the order of 10 %, most in the proximal section). A proximal '
             f'backbone that is {-100 * one.softer:.0f} % softer makes the sections alike; with '
