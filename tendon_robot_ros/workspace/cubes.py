@@ -18,6 +18,7 @@ Numbers = npt.NDArray[np.int64]
 # A line that turns by less than an angle in all has ends farther apart than cos(angle / 2) of its
 # length (Schur): up to here more than 2/pi of it, also where bent cells are a tenth shorter.
 TURNED_MIN_RAD = 0.5 * math.pi
+PAIRS_AT_ONCE = 100_000  # pairs of places, because so many stay in the cache
 STRETCH_MAX = 1.05  # [1] of its length that an arm may have: loads may stretch it a little
 HEIGHTS, TURNS = 6, 8  # equal areas of the sphere of directions: by height, and around the base
 LOOKS = HEIGHTS * TURNS
@@ -197,13 +198,18 @@ class Rows(NamedTuple):
         Of equal ones that of the least sum, then of the least numbers, so that the order in which
         they came does not matter.
         """
-        tensions = self.best[:, :inputs]
-        by = (*self.best.T[::-1], tensions.sum(axis=1), tensions.max(axis=1), self.where)
-        order = np.lexsort(by)
-        where, best = self.where[order], self.best[order]
-        first = np.flatnonzero(np.diff(where, prepend=-1))
+        order = np.argsort(self.where, kind='stable')
+        first = np.flatnonzero(np.diff(self.where[order], prepend=-1))
         seen = np.bitwise_or.reduceat(self.seen[order], first)
-        return Rows(where[first], seen, best[first])
+        tensions = self.best[:, :inputs]
+        for key in (tensions.max(axis=1), tensions.sum(axis=1)):
+            least = np.minimum.reduceat(key[order], first)
+            order = order[key[order] == np.repeat(least, np.diff(first, append=len(order)))]
+            first = np.flatnonzero(np.diff(self.where[order], prepend=-1))
+        if len(order) > len(first):  # some are alike in both
+            order = order[np.lexsort((*self.best[order].T[::-1], self.where[order]))]
+        kept = order[first]
+        return Rows(self.where[kept], seen, self.best[kept])
 
 
 def sphere_part(directions: Floats, finer: int) -> Numbers:
@@ -270,8 +276,11 @@ def folds(positions: Floats, thickness: Floats, lengths: Floats) -> npt.NDArray[
     turns_round = along[j] - along[i] > 0.5 * math.pi * apart
     i, j, apart = i[turns_round], j[turns_round], apart[turns_round]
     hit = np.zeros(len(positions), dtype=np.bool_)
-    for p in np.flatnonzero(turns.sum(axis=1) >= TURNED_MIN_RAD):
-        middles = 0.5 * (ends[p, :-1] + ends[p, 1:])
-        away = middles[j] - middles[i]
-        hit[p] = (np.einsum('ij,ij->i', away, away) < apart**2).any()
+    turned = np.flatnonzero(turns.sum(axis=1) >= TURNED_MIN_RAD)
+    for rows in np.array_split(turned, 1 + len(turned) * len(i) // PAIRS_AT_ONCE):
+        middles = 0.5 * (ends[rows, :-1] + ends[rows, 1:])
+        squares = np.zeros((len(rows), len(i)))
+        for x in range(3):
+            squares += (middles[:, j, x] - middles[:, i, x]) ** 2
+        hit[rows] = (squares < apart**2).any(axis=1)
     return hit

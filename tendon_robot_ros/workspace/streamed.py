@@ -127,13 +127,25 @@ class SortedTips:
 def sort_batches(chunk: Batches) -> tuple[Packed, float]:
     """Solve and sort the batches of a chunk, in a worker; return what is known, and the time."""
     start, sampling = time.monotonic(), chunk.sampling
-    model, tally = Model(sampling.robot, load_catalogue(sampling.files)), SortedTips(sampling)
+    model, tally = _model_of(sampling), SortedTips(sampling)
     for number, count in chunk.sizes:
         entropy = np.random.SeedSequence(sampling.seed, spawn_key=(chunk.round, number))
         random = np.random.default_rng(entropy)
         tensions = (onward if len(chunk.start) else spread)(random, count, chunk)
         tally.add(*model.solve(tensions))
     return tally.packed(), time.monotonic() - start
+
+
+_MODELS: dict[str, Model] = {}  # of the last sampling that this process has worked on
+
+
+def _model_of(sampling: Sampling) -> Model:
+    """Return the model; a process makes it once for all chunks."""
+    key = repr((sampling.robot, sampling.files))
+    if key not in _MODELS:
+        _MODELS.clear()
+        _MODELS[key] = Model(sampling.robot, load_catalogue(sampling.files))
+    return _MODELS[key]
 
 
 def spread(random: np.random.Generator, count: int, chunk: Batches) -> Floats:
