@@ -31,7 +31,7 @@ from control_rig import (
 )
 from machine import machine, tell
 
-from tendon_robot_ros.control import Target, mismatch
+from tendon_robot_ros.control import Target, tip_loop
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.redundancy import Balance, Preferences, balanced
 from tendon_robot_ros.model.tip_task import TipTask, tip_target
@@ -61,7 +61,7 @@ STANDING_S, LOOK_S = 4.0, 0.5  # [s] before an arm stiffens; between two looks a
 PROGRAMS, LOOKED_FOR = 60, 10.0  # at most, from each beginning; times as stiff
 TICKS = 1050  # the first 50 are not counted
 ENOUGH = 3.0  # times as stiff, by a model that is not quite the arm's
-FIXED = {'SLOPE_DOUBT': 1e-9, 'SLOPE_DOUBT_LEAST': 1e-6}  # the model's own Jacobian
+FIXED = {'MODEL_SLOPE_SD': 1e-9}  # the model's own Jacobian
 LIMITS = {  # what issue 20 asks for
     'open_loop_spread_share': 0.15,
     'closed_loop_spread_noises': 1.5,
@@ -198,17 +198,17 @@ def circle(name):
 
 def bench_path(gain, lead, name, exact, knows):
     """Follow circles at 100 mm/s under an unknown load."""
-    made, kept = {}, {key: getattr(mismatch, key) for key in FIXED}
+    made, kept = {}, {key: getattr(tip_loop, key) for key in FIXED}
     for kind in PATHS:
         for key, value in (FIXED if kind.startswith('fixed') else kept).items():
-            setattr(mismatch, key, value)
+            setattr(tip_loop, key, value)
         ahead = lead if kind.endswith('ahead') else 0.0
         closed = 0.0 if kind == 'open' else gain
         rig = Rig(name, knows, tip_gain=closed, exact=exact, look_ahead=ahead)
         away = circled(rig, name, told=kind.startswith('told'))
         made[f'{kind}_rms_mm'] = round(1e3 * float(np.sqrt((away**2).mean())), 3)
     for key, value in kept.items():
-        setattr(mismatch, key, value)
+        setattr(tip_loop, key, value)
     for fixed in ('fixed', 'fixed_ahead'):
         for kind in ('learned', 'told'):
             share = made[f'{kind}_ahead_rms_mm'] / made[f'{fixed}_rms_mm']

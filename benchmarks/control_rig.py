@@ -117,7 +117,7 @@ class Rig:
                 self.core.predict(self.now, lambda shape: None)
             if self.core.settings.tip_gain > 0.0 and self.step % TRACK_EVERY == 0:
                 seen = self.tip + TIP_NOISE * self.random.normal(size=3)
-                self.core.loop.take(self.now, self.core, seen)
+                self.core.tip_measured(self.now, seen)
             self.tips.append(self.tip.copy())
 
     def respond(self):

@@ -29,7 +29,7 @@ class Rig:
             output = self.core.step(self.now)
             self.tensions = output.tensions
             if track and step % 3 == 0:
-                self.core.loop.take(self.now, self.core, self.tip() + self.shift)
+                self.core.tip_measured(self.now, self.tip() + self.shift)
 
     def tip(self):
         return self.arm.shape(self.tensions).tip_position
@@ -64,7 +64,7 @@ def test_a_jump_of_the_tracker_changes_nothing(rig):
     rig.run(5.0)
     before = rig.tensions.copy()
     rig.now += RATE
-    rig.core.loop.take(rig.now, rig.core, rig.tip() + 0.05)
+    rig.core.tip_measured(rig.now, rig.tip() + 0.05)
     assert rig.core.loop.frozen == 'tracker jumped'
     rig.run(0.02, track=False)
     assert rig.tensions == pytest.approx(before, abs=1e-6)
@@ -76,7 +76,7 @@ def test_a_silent_tracker_freezes_the_correction(rig):
     rig.run(0.3, track=False)
     kept = rig.tensions.copy()
     assert rig.core.loop.values(rig.now)['correction_frozen'] == 'tracker silent'
-    rig.core.loop.take(rig.now, rig.core, rig.tip())
+    rig.core.tip_measured(rig.now, rig.tip())
     rig.run(0.05, track=False)
     assert rig.tensions == pytest.approx(kept, abs=1e-9)
 

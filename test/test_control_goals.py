@@ -9,7 +9,7 @@ from control_rig import Rig, reachable
 from tendon_robot_ros.control import Refusal, Target
 from tendon_robot_ros.control.goals import MotionGoal, Tolerance
 from tendon_robot_ros.control.status import followed
-from tendon_robot_ros.control.trajectory import Playing
+from tendon_robot_ros.control.trajectory import Trajectory
 
 END = np.array([1.1, 0.1, 0.1, 0.6])
 NEAR, FAR = (0.5, 0.1, 0.1, 0.9), (0.1, 1.0, 0.8, 0.1)
@@ -20,7 +20,7 @@ def targets(*tensions):
 
 
 def trajectory(seconds=1.0):
-    return Playing(np.array([seconds]), END[None], stamp='goal/0')
+    return Trajectory(np.array([seconds]), END[None], stamp='goal/0')
 
 
 def pursue(rig, goal, seconds=5.0, before=None):

@@ -12,7 +12,7 @@ from tendon_robot_ros.control import ControllerCore, Settings
 from tendon_robot_ros.control.loading import load
 from tendon_robot_ros.control.state import Target
 from tendon_robot_ros.control.status import controller_status
-from tendon_robot_ros.control.trajectory import Playing
+from tendon_robot_ros.control.trajectory import Trajectory
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
@@ -119,7 +119,7 @@ def test_without_equilibrium_it_halts_and_then_releases(monkeypatch):
 def test_a_trajectory_ends_within_the_limits_of_a_model_that_came_meanwhile():
     rig = Rig(rate_limit=10.0)
     rig.run(0.1)
-    rig.core.play(rig.now, Playing(np.array([1.0]), np.array([[1.1, 0.1, 0.1, 0.6]])))
+    rig.core.play(rig.now, Trajectory(np.array([1.0]), np.array([[1.1, 0.1, 0.1, 0.6]])))
     rig.run(0.5)
     rig.core.set_model(Model(replace(model().robot, tension_limits=(0.1, 0.4))))
     rig.run(1.0)
@@ -133,7 +133,7 @@ def test_so_does_one_that_waits_to_be_looked_at_while_the_model_changes():
     rig.run(0.1)
     jobs, in_place = {}, rig.core.solver
     rig.core.solver = SimpleNamespace(post=lambda kind, *job, **more: jobs.update({kind: job}))
-    rig.core.play(rig.now, Playing(np.array([0.5]), np.array([[1.1, 0.1, 0.1, 0.6]])))
+    rig.core.play(rig.now, Trajectory(np.array([0.5]), np.array([[1.1, 0.1, 0.1, 0.6]])))
     rig.core.solver = in_place
     rig.core.set_model(Model(replace(model().robot, tension_limits=(0.1, 0.4))))
     work, done = jobs['trajectory']
@@ -175,7 +175,7 @@ def test_friction_stays_as_it_was_when_the_model_changes(target):
     rig.core.set_model(Model(old))
     way = np.array([[0.1, 0.1, 0.1, 0.1], [1.4, 0.1, 0.1, 1.0], [0.5, 0.1, 0.1, 0.9]])
     rig.run(0.1, see)
-    rig.core.play(rig.now, Playing(np.array([0.4, 0.8]), way[1:]))
+    rig.core.play(rig.now, Trajectory(np.array([0.4, 0.8]), way[1:]))
     rig.run(1.2, see)
     place = rig.core.track.last.tip_position
     if target:

@@ -10,7 +10,7 @@ from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.control import ControllerCore, Refusal, Settings, Target, Twist
 from tendon_robot_ros.control.goals import MotionGoal
 from tendon_robot_ros.control.status import controller_status
-from tendon_robot_ros.control.trajectory import Playing
+from tendon_robot_ros.control.trajectory import Trajectory
 from tendon_robot_ros.drivers import Fault, Reading
 from tendon_robot_ros.drivers.safety import SafetyRules
 from tendon_robot_ros.drivers.supervisor import Supervisor
@@ -222,7 +222,7 @@ def test_a_trajectory_is_played_after_a_release_from_where_the_arm_is():
     pair.bent()
     CAUSES['motor silent'](pair)
     pair.run(0.1)
-    pair.core.play(pair.now, Playing(np.array([0.5]), np.array([[0.3, 0.1, 0.1, 0.4]])))
+    pair.core.play(pair.now, Trajectory(np.array([0.5]), np.array([[0.3, 0.1, 0.1, 0.4]])))
     pair.run(1.0)
     assert pair.code() == 'played'
     assert pair.place == pytest.approx([0.3, 0.1, 0.1, 0.4])

@@ -83,7 +83,7 @@ def seen(shift, seconds=5.0):
         if step % 6 == 0:
             core.predict(now, lambda shape: None)
         if step % 4 == 0:
-            core.loop.take(now, core, shape.tip_position + shift)
+            core.tip_measured(now, shape.tip_position + shift)
             codes.append(controller_status(core, now).code)
     return controller_status(core, now), codes
 

@@ -114,7 +114,7 @@ def written(key):
     [
         ('controller', 'control/status.py', 'controller_status', 4),
         ('controller', 'control/status.py', '_solution', 4),
-        ('controller', 'control/rebalance.py', 'values', 2),
+        ('controller', 'control/null_space.py', 'values', 2),
         ('controller', 'control/tip_loop.py', 'values', 3),
         ('controller', 'ros/controller/node.py', '_tell', 4),
         ('driver', 'ros/driver/node.py', '_tell', 9),

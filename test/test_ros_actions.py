@@ -27,7 +27,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from tendon_robot_ros.control import Refusal
 from tendon_robot_ros.control.goals import GoalOutcome, MotionGoal, Progress
-from tendon_robot_ros.control.trajectory import Playing
+from tendon_robot_ros.control.trajectory import Trajectory
 from tendon_robot_ros.ros.controller import actions
 from tendon_robot_ros.ros.controller.incoming import Incoming
 from tendon_robot_ros.ros.shared.runtime import make_executor, repeat
@@ -47,7 +47,7 @@ class Tenths:
     def goal(self, request, incoming, stamp):
         if request.order <= 0:
             raise Refusal('times', f'order: expected more than 0, got {request.order}')
-        return MotionGoal([Playing(np.array([0.1 * request.order]), np.array([END]), stamp)])
+        return MotionGoal([Trajectory(np.array([0.1 * request.order]), np.array([END]), stamp)])
 
     def feedback(self, progress, header):
         return self.type.Feedback(sequence=[int(1e3 * progress.left)])
@@ -131,7 +131,7 @@ def test_a_goal_is_played_with_feedback_and_succeeds(bench):
 
 
 def test_a_cancelled_goal_holds(bench):
-    bench.rig.core.play(bench.rig.now, Playing(np.array([0.1]), np.full((1, 4), 0.1)))
+    bench.rig.core.play(bench.rig.now, Trajectory(np.array([0.1]), np.full((1, 4), 0.1)))
     bench.until(lambda: bench.rig.code() == 'played')
     handle = bench.send(100)
     bench.until(lambda: len(bench.feedback) > 2)

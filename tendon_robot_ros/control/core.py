@@ -1,4 +1,4 @@
-"""From targets to commands: one object, no clock, no threads, no ROS."""
+"""From targets to commands: a state machine without clock, threads or ROS."""
 
 from __future__ import annotations
 
@@ -9,26 +9,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.errors import DriverError, TendonRobotError
+from ..common.errors import DriverError, InputError, TendonRobotError
 from ..drivers.safety import CYCLE_MAX_S, StopLatch, approach, bounded
-from .checks import Refusal
-from .friction_state import Approach, Arrival, FeltTensions
-from .jog import Jog, Twist, follow_twist, start_jog
-from .model_change import change_model
-from .rebalance import Rebalance
+from .checks import Refusal, check_inputs
+from .friction import ActingTensions, Approach
+from .model_change import another_robot, with_model
+from .modes import FollowTarget, FollowTwist, Idle, Mode, PlayTrajectory, Twist
+from .null_space import NullSpace, NullSpaceMotion
 from .release import Release
-from .seeking import TargetSearch, seek
-from .solver import GiveUp, InPlace, Solver
+from .solver import InPlace, Solver
 from .state import MeasuredState, Output, Settings, ShapeTracker, Target
+from .target_search import SearchResult, TargetSearch, ahead_of, is_nearer, searching
 from .tip_loop import TipLoop
-from .trajectory import Playing, Way, look_and_play, play_pulls
+from .trajectory import PullPath, Trajectory, looking
 
 if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Reach, Shape
+    from .solver import GiveUp
 
 Array = NDArray[np.float64]
-HELD_SILENT_S = 1.0  # [s] for which the last command is held after the driver fell silent
+HELD_SILENT_S = 1.0  # [s] a driver that is silent for less may only have been held up
 
 
 def raised(error: TendonRobotError | None) -> None:
@@ -42,46 +43,38 @@ class ControllerCore:
     """
     The state between two cycles; all times are monotonic seconds given by the caller.
 
+    Only the core writes its fields: modes and searches answer, and the core does what they say.
     Nothing here evaluates the model: the solver does, and answers when it can.
     """
 
     model: Model
     settings: Settings = field(default_factory=Settings)
     solver: Solver = field(default_factory=InPlace)
-    target: Target | None = None
-    wanted: Array | None = None  # (3,) [m] its position, led where it moves
-    solution: Reach | None = None
-    in_time: bool = True  # whether the search for it came to its end
+    time: float = -np.inf  # [s] of the last cycle
+    mode: Mode = field(default_factory=Idle)
     search: TargetSearch | None = None  # for a target that is not yet followed
-    asked: TargetSearch | None = None  # the last one
     command: Array | None = None  # (m,) [N], None until the driver was heard
+    pulls: PullPath | None = None  # in pull mode
     driver_stopped: str = ''  # why the driver does not follow, as it says
     release: Release = field(default_factory=Release)  # of the arm, by the driver
     refusals: dict[str, Refusal] = field(default_factory=dict)  # kind of message -> why the last
     latch: StopLatch = field(default_factory=StopLatch)
     loop: TipLoop = field(default_factory=TipLoop)
-    felt: FeltTensions = field(default_factory=FeltTensions)
-    balance: Rebalance = field(default_factory=Rebalance)
-    via: list[Array] = field(default_factory=list)  # (m,) [N] each, on the way to the solution
-    playing: Playing | None = None  # a trajectory of the tendons; its end is held
-    looked: Playing | None = None  # a trajectory that may enter a region, while nobody knows
-    stepped: float = -np.inf  # [s] when it last did
-    way: Way | None = None  # in pull mode
-    jog: Jog | None = None  # while a twist moves the tip
-    _heard: MeasuredState | None = None
-    _lost: bool = True  # where the arm is
-    _silent: bool = True
-    _arrival: Arrival = field(default_factory=Arrival)  # at the next turn of a way
-    _syncing: object | None = None  # while the solver looks where the arm is
+    acting: ActingTensions = field(default_factory=ActingTensions)
+    null_space: NullSpace = field(default_factory=NullSpace)
     track: ShapeTracker = field(init=False)
+    looked_at: Trajectory | None = None  # until it is known whether it enters a region
+    _last_search: TargetSearch | None = None
+    _heard: MeasuredState | None = None
+    _silent: bool = True
+    _lost: bool = True  # where the arm is
+    _syncing: object | None = None  # while the solver looks where the arm is
 
     def __post_init__(self) -> None:
         """Begin straight."""
         self.track = ShapeTracker(self.model)
 
-    def measured(self, now: float, tensions: Array, pulls: Array) -> None:
-        """Take what the driver measures, (m,) [N] and (m,) [m], nan where not observable."""
-        self._heard, self._silent = MeasuredState(tensions, pulls, now), False
+    # What is asked for.
 
     def aim(self, target: Target) -> None:
         """
@@ -96,39 +89,9 @@ class ControllerCore:
         self._require_running()
         if self._silent and not self.settings.resume:
             raise Refusal('no_driver', 'target refused: no tendon states; send it again later')
-        if self.release.wait(lambda: self.aim(target), target):
-            return
-        self.looked = None
-        seek(self, target)
-
-    def follow(
-        self, target: Target, found: Approach, in_time: bool = True, led: Target | None = None
-    ) -> None:
-        """Go to where the tensions for a target are, or for one that leads it."""
-        self.target, self.solution, self.in_time = target, found.reach, in_time
-        self.wanted = target.position if led is None else led.position
-        self.via = list(found.via)
-        self.jog = self.playing = None
-
-    def felt_tensions(self) -> Array:
-        """Return the tensions (m,) [N] that act: as commanded, where the measured ones agree."""
-        low, high = self.settings.limits(self.model).T
-        command = low if self.command is None else self.felt.followed(self.command)
-        heard = self._heard
-        known = heard is not None and heard.observed and not self._silent
-        measured = np.maximum(heard.tensions, 0.0) if known and heard is not None else None
-        return self.felt.take(command, measured, high, self.loop.walking(self))
-
-    def tip_shift(self, place: Array) -> Array:
-        """Return by how much (3,) [m] the measured tip is off the model near a target (3,) [m]."""
-        if self.settings.tip_gain == 0.0 or self.settings.pull_mode:
-            return np.zeros(3)
-        return self.loop.shift(self.stepped, place, self.model.robot.length)
-
-    @property
-    def streaming(self) -> bool:
-        """Whether targets follow each other closely."""
-        return self.asked is not None and self.asked.streamed
+        if not self.release.wait(lambda: self.aim(target), target):
+            self.looked_at = None
+            self._seek(target)
 
     def twist(self, now: float, twist: Twist) -> None:
         """Take a velocity of the tip; it ends by itself after `twist_timeout`."""
@@ -136,24 +99,22 @@ class ControllerCore:
         if self.command is None:
             raise Refusal('no_driver', 'twist refused: no tendon states yet')
         follows = self.release.twist(now, twist, self.settings.twist_timeout)
-        if not follows or (self.jog is None and not twist.moves):
+        if not follows or not (self.jogging or twist.moves):
             return  # a joystick at rest takes no target away
-        self.search = self.looked = None
-        if self.jog is None:
-            self.jog = Jog()
-            self.target = self.solution = self.playing = None
-            self.via = []
-            start_jog(self, self.jog)
-        if self.jog is not None:
-            self.jog.take(now, twist)
+        self.search = self.looked_at = None
+        if isinstance(self.mode, FollowTwist):
+            self.mode.take(now, twist)
+        else:
+            self.mode = mode = FollowTwist(twist, now)
 
-    def end_twist(self, jog: Jog, problem: str) -> None:
-        """End a twist that leads nowhere."""
-        if self.jog is jog:
-            self.jog = self.solution = None
-            self.refusals['target'] = Refusal('no_equilibrium', f'twist ended: {problem}')
+            def begin(shape: Shape | None, error: TendonRobotError | None) -> None:
+                if shape is not None:
+                    self.track.took(shape)
+                mode.begin(shape, error)
 
-    def play(self, now: float, trajectory: Playing | None) -> None:
+            self.solver.post('twist', self.track.finding(self.command), begin)
+
+    def play(self, now: float, trajectory: Trajectory | None) -> None:
         """
         Play a trajectory of the tendons; None ends the one that plays and holds.
 
@@ -164,20 +125,36 @@ class ControllerCore:
             raise Refusal('no_driver', 'tendon_trajectory refused: no tendon states yet')
         if trajectory is None and self.release.why:
             self.release.waiting = None  # the arm holds already
+        elif trajectory is None:
+            self._drop()
+            self.release.dropped = None
+        elif self.release.wait(lambda: self.play(self.time, trajectory), trajectory):
             return
-        if trajectory is not None and self.release.wait(
-            lambda: self.play(self.stepped, trajectory), trajectory
-        ):
-            return
-        if trajectory is not None and self.settings.keep_out:
-            look_and_play(self, trajectory, lambda seen: self._play(max(now, self.stepped), seen))
+        elif self.settings.keep_out:
+            self.looked_at = trajectory
+
+            def take(refusal: Refusal | None) -> None:
+                if self.looked_at is trajectory:  # nothing else is wanted by now
+                    self._looked(max(now, self.time), trajectory, refusal)
+
+            self.solver.post('trajectory', *looking(self, trajectory, take))
         else:
             self._play(now, trajectory)
 
-    def _play(self, now: float, trajectory: Playing | None) -> None:
+    def _looked(self, now: float, trajectory: Trajectory, refusal: Refusal | None) -> None:
+        """Play a trajectory that keeps out of the regions."""
+        self.looked_at = None
+        if refusal is not None:
+            self.refusals['target'] = refusal
+        elif self.settings.pull_mode:
+            self._play(now, trajectory)
+        else:  # another model may have come meanwhile
+            self._play(now, trajectory.within(self.settings.limits(self.model)))
+
+    def _play(self, now: float, trajectory: Trajectory) -> None:
         self._drop()
         self.release.dropped = None
-        self.playing = None if trajectory is None else trajectory.begin(now, self.commanded)
+        self.mode = PlayTrajectory(trajectory.begin(now, self.commanded))
 
     def stop(self, key: str, reason: str, lasting: bool = False) -> None:
         """Latch a stop and drop the target; while its cause is lasting, reset is refused."""
@@ -192,6 +169,121 @@ class ControllerCore:
         self.refusals.pop('target', None)
         self.release.dropped = None
         self._lost = True
+
+    def set_model(
+        self, model: Model, on_done: Callable[[TendonRobotError | None], None] = raised
+    ) -> None:
+        """
+        Change the model; tensions then move to its solution at `rate_limit`.
+
+        That of another robot (another name, and so another base frame, or another length) takes
+        no target over: the arm holds where it is measured.
+
+        `on_done` hears None, or why the old one stays: an InputError for other inputs, a
+        NoEquilibriumError when it finds none at the present tensions or for the target.
+        """
+        try:
+            check_inputs(model.inputs, self.model.inputs)
+        except InputError as error:
+            on_done(error)
+            return
+        target = self.target
+
+        def done(
+            found: tuple[Shape | None, Reach | None] | None, error: TendonRobotError | None
+        ) -> None:
+            if found is not None:
+                self._use(model, target, *found)
+            on_done(error)
+
+        self.solver.post('model', with_model(self, model), done)
+
+    def _use(
+        self, model: Model, target: Target | None, here: Shape | None, reach: Reach | None
+    ) -> None:
+        """Change the model: what was asked for goes on with it, unless it is of another robot."""
+        other = another_robot(model.robot, self.model.robot)
+        self.model, self.track = model, ShapeTracker(model)
+        self.track.last = here
+        self.loop.reset()
+        if other:
+            self._lost, self._syncing = True, None
+            self._drop()
+            return
+        if self.pulls is not None:
+            self.pulls = self.pulls.anew()
+        searched = None if self.search is None else self.search.target
+        if isinstance(mode := self.mode, PlayTrajectory) and not self.settings.pull_mode:
+            limits = self.settings.limits(model)
+            self.mode = PlayTrajectory(mode.trajectory.within(limits))
+        elif isinstance(mode, FollowTwist):
+            self.mode = Idle()
+        elif isinstance(mode, FollowTarget):
+            if mode.target is target and reach is not None:
+                self.mode = FollowTarget(mode.target, reach, [], mode.position, mode.in_time)
+            else:
+                searched = searched or mode.target  # it came meanwhile
+                mode.via = []
+        if searched is not None:
+            self._seek(searched)
+
+    # The search for the tensions of a target.
+
+    def _seek(self, target: Target) -> None:
+        """Look for the tensions of a target; until they are found the arm goes on as before."""
+        asked = self.target if self.search is None else self.search.target
+        self.search = TargetSearch.begin(self, self._last_search, asked, target)
+        self._last_search = self.search
+        self._search(self.search, self.search.first_budget)
+
+    def _search(self, search: TargetSearch, budget: float) -> None:
+        """Search for a time [s]; what is much nearer is gone to while the search goes on."""
+
+        def told(found: Reach) -> None:
+            if self.search is search:
+                self._follow(search, Approach.straight(found), False)
+
+        def done(result: SearchResult | None, error: TendonRobotError | None) -> None:
+            self._searched(search, result or SearchResult(None, str(error), True))
+
+        work = searching(self, search, budget, told)
+        self.solver.post('target', work, done, budget, urgent=True)
+
+    def _searched(self, search: TargetSearch, result: SearchResult) -> None:
+        """Use what was found, unless something else is wanted by now; search for the rest."""
+        newest, left = self.search, 0.0 if result.in_time else result.left
+        if newest is None or newest.stream is not search.stream:
+            return
+        found = result.found
+        if newest is search and left > 0.0:
+            if found is not None and is_nearer(self, search.target, found.reach):
+                self._follow(search, found, False)
+            self._search(search, left)
+            return
+        if newest is search:
+            self.search = None
+        elif found is None:
+            return  # of a stream: the next one may be better
+        if found is not None:  # of a stream an older target, too, is on the way
+            self._follow(search, found, result.in_time)
+            return
+        code = 'no_equilibrium' if result.in_time else 'no_time'
+        late = '' if result.in_time else f' (the search ended after {search.budget:.3g} s)'
+        self.refusals['target'] = Refusal(code, f'target refused: {result.problem}{late}')
+
+    def _follow(self, search: TargetSearch, found: Approach, in_time: bool) -> None:
+        ahead = ahead_of(self, search)
+        self.mode = FollowTarget.along(search.target, found, in_time, ahead)
+
+    # What the driver and the tracker say.
+
+    def measured(self, now: float, tensions: Array, pulls: Array) -> None:
+        """Take what the driver measures, (m,) [N] and (m,) [m], nan where not observable."""
+        self._heard, self._silent = MeasuredState(tensions, pulls, now), False
+
+    def tip_measured(self, now: float, position: Array) -> None:
+        """Take a measured tip (3,) [m] in the base frame."""
+        self.loop.take(now, self, position)
 
     def driver_says(
         self, stopped: str, released: str = '', releases: int = 0, other: str = ''
@@ -251,20 +343,52 @@ class ControllerCore:
         if said is not None and said.code == code:
             del self.refusals['target']
 
+    # How it is.
+
     @property
-    def no_equilibrium(self) -> str:
-        """Why the model has no shape now, '' when it has one."""
-        return self.track.problem
+    def target(self) -> Target | None:
+        """The target that is followed."""
+        return self.mode.target if isinstance(self.mode, FollowTarget) else None
+
+    @property
+    def solution(self) -> Reach | None:
+        """The tensions that were found for the target, or for the twist."""
+        return self.mode.reach if isinstance(self.mode, FollowTarget | FollowTwist) else None
+
+    @property
+    def wanted(self) -> Array | None:
+        """Where the tip should be, (3,) [m]: at the target, or ahead of it in a stream."""
+        return self.mode.position if isinstance(self.mode, FollowTarget) else None
+
+    @property
+    def via(self) -> list[Array]:
+        """Tensions (m,) [N] each on the way to those of the target."""
+        return self.mode.via if isinstance(self.mode, FollowTarget) else []
+
+    @property
+    def playing(self) -> Trajectory | None:
+        """The trajectory that is played, or whose end is held."""
+        return self.mode.trajectory if isinstance(self.mode, PlayTrajectory) else None
 
     @property
     def jogging(self) -> bool:
         """Whether a twist moves the tip."""
-        return self.jog is not None
+        return isinstance(self.mode, FollowTwist)
+
+    @property
+    def moving(self) -> bool:
+        """Whether the command is still on its way."""
+        return self.search is not None or (self.command is not None and self.mode.moving(self))
+
+    @property
+    def streaming(self) -> bool:
+        """Whether targets follow each other closely."""
+        return self._last_search is not None and self._last_search.streamed
 
     @property
     def commanded(self) -> Array | None:
         """What was commanded last, (m,) [N], or [m] in pull mode."""
-        return self.command if self.way is None else self.way.pulls
+        return self.command if self.pulls is None else self.pulls.pulls
 
     @property
     def heard_values(self) -> Array:
@@ -275,18 +399,43 @@ class ControllerCore:
         return heard.pulls if self.settings.pull_mode else heard.tensions
 
     @property
-    def moving(self) -> bool:
-        """Whether the command is still on its way."""
-        if self.search is not None:
-            return True
-        if self.playing is not None and self.commanded is not None:
-            return not np.array_equal(self.commanded, self.playing.values[-1])
-        if self.solution is None or self.command is None:
-            return False
-        if self.via:
-            return True
-        goal = self.loop.goal(self, self.solution.tensions)
-        return not np.array_equal(self.command, goal)
+    def measured_tensions(self) -> Array | None:
+        """The measured tensions (m,) [N]; None where they are not observable."""
+        heard = self._heard
+        return np.maximum(heard.tensions, 0.0) if heard is not None and heard.observed else None
+
+    def acting_tensions(self) -> Array:
+        """Return the tensions (m,) [N] that act: as commanded, where the measured ones agree."""
+        low, high = self.settings.limits(self.model).T
+        command = low if self.command is None else self.acting.followed(self.command)
+        # noise of load cells is not to look like a motion of the arm to what holds the tip
+        unseen = self._silent or self.loop.in_null_space(self)
+        return self.acting.take(command, None if unseen else self.measured_tensions, high)
+
+    @property
+    def acting_offset(self) -> Array:
+        """By how much (m,) [N] the tensions that act differ from the commanded ones."""
+        offset = self.acting.offset
+        return np.zeros(len(self.model.inputs)) if offset is None else offset
+
+    @property
+    def motion(self) -> NullSpaceMotion | None:
+        """The null-space motion that has the arm in closed loop."""
+        return self.loop.motion
+
+    def begin_motion(self, motion: NullSpaceMotion | None) -> None:
+        """Give the arm to a null-space motion; None ends one."""
+        self.loop.motion = motion
+
+    def goal(self, tensions: Array) -> Array:
+        """Return where the tip loop has the goal of tensions (m,) [N] that were found."""
+        return self.loop.goal(self, tensions)
+
+    def tip_bias(self, place: Array) -> Array:
+        """Return by how much (3,) [m] the measured tip is off the model near a place (3,) [m]."""
+        if self.settings.tip_gain == 0.0 or self.settings.pull_mode:
+            return np.zeros(3)
+        return self.loop.bias(self.time, place, self.model.robot.length)
 
     def fresh(self, now: float) -> bool:
         """Whether the driver was heard lately."""
@@ -298,9 +447,11 @@ class ControllerCore:
         silent = self._heard is None or now - self._heard.time > timeout
         return silent and not self.settings.resume
 
+    # The cycle.
+
     def step(self, now: float) -> Output | None:
         """Return a command; None (stop, no equilibrium for `patience`, no driver) releases."""
-        passed, self.stepped = now - self.stepped, now
+        passed, self.time = now - self.time, now
         self.solver.serve()
         self._silent = not self.fresh(now)
         stalled = np.isfinite(passed) and passed > self.settings.state_timeout
@@ -320,9 +471,7 @@ class ControllerCore:
         if self._lost and not self.settings.pull_mode:
             return None  # still looking for the tensions of what was measured
         if not (self._lost or self._held):
-            self._advance(now, min(max(passed, 0.0), CYCLE_MAX_S))
-            if not (self.moving or self.jog or self.playing):
-                self.balance.step(self, now)
+            self._advance(min(max(passed, 0.0), CYCLE_MAX_S))
         if self.track.failing > self.settings.patience:
             self._drop()
             self._lost = True
@@ -330,13 +479,48 @@ class ControllerCore:
             return None
         return self._output()
 
+    def _advance(self, passed: float) -> None:
+        """Move the command towards where the mode wants it, at the rate limit."""
+        assert self.command is not None
+        goal = self.mode.step(self, passed)
+        if goal is None:
+            if isinstance(self.mode, FollowTwist) and self.mode.problem:
+                why = f'twist ended: {self.mode.problem}'
+                self.refusals['target'] = Refusal('no_equilibrium', why)
+            self.mode, goal = Idle(), self.command
+        if self.pulls is not None and isinstance(self.mode, PlayTrajectory):
+            self.command = self.pulls.play(self, goal)
+            return
+        goal, step = (
+            bounded(goal, self.settings.limits(self.model)),
+            self.settings.rate_limit * passed,
+        )
+        if self.pulls is not None:
+            self.command = self.pulls.advance(self, goal, step)
+        else:
+            if self.solution is not None and not self.via:
+                step = self.loop.paced(self, goal, step, passed)
+            self.command = approach(self.command, goal, np.full_like(goal, step))
+        self.acting.sent(self.time, self.command, self.settings.drive_lag)
+        if not (self.moving or self.playing or self.jogging):
+            nearer = self.null_space.step(self, self.time)
+            if nearer is not None and isinstance(mode := self.mode, FollowTarget):
+                mode.reach = nearer
+
+    def _output(self) -> Output | None:
+        assert self.command is not None
+        pulls = None if self.pulls is None else self.pulls.pulls.copy()
+        if self.settings.pull_mode and pulls is None:
+            return None
+        return Output(self.command.copy(), pulls)
+
     def predict(self, now: float, take: Callable[[Shape], None]) -> None:
         """Give `take` the arm as the model sees it: at measured tensions where observable."""
         tensions = self.command
         if self.command is not None and self.model.remembers:
-            tensions = self.felt_tensions()  # noise would have friction forget
-        elif self._heard is not None and self._heard.observed and self.fresh(now):
-            tensions = np.maximum(self._heard.tensions, 0.0)
+            tensions = self.acting_tensions()  # noise would have friction forget
+        elif self.measured_tensions is not None and self.fresh(now):
+            tensions = self.measured_tensions
         if tensions is None or self.solver.busy('predict'):
             return
         track, find = self.track, self.track.finding(tensions)
@@ -352,88 +536,30 @@ class ControllerCore:
 
         self.solver.post('predict', find, done)
 
-    def set_model(
-        self, model: Model, on_done: Callable[[TendonRobotError | None], None] = raised
-    ) -> None:
-        """Change the model while controlling; see `model_change.change_model`."""
-        change_model(self, model, on_done)
-
-    def _advance(self, now: float, passed: float) -> None:
-        """Move the command towards where the target or the twist wants it, at the rate limit."""
-        assert self.command is not None
-        if self.jog is not None:
-            over = self.jog.over(now, self.settings.twist_timeout)
-            if over or not follow_twist(self, self.jog, passed):
-                self.jog = self.solution = None
-        step = self.settings.rate_limit * passed
-        if self.way is not None and self.playing is not None:
-            play_pulls(self, self.way, self.playing, now)
-            return
-        goal = self._goal(now)
-        if self.way is not None:
-            self.command = self.way.advance(self, goal, step)
-        else:
-            if self.solution is not None and not self.via:
-                step = self.loop.step(self, goal, step, passed)
-            self.command = approach(self.command, goal, np.full_like(goal, step))
-        self.felt.sent(now, self.command, self.settings.drive_lag)
-        if self.via and np.array_equal(self.command, goal) and self._follows(now):
-            self.via.pop(0)
-
-    def _follows(self, now: float) -> bool:
-        """Whether the arm is where the command is, or has been given the time."""
-        assert self.command is not None
-        if (heard := self._heard) is None or not heard.observed or self.way is not None:
-            return True
-        low, high = self.settings.limits(self.model).T
-        return self._arrival.over(now, self.command, heard.tensions, high - low)
-
-    def _goal(self, now: float) -> Array:
-        assert self.command is not None
-        goal = self.command
-        if self.playing is not None:
-            goal = self.playing.at(now)
-        elif self.via and self.solution is not None:
-            goal = self.via[0]
-        elif self.solution is not None:
-            goal = self.loop.goal(self, self.solution.tensions)
-        return bounded(goal, self.settings.limits(self.model))
-
-    def _output(self) -> Output | None:
-        assert self.command is not None
-        pulls = None if self.way is None else self.way.pulls.copy()
-        if self.settings.pull_mode and pulls is None:
-            return None
-        return Output(self.command.copy(), pulls)
-
     def _lose(self) -> None:
         """Forget what was asked for: a driver that comes back finds nothing to go to."""
-        self._lost, self.playing, self._syncing = True, None, None
+        self._lost, self._syncing = True, None
+        if self.playing is not None:
+            self.mode = Idle()
         if not self.settings.resume:
             self._drop()
-
-    def begin_anew(self) -> None:
-        """Forget what was asked for, and begin at the measured state."""
-        self._lost, self._syncing = True, None
-        self._drop()
 
     def _resync(self) -> None:
         """Begin at the measured state."""
         if self._syncing is not None and not self._held:
             return
         assert self._heard is not None
-        self.jog = self.playing = self._syncing = None
-        heard, limits, pull = (
-            self._heard,
-            self.settings.limits(self.model),
-            self.settings.pull_mode,
-        )
+        self._syncing = None
+        if self.playing is not None or self.jogging:
+            self.mode = Idle()
+        heard, limits = self._heard, self.settings.limits(self.model)
+        pull = self.settings.pull_mode
         if not pull and heard.observed:
             self._begin(bounded(np.maximum(heard.tensions, 0.0), limits), None)
             return
         unknown = limits[:, 0] if self.command is None else self.command
         if pull and heard.located:  # wires stay where they are, whatever tensions that takes
-            self.way, self.command = Way(heard.pulls), unknown
+            self.pulls, self.command = PullPath(heard.pulls), unknown
         if not self._held:
             self._look(heard.observed_or(unknown), limits)
 
@@ -455,7 +581,7 @@ class ControllerCore:
                 return
             self._syncing = None
             if solved is None:
-                self.track.failed(self.stepped, str(error))
+                self.track.failed(self.time, str(error))
             else:
                 self._begin(*solved)
 
@@ -463,8 +589,8 @@ class ControllerCore:
 
     def _begin(self, tensions: Array, pulls: Array | None) -> None:
         self.command, self._lost = tensions, False
-        self.felt.begin()
-        self.way = None if pulls is None else Way(pulls)
+        self.acting.begin()
+        self.pulls = None if pulls is None else PullPath(pulls)
 
     @property
     def _held(self) -> bool:
@@ -474,8 +600,8 @@ class ControllerCore:
     def _drop(self) -> None:
         wanted = self.target if self.search is None else self.search.target
         self.release.dropped, self.release.waiting = wanted or self.release.dropped, None
-        self.target = self.solution = self.search = self.jog = self.playing = self.looked = None
-        self.via = []
+        self.search = self.looked_at = None
+        self.mode = Idle()
         self.loop.reset()
 
     def _require_running(self) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .checks import Refusal
 from .state import Target
 from .status import activity, controller_status, followed
-from .trajectory import Playing
+from .trajectory import Trajectory
 
 if TYPE_CHECKING:
     from .core import ControllerCore
@@ -69,20 +69,20 @@ class MotionGoal:
 
     Parameters
     ----------
-    steps : sequence of Target or Playing
+    steps : sequence of Target or Trajectory
         Their stamps tell them from everything else that the controller is asked for.
     tolerance : Tolerance, optional
         Of a trajectory.
 
     """
 
-    steps: Sequence[Target | Playing]
+    steps: Sequence[Target | Trajectory]
     tolerance: Tolerance | None = None
     reached: int = field(default=0, init=False)  # so many of the steps
     _began: float = field(default=0.0, init=False)  # monotonic [s]
 
     @property
-    def step(self) -> Target | Playing:
+    def step(self) -> Target | Trajectory:
         """What is asked of the controller now."""
         return self.steps[self.reached]
 
@@ -94,7 +94,7 @@ class MotionGoal:
     def _ask(self, core: ControllerCore, now: float) -> None:
         for old in ('target', 'model'):
             core.refusals.pop(old, None)  # has been said
-        if isinstance(step := self.step, Playing):
+        if isinstance(step := self.step, Trajectory):
             core.play(now, step)
         else:
             core.aim(step)
@@ -128,7 +128,7 @@ class MotionGoal:
     def progress(self, core: ControllerCore, now: float) -> Progress:
         """Return how far it is."""
         step, passed, steps_left = self.step, now - self._began, len(self.steps) - self.reached
-        if isinstance(step, Playing):
+        if isinstance(step, Trajectory):
             playing = core.playing
             if playing is None:  # it is looked at first
                 return Progress(passed, float(step.times[-1]), steps_left)
@@ -137,12 +137,12 @@ class MotionGoal:
             return Progress(passed, left, steps_left, desired=desired, actual=actual)
         left, shape = 0.0, core.track.last
         if core.solution is not None and core.command is not None:
-            way = np.abs(core.solution.tensions - core.command).max()
-            left = float(way) / core.settings.rate_limit
+            change = np.abs(core.solution.tensions - core.command).max()
+            left = float(change) / core.settings.rate_limit
         if shape is None:
             return Progress(passed, left, steps_left)
         place = shape.tip_position if step.position is None else step.position
-        tip = shape.tip_position + core.tip_shift(place)
+        tip = shape.tip_position + core.tip_bias(place)
         away = float(np.linalg.norm(tip - place))
         return Progress(passed, left, steps_left, tip, shape.frames[-1], away)
 

@@ -1,4 +1,4 @@
-"""Whether the arm would enter a region on its way: of a target, or of a played trajectory."""
+"""Whether the arm would enter a region on its way to a target, or on a played trajectory."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..common.errors import InputError, NoEquilibriumError
 from ..model.inverse import CLEARANCE_BINDS_M
 from ..model.shape import Reach
 from .checks import Refusal
-from .friction_state import Approach
+from .friction import Approach
 
 if TYPE_CHECKING:
     from ..model.model import Model
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Solve = Callable[['Shape', Array], 'Shape']
-WAY_STEP, WAY_STEP_MIN = 0.05, 0.005  # [1] of a way, between two looks at it
-WAY_NEAR_M = 2e-3  # [m] from a region: nearer, looks are as close as half of that
+STEP, STEP_MIN = 0.05, 0.005  # [1] of a straight leg: the first look, and the closest ones
+NEAR_M = 2e-3  # [m] from a region: nearer, no point of the arm goes further than half of that
 
 
 def cut_short(
     model: Model, here: Shape, found: Approach, keep_out: KeepOut, task: TipTask
 ) -> Approach:
     """
-    Return a way up to where the arm would enter a region; `nearest`, with the region named.
+    Return an approach up to where the arm would enter a region; `nearest`, with the region named.
 
     An arm that is inside already may leave: what counts is how deep it goes beyond that.
     """
@@ -95,13 +95,13 @@ def _allowed(here: Shape, keep_out: KeepOut) -> float:
 def _looks(
     solve: Solve, shape: Shape, begin: Array, end: Array, keep_out: KeepOut
 ) -> Iterator[tuple[float, Shape, Clearance]]:
-    """Look at the arm along a straight way: the share of it that is gone, shape, clearance."""
-    done, step = 0.0, WAY_STEP
+    """Look at the arm along a straight leg: the share of it that is gone, shape, clearance."""
+    done, step = 0.0, STEP
     while done < 1.0:
         done = min(done + step, 1.0)
         new = solve(shape, begin + done * (end - begin))
         moved = float(np.linalg.norm(new.positions - shape.positions, axis=1).max())
         near = keep_out.clearance(new.positions)
         yield done, new, near
-        room = 0.5 * max(near.distance, WAY_NEAR_M)  # no point of the arm goes further at once
-        step, shape = min(max(step * room / max(moved, 1e-9), WAY_STEP_MIN), 2.0 * step), new
+        room = 0.5 * max(near.distance, NEAR_M)  # no point of the arm goes further at once
+        step, shape = min(max(step * room / max(moved, 1e-9), STEP_MIN), 2.0 * step), new

@@ -17,8 +17,8 @@ from .checks import Refusal
 from .state import Target
 
 if TYPE_CHECKING:
-    from .jog import Twist
-    from .trajectory import Playing
+    from .modes import Twist
+    from .trajectory import Trajectory
 
 GO_ON = 'send another target or call reset'
 
@@ -43,7 +43,7 @@ class Release:
             self.count, self.why = count, why
         return new and not first, over and not new
 
-    def wait(self, ask: Callable[[], None], asked: Target | Playing) -> bool:
+    def wait(self, ask: Callable[[], None], asked: Target | Trajectory) -> bool:
         """
         Keep what was asked for until the driver follows; False: it does.
 

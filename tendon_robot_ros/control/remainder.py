@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from .mismatch import Mismatch
+from .tip_estimator import TipEstimate
 
 Array = NDArray[np.float64]
-SETTLED_S = 1.0  # [s] for which the tip has come no nearer when what is left is told
-NEARER, FURTHER = 0.2, 0.5  # [1] of what was left, and `LEAST_M`: by less it has not changed
-LED_SHARE = 0.02  # [1] of the largest slope: the loop follows what tendons lead the tip by less
-MOST = 0.7  # [1] of what is left: that much of it has one cause
-RESTS, LEAST_M = 2.0, 3e-4  # [1] of where the loop rests; [m]: what is less is none
+SETTLED_S = 1.0  # [s] for which the tip has come no nearer: five times the loop's 0.2 s
+CHANGED_SHARE = 0.2  # [1] of what was left, and `LEAST_M` at least: by less it has not changed
+WEAK_SHARE = 0.02  # [1] of the largest slope: below it the loop's steps are lost in friction
+CAUSE_SHARE = 0.7  # [1] of what is left: half of its square has one cause
+RESTS, LEAST_M = 2.0, 3e-4  # [1] of where the loop rests; [m] what trackers of this size resolve
 LIMIT_SHARE = 1e-3  # [1] of a range: nearer to it a tension is at its limit
-FOREIGN_SHARE = 0.05  # [1] of the arm's length: further off, the model is not of this arm
+FOREIGN_SHARE = 0.05  # [1] of the arm's length: a calibrated model is nearer to its arm
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Remainder:
     room : (2, m) [1]
         Of the ranges, that tensions may still fall and rise.
     rest : float
-        Where the loop rests [m]; see `Mismatch.rest`.
+        Where the loop rests [m]; see `TipEstimate.rest`.
     region : str
         That the arm would enter if it went on, '' if there is none.
 
@@ -49,12 +49,12 @@ class Remainder:
 
     @classmethod
     def at(
-        cls, off: Array, slopes: Array, goal: Array, limits: Array, known: Mismatch, region: str
+        cls, off: Array, slopes: Array, goal: Array, limits: Array, known: TipEstimate, region: str
     ) -> Remainder:
         """Look at a goal (m,) [N] where the model's tip is `off` (3,) [m] from the target."""
         low, high = limits.T
         room = np.array([goal - low, high - goal]) / (high - low)
-        return cls(off - known.offset, slopes, room, known.rest, region)
+        return cls(off - known.bias, slopes, room, known.rest, region)
 
     @property
     def away(self) -> float:
@@ -71,18 +71,18 @@ class Remainder:
         if self.region:
             return f'kept out of {self.region}'
         axes, sizes, _ = np.linalg.svd(self.slopes, full_matrices=False)
-        parts, weak = axes.T @ self.off, sizes < LED_SHARE * sizes[0]
-        if np.linalg.norm(parts[weak]) > MOST * self.away:
-            return _unled(axes[:, weak] @ parts[weak], float(sizes[weak].max()))
-        led, far = axes[:, ~weak].T @ self.slopes, parts[~weak]
+        parts, weak = axes.T @ self.off, sizes < WEAK_SHARE * sizes[0]
+        if np.linalg.norm(parts[weak]) > CAUSE_SHARE * self.away:
+            return _weak(axes[:, weak] @ parts[weak], float(sizes[weak].max()))
+        strong, far = axes[:, ~weak].T @ self.slopes, parts[~weak]
         stopped = self.room < LIMIT_SHARE
         found = lsq_linear(
-            led, far, (np.where(stopped[0], 0.0, -1e3), np.where(stopped[1], 0.0, 1e3))
+            strong, far, (np.where(stopped[0], 0.0, -1e3), np.where(stopped[1], 0.0, 1e3))
         )
-        left = far - led @ found.x
-        if np.linalg.norm(left) < MOST * self.away:
+        left = far - strong @ found.x
+        if np.linalg.norm(left) < CAUSE_SHARE * self.away:
             return ''
-        more = led.T @ left > 0.0  # of that tension the tip would come nearer
+        more = strong.T @ left > 0.0  # of that tension the tip would come nearer
         at = np.where(more, stopped[1], stopped[0])
         names = (name for name, ended in zip(inputs, at, strict=True) if ended)
         return f'at its limit: {", ".join(names)}'
@@ -90,7 +90,7 @@ class Remainder:
 
 @dataclass
 class LeftOver:
-    """What is left of the way to one target, and for how long the tip has come no nearer."""
+    """What is left of the distance to one target, and for how long that has not changed."""
 
     target: object = None
     remainder: Remainder | None = None
@@ -100,9 +100,8 @@ class LeftOver:
     def take(self, now: float, target: object, remainder: Remainder) -> None:
         """Take what is left now; a new target begins anew."""
         away, before = remainder.away, self.nearest
-        nearer = before - away > max(NEARER * before, LEAST_M)
-        further = away - before > max(FURTHER * before, LEAST_M)
-        if target is not self.target or nearer or further:
+        changed = abs(away - before) > max(CHANGED_SHARE * before, LEAST_M)
+        if target is not self.target or changed:
             self.nearest, self.since = away, now
         self.target, self.remainder = target, remainder
 
@@ -111,8 +110,8 @@ class LeftOver:
         return self.remainder if now - self.since >= SETTLED_S else None
 
 
-def _unled(part: Array, size: float) -> str:
-    """Say that tendons lead the tip hardly along what is left of it (3,) [m]."""
+def _weak(part: Array, size: float) -> str:
+    """Say that tendons hardly move the tip along what is left of it (3,) [m]."""
     along = ', '.join(f'{x:.2f}' for x in (part / np.linalg.norm(part)).round(2) + 0.0)
     return (
         f'{1e3 * np.linalg.norm(part):.2f} mm of it along ({along}), where the tendons lead the '

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.redundancy import Preferences
     from ..model.shape import Reach, Shape
-    from .checks import Refusal
-    from .friction_state import FeltTensions
     from .solver import Solver
 
 Array = NDArray[np.float64]
@@ -41,7 +39,7 @@ class Settings:
     pull_mode: bool = False
     tip_gain: float = 0.0  # [1/s] of the integral on the measured tip, 0: open loop
     resume: bool = False  # go to the old target when the driver comes back
-    approach: str = 'any'  # one of `friction_state.APPROACHES`
+    approach: str = 'any'  # one of `friction.APPROACHES`
     preferences: Preferences | None = None  # None: low tension, where that is easy
     keep_out: KeepOut = field(default_factory=KeepOut)
     look_ahead: float = 0.0  # [s] by which targets that follow each other are led
@@ -167,36 +165,53 @@ class ShapeTracker:
 
 
 class Controller(Protocol):
-    """
-    What the parts of the controller read of it, and change; `ControllerCore` is all of it.
-
-    Each part adds what it needs besides, so that none of them imports the core.
-    """
+    """What modes, searches and the tip loop read of the core; they write nothing of it."""
 
     model: Model
     settings: Settings
     solver: Solver
-    target: Target | None
-    wanted: Array | None  # (3,) [m]
-    solution: Reach | None
-    via: list[Array]  # (m,) [N] each, on the way to the solution
-    felt: FeltTensions
-    command: Array | None  # (m,) [N]
+    time: float  # [s] of the last cycle
+    command: Array | None  # (m,) [N], None until the driver was heard
     driver_stopped: str
-    refusals: dict[str, Refusal]
     latch: StopLatch
-    stepped: float  # [s]
     track: ShapeTracker
 
-    def fresh(self, now: float) -> bool:
-        """Whether the driver was heard lately."""
+    @property
+    def target(self) -> Target | None:
+        """The target that is followed."""
 
-    def felt_tensions(self) -> Array:
-        """Return the tensions (m,) [N] that act."""
+    @property
+    def solution(self) -> Reach | None:
+        """The tensions that were found for the target, or for the twist."""
 
-    def tip_shift(self, place: Array) -> Array:
-        """Return by how much (3,) [m] the measured tip is off the model near a target (3,) [m]."""
+    @property
+    def wanted(self) -> Array | None:
+        """Where the tip should be, (3,) [m]: at the target, or ahead of it in a stream."""
+
+    @property
+    def commanded(self) -> Array | None:
+        """What was commanded last, (m,) [N], or [m] in pull mode."""
+
+    @property
+    def measured_tensions(self) -> Array | None:
+        """The measured tensions (m,) [N]; None where they are not observable."""
+
+    @property
+    def acting_offset(self) -> Array:
+        """By how much (m,) [N] the tensions that act differ from the commanded ones."""
 
     @property
     def streaming(self) -> bool:
         """Whether targets follow each other closely."""
+
+    def acting_tensions(self) -> Array:
+        """Return the tensions (m,) [N] that act."""
+
+    def goal(self, tensions: Array) -> Array:
+        """Return where the tip loop has the goal of tensions (m,) [N] that were found."""
+
+    def tip_bias(self, place: Array) -> Array:
+        """Return by how much (3,) [m] the measured tip is off the model near a place (3,) [m]."""
+
+    def fresh(self, now: float) -> bool:
+        """Whether the driver was heard lately."""

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .modes import FollowTarget
 from .release import GO_ON
 from .remainder import foreign
 
 if TYPE_CHECKING:
     from ..model.shape import Reach
     from .core import ControllerCore
-    from .seeking import TargetSearch
+    from .target_search import TargetSearch
 
 OK, WARN, ERROR = 'ok', 'warn', 'error'
 
@@ -43,7 +44,7 @@ def controller_status(core: ControllerCore, now: float) -> ControllerStatus:
     if core.command is not None:
         for name, tension in zip(core.model.inputs, core.command, strict=True):
             values[f'tension {name} (N)'] = f'{tension:.4f}'
-    values.update(core.balance.values())
+    values.update(core.null_space.values())
     if core.settings.tip_gain > 0.0:
         values.update(core.loop.values(now))
     return ControllerStatus(level, code, message, values)
@@ -55,7 +56,7 @@ def followed(core: ControllerCore) -> str:
         return core.release.stamp
     if core.search is not None:
         return core.search.target.stamp
-    for one in (core.looked, core.playing, core.target):
+    for one in (core.looked_at, core.playing, core.target):
         if one is not None:
             return one.stamp
     return ''
@@ -74,8 +75,8 @@ def _condition(core: ControllerCore, now: float) -> tuple[str, str, str]:
         refusal = core.refusals.get('target')
         again = f'; {refusal}' if refusal is not None else ''
         return WARN, 'released', f'the driver let go: {core.release.why}; {GO_ON}{again}'
-    if core.no_equilibrium:
-        return ERROR, 'no_equilibrium', core.no_equilibrium
+    if core.track.problem:
+        return ERROR, 'no_equilibrium', core.track.problem
     for refusal in core.refusals.values():
         return WARN, f'refused_{refusal.code}', str(refusal)
     return activity(core, now)
@@ -97,7 +98,7 @@ def activity(core: ControllerCore, now: float) -> tuple[str, str, str]:
         return seen
     if core.moving:
         return OK, 'moving', 'moving to the target'
-    return _arrived(core.solution, core.in_time)
+    return _arrived(core.solution, not isinstance(core.mode, FollowTarget) or core.mode.in_time)
 
 
 def _as_seen(core: ControllerCore, now: float) -> tuple[str, str, str] | None:
@@ -120,9 +121,9 @@ def _as_seen(core: ControllerCore, now: float) -> tuple[str, str, str] | None:
 
 def _doubt(core: ControllerCore) -> str:
     """Say what to do about a model that is far from the arm, as the loop has learned."""
-    if core.loop.known is None:
+    if core.loop.estimate is None:
         return ''
-    offset = float(np.linalg.norm(core.loop.known.offset))
+    offset = float(np.linalg.norm(core.loop.estimate.bias))
     said = foreign(offset, core.model.robot.length, core.model.remembers)
     return f'; {said}' if said else ''
 

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 STEP_DAMPING, STEP_MAX = 0.1, 0.03  # [1] of the largest slope, of a range: one step of the tip
+STEP_SHARE = 0.5  # [1] of what the tip is off, in one step of a loop that sees it
 
 
 def solved(
@@ -45,7 +46,7 @@ def bounded_step(
     limits: Floats,
     damping: float = STEP_DAMPING,
     least: Floats | None = None,
-    ways: Floats | None = None,
+    signs: Floats | None = None,
 ) -> Floats:
     """
     Return the tensions (m,) [N] within limits that move the tip as wanted by the least change.
@@ -64,7 +65,7 @@ def bounded_step(
         Share of the largest slope below which a direction of the tip is hardly followed [1].
     least : (m,), optional
         Change that is made where the tip allows it [1] of the ranges; default: none.
-    ways : (m,), optional
+    signs : (m,), optional
         1: a tension that may only rise, -1: only fall; default: both.
 
     """
@@ -74,8 +75,8 @@ def bounded_step(
     damped = (damping * size) ** 2 + 1e-12
     first = np.zeros(len(u)) if least is None else least
     down, up = np.maximum(-u, -STEP_MAX), np.minimum(1.0 - u, STEP_MAX)
-    if ways is not None:
-        down, up = np.where(ways > 0.0, 0.0, down), np.where(ways > 0.0, up, 0.0)
+    if signs is not None:
+        down, up = np.where(signs > 0.0, 0.0, down), np.where(signs > 0.0, up, 0.0)
     matrix = slopes.T @ slopes + damped * np.eye(len(u))
     made = solved(matrix, -slopes.T @ wanted - damped * first, None, down, up)
     return low + within(u + made, 0.0, 1.0) * width

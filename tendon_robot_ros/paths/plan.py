@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import InputError
-from ..control.trajectory import Playing
+from ..control.trajectory import Trajectory
 from .path import TipPath
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ def stretched(times: Array, values: Array, rate: float) -> Array:
     return np.concatenate([[0.0], np.cumsum(gaps)])
 
 
-def retreat(times: Array, commands: Array, rate: float) -> Playing:
+def retreat(times: Array, commands: Array, rate: float) -> Trajectory:
     """
     Return the commands of a run backwards, so that the arm leaves by the way it came.
 
@@ -197,7 +197,7 @@ def retreat(times: Array, commands: Array, rate: float) -> Playing:
     """
     kept = thinned(times, commands)[::-1]
     back = stretched(times[-1] - times[kept], commands[kept], rate)
-    return Playing(back + 0.05, commands[kept])
+    return Trajectory(back + 0.05, commands[kept])
 
 
 def thinned(times: Array, values: Array) -> NDArray[np.int64]:

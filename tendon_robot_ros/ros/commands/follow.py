@@ -26,7 +26,7 @@ from ...common.errors import DataSetError, InputError
 from ...common.files import file_to_write, refuse_ending
 from ...control.checks import Refusal
 from ...control.keeping_out import entered
-from ...control.trajectory import Playing
+from ...control.trajectory import Trajectory
 from ...data.folder.csv_file import first_line
 from ...data.folder.path_file import NO_PATH, TendonRows, TipRows, read_path
 from ...data.recording.reader import is_bag, opened, read_moves
@@ -276,7 +276,7 @@ def run_tendons(pilot: Pilot, when: Array, values: Array) -> PathRun:
     pilot.clear()
     sent = thinned(when, values) if len(when) > POINTS_MAX else np.arange(len(when))
     began = time.monotonic()
-    stamp = pilot.play(Playing(when[sent], values[sent]))
+    stamp = pilot.play(Trajectory(when[sent], values[sent]))
     pilot.settle(stamp, when[-1] + APPROACH_TIMEOUT_S, 'the end of the trajectory')
     pilot.stand()
     rows = when.copy()

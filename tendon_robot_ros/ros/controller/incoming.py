@@ -14,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from ...control import Refusal, Target, Twist
 from ...control.checks import by_name, check_frame, check_stamp, direction, finite, position
-from ...control.trajectory import Playing, checked
+from ...control.trajectory import Trajectory, checked
 from ...data.seen import not_there
 from ...model.model import Model
 from ...robot import Robot
@@ -123,7 +123,7 @@ class Incoming:
             raise Refusal('not_finite', 'tendon_states: neither effort nor position is a number')
         return tensions, pulls
 
-    def trajectory(self, message: JointTrajectory) -> Playing | None:
+    def trajectory(self, message: JointTrajectory) -> Trajectory | None:
         """Return a trajectory of tensions, or of wire pulls in pull mode; None ends one."""
         what, pull = 'tendon_trajectory', self.pull
         self._stamp(message.header, what)

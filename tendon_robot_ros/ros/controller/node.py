@@ -224,7 +224,7 @@ class ControllerNode(ManagedNode):
 
     def _tip(self, message: PoseStamped) -> None:
         def take(core: ControllerCore, incoming: Incoming) -> None:
-            core.loop.take(time.monotonic(), core, incoming.measured_tip(message))
+            core.tip_measured(time.monotonic(), incoming.measured_tip(message))
 
         self._take('tip', take)
 

@@ -21,7 +21,7 @@ from ...common.errors import InputError, TendonRobotError
 from ...common.rotations import towards
 from ...control.checks import direction as looks
 from ...control.loading import load
-from ...control.trajectory import Playing
+from ...control.trajectory import Trajectory
 from ...effects import load_catalogue
 from ...model.model import Model
 from ...robot import load_robot
@@ -288,7 +288,7 @@ class Pilot(RobotClient):
         if not taken:
             raise TendonRobotError(f'the regions of {self._controller} were not changed: {why}')
 
-    def play(self, trajectory: Playing) -> str:
+    def play(self, trajectory: Trajectory) -> str:
         """Send a trajectory of the tendons; return its stamp."""
         message = JointTrajectory(joint_names=list(self.inputs))
         message.header.stamp = stamp = self.get_clock().now().to_msg()

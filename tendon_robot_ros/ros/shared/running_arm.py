@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 
 from ...common.errors import InputError, NoEquilibriumError, TendonRobotError
 from ...control.checks import Refusal, by_name
-from ...control.trajectory import Playing
+from ...control.trajectory import Trajectory
 from ...data import Marker, default_markers
 from ...investigation.arm import BrokenMeasurementError, PostureMeasured
 from ...model.model import Model
@@ -246,13 +246,13 @@ class RunningArm(Pilot):
         except NoEquilibriumError as error:
             raise BrokenMeasurementError(f'no shape at these tensions: {error}') from None
 
-    def _move(self, target: Array) -> Playing:
+    def _move(self, target: Array) -> Trajectory:
         """Return the straight way from the command of now, as fast as is allowed."""
         assert self._own is not None
         here = self._commands[-1][1]
         most = self._own.limits[:, 1] if not self.pull else 0.1 * self.robot.length
         share = float(np.max(np.abs(target - here) / most))
-        return Playing(np.array([max(share / self.speed, MOVE_MIN_S)]), target[None])
+        return Trajectory(np.array([max(share / self.speed, MOVE_MIN_S)]), target[None])
 
     def _go(self, target: Array) -> None:
         """Drive there and wait until the controller says so."""

@@ -1,5 +1,5 @@
 """
-The state of friction, and ways on which it ends where it helps.
+The state of friction, and approaches to a target on which it ends where it helps.
 
 The state follows the commands as they are sent; what is measured corrects them where it differs
 by more than noise. Noise itself must not move it: tendons that are shaken forget.
@@ -22,25 +22,24 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 APPROACHES = 'any', 'from_below'
-NOISES = 4.0  # [1] standard deviations of a measured tension that say nothing
-HELD_NOISES = 6.0  # [1] the same while the correction is held: beyond 4 is one of 16,000
-NOISE_SHARES = 2e-4, 1e-2  # [1] of the highest tension: least and largest noise
-NOISE_SAMPLES, MEAN_SAMPLES = 50.0, 100.0  # over which noise and what differs are averaged
-CYCLES_LATE = 2.0  # by which a measured tension may be behind a command on the move
-OVER_BANDS = 80.0  # [1] of the friction band, by which the bend of `from_below` moves wires
-BAND_SHARE = 0.036  # [1] of the largest radius: the friction band where nobody knows it
-OVER_MAX_RAD = 4.0  # [rad] of bend, for that
-OVER_LEAST, OVER_RUNGS = 0.005, 24  # [1] of a tension's range; sizes that are tried
-CARRIED_ROUNDS, CARRIED_OFF = 40, 1e-3  # until directions stay, and by how much of full friction
-NEAR_SHARE = 0.004  # [1] of the range: tensions that have followed, but for the end of a lag
-NEAR_S, NEAR_TIMEOUT_S = 0.1, 0.5  # [s] of being near, or of waiting for it, before a way turns
+NOISE_SD_MAX = 4.0  # [1] standard deviations: of noise alone, one reading of 16,000 is beyond
+NOISE_SHARES = 2e-4, 1e-2  # [1] of the highest tension: resolution and noise of poor load cells
+NOISE_SAMPLES, MEAN_SAMPLES = 50.0, 100.0  # over which noise and offset are averaged, at 200 Hz
+CYCLES_LATE = 2.0  # by which a measured tension may lag behind its command: bus and driver
+BEND_SLIPS = 80.0  # [1] presliding lengths of the wire nearest to the middle: each law forgets
+PRESLIDING_SHARE = 0.036  # [1] of the largest radius: that length where nobody knows it
+BEND_MAX_RAD = 4.0  # [rad] of the whole arm; more would wind it up
+BENDS = np.geomspace(0.005, 1.0, 24)  # [1] of a tension's range, tried until that bend
+CARRIED_ROUNDS, CARRIED_OFF = 40, 1e-3  # until directions stay to 1/1000 of full friction
+SETTLED_SHARE = 0.004  # [1] of the range: tensions that have followed, but for the end of a lag
+SETTLED_S, SETTLED_TIMEOUT_S = 0.1, 0.5  # [s] five lags of a drive; [s] a drive that never settles
 
 
 @dataclass
-class FeltTensions:
+class ActingTensions:
     """Tensions (m,) [N] that act: as commanded, corrected where the measured ones differ."""
 
-    bias: Array | None = None
+    offset: Array | None = None  # (m,) [N] beyond the command
     _last: tuple[Array, Array] | None = None  # commanded, measured
     _variance: Array | None = None  # (m,) [N²] of what is measured beside what is asked
     _mean: Array | None = None  # (m,) [N] by which the measured ones differ
@@ -63,9 +62,7 @@ class FeltTensions:
         """Forget what was sent: the arm is where it is measured."""
         self._followed = None
 
-    def take(
-        self, command: Array, measured: Array | None, highest: Array, held: bool = False
-    ) -> Array:
+    def take(self, command: Array, measured: Array | None, highest: Array) -> Array:
         """
         Return the tensions that act; the correction stays until noise cannot explain it.
 
@@ -75,27 +72,21 @@ class FeltTensions:
         measured : (m,) [N] or None
         highest : (m,) [N]
             Upper limits.
-        held : bool
-            The correction stays where a mean differs, and until one reading is far off: somebody
-            learns what it leaves over, and would take its changes for motions of the arm.
 
         """
-        bias = np.zeros_like(command) if self.bias is None else self.bias
+        offset = np.zeros_like(command) if self.offset is None else self.offset
         if measured is not None:
             before = command if self._last is None else self._last[0]
-            width = NOISES * self._noise(command, measured, highest)
+            width = NOISE_SD_MAX * self._noise(command, measured, highest)
             width = width + CYCLES_LATE * np.abs(command - before)
             differs = measured - command
             mean = differs if self._mean is None else self._mean
             self._mean = mean = mean + (differs - mean) / MEAN_SAMPLES
             narrow = width / np.sqrt(8.0 * MEAN_SAMPLES)  # two deviations of the mean
-            if held:
-                width = width * HELD_NOISES / NOISES
-            else:
-                bias = np.clip(bias, mean - narrow, mean + narrow)
-            bias = np.clip(bias, differs - width, differs + width)
-        self.bias = bias
-        return np.asarray(np.maximum(command + bias, 0.0))
+            offset = np.clip(offset, mean - narrow, mean + narrow)
+            offset = np.clip(offset, differs - width, differs + width)
+        self.offset = offset
+        return np.asarray(np.maximum(command + offset, 0.0))
 
     def _noise(self, command: Array, measured: Array, highest: Array) -> Array:
         """Return the noise (m,) [N], from how what is measured changes beside the command."""
@@ -105,31 +96,31 @@ class FeltTensions:
             self._variance = least**2
         if before is not None and not np.array_equal(measured, before[1]):
             seen = 0.5 * (measured - before[1] - (command - before[0])) ** 2
-            seen = np.minimum(seen, NOISES**2 * self._variance)  # a jump is no noise
+            seen = np.minimum(seen, NOISE_SD_MAX**2 * self._variance)  # a jump is no noise
             self._variance = self._variance + (seen - self._variance) / NOISE_SAMPLES
         return np.clip(np.sqrt(self._variance), least, most)
 
 
 @dataclass
-class Arrival:
+class Settling:
     """
-    Whether the arm has come to a turn of its way.
+    Whether the tensions have settled at a command, so that the next one may be sent.
 
-    How far tendons were let go decides where friction begins to turn round: a way that turns
-    while the drive still follows turns elsewhere every time.
+    How far tendons were unloaded decides where friction reverses: an approach that reverses while
+    the drive still follows does so elsewhere every time.
     """
 
     _command: Array | None = None  # (m,) [N]
     _since: float = -np.inf  # [s] when it was commanded
-    _near: float = -np.inf  # [s] when the tensions came near
+    _near: float = -np.inf  # [s] since when the tensions are near
 
-    def over(self, now: float, command: Array, measured: Array, width: Array) -> bool:
-        """Tell whether measured tensions (m,) [N] have followed; `width` (m,) [N]: the ranges."""
+    def settled(self, now: float, command: Array, measured: Array, width: Array) -> bool:
+        """Tell whether measured tensions (m,) [N] have settled; `width` (m,) [N]: the ranges."""
         if self._command is None or not np.array_equal(command, self._command):
             self._command, self._since, self._near = command.copy(), now, now
-        if np.any(np.abs(measured - command) >= NEAR_SHARE * width):
+        if np.any(np.abs(measured - command) >= SETTLED_SHARE * width):
             self._near = now
-        return now - self._near >= NEAR_S or now - self._since > NEAR_TIMEOUT_S
+        return now - self._near >= SETTLED_S or now - self._since > SETTLED_TIMEOUT_S
 
 
 def carried(model: Model, before: Model, last: Shape | None, tensions: Array) -> Shape | None:
@@ -174,17 +165,17 @@ class Approach:
     reach: Reach
     via: Array
 
-
-def straight(direct: Reach) -> Approach:
-    """Return the way that is none."""
-    return Approach(direct, np.empty((0, len(direct.tensions))))
+    @classmethod
+    def straight(cls, direct: Reach) -> Approach:
+        """Go straight to tensions."""
+        return cls(direct, np.empty((0, len(direct.tensions))))
 
 
 def forgotten(
     model: Model, here: Shape, direct: Reach, solve: Callable[[Shape], Reach]
 ) -> Approach:
     """
-    Return the way to a target on which friction forgets first, from where the arm is.
+    Return the approach to a target on which friction forgets first, from where the arm is.
 
     Parameters
     ----------
@@ -204,12 +195,7 @@ def forgotten(
             here = model.follow(here, tensions)
         return Approach(solve(here), via)
     except NoEquilibriumError:
-        return straight(direct)
-
-
-def from_below(model: Model, direct: Reach) -> Approach:
-    """Return the way by which friction forgets; nothing is solved anew."""
-    return Approach(direct, forgetting(model))
+        return Approach.straight(direct)
 
 
 def forgetting(model: Model) -> Array:
@@ -217,18 +203,18 @@ def forgetting(model: Model) -> Array:
     Return tensions (2, m) [N] after which friction knows nothing of what was before.
 
     The tendons on one side pull until the whole arm bends there, then all are at their lowest: at
-    every eyelet every tendon has slipped that way and back, whatever its law of slip. The bend is
-    as large as takes the wire nearest to the middle often through its friction band. The side is
-    that of the tendon for which all others slip most.
+    every eyelet every tendon has slipped there and back, whatever its law of slip. The bend takes
+    the wire nearest to the middle many presliding lengths through its eyelets. The side is that
+    of the tendon for which all others slip most.
     """
     side, least = _side(model)
     (low, high), radius = model.limits.T, max(float(np.hypot(*t.end)) for t in model.robot.tendons)
-    band = BAND_SHARE * radius
+    length = PRESLIDING_SHARE * radius
     if model.remembers:
-        band = float(model.arrays.get('friction_memory', 'presliding_length', None))
-    wanted, width = min(OVER_BANDS * band / least, OVER_MAX_RAD), float((high - low).max())
+        length = float(model.arrays.get('friction_memory', 'presliding_length', None))
+    wanted, width = min(BEND_SLIPS * length / least, BEND_MAX_RAD), float((high - low).max())
     shape = straight = model.shape(low)
-    for more in np.geomspace(OVER_LEAST * width, width, OVER_RUNGS):
+    for more in width * BENDS:
         try:
             shape = model.shape(np.clip(low + more * side, low, high), shape.state)
         except NoEquilibriumError:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.errors import InputError, NoEquilibriumError, TendonRobotError
+from ..common.errors import InputError, NoEquilibriumError
 from ..model.shape import Reach
 from ..model.tip_task import Patience, TipTask, tip_target
-from .checks import Refusal
-from .friction_state import Approach, forgotten, from_below, straight
+from .friction import Approach, forgetting, forgotten
 from .keeping_out import cut_short
 from .solver import GiveUp
 from .state import STREAM_PERIOD_S, Controller, Settings, Target
@@ -23,29 +22,16 @@ if TYPE_CHECKING:
     from ..model.shape import Shape
 
 Array = NDArray[np.float64]
-COLD_SEARCH_STARTS = 12  # of a cold search; a twist only goes on from where it is
+COLD_SEARCH_STARTS = 12  # of a search from nowhere; a twist only goes on from where it is
 NEW_TARGET_BUDGET_S = 0.2  # [s] for a target that is none of a stream
 STREAM_BUDGET_SHARE = 0.8  # [1] of the time between targets of a stream; the shape needs the rest
-FIRST_ANSWER_S = 0.006  # [s] in which a search that finds nothing on its way is cut for once
-# [1] of the length, [rad] between two targets of a stream
-STREAM_STEP_SHARE, STREAM_TURN_RAD = 0.1, 0.3
+FIRST_ANSWER_S = 0.006  # [s] about a cycle: what is found until then is gone to
+STREAM_STEP_SHARE = 0.1  # [1] of the length: what is further off is no stream
+STREAM_TURN_RAD = 0.3  # [rad] and what is turned further
 MORE_TENSION_MAX = 0.1  # [1] of a tension's range, for a nearer tip that the loop finds anyway
-LEAD_SHARE_MAX = 0.1  # [1] of the length, by which targets are led
-
+LEAD_SHARE_MAX = 0.1  # [1] of the length: further ahead a stream is not where it will go
 
 Tell = Callable[[Reach], None]  # is given what a search has found so far
-
-
-class Seeker(Controller, Protocol):
-    """A controller that looks for the tensions of a target."""
-
-    search: TargetSearch | None  # for a target that is not yet followed
-    asked: TargetSearch | None  # the last one
-
-    def follow(
-        self, target: Target, found: Approach, in_time: bool = True, led: Target | None = None
-    ) -> None:
-        """Go to where the tensions for a target are, or for one that leads it."""
 
 
 @dataclass(frozen=True)
@@ -73,10 +59,12 @@ class TargetSearch:
     velocity: Array | None = None  # (3,) [m/s] of a stream
 
     @classmethod
-    def begin(cls, core: Seeker, target: Target, now: float) -> TargetSearch:
-        """Look whether the target goes on from the one before."""
-        before = core.asked
-        if before is None or not _goes_on(core, before, target, now):
+    def begin(
+        cls, core: Controller, before: TargetSearch | None, asked: Target | None, target: Target
+    ) -> TargetSearch:
+        """Look whether the target goes on from the search before; `asked` is what was last."""
+        now = core.time
+        if before is None or before.target is not asked or not _goes_on(core, before, target):
             return cls(target, now, NEW_TARGET_BUDGET_S, object())
         passed, velocity = max(now - before.began, 0.01), None
         if target.position is not None and before.target.position is not None:
@@ -85,6 +73,11 @@ class TargetSearch:
                 velocity = 0.5 * (velocity + before.velocity)
         budget = STREAM_BUDGET_SHARE * passed
         return cls(target, now, budget, before.stream, True, velocity)
+
+    @property
+    def first_budget(self) -> float:
+        """Time [s] after which what was found is gone to, while the search goes on."""
+        return min(self.budget, FIRST_ANSWER_S)
 
 
 @dataclass(frozen=True)
@@ -97,54 +90,39 @@ class SearchResult:
     left: float = 0.0  # [s] for which it may go on
 
 
-def seek(core: Seeker, target: Target) -> None:
-    """Look for the tensions of a target; until they are found the arm goes on as before."""
-    search = core.search = core.asked = TargetSearch.begin(core, target, core.stepped)
-    _search_on(core, search, min(search.budget, FIRST_ANSWER_S))
-
-
-def _search_on(core: Seeker, search: TargetSearch, budget: float) -> None:
+def searching(
+    core: Controller, search: TargetSearch, budget: float, tell: Tell
+) -> Callable[[GiveUp], SearchResult]:
     """
-    Search for a time [s]; what is much nearer is gone to while the search goes on.
+    Return how to search for a time [s]; `tell` hears in the commanding thread what is found first.
 
     Where nothing was within the first time, what is found when it ends is where another search
-    begins.
+    begins. In that one the deadline is looked at only between starts, so that one start at least
+    comes to its end.
     """
-    solve = question_of(core, core.model, _ahead(core, search), search.streamed).answer
+    solve = question_of(core, core.model, ahead_of(core, search), search.streamed).answer
     first = budget == FIRST_ANSWER_S
 
     def work(give_up: GiveUp) -> SearchResult:
         left = search.budget - budget if first else 0.0
 
-        def tell(found: Reach) -> None:
+        def told(found: Reach) -> None:
             nonlocal left
-            core.solver.tell(lambda: _go_on(core, search, found))
+            core.solver.tell(lambda: tell(found))
             if isinstance(give_up, Patience):
                 give_up.prolong(left)
                 left = 0.0
 
         try:
-            # the second is asked between starts only: on a slow machine none would get anywhere
-            found = solve(give_up if first else lambda: give_up(), tell)
+            found = solve(give_up if first else lambda: give_up(), told)
         except (NoEquilibriumError, InputError) as error:
             return SearchResult(None, str(error), not give_up(), left)
         return SearchResult(found, '', not give_up(), left)
 
-    def done(result: SearchResult, error: TendonRobotError | None) -> None:
-        if error is not None:
-            result = SearchResult(None, str(error), True)
-        _take(core, search, result)
-
-    core.solver.post('target', work, done, budget, urgent=True)
+    return work
 
 
-def _go_on(core: Seeker, search: TargetSearch, found: Reach) -> None:
-    """Go where a search is on its way, unless something else is wanted by now."""
-    if core.search is search:
-        core.follow(search.target, straight(found), False, _ahead(core, search))
-
-
-def _ahead(core: Seeker, search: TargetSearch) -> Target:
+def ahead_of(core: Controller, search: TargetSearch) -> Target:
     """Return where a stream of targets will be by the time that the arm has followed."""
     target, lead = search.target, core.settings.look_ahead
     if lead == 0.0 or search.velocity is None or target.position is None:
@@ -164,7 +142,7 @@ class ReachQuestion:
     asked: Target  # with it
     guess: Shape | None
     last: Shape | None  # the last shape, with what friction remembered
-    felt: Array  # (m,) [N] that act now
+    acting: Array  # (m,) [N] that act now
     streamed: bool
     tracking: bool
 
@@ -227,26 +205,29 @@ class ReachQuestion:
         """Return where to begin; the same place is always found by the same tensions."""
         return None if self._below else self.guess
 
-    def _loose(self, here: Shape, give_up: GiveUp, tell: Tell | None) -> Reach:
+    def _for_closed_loop(self, here: Shape, give_up: GiveUp, tell: Tell | None) -> Reach:
         """
         Find tensions from where the closed loop brings the tip to its place.
 
-        From the state of friction that is, a model that is not the arm's may ask for much tension
+        From the present state of friction, a model that is not the arm's may ask for much tension
         against much tension, where it is furthest off. Then friction is left to the loop, and so
-        is by how much the tip was off elsewhere.
+        is the tip's bias elsewhere.
         """
-        ways: list[tuple[ReachQuestion, Shape | None, Tell | None]] = [(self, here, tell)]
-        if not (self.streamed or self.tracking or self.settings.pull_mode):
-            bare = replace(self, target=self.asked)
-            ways = [(self, None, tell), (bare, None, None), (self, here, None)]
+        if self.streamed or self.tracking or self.settings.pull_mode:
+            return self.reach(here, self.guess or here, give_up, tell)
+        without_bias = replace(self, target=self.asked)
         found: list[Reach] = []
-        for count, (question, past, told) in enumerate(ways):
+        for question, past, told in (
+            (self, None, tell),
+            (without_bias, None, None),
+            (self, here, None),
+        ):
             try:
                 if not (found and give_up()):
                     made = question.reach(past, self.guess or past, give_up, told)
                     found.insert(len(found) if past is None else 0, made)
             except NoEquilibriumError:
-                if not found and count == len(ways) - 1:
+                if not found and past is not None:  # the last one
                     raise
         there = [one for one in found if one.status == 'reached'] or found
         low, high = self.model.limits.T
@@ -255,23 +236,26 @@ class ReachQuestion:
         return next(one for one, size in zip(there, most, strict=True) if size <= enough)
 
     def answer(self, give_up: GiveUp, tell: Tell | None = None) -> Approach:
-        """Find tensions and the way there; `tell` of what is found meanwhile, if that is it."""
+        """Find tensions and the approach to them; `tell` hears what is found meanwhile."""
         model, settings = self.model, self.settings
         if self.kind != 'any' or settings.keep_out or settings.pull_mode:
             tell = None
         if not (model.remembers or settings.keep_out):
             direct = self.reach(None, self._guess(), give_up, tell)
-            return from_below(model, direct) if self._below else straight(direct)
-        here = model.follow(self.last, self.felt)
+            straight = Approach.straight(direct)
+            return replace(straight, via=forgetting(model)) if self._below else straight
+        here = model.follow(self.last, self.acting)
         past = here if model.remembers else None
         if settings.tip_gain > 0.0 and self.kind == 'any' and not settings.keep_out:
-            return straight(self._loose(here, give_up, tell))
+            return Approach.straight(self._for_closed_loop(here, give_up, tell))
         direct = self.reach(past, self._guess() or past, give_up, tell)
 
         def again(there: Shape) -> Reach:
             return self.reach(there if model.remembers else None, there, give_up)
 
-        found = forgotten(model, here, direct, again) if self._below else straight(direct)
+        found = Approach.straight(direct)
+        if self._below:
+            found = forgotten(model, here, direct, again)
         if settings.keep_out:
             weight = settings.direction_weight or None
             asked = tip_target(model, self.target.position, self.target.direction, 1.0, weight)
@@ -281,7 +265,11 @@ class ReachQuestion:
 
 
 def question_of(
-    core: Controller, model: Model, target: Target, streamed: bool = False, tracking: bool = False
+    core: Controller,
+    model: Model,
+    target: Target,
+    streamed: bool = False,
+    tracking: bool = False,
 ) -> ReachQuestion:
     """
     Return the question of the tensions for a target, from where the arm is.
@@ -299,40 +287,16 @@ def question_of(
         None if shape is None or len(shape.bend) != model.robot.cells else shape
         for shape in (guess, core.track.last)
     )
-    asked, felt = target, core.felt_tensions()
+    asked, acting = target, core.acting_tensions()
     if target.position is not None:
-        target = replace(target, position=target.position - core.tip_shift(target.position))
+        target = replace(target, position=target.position - core.tip_bias(target.position))
     return ReachQuestion(
-        model, core.settings, target, asked, guess, last, felt, streamed, tracking
+        model, core.settings, target, asked, guess, last, acting, streamed, tracking
     )
 
 
-def _take(core: Seeker, search: TargetSearch, result: SearchResult) -> None:
-    """Use what was found, unless something else is wanted by now; search on for what is left."""
-    newest, left = core.search, 0.0 if result.in_time else result.left
-    if newest is None or newest.stream is not search.stream:
-        return
-    if newest is search and left > 0.0:
-        if result.found is not None and _nearer(core, search.target, result.found.reach):
-            core.follow(search.target, result.found, False, _ahead(core, search))
-        _search_on(core, search, left)
-        return
-    if newest is search:
-        core.search = None
-    elif result.found is None:
-        return  # of a stream: the next one may be better
-    if result.found is not None:  # of a stream an older target, too, is on the way
-        core.follow(search.target, result.found, result.in_time, _ahead(core, search))
-        return
-    code = 'no_equilibrium' if result.in_time else 'no_time'
-    late = '' if result.in_time else f' (the search ended after {search.budget:.3g} s)'
-    core.refusals['target'] = Refusal(code, f'target refused: {result.problem}{late}')
-
-
-def _goes_on(core: Seeker, before: TargetSearch, target: Target, now: float) -> bool:
-    if before.target is not (core.search.target if core.search else core.target):
-        return False
-    if now - before.began > STREAM_PERIOD_S:
+def _goes_on(core: Controller, before: TargetSearch, target: Target) -> bool:
+    if core.time - before.began > STREAM_PERIOD_S:
         return False
     old = before.target
     if (old.position is None) != (target.position is None):
@@ -348,7 +312,7 @@ def _goes_on(core: Seeker, before: TargetSearch, target: Target, now: float) -> 
     return True
 
 
-def _nearer(core: Controller, target: Target, found: Reach) -> bool:
+def is_nearer(core: Controller, target: Target, found: Reach) -> bool:
     """Whether tensions bring the tip nearer to a target than it is."""
     last = core.track.last
     if last is None:
