@@ -9,7 +9,6 @@ march           friction that follows the bend of its own cell, no loads: 104 of
 solve_stuck     spatial arms whose tendons stick: from a guess 140,591 of 142,652, from a wide slip
                 length 16,007 of 16,883, from one that shrinks slowly 55 of 876
 newton          what is left of the others: 29,746 of 34,691
-sharpen         where there is friction: 652 of 2,721
 continuation    all that is left: 492 of 4,820; most of these have no equilibrium
 descend         above the buckling load: it leaves 518 that do not hold
 
@@ -54,9 +53,8 @@ from .sweep import (
     tendons_about,
 )
 
-# Factors on the slip length, over which the sign of friction is smooth: on the way of a
-# continuation, at the start of a search, and from one good step to the next.
-SLIP_WIDTHS = (1000.0, 100.0, 30.0, 10.0, 3.0, 1.0)
+# Factors on the slip length, over which the sign of friction is smooth: at the start of a search,
+# and from one good step to the next.
 SLIP_WIDTH_START, SLIP_WIDTH_FACTORS = 1000.0, (0.3, 0.5)
 # steps from a guess, and from a wide slip length; no literals (see `layout`)
 GUESSED_STEPS_MAX, WIDE_STEPS_MAX = np.int64(8), np.int64(30)
@@ -326,27 +324,6 @@ def solve_stuck(chain, inputs, x, bend, work, past, cold):
 
 
 @compiled
-def sharpen(chain, inputs, x, work, past):
-    """Newton while the sign of friction sharpens from wide to its own width."""
-    slip = floats(work.slip)
-    before = np.empty(x.shape[0])
-    change = math.inf
-    for j in range(x.shape[0]):
-        x[j] = 0.0
-    for width in SLIP_WIDTHS:
-        slip[0] = width * SLIP_LENGTH
-        assign(before, x)
-        change = repeat_sweeps(chain, inputs, x, work, past, 25)
-        if not change < BEND_TOLERANCE:
-            assign(x, before)
-            change = newton_at(chain.newton)(chain, inputs, address(x), work, past, 15)
-        if not change < BEND_TOLERANCE:
-            break
-    slip[0] = SLIP_LENGTH
-    return change if change < BEND_TOLERANCE else max(change, 10.0 * BEND_TOLERANCE)
-
-
-@compiled
 def continuation(chain, inputs, x, work, past):
     """Newton along a path: loads and the sharpness of friction grow together from none."""
     slip = floats(work.slip)
@@ -379,7 +356,7 @@ def continuation(chain, inputs, x, work, past):
 @compiled
 def solve_smooth(chain, inputs, x, bend, work, past, cold):
     """
-    Newton from the guess, or cell by cell, else while the sign of friction sharpens.
+    Newton from the guess, or cell by cell.
 
     Parameters
     ----------
@@ -399,10 +376,7 @@ def solve_smooth(chain, inputs, x, bend, work, past, cold):
         if change < BEND_TOLERANCE:
             return change
         begin_again(chain, inputs, x, bend, work, past, cold)
-    change = newton_at(chain.newton)(chain, inputs, address(x), work, past, 12)
-    if not change < BEND_TOLERANCE and eyelet_acts(chain):
-        change = sharpen(chain, inputs, x, work, past)
-    return change
+    return newton_at(chain.newton)(chain, inputs, address(x), work, past, 12)
 
 
 @entry(SETTLE)
