@@ -311,7 +311,7 @@ def _relaxed(task: TipTask, best: Found) -> Found:
     """Go from what meets the target to low tension, where it is still met there."""
     model, (cost, _, bend), less = task.model, best, best[1].copy()
     if model.sticks:
-        new, bends = seek(task, SEEKING_WIDTHS[1], None, less, bend, model.limits)
+        new, bends = seek(task, SEEKING_WIDTHS[1], less, bend, model.limits)
     else:
         bends = bend
         for preference in (*RELAXING_SHARES, LOW_TENSION_SHARE):

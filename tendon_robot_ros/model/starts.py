@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 Start = tuple[Aim, Floats, Floats]  # how to search, tensions (m,) [N] and bends to start from
-Kept = list[tuple[Floats, Floats]]  # tensions (m,) [N] and bends where a search did not settle
 # [1] gain of a step: a search goes on, tracking has the next tick
 GAIN_MIN, TRACKING_GAIN_MIN = 1e-6, 1e-2
 POSED_STEPS_MAX = 30  # for a direction, too: little is free, and another start is quicker
@@ -36,9 +35,6 @@ LOW_TENSION_SHARE = 4e-5  # how little low tension counts
 GENTLE_SHARE = 0.02  # where directions that tendons hardly lead to are to be left
 SEEKING_SHARE = 4e-3  # and where bends and tensions are found at once
 SEEKING_WIDTHS, SEEKING_SHRINK, SEEKING_STEPS_MAX = (1e3, 1e2), 0.5, 60
-NEAR_WIDTHS, FAR_WIDTHS = (10.0, 1e2, 1e3), (1e3, 1e2)  # from a guess, one after the other
-SETTLED_RAD = 1e-3  # [rad] last step of a search whose equilibrium is worth finding
-STUCK_SHARE = 0.04  # of `TipTask.per_newton`, for low tension, where a search stands at a kink
 # [1] of the length: a tip so far off no search for an equilibrium improves; a step towards it
 FAR_SHARE, FIRST_STEP_SHARE = 0.06, 0.03
 # [1] of the square of how far the tip is: for a shape of the library so near the arm may set out
@@ -103,11 +99,9 @@ def step_towards(
 def seek(
     task: TipTask,
     wide: float,
-    kept: Kept | None,
     inputs: Floats,
     bend: Floats,
     limits: Floats,
-    preference: float = SEEKING_SHARE,
     steps: int = SEEKING_STEPS_MAX,
 ) -> tuple[float, Floats]:
     """
@@ -119,11 +113,7 @@ def seek(
     bends = np.array([bend, bend])
     begin, end = _shared(task, inputs, bends, limits)
     part = task.model.arrays.part('inverse')
-    weight = preference * task.per_newton
-    step = part.seek(*begin, weight, wide, SEEKING_SHRINK, steps, *end)
-    if kept is not None and not step < SETTLED_RAD:
-        kept.append((inputs, bends[0]))
-        return np.inf, bends[0]
+    part.seek(*begin, SEEKING_SHARE * task.per_newton, wide, SEEKING_SHRINK, steps, *end)
     return aim(
         task, TRACKING_GAIN_MIN, inputs, bends[0], limits, far=_far(task), most=STICKING_TRIALS_MAX
     )
@@ -159,10 +149,9 @@ def beginnings(
     is one start more.
     """
     model, near = task.model, partial(aim, task, GAIN_MIN)
-    kept: Kept = []
     if model.sticks:
         steps = POSED_STEPS_MAX if task.target[7] else SEEKING_STEPS_MAX
-        near = partial(seek, task, SEEKING_WIDTHS[0], kept, steps=steps)
+        near = partial(seek, task, SEEKING_WIDTHS[0], steps=steps)
     if guess is not None:
         inputs = np.minimum(np.maximum(guess.inputs, model.limits[:, 0]), model.limits[:, 1])
         if not model.sticks:
@@ -170,49 +159,30 @@ def beginnings(
             search = partial(aim, task, TRACKING_GAIN_MIN, most=most)
             yield partial(aim_gently, task, most) if gently else search, inputs, guess.state
         elif task.cost(guess) < _far(task):
-            yield from _starts_near(task, guess, inputs, count, kept, gently)
+            search = partial(aim, task, TRACKING_GAIN_MIN, most=STICKING_TRIALS_MAX)
+            yield search, inputs.copy(), guess.state
+            if gently:
+                yield partial(aim_gently, task, STICKING_TRIALS_MAX), inputs.copy(), guess.state
         else:
             if gently:
                 yield partial(aim_gently, task, STICKING_TRIALS_MAX), inputs.copy(), guess.state
-            yield from _starts_far(task, guess, inputs, count, kept, step)
+            yield from _starts_far(task, guess, inputs, count, step)
     if count:
         yield near, model.limits[:, 0].copy(), np.zeros(3 * model.robot.cells)
         for row in islice(rows_near(task), count):
             yield near, model.library.inputs[row].copy(), model.library.state[row]
-    go_on = partial(aim, task, TRACKING_GAIN_MIN, far=_far(task), most=STICKING_TRIALS_MAX)
-    for inputs, state in kept:
-        yield go_on, inputs, state
-
-
-def _starts_near(
-    task: TipTask, guess: Shape, inputs: Floats, count: int, kept: Kept, gently: bool
-) -> Iterator[Start]:
-    """Yield starts from a guess with its tip near, where tendons stick."""
-    aimed = inputs.copy()
-    yield partial(aim, task, TRACKING_GAIN_MIN, most=STICKING_TRIALS_MAX), aimed, guess.state
-    if gently:
-        yield partial(aim_gently, task, STICKING_TRIALS_MAX), inputs.copy(), guess.state
-    for wide in NEAR_WIDTHS if count else ():
-        yield partial(seek, task, wide, kept), inputs.copy(), guess.state
-    if count:
-        state = task.shape(aimed, guess.state).state
-        yield (
-            partial(seek, task, NEAR_WIDTHS[0], kept, preference=STUCK_SHARE),
-            aimed.copy(),
-            state,
-        )
 
 
 def _starts_far(
-    task: TipTask, guess: Shape, inputs: Floats, count: int, kept: Kept, step: bool
+    task: TipTask, guess: Shape, inputs: Floats, count: int, step: bool
 ) -> Iterator[Start]:
     """Yield starts from a guess with its tip far, where tendons stick."""
     yield partial(aim, task, TRACKING_GAIN_MIN, far=0.0), inputs, guess.state  # to stay
-    for turn, wide in enumerate(FAR_WIDTHS if count else ()):
-        if step and turn == 1:
+    if count:
+        yield partial(seek, task, SEEKING_WIDTHS[0]), inputs.copy(), guess.state
+        if step:
             yield _setting_out(task, guess, inputs)
-        yield partial(seek, task, wide, kept), inputs.copy(), guess.state
-    if step and not count:
+    elif step:
         yield partial(step_towards, task, guess), inputs.copy(), guess.state
 
 
