@@ -33,7 +33,8 @@ from .motor import Motor
 from .torque import read_state, torque_off, torque_on
 
 SAMPLE_PERIOD_S = 0.01  # [s]
-ARRIVAL_TIMEOUT_S = 1.0  # [s] for the end of a way, after its last goal
+ARRIVAL_TIMEOUT_S = 1.0  # [s] without coming nearer to its last goal: the motor does not follow
+AWAY_MAX = 0.2  # [1] of a way, within which its end counts as reached: friction holds it there
 TURNING = (0.5, 1.5)  # parts of the speed asked for at which a reading counts
 STEADY_PART = (0.35, 0.9)  # part of the way in which the current counts
 WEIGHTS_MIN = 3
@@ -208,11 +209,14 @@ def _go(bus: Bus, motor: Motor, end: int, duration: float, check: Callable[[], N
             currents.append(wire.spool.direction * motor.current * motor.model.current_unit)
         now = time.monotonic()
         part, before = part + min(now - before, 2.0 * SAMPLE_PERIOD_S) / duration, now
-    latest = time.monotonic() + ARRIVAL_TIMEOUT_S
-    while abs((motor.ticks or 0) - end) > 0.2 * abs(end - start) and time.monotonic() < latest:
-        check()
-        _turn_to(bus, motor, end)  # the last goal may be an old one where this process was late
-    if abs((motor.ticks or 0) - end) > 0.2 * abs(end - start):
+    left, nearer = math.inf, time.monotonic()
+    while (now_left := abs((motor.ticks or 0) - end)) > AWAY_MAX * abs(end - start):
+        if now_left < left:
+            left, nearer = now_left, time.monotonic()
+        if time.monotonic() - nearer < ARRIVAL_TIMEOUT_S:
+            check()
+            _turn_to(bus, motor, end)  # its last goal is an old one where this process was late
+            continue
         raise DriverError(
             f'{bus.path}: {motor}: does not follow; is the weight too heavy for '
             f'{motor.strongest * motor.model.current_unit:.2f} A, or blocked?'
