@@ -61,10 +61,15 @@ LATCHED_BY_MOTOR = ('volts 2.9',)
 
 
 def test_the_log_says_at_the_start_what_friction_leaves_of_the_tension_limit(rig):
-    logs = ''.join(file.read_text() for file in rig.folder.glob('driver_*.log'))
+    def logs():
+        return ''.join(file.read_text() for file in rig.folder.glob('driver_*.log'))
+
+    rig.station.until(lambda: 'which is assumed: calibrate' in logs(), 'what motors wind and hold')
     winds, holds = {'tension': ('4.06', '5.93'), 'pull': ('3.13', '5')}[rig.mode]
-    assert f'motors wind up to {winds} N (prox_left) and hold up to {holds} N (prox_left, ' in logs
-    assert 'which is assumed: calibrate prox_left, prox_right' in logs
+    assert (
+        f'motors wind up to {winds} N (prox_left) and hold up to {holds} N (prox_left, ' in logs()
+    )
+    assert 'which is assumed: calibrate prox_left, prox_right' in logs()
 
 
 def assert_holds(rig, words):
