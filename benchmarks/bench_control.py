@@ -62,7 +62,7 @@ PROGRAMS, LOOKED_FOR = 60, 10.0  # at most, from each beginning; times as stiff
 TICKS = 1050  # the first 50 are not counted
 ENOUGH = 3.0  # times as stiff, by a model that is not quite the arm's
 FIXED = {'MODEL_SLOPE_SD': 1e-9}  # the model's own Jacobian
-LIMITS = {  # what issue 20 asks for
+LIMITS = {  # what is aimed at
     'open_loop_spread_share': 0.15,
     'closed_loop_spread_noises': 1.5,
     'overshoot_share': 0.10,

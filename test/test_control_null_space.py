@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tendon_robot_ros.control import ControllerCore, Settings, Target
-from tendon_robot_ros.control.null_space import DRIFT, HANDOVER_M, SPEED_MAX, NullSpaceMotion
+from tendon_robot_ros.control.null_space import DRIFT, HANDOVER_SHARE, SPEED_MAX, NullSpaceMotion
 from tendon_robot_ros.control.tip_estimator import TipEstimate
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.program import bounded_step
@@ -30,14 +30,18 @@ def test_tensions_that_may_only_rise_lead_the_tip_anywhere():
         assert slopes @ (made - tensions) / 5.0 == pytest.approx(wanted, abs=1e-7)
 
 
-def stepped(more, slope_sd=1e-3, away=0.0, slopes=SLOPES):
+def stepped(more, slope_sd=1e-3, away=0.0, slopes=SLOPES, length=LENGTH):
     """Return a motion to so much more tension (4,) [N] after its first step, and the goal."""
 
     def there(goal):
         return SimpleNamespace(inputs=goal, tip_position=slopes @ ((goal - HERE) / 4.9))
 
     tip = SimpleNamespace(
-        here=there(HERE), there=there, limits=LIMITS, slopes_at=lambda shape: slopes
+        here=there(HERE),
+        there=there,
+        limits=LIMITS,
+        slopes_at=lambda shape: slopes,
+        model=SimpleNamespace(robot=SimpleNamespace(length=length)),
     )
     known = TipEstimate.begin(HERE, LIMITS, np.full(4, slope_sd))
     known = replace(known, bias=np.array([away, 0.0, 0.0]))
@@ -51,7 +55,14 @@ def test_it_goes_as_fast_as_the_slopes_are_known():
 
     assert speed(1e-4) == pytest.approx(SPEED_MAX, rel=0.05)
     assert speed(0.2) == pytest.approx(0.5 * speed(0.1), rel=0.05)
-    assert 0.3 * DRIFT / 0.2 < speed(0.2) < 3.0 * DRIFT / 0.2
+    assert 0.3 * DRIFT * LENGTH / 0.2 < speed(0.2) < 3.0 * DRIFT * LENGTH / 0.2
+
+
+def test_an_arm_of_any_length_takes_the_same_time():
+    small, large = (
+        stepped(0.5, size, slopes=size * SLOPES, length=size * LENGTH)[1] for size in (1.0, 10.0)
+    )
+    assert large == pytest.approx(small, rel=1e-9)
 
 
 def test_no_tension_turns_where_the_nearest_direction_that_holds_the_tip_would():
@@ -69,9 +80,11 @@ def test_at_the_preferred_tensions_it_holds_the_tip_there():
     assert motion is not None and goal == pytest.approx(HERE, abs=1e-12)
 
 
-def test_a_tip_that_is_pushed_away_is_left_to_the_tip_loop():
-    assert stepped(0.5, away=0.9 * HANDOVER_M)[0] is not None
-    motion, goal = stepped(0.5, away=1.1 * HANDOVER_M)
+@pytest.mark.parametrize('length', [LENGTH, 10.0 * LENGTH])
+def test_a_tip_that_is_pushed_away_is_left_to_the_tip_loop(length):
+    away = HANDOVER_SHARE * length
+    assert stepped(0.5, away=0.9 * away, length=length)[0] is not None
+    motion, goal = stepped(0.5, away=1.1 * away, length=length)
     assert motion is None and np.array_equal(goal, HERE)
 
 

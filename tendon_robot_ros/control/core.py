@@ -491,10 +491,8 @@ class ControllerCore:
         if self.pulls is not None and isinstance(self.mode, PlayTrajectory):
             self.command = self.pulls.play(self, goal)
             return
-        goal, step = (
-            bounded(goal, self.settings.limits(self.model)),
-            self.settings.rate_limit * passed,
-        )
+        goal = bounded(goal, self.settings.limits(self.model))
+        step = self.settings.rate_limit * passed
         if self.pulls is not None:
             self.command = self.pulls.advance(self, goal, step)
         else:

@@ -37,11 +37,11 @@ STEP_N = 0.2  # [N] between two postures in open loop: the tip leaves its place 
 PROGRAMS_MAX, BUDGET_S = 40, 0.5  # to find the preferred tensions, and the time for it [s]
 STIFFNESS_PERIOD_S = 0.5  # [s] between two looks at the stiffness
 SPEED_MAX = 0.002  # [1/s] of the ranges: faster, the tip's bias changes before it is estimated
-DRIFT = 1e-4  # [m/s] velocity of the tip, 1 sd, that the doubt about slopes may cause
+DRIFT = 5e-4  # [1/s] of the length: velocity of the tip, 1 sd, that doubt of slopes may cause
 SLOPE_SD = 0.5  # [1] of the arm's length over the ranges: bias that such a motion causes, 1 sd
 HOLD_GAIN = 0.5  # [1/s] of the estimator: slower than `tip_gain`, since only noise moves the tip
 STANDS_SHARE = 2e-3  # [1] of the ranges: nearer to its goal, an arm counts as standing
-HANDOVER_M = 6e-4  # [m] further from its place, something pushes: the tip loop takes over
+HANDOVER_SHARE = 3e-3  # [1] of the arm's length: further from its place, something pushes the tip
 
 
 @dataclass(frozen=True)
@@ -94,9 +94,9 @@ class NullSpaceMotion:
         if self.place is None:
             settled = known.covariance[0, 0] < 2.0 * HOLD_GAIN * passed  # twice its last variance
             return replace(self, place=here) if settled else self, goal
-        away = float(np.linalg.norm(self.place - here))
-        if away > HANDOVER_M:
-            return None, goal
+        away, length = float(np.linalg.norm(self.place - here)), tip.model.robot.length
+        if away > HANDOVER_SHARE * length:
+            return None, goal  # the tip loop takes over
         there, width = tip.there(goal), known.range
         slopes, still = tip.slopes_at(there) + known.slopes, np.zeros(3)
         left = self.signs * np.maximum(self.signs * (self.tensions - goal) / width, 0.0)
@@ -106,7 +106,8 @@ class NullSpaceMotion:
         size = max(float(np.abs(step).max()), 1e-12)
         if size < STANDS_SHARE and away < 2.0 * known.rest:
             return self, goal  # it is over: noise would have tensions rise for ever
-        speed = DRIFT / max(known.slope_sd(step / size), DRIFT / SPEED_MAX)
+        drift = DRIFT * length
+        speed = drift / max(known.slope_sd(step / size), drift / SPEED_MAX)
         step *= min(1.0, speed * passed / size)
         miss = STEP_SHARE * (self.place - there.tip_position - known.bias_at(goal))
         return self, bounded_step(slopes, miss, goal, tip.limits, least=step, signs=self.signs)
