@@ -55,12 +55,12 @@ class Mistake:
         if not math.isfinite(before):
             return (
                 f'the model finds no equilibrium; {self.sentence} it does, and is off by '
-                f'{1e3 * self.after:.2g} mm{self.rest}: {self.mend}'
+                f'{1e3 * self.after:.3g} mm{self.rest}: {self.mend}'
             )
         goes = 'falls' if self.after < before else 'goes'  # up, with an effect that acts as well
         return (
             f'{self.sentence} the error {goes} from {1e3 * before:.3g} to '
-            f'{1e3 * self.after:.2g} mm{self.rest}: {self.mend}'
+            f'{1e3 * self.after:.3g} mm{self.rest}: {self.mend}'
         )
 
 
