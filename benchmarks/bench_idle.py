@@ -58,8 +58,8 @@ class Watcher(Node):
 
     def _hear(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            space, _, name = status.name.rpartition('/')
-            if space != self.get_namespace() or name not in self.codes:
+            space, _, name = status.name.partition(':')[0].rpartition('/')
+            if f'/{space}' != self.get_namespace() or name not in self.codes:
                 continue
             code = next(item.value for item in status.values if item.key == 'code')
             if name == 'driver' and self.codes[name] == 'following' != code:
