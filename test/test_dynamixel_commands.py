@@ -6,6 +6,7 @@ import signal
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import emulated
@@ -52,6 +53,25 @@ def test_emulate_prints_a_port_that_the_driver_opens_and_obeys_its_input(robot_f
         assert {name for _, _, name, _ in emulator.ask('log 9')} >= {'goal_current'}
         emulator.say('quit')
         assert emulator.process.wait(60) == 0
+
+
+def test_of_several_threads_each_gets_the_answer_to_its_own_question(robot_file):
+    kinds = {'state': dict, 'trace 5': list, 'log 5': list}
+    emulating = EmulatorProcess(robot_file, '--arm', 'springs')
+    with ThreadPoolExecutor() as threads, emulating as emulator:
+
+        def ask(question):
+            return [(question, emulator.ask(question)) for _ in range(30)]
+
+        found = threads.map(ask, [*kinds, *kinds], timeout=emulated.SOON)
+        answers = [answer for part in found for answer in part]
+    assert len(answers) == 180
+    for question, answer in answers:
+        assert isinstance(answer, kinds[question])
+        if question == 'state':
+            assert set(answer['servos']) == {'1', '2', '3', '4'}
+        if question == 'trace 5':
+            assert all(len(moment) == 4 and len(moment[1]) == 4 for moment in answer)
 
 
 @pytest.mark.parametrize('named', [False, True])

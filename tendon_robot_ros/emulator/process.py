@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import tempfile
+import threading
 from pathlib import Path
 from typing import IO, Any, Self, cast
 
@@ -35,6 +36,7 @@ class EmulatorProcess:
         command = [sys.executable, '-m', 'tendon_robot_ros', 'emulate', kind]
         command += ['--ends-with-input']
         command += ['--robot', str(robot), '--write-config', str(self.config), *arguments]
+        self._conversation = threading.Lock()
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
@@ -47,10 +49,11 @@ class EmulatorProcess:
         go_realtime(REALTIME_PRIORITY_EMULATED, process=self.process.pid)
 
     def say(self, text: str) -> str:
-        """Give one of its commands; return the answer."""
-        self._to.write(text + '\n')
-        self._to.flush()
-        return self._from.readline().strip()
+        """Give one of its commands; return the answer. Several threads may ask."""
+        with self._conversation:
+            self._to.write(text + '\n')
+            self._to.flush()
+            return self._from.readline().strip()
 
     def ask(self, text: str) -> Any:
         """Give a command that answers in JSON; return the answer."""
