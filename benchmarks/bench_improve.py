@@ -19,9 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from tendon_robot_ros.common.processes import one_thread
-from tendon_robot_ros.diagnosis.as_found import as_found
-from tendon_robot_ros.diagnosis.improve import inner
-from tendon_robot_ros.diagnosis.prediction_errors import last_worthwhile
+from tendon_robot_ros.diagnosis.crossval import last_worthwhile
+from tendon_robot_ros.diagnosis.improve import as_found, inner
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.robot import load_robot

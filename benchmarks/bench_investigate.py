@@ -28,8 +28,8 @@ from pathlib import Path
 import numpy as np
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
-from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.investigation.goal import Goal, names_of, widest
 from tendon_robot_ros.investigation.loop import Investigation

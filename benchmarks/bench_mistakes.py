@@ -25,7 +25,7 @@ from planned import PLANS
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import DataSet
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.mistake import in_frame
+from tendon_robot_ros.diagnosis.setup_hypotheses import in_frame
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.studies.cases import Case, simulated

@@ -18,10 +18,10 @@ import numpy as np
 from planned import PLANS
 
 from tendon_robot_ros.comparison.outliers import find_outliers
-from tendon_robot_ros.diagnosis.arm_report import arm_report
+from tendon_robot_ros.diagnosis.intervals import SizeIntervals
 from tendon_robot_ros.diagnosis.marginal import RandomEffects
+from tendon_robot_ros.diagnosis.report_rows import arm_report
 from tendon_robot_ros.diagnosis.session import Session
-from tendon_robot_ros.diagnosis.size_intervals import SizeIntervals
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship

@@ -21,9 +21,9 @@ from machine import machine
 from tendon_robot_ros.common.words import mm
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import Addition, add_effects
-from tendon_robot_ros.diagnosis.decide import Verdict
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.result import Diagnosis
+from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.report.numbers import described_quantity, quantities
 
 ROOT = Path(__file__).resolve().parents[1]

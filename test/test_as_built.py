@@ -12,11 +12,10 @@ from simulated import CATALOGUE
 from tendon_robot_ros.comparison.outliers import find_outliers
 from tendon_robot_ros.comparison.predict import Predictor, free_parameters
 from tendon_robot_ros.data import Marker, load_dataset
-from tendon_robot_ros.diagnosis.as_built import SplitPredictor
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.fitter import Fitter
-from tendon_robot_ros.diagnosis.likelihood import SIZES, Likelihood
-from tendon_robot_ros.diagnosis.marginal import RandomEffects
+from tendon_robot_ros.diagnosis.imperfections import SplitPredictor
+from tendon_robot_ros.diagnosis.marginal import SIZES, Likelihood, RandomEffects
 from tendon_robot_ros.diagnosis.patterns import Patterns
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.slopes import imperfections

@@ -11,7 +11,7 @@ from source_tree import ROOT
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DataSetError, InputError, NoEquilibriumError
 from tendon_robot_ros.common.workers import Workers
-from tendon_robot_ros.diagnosis.decide import Verdict
+from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.versions import Preparation
 from tendon_robot_ros.simulation.hidden import Built

@@ -14,7 +14,7 @@ from tendon_robot_ros.comparison.compare import compare, equilibria
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import join, load_dataset, save_dataset
 from tendon_robot_ros.diagnosis.add import add_effects
-from tendon_robot_ros.diagnosis.as_built import SplitPredictor
+from tendon_robot_ros.diagnosis.imperfections import SplitPredictor
 from tendon_robot_ros.diagnosis.slopes import imperfections
 from tendon_robot_ros.model.model import Model
 

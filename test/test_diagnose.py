@@ -19,7 +19,7 @@ from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis import session as sessions
 from tendon_robot_ros.diagnosis.add import add_effects
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.evidence import gather
+from tendon_robot_ros.diagnosis.select import gather
 from tendon_robot_ros.report.diagnosis_text import lines
 
 ROBOT = simulated.robot()

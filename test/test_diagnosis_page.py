@@ -15,10 +15,9 @@ from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.comparison.predict import free_parameters
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import Addition
-from tendon_robot_ros.diagnosis.decide import Verdict
-from tendon_robot_ros.diagnosis.into_description import with_values
+from tendon_robot_ros.diagnosis.crossval import Errors
+from tendon_robot_ros.diagnosis.description import with_values
 from tendon_robot_ros.diagnosis.missing_moment import blocks_of, missing_moment
-from tendon_robot_ros.diagnosis.prediction_errors import Errors
 from tendon_robot_ros.diagnosis.result import (
     NOT_NEEDED,
     CandidateRow,
@@ -27,6 +26,7 @@ from tendon_robot_ros.diagnosis.result import (
     NextMeasurement,
     Value,
 )
+from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.report.diagnosis_page import (
     diagnosis_page,

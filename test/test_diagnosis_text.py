@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tendon_robot_ros.diagnosis.load import load_of
+from tendon_robot_ros.diagnosis.intervals import load_of
 from tendon_robot_ros.diagnosis.report_rows import Left
 from tendon_robot_ros.diagnosis.result import (
     CandidateRow,

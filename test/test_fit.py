@@ -12,8 +12,7 @@ from tendon_robot_ros.comparison.noise import Whitener, input_slopes
 from tendon_robot_ros.comparison.predict import Predictor, free_parameters
 from tendon_robot_ros.diagnosis.add import fit_effects
 from tendon_robot_ros.diagnosis.fitter import Fitter
-from tendon_robot_ros.diagnosis.interval import intervals
-from tendon_robot_ros.diagnosis.report_rows import values_of
+from tendon_robot_ros.diagnosis.intervals import intervals, values_of
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.model.model import Model
 

@@ -10,7 +10,7 @@ import simulated
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.data import save_dataset
-from tendon_robot_ros.diagnosis.decide import Verdict
+from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.studies import fleet
 from tendon_robot_ros.studies.fleet import (
     FleetRow,

@@ -6,7 +6,7 @@ import re
 
 from source_tree import ROOT, files, parse
 
-from tendon_robot_ros.diagnosis.decide import Verdict
+from tendon_robot_ros.diagnosis.verdict import Verdict
 
 FUNCTION_LINES = 80
 
@@ -54,7 +54,7 @@ def test_a_verdict_is_named_in_its_table_only():
     names = {str(verdict) for verdict in Verdict}
     wrong = []
     for path in files('*.py'):
-        if path.parts[0] == 'test' or path.match('diagnosis/decide.py'):
+        if path.parts[0] == 'test' or path.match('diagnosis/verdict.py'):
             continue
         wrong += [
             f'{path}:{node.lineno} says {node.value!r}: import Verdict'

@@ -16,15 +16,15 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.comparison.noise import Noise, Whitener
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import save_dataset
-from tendon_robot_ros.diagnosis.described_arm import (
+from tendon_robot_ros.diagnosis.crossval import fall, last_worthwhile, left_out_errors
+from tendon_robot_ros.diagnosis.description import (
     DescribedArm,
     arm_with,
     blocks_of_the_arm,
     profile_factors,
 )
 from tendon_robot_ros.diagnosis.improve import how_many, shown
-from tendon_robot_ros.diagnosis.improvement import total
-from tendon_robot_ros.diagnosis.prediction_errors import fall, last_worthwhile, left_out_errors
+from tendon_robot_ros.diagnosis.result import total
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
 from tendon_robot_ros.report.improvement_page import (
     improvement_lines,

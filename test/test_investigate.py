@@ -12,7 +12,7 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import InputError, TendonRobotError
 from tendon_robot_ros.comparison.noise import Noise
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.diagnosis.decide import Verdict
+from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.investigation.choice import (
     OpenQuestion,

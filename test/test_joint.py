@@ -5,7 +5,7 @@ import simulated
 from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.joint import hints, several
+from tendon_robot_ros.diagnosis.select import hints, several
 from tendon_robot_ros.diagnosis.session import Session
 
 MEMORY = {'friction_memory': {'presliding_length': 1e-4}}

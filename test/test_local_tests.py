@@ -9,7 +9,6 @@ import simulated
 from simulated import CATALOGUE, measure, measured, postures
 
 from tendon_robot_ros.comparison.statistics import false_discovery_control
-from tendon_robot_ros.diagnosis.decide import FALSE_DISCOVERY_RATE
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.local_tests import (
     Place,
@@ -20,6 +19,7 @@ from tendon_robot_ros.diagnosis.local_tests import (
     is_absurd,
 )
 from tendon_robot_ros.diagnosis.session import Session
+from tendon_robot_ros.diagnosis.verdict import FALSE_DISCOVERY_RATE
 from tendon_robot_ros.report.arm_text import marks, of_inputs, where_wrong
 from tendon_robot_ros.report.comparison_page import add_shapes
 from tendon_robot_ros.report.diagnosis_page import pictures_of

@@ -1,14 +1,12 @@
 """Patterns without physics find where and when a model fails."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import simulated
 from simulated import CATALOGUE, NOISE, measured
 
-from tendon_robot_ros.diagnosis.evidence import pattern_text
 from tendon_robot_ros.diagnosis.patterns import Pattern
 from tendon_robot_ros.diagnosis.patterns import patterns_of as outside
 from tendon_robot_ros.diagnosis.session import Session
@@ -91,9 +89,8 @@ def test_on_clean_data_no_pattern_gains_much():
      (0.5, '0.5 times as much as')],
 )  # fmt: skip
 def test_a_cell_that_bends_a_little_more_is_not_said_to_bend_as_it_should(ratio, words):
-    evidence = SimpleNamespace(session=SimpleNamespace(dataset=SimpleNamespace(postures=())))
     pattern = Pattern('soft_cell', 0.0, 1, 4, ratio, alike=(4,))
-    assert f'cell 4 bends {words} it should.' in pattern_text(evidence, pattern)
+    assert f'cell 4 bends {words} it should.' in pattern.text(())
 
 
 def test_a_line_that_patterns_are_far_above_changes_nothing_below_it():

@@ -8,14 +8,13 @@ from simulated import CATALOGUE
 from source_tree import ROOT
 
 from tendon_robot_ros.comparison.statistics import chi2_isf
-from tendon_robot_ros.diagnosis.arm_report import arm_report
-from tendon_robot_ros.diagnosis.as_built import Kind
 from tendon_robot_ros.diagnosis.candidates import gain_p_value
 from tendon_robot_ros.diagnosis.fit import Fit, with_imperfections
-from tendon_robot_ros.diagnosis.likelihood import LOGARITHMS
-from tendon_robot_ros.diagnosis.marginal import RandomEffects
+from tendon_robot_ros.diagnosis.imperfections import Kind
+from tendon_robot_ros.diagnosis.intervals import SizeIntervals
+from tendon_robot_ros.diagnosis.marginal import LOGARITHMS, RandomEffects
+from tendon_robot_ros.diagnosis.report_rows import arm_report
 from tendon_robot_ros.diagnosis.session import Session
-from tendon_robot_ros.diagnosis.size_intervals import SizeIntervals
 from tendon_robot_ros.report.arm_text import as_built
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship

@@ -7,9 +7,9 @@ import simulated
 from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.diagnosis.candidates import Candidate, Ranked
-from tendon_robot_ros.diagnosis.decide import APART_FROM_SCORE, P_SINGLE_MIN
 from tendon_robot_ros.diagnosis.diagnose import contains, indistinct
 from tendon_robot_ros.diagnosis.session import Session
+from tendon_robot_ros.diagnosis.verdict import APART_FROM_SCORE, P_SINGLE_MIN
 
 ROBOT = simulated.robot()
 

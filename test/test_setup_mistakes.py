@@ -13,12 +13,16 @@ from tendon_robot_ros.common.rotations import upright_fit
 from tendon_robot_ros.comparison.noise import rms
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.marker_places import in_one_place
+from tendon_robot_ros.diagnosis.marker_hypotheses import in_one_place
 from tendon_robot_ros.diagnosis.result import EffectFinding, Value
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.setup_hypotheses import dead_inputs, gravities
-from tendon_robot_ros.diagnosis.setup_mistakes import find_mistake
-from tendon_robot_ros.diagnosis.setup_search import Explaining, implausible, rivals_of
+from tendon_robot_ros.diagnosis.setup_mistakes import (
+    Explaining,
+    find_mistake,
+    implausible,
+    rivals_of,
+)
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
 from tendon_robot_ros.report.diagnosis_text import lines
 from tendon_robot_ros.robot import parse_robot

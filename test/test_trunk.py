@@ -12,9 +12,9 @@ from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import join, load_dataset
 from tendon_robot_ros.diagnosis.add import Addition, add_effects, fit_effects
+from tendon_robot_ros.diagnosis.crossval import Errors
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.fitter import Fitter
-from tendon_robot_ros.diagnosis.prediction_errors import Errors
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.effects import load_catalogue
 

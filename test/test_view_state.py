@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from tendon_robot_ros.diagnosis.decide import Verdict
+from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.ros.viewer import page_parts
 from tendon_robot_ros.ros.viewer.page_parts import SIDES, tube_faces, tube_vertices
 from tendon_robot_ros.ros.viewer.state import ViewState

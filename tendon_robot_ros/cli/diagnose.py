@@ -24,9 +24,9 @@ from ..common.files import file_to_write
 from ..common.given import Progress
 from ..data import DataSet
 from ..diagnosis.add import Addition, add_effects
-from ..diagnosis.decide import Verdict
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
+from ..diagnosis.verdict import Verdict
 from ..report import addition_text
 from ..report.diagnosis_page import pictures_of, write_diagnosis
 from ..report.diagnosis_text import lines, trust_lines

@@ -1,57 +1,43 @@
 """
 Which physical effect is missing, and how sure is that.
 
-Candidates are fitted to the data (session, fit), the fits are judged (evidence, diagnose), and the
-result is what reports read.
+Candidates are fitted to the data (session, fitter, select), the fits are judged (verdict), and the
+result is what reports read. The first group is the inference that all tools share; it knows
+nothing of verdicts.
 
-The verdict
-decide.py             table of the verdicts (sentence, colour, advice); thresholds of naming (that
-                      of the drift alarm is in monitoring/drift.py)
-diagnose.py           `diagnose`: from the evidence to a verdict; what cannot be told apart
-evidence.py           fits of the base model and of every candidate; what remains unexplained
-candidates.py         effects that may be missing; which of them the postures test
-result.py             `Diagnosis`: what the reports and other tools read
-load.py               a force as people say it: its size and direction
-report_rows.py        from fits to the rows and numbers of a result
-trust.py              how far to trust a diagnosis on the user's own postures
-
-Fits
-session.py            one diagnosis at work: noise, weights, and the fits that it asks for
-fit.py                a settled fit and what it tells
-fitter.py             how a fit settles: parameters, imperfections and their sizes, in turn
-race.py               fits of many candidates side by side; those far behind are left
-joint.py              several effects at once: which further ones are worth a fit
-search.py             the search for the best values: bounded Gauss-Newton
-interval.py           95 % intervals of fitted parameters
-
-The arm as it is built
-as_built.py           kinds of imperfections and their plausible sizes; the model that has them
+Inference
+imperfections.py      kinds of imperfections of an arm as built; the model that has them
 slopes.py             how imperfections move the markers
-marginal.py           how large the scatter of every kind is: estimated by marginal likelihood
-likelihood.py         the value and slopes of that likelihood, from small matrices
-size_intervals.py     between which sizes it lies, 95 %
-arm_report.py         the scatter as it is reported, and what is out of line
-local_tests.py        where the best model is still wrong: cell, posture, tendon, direction
+marginal.py           marginal likelihood of random imperfections; their sizes, estimated
+fit.py                a converged fit and what it tells
+search.py             bounded Gauss-Newton search for the values of parameters
+fitter.py             parameters, imperfections and their sizes, fitted in turn
+session.py            noise, weights, and the fits of many candidates side by side
+select.py             fits of all candidates; pairs and larger combinations of effects
+crossval.py           errors on fitted postures, on a check set, on postures left out
+intervals.py          95 % intervals of parameters, forces, and sizes of imperfections
 
-Before physics, and without it
-setup_mistakes.py     mistakes of the set-up: which of them explains a gross error by itself
-setup_search.py       mistakes against missing effects, each with the effect that helps most
-mistake.py            `Mistake`: what is said of one, and the data set without it
-marker_places.py      where markers may sit, and which cannot sit where they are said to
-setup_hypotheses.py   what these mistakes are: swapped columns, turned axes, wrong units
-marker_hypotheses.py  and those of markers and cells: exchanged, placed or counted otherwise
+The diagnosis
+verdict.py            thresholds, and the table of the verdicts (sentence, colour, advice); the
+                      threshold of the drift alarm is in monitoring/drift.py
+diagnose.py           `diagnose`: from the evidence to a verdict; what cannot be told apart
+candidates.py         effects that may be missing; which of them the postures test
 patterns.py           patterns without physics: does the catalogue lack the cause
+local_tests.py        where the best model is still wrong: cell, posture, tendon, direction
 next_measurement.py   the posture that would separate what the present ones cannot
 missing_moment.py     which moment the model lacks where: what the pictures show
+trust.py              how far to trust a diagnosis on the user's own postures
+report_rows.py        from fits to the rows and numbers of a result
+result.py             `Diagnosis` and `Improvement`: what the reports and other tools read
+
+Mistakes of the set-up
+setup_mistakes.py     which mistake explains a gross error, by itself or with an effect
+setup_hypotheses.py   `Mistake`; of inputs, axes, units, gravity, stiffness
+marker_hypotheses.py  of markers and cells: exchanged, placed or counted otherwise
 
 A better description
 add.py                write effects into a description, and undo it
-into_description.py   what was found of an arm as built, in its description
-written.py            the description that a fit writes: effects alone, or the arm as found as well
 improve.py            effects join while the error on left-out postures falls
-as_found.py           what was found, fitted again with the arm as it is built: values, last step
-stepwise.py           the search for the one that joins next
-described_arm.py      what may change of the arm itself: stiffness along it, routes of tendons
-prediction_errors.py  the error before, after, and left out; what slopes alone promise of it
-improvement.py        `Improvement`: a better description, and how the error fell
+stepwise.py           the search for the effect that joins next
+description.py        what a fit changes in a description
 """

@@ -22,14 +22,12 @@ from ..data import DataSet, DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
 from ..robot import Robot, RobotLike, load_robot
 from .candidates import Candidate, is_tested, why_untested
-from .decide import P_SINGLE_MIN
+from .crossval import Errors, Staircase, Written, errors_on, written
 from .fit import Fit
-from .load import loads_of
-from .prediction_errors import Errors, Staircase, errors_on
-from .report_rows import values_with_intervals
+from .intervals import loads_of, values_with_intervals
 from .result import EffectFinding, LoadVector, Value
 from .session import Session
-from .written import Written, written
+from .verdict import P_SINGLE_MIN
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from ..comparison.statistics import chi2_sf, f_sf
 from ..data import DataSet
 from ..effects import Catalogue, Effect, Parameter
 from ..robot import Robot
-from .decide import TESTED_FROM_CHI2
 from .fit import Fit, Nuisance
+from .verdict import TESTED_FROM_CHI2
 
 Floats = npt.NDArray[np.float64]
 FREEDOM_MAX = 1e3  # degrees of freedom from which an F distribution is a chi² one
@@ -50,10 +50,6 @@ def _memory(dataset: DataSet) -> str:
     if dataset.path == 'from_straight':
         return 'every posture loaded from straight'
     return 'these postures hardly show it' if unloads(dataset) else 'no unloading'
-
-
-# -----------------------------------------------------------------------------
-# The candidates of a diagnosis: effects that may be missing, and those whose value may be off.
 
 
 @dataclass(frozen=True)
@@ -252,31 +248,3 @@ def cell_slopes(
         )
         slopes[free] = np.zeros_like(here) if moved is None else (moved - here) / STIFFNESS_STEP
     return slopes
-
-
-class CellRelief:
-    """
-    What the tolerance of the cells takes off a whitened residual when it is free to do so.
-
-    For patterns that are fitted on top of a settled fit: its cells give way to the pattern.
-    Without such a tolerance nothing changes.
-    """
-
-    def __init__(self, fit: Fit, whitener: Whitener) -> None:
-        """Take the slopes and the values of the cells at a fit."""
-        count, size = len(fit.frees), whitener.size
-        own = [i for i, n in enumerate(fit.nuisances) if n.quantity == CELLS]
-        spread = np.array([fit.nuisances[i].spread for i in own])
-        columns = fit.jacobian[:size, [count + i for i in own]]
-        self._shift = columns @ fit.values[[count + i for i in own]]
-        self._columns = columns * spread
-        self._normal = np.eye(len(own)) + self._columns.T @ self._columns
-
-    def residual(self, white: Floats) -> Floats:
-        """Return a residual (N,), taken at the fit's cells, with the best ones; they follow it."""
-        return self.apply(white - self._shift)
-
-    def apply(self, white: Floats) -> Floats:
-        """Return (N + cells, ...) of whitened changes (N, ...) of the markers."""
-        best = -np.linalg.solve(self._normal, self._columns.T @ white)
-        return np.concatenate([white + self._columns @ best, best])

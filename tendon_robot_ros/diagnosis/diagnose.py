@@ -16,9 +16,25 @@ from ..comparison.outliers import find_outliers
 from ..data import DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
 from ..robot import RobotLike, load_robot
-from .arm_report import usual_floor
 from .candidates import Ranked
-from .decide import (
+from .marker_hypotheses import exchanged_in
+from .next_measurement import propose
+from .patterns import Pattern
+from .report_rows import details_of, finding, left_by, remainder_text, rows_of, usual_floor
+from .result import Diagnosis
+from .select import (
+    Evidence,
+    competing_pattern,
+    gather,
+    is_alarming,
+    joined,
+    outside_by_itself,
+    several,
+)
+from .session import Session
+from .setup_hypotheses import Mistake
+from .setup_mistakes import Explained, Rival, find_mistake, implausible, rivals_of
+from .verdict import (
     APART_FROM_SCORE,
     ERROR_SHARE_LEFT_LIMIT,
     MISTAKE_HANDICAP,
@@ -31,24 +47,6 @@ from .decide import (
     STRAY_SD_MAX,
     Verdict,
 )
-from .evidence import (
-    Evidence,
-    competing_pattern,
-    gather,
-    is_alarming,
-    outside_by_itself,
-    remainder_text,
-)
-from .joint import joined, several
-from .marker_hypotheses import exchanged_in
-from .mistake import Mistake
-from .next_measurement import propose
-from .patterns import Pattern
-from .report_rows import details_of, finding, left_by, rows_of
-from .result import Diagnosis
-from .session import Session
-from .setup_mistakes import find_mistake
-from .setup_search import Explained, Rival, implausible, rivals_of
 
 
 @one_thread()

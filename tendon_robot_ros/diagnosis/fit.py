@@ -11,9 +11,8 @@ import numpy.typing as npt
 
 from ..comparison.predict import FreeParameter
 from ..comparison.statistics import chi2_sf, f_sf, normal_ppf, t_ppf
-from .as_built import Kind, Members
-from .likelihood import SIZES, root_inverse
-from .marginal import RandomEffects, Sizes
+from .imperfections import Kind, Members
+from .marginal import SIZES, RandomEffects, Sizes, root_inverse
 
 Floats = npt.NDArray[np.float64]
 SHARE_MAX = 0.999  # [1] of a value that its own posture tells: beyond, nothing else does

@@ -12,10 +12,9 @@ import numpy.typing as npt
 
 from ..comparison.noise import Whitener
 from ..comparison.predict import FreeParameter, Point, Predictor
-from .as_built import GAIN, KINDS_WITH_FEW_MEMBERS, Imperfections, Members, SplitPredictor
 from .fit import Fit, Nuisance, with_imperfections
-from .likelihood import LOGARITHMS
-from .marginal import RandomEffects, Sizes
+from .imperfections import GAIN, KINDS_WITH_FEW_MEMBERS, Imperfections, Members, SplitPredictor
+from .marginal import LOGARITHMS, RandomEffects, Sizes
 from .search import Search
 
 Floats = npt.NDArray[np.float64]

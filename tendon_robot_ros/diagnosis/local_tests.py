@@ -26,16 +26,16 @@ from ..comparison.noise import Whitener
 from ..comparison.predict import CELLS
 from ..comparison.statistics import false_discovery_control, normal_ppf, t_sf
 from ..robot import Robot
-from .as_built import ACROSS, GAIN, HOLE, KINK, ZERO, Kind, SplitPredictor
-from .decide import (
+from .fit import Fit
+from .imperfections import ACROSS, GAIN, HOLE, KINK, ZERO, Kind, SplitPredictor
+from .slopes import imperfections
+from .verdict import (
     FALSE_DISCOVERY_RATE,
     LOCAL_BEND_MAX_RAD,
     LOCAL_CHANGE_MAX,
     LOCAL_FAULTS_MAX,
     LOCAL_SHARE_MIN,
 )
-from .fit import Fit
-from .slopes import imperfections
 
 if TYPE_CHECKING:
     from .session import Session

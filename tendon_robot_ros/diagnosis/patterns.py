@@ -9,17 +9,22 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from ..comparison.noise import Whitener
 from ..comparison.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point
 from ..comparison.statistics import chi2_sf
 from ..effects import Parameter
-from .as_built import PUSH, typical_force
-from .candidates import CellRelief
-from .decide import APART_FROM_SCORE, NEAR_SCORE
 from .fit import Fit
 from .fitter import TURN_GAIN_MIN, Fitter
-from .race import side_by_side
+from .imperfections import PUSH, typical_force
+from .intervals import load_of
+from .session import side_by_side
 from .slopes import pushes
+from .verdict import (
+    APART_FROM_SCORE,
+    NEAR_SCORE,
+)
 
+TELLING_RATIO = 1.25  # up to which a cell bends by so many per cent more, not times as much
 Floats = npt.NDArray[np.float64]
 SAME_CELL_WITHIN = 3.84  # of the best deviance, that another cell would do as well (95 %)
 FAR_SCORE = 2.0 * NEAR_SCORE  # behind what competes, from which no other start is tried
@@ -54,6 +59,45 @@ class Pattern:
     def score(self) -> float:
         """Deviance plus twice the number of parameters."""
         return self.deviance + 2.0 * self.parameters
+
+    def text(self, postures: Sequence[str]) -> str:
+        """Say where to look, given the names of the postures."""
+        if self.name == 'contact':
+            angle = load_of(self.values).from_axis
+            way = '' if angle is None else f", {np.degrees(angle.value):.0f}° from the arm's axis"
+            return (
+                f'The remainder looks like a force of {1e3 * self.size:.2g} mN{way}, at cell '
+                f'{self.cell}, the same in every posture: does a cable pull there, or something '
+                'touch?'
+            )
+        if self.name == 'soft_cell':
+            much = f'{self.size:.1f} times as much as'
+            if TELLING_RATIO > self.size > 1.0 / TELLING_RATIO:
+                way = 'more' if self.size > 1.0 else 'less'
+                much = f'{100.0 * abs(self.size - 1.0):.2g} % {way} than'
+            return (
+                f'The remainder is the same in every posture: cell '
+                f'{" or ".join(map(str, self.alike))} bends {much} it should. '
+                'Look at that cell.'
+            )
+        if self.name == 'taper':
+            way = 'stiffer' if self.size > 0.0 else 'softer'
+            return (
+                f'The remainder is the same in every posture: the arm is {way} towards the tip, '
+                f'by {100.0 * abs(self.size):.0f} % from base to tip.'
+            )
+        values = np.array(self.values)
+        worst = postures[int(np.argmax(np.abs(values)))]
+        if self.name == 'gain_per_posture':
+            return (
+                f'The remainder looks like tensions that were not what was set: by '
+                f'{100.0 * np.std(values):.1f} % (sd) from posture to posture, most in {worst}. '
+                'Check how tensions are set, or declare tension_noise: setting.'
+            )
+        return (
+            'The remainder looks like a base that turns from posture to posture: by '
+            f'{np.degrees(np.max(np.abs(values))):.1f}° in {worst}. Check the mount.'
+        )
 
 
 class Patterns:
@@ -349,3 +393,31 @@ def patterns_of(
 
 def _deviance(row: tuple[Fit | None, int]) -> float:
     return np.inf if row[0] is None else row[0].deviance
+
+
+class CellRelief:
+    """
+    What the tolerance of the cells takes off a whitened residual when it is free to do so.
+
+    For patterns that are fitted on top of a settled fit: its cells give way to the pattern.
+    Without such a tolerance nothing changes.
+    """
+
+    def __init__(self, fit: Fit, whitener: Whitener) -> None:
+        """Take the slopes and the values of the cells at a fit."""
+        count, size = len(fit.frees), whitener.size
+        own = [i for i, n in enumerate(fit.nuisances) if n.quantity == CELLS]
+        spread = np.array([fit.nuisances[i].spread for i in own])
+        columns = fit.jacobian[:size, [count + i for i in own]]
+        self._shift = columns @ fit.values[[count + i for i in own]]
+        self._columns = columns * spread
+        self._normal = np.eye(len(own)) + self._columns.T @ self._columns
+
+    def residual(self, white: Floats) -> Floats:
+        """Return a residual (N,), taken at the fit's cells, with the best ones; they follow it."""
+        return self.apply(white - self._shift)
+
+    def apply(self, white: Floats) -> Floats:
+        """Return (N + cells, ...) of whitened changes (N, ...) of the markers."""
+        best = -np.linalg.solve(self._normal, self._columns.T @ white)
+        return np.concatenate([white + self._columns @ best, best])

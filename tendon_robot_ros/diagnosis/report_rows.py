@@ -3,94 +3,190 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ..common.words import mm, spoken
+from ..common.words import mm
 from ..comparison.outliers import Outliers
 from ..comparison.statistics import chi2_isf, normal_ppf
 from ..data import DataSet
 from ..data.dataset import at_rest
-from .arm_report import arm_report
 from .candidates import Ranked, why_untested
-from .decide import (
+from .crossval import described_by, error_of, share_gone, written
+from .crossval import left_out as predicted_left_out
+from .fit import Fit
+from .imperfections import REMAINDER
+from .intervals import (
+    SizeIntervals,
+    loads_of,
+    values_of,
+    values_with_intervals,
+)
+from .local_tests import faults_of
+from .patterns import Pattern, patterns_of
+from .result import NOT_NEEDED, CandidateRow, EffectFinding
+from .select import Evidence
+from .session import Session
+from .verdict import (
     ALARM_LEVEL,
     APART_FROM_SCORE,
-    CORRELATED_FROM,
     COVERED_SHARE_MIN,
+    FALSE_OUT_OF_LINE_PROBABILITY,
     NOISE_FACTOR_MAX,
+    NOISE_WITHIN_FLOORS,
     P_SINGLE_MIN,
+    PATTERN_SHARE_MIN,
     POSTURES_ENOUGH,
+    TOLD_SPAN_MAX,
     Verdict,
 )
-from .fit import Fit
-from .fitter import Fitter
-from .interval import intervals
-from .load import loads_of
-from .local_tests import faults_of
-from .prediction_errors import left_out as predicted_left_out
-from .prediction_errors import share_gone
-from .result import NOT_NEEDED, CandidateRow, EffectFinding, Value
-from .session import Session
-from .written import described_by, error_of, written
 
 if TYPE_CHECKING:
-    from .evidence import Evidence
+    from .session import Session
+if TYPE_CHECKING:
+    from .select import Evidence
 
 Floats = npt.NDArray[np.float64]
 NOISE_KEYS = ('position', 'shift', 'trial', 'setting', 'source')
 
 
-def values_of(
-    fit: Fit, scale: float = 1.0, covariance: Floats | None = None
-) -> dict[str, dict[str, Value]]:
-    """
-    Return values with 95 % intervals by effect; `scale` widens them (chi² over freedom).
+def remainder_text(
+    evidence: Evidence, chosen: Ranked | None, verdict: Verdict, left: float
+) -> str:
+    """Say that so much [m] remains after the chosen effects (or none), and what it looks like."""
+    session = evidence.session
+    fit = chosen.fit if chosen else evidence.base
+    floor = session.whitener.floor()
+    is_noise = left < NOISE_WITHIN_FLOORS * floor
+    text = f'What is left ({1e3 * left:.2f} mm) ' + (
+        f'equals your repeatability ({1e3 * floor:.2f} mm).'
+        if is_noise
+        else f'is {left / floor:.1f} times your repeatability ({1e3 * floor:.2f} mm).'
+    )
+    if session.brief and verdict is Verdict.OUTSIDE_CATALOGUE:
+        return text
+    if verdict is not Verdict.OUTSIDE_CATALOGUE:
+        built = session.random is not None and not is_noise
+        return f'{text} How an arm is built accounts for that: see its scatter.' if built else text
+    pattern = evidence.competing or best_pattern(evidence, chosen)
+    return (
+        f'{text} {pattern.text(session.dataset.postures)}'
+        if pattern
+        else f'{text} {_worst(evidence, fit)}'
+    )
 
-    `covariance` (default: what the fit tells) is that of the freed parameters, the first ones.
+
+def best_pattern(evidence: Evidence, chosen: Ranked | None) -> Pattern | None:
+    """Return the pattern that takes a third or more of what is left, if there is one."""
+    fit = evidence.base if chosen is None else chosen.fit
+    fitters, turns = evidence.session.fitters, evidence.turns
+    patterns = evidence.patterns if chosen is None else patterns_of(fitters, fit, turns=turns)
+    top = min(patterns, key=lambda pattern: pattern.score, default=None)
+    excess = fit.chi2 - fit.freedom
+    if top is None or fit.deviance - top.deviance < PATTERN_SHARE_MIN * excess:
+        return None
+    return top
+
+
+def _worst(evidence: Evidence, fit: Fit) -> str:
+    dataset = evidence.session.dataset
+    distance = np.linalg.norm(dataset.mean - fit.markers, axis=2)
+    posture, marker = np.unravel_index(np.nanargmax(distance), distance.shape)
+    return (
+        f'No pattern fits it. It is largest in posture {dataset.postures[posture]} at marker '
+        f'{dataset.markers[marker].name} ({1e3 * distance[posture, marker]:.1f} mm).'
+    )
+
+
+def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
     """
-    quantile = normal_ppf(0.975) * np.sqrt(scale)
-    known = fit.told if covariance is None else covariance
-    spread = np.sqrt(np.maximum(np.diag(known), 0.0))
-    values: dict[str, dict[str, Value]] = {}
-    for i, free in enumerate(fit.frees):
-        value, half = float(fit.values[i]), float(quantile * spread[i])
-        low = float(max(value - half, free.parameter.low))
-        high = float(min(value + half, free.parameter.high))
-        values.setdefault(free.effect, {})[free.key] = Value(
-            value, low, high, free.parameter.unit, _note(fit, i, half)
+    Return the estimated scatter of each kind with its 95 % interval, and the members out of line.
+
+    Sizes in SI; no upper end is None. A size is `told` where the measurements would tell a
+    plausible one, whatever they tell of this arm: to print what came out large would pick what
+    came out too large. A member is out of line where it deviates by more of what is plausible than
+    the largest of so many would. None where the description counts as exact.
+    """
+    built, random = fit.built, session.random
+    if built is None or random is None:
+        return None
+    sizes = built.estimate(told=False).values
+    slopes = fit.jacobian[: len(random.columns), : len(fit.all_frees)]
+    intervals = SizeIntervals(random, sizes, slopes, fit.precisions)
+    lows, highs = intervals.ends(sizes)
+    least, most = intervals.ends(random.plausible)
+    told = (most < TOLD_SPAN_MAX * least) & ((lows > 0.0) | np.isfinite(highs))
+    found, kinds = fit.members or {}, []
+    for k, kind in enumerate(built.kinds):
+        if kind.name == REMAINDER:
+            continue
+        values, spread = found[kind.name], _posterior(fit, k)
+        size = float(sizes[k])
+        quantile = chi2_isf(FALSE_OUT_OF_LINE_PROBABILITY / len(values), 1)
+        limit = np.sqrt(quantile) * max(size, kind.plausible)
+        members = zip(kind.members, values, spread, strict=True)
+        kinds.append(
+            {
+                'kind': kind.name,
+                'unit': kind.unit,
+                'size': size,
+                'low': float(lows[k]),
+                'high': float(highs[k]) if np.isfinite(highs[k]) else None,
+                'plausible': kind.plausible,
+                'members': {name: _member(value, sd) for name, value, sd in members},
+                'told': bool(told[k]),
+                'out_of_line': [
+                    name
+                    for name, value in zip(kind.members, values, strict=True)
+                    if abs(value) > limit
+                ],
+            }
         )
-    return values
+    last = float(sizes[-1])
+    return {'kinds': kinds, 'remainder': last, 'floor': floor_as_built(session, fit)}
 
 
-def values_with_intervals(
-    fitter: Fitter, fit: Fit, scale: float = 1.0
-) -> dict[str, dict[str, Value]]:
-    """Values of effects that are to be added: the profile decides where the curvature does not."""
-    values = values_of(fit, scale)
-    for free, (low, high) in intervals(fitter, fit, scale).items():
-        values[free.effect][free.key] = replace(values[free.effect][free.key], low=low, high=high)
-    return values
+def _posterior(fit: Fit, k: int) -> np.ndarray:
+    """Return what is left of the standard deviation (q,) of the members of a kind."""
+    built = fit.built
+    assert built is not None
+    own = len(fit.all_frees) + np.flatnonzero(built.random.owners == k)
+    mix = built.random.mixtures[k]  # what they do not mix the data do not show
+    told = ((mix @ fit.covariance[np.ix_(own, own)]) * mix).sum(axis=1)
+    unseen = 1.0 - (mix * mix).sum(axis=1)
+    return np.asarray(built.sizes[k] * np.sqrt(np.maximum(unseen + told, 0.0)))
 
 
-def _note(fit: Fit, i: int, half: float) -> str:
-    parameter = fit.frees[i].parameter
-    if not half < (parameter.high - parameter.low):
-        return 'not determined by these postures'
-    if fit.values[i] in (parameter.low, parameter.high):
-        return 'at its bound'
-    spread = np.sqrt(np.diag(fit.covariance))
-    for j in range(len(fit.frees)):
-        if (
-            j != i
-            and np.isfinite(spread[j])
-            and (abs(fit.covariance[i, j]) > CORRELATED_FROM * spread[i] * spread[j] > 0.0)
-        ):
-            return f'correlated with {spoken(fit.frees[j].key)}'
-    return ''
+def _member(value: float, sd: float) -> dict[str, float]:
+    half = normal_ppf(0.975) * float(sd)
+    return {'value': float(value), 'low': float(value) - half, 'high': float(value) + half}
+
+
+def floor_as_built(session: Session, fit: Fit) -> float:
+    """Return the expected rms [m] of a perfect model of an arm that scatters like this."""
+    return _floor(session, None if fit.built is None else fit.built.sizes)
+
+
+def usual_floor(session: Session) -> float:
+    """Return the expected rms [m] of a perfect model of an arm that is built as usual."""
+    return _floor(session, None if session.random is None else session.random.plausible)
+
+
+def _floor(session: Session, sizes: np.ndarray | None) -> float:
+    noise = session.whitener.floor()
+    if sizes is None or session.imperfections is None:
+        return noise
+    seen = session.dataset.counts > 0
+    spread = [
+        np.full(len(kind), size if kind.name != REMAINDER else 0.0)
+        for kind, size in zip(session.imperfections.kinds, sizes, strict=True)
+    ]
+    lengths = np.linalg.norm(session.imperfections.moves, axis=3)
+    moved = ((np.concatenate(spread)[:, None, None] * lengths) ** 2).sum(axis=0)
+    return float(np.sqrt(noise**2 + moved[seen].mean()))
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations, permutations, product
 from typing import Any
@@ -12,20 +12,27 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..common.rotations import rigid_fit, turn_angle, turn_onto
+from ..common.rotations import rigid_fit, turn_angle, turn_onto, upright_fit
 from ..comparison.noise import rms
 from ..comparison.predict import Point, Predictor
 from ..data import DataSet
 from ..robot import Robot
-from .decide import (
+from .verdict import (
+    ERROR_SHARE_LEFT_LIMIT,
     FRAME_HARDLY_KNOWN_RAD,
+    FRAME_LEVEL_RAD,
     FRAME_OFF_SHARE_MIN,
     FRAME_TURNED_MIN_DEG,
 )
-from .marker_hypotheses import by_distances, miscounted, numbered, otherwise_divided, spots
-from .mistake import UNIT_FACTORS, Mistake, in_frame, off, times, tried
 
 Floats = npt.NDArray[np.float64]
+UNIT_FACTORS = {
+    1000.0: 'milli', 0.001: 'kilo', 9.81: 'kilograms of force', 1.0 / 9.81: 'newtons twice',
+    4.448: 'pounds', 1.0 / 4.448: 'newtons as pounds', 10.0: 'a decimal point',
+    0.1: 'a decimal point', 2.0: 'a double count', 0.5: 'half a count',
+    25.4: 'inches', 1.0 / 25.4: 'millimetres as inches',
+}  # fmt: skip
+UNIT_WITHIN = 1.1  # [1] of a unit's factor: a ratio of distances that near to it means it
 INPUTS_PERMUTED_MAX = 4  # all orders of so many are tried; of more, one exchange after another
 STIFFNESS_FACTORS = {
     10.0: 'a decimal point', 0.1: 'a decimal point', 100.0: 'N/cm² for N/mm²',
@@ -37,7 +44,112 @@ DEAD_SIZES, DEAD_UP_TO, DEAD_ROUNDS = 26, 1.25, 3  # sizes tried up to so many t
 EARTH, EARTH_WITHIN_SHARE = 9.81, 0.01  # [m/s²] gravity, and by how much it differs on land
 
 
-def _swapped(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+@dataclass(frozen=True)
+class Mistake:
+    """A mistake that would explain the error."""
+
+    name: str
+    sentence: str  # 'with ... the error falls'
+    mend: str
+    after: float  # [m] rms
+    mended: DataSet | None = field(default=None, repr=False)  # without it, where that can be made
+    doubtful: bool = False  # whether an effect may do much the same
+    fitted: int = 0  # values that were fitted to the measurements to mend it
+    free_input: int | None = None  # the input whose values these are
+    beside: Callable[[Point], Mistake | None] | None = field(default=None, repr=False)  # effects
+    rest: str = ''  # what becomes of the error that it leaves
+    certain: bool = False  # whether measurements alone show it, whatever the model lacks
+
+    @property
+    def most(self) -> float:
+        """Return what it may leave [m] at most: of what would be left if the arm stood still."""
+        if self.mended is None:
+            return math.inf
+        places = self.mended.mean
+        return ERROR_SHARE_LEFT_LIMIT * rms(places - np.nanmean(places, axis=0))
+
+    def text(self, before: float) -> str:
+        """Say it with the error before and after."""
+        if not math.isfinite(before):
+            return (
+                f'the model finds no equilibrium; {self.sentence} it does, and is off by '
+                f'{1e3 * self.after:.3g} mm{self.rest}: {self.mend}'
+            )
+        goes = 'falls' if self.after < before else 'goes'  # up, with an effect that acts as well
+        return (
+            f'{self.sentence} the error {goes} from {1e3 * before:.3g} to '
+            f'{1e3 * self.after:.3g} mm{self.rest}: {self.mend}'
+        )
+
+
+def off(predictor: Predictor, measured: Floats, markers: Floats) -> float:
+    """
+    Return the rms [m] between measured and predicted postures (P, J, 3).
+
+    Up to the tracker's frame where that was found with the model itself: a mistake turned it, too.
+    """
+    frame = _frame(predictor, measured, markers, predictor.parts[0].gravity)
+    return rms(_moved(measured, frame) - markers)
+
+
+Frame = tuple[Floats, Floats] | None  # rotation (3, 3) and shift (3,) [m]
+
+
+def _frame(predictor: Predictor, measured: Floats, markers: Floats, down: Floats) -> Frame:
+    """Return how the tracker's frame would lie, gravity `down`; None where it is known."""
+    known, seen = predictor.robot.tolerances.get('rotation', 0.0), np.isfinite(measured)
+    if known < FRAME_HARDLY_KNOWN_RAD or not np.isfinite(markers).all():
+        return None
+    points, onto = measured[seen.all(axis=2)], markers[seen.all(axis=2)]
+    size = float(np.linalg.norm(down))
+    if known < FRAME_LEVEL_RAD and size > 0.0:
+        return upright_fit(points, onto, down / size)
+    return rigid_fit(points, onto)
+
+
+def _moved(positions: Floats, frame: Frame) -> Floats:
+    return positions if frame is None else positions @ frame[0].T + frame[1]
+
+
+def in_frame(predictor: Predictor, dataset: DataSet, predicted: Floats) -> DataSet:
+    """Return a data set in the frame of the tracker that suits what is predicted best."""
+    down = np.array(dataset.gravity_for(dataset.robot) or (0.0, 0.0, 0.0))
+    frame = _frame(predictor, dataset.mean, predicted, down)
+    if frame is None:
+        return dataset
+    return replace(dataset, positions=_moved(dataset.positions, frame))
+
+
+def tried(
+    predictor: Predictor,
+    predicted: Floats | None,
+    name: str,
+    sentence: str,
+    mend: str,
+    doubtful: bool = False,
+    dataset: DataSet | None = None,
+    **changes: Any,
+) -> Iterator[Mistake]:
+    """Yield a mistake and the data set without it, in the frame that suits what is predicted."""
+    if predicted is None or not np.isfinite(predicted).all():
+        return
+    made = replace(dataset or predictor.dataset, **{'robot': predictor.robot, **changes})
+    made = in_frame(predictor, made, predicted)
+    yield Mistake(name, sentence, mend, rms(made.mean - predicted), made, doubtful)
+
+
+def times(factor: float) -> str:
+    """Say by what something is multiplied, or divided."""
+    return f'multiplied by {factor:.4g}' if factor >= 1.0 else f'divided by {1.0 / factor:.4g}'
+
+
+def as_unit(factor: float) -> float:
+    """Return the factor of a unit that is near, or the factor as it is."""
+    near = min(UNIT_FACTORS, key=lambda one: abs(math.log(factor / one)))
+    return near if abs(math.log(factor / near)) < math.log(UNIT_WITHIN) else factor
+
+
+def swapped_inputs(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try other orders of the inputs."""
     m = len(predictor.robot.inputs)
     if m <= INPUTS_PERMUTED_MAX:
@@ -91,7 +203,7 @@ def _in_order(predictor: Predictor, order: Sequence[int]) -> float:
     return np.inf if moved is None else off(predictor, predictor.dataset.mean, moved)
 
 
-def _loose(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+def loose_inputs(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try inputs that do not reach the arm."""
     nothing = 0.0 if predictor.dataset.input == 'tension' else np.nan
     for j, name in enumerate(predictor.robot.inputs):
@@ -112,7 +224,7 @@ def _with_one(j: int, value: float | Floats, inputs: Floats) -> Floats:
     return made
 
 
-def _rows(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+def moved_rows(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try inputs and shapes that belong to different postures: rows moved by one, or reversed."""
     dataset, one = predictor.dataset, 'row of inputs.csv does not belong to its posture'
     if dataset.path != 'from_straight':
@@ -134,7 +246,7 @@ def _rows(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         )
 
 
-def _axes(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+def turned_axes(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try all ways in which axes may be flipped and swapped."""
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
@@ -154,7 +266,7 @@ def _axes(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
             )
 
 
-def _registered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+def registered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try a free rigid registration (Kabsch); a small one is an effect's: a load does the same."""
     measured = predictor.dataset.mean
     seen = np.isfinite(measured).all(axis=2)
@@ -172,7 +284,7 @@ def _registered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     )
 
 
-def _units(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+def wrong_units(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try units of the inputs and of the positions."""
     tension, dataset = predictor.dataset.input == 'tension', predictor.dataset
     described = 'bending_stiffness [N·m/rad] and offsets [m]' if tension else 'offsets [m]'
@@ -196,7 +308,7 @@ def _units(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         )
 
 
-def _offsets(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+def wrong_offsets(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try tendons that run twice or half as far from the centre as described."""
     for factor in (0.5, 2.0):
         tendons = tuple(
@@ -220,7 +332,7 @@ def _offsets(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         )
 
 
-def _stiffness(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
+def wrong_stiffness(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try a bending stiffness far beyond what any rod is off: a wrong unit, or diameter."""
     for factor, why in STIFFNESS_FACTORS.items():
         stiffer = np.full(predictor.model.arrays.chain.n, factor)
@@ -342,26 +454,3 @@ def _least(sizes: Floats, errors: Floats) -> Floats:
         way = 0.5 * (before - after) / (before - 2.0 * here + after)
     way = np.clip(np.where(np.isfinite(way), way, 0.0), -1.0, 1.0)
     return np.asarray(sizes[k] + way * (sizes[1] - sizes[0]))
-
-
-OF_INPUTS = (_swapped, _units, _offsets, _stiffness)  # that can be why there is no equilibrium
-# The plainest first: what a free registration can do, some of the others can do as well. It can
-# also do what a tilted base does, which is an effect: only a gross error is laid to it.
-DISCRETE = (
-    _swapped,
-    _loose,
-    numbered,
-    _rows,
-    _units,
-    _offsets,
-    _stiffness,
-    gravities,
-    spots,
-    by_distances,
-    miscounted,
-    otherwise_divided,
-    _axes,
-)
-HYPOTHESES = (*DISCRETE, _registered)
-BESIDE_EFFECTS = (*DISCRETE, dead_inputs)  # the last needs values of its own
-NEARLY_EFFECTS = (gravities,)  # a load can take up nearly all that the weight of a light arm does

@@ -7,31 +7,100 @@ the error before and after, and what mends it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from ..common.words import listed, mm
-from ..comparison.predict import Predictor
-from .decide import (
+from ..comparison.noise import Noise, Whitener, rms
+from ..comparison.predict import Point, Predictor
+from ..data import DataSet
+from ..effects import Catalogue
+from .candidates import Candidate, joining_effects, nuisances_of
+from .fit import Fit
+from .fitter import Fitter
+from .marker_hypotheses import (
+    by_distances,
+    exchanged,
+    in_one_place,
+    miscounted,
+    numbered,
+    otherwise_divided,
+    spots,
+    uncut,
+)
+from .report_rows import usual_floor
+from .result import Diagnosis
+from .session import Session
+from .setup_hypotheses import (
+    Mistake,
+    dead_inputs,
+    gravities,
+    loose_inputs,
+    moved_rows,
+    off,
+    registered,
+    swapped_inputs,
+    tried,
+    turned_axes,
+    wrong_offsets,
+    wrong_stiffness,
+    wrong_units,
+)
+from .verdict import (
     AS_GOOD_WITHIN,
     CUT_AS_GOOD_WITHIN,
+    EFFECTS_MAX,
     ERROR_SHARE_LEFT_LIMIT,
     ERROR_SHARE_LEFT_MAX,
     EXPLAINED_WITHIN_FLOORS,
     GROSS_FROM_FLOORS,
+    MISTAKE_HANDICAP,
     ODD_FROM_FLOORS,
+    QUIET_WITHIN_FLOORS,
+    STIFFNESS_FACTOR_MAX,
     STILL_FROM_FLOORS,
     STILL_SHARE_MAX,
 )
-from .marker_hypotheses import exchanged, miscounted
-from .marker_places import in_one_place, uncut
-from .mistake import Mistake, off, tried
-from .setup_hypotheses import DISCRETE, HYPOTHESES, OF_INPUTS
 
+# The plainest first: what a free registration can do, some of the others can do as well. It can
+# also do what a tilted base does, which is an effect: only a gross error is laid to it.
+DISCRETE = (
+    swapped_inputs,
+    loose_inputs,
+    numbered,
+    moved_rows,
+    wrong_units,
+    wrong_offsets,
+    wrong_stiffness,
+    gravities,
+    spots,
+    by_distances,
+    miscounted,
+    otherwise_divided,
+    turned_axes,
+)
+HYPOTHESES = (*DISCRETE, registered)
+BESIDE_EFFECTS = (*DISCRETE, dead_inputs)  # the last needs values of its own
+NEARLY_EFFECTS = (gravities,)  # a load can take up nearly all that the weight of a light arm does
 Floats = npt.NDArray[np.float64]
+FITTED_MAX = 3  # effects whose first steps promise most, and which are fitted
+TURNS = 8  # of such a fit
+OF_A_KIND_MAX = 3  # hypotheses of a kind that leave least by themselves, and are fitted
+FITTED_IN_TURN = 2  # rounds of an effect, and of the values that a mistake asks for beside it
+STEP_SHARE = 0.02  # of the largest input, by which one is moved to see what it does
+WEIGHT = ('gravity', 'linear_density')  # which a scale tells: no tolerance is a factor
+NO_FIT = (ArithmeticError, np.linalg.LinAlgError)
+
+
+OF_INPUTS = (
+    swapped_inputs,
+    wrong_units,
+    wrong_offsets,
+    wrong_stiffness,
+)  # that can be why there is no equilibrium
 
 
 def find_mistake(predictor: Predictor, floor: float, usual: float = 0.0) -> Mistake | None:
@@ -147,3 +216,286 @@ def _frozen(predictor: Predictor, markers: Floats, floor: float) -> Mistake | No
         ),
     )
     return one
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A data set with the effects that explain it best, without imperfections."""
+
+    left: float  # [m] rms
+    score: float  # chi² + 2 k, errors as large as those of an arm built as usual
+    names: tuple[str, ...]
+    point: Point
+    quiet: bool = False  # whether noise, and an arm built as usual, would leave as much
+
+
+def is_odd(effect: str, key: str, value: float, described: float) -> bool:
+    """Tell whether a value is off by a factor that is a mistake and no tolerance."""
+    if effect == 'transmission_loss':
+        factor = 1.0 - value
+    elif key.startswith('relative_change'):
+        factor = 1.0 + value
+    elif (effect, key) == WEIGHT and described > 0.0:
+        factor = value / described
+    else:
+        return False
+    return not 1.0 / STIFFNESS_FACTOR_MAX < factor < STIFFNESS_FACTOR_MAX
+
+
+class Explaining:
+    """Fits of effects on data sets of one arm, without imperfections."""
+
+    def __init__(self, catalogue: Catalogue, usual: float) -> None:
+        """Take the rms [m] that an arm built as usual is off."""
+        self.catalogue, self.usual = catalogue, usual
+
+    def with_effect(self, mistake: Mistake) -> Mistake:
+        """Return a mistake whose fitted values suit an effect that acts as well."""
+        for _ in range(FITTED_IN_TURN):
+            if mistake.beside is None or mistake.mended is None:
+                break
+            beside = self.explain(mistake.mended, 1, 0.0, mistake.free_input)
+            again = None if beside is None else mistake.beside(beside.point)
+            if again is None:
+                break
+            mistake = again
+        return mistake
+
+    def explain(
+        self, dataset: DataSet, most: int, enough: float, free: int | None = None
+    ) -> Explained | None:
+        """
+        Return a data set with up to so many effects, as few as leave no more than `enough` [m].
+
+        Of an input that is `free` each posture may have any value near the one that it has. None
+        where the data set has no equilibrium.
+        """
+        predictor = Predictor(dataset, dataset.robot, self.catalogue)
+        noise = Noise(self.usual / np.sqrt(3.0), 0.0, 1.0, np.inf, 'declared')
+        slopes = np.zeros((*predictor.inputs.shape, len(dataset.markers), 3))
+        if free is not None:
+            slopes[:, free] = _answer(predictor, free)
+        nuisances = nuisances_of(dataset.robot, self.catalogue, predictor)
+        fitter = Fitter(predictor, Whitener(dataset, noise, slopes), nuisances)
+        effects = joining_effects(dataset.robot, self.catalogue, dataset)
+        try:
+            fit = fitter.fit((), turns=TURNS)
+        except NO_FIT:
+            return None
+        names: tuple[str, ...] = ()
+        while len(names) < most and rms(dataset.mean - fit.markers) > enough:
+            better = self._with_one_more(fitter, fit, names, effects)
+            if better is None:
+                break
+            fit, names = better
+        return Explained(rms(dataset.mean - fit.markers), _score(fit), names, fit.point)
+
+    def _with_one_more(
+        self, fitter: Fitter, fit: Fit, names: tuple[str, ...], effects: Sequence[Candidate]
+    ) -> tuple[Fit, tuple[str, ...]] | None:
+        """Return the best fit with one more effect; None where none does better."""
+        found = list[tuple[float, int, Fit, tuple[str, ...]]]()
+        for candidate in self._promising(fitter, fit, names, effects):
+            frees = (*fit.frees, *candidate.frees)
+            try:
+                made = fitter.fit(frees, fit.point if names else None, TURNS)
+            except NO_FIT:
+                continue
+            known = fitter.predictor
+            odd = [is_odd(f.effect, f.key, made.point[f], known.value(f)) for f in made.frees]
+            if not any(odd):  # what nothing is off by explains nothing
+                found.append((_score(made), len(found), made, candidate.names))
+        if not found:
+            return None
+        score, _, made, more = min(found)
+        return (made, names + more) if score < _score(fit) else None
+
+    def _promising(
+        self, fitter: Fitter, fit: Fit, names: tuple[str, ...], effects: Sequence[Candidate]
+    ) -> list[Candidate]:
+        """Return the effects whose first steps promise to leave least."""
+        promised = list[tuple[float, int, Candidate]]()
+        for candidate in effects:
+            if set(candidate.names) & set(names):
+                continue
+            try:
+                left = fitter.promised((*fit.frees, *candidate.frees), fit.point)
+            except NO_FIT:
+                continue
+            promised.append((left, len(promised), candidate))
+        return [candidate for *_, candidate in sorted(promised)[:FITTED_MAX]]
+
+
+def _answer(predictor: Predictor, j: int) -> Floats | float:
+    """Return how markers (P, J, 3) [m] answer to an input, per its largest value; 0 if unknown."""
+    inputs = predictor.inputs
+    step = STEP_SHARE * float(np.nanmax(inputs))
+    sides = []
+    for sign in (1.0, -1.0):
+        moved = inputs.copy()
+        moved[:, j] = np.maximum(moved[:, j] + sign * step, 0.0)
+        sides.append(predictor.markers({}, moved))
+    if sides[0] is None or sides[1] is None:
+        return 0.0
+    width = 2.0 * step - np.maximum(step - inputs[:, j], 0.0)
+    return np.asarray((sides[0] - sides[1]) * (step / STEP_SHARE / width)[:, None, None])
+
+
+def _score(fit: Fit) -> float:
+    return fit.chi2 + 2.0 * fit.rank
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A mistake, and what explains the data set without it."""
+
+    mistake: Mistake
+    explained: Explained
+
+    def told(self, left: float, names: Sequence[str]) -> Mistake:
+        """Return the mistake with what becomes of the error [m] that it leaves."""
+        helps = names and left < self.mistake.after / AS_GOOD_WITHIN
+        rest = f', and with {listed(names)} to {mm(left)}' if helps else ''
+        return replace(self.mistake, rest=rest)
+
+    def agrees(self, diagnosis: Diagnosis) -> bool:
+        """Tell whether the values of effects are those of a diagnosis, or it names none."""
+        known = {effect.name: effect.parameters for effect in diagnosis.effects}
+        told = [(known[f.effect].get(f.key), x) for f, x in self.explained.point.items()
+                if f.effect in known]  # fmt: skip
+        return all(one is None or one.low <= value <= one.high for one, value in told)
+
+    def possible(self, quiet: bool) -> str:
+        """Say it beside effects that may be as well; `quiet` where they leave as little."""
+        effects, left = listed(self.explained.names) or 'no effect', mm(self.explained.left)
+        said = f'{self.mistake.sentence} and {effects} the error would fall to {left}'
+        if quiet:
+            return f'{said} as well: check which is right, values of {effects} depend on it'
+        return f'{said}: {self.mistake.mend}'
+
+
+def _rivals(
+    predictor: Predictor,
+    explaining: Explaining,
+    described: Explained,
+    floor: float,
+    progress: Callable[[str, int, int], None],
+) -> list[Rival]:
+    """
+    Return the mistakes that explain more than the best effects do, the best first.
+
+    Of those that do about as well the plainest is the first. Where effects leave a quiet rest only
+    those mistakes are tried that an effect can nearly make up for.
+
+    Parameters
+    ----------
+    predictor : Predictor
+        Of the description as it stands.
+    explaining : Explaining
+    described : Explained
+        The data set as it is with its best effects.
+    floor : float
+        Rms [m] that the noise alone makes.
+    progress : callable
+        Called with (what, done, total).
+
+    """
+    markers = predictor.markers({})
+    if markers is None:
+        return []
+    kinds: dict[str, list[Mistake]] = {}
+    if not described.quiet:
+        kinds['alone'] = alone(predictor, markers, floor)
+    for kind in NEARLY_EFFECTS if described.quiet else BESIDE_EFFECTS:
+        for one in kind(predictor, markers):
+            kinds.setdefault(f'{kind.__name__} {one.name}', []).append(one)
+    tried = [
+        one
+        for own in kinds.values()
+        for one in sorted(own, key=lambda one: one.after)[:OF_A_KIND_MAX]
+    ]
+    found = []
+    for k, one in enumerate(tried):
+        progress('mistakes of the set-up', k + 1, len(tried))
+        if one.mended is None:
+            continue
+        one = explaining.with_effect(one)
+        assert one.mended is not None
+        explained = explaining.explain(one.mended, 1, floor)
+        if explained is None:
+            continue
+        if described.quiet:  # errors as large as usual tell nothing there
+            better = explained.left < AS_GOOD_WITHIN * described.left
+        else:
+            handicap = 2.0 * one.fitted + MISTAKE_HANDICAP
+            better = explained.score + handicap < described.score
+        if better and explained.left < one.most:
+            found.append(Rival(one, explained))
+    if not found:
+        return []
+    least = AS_GOOD_WITHIN * (min(one.explained.left for one in found) + floor)
+    near = [one for one in found if one.explained.left <= least]  # the plainest is the first
+    first = min(
+        (one for one in near if one.mistake.name == near[0].mistake.name),
+        key=lambda one: one.explained.left,
+    )
+    others = sorted((one for one in found if one is not first), key=lambda one: one.explained.left)
+    alike = [one.mistake for one in others if one in near]  # those of its kind say most
+    alike.sort(key=lambda one: one.name != first.mistake.name)
+    if alike:
+        said = dict.fromkeys(one.sentence for one in (first.mistake, *alike))
+        sentence = ', or '.join([*said][:OF_A_KIND_MAX])
+        first = Rival(replace(first.mistake, sentence=sentence), first.explained)
+    return [first, *others]
+
+
+def rivals_of(session: Session, enough: float) -> tuple[Explained | None, list[Rival]]:
+    """
+    Return what effects explain of the data set as it is, and the mistakes that explain more.
+
+    Where one effect with a value that may be leaves little more than noise, and than an arm built
+    as usual is off, only those are looked for that an effect can nearly make up for.
+    """
+    predictor, floor = session.predictor, session.whitener.floor()
+    markers = predictor.markers({})
+    if markers is None:
+        return None, []
+    if off(predictor, session.dataset.mean, markers) < ODD_FROM_FLOORS * floor:
+        return None, []
+    enough = min(enough, QUIET_WITHIN_FLOORS * floor)
+    explaining = Explaining(session.catalogue, usual_floor(session))
+    dataset = replace(session.dataset, robot=session.robot)
+    described = explaining.explain(dataset, 1, enough)
+    if described is None:
+        return None, []
+    if described.left <= enough:
+        described = replace(described, quiet=True)
+    else:
+        described = explaining.explain(dataset, EFFECTS_MAX, floor)
+        assert described is not None
+    return described, _rivals(predictor, explaining, described, floor, session.progress)
+
+
+def implausible(diagnosis: Diagnosis) -> list[str]:
+    """Say which found values nothing is off by; nothing where all may be."""
+    said = []
+    for effect in diagnosis.effects:
+        there = diagnosis.details.get('described', {}).get(effect.name, {})
+        for key, value in effect.parameters.items():
+            described = there.get(key.split('[')[0], 0.0)
+            before = float(np.mean(described))
+            if not is_odd(effect.name, key, value.value, before):
+                continue
+            if before > 0.0:
+                said.append(
+                    f'{effect.name} of {value.value / before:.2g} times what is described is no '
+                    'tolerance: check gravity [m/s²], and weigh the arm'
+                )
+                continue
+            change = -value.value if effect.name == 'transmission_loss' else value.value
+            said.append(
+                f'{effect.name} of {100.0 * change:+.0f} % is no tolerance: check the unit of '
+                'the inputs, how the bending stiffness was worked out (modulus, diameter), '
+                'the offsets of the tendons and the number of cells'
+            )
+    return said

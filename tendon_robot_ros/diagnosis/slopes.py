@@ -21,7 +21,7 @@ from ..comparison.predict import CELLS, Point
 from ..comparison.tangent import TAUT_FROM_N
 from ..model.derivatives import residuals, responses, shown
 from ..model.shape import ShapeBatch
-from .as_built import (
+from .imperfections import (
     ACROSS,
     GAIN,
     HOLE,

@@ -10,7 +10,7 @@ sizes where a step ended.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,23 +21,32 @@ import numpy.typing as npt
 from ..common.errors import InputError
 from ..comparison.noise import Noise, Whitener, input_slopes, likely, rms
 from ..comparison.outliers import find_outliers, without_unsettled
-from ..comparison.predict import Point
+from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
 from ..comparison.repeatability import estimate_noise
 from ..comparison.statistics import chi2_sf, f_sf
 from ..data import DataSet
-from ..effects import Catalogue
+from ..effects import Catalogue, Parameter
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
 from .candidates import Candidate, joining_effects
-from .decide import P_SINGLE_MIN
-from .described_arm import OF_THE_ARM, DescribedArm, arm_with, blocks_of_the_arm
-from .fit import Fit, Nuisance
+from .crossval import Groups, left_out_errors, predict
+from .description import (
+    OF_THE_ARM,
+    DescribedArm,
+    arm_with,
+    blocks_of_the_arm,
+    changed_robot,
+)
+from .fit import Fit, Nuisance, covariance_of
 from .fitter import Fitter
-from .into_description import changed_robot
-from .mistake import Mistake
-from .prediction_errors import Joining, Ways, described, grown, left_out_errors, predict, promised
+from .setup_hypotheses import Mistake
 from .setup_mistakes import find_mistake
+from .verdict import P_SINGLE_MIN
 
+JOINING_STEP = 0.02  # typical sizes from which a fit begins, where laws have kinks
+SIZES_TRIED = (0.03, 0.3, 3.0)  # typical sizes of a law that acts whatever its value
+TURNED_SHARE = 0.05  # of such a value, for its slope
+TURNING = ('torsion', 'memory')  # stages that, when absent, only a solution tells
 Floats = npt.NDArray[np.float64]
 Held = Sequence[int] | npt.NDArray[np.int64]
 POSTURES_MIN = 4  # that must be measured
@@ -46,6 +55,133 @@ STEPS_MAX = 12  # effects that may join
 TRIED_MAX = 2  # effects that are fitted at a step: those that promise most
 TURNS_TRIED, TURNS = 3, 25  # of fits that are tried, and of the one that is made
 FALL_MIN = 0.005  # of the squared error on left-out postures, for a step to be made at all
+
+
+@dataclass(frozen=True)
+class Joining:
+    """A block that may join a fit: where it begins, and how it moves N whitened residuals."""
+
+    block: Candidate
+    start: Mapping[FreeParameter, float]
+    change: Floats | float  # (N,) of the residual where it begins; none for a law without a jump
+    columns: Floats  # (N, q) derivatives
+
+
+class Ways:
+    """How blocks may join a fit."""
+
+    def __init__(self, predictor: Predictor, whitener: Whitener, fit: Fit) -> None:
+        """
+        Settle the postures where the fit is.
+
+        Raises
+        ------
+        ArithmeticError
+            They have no equilibrium.
+
+        """
+        self.predictor, self.whitener, self.fit = predictor, whitener, fit
+        if predictor.markers(fit.point, near=predictor.settled) is None:
+            raise ArithmeticError('a fit has no equilibrium')
+        assert predictor.settled is not None
+        self.settled: SettledShapes = predictor.settled
+
+    def of(self, blocks: Sequence[Candidate]) -> Iterator[Joining]:
+        """Yield how blocks may join; one whose law acts whatever its value, from several sizes."""
+        catalogue = self.predictor.model.catalogue
+        effects = {name: catalogue[name] for b in blocks for name in b.names if name in catalogue}
+        smooth = [
+            free
+            for block in blocks
+            for free in block.frees
+            if free.effect not in effects or effects[free.effect].stage not in TURNING
+        ]
+        moved = self.predictor.tangent(self.fit.point, smooth, self.settled) if smooth else None
+        slopes = {}
+        if moved is not None:
+            columns = -self.whitener.white(moved.markers)
+            told = np.isfinite(columns).all(axis=1)
+            slopes = {free: columns[i] for i, free in enumerate(smooth) if told[i]}
+        for block in blocks:
+            absent = set(block.names) - set(self.predictor.robot.effects)
+            if any(effects[name].always_on for name in absent & set(effects)):
+                yield from self._jumping(block)
+                continue
+            start = {f: described(self.predictor, f) + off(self.predictor, f) for f in block.frees}
+            own = [
+                slopes[free] if free in slopes else self._secant(free, value)
+                for free, value in start.items()
+            ]
+            yield Joining(block, start, 0.0, np.array(own).T)
+
+    def _secant(self, free: FreeParameter, value: float) -> Floats:
+        """Return the derivative (N,) of the whitened residual from the described value on."""
+        step = value - described(self.predictor, free)
+        moved = self._residual({**self.fit.point, free: value})
+        own = self.fit.residual[: self.whitener.size]
+        return np.zeros_like(own) if moved is None else (moved - own) / step
+
+    def _jumping(self, block: Candidate) -> Iterator[Joining]:
+        """Yield how a block whose law jumps from absent to acting may join."""
+        own = self.fit.residual[: self.whitener.size]
+        for size in SIZES_TRIED:
+            start = {free: _sized(free.parameter, size) for free in block.frees}
+            here = self._residual({**self.fit.point, **start})
+            if here is None:
+                continue
+            columns = []
+            for free, value in start.items():
+                step = TURNED_SHARE * value
+                moved = self._residual({**self.fit.point, **start, free: value + step})
+                columns.append(np.zeros_like(here) if moved is None else (moved - here) / step)
+            yield Joining(block, start, here - own, np.array(columns).T)
+
+    def _residual(self, point: Mapping[FreeParameter, float]) -> Floats | None:
+        """Return the whitened residual (N,) at a point; None without equilibrium."""
+        markers = self.predictor.markers(point, near=self.settled)
+        if markers is None:
+            return None
+        return self.whitener.white(self.predictor.dataset.mean - markers)
+
+
+def described(predictor: Predictor, free: FreeParameter) -> float:
+    """Value in the description, moved inside the bounds of a fit."""
+    return float(np.clip(predictor.value(free), free.parameter.low, free.parameter.high))
+
+
+def off(predictor: Predictor, free: FreeParameter) -> float:
+    """Return a small step from the described value that stays inside the bounds."""
+    step = JOINING_STEP * free.parameter.typical
+    return step if described(predictor, free) + step <= free.parameter.high else -step
+
+
+def _sized(parameter: Parameter, size: float) -> float:
+    return float(np.clip(size * parameter.typical, parameter.low, parameter.high))
+
+
+def promised(residual: Floats, jacobian: Floats, whitener: Whitener, groups: Groups) -> float:
+    """Return the mean squared error [m²] of left-out postures after one whole step of a fit."""
+    step = covariance_of(jacobian, blind=0.0) @ (jacobian.T @ residual)
+    errors = left_out_errors(residual - jacobian @ step, jacobian, whitener, groups)
+    return float(np.nanmean(errors))
+
+
+def grown(fit: Fit, joining: Joining, back: Floats, spread: Floats) -> tuple[Floats, Floats]:
+    """
+    Return residual (N + p,) and Jacobian (N + p, f) of a fit with a block and its priors.
+
+    Parameters
+    ----------
+    back, spread : (q,)
+        How far the block begins from what is described, and the sd of its priors.
+
+    """
+    n, q = joining.columns.shape
+    columns = np.vstack([joining.columns, np.zeros((len(fit.residual) - n, q))])
+    beside = np.zeros((q, fit.jacobian.shape[1]))
+    residual = np.append(fit.residual, back / spread)
+    residual[:n] += joining.change
+    return residual, np.block([[fit.jacobian, columns], [beside, np.diag(1.0 / spread)]])
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,10 @@ from ..data import DataSet
 from ..effects import load_catalogue
 from ..robot import Robot
 from .candidates import Candidate
-from .decide import ALARM_LEVEL
-from .evidence import gather, is_alarming
 from .fit import Fit
+from .select import gather, is_alarming
 from .session import Session
+from .verdict import ALARM_LEVEL
 
 Floats = npt.NDArray[np.float64]
 SECONDS = 50.0  # [s] of simulations

@@ -30,8 +30,8 @@ from ..common.errors import InputError, NoEquilibriumError
 from ..comparison.noise import Noise, Whitener, input_slopes
 from ..comparison.predict import FreeParameter, Point, Predictor, frees_of
 from ..data import DataSet
-from ..diagnosis.as_built import REMAINDER, SplitPredictor
 from ..diagnosis.candidates import nuisances_of
+from ..diagnosis.imperfections import REMAINDER, SplitPredictor
 from ..diagnosis.slopes import imperfections
 from ..effects import Catalogue
 from ..model.model import Model

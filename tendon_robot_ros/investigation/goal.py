@@ -14,8 +14,8 @@ from ..common.errors import InputError
 from ..common.words import listed, mm
 from ..comparison.predict import Predictor, frees_of
 from ..data import DataSet
-from ..diagnosis.decide import POSTURES_ENOUGH, POSTURES_MIN, SEPARABLE_FROM_SD, Verdict
 from ..diagnosis.result import Diagnosis
+from ..diagnosis.verdict import POSTURES_ENOUGH, POSTURES_MIN, SEPARABLE_FROM_SD, Verdict
 from ..effects import Catalogue
 from .record import Round
 

@@ -23,9 +23,9 @@ from ..comparison.noise import Noise
 from ..comparison.predict import FreeParameter, frees_of
 from ..data import DataSet
 from ..diagnosis.add import Addition, add_effects
-from ..diagnosis.decide import Verdict
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
+from ..diagnosis.verdict import Verdict
 from ..effects import Catalogue, Effect, load_catalogue
 from ..model.model import Model
 from ..monitoring.change import ChangeFinder

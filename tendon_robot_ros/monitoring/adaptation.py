@@ -26,7 +26,7 @@ from ..common.words import listed, with_unit
 from ..comparison.predict import FreeParameter, free_parameters
 from ..comparison.statistics import chi2_isf
 from ..data import Marker
-from ..diagnosis.into_description import with_values
+from ..diagnosis.description import with_values
 from ..model.model import Model
 from ..robot import Robot
 from .built_arm import BuiltArm

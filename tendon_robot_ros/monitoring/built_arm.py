@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from ..comparison.predict import Point, Predictor, SettledShapes
 from ..data import DataSet, Marker
-from ..diagnosis.as_built import GAIN, KINK, PLAUSIBLE_SIZES, SplitPredictor, remainders
+from ..diagnosis.imperfections import GAIN, KINK, PLAUSIBLE_SIZES, SplitPredictor, remainders
 from ..diagnosis.slopes import imperfections
 from ..effects import Catalogue
 from ..model.shape import ShapeBatch

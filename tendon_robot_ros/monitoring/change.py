@@ -27,7 +27,7 @@ import numpy.typing as npt
 from ..comparison.predict import Point, Predictor
 from ..comparison.statistics import chi2_sf
 from ..data import DataSet
-from ..diagnosis.as_built import SplitPredictor
+from ..diagnosis.imperfections import SplitPredictor
 from ..diagnosis.slopes import imperfections
 from .built_arm import BuiltArm
 from .possible_changes import PossibleChange, Suspect

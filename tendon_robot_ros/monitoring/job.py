@@ -21,7 +21,7 @@ from typing import Any
 from ..common.errors import InputError, TendonRobotError
 from ..common.files import new_file
 from ..common.words import PROGRAM, listed, mm
-from ..diagnosis.decide import Verdict
+from ..diagnosis.verdict import Verdict
 
 NICENESS = 5  # control comes first
 # of the time of a diagnosis, where a part of it begins and ends (72 postures, 30 cells); the

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from ..common.words import digits, mm, spoken, with_unit
 from ..comparison.predict import CELLS, FreeParameter, free_parameters
-from ..diagnosis.as_built import GAIN
-from ..diagnosis.load import load_of, vector_rows
+from ..diagnosis.imperfections import GAIN
+from ..diagnosis.intervals import load_of, vector_rows
 from ..report.numbers import load_words
 from .built_arm import BuiltArm
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..common.words import digits, listed, mm
-from ..diagnosis.decide import FALSE_DISCOVERY_RATE
+from ..diagnosis.verdict import FALSE_DISCOVERY_RATE
 
 KIND_NAMES = {
     'cell_stiffness': 'stiffness of the cells',

@@ -13,9 +13,9 @@ from ..comparison.compare import compare
 from ..comparison.result import Comparison
 from ..data import DataSet
 from ..diagnosis.add import Addition
-from ..diagnosis.decide import P_SINGLE_MIN, Verdict
 from ..diagnosis.missing_moment import MissingMoment, missing_moment
 from ..diagnosis.result import NOT_NEEDED, CandidateRow, Diagnosis
+from ..diagnosis.verdict import P_SINGLE_MIN, Verdict
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from ..robot.description import EffectValues

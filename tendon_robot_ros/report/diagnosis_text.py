@@ -8,14 +8,9 @@ from string import Formatter
 import numpy as np
 
 from ..common.words import commands, digits, listed, mm, percent, postures
-from ..diagnosis.decide import (
-    NOISE_WITHIN_FLOORS,
-    P_SINGLE_MIN,
-    SEPARABLE_FROM_SD,
-    Verdict,
-)
-from ..diagnosis.prediction_errors import share_gone
+from ..diagnosis.crossval import share_gone
 from ..diagnosis.result import Diagnosis, NextMeasurement
+from ..diagnosis.verdict import NOISE_WITHIN_FLOORS, P_SINGLE_MIN, SEPARABLE_FROM_SD, Verdict
 from .arm_text import as_built, left_out, where_wrong
 from .numbers import described_quantity, load_words, quantities, short_quantities
 

@@ -14,7 +14,7 @@ from ..common.colours import FLOOR
 from ..common.words import capital, columns, digits, mm, probability
 from ..comparison.compare import compare
 from ..data import DataSet
-from ..diagnosis.improvement import COLOURS, Floats, Improvement, total
+from ..diagnosis.result import COLOURS, Floats, Improvement, total
 from ..effects import Catalogue
 from .arm_text import as_built, left_out, where_wrong
 from .comparison_page import add_shapes

@@ -12,8 +12,7 @@ from ..common.words import columns, digits
 from ..comparison.result import Comparison
 from ..data import DataSet
 from ..diagnosis.add import Addition
-from ..diagnosis.improvement import Improvement
-from ..diagnosis.result import Diagnosis
+from ..diagnosis.result import Diagnosis, Improvement
 from ..model.shape import Reach, Shape
 from ..robot import Robot
 from . import addition_text, comparison_text, diagnosis_text

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..common.errors import InputError, NoEquilibriumError
 from ..common.words import digits, listed, mm
-from ..diagnosis.decide import Verdict
+from ..diagnosis.verdict import Verdict
 from ..effects import Catalogue
 from ..model.model import Model
 from ..robot import Robot

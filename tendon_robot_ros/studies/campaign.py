@@ -29,7 +29,7 @@ from ..cli.progress import progress
 from ..common.colours import BAND, ERROR, PREDICTED, look
 from ..common.words import columns, digits
 from ..common.workers import Workers
-from ..diagnosis.decide import Verdict
+from ..diagnosis.verdict import Verdict
 from ..model.versions import Preparation
 from ..report.numbers import error_bars
 from ..report.page import Figure, Page, Trace, curve

@@ -14,7 +14,7 @@ from ..comparison.noise import Whitener, input_slopes
 from ..comparison.predict import Predictor
 from ..comparison.repeatability import estimate_noise
 from ..data import DataSet, Marker, even_markers
-from ..diagnosis.as_built import SplitPredictor
+from ..diagnosis.imperfections import SplitPredictor
 from ..diagnosis.marginal import RandomEffects
 from ..diagnosis.slopes import imperfections
 from ..effects import Catalogue

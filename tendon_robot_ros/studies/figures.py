@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ..diagnosis.decide import Verdict
 from ..diagnosis.trust import DETECTED_SHARE, wilson
+from ..diagnosis.verdict import Verdict
 from ..effects import load_catalogue
 from ..simulation.hidden import CAUSES
 from .cases import NOTHING

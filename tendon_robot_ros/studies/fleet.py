@@ -33,9 +33,9 @@ from ..common.yaml_reading import parse_yaml
 from ..data import DataSet, load_dataset
 from ..data.recording.importing import import_bag
 from ..data.recording.reader import is_bag
-from ..diagnosis.decide import Verdict
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import CandidateRow, Diagnosis, EffectFinding, Value
+from ..diagnosis.verdict import Verdict
 from ..model.versions import Preparation, UserEffect, catalogue_of
 from ..report.numbers import error_bars
 from ..report.page import Figure, Page, titled

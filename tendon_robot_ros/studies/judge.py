@@ -12,9 +12,9 @@ import numpy as np
 from ..comparison.noise import rms
 from ..comparison.predict import Predictor, frees_of
 from ..diagnosis.add import add_effects
-from ..diagnosis.decide import Verdict
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis, Value
+from ..diagnosis.verdict import Verdict
 from ..model.model import Model
 from ..model.versions import UserEffect, catalogue_of
 from ..simulation.hidden import CAUSES, Built

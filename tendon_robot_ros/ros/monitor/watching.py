@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, Header, String
 
-from ...diagnosis.load import load_of
+from ...diagnosis.intervals import load_of
 from ...model.model import Model
 from ...monitoring import Monitor, StillMeasurement
 from ...monitoring.measurement import FrameMean

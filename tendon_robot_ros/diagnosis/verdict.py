@@ -13,9 +13,6 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-# -----------------------------------------------------------------------------
-# Whether something is missing, and what.
-
 TESTED_FROM_CHI2 = 1.0  # whitened squared change by a typical size that counts as tested
 ALARM_LEVEL = 0.005  # of the omnibus alarm, of the best candidate's and of a pattern's, each
 MISFIT_ALARM_LEVEL = 1e-4  # of the omnibus alarm of an arm as built, whose scatter is estimated
@@ -31,10 +28,6 @@ FIRST_STEP_GAIN_MIN = 5.0  # in deviance at a first step that makes a further ef
 STRAY_SD_MAX = 3.0  # declared sd that a quantity may move
 LEFT_OUT_SHARE_MAX = 0.95  # of the left-out error, from which imperfections are written as well
 CORRELATED_FROM = 0.98  # between two parameters: their values are not told apart
-
-# -----------------------------------------------------------------------------
-# What is looked at before physics: mistakes of the set-up.
-
 POSTURES_MIN = 3  # measured postures from which anything is judged
 POSTURES_ENOUGH = 6  # below which it is said that they are few
 COVERED_SHARE_MIN = 0.9  # of the arm that markers reach, below which that is said
@@ -60,10 +53,6 @@ AS_GOOD_WITHIN = 1.3  # times the least error left: then the plainest mistake is
 CUT_AS_GOOD_WITHIN = 1.05  # the same of a number of cells where markers were cut at the tip
 STILL_SHARE_MAX = 0.05  # of the way that a marker should go, below which it is frozen
 STILL_FROM_FLOORS = 10.0  # noise floors that it should go by at least to be called so
-
-# -----------------------------------------------------------------------------
-# What is said beside the verdict.
-
 NOISE_WITHIN_FLOORS = 1.25  # noise floors up to which what is left equals the repeatability
 PATTERN_SHARE_MIN = 0.33  # of the excess in deviance that a pattern takes to be told of
 SEPARABLE_FROM_SD = 2.0  # sd of a mean that predictions must differ to be worth a measurement
@@ -74,10 +63,6 @@ LOCAL_FAULTS_MAX = 8  # places that are named
 LOCAL_BEND_MAX_RAD = 0.5  # that one cell may be kinked by to be called so
 LOCAL_CHANGE_MAX = 3.0  # relative, of the stiffness of one cell, by slopes
 LOCAL_SHARE_MIN = 0.02  # of what a fault does, that a fit must not be able to do as well
-
-# -----------------------------------------------------------------------------
-# The verdicts.
-
 ADD = 'Add it to the robot description: `{command} --add better.yaml`'
 CLICK_3 = 'Found. Click 3: the model gets the effect while the arm goes on.'
 

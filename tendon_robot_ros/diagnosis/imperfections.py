@@ -19,13 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..comparison.conditions import Conditions
-from ..comparison.predict import (
-    CELLS,
-    FreeParameter,
-    Point,
-    Predictor,
-    SettledShapes,
-)
+from ..comparison.predict import CELLS, FreeParameter, Point, Predictor, SettledShapes
 from ..effects import Catalogue
 from ..model.shape import ShapeBatch
 from ..robot import Robot, Section
@@ -51,6 +45,7 @@ PLAUSIBLE_SIZES: dict[str, tuple[str, float, float]] = {
 PLAUSIBLE_LENGTH = 0.2  # [m] of the arm up to which plausible lengths are these; then they grow
 REST = 'pre_curvature'  # the effect whose parameters are the bends at rest
 PUSH, WEIGHT = 'push', 'gravity'  # a force at the middle of a cell; the effect that it uses
+Members = Mapping[str, Floats]  # kind -> size of each of its members
 
 
 @dataclass(frozen=True)
@@ -66,9 +61,6 @@ class Kind:
     def __len__(self) -> int:
         """Return how many members it has."""
         return len(self.members)
-
-
-Members = Mapping[str, Floats]  # kind -> size of each of its members
 
 
 @dataclass(frozen=True)

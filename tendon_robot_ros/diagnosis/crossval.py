@@ -1,39 +1,37 @@
 """
-Errors of a prediction: before, after, on postures left out; and what slopes alone promise of them.
+Errors of descriptions: on fitted postures, on a check set, and on postures left out in turn.
 
-`improve` asks of every block of parameters that may join what it would leave on left-out postures.
+The error on postures left out also decides whether the arm as it was found is written.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import NoEquilibriumError
 from ..comparison.noise import Whitener, input_slopes, rms
-from ..comparison.predict import FreeParameter, Predictor, SettledShapes
+from ..comparison.predict import Predictor
 from ..comparison.repeatability import estimate_noise
 from ..data import DataSet
-from ..effects import Catalogue, Parameter
+from ..effects import Catalogue
 from ..robot import Robot
-from .candidates import Candidate
-from .fit import Fit, covariance_of, covariance_root, shares
+from .description import changed_robot, with_members, with_tolerances, written_members
+from .fit import Fit, covariance_root, shares
 from .fitter import Fitter
-from .into_description import written_members
+from .verdict import LEFT_OUT_SHARE_MAX
+
+if TYPE_CHECKING:
+    from .session import Session
 
 Floats = npt.NDArray[np.float64]
 FOLDS = 6  # groups of postures that are left out in turn
 UNTOLD = 1e-10  # of what tells a direction, below which the other postures tell nothing of it
 Groups = npt.NDArray[np.int64]
-JOINING_STEP = 0.02  # typical sizes from which a fit begins, where laws have kinks
-SIZES_TRIED = (0.03, 0.3, 3.0)  # typical sizes of a law that acts whatever its value
-TURNED_SHARE = 0.05  # of such a value, for its slope
-TURNING = ('torsion', 'memory')  # stages that, when absent, only a solution tells
 TELLS_ITSELF = 1e-3  # share of a reading that the other postures tell, at least
 
 
@@ -198,133 +196,6 @@ def last_worthwhile(errors: Floats) -> int:
     return taken
 
 
-@dataclass(frozen=True)
-class Joining:
-    """A block that may join a fit: where it begins, and how it moves N whitened residuals."""
-
-    block: Candidate
-    start: Mapping[FreeParameter, float]
-    change: Floats | float  # (N,) of the residual where it begins; none for a law without a jump
-    columns: Floats  # (N, q) derivatives
-
-
-class Ways:
-    """How blocks may join a fit."""
-
-    def __init__(self, predictor: Predictor, whitener: Whitener, fit: Fit) -> None:
-        """
-        Settle the postures where the fit is.
-
-        Raises
-        ------
-        ArithmeticError
-            They have no equilibrium.
-
-        """
-        self.predictor, self.whitener, self.fit = predictor, whitener, fit
-        if predictor.markers(fit.point, near=predictor.settled) is None:
-            raise ArithmeticError('a fit has no equilibrium')
-        assert predictor.settled is not None
-        self.settled: SettledShapes = predictor.settled
-
-    def of(self, blocks: Sequence[Candidate]) -> Iterator[Joining]:
-        """Yield how blocks may join; one whose law acts whatever its value, from several sizes."""
-        catalogue = self.predictor.model.catalogue
-        effects = {name: catalogue[name] for b in blocks for name in b.names if name in catalogue}
-        smooth = [
-            free
-            for block in blocks
-            for free in block.frees
-            if free.effect not in effects or effects[free.effect].stage not in TURNING
-        ]
-        moved = self.predictor.tangent(self.fit.point, smooth, self.settled) if smooth else None
-        slopes = {}
-        if moved is not None:
-            columns = -self.whitener.white(moved.markers)
-            told = np.isfinite(columns).all(axis=1)
-            slopes = {free: columns[i] for i, free in enumerate(smooth) if told[i]}
-        for block in blocks:
-            absent = set(block.names) - set(self.predictor.robot.effects)
-            if any(effects[name].always_on for name in absent & set(effects)):
-                yield from self._jumping(block)
-                continue
-            start = {f: described(self.predictor, f) + off(self.predictor, f) for f in block.frees}
-            own = [
-                slopes[free] if free in slopes else self._secant(free, value)
-                for free, value in start.items()
-            ]
-            yield Joining(block, start, 0.0, np.array(own).T)
-
-    def _secant(self, free: FreeParameter, value: float) -> Floats:
-        """Return the derivative (N,) of the whitened residual from the described value on."""
-        step = value - described(self.predictor, free)
-        moved = self._residual({**self.fit.point, free: value})
-        own = self.fit.residual[: self.whitener.size]
-        return np.zeros_like(own) if moved is None else (moved - own) / step
-
-    def _jumping(self, block: Candidate) -> Iterator[Joining]:
-        """Yield how a block whose law jumps from absent to acting may join."""
-        own = self.fit.residual[: self.whitener.size]
-        for size in SIZES_TRIED:
-            start = {free: _sized(free.parameter, size) for free in block.frees}
-            here = self._residual({**self.fit.point, **start})
-            if here is None:
-                continue
-            columns = []
-            for free, value in start.items():
-                step = TURNED_SHARE * value
-                moved = self._residual({**self.fit.point, **start, free: value + step})
-                columns.append(np.zeros_like(here) if moved is None else (moved - here) / step)
-            yield Joining(block, start, here - own, np.array(columns).T)
-
-    def _residual(self, point: Mapping[FreeParameter, float]) -> Floats | None:
-        """Return the whitened residual (N,) at a point; None without equilibrium."""
-        markers = self.predictor.markers(point, near=self.settled)
-        if markers is None:
-            return None
-        return self.whitener.white(self.predictor.dataset.mean - markers)
-
-
-def described(predictor: Predictor, free: FreeParameter) -> float:
-    """Value in the description, moved inside the bounds of a fit."""
-    return float(np.clip(predictor.value(free), free.parameter.low, free.parameter.high))
-
-
-def off(predictor: Predictor, free: FreeParameter) -> float:
-    """Return a small step from the described value that stays inside the bounds."""
-    step = JOINING_STEP * free.parameter.typical
-    return step if described(predictor, free) + step <= free.parameter.high else -step
-
-
-def _sized(parameter: Parameter, size: float) -> float:
-    return float(np.clip(size * parameter.typical, parameter.low, parameter.high))
-
-
-def promised(residual: Floats, jacobian: Floats, whitener: Whitener, groups: Groups) -> float:
-    """Return the mean squared error [m²] of left-out postures after one whole step of a fit."""
-    step = covariance_of(jacobian, blind=0.0) @ (jacobian.T @ residual)
-    errors = left_out_errors(residual - jacobian @ step, jacobian, whitener, groups)
-    return float(np.nanmean(errors))
-
-
-def grown(fit: Fit, joining: Joining, back: Floats, spread: Floats) -> tuple[Floats, Floats]:
-    """
-    Return residual (N + p,) and Jacobian (N + p, f) of a fit with a block and its priors.
-
-    Parameters
-    ----------
-    back, spread : (q,)
-        How far the block begins from what is described, and the sd of its priors.
-
-    """
-    n, q = joining.columns.shape
-    columns = np.vstack([joining.columns, np.zeros((len(fit.residual) - n, q))])
-    beside = np.zeros((q, fit.jacobian.shape[1]))
-    residual = np.append(fit.residual, back / spread)
-    residual[:n] += joining.change
-    return residual, np.block([[fit.jacobian, columns], [beside, np.diag(1.0 / spread)]])
-
-
 def left_out_errors(
     residual: Floats, jacobian: Floats, whitener: Whitener, groups: Groups
 ) -> Floats:
@@ -346,3 +217,45 @@ def left_out_errors(
             metres = np.linalg.solve(whitener.root(p), left[owners[rows] == p])
             errors[p] = 3.0 * float(np.mean(metres**2))
     return errors
+
+
+@dataclass(frozen=True)
+class Written:
+    """What a fit writes; every error that is told of it is that of one of these descriptions."""
+
+    alone: Robot  # with the effects; the arm otherwise as it was described
+    robot: Robot  # that is written: with the arm as it was found as well, where that helps
+    beside: bool  # whether it is
+    alone_left_out: float  # [m] error on postures left out in turn
+    left_out: float  # [m] of what is written
+
+
+def written(session: Session, fit: Fit) -> Written:
+    """
+    Return the description to write.
+
+    What was fitted beside the effects goes along where that lowers the error on postures left
+    out: tolerances that moved, and imperfections, which of an exact arm are only noise.
+    """
+    alone = described_by(session, fit, beside=False)
+    error = left_out(session.fitters[0], fit, beside=False)
+    if fit.built is None and not fit.nuisances:
+        return Written(alone, alone, False, error, error)
+    together = left_out(session.fitters[0], fit)
+    if together > LEFT_OUT_SHARE_MAX * error:
+        return Written(alone, alone, False, error, error)
+    return Written(alone, described_by(session, fit, beside=True), True, error, together)
+
+
+def described_by(session: Session, fit: Fit, beside: bool) -> Robot:
+    """Return the description with the effects of a fit, and with the arm as it found it."""
+    robot = changed_robot(session.robot, session.catalogue, fit, session.dataset)
+    if not beside:
+        return robot
+    moved = with_tolerances(robot, session.catalogue, fit)
+    return with_members(moved, fit, session.dataset.input)
+
+
+def error_of(session: Session, robot: Robot) -> float:
+    """Return the rms [m] of a description on the measurements; nan without an equilibrium."""
+    return rms_of(session.dataset, robot, session.catalogue)

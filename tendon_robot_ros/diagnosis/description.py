@@ -1,0 +1,308 @@
+"""
+What a fit changes in a description: effects, and the arm itself.
+
+Values of effects, declared quantities that moved, imperfections, and what `improve` may change:
+the stiffness along the arm, and the routes of its tendons.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numpy.polynomial import legendre
+
+from ..comparison.conditions import Conditions
+from ..comparison.predict import CELLS, FreeParameter, Point, Predictor
+from ..data import DataSet
+from ..effects import Catalogue, Parameter
+from ..robot import Robot, Tendon
+from ..robot.description import EffectValues
+from ..robot.routes import helix_angles, tendon_offsets
+from .candidates import Candidate
+from .fit import Fit
+from .imperfections import GAIN, HOLE, POSITION, ROTATION, ZERO
+
+Floats = npt.NDArray[np.float64]
+WRITABLE_KINDS = (CELLS, GAIN, HOLE, ZERO, POSITION, ROTATION)  # kinds that a description can hold
+PROFILE = 'bending_stiffness'  # of the description: how it changes along the arm
+PROFILE_DEGREE = 4  # of the polynomial by which its logarithm changes
+ROUTES = 'tendon_routes'  # of the description: every tendon turned about the axis, and winding
+TURN_MAX = 1.0  # [rad] about the axis at the base, and on the whole way to the tip
+TURN_TYPICAL = 0.03  # [rad]
+ROUTES_KEPT_MAX = 64  # arrangements of the tendons that are not computed again
+WINDS_AT_LEAST = 1e-6  # [rad/m] no more than rounding, but the model is ready for more
+OF_THE_ARM = (PROFILE, ROUTES)
+
+
+def with_values(
+    robot: Robot, catalogue: Catalogue, values: Iterable[tuple[FreeParameter, float]]
+) -> Robot:
+    """Return a description with values of parameters; others of their effects stay as they are."""
+    found: dict[str, dict[str, list[tuple[int | None, float]]]] = {}
+    for free, value in values:
+        items = found.setdefault(free.effect, {})
+        items.setdefault(free.parameter.name, []).append((free.column, _short(value)))
+    counts = {'section': len(robot.sections), 'tendon': len(robot.tendons)}
+    for name, items in found.items():
+        parameters = {p.name: p for p in catalogue[name].parameters}
+        known = {key: p.neutral for key, p in parameters.items()} | robot.effects.get(name, {})
+        changed = {
+            key: _entry(own, known[key], counts.get(parameters[key].per, 1))
+            for key, own in items.items()
+        }
+        robot = robot.with_effect(name, known | changed, robot.fitted.get(name))
+    return robot
+
+
+def _entry(
+    own: Sequence[tuple[int | None, float]], before: float | tuple[float, ...], count: int
+) -> float | tuple[float, ...]:
+    """Return the value of a parameter, or of those of so many sections or tendons, changed."""
+    if own[0][0] is None or count == 1:
+        return own[0][1]
+    each = list(before) if isinstance(before, tuple) else [before] * count
+    for column, value in own:
+        each[column or 0] = value
+    return tuple(each)
+
+
+def changed_robot(robot: Robot, catalogue: Catalogue, fit: Fit, dataset: DataSet) -> Robot:
+    """Return the description with the fitted effects."""
+    values = list(zip(fit.frees, fit.values.tolist(), strict=False))
+    robot = with_values(robot, catalogue, values)
+    if robot.gravity is None and any(catalogue[f.effect].needs == 'gravity' for f in fit.frees):
+        robot = replace(robot, gravity=dataset.gravity)
+    return robot
+
+
+def with_tolerances(robot: Robot, catalogue: Catalogue, fit: Fit) -> Robot:
+    """Return a description whose declared quantities have the values to which a fit moved them."""
+    moved = list(zip(fit.all_frees, fit.values.tolist(), strict=False))[len(fit.frees) :]
+    own = [value for free, value in moved if free.effect == CELLS]
+    robot = with_cells(robot, np.array(own)) if own else robot
+    return with_values(robot, catalogue, (one for one in moved if one[0].effect != CELLS))
+
+
+def with_cells(robot: Robot, changes: Floats) -> Robot:
+    """Return a description whose cells are stiffer by relative changes (n,)."""
+    ends = np.cumsum([section.cells for section in robot.sections])
+    sections = tuple(
+        replace(
+            section,
+            bending_stiffness=tuple(
+                _short(k * (1.0 + change))
+                for k, change in zip(
+                    section.bending_stiffness, changes[end - section.cells : end], strict=True
+                )
+            ),
+        )
+        for section, end in zip(robot.sections, ends, strict=True)
+    )
+    return replace(robot, sections=sections)
+
+
+def written_members(fit: Fit, units: Floats) -> dict[str, Floats]:
+    """Return the imperfections that a description can hold, from mixtures in units of their sd."""
+    if fit.built is None:
+        return {}
+    named = fit.built.random.named(units, fit.built.sizes)
+    return {kind: values for kind, values in named.items() if kind in WRITABLE_KINDS}
+
+
+def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
+    """
+    Return a description with the cells, tendons and the registration as a fit found them.
+
+    The gain of a tension is written as an offset of its tendons: their product is what bends.
+    Those of wire pulls are `spool_gain` and `pull_zero` of each tendon. Kinks have no place in a
+    description.
+    """
+    values = fit.members
+    if values is None:
+        return robot
+    robot = with_cells(robot, values.get(CELLS, np.zeros(robot.cells)))
+    scale = np.ones(len(robot.tendons))
+    if input == 'tension':
+        for change, members in zip(values.get(GAIN, ()), robot.input_tendons, strict=False):
+            scale[list(members)] *= 1.0 + change
+    scale *= 1.0 + values.get(HOLE, np.zeros(len(scale)))
+    tendons = tuple(
+        replace(t, base=_scaled(t.base, factor), end=_scaled(t.end, factor))
+        for t, factor in zip(robot.tendons, scale.tolist(), strict=True)
+    )
+    robot = replace(robot, tendons=tendons)
+    return _registered(robot if input == 'tension' else wound(robot, values), values)
+
+
+def wound(robot: Robot, members: dict[str, Floats]) -> Robot:
+    """Write gains and zeros of wire pulls: wound = commanded (1 + change) + offset."""
+    gain, zero = np.zeros(len(robot.tendons)), np.zeros(len(robot.tendons))
+    for kind, values in ((GAIN, gain), (ZERO, zero)):
+        for value, tendons in zip(members.get(kind, ()), robot.input_tendons, strict=False):
+            values[list(tendons)] = value
+    change = np.array(robot.effects.get('spool_gain', {}).get('relative_change', 0.0))
+    offset = np.array(robot.effects.get('pull_zero', {}).get('offset', 0.0))
+    for name, key, values in (
+        ('pull_zero', 'offset', offset + zero * (1.0 + change)),
+        ('spool_gain', 'relative_change', (1.0 + gain) * (1.0 + change) - 1.0),
+    ):
+        if (zero if name == 'pull_zero' else gain).any():
+            written = tuple(_short(value) for value in values.tolist())
+            robot = robot.with_effect(name, {key: written}, robot.fitted.get(name))
+    return robot
+
+
+def _registered(robot: Robot, members: dict[str, Floats]) -> Robot:
+    """Add the registration to what the description says of it."""
+    before, values = robot.effects.get('base_misalignment', {}), EffectValues()
+    for kind, key in ((POSITION, 'shift'), (ROTATION, 'rotation')):
+        for axis, change in zip('xyz', members.get(kind, np.zeros(3)).tolist(), strict=True):
+            old = before.get(f'{key}_{axis}', 0.0)
+            values[f'{key}_{axis}'] = _short((old if isinstance(old, float) else old[0]) + change)
+    if not any(members.get(kind, np.zeros(3)).any() for kind in (POSITION, ROTATION)):
+        return robot
+    return robot.with_effect('base_misalignment', values, robot.fitted.get('base_misalignment'))
+
+
+def _scaled(offset: tuple[float, float], factor: float) -> tuple[float, float]:
+    return (_short(offset[0] * factor), _short(offset[1] * factor))
+
+
+def _short(value: float) -> float:
+    return float(f'{value:.6g}')
+
+
+class DescribedArm(Predictor):
+    """A predictor that also moves what the description says of the arm."""
+
+    def __init__(self, dataset: DataSet, robot: Robot, catalogue: Catalogue) -> None:
+        """Build the model of an arm whose tendons are ready to wind."""
+        self.described = robot
+        super().__init__(dataset, _winding(robot) if may_wind(robot) else robot, catalogue)
+        self._routes = (self.model.arrays.offset.copy(), self.model.arrays.helix.copy())
+        self._rerouted: dict[tuple[Any, ...], tuple[Floats, Floats]] = {}
+
+    def value(self, free: FreeParameter) -> float:
+        """Value that the description gives a parameter; of the arm itself: its change, none."""
+        return 0.0 if free.effect in OF_THE_ARM else super().value(free)
+
+    def set_parameters(
+        self, point: Point, part: Conditions, stiffness: Floats | None = None
+    ) -> None:
+        """Set the parameters of the model, and the arm itself; see `Predictor.set_parameters`."""
+        effects = {free: v for free, v in point.items() if free.effect not in OF_THE_ARM}
+        profile = [v for free, v in point.items() if free.effect == PROFILE]
+        if profile:
+            own = profile_factors(profile, self.robot)
+            stiffness = own if stiffness is None else own * stiffness
+        super().set_parameters(effects, part, stiffness)
+        routes = self._routes_at(point)
+        self.model.arrays.offset[:], self.model.arrays.helix[:] = routes
+
+    def _routes_at(self, point: Point) -> tuple[Floats, Floats]:
+        """Return offsets (n, k, 2) [m] and helix angles (n, k) [rad] of the tendons at a point."""
+        moved = tuple(sorted((f.column, f.parameter.name, v) for f, v in point.items()
+                             if f.effect == ROUTES and v != 0.0))  # fmt: skip
+        if not moved:
+            return self._routes
+        if moved not in self._rerouted:
+            if len(self._rerouted) >= ROUTES_KEPT_MAX:
+                self._rerouted.clear()
+            robot = _winding(rerouted(self.described, point))
+            self._rerouted[moved] = tendon_offsets(robot), helix_angles(robot)
+        return self._rerouted[moved]
+
+
+def blocks_of_the_arm(robot: Robot) -> Iterator[Candidate]:
+    """Yield what may change of the arm, as candidates."""
+    degrees = [f'along_{k}' for k in range(1, PROFILE_DEGREE + 1)]
+    profile = [FreeParameter(PROFILE, Parameter(d, '1', -3.0, 3.0, 0.0, 0.1)) for d in degrees]
+    yield Candidate((PROFILE,), tuple(profile), True)
+    if may_wind(robot):
+        size, most = TURN_TYPICAL / robot.length, TURN_MAX / robot.length
+        turn = Parameter('turn', 'rad', -TURN_MAX, TURN_MAX, 0.0, TURN_TYPICAL)
+        helix = Parameter('helix', 'rad/m', -most, most, 0.0, size)
+        routes = [
+            FreeParameter(ROUTES, parameter, i, tendon.name)
+            for i, tendon in enumerate(robot.tendons)
+            for parameter in (turn, helix)
+        ]
+        yield Candidate((ROUTES,), tuple(routes), True)
+
+
+def may_wind(robot: Robot) -> bool:
+    """Tell whether the tendons have routes that can turn: none is given cell by cell."""
+    return not any(tendon.offsets for tendon in robot.tendons)
+
+
+def profile_factors(coefficients: Sequence[float], robot: Robot) -> Floats:
+    """Return a factor (n,) on the stiffness of every cell: exp of a Legendre polynomial."""
+    lengths = np.array([s.cell_length for s in robot.sections for _ in range(s.cells)])
+    places = (2.0 * np.cumsum(lengths) - lengths) / robot.length - 1.0
+    return np.asarray(np.exp(legendre.legval(places, [0.0, *coefficients])))
+
+
+def rerouted(robot: Robot, point: Point) -> Robot:
+    """Return the description with tendons that are turned at the base [rad] and wind [rad/m]."""
+    change = {(free.column, free.parameter.name): value for free, value in point.items()
+              if free.effect == ROUTES}  # fmt: skip
+    tendons = []
+    for i, tendon in enumerate(robot.tendons):
+        c, s = np.cos(change.get((i, 'turn'), 0.0)), np.sin(change.get((i, 'turn'), 0.0))
+        base, end = ((c * x - s * y, s * x + c * y) for x, y in (tendon.base, tendon.end))
+        helix = tendon.helix + change.get((i, 'helix'), 0.0)
+        tendons.append(replace(tendon, base=base, end=end, helix=helix))
+    return replace(robot, tendons=tuple(tendons))
+
+
+def arm_with(robot: Robot, point: Point) -> Robot:
+    """Return the description with what a point says of the arm itself."""
+    if any(free.effect == ROUTES for free in point):
+        robot = replace(robot, tendons=tuple(_written(t) for t in rerouted(robot, point).tendons))
+    profile = [value for free, value in point.items() if free.effect == PROFILE]
+    if not profile:
+        return robot
+    factors = profile_factors(profile, robot)
+    ends = np.cumsum([section.cells for section in robot.sections])
+    sections = []
+    for section, end in zip(robot.sections, ends, strict=True):
+        own = zip(section.bending_stiffness, factors[end - section.cells : end], strict=True)
+        stiffness = tuple(_exact(k * factor) for k, factor in own)
+        sections.append(replace(section, bending_stiffness=stiffness))
+    return replace(robot, sections=tuple(sections))
+
+
+def stiffness_change(robot: Robot, point: Point) -> tuple[float, ...]:
+    """Return the relative change of the stiffness at base, middle and tip [1]; else nothing."""
+    profile = [value for free, value in point.items() if free.effect == PROFILE]
+    change = profile_factors(profile, robot) - 1.0
+    return tuple(change[[0, len(change) // 2, -1]].tolist()) if profile else ()
+
+
+def route_changes(point: Point) -> dict[str, tuple[float, float]]:
+    """Return by how much each tendon is turned at the base [rad], and winds [rad/m]."""
+    values = {
+        (free.label, free.parameter.name): value
+        for free, value in point.items()
+        if free.effect == ROUTES
+    }
+    return {name: (values[name, 'turn'], values[name, 'helix']) for name, _ in values}
+
+
+def _winding(robot: Robot) -> Robot:
+    tendons = (replace(tendon, helix=tendon.helix or WINDS_AT_LEAST) for tendon in robot.tendons)
+    return replace(robot, tendons=tuple(tendons))
+
+
+def _written(tendon: Tendon) -> Tendon:
+    (x, y), (end_x, end_y) = tendon.base, tendon.end
+    base, end = (_exact(x), _exact(y)), (_exact(end_x), _exact(end_y))
+    return replace(tendon, base=base, end=end, helix=_exact(tendon.helix))
+
+
+def _exact(value: float) -> float:
+    return float(f'{value:.9g}')
