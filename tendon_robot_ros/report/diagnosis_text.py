@@ -194,7 +194,7 @@ def _what_remains(diagnosis: Diagnosis) -> str:
     return f'{text}what remains is {size}{sure}'
 
 
-# what the sentences of `diagnosis.decide.Verdict` name
+# what the sentences of `diagnosis.verdict.Verdict` name
 _FIELDS: dict[str, Callable[[Diagnosis], str]] = {
     'alike': lambda diagnosis: listed(diagnosis.cannot_tell_apart, 'or'),
     'best': lambda diagnosis: diagnosis.effects[0].name,
